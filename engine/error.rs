@@ -1,0 +1,125 @@
+//! The crate's one error type.
+//!
+//! Every message is one line that names the file or object, the place in it, what is wrong, and what to do.
+
+use std::path::{Path, PathBuf};
+
+/// `Result` with [`Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// Everything that can go wrong, in one line each.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file or folder that cannot be used as it is.
+    #[error("{}: {problem}{}", path.display(), Remedy(remedy))]
+    Input {
+        /// The file or folder.
+        path: PathBuf,
+        /// Where in it, and what is wrong there ("vertex 12: property x is NaN").
+        problem: String,
+        /// What to do about it; may be empty.
+        remedy: String,
+    },
+    /// Reading or writing failed in the operating system.
+    #[error("{}: cannot {action}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// "read", "write", "create", …
+        action: &'static str,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// An argument of the API, or a setting, that makes no sense.
+    #[error("{what}: {problem}")]
+    Argument {
+        /// Which argument.
+        what: String,
+        /// What is wrong with it and what would be right.
+        problem: String,
+    },
+    /// No Vulkan loader on this machine.
+    #[error(
+        "no Vulkan loader found ({reason}); install one with a driver: on Debian or Ubuntu \
+         `apt-get install libvulkan1 mesa-vulkan-drivers`, or run tools/setup"
+    )]
+    NoLoader {
+        /// What the system said.
+        reason: String,
+    },
+    /// A loader, but no device that it offers is usable.
+    #[error("no usable Vulkan device: {reason}; `ashsplat devices` lists what there is (a software driver: mesa-vulkan-drivers)")]
+    NoDevice {
+        /// What was found and why it does not do.
+        reason: String,
+    },
+    /// `--device` named something that is not there.
+    #[error("no Vulkan device matches '{asked}'; there are: {available}")]
+    UnknownDevice {
+        /// What was asked for.
+        asked: String,
+        /// What there is, with indices.
+        available: String,
+    },
+    /// The device lacks something that ashsplat cannot do without.
+    #[error("device '{device}' lacks {feature}, which ashsplat needs")]
+    MissingFeature {
+        /// Name of the device.
+        device: String,
+        /// Vulkan's name of the feature, extension or limit.
+        feature: String,
+    },
+    /// Something does not fit a limit of the device or a budget.
+    #[error("{what} needs {needed} {unit}, more than {limit} ({limit_name})")]
+    TooLarge {
+        /// What does not fit.
+        what: String,
+        /// How much it needs.
+        needed: u64,
+        /// "bytes", "workgroups", …
+        unit: &'static str,
+        /// How much there may be.
+        limit: u64,
+        /// Vulkan's name of the limit, or the setting's.
+        limit_name: &'static str,
+    },
+    /// A Vulkan call failed.
+    #[error("{call} failed: {result}{}", Remedy(remedy))]
+    Vulkan {
+        /// The function.
+        call: &'static str,
+        /// Its result code in words.
+        result: String,
+        /// What to do about it; may be empty.
+        remedy: String,
+    },
+    /// The user asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+struct Remedy<'a>(&'a str);
+
+impl std::fmt::Display for Remedy<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        if self.0.is_empty() { Ok(()) } else { write!(f, "; {}", self.0) }
+    }
+}
+
+impl Error {
+    /// A problem in a file, with what to do about it.
+    pub fn input(path: impl AsRef<Path>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Input { path: path.as_ref().to_owned(), problem: problem.into(), remedy: remedy.into() }
+    }
+
+    /// A failed operation of the file system.
+    pub fn io(path: impl AsRef<Path>, action: &'static str, source: std::io::Error) -> Self {
+        Self::Io { path: path.as_ref().to_owned(), action, source }
+    }
+
+    /// A bad argument or setting.
+    pub fn argument(what: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::Argument { what: what.into(), problem: problem.into() }
+    }
+}

@@ -1,0 +1,1 @@
+//! Files: PLY, COLMAP, photographs.

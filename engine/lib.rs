@@ -1,0 +1,9 @@
+//! 3D Gaussian Splatting (Kerbl et al., SIGGRAPH 2023) on raw Vulkan compute.
+
+pub mod error;
+pub mod io;
+pub mod metrics;
+pub mod scene;
+pub mod vk;
+
+pub use error::{Error, Result};
