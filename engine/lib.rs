@@ -4,6 +4,7 @@ pub mod error;
 pub mod io;
 pub mod metrics;
 pub mod scene;
+pub mod trainer;
 pub mod vk;
 
 pub use error::{Error, Result};

@@ -1,0 +1,253 @@
+//! The settings of a training run, under the names of the reference implementation's command line.
+
+use crate::scene::gaussians::MAX_SH_DEGREE;
+use crate::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+/// Which optimiser moves the parameters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OptimizerType {
+    /// Adam on every Gaussian in every iteration (the reference's `default`).
+    #[default]
+    Default,
+    /// Adam on the Gaussians seen in the iteration's view only, without bias correction (`sparse_adam`).
+    SparseAdam,
+}
+
+/// Everything that shapes a training run, apart from the data: the arguments of the reference
+/// implementation (gaussian-splatting, `arguments/__init__.py`) under their own names and with their
+/// defaults, and three that it hard-codes.
+///
+/// Iterations are counted from 1. Reads from and writes to any serde format; missing fields take
+/// their defaults, unknown ones are refused.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainSettings {
+    /// Number of iterations; one view each.
+    pub iterations: u32,
+    /// Highest degree of the spherical harmonics, 0 to 3.
+    pub sh_degree: u32,
+    /// The SH degree in use starts at 0 and rises by one every so many iterations (the reference: 1000).
+    pub sh_degree_interval: u32,
+    /// Learning rate of the means at the start, in units of the scene's extent.
+    pub position_lr_init: f64,
+    /// Learning rate of the means at the end, in units of the scene's extent.
+    pub position_lr_final: f64,
+    /// Accepted because the reference has it; without effect there and here (the delay lasts 0 steps).
+    pub position_lr_delay_mult: f64,
+    /// The iteration at which the learning rate of the means reaches `position_lr_final`.
+    pub position_lr_max_steps: u32,
+    /// Learning rate of the SH coefficients of degree 0; the others take a twentieth of it.
+    pub feature_lr: f64,
+    /// Learning rate of the opacity logits.
+    pub opacity_lr: f64,
+    /// Learning rate of the log-scales.
+    pub scaling_lr: f64,
+    /// Learning rate of the quaternions.
+    pub rotation_lr: f64,
+    /// A Gaussian whose largest scale exceeds this share of the scene's extent is split, a smaller one cloned.
+    pub percent_dense: f64,
+    /// Weight of 1 − SSIM in the loss; the L1 term takes the rest.
+    pub lambda_dssim: f64,
+    /// Iterations between two densifications.
+    pub densification_interval: u32,
+    /// Iterations between two opacity resets.
+    pub opacity_reset_interval: u32,
+    /// Densification starts after this iteration.
+    pub densify_from_iter: u32,
+    /// Densification, and the collection of its statistics, end before this iteration.
+    pub densify_until_iter: u32,
+    /// Mean norm of the 2D mean's gradient, in normalised device coordinates, from which a Gaussian is densified.
+    pub densify_grad_threshold: f64,
+    /// Gaussians of a smaller opacity are pruned at a densification (the reference: 0.005).
+    pub min_opacity: f64,
+    /// Compose over white instead of black.
+    pub white_background: bool,
+    /// Compose over a new random colour in every iteration, so that no Gaussian paints the background.
+    pub random_background: bool,
+    /// Compensate the opacity for the screen-space dilation (Mip-Splatting's 2D filter).
+    pub antialiasing: bool,
+    /// Which optimiser.
+    pub optimizer_type: OptimizerType,
+    /// Seed of everything random: order of the views, split positions, random backgrounds.
+    pub seed: u32,
+}
+
+impl Default for TrainSettings {
+    fn default() -> Self {
+        Self {
+            iterations: 30_000,
+            sh_degree: 3,
+            sh_degree_interval: 1000,
+            position_lr_init: 1.6e-4,
+            position_lr_final: 1.6e-6,
+            position_lr_delay_mult: 0.01,
+            position_lr_max_steps: 30_000,
+            feature_lr: 2.5e-3,
+            opacity_lr: 0.025,
+            scaling_lr: 5e-3,
+            rotation_lr: 1e-3,
+            percent_dense: 0.01,
+            lambda_dssim: 0.2,
+            densification_interval: 100,
+            opacity_reset_interval: 3000,
+            densify_from_iter: 500,
+            densify_until_iter: 15_000,
+            densify_grad_threshold: 2e-4,
+            min_opacity: 0.005,
+            white_background: false,
+            random_background: false,
+            antialiasing: false,
+            optimizer_type: OptimizerType::Default,
+            seed: 0,
+        }
+    }
+}
+
+/// The SH coefficients above degree 0 learn at this share of `feature_lr`.
+const FEATURE_REST_SHARE: f64 = 1.0 / 20.0;
+
+impl TrainSettings {
+    /// Checks that every value makes sense; the trainer calls this before any work.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] with the setting's name, its value and what would be right.
+    pub fn check(&self) -> Result<()> {
+        at_least_one("iterations", self.iterations)?;
+        at_least_one("sh_degree_interval", self.sh_degree_interval)?;
+        at_least_one("position_lr_max_steps", self.position_lr_max_steps)?;
+        at_least_one("densification_interval", self.densification_interval)?;
+        at_least_one("opacity_reset_interval", self.opacity_reset_interval)?;
+        if self.sh_degree > MAX_SH_DEGREE {
+            let problem = format!("is {}, must be 0 to {MAX_SH_DEGREE}", self.sh_degree);
+            return Err(Error::argument("sh_degree", problem));
+        }
+        // The schedule of the means is log-linear: its ends must be positive.
+        in_range("position_lr_init", self.position_lr_init, f64::MIN_POSITIVE, 1e6)?;
+        in_range("position_lr_final", self.position_lr_final, f64::MIN_POSITIVE, 1e6)?;
+        in_range("position_lr_delay_mult", self.position_lr_delay_mult, 0.0, 1e6)?;
+        in_range("feature_lr", self.feature_lr, 0.0, 1e6)?;
+        in_range("opacity_lr", self.opacity_lr, 0.0, 1e6)?;
+        in_range("scaling_lr", self.scaling_lr, 0.0, 1e6)?;
+        in_range("rotation_lr", self.rotation_lr, 0.0, 1e6)?;
+        in_range("percent_dense", self.percent_dense, 0.0, 1e6)?;
+        in_range("lambda_dssim", self.lambda_dssim, 0.0, 1.0)?;
+        in_range("densify_grad_threshold", self.densify_grad_threshold, 0.0, 1e6)?;
+        in_range("min_opacity", self.min_opacity, 0.0, 1.0)
+    }
+
+    /// Learning rate of the means at an iteration, in units of the scene's extent (multiply by it): log-linear
+    /// from `position_lr_init` at 0 to `position_lr_final` at `position_lr_max_steps`, constant after that.
+    pub fn position_lr(&self, iteration: u32) -> f64 {
+        let progress = (f64::from(iteration) / f64::from(self.position_lr_max_steps)).min(1.0);
+        (self.position_lr_init.ln() * (1.0 - progress) + self.position_lr_final.ln() * progress).exp()
+    }
+
+    /// Learning rate of the SH coefficients of degree 1 and above.
+    pub fn feature_rest_lr(&self) -> f64 {
+        self.feature_lr * FEATURE_REST_SHARE
+    }
+
+    /// The SH degree in use at an iteration (1-based): one more at every `sh_degree_interval`, up to `sh_degree`.
+    pub fn sh_degree_at(&self, iteration: u32) -> u32 {
+        (iteration / self.sh_degree_interval).min(self.sh_degree)
+    }
+
+    /// Whether statistics for densification are collected at an iteration (1-based).
+    pub fn collects_statistics_at(&self, iteration: u32) -> bool {
+        iteration < self.densify_until_iter
+    }
+
+    /// Whether an iteration (1-based) ends with a densification.
+    pub fn densifies_at(&self, iteration: u32) -> bool {
+        iteration > self.densify_from_iter
+            && iteration < self.densify_until_iter
+            && iteration.is_multiple_of(self.densification_interval)
+    }
+
+    /// Whether a densification at this iteration (1-based) also prunes Gaussians that are large in the world:
+    /// only after the first opacity reset.
+    pub fn prunes_large_at(&self, iteration: u32) -> bool {
+        iteration > self.opacity_reset_interval
+    }
+
+    /// Whether an iteration (1-based) ends with an opacity reset. Over white, the reference also resets once
+    /// at `densify_from_iter`.
+    pub fn resets_opacity_at(&self, iteration: u32) -> bool {
+        iteration < self.densify_until_iter
+            && (iteration.is_multiple_of(self.opacity_reset_interval)
+                || (self.white_background && iteration == self.densify_from_iter))
+    }
+}
+
+fn at_least_one(name: &str, value: u32) -> Result<()> {
+    if value == 0 {
+        return Err(Error::argument(name, "is 0, must be at least 1"));
+    }
+    Ok(())
+}
+
+fn in_range(name: &str, value: f64, low: f64, high: f64) -> Result<()> {
+    if !(low..=high).contains(&value) {
+        let bounds = match (low, high) {
+            (0.0, 1.0) => "between 0 and 1",
+            (0.0, _) => "a finite number, 0 or more",
+            _ => "a finite number above 0",
+        };
+        return Err(Error::argument(name, format!("is {value}, must be {bounds}")));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn position_lr_is_log_linear_then_constant() {
+        let settings = TrainSettings::default();
+        assert!((settings.position_lr(0) - 1.6e-4).abs() < 1e-18);
+        assert!((settings.position_lr(15_000) - 1.6e-5).abs() < 1e-16);
+        assert!((settings.position_lr(30_000) - 1.6e-6).abs() < 1e-18);
+        assert_eq!(settings.position_lr(30_001), settings.position_lr(30_000));
+    }
+
+    #[test]
+    fn schedule_of_the_reference() {
+        let settings = TrainSettings::default();
+        let densified: Vec<u32> = (1..=30_000).filter(|&i| settings.densifies_at(i)).collect();
+        assert_eq!((densified.first(), densified.last()), (Some(&600), Some(&14_900)));
+        let resets: Vec<u32> = (1..=30_000).filter(|&i| settings.resets_opacity_at(i)).collect();
+        assert_eq!(resets, [3000, 6000, 9000, 12_000]);
+        assert_eq!([1, 999, 1000, 2999, 3000, 30_000].map(|i| settings.sh_degree_at(i)), [0, 0, 1, 2, 3, 3]);
+        assert!(!settings.prunes_large_at(3000) && settings.prunes_large_at(3100));
+    }
+
+    #[test]
+    fn white_background_resets_at_the_start_of_densification() {
+        let settings = TrainSettings { white_background: true, ..Default::default() };
+        assert!(settings.resets_opacity_at(500));
+        assert!(!TrainSettings::default().resets_opacity_at(500));
+    }
+
+    #[test]
+    fn check_names_the_setting() {
+        type Spoil = fn(&mut TrainSettings);
+        let cases: [(&str, Spoil); 6] = [
+            ("iterations", |s| s.iterations = 0),
+            ("sh_degree", |s| s.sh_degree = 4),
+            ("position_lr_init", |s| s.position_lr_init = 0.0),
+            ("feature_lr", |s| s.feature_lr = f64::NAN),
+            ("lambda_dssim", |s| s.lambda_dssim = 1.5),
+            ("densification_interval", |s| s.densification_interval = 0),
+        ];
+        assert!(TrainSettings::default().check().is_ok());
+        for (name, spoil) in cases {
+            let mut settings = TrainSettings::default();
+            spoil(&mut settings);
+            let message = settings.check().expect_err(name).to_string();
+            assert!(message.starts_with(&format!("{name}: is ")), "{message}");
+        }
+    }
+}
