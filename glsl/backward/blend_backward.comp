@@ -1,0 +1,271 @@
+// Backward of the blending, front to back, without atomics: what each (tile, Gaussian) instance owes to its tile.
+//
+// With g = dL/dpixel, s = g . c and R = what the rest of the list adds to g . pixel (it starts as g . final colour):
+//   R <- R - T alpha s,   dL/dalpha = T s - R / (1 - alpha),   dL/dpower = alpha dL/dalpha (0 where alpha is clamped).
+// An instance's sums over its pixels, with (dx, dy) = mean - pixel and p = dL/dpower:
+//   sum p (1, dx, dy, dx^2, dx dy, dy^2), sum T alpha g (r, g, b, inverse depth).
+// project_backward turns the moments into gradients of mean, conic and opacity. They are written to the instance's own
+// slot (its place before the tile sort, contiguous per Gaussian), so the sum over tiles has one fixed order.
+//
+// invocation: COLUMNS x ROWS pixels; subgroup: a region of the tile, culls and passes Gaussians round as in blend, then
+// adds over its lanes by a transposing butterfly; workgroup: one tile; regions meet in shared memory per batch
+// in: tile_ranges, sorted_visible, sorted_slots, PerVisible attributes; PerPixel: accumulated, inverse_depth,
+//     last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
+// out, PerInstance: sums_a (1, dx, dy, dx dx), sums_b (dx dy, dy dy, r, g), sums_c (b, inverse depth)
+// in/out, PerPixel: running (T, R) between passes over very long tiles, see blend
+// shared: BATCH * REGIONS * INSTANCE_SUMS words and masks; subgroup sizes 4 to 128
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(constant_id = 2) const bool INVERSE_DEPTH = false;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer SortedVisible { uint sorted_visible[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer SortedSlots { uint sorted_slots[]; };
+layout(set = 0, binding = 3, scalar) readonly buffer Mean2dExtent { vec4 mean2d_extent[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer ConicOpacity { vec4 conic_opacity[]; };
+layout(set = 0, binding = 5, scalar) readonly buffer ColorInverseDepth { vec4 color_inverse_depth[]; };
+layout(set = 0, binding = 6, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
+layout(set = 0, binding = 7, scalar) readonly buffer InverseDepth { float inverse_depth[]; };
+layout(set = 0, binding = 8, scalar) readonly buffer LastEntries { uint last_entries[]; };
+layout(set = 0, binding = 9, scalar) readonly buffer ImageGradient { vec4 image_gradient[]; };
+layout(set = 0, binding = 10, scalar) buffer Running { vec2 running[]; };
+layout(set = 0, binding = 11, scalar) writeonly buffer SumsA { vec4 sums_a[]; };
+layout(set = 0, binding = 12, scalar) writeonly buffer SumsB { vec4 sums_b[]; };
+layout(set = 0, binding = 13, scalar) writeonly buffer SumsC { vec2 sums_c[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint image_width;
+    uint image_height;
+    uint tiles_per_row;
+    uint tile_count;
+    uint first_entry;
+    uint max_entries;
+    vec3 background;
+};
+
+#include "dispatch.glsl"
+#include "subgroup.glsl"
+#include "tile_region.glsl"
+
+const float LOG2_E = 1.4426950408889634;
+// Entries whose sums meet in shared memory at a time: a multiple of every subgroup size.
+const uint BATCH = SUBGROUP_SIZE > 32 ? SUBGROUP_SIZE : 32;
+const uint STEPS = BATCH / SUBGROUP_SIZE;
+const uint MASK_WORDS = BATCH / 32;
+
+shared float partial[BATCH * REGIONS * INSTANCE_SUMS];
+shared uint touched[REGIONS * MASK_WORDS];
+shared uint region_last[REGIONS];
+
+float keep_or_give(float even, float odd, uint bit) {
+    bool upper = (gl_SubgroupInvocationID & bit) != 0;
+    return (upper ? odd : even) + subgroupShuffleXor(upper ? even : odd, bit);
+}
+
+float add_across(float value, uint first_bit) {
+    if (first_bit <= 4 && SUBGROUP_SIZE > 4) value += subgroupShuffleXor(value, 4);
+    if (SUBGROUP_SIZE > 8) value += subgroupShuffleXor(value, 8);
+    if (SUBGROUP_SIZE > 16) value += subgroupShuffleXor(value, 16);
+    if (SUBGROUP_SIZE > 32) value += subgroupShuffleXor(value, 32);
+    if (SUBGROUP_SIZE > 64) value += subgroupShuffleXor(value, 64);
+    return value;
+}
+
+// Adds ten values over the subgroup and stores them at partial[base]: each exchange halves the values per lane
+// instead of moving all of them, so ten sums cost about as many shuffles as two would.
+void store_sums(uint base, float v0, float v1, float v2, float v3, float v4, float v5, float v6, float v7, float v8,
+    float v9) {
+    uint lane = gl_SubgroupInvocationID;
+    float a = keep_or_give(keep_or_give(v0, v1, 1), keep_or_give(v2, v3, 1), 2);
+    float b = keep_or_give(keep_or_give(v4, v5, 1), keep_or_give(v6, v7, 1), 2);
+    float c = keep_or_give(v8, v9, 1);
+    c += subgroupShuffleXor(c, 2);
+    c = add_across(c, 4);
+    if (SUBGROUP_SIZE == 4) {
+        partial[base + lane] = a;
+        partial[base + 4 + lane] = b;
+    } else {
+        float both = add_across(keep_or_give(a, b, 4), 8);
+        if (lane < 8) {
+            partial[base + lane] = both;
+        }
+    }
+    if (lane < 2) {
+        partial[base + 8 + lane] = c;
+    }
+}
+
+void main() {
+    uint tile = linear_workgroup();
+    bool tile_exists = tile < tile_count;
+    uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);
+    uint entries = range.y - range.x;
+    uint begin = min(first_entry, entries);
+    uint end = begin + min(entries - begin, max_entries);
+    uvec2 origin = region_origin(uvec2(tile % tiles_per_row, tile / tiles_per_row));
+    uvec2 corner = origin + lane_offset();
+    vec2 corner_px = vec2(corner);
+
+    float transmittance[PIXELS];
+    float rest[PIXELS];
+    vec4 gradient[PIXELS];
+    uint last[PIXELS];
+    uint lane_last = 0;
+    [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
+        uvec2 pixel = corner + pixel_step(k);
+        bool inside = tile_exists && pixel.x < image_width && pixel.y < image_height;
+        uint index = inside ? pixel.y * image_width + pixel.x : 0;
+        vec4 pixel_color = accumulated[index];
+        gradient[k] = image_gradient[index];
+        if (!INVERSE_DEPTH) {
+            gradient[k].w = 0.0;
+        }
+        transmittance[k] = 1.0;
+        rest[k] = dot(gradient[k].xyz, pixel_color.xyz + pixel_color.w * background);
+        if (INVERSE_DEPTH) {
+            rest[k] += gradient[k].w * inverse_depth[index];
+        }
+        last[k] = inside ? last_entries[index] : 0;
+        lane_last = max(lane_last, last[k]);
+    }
+    if (first_entry > 0) {
+        [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
+            uvec2 pixel = corner + pixel_step(k);
+            bool inside = tile_exists && pixel.x < image_width && pixel.y < image_height;
+            vec2 before = running[inside ? pixel.y * image_width + pixel.x : 0];
+            transmittance[k] = before.x;
+            rest[k] = before.y;
+        }
+    }
+    uint own_last = subgroupMax(lane_last);
+    if (gl_SubgroupInvocationID == 0) {
+        region_last[gl_SubgroupID] = own_last;
+    }
+    barrier();
+    uint tile_last = 0;
+    [[unroll]] for (uint region = 0; region < REGIONS; ++region) {
+        tile_last = max(tile_last, region_last[region]);
+    }
+    uint work_end = min(end, tile_last);
+
+    for (uint batch = begin; batch < work_end; batch += BATCH) {
+        for (uint step = 0; step < STEPS; ++step) {
+            uint entry = batch + step * SUBGROUP_SIZE + gl_SubgroupInvocationID;
+            bool exists = entry < end && entry < own_last;
+            uint visible = sorted_visible[range.x + (exists ? entry : begin)];
+            vec4 mean2d = mean2d_extent[visible];
+            vec4 conic = conic_opacity[visible];
+            vec4 shade = color_inverse_depth[visible];
+            vec3 form = vec3(-0.5 * LOG2_E, -LOG2_E, -0.5 * LOG2_E) * conic.xyz;
+            uvec4 hits = subgroupBallot(exists && meets_region(mean2d, origin));
+            [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
+                uint bits = hits[word];
+                if (gl_SubgroupInvocationID == 0) {
+                    uint mask_word = gl_SubgroupID * MASK_WORDS + step * SUBGROUP_SIZE / 32 + word;
+                    uint shift = step * SUBGROUP_SIZE % 32;
+                    touched[mask_word] = shift == 0 ? bits : touched[mask_word] | bits << shift;
+                }
+                while (bits != 0) {
+                    uint lane = findLSB(bits) + 32 * word;
+                    bits &= bits - 1;
+                    vec2 mean = vec2(subgroupShuffle(mean2d.x, lane), subgroupShuffle(mean2d.y, lane));
+                    float a = subgroupShuffle(form.x, lane);
+                    float b = subgroupShuffle(form.y, lane);
+                    float c = subgroupShuffle(form.z, lane);
+                    float opacity = subgroupShuffle(conic.w, lane);
+                    vec4 value = vec4(subgroupShuffle(shade.x, lane), subgroupShuffle(shade.y, lane),
+                        subgroupShuffle(shade.z, lane), INVERSE_DEPTH ? subgroupShuffle(shade.w, lane) : 0.0);
+                    vec2 d0 = mean - corner_px;
+                    uint place = batch + step * SUBGROUP_SIZE + lane + 1;
+                    float sum_1 = 0.0, sum_x = 0.0, sum_y = 0.0, sum_xx = 0.0, sum_xy = 0.0, sum_yy = 0.0;
+                    vec4 sum_value = vec4(0.0);
+                    [[unroll]] for (uint column = 0; column < COLUMNS; ++column) {
+                        float dx = d0.x - float(column * LANES_X);
+                        float column_1 = 0.0, column_y = 0.0, column_yy = 0.0;
+                        [[unroll]] for (uint row = 0; row < ROWS; ++row) {
+                            uint k = column * ROWS + row;
+                            float dy = d0.y - float(row * LANES_Y);
+                            float power = a * dx * dx + dy * (c * dy + b * dx);
+                            float unclamped = opacity * exp2(power);
+                            float alpha = min(ALPHA_MAX, unclamped);
+                            bool blends = power <= 0.0 && alpha >= ALPHA_MIN && place <= last[k];
+                            alpha = blends ? alpha : 0.0;
+                            float weight = alpha * transmittance[k];
+                            float shade_gradient = dot(gradient[k], value);
+                            rest[k] -= weight * shade_gradient;
+                            float d_alpha = transmittance[k] * shade_gradient - rest[k] / (1.0 - alpha);
+                            float d_power = unclamped <= ALPHA_MAX ? alpha * d_alpha : 0.0;
+                            transmittance[k] *= 1.0 - alpha;
+                            sum_value += weight * gradient[k];
+                            column_1 += d_power;
+                            column_y += d_power * dy;
+                            column_yy += d_power * dy * dy;
+                        }
+                        sum_1 += column_1;
+                        sum_x += column_1 * dx;
+                        sum_y += column_y;
+                        sum_xx += column_1 * dx * dx;
+                        sum_xy += column_y * dx;
+                        sum_yy += column_yy;
+                    }
+                    uint base = ((step * SUBGROUP_SIZE + lane) * REGIONS + gl_SubgroupID) * INSTANCE_SUMS;
+                    store_sums(base, sum_1, sum_x, sum_y, sum_xx, sum_xy, sum_yy, sum_value.x, sum_value.y, sum_value.z,
+                        sum_value.w);
+                }
+            }
+        }
+        barrier();
+        for (uint slot = gl_LocalInvocationID.x; slot < BATCH; slot += WORKGROUP_SIZE) {
+            uint entry = batch + slot;
+            if (entry < end) {
+                float sums[INSTANCE_SUMS];
+                [[unroll]] for (uint k = 0; k < INSTANCE_SUMS; ++k) {
+                    sums[k] = 0.0;
+                }
+                [[unroll]] for (uint region = 0; region < REGIONS; ++region) {
+                    bool hit = (touched[region * MASK_WORDS + slot / 32] >> (slot % 32) & 1) != 0;
+                    uint base = (slot * REGIONS + region) * INSTANCE_SUMS;
+                    [[unroll]] for (uint k = 0; k < INSTANCE_SUMS; ++k) {
+                        float value = partial[base + k];
+                        sums[k] += hit ? value : 0.0;
+                    }
+                }
+                uint target = sorted_slots[range.x + entry];
+                sums_a[target] = vec4(sums[0], sums[1], sums[2], sums[3]);
+                sums_b[target] = vec4(sums[4], sums[5], sums[6], sums[7]);
+                sums_c[target] = vec2(sums[8], sums[9]);
+            }
+        }
+        barrier();
+    }
+
+    // Entries behind the last that any pixel blended owe nothing, but their slots are read.
+    uint batches = (max(work_end, begin) - begin + BATCH - 1) / BATCH;
+    for (uint entry = begin + batches * BATCH + gl_LocalInvocationID.x; entry < end; entry += WORKGROUP_SIZE) {
+        uint target = sorted_slots[range.x + entry];
+        sums_a[target] = vec4(0.0);
+        sums_b[target] = vec4(0.0);
+        sums_c[target] = vec2(0.0);
+    }
+
+    if (entries > end) {
+        [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
+            uvec2 pixel = corner + pixel_step(k);
+            if (tile_exists && pixel.x < image_width && pixel.y < image_height) {
+                running[pixel.y * image_width + pixel.x] = vec2(transmittance[k], rest[k]);
+            }
+        }
+    }
+}

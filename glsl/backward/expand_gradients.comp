@@ -1,0 +1,65 @@
+// Gradients of all parameters of all Gaussians in the parameters' own layout; zero for what is not visible.
+// For users of the gradients: training does not need it, adam.comp derives the same on the fly.
+//
+// invocation: one Gaussian
+// in: parameters (PerGaussian planes, for the viewing direction), visible_index, gradients (PerVisible planes)
+// out: parameter_gradients (PerGaussian planes as in parameters), mean2d_gradients[Gaussian] (px)
+// shared: none; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_GOOGLE_include_directive : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 2) const uint SH_DEGREE = 3;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer VisibleIndex { uint visible_index[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer Gradients { vec4 gradients[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer ParameterGradients { vec4 parameter_gradients[]; };
+layout(set = 0, binding = 4, scalar) writeonly buffer Mean2dGradients { vec2 mean2d_gradients[]; };
+
+layout(push_constant, scalar) uniform Push {
+    vec3 camera_position;
+    uint first;
+    uint count;
+    uint stride;
+    uint gradient_stride;
+    // Planes of the stored degree, which may be above the active one.
+    uint planes;
+};
+
+#include "dispatch.glsl"
+#include "sh.glsl"
+#include "sh_gradient.glsl"
+
+void main() {
+    uint index = linear_invocation();
+    if (index >= count) {
+        return;
+    }
+    uint visible = visible_index[first + index];
+    bool seen = visible != NOT_VISIBLE;
+    uint row = seen ? visible : 0;
+    vec4 mean_opacity = gradients[GRADIENT_MEAN_OPACITY * gradient_stride + row];
+    vec4 quat = gradients[GRADIENT_QUAT * gradient_stride + row];
+    vec4 log_scale_x = gradients[GRADIENT_LOG_SCALE * gradient_stride + row];
+    vec4 color_y = gradients[GRADIENT_COLOR * gradient_stride + row];
+    vec3 mean = parameters[PLANE_MEAN_OPACITY * stride + index].xyz;
+    float basis[16];
+    sh_basis(normalize(mean - camera_position), basis);
+
+    parameter_gradients[PLANE_MEAN_OPACITY * stride + index] = seen ? mean_opacity : vec4(0.0);
+    parameter_gradients[PLANE_QUAT * stride + index] = seen ? quat : vec4(0.0);
+    parameter_gradients[PLANE_LOG_SCALE * stride + index] = seen ? vec4(log_scale_x.xyz, 0.0) : vec4(0.0);
+    mean2d_gradients[first + index] = seen ? vec2(log_scale_x.w, color_y.w) : vec2(0.0);
+    [[unroll]] for (uint plane = 0; plane < SH_PLANES_3; ++plane) {
+        vec4 g = plane < SH_PLANES ? sh_plane_gradient(plane, basis, color_y.xyz) : vec4(0.0);
+        if (PLANE_SH + plane < planes) {
+            parameter_gradients[(PLANE_SH + plane) * stride + index] = seen ? g : vec4(0.0);
+        }
+    }
+}

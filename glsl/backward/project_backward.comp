@@ -1,0 +1,217 @@
+// Backward of the projection: from an instance's sums to the gradients of a Gaussian's parameters
+// (paper, appendix A; the exact derivative of project.comp, also through the Jacobian's clamp).
+//
+// invocation: one visible Gaussian; subgroup: adds the slots of Gaussians with many tiles together, the lanes' in a
+// fixed order, so that results do not depend on scheduling; those outside the bound range of parameters idle
+// in: parameters (PerGaussian planes), visible_list, footprints, slot_begins, conic_opacity, sums_a, sums_b, sums_c
+// out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
+//      (d colour before its clamp at 0, dL/dy px)
+// in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) when `accumulate` is set and nothing overflowed
+// shared: none; subgroup sizes 4 to 128
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(constant_id = 2) const uint SH_DEGREE = 3;
+// Slots above which a Gaussian is summed by its whole subgroup.
+layout(constant_id = 3) const uint LANE_SLOTS = 64;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer VisibleList { uint visible_list[]; };
+layout(set = 0, binding = 3, scalar) readonly buffer Footprints { uvec4 footprints[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer SlotBegins { uint slot_begins[]; };
+layout(set = 0, binding = 5, scalar) readonly buffer ConicOpacity { vec4 conic_opacity[]; };
+layout(set = 0, binding = 6, scalar) readonly buffer SumsA { vec4 sums_a[]; };
+layout(set = 0, binding = 7, scalar) readonly buffer SumsB { vec4 sums_b[]; };
+layout(set = 0, binding = 8, scalar) readonly buffer SumsC { vec2 sums_c[]; };
+layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
+layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
+
+// Stride of the gradient planes, and whether to add to the statistics.
+#define CAMERA_PUSH_EXTRA uint gradient_stride; uint accumulate;
+
+#include "camera_push.glsl"
+#include "dispatch.glsl"
+#include "subgroup.glsl"
+#include "projection.glsl"
+#include "sh.glsl"
+#include "sh_planes.glsl"
+
+struct Sums {
+    vec4 a;
+    vec4 b;
+    vec2 c;
+};
+
+Sums subgroup_sum(Sums sums) {
+    return Sums(subgroupAdd(sums.a), subgroupAdd(sums.b), subgroupAdd(sums.c));
+}
+
+Sums sum_slots(uint begin, uint slots, bool exists) {
+    Sums sums = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
+    uint alone = slots <= LANE_SLOTS ? slots : 0;
+    for (uint k = 0; k < alone; ++k) {
+        sums.a += sums_a[begin + k];
+        sums.b += sums_b[begin + k];
+        sums.c += sums_c[begin + k];
+    }
+    uvec4 large = subgroupBallot(exists && slots > LANE_SLOTS);
+    for (uint word = 0; word < BALLOT_WORDS; ++word) {
+        uint bits = large[word];
+        while (bits != 0) {
+            uint lane = findLSB(bits) + 32 * word;
+            bits &= bits - 1;
+            uint their_begin = subgroupShuffle(begin, lane);
+            uint their_slots = subgroupShuffle(slots, lane);
+            Sums share = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
+            for (uint k = gl_SubgroupInvocationID; k < their_slots; k += SUBGROUP_SIZE) {
+                share.a += sums_a[their_begin + k];
+                share.b += sums_b[their_begin + k];
+                share.c += sums_c[their_begin + k];
+            }
+            share = subgroup_sum(share);
+            if (gl_SubgroupInvocationID == lane) {
+                sums = share;
+            }
+        }
+    }
+    return sums;
+}
+
+// d (rows of M), from the gradient of the dilated covariance.
+void covariance_backward(Projection p, vec3 conic, vec3 d_conic, float d_opacity, float opacity_raw, out vec3 d_row_x,
+    out vec3 d_row_y) {
+    // conic = cov^-1: d cov = -conic d_conic conic, with the off-diagonal's gradient shared by both places.
+    float gx = d_conic.x, gy = 0.5 * d_conic.y, gz = d_conic.z;
+    float t00 = conic.x * gx + conic.y * gy;
+    float t01 = conic.x * gy + conic.y * gz;
+    float t10 = conic.y * gx + conic.z * gy;
+    float t11 = conic.y * gy + conic.z * gz;
+    float d_xx = -(t00 * conic.x + t01 * conic.y);
+    float d_xy = -(t00 * conic.y + t01 * conic.z);
+    float d_yy = -(t10 * conic.y + t11 * conic.z);
+    float ratio = p.det_raw / p.det;
+    if (antialias != 0 && ratio > ANTIALIAS_MIN_RATIO) {
+        // opacity = raw sqrt(det_raw / det).
+        float d_ratio = d_opacity * opacity_raw * 0.5 * inversesqrt(ratio);
+        vec3 raw = p.cov2d - vec3(DILATION_PX2, 0.0, DILATION_PX2);
+        d_xx += d_ratio * (raw.z - ratio * p.cov2d.z) / p.det;
+        d_yy += d_ratio * (raw.x - ratio * p.cov2d.x) / p.det;
+        d_xy += d_ratio * (ratio - 1.0) * p.cov2d.y / p.det;
+    }
+    d_row_x = 2.0 * (d_xx * p.row_x + d_xy * p.row_y);
+    d_row_y = 2.0 * (d_xy * p.row_x + d_yy * p.row_y);
+}
+
+// Gradient of the raw quaternion from that of its rotation matrix (columns of `d`), through the normalisation.
+vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
+    float w = q.x, x = q.y, y = q.z, z = q.w;
+    vec4 g;
+    g.x = 2.0 * (z * (d[0].y - d[1].x) + y * (d[2].x - d[0].z) + x * (d[1].z - d[2].y));
+    g.y = 2.0 * (y * (d[1].x + d[0].y) + z * (d[2].x + d[0].z) + w * (d[1].z - d[2].y) - 2.0 * x * (d[1].y + d[2].z));
+    g.z = 2.0 * (x * (d[1].x + d[0].y) + w * (d[2].x - d[0].z) + z * (d[2].y + d[1].z) - 2.0 * y * (d[0].x + d[2].z));
+    g.w = 2.0 * (w * (d[0].y - d[1].x) + x * (d[2].x + d[0].z) + y * (d[2].y + d[1].z) - 2.0 * z * (d[0].x + d[1].y));
+    return (g - q * dot(q, g)) * inverse_norm;
+}
+
+void main() {
+    uint visible = linear_invocation();
+    bool exists = visible < state[STATE_VISIBLE];
+    uint slot_visible = exists ? visible : 0;
+    uint gaussian = visible_list[slot_visible];
+    exists = exists && gaussian - first < count;
+    uint index = exists ? gaussian - first : 0;
+    uint slots = exists ? footprints[slot_visible].w : 0;
+    // Slots beyond the capacity do not exist; the frame is then run again anyway.
+    uint begin = slots == 0 ? 0 : slot_begins[slot_visible];
+    slots = state[STATE_OVERFLOW] != 0 ? 0 : slots;
+    Sums sums = sum_slots(begin, slots, exists);
+
+    vec4 mean_opacity = parameters[PLANE_MEAN_OPACITY * stride + index];
+    vec4 quat = parameters[PLANE_QUAT * stride + index];
+    vec4 log_scale = parameters[PLANE_LOG_SCALE * stride + index];
+    vec4 conic = conic_opacity[slot_visible];
+    Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
+
+    // Moments to gradients of mean, conic and opacity.
+    float m_1 = sums.a.x, m_x = sums.a.y, m_y = sums.a.z, m_xx = sums.a.w, m_xy = sums.b.x, m_yy = sums.b.y;
+    vec3 d_color = vec3(sums.b.z, sums.b.w, sums.c.x);
+    float d_inverse_z = sums.c.y;
+    vec2 d_mean2d = -vec2(conic.x * m_x + conic.y * m_y, conic.y * m_x + conic.z * m_y);
+    vec3 d_conic = vec3(-0.5 * m_xx, -m_xy, -0.5 * m_yy);
+    float d_opacity = m_1 / max(conic.w, 1e-20);
+
+    float opacity_raw = sigmoid(mean_opacity.w);
+    float compensation = antialias != 0 ? sqrt(max(ANTIALIAS_MIN_RATIO, p.det_raw / p.det)) : 1.0;
+    float d_logit = d_opacity * compensation * opacity_raw * (1.0 - opacity_raw);
+
+    vec3 d_row_x;
+    vec3 d_row_y;
+    covariance_backward(p, conic.xyz, d_conic, d_opacity, opacity_raw, d_row_x, d_row_y);
+    vec3 d_log_scale = d_row_x * p.row_x + d_row_y * p.row_y;
+
+    // Rows of M are J times the axes, scaled.
+    d_row_x *= p.scale;
+    d_row_y *= p.scale;
+    float inverse_z = 1.0 / p.mean_camera.z;
+    vec2 j_diagonal = focal_px * inverse_z;
+    vec2 j_depth = -j_diagonal * p.slope;
+    mat3 axes_t = transpose(p.axes_camera);
+    vec2 d_j_diagonal = vec2(dot(d_row_x, axes_t[0]), dot(d_row_y, axes_t[1]));
+    vec2 d_j_depth = vec2(dot(d_row_x, axes_t[2]), dot(d_row_y, axes_t[2]));
+    mat3 d_axes = transpose(
+        mat3(j_diagonal.x * d_row_x, j_diagonal.y * d_row_y, j_depth.x * d_row_x + j_depth.y * d_row_y));
+    mat3 d_rotation = mat3(from_camera(d_axes[0]), from_camera(d_axes[1]), from_camera(d_axes[2]));
+    vec4 d_quat = quaternion_backward(p.quat, p.inverse_norm, d_rotation);
+
+    // J = (f/z, -f slope / z); an unclamped slope is x/z, a clamped one does not depend on the mean.
+    vec2 through_slope = vec2(p.clamped.x ? 0.0 : 1.0, p.clamped.y ? 0.0 : 1.0);
+    vec2 d_slope = -j_diagonal * d_j_depth * through_slope + d_mean2d * focal_px;
+    vec3 d_camera;
+    d_camera.xy = d_slope * inverse_z;
+    d_camera.z = -inverse_z * inverse_z * (dot(d_j_diagonal, focal_px) - dot(d_j_depth, focal_px * p.slope))
+        - inverse_z * dot(d_slope, p.mean_camera.xy * inverse_z) - inverse_z * inverse_z * d_inverse_z;
+    vec3 d_mean = from_camera(d_camera);
+
+    // Colour: the clamp at 0, then the direction.
+    vec3 towards = mean_opacity.xyz - camera_position();
+    float inverse_distance = inversesqrt(dot(towards, towards));
+    vec3 direction = towards * inverse_distance;
+    float basis[16];
+    sh_basis(direction, basis);
+    vec3 derivative[16];
+    sh_basis_derivative(direction, derivative);
+    vec3 sh[16];
+    sh_coefficients(index, sh);
+    vec3 color = vec3(0.5);
+    for (uint k = 0; k < 16; ++k) {
+        color += basis[k] * sh[k];
+    }
+    d_color = mix(d_color, vec3(0.0), lessThan(color, vec3(0.0)));
+    vec3 d_direction = vec3(0.0);
+    for (uint k = 0; k < 16; ++k) {
+        d_direction += derivative[k] * dot(sh[k], d_color);
+    }
+    d_mean += (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
+
+    if (exists) {
+        gradients[GRADIENT_MEAN_OPACITY * gradient_stride + visible] = vec4(d_mean, d_logit);
+        gradients[GRADIENT_QUAT * gradient_stride + visible] = d_quat;
+        gradients[GRADIENT_LOG_SCALE * gradient_stride + visible] = vec4(d_log_scale, d_mean2d.x);
+        gradients[GRADIENT_COLOR * gradient_stride + visible] = vec4(d_color, d_mean2d.y);
+        if (accumulate != 0 && state[STATE_OVERFLOW] == 0) {
+            vec2 ndc = d_mean2d * 0.5 * vec2(image_width, image_height);
+            statistics[gaussian] += vec2(length(ndc), 1.0);
+        }
+    }
+}

@@ -1,0 +1,86 @@
+// Copies the rows of the new set from the old one. Halves of a split Gaussian get a mean drawn from it and scales
+// divided by 1.6; clones and halves start with zero moments (paper, section 5.2; reference densify_and_split).
+//
+// invocation: one row of the new set; those whose source lies outside the bound range leave at once
+// in: sources[row], from (PerGaussian planes, or moments); out: to (PerGaussian planes)
+// shared: none; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+// The planes are moments of the optimiser: zero for new Gaussians.
+layout(constant_id = 2) const bool MOMENTS = false;
+// The normal numbers come from `noise`[child * noise_stride + Gaussian] instead of the generator (for comparisons).
+layout(constant_id = 3) const bool EXPLICIT_NOISE = false;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Sources { uint sources[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer From { vec4 from[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer To { vec4 to[]; };
+layout(set = 0, binding = 3, scalar) readonly buffer Noise { vec3 noise[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint from_first;
+    uint from_count;
+    uint from_stride;
+    uint to_first;
+    uint to_count;
+    uint to_stride;
+    uint planes;
+    uint noise_stride;
+    uint seed;
+    uint iteration;
+};
+
+#include "dispatch.glsl"
+#include "random.glsl"
+
+// log 1.6: halves of a split are smaller by this factor.
+const float LOG_SPLIT = 0.47000362924573563;
+
+vec3 rotate(vec4 quat, vec3 v) {
+    float norm = length(quat);
+    vec4 q = norm > QUAT_NORM_MIN ? quat / norm : vec4(1.0, 0.0, 0.0, 0.0);
+    return v + 2.0 * cross(q.yzw, cross(q.yzw, v) + q.x * v);
+}
+
+void main() {
+    uint row = linear_invocation();
+    if (row >= to_count) {
+        return;
+    }
+    uint source = sources[to_first + row];
+    uint kind = source >> 30;
+    uint gaussian = source & 0x3FFFFFFF;
+    uint index = gaussian - from_first;
+    if (index >= from_count) {
+        return;
+    }
+    bool split = kind == KIND_SPLIT_0 || kind == KIND_SPLIT_1;
+    if (MOMENTS) {
+        for (uint plane = 0; plane < planes; ++plane) {
+            vec4 value = from[plane * from_stride + index];
+            to[plane * to_stride + row] = kind == KIND_KEPT ? value : vec4(0.0);
+        }
+    } else {
+        vec4 mean_opacity = from[PLANE_MEAN_OPACITY * from_stride + index];
+        vec4 quat = from[PLANE_QUAT * from_stride + index];
+        vec4 log_scale = from[PLANE_LOG_SCALE * from_stride + index];
+        uint child = kind == KIND_SPLIT_1 ? 1 : 0;
+        vec3 normal = EXPLICIT_NOISE ? noise[child * noise_stride + gaussian]
+                                     : random_normal(uvec4(seed, iteration, gaussian, child));
+        if (split) {
+            mean_opacity.xyz += rotate(quat, normal * exp(log_scale.xyz));
+            log_scale.xyz -= LOG_SPLIT;
+        }
+        to[PLANE_MEAN_OPACITY * to_stride + row] = mean_opacity;
+        to[PLANE_QUAT * to_stride + row] = quat;
+        to[PLANE_LOG_SCALE * to_stride + row] = log_scale;
+        for (uint plane = PLANE_SH; plane < planes; ++plane) {
+            to[plane * to_stride + row] = from[plane * from_stride + index];
+        }
+    }
+}

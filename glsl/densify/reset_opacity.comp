@@ -1,0 +1,37 @@
+// Opacity reset (paper, section 5.2; reference reset_opacity): opacity <- min(opacity, 0.01), its moments zeroed.
+//
+// invocation: one Gaussian
+// in/out: parameters, moments_1, moments_2 (PerGaussian planes; only the opacity's component changes)
+// shared: none; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) buffer Parameters { vec4 parameters[]; };
+layout(set = 0, binding = 1, scalar) buffer Moments1 { vec4 moments_1[]; };
+layout(set = 0, binding = 2, scalar) buffer Moments2 { vec4 moments_2[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint count;
+    uint stride;
+    // Logit of the largest opacity that remains.
+    float max_logit;
+};
+
+#include "dispatch.glsl"
+
+void main() {
+    uint index = linear_invocation();
+    if (index >= count) {
+        return;
+    }
+    uint at = PLANE_MEAN_OPACITY * stride + index;
+    parameters[at].w = min(parameters[at].w, max_logit);
+    moments_1[at].w = 0.0;
+    moments_2[at].w = 0.0;
+}

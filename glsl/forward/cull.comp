@@ -1,0 +1,46 @@
+// Which Gaussians are visible, and how many in each block: first step of the stable compaction of the visible.
+// Near plane, degenerate covariance, opacity below 1/255, and no tile touched (paper, section 6; reference preprocessCUDA).
+//
+// invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
+// in: parameters (PerGaussian planes); out: visible_flags[Gaussian], block_counts[block]
+// shared: one word per subgroup; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
+layout(set = 0, binding = 1, scalar) writeonly buffer VisibleFlags { uint visible_flags[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer BlockCounts { uint block_counts[]; };
+
+#include "camera_push.glsl"
+#include "dispatch.glsl"
+#include "workgroup_scan.glsl"
+#include "projection.glsl"
+
+void main() {
+    uint local = linear_invocation();
+    bool exists = local < count;
+    uint index = exists ? local : 0;
+    vec4 mean_opacity = parameters[PLANE_MEAN_OPACITY * stride + index];
+    vec4 quat = parameters[PLANE_QUAT * stride + index];
+    vec4 log_scale = parameters[PLANE_LOG_SCALE * stride + index];
+    Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
+    Footprint f = footprint_of(p, mean_opacity.w);
+    uint flag = exists && f.visible ? 1 : 0;
+    if (exists) {
+        visible_flags[first + local] = flag;
+    }
+    uint total;
+    workgroup_exclusive_add(flag, total);
+    if (gl_LocalInvocationID.x == 0 && exists) {
+        block_counts[(first + local) / WORKGROUP_SIZE] = total;
+    }
+}

@@ -1,0 +1,46 @@
+// Turns a count that only the device knows into what follows from it: the count clamped to its capacity,
+// and the indirect arguments of the dispatches over it.
+//
+// One invocation in all.
+// in: state[count_index] = how many are needed
+// out: state[count_index + 1] = min(needed, capacity); state[STATE_OVERFLOW] set when clamped;
+//      arguments[3]: workgroups for blocks of `block_stream`, `block_sort` and `block_scan` elements
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+
+#include "constants.glsl"
+
+layout(local_size_x = 1) in;
+
+layout(set = 0, binding = 0, scalar) buffer State { uint state[]; };
+layout(set = 0, binding = 1, scalar) writeonly buffer Arguments { uvec4 arguments[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint count_index;
+    uint capacity;
+    uint first_argument;
+    uint block_stream;
+    uint block_sort;
+    uint block_scan;
+    uint max_workgroups_per_axis;
+};
+
+uvec4 workgroups(uint elements, uint block) {
+    uint groups = elements / block + (elements % block != 0 ? 1 : 0);
+    uint x = min(groups, max_workgroups_per_axis);
+    uint y = x == 0 ? 0 : groups / x + (groups % x != 0 ? 1 : 0);
+    return uvec4(x, y, groups == 0 ? 0 : 1, 0);
+}
+
+void main() {
+    uint needed = state[count_index];
+    uint elements = min(needed, capacity);
+    state[count_index + 1] = elements;
+    if (needed > capacity) {
+        state[STATE_OVERFLOW] = 1;
+    }
+    arguments[first_argument] = workgroups(elements, block_stream);
+    arguments[first_argument + 1] = workgroups(elements, block_sort);
+    arguments[first_argument + 2] = workgroups(elements, block_scan);
+}

@@ -1,0 +1,40 @@
+// Where each tile's instances begin and end in the sorted sequence (paper, section 6: identifyTileRanges),
+// and which Gaussian each sorted instance shows.
+//
+// invocation: one sorted instance, compared with its neighbours
+// in: sorted_tiles[n], sorted_slots[n] (places before the sort), instance_visible[slot]
+// out: tile_ranges[tile] = (begin, end), only of tiles that occur; sorted_visible[n]
+// shared: none; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer State { uint state[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer SortedTiles { uint sorted_tiles[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer SortedSlots { uint sorted_slots[]; };
+layout(set = 0, binding = 3, scalar) readonly buffer InstanceVisible { uint instance_visible[]; };
+layout(set = 0, binding = 4, scalar) writeonly buffer TileRanges { uvec2 tile_ranges[]; };
+layout(set = 0, binding = 5, scalar) writeonly buffer SortedVisible { uint sorted_visible[]; };
+
+#include "dispatch.glsl"
+
+void main() {
+    uint instances = state[STATE_INSTANCES];
+    uint index = linear_invocation();
+    if (index >= instances) {
+        return;
+    }
+    uint tile = sorted_tiles[index];
+    sorted_visible[index] = instance_visible[sorted_slots[index]];
+    if (index == 0 || sorted_tiles[max(index, 1) - 1] != tile) {
+        tile_ranges[tile].x = index;
+    }
+    if (index + 1 == instances || sorted_tiles[min(index + 1, instances - 1)] != tile) {
+        tile_ranges[tile].y = index + 1;
+    }
+}

@@ -1,0 +1,26 @@
+// Push constants of the kernels that project Gaussians: the camera, and which Gaussians a dispatch works on.
+// A kernel with more to say defines CAMERA_PUSH_EXTRA, which is appended.
+// Frame: x_camera = R x_world + t, x right, y down, z forward; pixel centres are the integers.
+layout(push_constant, scalar) uniform Push {
+    // Rows of R (camera from world).
+    vec3 camera_row_x;
+    vec3 camera_row_y;
+    vec3 camera_row_z;
+    vec3 camera_translation;
+    vec2 focal_px;
+    vec2 center_px;
+    // Limits of x/z (low, high) and y/z (low, high) within which the projection is linearised.
+    vec4 jacobian_limits;
+    uint image_width;
+    uint image_height;
+    // First Gaussian of the bound range of parameters, how many it holds, and the stride of its planes.
+    uint first;
+    uint count;
+    uint stride;
+    // EXTENT_EXACT or EXTENT_REFERENCE; opacity compensation of Mip-Splatting's 2D filter when `antialias` != 0.
+    uint extent;
+    uint antialias;
+#ifdef CAMERA_PUSH_EXTRA
+    CAMERA_PUSH_EXTRA
+#endif
+};

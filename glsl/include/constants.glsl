@@ -1,0 +1,69 @@
+// Constants that shaders and host share: build.rs mirrors each line into `ashsplat::kernels::constants`.
+
+// Side of a tile in pixels (paper, section 6).
+const uint TILE_SIZE = 16;
+
+// Thresholds of the reference implementation, all as float32.
+const float NEAR_PLANE = 0.2;
+const float DILATION_PX2 = 0.3;
+const float ALPHA_MAX = 0.99;
+const float ALPHA_MIN = 0.00392156862745098;
+const float TRANSMITTANCE_MIN = 1e-4;
+const float ANTIALIAS_MIN_RATIO = 2.5e-5;
+const float QUAT_NORM_MIN = 1e-12;
+
+// Extent modes: how a Gaussian's tiles are found.
+const uint EXTENT_EXACT = 0;
+const uint EXTENT_REFERENCE = 1;
+
+// Parameters of a Gaussian as vec4 planes: plane p of Gaussian i lies at p * stride + i.
+const uint PLANE_MEAN_OPACITY = 0;
+const uint PLANE_QUAT = 1;
+const uint PLANE_LOG_SCALE = 2;
+const uint PLANE_SH = 3;
+// Planes of spherical harmonics for degrees 0 to 3: ceil(3 (d + 1)^2 / 4).
+const uint SH_PLANES_0 = 1;
+const uint SH_PLANES_1 = 3;
+const uint SH_PLANES_2 = 7;
+const uint SH_PLANES_3 = 12;
+
+// Gradient planes of a visible Gaussian, same stride rule.
+const uint GRADIENT_MEAN_OPACITY = 0;
+const uint GRADIENT_QUAT = 1;
+const uint GRADIENT_LOG_SCALE = 2;
+const uint GRADIENT_COLOR = 3;
+const uint GRADIENT_PLANES = 4;
+
+// Words of the frame state.
+const uint STATE_VISIBLE_NEEDED = 0;
+const uint STATE_VISIBLE = 1;
+const uint STATE_INSTANCES_NEEDED = 2;
+const uint STATE_INSTANCES = 3;
+const uint STATE_LONGEST_TILE = 4;
+const uint STATE_NON_FINITE = 5;
+const uint STATE_OVERFLOW = 6;
+const uint STATE_WORDS = 8;
+
+// Indirect dispatch arguments, 16 bytes apart.
+const uint ARGUMENTS_VISIBLE = 0;
+const uint ARGUMENTS_VISIBLE_SORT = 1;
+const uint ARGUMENTS_VISIBLE_SCAN = 2;
+const uint ARGUMENTS_INSTANCES = 3;
+const uint ARGUMENTS_INSTANCES_SORT = 4;
+const uint ARGUMENTS_INSTANCES_SCAN = 5;
+const uint ARGUMENTS_COUNT = 6;
+
+// Radix sort: bins of one digit at most.
+const uint SORT_BINS = 256;
+
+// Marks a Gaussian that is not visible in this frame.
+const uint NOT_VISIBLE = 0xFFFFFFFF;
+
+// What becomes of a Gaussian at densification (kinds of a row of the new set).
+const uint KIND_KEPT = 0;
+const uint KIND_CLONE = 1;
+const uint KIND_SPLIT_0 = 2;
+const uint KIND_SPLIT_1 = 3;
+
+// Sums of one (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth.
+const uint INSTANCE_SUMS = 10;

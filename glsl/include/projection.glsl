@@ -1,0 +1,126 @@
+// EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and backward.
+// Needs constants.glsl, camera_push.glsl and `parameters`.
+
+struct Projection {
+    vec3 mean_camera;      // R mean + t
+    mat3 axes_camera;      // R R(q), columns: the Gaussian's axes in camera space
+    vec3 scale;            // exp(log_scale)
+    vec4 quat;             // unit, or zero
+    float inverse_norm;    // 1 / |q|, or 0 for a zero quaternion
+    vec2 slope;            // x/z and y/z, clamped to the Jacobian limits
+    bvec2 clamped;
+    // Rows of M = J R R(q) S: cov2d = M M^T + 0.3 I.
+    vec3 row_x;
+    vec3 row_y;
+    vec3 cov2d;            // (xx, xy, yy) with the dilation, px^2
+    float det_raw;         // determinant before the dilation
+    float det;             // and after it
+};
+
+mat3 rotation_of(vec4 q) {
+    float w = q.x, x = q.y, y = q.z, z = q.w;
+    return mat3(
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
+        2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
+        2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
+}
+
+vec3 to_camera(vec3 world) {
+    return vec3(dot(camera_row_x, world), dot(camera_row_y, world), dot(camera_row_z, world));
+}
+
+vec3 from_camera(vec3 v) {
+    return camera_row_x * v.x + camera_row_y * v.y + camera_row_z * v.z;
+}
+
+vec3 camera_position() {
+    return -from_camera(camera_translation);
+}
+
+Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
+    Projection p;
+    p.mean_camera = to_camera(mean) + camera_translation;
+    float norm = length(quat);
+    p.inverse_norm = norm > QUAT_NORM_MIN ? 1.0 / norm : 0.0;
+    p.quat = quat * p.inverse_norm;
+    p.scale = exp(log_scale);
+    mat3 axes = rotation_of(p.quat);
+    p.axes_camera = mat3(to_camera(axes[0]), to_camera(axes[1]), to_camera(axes[2]));
+
+    float inverse_z = 1.0 / p.mean_camera.z;
+    vec2 slope = p.mean_camera.xy * inverse_z;
+    p.slope = clamp(slope, jacobian_limits.xz, jacobian_limits.yw);
+    p.clamped = notEqual(p.slope, slope);
+    vec2 j_diagonal = focal_px * inverse_z;
+    vec2 j_depth = -j_diagonal * p.slope;
+
+    vec3 axes_x = vec3(p.axes_camera[0].x, p.axes_camera[1].x, p.axes_camera[2].x);
+    vec3 axes_y = vec3(p.axes_camera[0].y, p.axes_camera[1].y, p.axes_camera[2].y);
+    vec3 axes_z = vec3(p.axes_camera[0].z, p.axes_camera[1].z, p.axes_camera[2].z);
+    p.row_x = (j_diagonal.x * axes_x + j_depth.x * axes_z) * p.scale;
+    p.row_y = (j_diagonal.y * axes_y + j_depth.y * axes_z) * p.scale;
+
+    // det(M M^T) = |row_x x row_y|^2 (Cauchy-Binet): no cancellation between the products of a needle's variances.
+    float xx = dot(p.row_x, p.row_x);
+    float yy = dot(p.row_y, p.row_y);
+    vec3 minors = cross(p.row_x, p.row_y);
+    p.det_raw = dot(minors, minors);
+    p.cov2d = vec3(xx + DILATION_PX2, dot(p.row_x, p.row_y), yy + DILATION_PX2);
+    p.det = p.det_raw + DILATION_PX2 * (xx + yy) + DILATION_PX2 * DILATION_PX2;
+    return p;
+}
+
+float sigmoid(float logit) {
+    return 1.0 / (1.0 + exp(-logit));
+}
+
+// What a Gaussian covers on the screen.
+struct Footprint {
+    bool visible;
+    float opacity;         // after the antialiasing compensation
+    vec2 mean2d_px;
+    vec2 half_extent_px;   // where alpha falls to 1/255
+    uint radius_px;        // the reference's radius; 0 in exact extent
+    uvec4 tiles;           // first and one past the last tile, x then y: (x0, x1, y0, y1)
+};
+
+bool is_finite(float x) {
+    return (floatBitsToUint(x) & 0x7F800000u) != 0x7F800000u;
+}
+
+Footprint footprint_of(Projection p, float opacity_logit) {
+    Footprint f;
+    float ratio = p.det_raw / p.det;
+    f.opacity = sigmoid(opacity_logit) * (antialias != 0 ? sqrt(max(ANTIALIAS_MIN_RATIO, ratio)) : 1.0);
+    f.mean2d_px = focal_px * p.mean_camera.xy / p.mean_camera.z + center_px;
+    bool valid = p.mean_camera.z > NEAR_PLANE && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
+        && is_finite(p.cov2d.z) && is_finite(f.mean2d_px.x) && is_finite(f.mean2d_px.y) && is_finite(f.opacity);
+
+    // Extent where opacity * exp(-q/2) = 1/255; widened by more than float32 can err, which costs time only.
+    float level = 2.0 * log(255.0 * f.opacity);
+    level = f.opacity >= ALPHA_MIN ? max(level, 0.0) * 1.0001 + 0.002 : 0.0;
+    vec2 half_extent = sqrt(level * p.cov2d.xz) * 1.0001 + 0.001;
+    f.half_extent_px = f.opacity >= ALPHA_MIN ? half_extent : vec2(-1e30);
+
+    uvec2 grid = (uvec2(image_width, image_height) + TILE_SIZE - 1) / TILE_SIZE;
+    vec2 low;
+    vec2 high;
+    if (extent == EXTENT_REFERENCE) {
+        float mid = 0.5 * (p.cov2d.x + p.cov2d.z);
+        float radius = ceil(3.0 * sqrt(mid + sqrt(max(0.1, mid * mid - p.det))));
+        f.radius_px = uint(clamp(radius, 0.0, 2147483520.0));
+        low = trunc((f.mean2d_px - radius) / float(TILE_SIZE));
+        high = trunc((f.mean2d_px + radius + float(TILE_SIZE - 1)) / float(TILE_SIZE));
+    } else {
+        // Tile t holds the pixel centres 16 t .. 16 t + 15.
+        f.radius_px = 0;
+        low = ceil((f.mean2d_px - f.half_extent_px - float(TILE_SIZE - 1)) / float(TILE_SIZE));
+        high = floor((f.mean2d_px + f.half_extent_px) / float(TILE_SIZE)) + 1.0;
+        valid = valid && f.opacity >= ALPHA_MIN;
+    }
+    uvec2 tile_low = uvec2(clamp(low, vec2(0.0), vec2(grid)));
+    uvec2 tile_high = uvec2(clamp(high, vec2(0.0), vec2(grid)));
+    f.visible = valid && all(lessThan(tile_low, tile_high));
+    f.tiles = f.visible ? uvec4(tile_low.x, tile_high.x, tile_low.y, tile_high.y) : uvec4(0);
+    return f;
+}

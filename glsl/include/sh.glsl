@@ -1,0 +1,65 @@
+// Real spherical harmonics up to degree 3, with the signs of the reference implementation.
+// Needs SH_DEGREE, constants.glsl.
+
+const float SH_C0 = 0.28209479177387814;
+const float SH_C1 = 0.4886025119029199;
+const float SH_C2_XY = 1.0925484305920792;
+const float SH_C2_ZZ = 0.31539156525252005;
+const float SH_C2_XX = 0.5462742152960396;
+const float SH_C3_Y3 = 0.5900435899266435;
+const float SH_C3_XYZ = 2.890611442640554;
+const float SH_C3_YZZ = 0.4570457994644658;
+const float SH_C3_ZZZ = 0.3731763325901154;
+const float SH_C3_ZXX = 1.445305721320277;
+
+const uint SH_COEFFICIENTS = (SH_DEGREE + 1) * (SH_DEGREE + 1);
+
+// Basis functions at the unit direction d; those above SH_DEGREE are 0.
+void sh_basis(vec3 d, out float basis[16]) {
+    float x = d.x, y = d.y, z = d.z;
+    float xx = x * x, yy = y * y, zz = z * z;
+    basis[0] = SH_C0;
+    bool one = SH_DEGREE >= 1;
+    basis[1] = one ? -SH_C1 * y : 0.0;
+    basis[2] = one ? SH_C1 * z : 0.0;
+    basis[3] = one ? -SH_C1 * x : 0.0;
+    bool two = SH_DEGREE >= 2;
+    basis[4] = two ? SH_C2_XY * x * y : 0.0;
+    basis[5] = two ? -SH_C2_XY * y * z : 0.0;
+    basis[6] = two ? SH_C2_ZZ * (2.0 * zz - xx - yy) : 0.0;
+    basis[7] = two ? -SH_C2_XY * x * z : 0.0;
+    basis[8] = two ? SH_C2_XX * (xx - yy) : 0.0;
+    bool three = SH_DEGREE >= 3;
+    basis[9] = three ? -SH_C3_Y3 * y * (3.0 * xx - yy) : 0.0;
+    basis[10] = three ? SH_C3_XYZ * x * y * z : 0.0;
+    basis[11] = three ? -SH_C3_YZZ * y * (4.0 * zz - xx - yy) : 0.0;
+    basis[12] = three ? SH_C3_ZZZ * z * (2.0 * zz - 3.0 * xx - 3.0 * yy) : 0.0;
+    basis[13] = three ? -SH_C3_YZZ * x * (4.0 * zz - xx - yy) : 0.0;
+    basis[14] = three ? SH_C3_ZXX * z * (xx - yy) : 0.0;
+    basis[15] = three ? -SH_C3_Y3 * x * (xx - 3.0 * yy) : 0.0;
+}
+
+// Derivatives of the basis functions with respect to the direction, as if its components were independent.
+void sh_basis_derivative(vec3 d, out vec3 derivative[16]) {
+    float x = d.x, y = d.y, z = d.z;
+    float xx = x * x, yy = y * y, zz = z * z;
+    float one = SH_DEGREE >= 1 ? 1.0 : 0.0;
+    float two = SH_DEGREE >= 2 ? 1.0 : 0.0;
+    float three = SH_DEGREE >= 3 ? 1.0 : 0.0;
+    derivative[0] = vec3(0.0);
+    derivative[1] = one * vec3(0.0, -SH_C1, 0.0);
+    derivative[2] = one * vec3(0.0, 0.0, SH_C1);
+    derivative[3] = one * vec3(-SH_C1, 0.0, 0.0);
+    derivative[4] = two * SH_C2_XY * vec3(y, x, 0.0);
+    derivative[5] = two * -SH_C2_XY * vec3(0.0, z, y);
+    derivative[6] = two * SH_C2_ZZ * vec3(-2.0 * x, -2.0 * y, 4.0 * z);
+    derivative[7] = two * -SH_C2_XY * vec3(z, 0.0, x);
+    derivative[8] = two * SH_C2_XX * vec3(2.0 * x, -2.0 * y, 0.0);
+    derivative[9] = three * -SH_C3_Y3 * vec3(6.0 * x * y, 3.0 * xx - 3.0 * yy, 0.0);
+    derivative[10] = three * SH_C3_XYZ * vec3(y * z, x * z, x * y);
+    derivative[11] = three * -SH_C3_YZZ * vec3(-2.0 * x * y, 4.0 * zz - xx - 3.0 * yy, 8.0 * y * z);
+    derivative[12] = three * SH_C3_ZZZ * vec3(-6.0 * x * z, -6.0 * y * z, 6.0 * zz - 3.0 * xx - 3.0 * yy);
+    derivative[13] = three * -SH_C3_YZZ * vec3(4.0 * zz - 3.0 * xx - yy, -2.0 * x * y, 8.0 * x * z);
+    derivative[14] = three * SH_C3_ZXX * vec3(2.0 * x * z, -2.0 * y * z, xx - yy);
+    derivative[15] = three * -SH_C3_Y3 * vec3(3.0 * xx - 3.0 * yy, -6.0 * x * y, 0.0);
+}

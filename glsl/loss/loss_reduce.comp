@@ -1,0 +1,47 @@
+// Adds the workgroups' sums in one fixed order: the loss of the iteration.
+//
+// invocation: every WORKGROUP_SIZE-th partial sum; one workgroup in all
+// in: loss_partials[partials]; out: losses[4 * slot ..] = (L, mean |x - y|, mean SSIM, unused)
+// shared: one vec2 per subgroup; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer LossPartials { vec2 loss_partials[]; };
+layout(set = 0, binding = 1, scalar) writeonly buffer Losses { vec4 losses[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint partials;
+    uint slot;
+    // 1 / (3 W H).
+    float scale;
+    float lambda_dssim;
+};
+
+shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
+
+void main() {
+    vec2 sum = vec2(0.0);
+    for (uint index = gl_LocalInvocationID.x; index < partials; index += WORKGROUP_SIZE) {
+        sum += loss_partials[index];
+    }
+    sum = subgroupAdd(sum);
+    if (gl_SubgroupInvocationID == 0) {
+        subgroup_sums[gl_SubgroupID] = sum;
+    }
+    barrier();
+    if (gl_LocalInvocationID.x == 0) {
+        vec2 total = vec2(0.0);
+        for (uint k = 0; k < WORKGROUP_SIZE / SUBGROUP_SIZE; ++k) {
+            total += subgroup_sums[k];
+        }
+        total *= scale;
+        losses[slot] = vec4((1.0 - lambda_dssim) * total.x + lambda_dssim * (1.0 - total.y), total, 0.0);
+    }
+}

@@ -1,0 +1,70 @@
+// Gradient of L = (1 - lambda) mean |x - y| + lambda (1 - mean SSIM) with respect to the rendered image.
+//
+//   dSSIM/dx = window * by_mean + 2 x (window * by_square) + y (window * by_product)
+//
+// invocation: pixels of its workgroup's block; workgroup: a 16 x 16 block of one channel (z), window separable
+// in, PerPixel: accumulated, photo, ssim_maps; out, PerPixel: image_gradient[4 * pixel + channel]
+// shared: 3 * (26^2 + 26 * 16) words; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_GOOGLE_include_directive : require
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer Photo { uint photo[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer SsimMaps { vec3 ssim_maps[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer ImageGradient { float image_gradient[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint image_width;
+    uint image_height;
+    vec3 background;
+    float lambda_dssim;
+};
+
+#include "ssim.glsl"
+
+shared vec3 values[SSIM_APRON * SSIM_APRON];
+shared vec3 rows[SSIM_APRON * SSIM_BLOCK];
+
+void main() {
+    uint channel = gl_WorkGroupID.z;
+    ivec2 size = ivec2(image_width, image_height);
+    ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);
+    for (uint at = gl_LocalInvocationID.x; at < SSIM_APRON * SSIM_APRON; at += WORKGROUP_SIZE) {
+        ivec2 pixel = origin + ivec2(at % SSIM_APRON, at / SSIM_APRON) - int(SSIM_RADIUS);
+        bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, size));
+        uint index = inside ? uint(pixel.y) * image_width + uint(pixel.x) : 0;
+        vec3 value = ssim_maps[channel * image_height * image_width + index];
+        values[at] = inside ? value : vec3(0.0);
+    }
+    barrier();
+    for (uint at = gl_LocalInvocationID.x; at < SSIM_APRON * SSIM_BLOCK; at += WORKGROUP_SIZE) {
+        uint base = at / SSIM_BLOCK * SSIM_APRON + at % SSIM_BLOCK;
+        vec3 row = vec3(0.0);
+        [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
+            row += SSIM_WINDOW[tap] * values[base + tap];
+        }
+        rows[at] = row;
+    }
+    barrier();
+    float scale = 1.0 / (3.0 * float(image_width) * float(image_height));
+    for (uint at = gl_LocalInvocationID.x; at < SSIM_BLOCK * SSIM_BLOCK; at += WORKGROUP_SIZE) {
+        vec3 windowed = vec3(0.0);
+        [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
+            windowed += SSIM_WINDOW[tap] * rows[at + tap * SSIM_BLOCK];
+        }
+        uvec2 pixel = uvec2(origin) + uvec2(at % SSIM_BLOCK, at / SSIM_BLOCK);
+        if (pixel.x < image_width && pixel.y < image_height) {
+            uint index = pixel.y * image_width + pixel.x;
+            vec4 rendered = accumulated[index];
+            float x = rendered[channel] + rendered.w * background[channel];
+            float y = float(photo[index] >> (8 * channel) & 0xFF) / 255.0;
+            float d_ssim = windowed.x + 2.0 * x * windowed.y + y * windowed.z;
+            image_gradient[4 * index + channel] = scale * ((1.0 - lambda_dssim) * sign(x - y) - lambda_dssim * d_ssim);
+        }
+    }
+}

@@ -1,0 +1,107 @@
+// L1 and SSIM between the rendered image and the photograph, and what the backward pass needs of SSIM
+// (reference: loss_utils.py; Wang et al. 2004).
+//
+//   SSIM = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sx^2 + sy^2 + C2)), means and variances under the window
+//
+// invocation: pixels of its workgroup's block; workgroup: a 16 x 16 block of one channel (z), window separable
+// in, PerPixel: accumulated (r, g, b, T), photo (RGBA8); out, PerPixel and channel: ssim_maps[channel * pixels + pixel]
+//     = derivatives of SSIM by the windowed x, x^2 and x y; loss_partials[workgroup] = sums of (|x - y|, SSIM)
+// shared: 2 * 26^2 + 5 * 26 * 16 words and one per subgroup; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer Photo { uint photo[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer SsimMaps { vec3 ssim_maps[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer LossPartials { vec2 loss_partials[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint image_width;
+    uint image_height;
+    vec3 background;
+};
+
+#include "ssim.glsl"
+
+shared vec2 values[SSIM_APRON * SSIM_APRON];
+shared vec4 rows_a[SSIM_APRON * SSIM_BLOCK];
+shared float rows_b[SSIM_APRON * SSIM_BLOCK];
+shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
+
+void main() {
+    uint channel = gl_WorkGroupID.z;
+    ivec2 size = ivec2(image_width, image_height);
+    ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);
+    for (uint at = gl_LocalInvocationID.x; at < SSIM_APRON * SSIM_APRON; at += WORKGROUP_SIZE) {
+        ivec2 pixel = origin + ivec2(at % SSIM_APRON, at / SSIM_APRON) - int(SSIM_RADIUS);
+        bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, size));
+        uint index = inside ? uint(pixel.y) * image_width + uint(pixel.x) : 0;
+        vec4 rendered = accumulated[index];
+        float x = rendered[channel] + rendered.w * background[channel];
+        float y = float(photo[index] >> (8 * channel) & 0xFF) / 255.0;
+        values[at] = inside ? vec2(x, y) : vec2(0.0);
+    }
+    barrier();
+    for (uint at = gl_LocalInvocationID.x; at < SSIM_APRON * SSIM_BLOCK; at += WORKGROUP_SIZE) {
+        uint base = at / SSIM_BLOCK * SSIM_APRON + at % SSIM_BLOCK;
+        vec2 mean = vec2(0.0);
+        vec2 square = vec2(0.0);
+        float product = 0.0;
+        [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
+            vec2 value = values[base + tap];
+            vec2 weighted = SSIM_WINDOW[tap] * value;
+            mean += weighted;
+            square += weighted * value;
+            product += weighted.x * value.y;
+        }
+        rows_a[at] = vec4(mean, square);
+        rows_b[at] = product;
+    }
+    barrier();
+    vec2 sum = vec2(0.0);
+    for (uint at = gl_LocalInvocationID.x; at < SSIM_BLOCK * SSIM_BLOCK; at += WORKGROUP_SIZE) {
+        vec4 moments = vec4(0.0);
+        float xy = 0.0;
+        [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
+            moments += SSIM_WINDOW[tap] * rows_a[at + tap * SSIM_BLOCK];
+            xy += SSIM_WINDOW[tap] * rows_b[at + tap * SSIM_BLOCK];
+        }
+        float mx = moments.x, my = moments.y;
+        float a1 = 2.0 * mx * my + SSIM_C1;
+        float a2 = 2.0 * (xy - mx * my) + SSIM_C2;
+        float b1 = mx * mx + my * my + SSIM_C1;
+        float b2 = moments.z - mx * mx + (moments.w - my * my) + SSIM_C2;
+        float inverse = 1.0 / (b1 * b2);
+        float ssim = a1 * a2 * inverse;
+        float by_square = -ssim / b2;
+        float by_product = 2.0 * a1 * inverse;
+        float by_mean = 2.0 * my * a2 * inverse - 2.0 * mx * ssim / b1 - 2.0 * mx * by_square - my * by_product;
+        uvec2 pixel = uvec2(origin) + uvec2(at % SSIM_BLOCK, at / SSIM_BLOCK);
+        if (pixel.x < image_width && pixel.y < image_height) {
+            ssim_maps[(channel * image_height + pixel.y) * image_width + pixel.x] = vec3(by_mean, by_square, by_product);
+            vec2 value = values[(at / SSIM_BLOCK + SSIM_RADIUS) * SSIM_APRON + at % SSIM_BLOCK + SSIM_RADIUS];
+            sum += vec2(abs(value.x - value.y), ssim);
+        }
+    }
+    sum = subgroupAdd(sum);
+    if (gl_SubgroupInvocationID == 0) {
+        subgroup_sums[gl_SubgroupID] = sum;
+    }
+    barrier();
+    if (gl_LocalInvocationID.x == 0) {
+        vec2 total = vec2(0.0);
+        for (uint k = 0; k < WORKGROUP_SIZE / SUBGROUP_SIZE; ++k) {
+            total += subgroup_sums[k];
+        }
+        uint workgroup = (channel * gl_NumWorkGroups.y + gl_WorkGroupID.y) * gl_NumWorkGroups.x + gl_WorkGroupID.x;
+        loss_partials[workgroup] = total;
+    }
+}
