@@ -1,1 +1,6 @@
-//! t
+//! The test suite: one binary, one Vulkan context.
+
+mod common;
+mod comparators;
+mod gradients;
+mod reference;

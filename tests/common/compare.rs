@@ -1,0 +1,189 @@
+//! The comparators of pictures and gradients. `comparators.rs` proves that they reject what is wrong.
+
+/// Bounds on a picture where no decision hangs on rounding.
+#[derive(Clone, Copy, Debug)]
+pub struct PixelTolerance {
+    /// On the largest absolute difference.
+    pub max: f64,
+    /// On the mean absolute difference.
+    pub mean: f64,
+}
+
+/// What was measured.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PixelErrors {
+    /// Largest absolute difference at stable pixels.
+    pub max: f64,
+    /// Mean absolute difference at stable pixels.
+    pub mean: f64,
+    /// Unstable pixels that differ by more than [`UNSTABLE_BOUND`].
+    pub unstable_off: usize,
+}
+
+/// How far a pixel whose decisions hang on rounding may be off...
+pub const UNSTABLE_BOUND: f64 = 2e-2;
+/// ...except for this share of them.
+pub const UNSTABLE_SHARE: f64 = 0.01;
+
+/// Compares pictures of some values per pixel.
+pub fn pixels(
+    what: &str,
+    actual: &[f64],
+    expected: &[f64],
+    unstable: &[bool],
+    tolerance: PixelTolerance,
+) -> Result<PixelErrors, String> {
+    same_length(what, actual, expected)?;
+    let channels = expected.len() / unstable.len().max(1);
+    let mut errors = PixelErrors::default();
+    let mut stable_values = 0_usize;
+    let mut place = 0;
+    for (pixel, &unstable) in unstable.iter().enumerate() {
+        let values = pixel * channels..(pixel + 1) * channels;
+        let difference = actual[values.clone()].iter().zip(&expected[values]).map(|(a, e)| (a - e).abs());
+        let largest = difference.clone().fold(0.0, f64::max);
+        if unstable {
+            errors.unstable_off += usize::from(largest > UNSTABLE_BOUND);
+        } else {
+            if largest > errors.max {
+                (errors.max, place) = (largest, pixel);
+            }
+            errors.mean += difference.sum::<f64>();
+            stable_values += channels;
+        }
+    }
+    errors.mean /= stable_values.max(1) as f64;
+    let unstable_count = unstable.iter().filter(|&&unstable| unstable).count();
+    if errors.max > tolerance.max {
+        return Err(format!(
+            "{what}: off by {:.3e} at pixel {place}, accepted {:.1e}",
+            errors.max, tolerance.max
+        ));
+    }
+    if errors.mean > tolerance.mean {
+        return Err(format!(
+            "{what}: off by {:.3e} on average, accepted {:.1e}",
+            errors.mean, tolerance.mean
+        ));
+    }
+    if errors.unstable_off as f64 > UNSTABLE_SHARE * unstable_count as f64 {
+        return Err(format!("{what}: {} of {unstable_count} unstable pixels are off", errors.unstable_off));
+    }
+    Ok(errors)
+}
+
+/// Bounds on a gradient.
+#[derive(Clone, Copy, Debug)]
+pub struct GradientTolerance {
+    /// On ‖actual − expected‖₂ / ‖expected‖₂.
+    pub relative_l2: f64,
+    /// On max |actual − expected| / max |expected|.
+    pub max_over_max: f64,
+}
+
+/// What was measured.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct GradientErrors {
+    /// ‖actual − expected‖₂ / ‖expected‖₂.
+    pub relative_l2: f64,
+    /// max |actual − expected| / max |expected|.
+    pub max_over_max: f64,
+    /// 1 − cosine.
+    pub one_minus_cosine: f64,
+    /// Σ (actual − expected)·sign(expected) / Σ |expected|: a systematic shrinking or growing.
+    pub bias: f64,
+}
+
+/// Compares gradients of some values per Gaussian, leaving out the Gaussians of `skip`.
+pub fn gradient(
+    what: &str,
+    actual: &[f64],
+    expected: &[f64],
+    skip: &[bool],
+    tolerance: GradientTolerance,
+) -> Result<GradientErrors, String> {
+    same_length(what, actual, expected)?;
+    let per_gaussian = expected.len() / skip.len().max(1);
+    let kept = (0..expected.len()).filter(|i| !skip[i / per_gaussian]).map(|i| (actual[i], expected[i]));
+    let (mut difference2, mut actual2, mut expected2, mut product) = (0.0, 0.0, 0.0, 0.0);
+    let (mut largest_difference, mut largest_expected) = (0.0_f64, 0.0_f64);
+    let (mut bias, mut total) = (0.0, 0.0);
+    for (a, e) in kept {
+        difference2 += (a - e) * (a - e);
+        actual2 += a * a;
+        expected2 += e * e;
+        product += a * e;
+        largest_difference = largest_difference.max((a - e).abs());
+        largest_expected = largest_expected.max(e.abs());
+        bias += (a - e) * if e == 0.0 { 0.0 } else { e.signum() };
+        total += e.abs();
+    }
+    if expected2 == 0.0 {
+        return match actual2 == 0.0 {
+            true => Ok(GradientErrors::default()),
+            false => Err(format!("{what}: not zero ({:.3e})", actual2.sqrt())),
+        };
+    }
+    let errors = GradientErrors {
+        relative_l2: (difference2 / expected2).sqrt(),
+        max_over_max: largest_difference / largest_expected,
+        one_minus_cosine: 1.0 - product / (actual2 * expected2).sqrt(),
+        bias: bias / total,
+    };
+    let bounds = [
+        ("relative L2", errors.relative_l2, tolerance.relative_l2),
+        ("largest error over largest value", errors.max_over_max, tolerance.max_over_max),
+        ("1 - cosine", errors.one_minus_cosine, tolerance.relative_l2),
+        ("signed bias", errors.bias.abs(), tolerance.relative_l2),
+    ];
+    for (name, measured, accepted) in bounds {
+        // Written so that NaN is rejected.
+        let within = measured <= accepted;
+        if !within {
+            return Err(format!("{what}: {name} {measured:.3e}, accepted {accepted:.1e}"));
+        }
+    }
+    Ok(errors)
+}
+
+/// Compares element by element: |actual − expected| ≤ absolute + relative·|expected|; returns the largest excess
+/// over the relative part.
+pub fn elementwise(
+    what: &str,
+    actual: &[f64],
+    expected: &[f64],
+    absolute: f64,
+    relative: f64,
+) -> Result<f64, String> {
+    same_length(what, actual, expected)?;
+    let mut largest = 0.0_f64;
+    for (i, (a, e)) in actual.iter().zip(expected).enumerate() {
+        let within = (a - e).abs() <= absolute + relative * e.abs();
+        if !within {
+            return Err(format!("{what}: element {i} is {a:.9e}, expected {e:.9e}"));
+        }
+        largest = largest.max((a - e).abs());
+    }
+    Ok(largest)
+}
+
+/// Compares integers.
+pub fn equal<T: PartialEq + std::fmt::Debug>(what: &str, actual: &[T], expected: &[T]) -> Result<(), String> {
+    if actual.len() != expected.len() {
+        return Err(format!("{what}: {} elements, expected {}", actual.len(), expected.len()));
+    }
+    match actual.iter().zip(expected).position(|(a, e)| a != e) {
+        Some(i) => Err(format!("{what}: element {i} is {:?}, expected {:?}", actual[i], expected[i])),
+        None => Ok(()),
+    }
+}
+
+fn same_length(what: &str, actual: &[f64], expected: &[f64]) -> Result<(), String> {
+    if actual.len() != expected.len() {
+        return Err(format!("{what}: {} values, expected {}", actual.len(), expected.len()));
+    }
+    match actual.iter().position(|x| !x.is_finite()) {
+        Some(i) => Err(format!("{what}: value {i} is {}", actual[i])),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,92 @@
+//! Random scenes and numbers, the same in every run.
+
+use crate::reference::types::{Extent, Gaussian, View};
+
+/// SplitMix64.
+pub struct Random(u64);
+
+impl Random {
+    /// A sequence of its own for each seed.
+    pub fn new(seed: u64) -> Random {
+        Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(1))
+    }
+
+    /// 64 random bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut x = self.0;
+        x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        x = (x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        x ^ (x >> 31)
+    }
+
+    /// A word below `limit`.
+    pub fn below(&mut self, limit: u32) -> u32 {
+        (((self.bits() >> 32) * u64::from(limit)) >> 32) as u32
+    }
+
+    /// In [0, 1), representable in float32.
+    pub fn unit(&mut self) -> f64 {
+        (self.bits() >> 40) as f64 / f64::from(1 << 24)
+    }
+
+    /// In [-1, 1), representable in float32.
+    pub fn signed(&mut self) -> f64 {
+        2.0 * self.unit() - 1.0
+    }
+
+    /// In [low, high), rounded to float32.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        f64::from((low + (high - low) * self.unit()) as f32)
+    }
+
+    /// Standard normal (Box and Muller).
+    pub fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
+        f64::from((radius * (std::f64::consts::TAU * self.unit()).cos()) as f32)
+    }
+}
+
+/// A view of [`small_scene`], exact extent, SH degree 3.
+pub fn small_view(size_px: [u32; 2]) -> View {
+    let focal = f64::from(size_px[0]);
+    View {
+        camera_from_world: rotation_about_y(0.125),
+        translation: [0.0625, -0.03125, 4.0],
+        focal_px: [focal, focal * 1.0625],
+        center_px: size_px.map(|n| f64::from(n) / 2.0),
+        size_px,
+        background: [0.25, 0.5, 0.125],
+        sh_degree: 3,
+        antialias: false,
+        symmetric_limit: false,
+        extent: Extent::Exact,
+    }
+}
+
+/// Gaussians around the origin, seen from a few units away; every parameter representable in float32.
+pub fn small_scene(random: &mut Random, count: usize, coefficients: usize) -> Vec<Gaussian> {
+    (0..count).map(|_| gaussian(random, 1.5, [-2.3, -0.7], coefficients)).collect()
+}
+
+/// One random Gaussian within ±`reach`, its log-scales within a range.
+pub fn gaussian(random: &mut Random, reach: f64, log_scale: [f64; 2], coefficients: usize) -> Gaussian {
+    Gaussian {
+        mean: [0; 3].map(|_| random.between(-reach, reach)),
+        quat: [0; 4].map(|_| random.normal()),
+        log_scale: [0; 3].map(|_| random.between(log_scale[0], log_scale[1])),
+        opacity_logit: random.between(-3.0, 4.0),
+        sh: (0..coefficients)
+            .map(|k| {
+                let size = if k == 0 { 1.0 } else { 0.25 };
+                [0; 3].map(|_| random.between(-size, size))
+            })
+            .collect(),
+    }
+}
+
+/// Rotation about the camera's y axis, rounded to float32.
+pub fn rotation_about_y(angle: f64) -> [[f64; 3]; 3] {
+    let (sine, cosine) = (f64::from(angle.sin() as f32), f64::from(angle.cos() as f32));
+    [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]
+}

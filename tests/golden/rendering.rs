@@ -1,0 +1,188 @@
+//! What a renderer's picture and gradients must satisfy on a rendering set.
+
+use super::report;
+use super::sets::RenderingSet;
+use crate::common::compare::{GradientErrors, GradientTolerance, PixelTolerance, gradient, pixels};
+use crate::reference::types::Extent;
+
+/// A picture.
+pub struct Picture {
+    /// rgb interleaved.
+    pub color: Vec<f64>,
+    /// Transmittance left.
+    pub transmittance: Vec<f64>,
+    /// Σ α T / z.
+    pub inverse_depth: Option<Vec<f64>>,
+}
+
+/// Gradients, flattened; what an implementation does not expose is `None`.
+pub struct Gradients {
+    pub means: Vec<f64>,
+    pub quats: Vec<f64>,
+    pub log_scales: Vec<f64>,
+    pub opacity_logits: Vec<f64>,
+    pub sh: Vec<f64>,
+    pub mean2d_px: Option<Vec<f64>>,
+    pub conic: Option<Vec<f64>>,
+    pub opacity: Option<Vec<f64>>,
+    pub color: Option<Vec<f64>>,
+}
+
+/// How closely an implementation has to agree.
+#[derive(Clone, Copy)]
+pub struct Tolerance {
+    pub image: PixelTolerance,
+    pub transmittance: PixelTolerance,
+    pub gradient: GradientTolerance,
+    /// Quaternions of needles.
+    pub quats: GradientTolerance,
+}
+
+/// The acceptance of float32 implementations.
+pub const SINGLE: Tolerance = Tolerance {
+    image: PixelTolerance { max: 5e-5, mean: 1e-6 },
+    transmittance: PixelTolerance { max: 5e-5, mean: 5e-5 },
+    gradient: GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 },
+    quats: GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 },
+};
+
+/// What the float64 twins achieve: the rounding of the stored float32.
+pub const DOUBLE: Tolerance = Tolerance {
+    image: PixelTolerance { max: 5e-7, mean: 1e-7 },
+    transmittance: PixelTolerance { max: 5e-7, mean: 1e-7 },
+    gradient: GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 },
+    quats: GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 },
+};
+
+/// A set of which only finiteness is asked: its 2-D determinant cancels totally in float32.
+pub fn only_finite(set: &str) -> bool {
+    set == "s11_needle"
+}
+
+/// Judges a picture.
+pub fn judge_picture(
+    name: &str,
+    set: &RenderingSet,
+    extent: Extent,
+    picture: &Picture,
+    tolerance: Tolerance,
+) -> Result<(), String> {
+    if only_finite(name) {
+        return all_finite("image", &picture.color);
+    }
+    let results = set.results(extent);
+    let unstable = results.flags("pix_unstable");
+    let image = pixels("image", &picture.color, results.values("image"), &unstable, tolerance.image)?;
+    let transmittance = pixels(
+        "transmittance",
+        &picture.transmittance,
+        results.values("final_T"),
+        &unstable,
+        tolerance.transmittance,
+    )?;
+    let mut inverse_depth_max = 0.0;
+    if let Some(inverse_depth) = picture.inverse_depth.as_ref().filter(|_| results.has("inv_depth")) {
+        // An inverse depth reaches 1/0.2: its bound scales with the largest.
+        let largest = results.values("inv_depth").iter().copied().fold(1.0, f64::max);
+        let bound =
+            PixelTolerance { max: tolerance.image.max * largest, mean: tolerance.image.mean * largest };
+        let errors = pixels("inverse depth", inverse_depth, results.values("inv_depth"), &unstable, bound)?;
+        inverse_depth_max = errors.max;
+    }
+    report(|| {
+        format!(
+            "| {name} {extent:?} | image max {:.1e} mean {:.1e} | T {:.1e} | 1/z {inverse_depth_max:.1e} |",
+            image.max, image.mean, transmittance.max
+        )
+    });
+    Ok(())
+}
+
+/// Name, values, Gaussians to skip, bounds.
+type Field<'a> = (&'a str, Option<Vec<f64>>, &'a [bool], GradientTolerance);
+
+/// Judges gradients.
+pub fn judge_gradients(
+    name: &str,
+    set: &RenderingSet,
+    extent: Extent,
+    actual: &Gradients,
+    tolerance: Tolerance,
+) -> Result<(), String> {
+    let results = set.results(extent);
+    let count = set.gaussians.len();
+    let nobody = vec![false; count];
+    let clamp = set.gaussian_flag(4);
+    let saturated: Vec<bool> = set.gaussians.iter().map(|g| g.opacity_logit.abs() > 16.0).collect();
+    let size = set.view.size_px.map(|n| f64::from(n) / 2.0);
+    let ndc = actual
+        .mean2d_px
+        .as_ref()
+        .map(|px| px.chunks(2).flat_map(|d| [d[0] * size[0], d[1] * size[1]]).collect());
+    let owned = |values: &Vec<f64>| Some(values.clone());
+    let fields: [Field; 10] = [
+        ("means", owned(&actual.means), &nobody, tolerance.gradient),
+        ("quats", owned(&actual.quats), &nobody, tolerance.quats),
+        ("log_scales", owned(&actual.log_scales), &nobody, tolerance.gradient),
+        ("opacity_logits", owned(&actual.opacity_logits), &saturated, tolerance.gradient),
+        ("sh", owned(&actual.sh), &clamp, tolerance.gradient),
+        ("xy_pix", actual.mean2d_px.clone(), &nobody, tolerance.gradient),
+        ("xy_ndc", ndc, &nobody, tolerance.gradient),
+        ("conic", actual.conic.clone(), &nobody, tolerance.gradient),
+        ("opacity", actual.opacity.clone(), &nobody, tolerance.gradient),
+        ("color", actual.color.clone(), &clamp, tolerance.gradient),
+    ];
+    let mut line = format!("| {name} {extent:?} gradients |");
+    for (field, values, skip, tolerance) in fields {
+        let (Some(values), Some(expected)) = (values, expected_gradient(set, extent, field)) else {
+            continue;
+        };
+        if only_finite(name) {
+            all_finite(field, &values)?;
+            continue;
+        }
+        let expected_values = results.values(&expected);
+        if field == "quats" && expected_values.iter().all(|&d| d == 0.0) {
+            zero_quats(&values, &actual.log_scales, tolerance)?;
+            continue;
+        }
+        let errors: GradientErrors =
+            gradient(&format!("d_{field}"), &values, expected_values, skip, tolerance)?;
+        line += &format!(" {field} {:.1e} ({:.1e}) |", errors.relative_l2, errors.max_over_max);
+    }
+    report(|| line);
+    Ok(())
+}
+
+/// The field with the exact derivative: `dx_*`, or `d_*` where the exact one is not stored because it is equal.
+/// Intermediate gradients of INRIA's derivative differ where the clamp at 0.99 acts, so they are read only where
+/// nothing is clamped, that is where the exact derivative of the opacity equals INRIA's.
+fn expected_gradient(set: &RenderingSet, extent: Extent, field: &str) -> Option<String> {
+    let results = set.results(extent);
+    let (exact, inria) = (format!("dx_{field}"), format!("d_{field}"));
+    if results.has(&exact) {
+        return Some(exact);
+    }
+    let same_derivative = ["opacity_logits", "means"].iter().all(|name| {
+        let (exact, inria) = (format!("dx_{name}"), format!("d_{name}"));
+        !results.has(&exact) || (results.has(&inria) && results.values(&exact) == results.values(&inria))
+    });
+    let stored_only_when_different =
+        ["means", "quats", "log_scales", "opacity_logits", "sh"].contains(&field);
+    (results.has(&inria) && (stored_only_when_different || same_derivative)).then_some(inria)
+}
+
+/// Isotropic Gaussians have no orientation, but what cancels leaves rounding: bounded by the other gradient of the
+/// shape.
+fn zero_quats(quats: &[f64], log_scales: &[f64], tolerance: GradientTolerance) -> Result<(), String> {
+    let largest = |values: &[f64]| values.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
+    let within = largest(quats) <= tolerance.max_over_max * largest(log_scales);
+    if within { Ok(()) } else { Err(format!("d_quats of isotropic Gaussians: {:.3e}", largest(quats))) }
+}
+
+fn all_finite(what: &str, values: &[f64]) -> Result<(), String> {
+    match values.iter().position(|x| !x.is_finite()) {
+        Some(i) => Err(format!("{what}: value {i} is {}", values[i])),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,248 @@
+//! Loss, optimiser, schedule, densification: the twins against the vectors.
+
+use std::path::Path;
+
+use super::report;
+use super::sets::{gaussians, view};
+use crate::common::compare::{GradientTolerance, PixelTolerance, elementwise, equal, gradient, pixels};
+use crate::common::npz::Npz;
+use crate::reference::adam::{Parameter, adam as adam_step, adam_sparse};
+use crate::reference::blend_backward::PixelGradient;
+use crate::reference::decide::{Decision, Statistic, decide};
+use crate::reference::pipeline::{Frame, backward, pixels_of, render, tile_of};
+use crate::reference::place::{Densify, place};
+use crate::reference::project::intermediate;
+use crate::reference::tiles::alpha_unclamped;
+use crate::reference::types::{ALPHA_MAX, Gaussian, Gradient, View};
+use crate::reference::{loss_reduce, reset_opacity as reset_twin, schedule};
+
+/// The rounding of stored float32.
+const ROUNDING: f64 = 1.5e-7;
+const GRADIENT: GradientTolerance = GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 };
+
+pub fn loss(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let shape = &npz.array("img").shape;
+    let (height, width) = (shape[0], shape[1]);
+    let result = loss_reduce::loss(npz.values("img"), npz.values("gt"), width, height);
+    elementwise("loss", &[result.loss], npz.values("loss"), 0.0, ROUNDING)?;
+    elementwise("l1", &[result.l1], npz.values("l1"), 0.0, ROUNDING)?;
+    elementwise("ssim", &[result.ssim], npz.values("ssim"), ROUNDING, ROUNDING)?;
+    elementwise("ssim map", &result.ssim_map, npz.values("ssim_map"), ROUNDING, ROUNDING)?;
+    let skip = vec![false; width * height];
+    let errors = gradient("d_img", &result.gradient, npz.values("d_img"), &skip, GRADIENT)?;
+    report(|| format!("| {} | d_img {:.1e} |", path.display(), errors.relative_l2));
+    Ok(())
+}
+
+/// The parameter groups of the vectors.
+pub const GROUPS: [&str; 6] = ["xyz", "f_dc", "f_rest", "opacity", "scaling", "rotation"];
+
+pub fn adam(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    for group in GROUPS {
+        let field = |name: &str| npz.values(&format!("{group}_{name}"));
+        let rate = field("lr")[0];
+        let mut parameters: Vec<Parameter> =
+            field("p0").iter().map(|&value| Parameter { value, ..Parameter::default() }).collect();
+        let count = parameters.len();
+        for (step, gradients) in field("g").chunks(count).enumerate() {
+            for (parameter, &gradient) in parameters.iter_mut().zip(gradients) {
+                adam_step(parameter, gradient, rate, step as u32 + 1);
+            }
+            let now = step * count..(step + 1) * count;
+            compare_adam(
+                group,
+                &parameters,
+                [&field("p")[now.clone()], &field("m")[now.clone()], &field("v")[now]],
+            )?;
+        }
+        // The sparse variant goes on from there, with the first gradient again.
+        let visible = field("sp_vis");
+        let per_gaussian = count / visible.len();
+        for (i, parameter) in parameters.iter_mut().enumerate() {
+            if visible[i / per_gaussian] != 0.0 {
+                adam_sparse(parameter, field("g")[i], rate);
+            }
+        }
+        compare_adam(group, &parameters, [field("sp_p"), field("sp_m"), field("sp_v")])?;
+    }
+    Ok(())
+}
+
+fn compare_adam(group: &str, parameters: &[Parameter], expected: [&[f64]; 3]) -> Result<(), String> {
+    let column = |value: fn(&Parameter) -> f64| parameters.iter().map(value).collect::<Vec<f64>>();
+    elementwise(&format!("{group} value"), &column(|p| p.value), expected[0], 1e-7, ROUNDING)?;
+    elementwise(&format!("{group} first moment"), &column(|p| p.moment1), expected[1], 1e-12, ROUNDING)?;
+    elementwise(&format!("{group} second moment"), &column(|p| p.moment2), expected[2], 1e-15, ROUNDING)?;
+    Ok(())
+}
+
+pub fn rates(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let steps = npz.values("steps");
+    let position: Vec<f64> = npz
+        .values("extents")
+        .iter()
+        .flat_map(|&extent| steps.iter().map(move |&step| schedule::position_rate(step, extent)))
+        .collect();
+    elementwise("position rate", &position, npz.values("lr_xyz"), 0.0, 1e-6)?;
+    let exposure: Vec<f64> = steps.iter().map(|&s| schedule::exposure_rate(s)).collect();
+    elementwise("exposure rate", &exposure, npz.values("lr_exposure"), 0.0, 1e-6)?;
+    let depth: Vec<f64> = steps.iter().map(|&s| schedule::depth_weight(s)).collect();
+    elementwise("inverse-depth weight", &depth, npz.values("depth_l1_weight"), 0.0, 1e-6)?;
+    Ok(())
+}
+
+pub fn densify(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let before = gaussians(&npz, "in_");
+    let statistics: Vec<Statistic> = npz
+        .values("in_grad_accum")
+        .iter()
+        .zip(npz.values("in_denom"))
+        .map(|(&gradient, &views)| Statistic { gradient, views })
+        .collect();
+    let scene_extent = npz.scalar("extent");
+    let decisions: Vec<Decision> =
+        before.iter().zip(&statistics).map(|(g, s)| decide(g.log_scale, *s, scene_extent)).collect();
+    let having = |wanted| decisions.iter().map(|&d| f64::from(u8::from(d == wanted))).collect::<Vec<f64>>();
+    equal("clone", &having(Decision::Clone), npz.values("clone"))?;
+    equal("split", &having(Decision::Split), npz.values("split"))?;
+
+    let splits = npz.array("noise").shape[1];
+    let noise = npz.rows::<3>("noise");
+    let settings = Densify { scene_extent, prune_big: npz.scalar("max_screen") != 0.0 };
+    let after = place(&before, &statistics, settings, |child, split| noise[child * splits + split]);
+    let column = |value: &dyn Fn(&crate::reference::place::Placed) -> Vec<f64>| -> Vec<f64> {
+        after.iter().flat_map(value).collect()
+    };
+    equal("parent", &column(&|p| vec![p.parent as f64]), npz.values("out_parent"))?;
+    equal("kind", &column(&|p| vec![p.kind as u8 as f64]), npz.values("out_kind"))?;
+    let exact = |name: &str, values: Vec<f64>| elementwise(name, &values, npz.values(name), 1e-7, ROUNDING);
+    exact("out_means", column(&|p| p.gaussian.mean.to_vec()))?;
+    exact("out_quats", column(&|p| p.gaussian.quat.to_vec()))?;
+    exact("out_log_scales", column(&|p| p.gaussian.log_scale.to_vec()))?;
+    exact("out_opacity_logits", column(&|p| vec![p.gaussian.opacity_logit]))?;
+    exact("out_sh", column(&|p| p.gaussian.sh.concat()))?;
+    Ok(())
+}
+
+pub fn reset_opacity(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let out: Vec<f64> = npz.values("logits").iter().map(|&logit| reset_twin::reset_opacity(logit)).collect();
+    elementwise("logit", &out, npz.values("out"), ROUNDING, ROUNDING)?;
+    Ok(())
+}
+
+/// Full iterations: picture, loss, gradients, step.
+pub fn train(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let view = view(&npz);
+    let [width, height] = view.size_px.map(|n| n as usize);
+    let mut gaussians = gaussians(&npz, "in_");
+    let mut moments = vec![Vec::new(); gaussians.len()];
+    for iteration in (1..).take_while(|i| npz.has(&format!("it{i}_image"))) {
+        let field = |name: &str| format!("it{iteration}_{name}");
+        let frame = render(&gaussians, &view);
+        let image: Vec<f64> = frame.pixels.iter().flat_map(|p| p.color).collect();
+        let unstable = npz.flags(&field("pix_unstable"));
+        let bound = PixelTolerance { max: 1e-6, mean: 1e-7 };
+        pixels("image", &image, npz.values(&field("image")), &unstable, bound)?;
+        let loss = loss_reduce::loss(&image, npz.values("gt"), width, height);
+        elementwise("loss", &[loss.loss], npz.values(&field("loss")), 0.0, 1e-6)?;
+        gradient(
+            "d_img",
+            &loss.gradient,
+            npz.values(&field("d_img")),
+            &vec![false; width * height],
+            GRADIENT,
+        )?;
+        let d_pixels: Vec<PixelGradient> = loss
+            .gradient
+            .as_chunks()
+            .0
+            .iter()
+            .map(|&color| PixelGradient { color, inverse_depth: 0.0 })
+            .collect();
+        let gradients = backward(&gaussians, &view, &frame, &d_pixels).parameters;
+        let extent = npz.scalar("extent");
+        let departing = departing(&gaussians, &view, &frame);
+        for ((gaussian, gradient), moments) in gaussians.iter_mut().zip(&gradients).zip(&mut moments) {
+            step(gaussian, gradient, moments, iteration, extent);
+        }
+        compare_iteration(&npz, iteration, (&gaussians, &gradients), &departing)?;
+    }
+    Ok(())
+}
+
+/// Gaussians of which the vectors follow the reference implementation's derivative where the exact one differs: a
+/// limit of the Jacobian acts, or α's clamp at a pixel. Adam's first steps are
+/// the rate times a sign, so that they may differ by all of it.
+fn departing(gaussians: &[Gaussian], view: &View, frame: &Frame) -> Vec<bool> {
+    let mut departing: Vec<bool> = gaussians
+        .iter()
+        .map(|g| intermediate(g, view).is_some_and(|i| i.limited[0] || i.limited[1]))
+        .collect();
+    for pixel in pixels_of(view) {
+        for &gaussian in &frame.lists[tile_of(view, pixel)] {
+            let splat = frame.splats[gaussian as usize].as_ref().expect("only visible Gaussians are listed");
+            departing[gaussian as usize] |=
+                alpha_unclamped(splat, pixel).is_some_and(|alpha| alpha > ALPHA_MAX);
+        }
+    }
+    departing
+}
+
+fn compare_iteration(
+    npz: &Npz,
+    iteration: u32,
+    (after, gradients): (&[Gaussian], &[Gradient]),
+    departing: &[bool],
+) -> Result<(), String> {
+    for (name, of_gradient, of_gaussian) in FIELDS {
+        let d: Vec<f64> = gradients.iter().flat_map(of_gradient).collect();
+        let d_name = format!("it{iteration}_d_{name}");
+        gradient(&d_name, &d, npz.values(&d_name), departing, GRADIENT)?;
+        let value_name = format!("it{iteration}_{name}");
+        let width = d.len() / after.len();
+        let expected = npz.values(&value_name).chunks(width);
+        for ((gaussian, expected), departing) in after.iter().zip(expected).zip(departing) {
+            if !departing {
+                elementwise(&value_name, &of_gaussian(gaussian), expected, 1e-6, ROUNDING)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+type Field = (&'static str, fn(&Gradient) -> Vec<f64>, fn(&Gaussian) -> Vec<f64>);
+
+/// The fields of the vectors, of gradients and of parameters.
+const FIELDS: [Field; 5] = [
+    ("means", |g| g.mean.to_vec(), |g| g.mean.to_vec()),
+    ("quats", |g| g.quat.to_vec(), |g| g.quat.to_vec()),
+    ("log_scales", |g| g.log_scale.to_vec(), |g| g.log_scale.to_vec()),
+    ("opacity_logits", |g| vec![g.opacity_logit], |g| vec![g.opacity_logit]),
+    ("sh", |g| g.sh.concat(), |g| g.sh.concat()),
+];
+
+/// One step of Adam on all the parameters of a Gaussian; its moments are made at the first.
+fn step(gaussian: &mut Gaussian, d: &Gradient, moments: &mut Vec<Parameter>, iteration: u32, extent: f64) {
+    let mut updates: Vec<(&mut f64, f64, f64)> = Vec::new();
+    let position = schedule::position_rate(f64::from(iteration), extent);
+    updates.extend(gaussian.mean.iter_mut().zip(d.mean).map(|(p, g)| (p, g, position)));
+    updates.extend(gaussian.quat.iter_mut().zip(d.quat).map(|(p, g)| (p, g, 1e-3)));
+    updates.extend(gaussian.log_scale.iter_mut().zip(d.log_scale).map(|(p, g)| (p, g, 5e-3)));
+    updates.push((&mut gaussian.opacity_logit, d.opacity_logit, 0.025));
+    for (k, (coefficient, gradient)) in gaussian.sh.iter_mut().zip(&d.sh).enumerate() {
+        let rate = if k == 0 { 2.5e-3 } else { 2.5e-3 / 20.0 };
+        updates.extend(coefficient.iter_mut().zip(*gradient).map(|(p, g)| (p, g, rate)));
+    }
+    moments.resize(updates.len(), Parameter::default());
+    for ((value, gradient, rate), parameter) in updates.into_iter().zip(moments) {
+        parameter.value = *value;
+        adam_step(parameter, gradient, rate, iteration);
+        *value = parameter.value;
+    }
+}

@@ -1,0 +1,127 @@
+//! Finite differences prove the twins' backward pass.
+
+use crate::reference::blend_backward::PixelGradient;
+use crate::reference::loss_reduce;
+use crate::reference::pipeline::{backward, render};
+use crate::reference::types::{Extent, Gaussian, Gradient, View};
+
+use crate::common::scenes::{Random, small_scene, small_view};
+
+/// Σ pixel · weight, a loss that is linear in the picture.
+fn linear_loss(gaussians: &[Gaussian], view: &View, weights: &[PixelGradient]) -> f64 {
+    render(gaussians, view)
+        .pixels
+        .iter()
+        .zip(weights)
+        .map(|(p, w)| {
+            (0..3).map(|i| p.color[i] * w.color[i]).sum::<f64>() + p.inverse_depth * w.inverse_depth
+        })
+        .sum()
+}
+
+fn random_weights(random: &mut Random, view: &View) -> Vec<PixelGradient> {
+    (0..view.pixels())
+        .map(|_| PixelGradient {
+            color: [random.signed(), random.signed(), random.signed()],
+            inverse_depth: random.signed(),
+        })
+        .collect()
+}
+
+/// All the scalar parameters of a Gaussian in one order.
+fn scalars(gaussian: &mut Gaussian) -> Vec<&mut f64> {
+    let mut all: Vec<&mut f64> = gaussian.mean.iter_mut().collect();
+    all.extend(gaussian.quat.iter_mut());
+    all.extend(gaussian.log_scale.iter_mut());
+    all.push(&mut gaussian.opacity_logit);
+    all.extend(gaussian.sh.iter_mut().flatten());
+    all
+}
+
+fn flat(gradient: &Gradient) -> Vec<f64> {
+    let mut all = gradient.mean.to_vec();
+    all.extend(gradient.quat);
+    all.extend(gradient.log_scale);
+    all.push(gradient.opacity_logit);
+    all.extend(gradient.sh.concat());
+    all
+}
+
+/// Whether a step changes which Gaussians a pixel blends: there the picture jumps and has no derivative.
+fn decisions(gaussians: &[Gaussian], view: &View) -> Vec<(u32, u32)> {
+    render(gaussians, view).pixels.iter().map(|p| (p.blended, p.last)).collect()
+}
+
+/// Compares every derivative with central differences; returns how many were compared.
+fn compare_with_differences(view: &View, seed: u64) -> usize {
+    let mut random = Random::new(seed);
+    let gaussians = small_scene(&mut random, 6, 16);
+    let weights = random_weights(&mut random, view);
+    let frame = render(&gaussians, view);
+    let gradients = backward(&gaussians, view, &frame, &weights).parameters;
+    let mut compared = 0;
+    for (index, gradient) in gradients.iter().enumerate() {
+        for (place, &derivative) in flat(gradient).iter().enumerate() {
+            let step = 1e-5;
+            let moved = |by: f64| {
+                let mut gaussians = gaussians.clone();
+                *scalars(&mut gaussians[index])[place] += by;
+                gaussians
+            };
+            let (after, before) = (moved(step), moved(-step));
+            if decisions(&after, view) != decisions(&before, view) {
+                continue;
+            }
+            let difference =
+                (linear_loss(&after, view, &weights) - linear_loss(&before, view, &weights)) / (2.0 * step);
+            let error = (difference - derivative).abs();
+            assert!(
+                error <= 1e-6 + 2e-6 * derivative.abs(),
+                "seed {seed}, Gaussian {index}, parameter {place}: {derivative:.9e}, by differences {difference:.9e}"
+            );
+            compared += 1;
+        }
+    }
+    compared
+}
+
+#[test]
+fn gradients_of_the_twin_agree_with_finite_differences() {
+    for extent in [Extent::Exact, Extent::Reference] {
+        for antialias in [false, true] {
+            let view = View { extent, antialias, ..small_view([40, 24]) };
+            let compared: usize = (0..3).map(|seed| compare_with_differences(&view, seed)).sum();
+            assert!(compared > 400, "only {compared} derivatives could be compared");
+        }
+    }
+}
+
+#[test]
+fn gradients_of_the_twin_through_the_jacobian_limits() {
+    // A narrow view of a wide scene: many centres beyond the limits.
+    for symmetric_limit in [false, true] {
+        let view =
+            View { symmetric_limit, focal_px: [60.0, 55.0], center_px: [9.0, 6.5], ..small_view([20, 12]) };
+        let compared: usize = (10..14).map(|seed| compare_with_differences(&view, seed)).sum();
+        assert!(compared > 300, "only {compared} derivatives could be compared");
+    }
+}
+
+#[test]
+fn gradient_of_the_loss_agrees_with_finite_differences() {
+    let mut random = Random::new(5);
+    let (width, height) = (13, 9);
+    let x: Vec<f64> = (0..width * height * 3).map(|_| random.unit()).collect();
+    let y: Vec<f64> = (0..width * height * 3).map(|_| random.unit()).collect();
+    let gradient = loss_reduce::loss(&x, &y, width, height).gradient;
+    for place in (0..x.len()).step_by(7) {
+        let step = 1e-6;
+        let moved = |by: f64| {
+            let mut x = x.clone();
+            x[place] += by;
+            loss_reduce::loss(&x, &y, width, height).loss
+        };
+        let difference = (moved(step) - moved(-step)) / (2.0 * step);
+        assert!((difference - gradient[place]).abs() <= 1e-9, "{place}: {} {difference}", gradient[place]);
+    }
+}

@@ -1,0 +1,43 @@
+//! Adam (spec: "Loss, optimiser, schedule"), the twin of `optimizer/adam`.
+
+/// β1, β2, ε.
+pub const BETA1: f64 = 0.9;
+/// Decay of the second moment.
+pub const BETA2: f64 = 0.999;
+/// Keeps the quotient finite.
+pub const EPSILON: f64 = 1e-15;
+
+/// One scalar parameter with its moments.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Parameter {
+    /// Value.
+    pub value: f64,
+    /// First moment.
+    pub moment1: f64,
+    /// Second moment.
+    pub moment2: f64,
+}
+
+/// A step with bias correction; `step` counts from 1.
+pub fn adam(parameter: &mut Parameter, gradient: f64, rate: f64, step: u32) {
+    accumulate(parameter, gradient);
+    let corrected1 = parameter.moment1 / (1.0 - BETA1.powi(step as i32));
+    let corrected2 = parameter.moment2 / (1.0 - BETA2.powi(step as i32));
+    parameter.value -= rate * corrected1 / (corrected2.sqrt() + EPSILON);
+}
+
+/// The sparse variant, for Gaussians that were seen: no bias correction.
+pub fn adam_sparse(parameter: &mut Parameter, gradient: f64, rate: f64) {
+    accumulate(parameter, gradient);
+    parameter.value -= rate * parameter.moment1 / (parameter.moment2.sqrt() + EPSILON);
+}
+
+/// Whether a Gaussian with these gradients is left alone (and counted).
+pub fn is_skipped(gradients: &[f64]) -> bool {
+    gradients.iter().any(|gradient| !gradient.is_finite())
+}
+
+fn accumulate(parameter: &mut Parameter, gradient: f64) {
+    parameter.moment1 = BETA1 * parameter.moment1 + (1.0 - BETA1) * gradient;
+    parameter.moment2 = BETA2 * parameter.moment2 + (1.0 - BETA2) * gradient * gradient;
+}

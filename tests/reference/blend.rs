@@ -1,0 +1,71 @@
+//! Front-to-back blending of one pixel (spec: "Forward" 8), the twin of `forward/blend`.
+
+use super::tiles::alpha_unclamped;
+use super::types::{ALPHA_MAX, ALPHA_MIN, Splat, TRANSMITTANCE_MIN};
+
+/// What a pixel gets.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pixel {
+    /// Colour over the background.
+    pub color: [f64; 3],
+    /// Transmittance left.
+    pub transmittance: f64,
+    /// Σ α T / z.
+    pub inverse_depth: f64,
+    /// 1-based place in the list of the last entry blended, 0 when none.
+    pub last: u32,
+    /// How many entries were blended.
+    pub blended: u32,
+}
+
+/// One entry that was blended at a pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// Place in the list.
+    pub entry: usize,
+    /// α after the clamp.
+    pub alpha: f64,
+    /// Whether the clamp at 0.99 acted.
+    pub clamped: bool,
+    /// Transmittance in front of it.
+    pub transmittance: f64,
+}
+
+/// The entries of `list` (front to back) that are blended at a pixel, and the transmittance behind them.
+pub fn samples(list: &[&Splat], pixel: [u32; 2]) -> (Vec<Sample>, f64) {
+    let mut transmittance = 1.0;
+    let mut samples = Vec::new();
+    for (entry, splat) in list.iter().enumerate() {
+        let Some(unclamped) = alpha_unclamped(splat, pixel) else { continue };
+        let alpha = unclamped.min(ALPHA_MAX);
+        if alpha < ALPHA_MIN {
+            continue;
+        }
+        if transmittance * (1.0 - alpha) < TRANSMITTANCE_MIN {
+            break;
+        }
+        samples.push(Sample { entry, alpha, clamped: unclamped > ALPHA_MAX, transmittance });
+        transmittance *= 1.0 - alpha;
+    }
+    (samples, transmittance)
+}
+
+/// Blends a pixel.
+pub fn blend(list: &[&Splat], pixel: [u32; 2], background: [f64; 3]) -> Pixel {
+    let (samples, transmittance) = samples(list, pixel);
+    let mut result = Pixel { transmittance, ..Pixel::default() };
+    for sample in &samples {
+        let splat = list[sample.entry];
+        let weight = sample.alpha * sample.transmittance;
+        for channel in 0..3 {
+            result.color[channel] += weight * splat.color[channel];
+        }
+        result.inverse_depth += weight / splat.depth;
+        result.last = sample.entry as u32 + 1;
+        result.blended += 1;
+    }
+    for channel in 0..3 {
+        result.color[channel] += transmittance * background[channel];
+    }
+    result
+}

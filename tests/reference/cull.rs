@@ -1,0 +1,16 @@
+//! Near plane and projection validity: which Gaussians may be seen at all, the twin of `forward/cull`.
+
+use super::linear::apply;
+use super::project;
+use super::types::{Gaussian, View};
+
+/// Position in the camera's frame.
+pub fn camera_position(gaussian: &Gaussian, view: &View) -> [f64; 3] {
+    let rotated = apply(&view.camera_from_world, gaussian.mean);
+    [0, 1, 2].map(|i| rotated[i] + view.translation[i])
+}
+
+/// One flag per Gaussian: whether it leaves a splat.
+pub fn cull(gaussians: &[Gaussian], view: &View) -> Vec<bool> {
+    gaussians.iter().map(|gaussian| project::project(gaussian, view).is_some()).collect()
+}

@@ -1,0 +1,117 @@
+//! The twins put together: a whole frame and its gradient.
+
+use super::blend::{Pixel, blend};
+use super::blend_backward::{PixelGradient, blend_backward};
+use super::project::project;
+use super::project_backward::project_backward;
+use super::types::{Gaussian, Gradient, Splat, SplatGradient, TILE, View};
+use super::{expand, ranges, sort};
+
+/// A frame with everything on the way.
+pub struct Frame {
+    /// Per Gaussian, `None` when culled.
+    pub splats: Vec<Option<Splat>>,
+    /// Per Gaussian, tiles touched.
+    pub tiles_touched: Vec<u32>,
+    /// Per tile, its Gaussians front to back.
+    pub lists: Vec<Vec<u32>>,
+    /// Per pixel.
+    pub pixels: Vec<Pixel>,
+}
+
+/// Gradients of a frame.
+pub struct FrameGradient {
+    /// Per Gaussian, of its splat.
+    pub splats: Vec<SplatGradient>,
+    /// Per Gaussian, of its parameters; zeros when culled.
+    pub parameters: Vec<Gradient>,
+}
+
+/// Renders.
+pub fn render(gaussians: &[Gaussian], view: &View) -> Frame {
+    let splats: Vec<Option<Splat>> = gaussians.iter().map(|g| project(g, view)).collect();
+    let mut instances = expand::expand(&splats, view);
+    let tiles_touched = tiles_touched(&instances, gaussians.len());
+    sort::sort_by_tile_and_depth(&mut instances);
+    let tile_ids: Vec<u32> = instances.iter().map(|instance| instance.tile).collect();
+    let tile_count = view.tiles()[0] * view.tiles()[1];
+    let lists: Vec<Vec<u32>> = ranges::ranges(&tile_ids, tile_count)
+        .into_iter()
+        .map(|[begin, end]| {
+            instances[begin as usize..end as usize].iter().map(|instance| instance.gaussian).collect()
+        })
+        .collect();
+    let pixels = pixels_of(view)
+        .map(|pixel| {
+            let list = splats_of(&splats, &lists[tile_of(view, pixel)]);
+            blend(&list, pixel, view.background)
+        })
+        .collect();
+    Frame { splats, tiles_touched, lists, pixels }
+}
+
+/// The gradient of Σ pixel · d_pixel.
+pub fn backward(
+    gaussians: &[Gaussian],
+    view: &View,
+    frame: &Frame,
+    d_pixels: &[PixelGradient],
+) -> FrameGradient {
+    let mut splats = vec![SplatGradient::default(); gaussians.len()];
+    for (pixel, d_pixel) in pixels_of(view).zip(d_pixels) {
+        let entries = &frame.lists[tile_of(view, pixel)];
+        let list = splats_of(&frame.splats, entries);
+        let mut gradients = vec![SplatGradient::default(); entries.len()];
+        blend_backward(&list, pixel, view.background, *d_pixel, &mut gradients);
+        for (&gaussian, gradient) in entries.iter().zip(&gradients) {
+            splats[gaussian as usize].add(gradient);
+        }
+    }
+    let parameters = gaussians
+        .iter()
+        .enumerate()
+        .map(|(index, gaussian)| match frame.splats[index] {
+            Some(_) => project_backward(gaussian, view, &splats[index]),
+            None => Gradient { sh: vec![[0.0; 3]; gaussian.sh.len()], ..Gradient::default() },
+        })
+        .collect();
+    FrameGradient { splats, parameters }
+}
+
+impl SplatGradient {
+    /// Sum.
+    pub fn add(&mut self, other: &SplatGradient) {
+        for i in 0..2 {
+            self.mean2d_px[i] += other.mean2d_px[i];
+        }
+        for i in 0..3 {
+            self.conic[i] += other.conic[i];
+            self.color[i] += other.color[i];
+        }
+        self.opacity += other.opacity;
+        self.inverse_depth += other.inverse_depth;
+    }
+}
+
+/// Row-major pixels of a view.
+pub fn pixels_of(view: &View) -> impl Iterator<Item = [u32; 2]> + use<> {
+    let [width, height] = view.size_px;
+    (0..height).flat_map(move |y| (0..width).map(move |x| [x, y]))
+}
+
+/// Index of the tile of a pixel.
+pub fn tile_of(view: &View, pixel: [u32; 2]) -> usize {
+    ((pixel[1] / TILE) * view.tiles()[0] + pixel[0] / TILE) as usize
+}
+
+fn splats_of<'a>(splats: &'a [Option<Splat>], list: &[u32]) -> Vec<&'a Splat> {
+    list.iter().map(|&g| splats[g as usize].as_ref().expect("only visible Gaussians are listed")).collect()
+}
+
+fn tiles_touched(instances: &[expand::Instance], gaussians: usize) -> Vec<u32> {
+    let mut touched = vec![0; gaussians];
+    for instance in instances {
+        touched[instance.gaussian as usize] += 1;
+    }
+    touched
+}

@@ -1,0 +1,119 @@
+//! Which tiles a splat touches.
+
+use super::types::{ALPHA_MIN, Extent, Splat, TILE, View};
+
+/// Tile columns [x0, x1) and rows [y0, y1), as [x0, y0, x1, y1].
+pub type TileBox = [u32; 4];
+
+/// Whether the box holds no tile.
+pub fn is_empty([x0, y0, x1, y1]: TileBox) -> bool {
+    x0 >= x1 || y0 >= y1
+}
+
+/// The reference implementation's tiles: the square of the radius.
+pub fn reference_square(splat: &Splat, view: &View) -> TileBox {
+    let tile = f64::from(TILE);
+    let radius = f64::from(splat.radius_px);
+    let [columns, rows] = view.tiles().map(f64::from);
+    let [x, y] = splat.mean2d_px;
+    // Conversion to integer truncates, as C does.
+    let first = |center: f64, limit: f64| ((center - radius) / tile).trunc().clamp(0.0, limit) as u32;
+    let last =
+        |center: f64, limit: f64| ((center + radius + tile - 1.0) / tile).trunc().clamp(0.0, limit) as u32;
+    [first(x, columns), first(y, rows), last(x, columns), last(y, rows)]
+}
+
+/// The level set α = 1/255: (xᵀ conic x) at which the opacity has fallen to it; negative when never reached.
+pub fn level(splat: &Splat) -> f64 {
+    2.0 * (splat.opacity / ALPHA_MIN).ln()
+}
+
+/// Half the sides of the box around the ellipse α ≥ 1/255.
+pub fn half_extent_px(splat: &Splat) -> [f64; 2] {
+    let level = level(splat).max(0.0);
+    [(level * splat.cov2d[0]).sqrt(), (level * splat.cov2d[2]).sqrt()]
+}
+
+/// Tiles of which a pixel centre lies in the box around the ellipse α ≥ 1/255.
+pub fn exact_box(splat: &Splat, view: &View) -> TileBox {
+    let half = half_extent_px(splat);
+    let size = view.size_px.map(f64::from);
+    let mut tiles = [0; 4];
+    for axis in 0..2 {
+        let first = (splat.mean2d_px[axis] - half[axis]).ceil().max(0.0);
+        let last = (splat.mean2d_px[axis] + half[axis]).floor().min(size[axis] - 1.0);
+        if first <= last {
+            tiles[axis] = first as u32 / TILE;
+            tiles[axis + 2] = last as u32 / TILE + 1;
+        }
+    }
+    tiles
+}
+
+/// Whether a pixel centre of the tile is reached with α ≥ 1/255, by trying all 256.
+pub fn touches_by_pixels(splat: &Splat, tile: [u32; 2]) -> bool {
+    let mut touches = false;
+    for y in 0..TILE {
+        for x in 0..TILE {
+            let pixel = [tile[0] * TILE + x, tile[1] * TILE + y];
+            touches |= alpha_unclamped(splat, pixel).is_some_and(|alpha| alpha >= ALPHA_MIN);
+        }
+    }
+    touches
+}
+
+/// o·exp(power) at a pixel, `None` where power > 0.
+pub fn alpha_unclamped(splat: &Splat, pixel: [u32; 2]) -> Option<f64> {
+    let dx = splat.mean2d_px[0] - f64::from(pixel[0]);
+    let dy = splat.mean2d_px[1] - f64::from(pixel[1]);
+    let [a, b, c] = splat.conic;
+    let power = -0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy;
+    (power <= 0.0).then(|| splat.opacity * power.exp())
+}
+
+/// The smallest value of xᵀ conic x over the continuous rectangle spanned by the tile's pixel centres.
+pub fn smallest_form_over_tile(splat: &Splat, tile: [u32; 2]) -> f64 {
+    let low = tile.map(|t| f64::from(t * TILE));
+    let high = low.map(|x| x + f64::from(TILE - 1));
+    let center = splat.mean2d_px;
+    let inside = (0..2).all(|i| center[i] >= low[i] && center[i] <= high[i]);
+    if inside {
+        return 0.0;
+    }
+    let [a, b, c] = splat.conic;
+    let form = |x: f64, y: f64| a * x * x + 2.0 * b * x * y + c * y * y;
+    // Convex, so the minimum over a rectangle without the centre lies on its border: a parabola per side.
+    let mut smallest = f64::INFINITY;
+    for x in [low[0] - center[0], high[0] - center[0]] {
+        let y = (-b * x / c).clamp(low[1] - center[1], high[1] - center[1]);
+        smallest = smallest.min(form(x, y));
+    }
+    for y in [low[1] - center[1], high[1] - center[1]] {
+        let x = (-b * y / a).clamp(low[0] - center[0], high[0] - center[0]);
+        smallest = smallest.min(form(x, y));
+    }
+    smallest
+}
+
+/// Whether the ellipse α ≥ 1/255 meets the continuous rectangle of the tile's pixel centres: true wherever
+/// [`touches_by_pixels`] is.
+pub fn touches_rectangle(splat: &Splat, tile: [u32; 2]) -> bool {
+    smallest_form_over_tile(splat, tile) <= level(splat)
+}
+
+/// The tiles of a splat in row-major order.
+pub fn touched(splat: &Splat, view: &View) -> Vec<u32> {
+    let [x0, y0, x1, y1] = match view.extent {
+        Extent::Exact => exact_box(splat, view),
+        Extent::Reference => reference_square(splat, view),
+    };
+    let mut tiles = Vec::new();
+    for y in y0..y1 {
+        for x in x0..x1 {
+            if view.extent == Extent::Reference || touches_rectangle(splat, [x, y]) {
+                tiles.push(y * view.tiles()[0] + x);
+            }
+        }
+    }
+    tiles
+}

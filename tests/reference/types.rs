@@ -1,0 +1,124 @@
+//! The twins' own types: double precision, arrays of structures, nothing shared with the engine.
+
+/// Which pixels a Gaussian may reach (spec: "Extent").
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extent {
+    /// Wherever power ≤ 0 and α ≥ 1/255.
+    Exact,
+    /// The square of three standard deviations that the reference implementation visits.
+    Reference,
+}
+
+/// One Gaussian as stored: raw parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gaussian {
+    /// World position.
+    pub mean: [f64; 3],
+    /// (w, x, y, z), not normalised.
+    pub quat: [f64; 4],
+    /// Natural logarithm of the standard deviations.
+    pub log_scale: [f64; 3],
+    /// Opacity before the logistic function.
+    pub opacity_logit: f64,
+    /// SH coefficients, coefficient-major, rgb last.
+    pub sh: Vec<[f64; 3]>,
+}
+
+/// A camera and how to render with it.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// Row-major rotation, x_camera = R x_world + t.
+    pub camera_from_world: [[f64; 3]; 3],
+    /// t.
+    pub translation: [f64; 3],
+    /// fx, fy.
+    pub focal_px: [f64; 2],
+    /// cx, cy with pixel centres at +0.5.
+    pub center_px: [f64; 2],
+    /// Width, height.
+    pub size_px: [u32; 2],
+    /// Background colour.
+    pub background: [f64; 3],
+    /// Active SH degree.
+    pub sh_degree: u32,
+    /// Opacity compensation for the dilation.
+    pub antialias: bool,
+    /// Jacobian limits ±1.3 tan(fov/2) instead of the image edges plus 0.3 tan(fov/2).
+    pub symmetric_limit: bool,
+    /// Which pixels a Gaussian may reach.
+    pub extent: Extent,
+}
+
+impl View {
+    /// The tile grid's columns and rows.
+    pub fn tiles(&self) -> [u32; 2] {
+        self.size_px.map(|n| n.div_ceil(TILE))
+    }
+
+    /// Pixels of the image.
+    pub fn pixels(&self) -> usize {
+        self.size_px[0] as usize * self.size_px[1] as usize
+    }
+}
+
+/// A Gaussian projected onto the image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Splat {
+    /// View depth z.
+    pub depth: f64,
+    /// Centre, pixel centres at the integers.
+    pub mean2d_px: [f64; 2],
+    /// 2-D covariance (xx, xy, yy) after the dilation.
+    pub cov2d: [f64; 3],
+    /// Its inverse (A, B, C).
+    pub conic: [f64; 3],
+    /// Opacity after compensation.
+    pub opacity: f64,
+    /// Colour from SH, clamped at 0.
+    pub color: [f64; 3],
+    /// Radius of the reference implementation's square; 0 in the exact mode.
+    pub radius_px: i32,
+}
+
+/// Gradient with respect to what the blending reads of a splat.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SplatGradient {
+    /// dL/d(centre in pixels).
+    pub mean2d_px: [f64; 2],
+    /// dL/d(A, B, C).
+    pub conic: [f64; 3],
+    /// dL/d(opacity after compensation).
+    pub opacity: f64,
+    /// dL/dcolour.
+    pub color: [f64; 3],
+    /// dL/d(1/z) through the inverse-depth image.
+    pub inverse_depth: f64,
+}
+
+/// Gradient with respect to a Gaussian's raw parameters.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Gradient {
+    /// dL/dmean.
+    pub mean: [f64; 3],
+    /// dL/dquaternion.
+    pub quat: [f64; 4],
+    /// dL/dlog-scale.
+    pub log_scale: [f64; 3],
+    /// dL/dlogit.
+    pub opacity_logit: f64,
+    /// dL/dSH, as many as stored.
+    pub sh: Vec<[f64; 3]>,
+}
+
+/// Side of a tile.
+pub const TILE: u32 = 16;
+/// The thresholds are the float32-rounded constants.
+pub const NEAR: f64 = 0.2_f32 as f64;
+/// Added to the diagonal of the 2-D covariance.
+pub const DILATION: f64 = 0.3_f32 as f64;
+/// α's upper clamp.
+pub const ALPHA_MAX: f64 = 0.99_f32 as f64;
+/// α's lower threshold.
+pub const ALPHA_MIN: f64 = (1.0_f32 / 255.0_f32) as f64;
+/// Blending stops before transmittance falls below.
+pub const TRANSMITTANCE_MIN: f64 = 1e-4_f32 as f64;
