@@ -49,7 +49,9 @@ pub enum Error {
         reason: String,
     },
     /// A loader, but no device that it offers is usable.
-    #[error("no usable Vulkan device: {reason}; `ashsplat devices` lists what there is (a software driver: mesa-vulkan-drivers)")]
+    #[error(
+        "no usable Vulkan device: {reason}; `ashsplat devices` lists what there is (a software driver: mesa-vulkan-drivers)"
+    )]
     NoDevice {
         /// What was found and why it does not do.
         reason: String,

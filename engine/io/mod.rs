@@ -1,1 +1,17 @@
-//! Files: PLY, COLMAP, photographs.
+//! Files: PLY, COLMAP, photographs, data sets, cameras.json. Knows no Vulkan.
+//!
+//! Readers trust nothing that a file says about itself: every count is checked against the file's size before
+//! memory is reserved for it. Writers go through [`atomic`], so that no partial file is ever left behind.
+
+pub mod atomic;
+pub mod cameras_json;
+pub mod colmap;
+pub mod dataset;
+pub mod images;
+pub mod ply;
+mod progress;
+mod sniff;
+
+pub use dataset::{Dataset, DatasetOptions, DatasetReport, View};
+pub use images::{Photo, Resolution};
+pub use progress::Progress;

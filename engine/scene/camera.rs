@@ -1,6 +1,14 @@
 //! A pinhole camera.
 
-use glam::{Mat3, Vec3};
+use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
+
+use crate::{Error, Result};
+
+/// Largest accepted width or height of an image, pixels. JPEG's own limit; larger claims are damage.
+pub const MAX_IMAGE_SIDE: u32 = 65_535;
+
+/// How far `R Rᵀ` of a camera's rotation may be from the identity, per element.
+const ORTHONORMAL_TOLERANCE: f32 = 1e-3;
 
 /// A pinhole camera in COLMAP's and OpenCV's frame: x right, y down, z forward.
 ///
@@ -26,9 +34,139 @@ pub struct Camera {
     pub height: u32,
 }
 
+/// What a camera is without its pose: focal lengths, principal point and image size.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intrinsics {
+    /// Focal length in x, pixels.
+    pub fx: f32,
+    /// Focal length in y, pixels.
+    pub fy: f32,
+    /// Principal point in x, pixels (centre of the first pixel at 0.5).
+    pub cx: f32,
+    /// Principal point in y, pixels (centre of the first pixel at 0.5).
+    pub cy: f32,
+    /// Width of the image, pixels.
+    pub width: u32,
+    /// Height of the image, pixels.
+    pub height: u32,
+}
+
+impl Intrinsics {
+    /// Square pixels, principal point in the middle, `fov_x` radians from the left to the right edge.
+    pub fn from_fov_x(fov_x: f32, width: u32, height: u32) -> Self {
+        let focal = 0.5 * width as f32 / (0.5 * fov_x).tan();
+        Self { fx: focal, fy: focal, cx: 0.5 * width as f32, cy: 0.5 * height as f32, width, height }
+    }
+}
+
 impl Camera {
+    /// A camera from its pose in COLMAP's form: the quaternion (w, x, y, z) of the rotation from world to
+    /// camera, of any length but zero, and the translation from world to camera.
+    ///
+    /// A zero or non-finite quaternion gives a camera that [`Camera::check`] refuses.
+    pub fn from_colmap(quat_wxyz: [f64; 4], translation: [f64; 3], intrinsics: Intrinsics) -> Self {
+        let [w, x, y, z] = quat_wxyz;
+        let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+        Self::with_pose(rotation.as_mat3(), DVec3::from_array(translation).as_vec3(), intrinsics)
+    }
+
+    /// A camera at `eye` that looks at `target`; `up` is any world direction that is up in the image.
+    ///
+    /// Looking straight along `up` is allowed: some other direction is up then.
+    pub fn look_at(eye: Vec3, target: Vec3, up: Vec3, intrinsics: Intrinsics) -> Self {
+        let forward = (target - eye).try_normalize().unwrap_or(Vec3::Z);
+        let right = forward.cross(up).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
+        let down = forward.cross(right);
+        let camera_from_world = Mat3::from_cols(right, down, forward).transpose();
+        Self::with_pose(camera_from_world, -(camera_from_world * eye), intrinsics)
+    }
+
+    /// A camera from its world-to-camera pose.
+    pub fn with_pose(camera_from_world: Mat3, translation: Vec3, intrinsics: Intrinsics) -> Self {
+        let Intrinsics { fx, fy, cx, cy, width, height } = intrinsics;
+        Self { camera_from_world, translation, fx, fy, cx, cy, width, height }
+    }
+
+    /// The camera without its pose.
+    pub fn intrinsics(&self) -> Intrinsics {
+        let Self { fx, fy, cx, cy, width, height, .. } = *self;
+        Intrinsics { fx, fy, cx, cy, width, height }
+    }
+
     /// The camera's centre in world coordinates: `-Rᵀ t`.
     pub fn position(&self) -> Vec3 {
         -(self.camera_from_world.transpose() * self.translation)
     }
+
+    /// The viewing direction (+z of the camera) in world coordinates.
+    pub fn forward(&self) -> Vec3 {
+        self.camera_from_world.row(2)
+    }
+
+    /// The same view at another size: focal lengths and principal point scale with each axis.
+    pub fn scaled_to(&self, width: u32, height: u32) -> Self {
+        let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
+        Self {
+            fx: self.fx * sx,
+            fy: self.fy * sy,
+            cx: self.cx * sx,
+            cy: self.cy * sy,
+            width,
+            height,
+            ..*self
+        }
+    }
+
+    /// Pixel position of a world point (first pixel's centre at 0.5) and its depth along z, world units.
+    pub fn project(&self, world: Vec3) -> (f32, f32, f32) {
+        let p = self.camera_from_world * world + self.translation;
+        (self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy, p.z)
+    }
+
+    /// Checks that the camera can be rendered.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a number that is NaN or infinite, an image of no or absurd size, a focal length
+    /// that is not positive, or a `camera_from_world` that is not a rotation.
+    pub fn check(&self) -> Result<()> {
+        match self.problem() {
+            None => Ok(()),
+            Some(problem) => Err(Error::argument("camera", problem)),
+        }
+    }
+
+    fn problem(&self) -> Option<String> {
+        let Self { fx, fy, cx, cy, width, height, .. } = *self;
+        let sides = 1..=MAX_IMAGE_SIDE;
+        if !sides.contains(&width) || !sides.contains(&height) {
+            return Some(format!("image size {width}x{height} is outside 1x1 to {MAX_IMAGE_SIDE} a side"));
+        }
+        if !(fx.is_finite() && fy.is_finite() && fx > 0.0 && fy > 0.0) {
+            return Some(format!("focal length ({fx}, {fy}) is not positive"));
+        }
+        if !(cx.is_finite() && cy.is_finite()) {
+            return Some(format!("principal point ({cx}, {cy}) is not finite"));
+        }
+        if !(self.translation.is_finite() && self.camera_from_world.is_finite()) {
+            return Some("pose is not finite".into());
+        }
+        let r = self.camera_from_world;
+        if !(r * r.transpose()).abs_diff_eq(Mat3::IDENTITY, ORTHONORMAL_TOLERANCE) || r.determinant() < 0.0 {
+            return Some("camera_from_world is not a rotation (orthonormal, determinant 1)".into());
+        }
+        None
+    }
+}
+
+/// Scene extent: 1.1 × the largest distance of a camera to the cameras' mean, world units; 0 for no or one
+/// camera. Scales the learning rate of the positions and densification (reference implementation,
+/// `getNerfppNorm`).
+pub fn scene_extent(positions: impl Iterator<Item = Vec3> + Clone) -> f32 {
+    let (sum, count) = positions.clone().fold((DVec3::ZERO, 0.0), |(s, n), p| (s + p.as_dvec3(), n + 1.0));
+    if count == 0.0 {
+        return 0.0;
+    }
+    let mean = sum / count;
+    let largest = positions.map(|p| p.as_dvec3().distance(mean)).fold(0.0, f64::max);
+    (1.1 * largest) as f32
 }

@@ -1,5 +1,10 @@
 //! The Gaussians of a scene, as raw (unactivated) parameters.
 
+use glam::Vec3;
+
+use super::points::Bounds;
+use crate::{Error, Result};
+
 /// Highest supported degree of the spherical harmonics.
 pub const MAX_SH_DEGREE: u32 = 3;
 
@@ -28,6 +33,18 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
+    /// No Gaussians, of an SH degree, with room for some.
+    pub fn with_capacity(sh_degree: u32, count: usize) -> Self {
+        Self {
+            sh_degree,
+            means: Vec::with_capacity(count),
+            quats: Vec::with_capacity(count),
+            log_scales: Vec::with_capacity(count),
+            opacity_logits: Vec::with_capacity(count),
+            sh: Vec::with_capacity(count * sh_coefficients(sh_degree)),
+        }
+    }
+
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.means.len()
@@ -43,4 +60,87 @@ impl Gaussians {
         let k = sh_coefficients(self.sh_degree);
         &self.sh[index * k..(index + 1) * k]
     }
+
+    /// Checks that the vectors fit together.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] naming the vector whose length is wrong, or the degree above 3.
+    pub fn check_shapes(&self) -> Result<()> {
+        if self.sh_degree > MAX_SH_DEGREE {
+            return Err(Error::argument("sh_degree", format!("{} is not between 0 and 3", self.sh_degree)));
+        }
+        let n = self.len();
+        let shapes = [
+            ("quats", self.quats.len(), n),
+            ("log_scales", self.log_scales.len(), n),
+            ("opacity_logits", self.opacity_logits.len(), n),
+            ("sh", self.sh.len(), n * sh_coefficients(self.sh_degree)),
+        ];
+        match shapes.iter().find(|(_, has, needs)| has != needs) {
+            None => Ok(()),
+            Some((name, has, needs)) => {
+                Err(Error::argument(*name, format!("{has} entries, {n} Gaussians need {needs}")))
+            }
+        }
+    }
+
+    /// The same Gaussians at another SH degree: higher coefficients are dropped, or added as 0.
+    pub fn with_sh_degree(&self, sh_degree: u32) -> Self {
+        let k = sh_coefficients(sh_degree.min(MAX_SH_DEGREE));
+        let mut sh = Vec::with_capacity(self.len() * k);
+        for index in 0..self.len() {
+            let stored = self.sh_of(index);
+            let kept = k.min(stored.len());
+            sh.extend_from_slice(&stored[..kept]);
+            sh.resize(sh.len() + k - kept, [0.0; 3]);
+        }
+        Self { sh_degree: sh_degree.min(MAX_SH_DEGREE), sh, ..self.clone() }
+    }
+
+    /// Where the Gaussians are, and how scales and opacities are distributed; for `info`.
+    pub fn statistics(&self) -> GaussianStatistics {
+        let means = || self.means.iter().map(|&p| Vec3::from_array(p)).filter(|p| p.is_finite());
+        let scales = || self.log_scales.iter().flatten().map(|s| s.exp());
+        let opacities = || self.opacity_logits.iter().map(|o| 1.0 / (1.0 + (-o).exp()));
+        GaussianStatistics {
+            count: self.len(),
+            sh_degree: self.sh_degree,
+            bounds: Bounds::of(means()),
+            central_bounds: central_bounds(means()),
+            scale_percentiles: percentiles(scales()),
+            opacity_percentiles: percentiles(opacities()),
+        }
+    }
+}
+
+/// Summary of a set of Gaussians.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GaussianStatistics {
+    /// Number of Gaussians.
+    pub count: usize,
+    /// Degree of the stored spherical harmonics.
+    pub sh_degree: u32,
+    /// Box around all means; `None` without Gaussians.
+    pub bounds: Option<Bounds>,
+    /// Box from the 5th to the 95th percentile of the means on each axis: where the scene is, without floaters.
+    pub central_bounds: Option<Bounds>,
+    /// Standard deviations (all three axes) at 0, 5, 25, 50, 75, 95 and 100 %, world units.
+    pub scale_percentiles: Option<[f32; 7]>,
+    /// Opacities (after the sigmoid) at 0, 5, 25, 50, 75, 95 and 100 %.
+    pub opacity_percentiles: Option<[f32; 7]>,
+}
+
+/// The values at 0, 5, 25, 50, 75, 95 and 100 % (nearest rank); `None` without values.
+pub fn percentiles(values: impl Iterator<Item = f32>) -> Option<[f32; 7]> {
+    let mut sorted: Vec<f32> = values.collect();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let last = sorted.len().checked_sub(1)?;
+    Some([0, 5, 25, 50, 75, 95, 100].map(|percent| sorted[(last * percent + 50) / 100]))
+}
+
+fn central_bounds(means: impl Iterator<Item = Vec3> + Clone) -> Option<Bounds> {
+    let axis = |axis: usize| percentiles(means.clone().map(|p| p[axis]));
+    let (x, y, z) = (axis(0)?, axis(1)?, axis(2)?);
+    let at = |rank: usize| Vec3::new(x[rank], y[rank], z[rank]);
+    Some(Bounds { min: at(1), max: at(5) })
 }

@@ -1,7 +1,13 @@
-//! What a scene is, on the host: Gaussians, cameras, spherical harmonics. Knows no Vulkan.
+//! What a scene is, on the host: Gaussians, cameras, points, spherical harmonics. Knows no Vulkan.
 
 pub mod camera;
 pub mod gaussians;
+pub mod init;
+pub mod orbit;
+pub mod points;
+pub mod sh;
 
-pub use camera::Camera;
-pub use gaussians::Gaussians;
+pub use camera::{Camera, Intrinsics, scene_extent};
+pub use gaussians::{GaussianStatistics, Gaussians};
+pub use orbit::Orbit;
+pub use points::{Bounds, PointCloud};

@@ -1,0 +1,77 @@
+//! Writing files whole or not at all.
+//!
+//! Everything that this crate writes goes to a temporary name in the same folder, is flushed to the disk, and is
+//! renamed when complete. Whatever happens before, the old file stays and no partial one appears.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use crate::{Error, Result};
+
+const BUFFER_BYTES: usize = 1 << 20;
+
+/// Writes a file through `fill`, whole or not at all.
+///
+/// A symbolic link is followed: the file behind it is replaced. Devices and pipes (`/dev/stdout`) are written to
+/// directly.
+///
+/// # Errors
+/// [`Error::Io`] naming the file when `fill` or the file system fails (no such folder, no permission, disk
+/// full); nothing is left behind then.
+pub fn write(path: impl AsRef<Path>, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
+    let path = path.as_ref();
+    write_inner(path, fill).map_err(|source| Error::io(path, "write", source))
+}
+
+/// Creates a folder and its parents; an existing one is fine.
+///
+/// # Errors
+/// [`Error::Io`] naming the folder.
+pub fn create_folder(path: impl AsRef<Path>) -> Result<()> {
+    let path = path.as_ref();
+    fs::create_dir_all(path).map_err(|source| Error::io(path, "create", source))
+}
+
+fn write_inner(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    if fs::metadata(path).is_ok_and(|m| !m.is_file() && !m.is_dir()) {
+        let mut writer = BufWriter::with_capacity(BUFFER_BYTES, File::options().write(true).open(path)?);
+        fill(&mut writer)?;
+        return writer.flush();
+    }
+    let target = destination(path)?;
+    let folder = match target.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let mut writer = BufWriter::with_capacity(BUFFER_BYTES, temporary_file(&target, folder)?);
+    fill(&mut writer)?;
+    let file = writer.into_inner().map_err(io::IntoInnerError::into_error)?;
+    file.as_file().sync_all()?;
+    file.persist(&target).map_err(|e| e.error)?;
+    // The rename itself reaches the disk with the folder; where folders cannot be synchronised, it is late only.
+    let _ = File::open(folder).and_then(|f| f.sync_all());
+    Ok(())
+}
+
+/// The file that is to be replaced: behind a symbolic link, the one that it points to.
+fn destination(path: &Path) -> io::Result<PathBuf> {
+    if fs::symlink_metadata(path).is_ok_and(|m| m.is_symlink()) && path.exists() {
+        return fs::canonicalize(path);
+    }
+    Ok(path.to_owned())
+}
+
+/// An empty file in `folder` that removes itself unless it is renamed.
+fn temporary_file(target: &Path, folder: &Path) -> io::Result<tempfile::NamedTempFile> {
+    let name = target.file_name().ok_or_else(|| io::Error::other("the path names no file"))?;
+    let mut prefix = std::ffi::OsString::from(".");
+    prefix.push(name);
+    prefix.push(".");
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(&prefix).suffix(".tmp");
+    // The usual permissions of a new file, less the process's mask, not a temporary file's private ones.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.tempfile_in(folder)
+}

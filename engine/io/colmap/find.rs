@@ -1,0 +1,129 @@
+//! Where in a data set the model is.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::model::Model;
+use super::{binary, text};
+use crate::{Error, Result};
+
+/// A folder with a sparse model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModelFolder {
+    /// The folder that holds cameras, images and points3D.
+    pub folder: PathBuf,
+    /// Whether the files are text rather than binary.
+    pub text: bool,
+    /// Said when the choice was not obvious.
+    pub warning: Option<String>,
+}
+
+const PARTS: [&str; 3] = ["cameras", "images", "points3D"];
+
+/// Finds the model of a data set: `sparse/N` (of several the one with the most registered images, then points,
+/// then the lowest name), `sparse`, or the folder itself.
+///
+/// # Errors
+/// [`Error::Input`] when there is none, or the model lacks its cameras or images; [`Error::Io`] when the folder
+/// cannot be read.
+pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
+    let dataset = dataset.as_ref();
+    match fs::metadata(dataset) {
+        Err(source) => return Err(Error::io(dataset, "read", source)),
+        Ok(metadata) if !metadata.is_dir() => {
+            let remedy = "give the folder that contains sparse/ and images/";
+            return Err(Error::input(dataset, "is not a folder", remedy));
+        }
+        Ok(_) => {}
+    }
+    let sparse = dataset.join("sparse");
+    let mut candidates = subfolders(&sparse)?;
+    candidates.retain(|folder| has_model(folder));
+    if candidates.is_empty() {
+        candidates =
+            [sparse, dataset.to_owned()].into_iter().filter(|folder| has_model(folder)).take(1).collect();
+    }
+    match candidates.as_slice() {
+        [] => {
+            let remedy = "give the folder that contains sparse/0 and images, as COLMAP or its image_undistorter leave it";
+            Err(Error::input(dataset, "has no COLMAP model (sparse/0/cameras.bin or .txt)", remedy))
+        }
+        [only] => describe(only.clone(), None),
+        several => largest(several),
+    }
+}
+
+fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {
+    let missing = |ending| PARTS[..2].iter().find(|part| !folder.join(format!("{part}.{ending}")).is_file());
+    let text = match (missing("bin"), missing("txt")) {
+        (None, _) => false,
+        (_, None) => true,
+        (Some(part), _) => {
+            let problem = format!("the model has no {part}.bin (nor a whole text model)");
+            return Err(Error::input(&folder, problem, "copy the whole model of COLMAP"));
+        }
+    };
+    Ok(ModelFolder { folder, text, warning })
+}
+
+fn largest(candidates: &[PathBuf]) -> Result<ModelFolder> {
+    let mut best: Option<((u64, u64), &PathBuf)> = None;
+    for folder in candidates {
+        let size = claimed_size(folder);
+        if best.is_none_or(|(largest, _)| size > largest) {
+            best = Some((size, folder));
+        }
+    }
+    let Some(((images, _), folder)) = best else {
+        return Err(Error::argument("candidates", "there are none"));
+    };
+    let warning =
+        format!("{} models; using {}, the largest ({images} images)", candidates.len(), folder.display());
+    describe(folder.clone(), Some(warning))
+}
+
+/// Registered images and points that a model says it has; 0 where it cannot be read.
+fn claimed_size(folder: &Path) -> (u64, u64) {
+    match describe(folder.to_owned(), None) {
+        Ok(found) if found.text => (
+            text::count_images(&found.folder.join("images.txt")),
+            text::count_rows(&found.folder.join("points3D.txt")),
+        ),
+        Ok(found) => [PARTS[1], PARTS[2]]
+            .map(|part| binary::claimed_count(&found.folder.join(format!("{part}.bin"))))
+            .into(),
+        Err(_) => (0, 0),
+    }
+}
+
+fn has_model(folder: &Path) -> bool {
+    let file =
+        |part: &&str| ["bin", "txt"].iter().any(|ending| folder.join(format!("{part}.{ending}")).is_file());
+    PARTS[..2].iter().any(file)
+}
+
+/// Subfolders, `2` before `10`; none when the folder does not exist.
+fn subfolders(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = match fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(source) => return Err(Error::io(folder, "read", source)),
+    };
+    let mut found: Vec<PathBuf> =
+        entries.filter_map(|e| e.ok().map(|e| e.path())).filter(|p| p.is_dir()).collect();
+    found.sort_by_cached_key(|path| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        (name.parse().unwrap_or(u64::MAX), name)
+    });
+    Ok(found)
+}
+
+impl Model {
+    /// Finds and reads the model of a data set.
+    ///
+    /// # Errors
+    /// As [`find`] and [`Model::read`].
+    pub fn of_dataset(dataset: impl AsRef<Path>) -> Result<Self> {
+        Self::read(&find(dataset)?)
+    }
+}

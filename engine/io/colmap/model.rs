@@ -1,0 +1,288 @@
+//! A sparse model in memory, and what of it can be trained on.
+
+use std::collections::{BTreeMap, HashSet};
+use std::path::{Component, Path, PathBuf};
+
+use super::find::ModelFolder;
+use super::{binary, text};
+use crate::scene::camera::MAX_IMAGE_SIDE;
+use crate::scene::{Camera, Intrinsics, PointCloud};
+use crate::{Error, Result};
+
+/// COLMAP's camera models by number: name and number of parameters.
+const MODELS: [(&str, usize); 16] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+];
+
+/// One of COLMAP's camera models.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CameraModel(usize);
+
+impl CameraModel {
+    /// Parameters f, cx, cy.
+    pub const SIMPLE_PINHOLE: Self = Self(0);
+    /// Parameters fx, fy, cx, cy.
+    pub const PINHOLE: Self = Self(1);
+
+    /// By COLMAP's number.
+    pub fn from_number(number: i64) -> Option<Self> {
+        usize::try_from(number).ok().filter(|&n| n < MODELS.len()).map(Self)
+    }
+
+    /// By COLMAP's name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        MODELS.iter().position(|(model, _)| *model == name).map(Self)
+    }
+
+    /// COLMAP's name.
+    pub fn name(self) -> &'static str {
+        MODELS[self.0].0
+    }
+
+    /// COLMAP's number.
+    pub fn number(self) -> i32 {
+        self.0 as i32
+    }
+
+    /// How many parameters it has.
+    pub fn parameters(self) -> usize {
+        MODELS[self.0].1
+    }
+}
+
+/// A camera without pose, as in the model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColmapCamera {
+    /// COLMAP's id; ids may have gaps.
+    pub id: u32,
+    /// Which parameters there are.
+    pub model: CameraModel,
+    /// Width of its images, pixels.
+    pub width: u64,
+    /// Height of its images, pixels.
+    pub height: u64,
+    /// Focal lengths, principal point, distortion, in the model's order.
+    pub parameters: Vec<f64>,
+}
+
+/// A registered image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColmapImage {
+    /// COLMAP's id; ids may have gaps and are in no order.
+    pub id: u32,
+    /// Id of its camera.
+    pub camera_id: u32,
+    /// Path below the images folder.
+    pub name: String,
+    /// Rotation from world to camera as quaternion (w, x, y, z), not necessarily of unit length.
+    pub quat: [f64; 4],
+    /// Translation from world to camera, world units.
+    pub translation: [f64; 3],
+}
+
+/// A sparse model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// Where it was read from.
+    pub source: ModelFolder,
+    /// Cameras by id.
+    pub cameras: BTreeMap<u32, ColmapCamera>,
+    /// Registered images, in the file's order.
+    pub images: Vec<ColmapImage>,
+    /// The points, in the file's order, without those at no finite position.
+    pub points: PointCloud,
+    /// Everything odd that did not prevent reading.
+    pub warnings: Vec<String>,
+}
+
+impl Model {
+    /// Reads a model. Any camera model is read; whether it can be used is [`Model::camera_of`]'s question.
+    ///
+    /// A missing list of points gives none and a warning; points at NaN are left out with a warning.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when a file cannot be read, [`Error::Input`] when one is empty, damaged or cut short, or names
+    /// a camera model that COLMAP does not have, or an id or name appears twice.
+    pub fn read(source: &ModelFolder) -> Result<Self> {
+        let ending = if source.text { "txt" } else { "bin" };
+        let file = |part: &str| source.folder.join(format!("{part}.{ending}"));
+        let (cameras, images) = if source.text {
+            (text::cameras(&file("cameras"))?, text::images(&file("images"))?)
+        } else {
+            (binary::cameras(&file("cameras"))?, binary::images(&file("images"))?)
+        };
+        check_unique(&file("images"), &images)?;
+        let mut warnings: Vec<String> = source.warning.iter().cloned().collect();
+        let points = points(source, &mut warnings)?;
+        Ok(Self {
+            source: source.clone(),
+            cameras: by_id(&file("cameras"), cameras)?,
+            images,
+            points,
+            warnings,
+        })
+    }
+
+    /// The model's file of a part: "cameras", "images" or "points3D".
+    pub fn file(&self, part: &str) -> PathBuf {
+        self.source.folder.join(format!("{part}.{}", if self.source.text { "txt" } else { "bin" }))
+    }
+
+    /// The camera with pose of an image.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming file and id when the camera does not exist, has lens distortion, no usable size or
+    /// focal length, or the pose is not finite or a zero quaternion.
+    pub fn camera_of(&self, image: &ColmapImage) -> Result<Camera> {
+        let file = self.file("images");
+        let Some(camera) = self.cameras.get(&image.camera_id) else {
+            let problem = format!("image {} ({}) has camera {}", image.id, image.name, image.camera_id);
+            return Err(Error::input(
+                file,
+                format!("{problem}, which cameras does not list"),
+                "copy the whole model",
+            ));
+        };
+        let intrinsics = self.intrinsics(camera)?;
+        let length = image.quat.iter().map(|q| q * q).sum::<f64>().sqrt();
+        let finite = length.is_finite() && image.translation.iter().all(|t| t.is_finite());
+        let result = Camera::from_colmap(image.quat, image.translation, intrinsics);
+        if !finite || length == 0.0 || result.check().is_err() {
+            let what = if length == 0.0 { "is a zero quaternion" } else { "is not finite" };
+            let problem = format!("image {} ({}): its pose {what}", image.id, image.name);
+            return Err(Error::input(
+                file,
+                problem,
+                "run COLMAP's mapper again, or remove the image from the model",
+            ));
+        }
+        Ok(result)
+    }
+
+    /// A camera's intrinsics at the size of its photos.
+    ///
+    /// # Errors
+    /// As [`Model::camera_of`], for the camera alone.
+    pub fn intrinsics(&self, camera: &ColmapCamera) -> Result<Intrinsics> {
+        let file = self.file("cameras");
+        let place = format!("camera {} ({})", camera.id, camera.model.name());
+        let [fx, fy, cx, cy] = match (camera.model, camera.parameters.as_slice()) {
+            (CameraModel::SIMPLE_PINHOLE, &[f, cx, cy]) => [f, f, cx, cy],
+            (CameraModel::PINHOLE, &[fx, fy, cx, cy]) => [fx, fy, cx, cy],
+            _ => {
+                let problem = format!("{place} has lens distortion, which is not modelled");
+                return Err(Error::input(
+                    file,
+                    problem,
+                    format!("run: {}", undistort_command(&self.source.folder)),
+                ));
+            }
+        };
+        let side = |pixels: u64| u32::try_from(pixels).ok().filter(|s| (1..=MAX_IMAGE_SIDE).contains(s));
+        let (Some(width), Some(height)) = (side(camera.width), side(camera.height)) else {
+            let problem = format!("{place} has images of {}x{} pixels", camera.width, camera.height);
+            return Err(Error::input(file, problem, format!("1 to {MAX_IMAGE_SIDE} a side are possible")));
+        };
+        let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
+        let intrinsics = Intrinsics { fx, fy, cx, cy, width, height };
+        let upright = Camera::with_pose(glam::Mat3::IDENTITY, glam::Vec3::ZERO, intrinsics);
+        upright.check().map_err(|e| Error::input(&file, format!("{place}: {e}"), "run COLMAP again"))?;
+        Ok(intrinsics)
+    }
+}
+
+impl ColmapImage {
+    /// The photo's path below the images folder.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming `model_file` when the name is absolute or leads out of the folder.
+    pub fn photo_path(&self, images_folder: &Path, model_file: &Path) -> Result<PathBuf> {
+        let inside = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
+        let stays = Path::new(&self.name).components().all(inside)
+            && !self.name.split(['/', '\\']).any(|part| part == "..")
+            && !self.name.is_empty()
+            && !self.name.contains('\0');
+        if stays {
+            return Ok(images_folder.join(&self.name));
+        }
+        let problem = format!("image {}: the name {:?} leads out of the images folder", self.id, self.name);
+        Err(Error::input(model_file, problem, "names must be paths below the images folder"))
+    }
+}
+
+/// The command that makes pinhole images and a pinhole model out of a distorted one.
+pub fn undistort_command(model: &Path) -> String {
+    let dataset =
+        model.ancestors().find(|a| a.file_name().is_some_and(|n| n == "sparse")).and_then(Path::parent);
+    let dataset = dataset.unwrap_or(model).display().to_string();
+    let model = model.display();
+    format!(
+        "colmap image_undistorter --image_path {dataset}/images --input_path {model} --output_path {dataset}/undistorted, \
+         and train on {dataset}/undistorted"
+    )
+}
+
+fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<PointCloud> {
+    let exists =
+        |ending: &str| Some(source.folder.join(format!("points3D.{ending}"))).filter(|p| p.is_file());
+    let in_text = source.text.then(|| exists("txt")).flatten();
+    let (mut points, file) = match (in_text, exists("bin"), exists("txt")) {
+        (None, Some(file), _) => (binary::points(&file)?, file),
+        (Some(file), ..) | (None, None, Some(file)) => (text::points(&file)?, file),
+        (None, None, None) => {
+            warnings.push(format!("{}: has no points3D file; no points are known", source.folder.display()));
+            return Ok(PointCloud::default());
+        }
+    };
+    let all = points.len();
+    let finite: Vec<bool> = points.positions.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
+    let mut keep = finite.iter().copied();
+    points.positions.retain(|_| keep.next().unwrap_or(false));
+    let mut keep = finite.iter().copied();
+    points.colors.retain(|_| keep.next().unwrap_or(false));
+    if points.len() < all {
+        let dropped = all - points.len();
+        warnings
+            .push(format!("{}: {dropped} of {all} points are not finite and were left out", file.display()));
+    }
+    Ok(points)
+}
+
+fn by_id(file: &Path, cameras: Vec<ColmapCamera>) -> Result<BTreeMap<u32, ColmapCamera>> {
+    let mut by_id = BTreeMap::new();
+    for camera in cameras {
+        let id = camera.id;
+        if by_id.insert(id, camera).is_some() {
+            return Err(Error::input(file, format!("camera id {id} appears twice"), "copy the model again"));
+        }
+    }
+    Ok(by_id)
+}
+
+fn check_unique(file: &Path, images: &[ColmapImage]) -> Result<()> {
+    let (mut ids, mut names) = (HashSet::new(), HashSet::new());
+    for image in images {
+        let what = match (ids.insert(image.id), names.insert(image.name.as_str())) {
+            (true, true) => continue,
+            (false, _) => format!("image id {}", image.id),
+            (_, false) => format!("image name {:?}", image.name),
+        };
+        return Err(Error::input(file, format!("{what} appears twice"), "copy the model again"));
+    }
+    Ok(())
+}

@@ -1,0 +1,175 @@
+//! Photographs: decoding, checking, scaling.
+
+mod decode;
+
+use std::path::Path;
+use std::str::FromStr;
+
+use image::RgbImage;
+use image::imageops::{self, FilterType};
+
+use super::atomic;
+use crate::scene::camera::MAX_IMAGE_SIDE;
+use crate::{Error, Result};
+
+pub use decode::photo_size;
+
+/// Widest picture that [`Resolution::Auto`] leaves as it is, pixels.
+pub const AUTO_MAX_WIDTH: u32 = 1600;
+
+/// A picture in memory: 8 bits per channel, as stored in the file (no colour management).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Photo {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// `[row][column][r, g, b]`, `3 * width * height` bytes.
+    pub rgb: Vec<u8>,
+}
+
+impl Photo {
+    /// Reads a JPEG or PNG of any colour type; what is transparent shows `background` (r, g, b in [0, 1]).
+    ///
+    /// The orientation in a photo's metadata is not applied, as COLMAP does not apply it either.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a picture, is cut short
+    /// or damaged, or claims a size that the file cannot hold.
+    pub fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self> {
+        decode::read(path.as_ref(), background, None)
+    }
+
+    /// Like [`Photo::read`], and refuses a picture of another size before decoding it.
+    ///
+    /// # Errors
+    /// As [`Photo::read`], and [`Error::Input`] for another size.
+    pub fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self> {
+        decode::read(path.as_ref(), background, Some((width, height)))
+    }
+
+    /// Writes a PNG.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when `rgb` has the wrong length, [`Error::Io`] naming the file when it cannot be
+    /// written; no partial file is left.
+    pub fn write_png(&self, path: impl AsRef<Path>) -> Result<()> {
+        use image::ImageEncoder;
+        self.check_shape()?;
+        atomic::write(path, |writer| {
+            let encoder = image::codecs::png::PngEncoder::new(writer);
+            let color = image::ExtendedColorType::Rgb8;
+            encoder.write_image(&self.rgb, self.width, self.height, color).map_err(std::io::Error::other)
+        })
+    }
+
+    /// The picture at another size, by bicubic interpolation over the covered area (the filter of the reference
+    /// implementation, which scales with Pillow's default).
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when `rgb` has the wrong length or the new size is 0 or above 65,535.
+    pub fn scaled_to(self, width: u32, height: u32) -> Result<Self> {
+        self.check_shape()?;
+        if (width, height) == (self.width, self.height) {
+            return Ok(self);
+        }
+        let sides = 1..=MAX_IMAGE_SIDE;
+        if !sides.contains(&width) || !sides.contains(&height) {
+            let problem = format!("{width}x{height} is outside 1x1 to {MAX_IMAGE_SIDE} a side");
+            return Err(Error::argument("image size", problem));
+        }
+        let Some(image) = RgbImage::from_raw(self.width, self.height, self.rgb) else {
+            return Err(Error::argument("photo", "its size and its number of bytes differ"));
+        };
+        let scaled = imageops::resize(&image, width, height, FilterType::CatmullRom);
+        Ok(Self { width, height, rgb: scaled.into_raw() })
+    }
+
+    /// The pixels (r, g, b) in [0, 1], row-major.
+    pub fn to_f32(&self) -> Vec<[f32; 3]> {
+        self.rgb.as_chunks::<3>().0.iter().map(|pixel| pixel.map(|c| f32::from(c) / 255.0)).collect()
+    }
+
+    /// A picture from pixels (r, g, b), row-major, clamped to [0, 1] and rounded to 8 bits.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the number of pixels does not fit the size.
+    pub fn from_f32(width: u32, height: u32, pixels: &[[f32; 3]]) -> Result<Self> {
+        let byte = |c: &f32| (c.clamp(0.0, 1.0) * 255.0).round() as u8;
+        let photo = Self { width, height, rgb: pixels.as_flattened().iter().map(byte).collect() };
+        photo.check_shape()?;
+        Ok(photo)
+    }
+
+    fn check_shape(&self) -> Result<()> {
+        let needs = 3 * u64::from(self.width) * u64::from(self.height);
+        if self.rgb.len() as u64 == needs {
+            return Ok(());
+        }
+        let Self { width, height, rgb } = self;
+        Err(Error::argument("photo", format!("{width}x{height} needs {needs} bytes, has {}", rgb.len())))
+    }
+}
+
+/// The size at which photos are used (`-r`, `--resolution`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Resolution {
+    /// As they are; wider than 1600 pixels are scaled to 1600 (`-1`).
+    #[default]
+    Auto,
+    /// Both sides divided by 1, 2, 4 or 8.
+    Factor(u32),
+    /// Scaled to this width in pixels.
+    Width(u32),
+}
+
+impl Resolution {
+    /// The size of a photo of `width` × `height` pixels under this setting; at least 1×1.
+    ///
+    /// Rounds as the reference implementation: factors to the nearest, ties to even; widths down.
+    pub fn apply(self, width: u32, height: u32) -> (u32, u32) {
+        let to_width = |target: u32| {
+            let scale = f64::from(width) / f64::from(target.max(1));
+            (target.max(1), ((f64::from(height) / scale) as u32).max(1))
+        };
+        match self {
+            Self::Auto if width > AUTO_MAX_WIDTH => to_width(AUTO_MAX_WIDTH),
+            Self::Auto => (width, height),
+            Self::Factor(factor) => {
+                let divided = |side: u32| {
+                    ((f64::from(side) / f64::from(factor.max(1))).round_ties_even() as u32).max(1)
+                };
+                (divided(width), divided(height))
+            }
+            Self::Width(target) => to_width(target),
+        }
+    }
+}
+
+impl FromStr for Resolution {
+    type Err = Error;
+
+    /// `-1` or `auto`, `1`, `2`, `4`, `8`, or a width in pixels.
+    fn from_str(text: &str) -> Result<Self> {
+        match text.parse::<i64>() {
+            Ok(-1) => Ok(Self::Auto),
+            Ok(factor @ (1 | 2 | 4 | 8)) => Ok(Self::Factor(factor as u32)),
+            Ok(width) if (9..=i64::from(MAX_IMAGE_SIDE)).contains(&width) => Ok(Self::Width(width as u32)),
+            Err(_) if text == "auto" => Ok(Self::Auto),
+            _ => {
+                let problem =
+                    format!("'{text}' is not -1 (auto), 1, 2, 4, 8 or a width of 9 to {MAX_IMAGE_SIDE}");
+                Err(Error::argument("resolution", problem))
+            }
+        }
+    }
+}
+
+impl std::fmt::Display for Resolution {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Auto => f.write_str("-1"),
+            Self::Factor(number) | Self::Width(number) => write!(f, "{number}"),
+        }
+    }
+}

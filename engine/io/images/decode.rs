@@ -1,0 +1,138 @@
+//! Decoding JPEG and PNG files that may be damaged or lie about their size.
+
+use std::fs;
+use std::io::Cursor;
+use std::path::Path;
+
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+
+use super::Photo;
+use crate::io::sniff;
+use crate::scene::camera::MAX_IMAGE_SIDE;
+use crate::{Error, Result};
+
+/// Most memory that decoding one picture may take.
+const MAX_DECODE_BYTES: u64 = 2 << 30;
+
+/// Deflate cannot compress further: a PNG with less data per decoded byte is cut short or lies about its size.
+const MAX_DEFLATE_RATIO: u64 = 1032;
+
+/// Width and height of a JPEG or PNG from its header, pixels.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such picture.
+pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
+    let path = path.as_ref();
+    let bytes = read_bytes(path)?;
+    Ok(decoder(path, &bytes)?.1)
+}
+
+pub(super) fn read(path: &Path, background: [f32; 3], expected: Option<(u32, u32)>) -> Result<Photo> {
+    let bytes = read_bytes(path)?;
+    let (mut decoder, (width, height)) = decoder(path, &bytes)?;
+    if let Some((w, h)) = expected.filter(|&size| size != (width, height)) {
+        let problem = format!("is {width}x{height} pixels, its camera {w}x{h}");
+        return Err(Error::input(path, problem, "use the pictures that the cameras were computed from"));
+    }
+    let damaged = |e: &dyn std::fmt::Display| {
+        Error::input(path, format!("cannot be decoded: {}", one_line(e)), "copy or export the picture again")
+    };
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_IMAGE_SIDE);
+    limits.max_image_height = Some(MAX_IMAGE_SIDE);
+    limits.max_alloc = Some(MAX_DECODE_BYTES);
+    decoder.set_limits(limits).map_err(|e| damaged(&e))?;
+    if decoder.total_bytes() > MAX_DECODE_BYTES {
+        return Err(damaged(&format!("{width}x{height} pixels need more than 2 GiB")));
+    }
+    if is_png(&bytes) && decoder.total_bytes() / MAX_DEFLATE_RATIO > bytes.len() as u64 {
+        return Err(damaged(&format!("claims {width}x{height} pixels in {} bytes", bytes.len())));
+    }
+    if !is_png(&bytes) && !jpeg_is_complete(&bytes) {
+        return Err(damaged(&"the data end before the picture does"));
+    }
+    let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(&e))?;
+    Ok(Photo { width, height, rgb: composite(image, background) })
+}
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    fs::read(path).map_err(|source| Error::io(path, "read", source))
+}
+
+/// A decoder for what the bytes are, whatever the file's name says, and the picture's size.
+fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<(impl ImageDecoder + 'a, (u32, u32))> {
+    let mut reader = ImageReader::new(Cursor::new(bytes));
+    let format =
+        image::guess_format(bytes).ok().filter(|f| matches!(f, ImageFormat::Png | ImageFormat::Jpeg));
+    let Some(format) = format else {
+        let (problem, remedy) = sniff::recognise(bytes.get(..512).unwrap_or(bytes))
+            .unwrap_or(("is not a JPEG or PNG", "convert it"));
+        return Err(Error::input(path, problem, remedy));
+    };
+    reader.set_format(format);
+    let decoder = reader.into_decoder().map_err(|e| {
+        Error::input(path, format!("cannot be decoded: {}", one_line(&e)), "copy or export the picture again")
+    })?;
+    let size = decoder.dimensions();
+    Ok((decoder, size))
+}
+
+fn is_png(bytes: &[u8]) -> bool {
+    bytes.starts_with(b"\x89PNG")
+}
+
+/// The picture's opaque colours, blended over the background where it is transparent.
+fn composite(image: DynamicImage, background: [f32; 3]) -> Vec<u8> {
+    if !image.color().has_alpha() {
+        return image.into_rgb8().into_raw();
+    }
+    let background = background.map(|c| 255.0 * c.clamp(0.0, 1.0));
+    let mut rgb = Vec::with_capacity(3 * image.width() as usize * image.height() as usize);
+    for &[r, g, b, alpha] in image.into_rgba8().into_raw().as_chunks::<4>().0 {
+        let opacity = f32::from(alpha) / 255.0;
+        for (color, behind) in [r, g, b].into_iter().zip(background) {
+            rgb.push((f32::from(color) * opacity + behind * (1.0 - opacity)).round() as u8);
+        }
+    }
+    rgb
+}
+
+/// Whether a JPEG reaches its end-of-image marker. Decoders fill up a cut one with grey and say nothing.
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
+    const START_OF_SCAN: u8 = 0xda;
+    const END_OF_IMAGE: u8 = 0xd9;
+    let mut at = 2;
+    while let Some(&[0xff, marker]) = bytes.get(at..at + 2).and_then(|b| b.as_array()) {
+        match marker {
+            END_OF_IMAGE => return true,
+            // Fill bytes, and markers without a length.
+            0xff => at += 1,
+            0x01 | 0xd0..=0xd8 => at += 2,
+            _ => {
+                let Some(&length) = bytes.get(at + 2..at + 4).and_then(|b| b.as_array()) else {
+                    return false;
+                };
+                at += 2 + usize::from(u16::from_be_bytes(length)).max(2);
+                if marker == START_OF_SCAN {
+                    at = end_of_scan(bytes, at);
+                }
+            }
+        }
+    }
+    false
+}
+
+/// Where the entropy-coded data from `at` end: at the next marker that is neither stuffing nor a restart.
+fn end_of_scan(bytes: &[u8], mut at: usize) -> usize {
+    while let Some(&[first, second]) = bytes.get(at..at + 2).and_then(|b| b.as_array()) {
+        if first == 0xff && !matches!(second, 0x00 | 0xd0..=0xd7 | 0xff) {
+            return at;
+        }
+        at += 1;
+    }
+    bytes.len()
+}
+
+fn one_line(e: &dyn std::fmt::Display) -> String {
+    e.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
+}

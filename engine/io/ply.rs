@@ -1,0 +1,14 @@
+//! PLY: Gaussians in the layout of the reference implementation, and coloured points.
+//!
+//! Written: binary little endian, `x y z nx ny nz f_dc_* f_rest_* opacity scale_* rot_*`, normals 0, `f_rest`
+//! channel-major (all red coefficients, then green, then blue), scales as logarithms, opacity as a logit,
+//! quaternions w first. Read: by property name, in any order, encoding and scalar type.
+
+mod header;
+mod read;
+mod rows;
+mod write;
+
+pub use header::Encoding;
+pub use read::{PlyOptions, PlyScene, read, read_points};
+pub use write::{write, write_points};

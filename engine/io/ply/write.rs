@@ -1,0 +1,84 @@
+//! Writing PLY files, binary little endian.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use crate::Result;
+use crate::io::atomic;
+use crate::scene::gaussians::sh_coefficients;
+use crate::scene::{Gaussians, PointCloud};
+
+/// Writes Gaussians in the layout of the reference implementation, at the SH degree that they have.
+///
+/// Values are stored as they are, so that reading gives the same bits.
+///
+/// # Errors
+/// [`crate::Error::Argument`] when the vectors do not fit together, [`crate::Error::Io`] naming the file when it
+/// cannot be written; no partial file is left.
+pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
+    gaussians.check_shapes()?;
+    let names = property_names(gaussians.sh_degree);
+    atomic::write(path, |writer| {
+        write_header(writer, gaussians.len(), names.iter().map(|name| ("float", name.as_str())))?;
+        let mut row = Vec::with_capacity(4 * names.len());
+        for index in 0..gaussians.len() {
+            row.clear();
+            gaussian_row(gaussians, index, &mut row);
+            writer.write_all(&row)?;
+        }
+        Ok(())
+    })
+}
+
+/// Writes coloured points as the reference implementation's `input.ply`: `x y z nx ny nz` (float, normals 0)
+/// `red green blue` (uchar).
+///
+/// # Errors
+/// [`crate::Error::Io`] naming the file when it cannot be written; no partial file is left.
+pub fn write_points(path: impl AsRef<Path>, points: &PointCloud) -> Result<()> {
+    let floats = ["x", "y", "z", "nx", "ny", "nz"].map(|name| ("float", name));
+    let bytes = ["red", "green", "blue"].map(|name| ("uchar", name));
+    atomic::write(path, |writer| {
+        write_header(writer, points.len(), floats.into_iter().chain(bytes))?;
+        for (position, color) in points.positions.iter().zip(&points.colors) {
+            for value in position.iter().chain(&[0.0; 3]) {
+                writer.write_all(&value.to_le_bytes())?;
+            }
+            writer.write_all(color)?;
+        }
+        Ok(())
+    })
+}
+
+fn write_header<'a>(
+    writer: &mut dyn Write,
+    count: usize,
+    properties: impl Iterator<Item = (&'a str, &'a str)>,
+) -> io::Result<()> {
+    write!(writer, "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n")?;
+    for (kind, name) in properties {
+        writeln!(writer, "property {kind} {name}")?;
+    }
+    writeln!(writer, "end_header")
+}
+
+fn property_names(sh_degree: u32) -> Vec<String> {
+    let rest = 3 * (sh_coefficients(sh_degree) - 1);
+    let fixed = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
+    let last = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+    let rest = (0..rest).map(|i| format!("f_rest_{i}"));
+    fixed.iter().map(|s| s.to_string()).chain(rest).chain(last.iter().map(|s| s.to_string())).collect()
+}
+
+fn gaussian_row(gaussians: &Gaussians, index: usize, row: &mut Vec<u8>) {
+    let mut put = |value: f32| row.extend_from_slice(&value.to_le_bytes());
+    gaussians.means[index].iter().chain(&[0.0; 3]).for_each(|&v| put(v));
+    let sh = gaussians.sh_of(index);
+    sh[0].iter().for_each(|&v| put(v));
+    for channel in 0..3 {
+        sh[1..].iter().for_each(|coefficient| put(coefficient[channel]));
+    }
+    put(gaussians.opacity_logits[index]);
+    gaussians.log_scales[index].iter().for_each(|&v| put(v));
+    gaussians.quats[index].iter().for_each(|&v| put(v));
+}

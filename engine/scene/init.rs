@@ -1,0 +1,106 @@
+//! The Gaussians that training starts from.
+
+use std::collections::HashMap;
+
+use kdtree::KdTree;
+use kdtree::distance::squared_euclidean;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::gaussians::{Gaussians, sh_coefficients};
+use super::points::{Bounds, PointCloud};
+use super::sh::rgb_to_sh_dc;
+use crate::{Error, Result};
+
+/// Number of random points that replace a missing point cloud (reference implementation).
+pub const RANDOM_POINTS: usize = 100_000;
+
+/// Opacity of every Gaussian at the start.
+const INITIAL_OPACITY: f64 = 0.1;
+
+/// Smallest mean squared distance to the neighbours, so that coincident points get a size, world units².
+const MIN_SQUARED_DISTANCE: f64 = 1e-7;
+
+/// Number of neighbours whose distance sets a Gaussian's size.
+const NEIGHBOURS: usize = 3;
+
+impl Gaussians {
+    /// One isotropic Gaussian per point, as the reference implementation starts: standard deviation = root of
+    /// [`mean_squared_neighbour_distances`], identity rotation, opacity 0.1, the point's colour, no view
+    /// dependence. `sh` gets all coefficients of `sh_degree`.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a degree above 3, positions that are not finite, or colours and positions of
+    /// different number.
+    pub fn from_points(points: &PointCloud, sh_degree: u32) -> Result<Self> {
+        if sh_degree > super::gaussians::MAX_SH_DEGREE {
+            return Err(Error::argument("sh_degree", format!("{sh_degree} is not between 0 and 3")));
+        }
+        if points.colors.len() != points.len() {
+            let (p, c) = (points.len(), points.colors.len());
+            return Err(Error::argument("points", format!("{p} positions but {c} colours")));
+        }
+        let dist2 = mean_squared_neighbour_distances(&points.positions)?;
+        let logit = (INITIAL_OPACITY / (1.0 - INITIAL_OPACITY)).ln() as f32;
+        let mut sh = Vec::with_capacity(points.len() * sh_coefficients(sh_degree));
+        for color in &points.colors {
+            sh.push(color.map(|c| rgb_to_sh_dc(f32::from(c) / 255.0)));
+            sh.resize(sh.len() + sh_coefficients(sh_degree) - 1, [0.0; 3]);
+        }
+        Ok(Self {
+            sh_degree,
+            means: points.positions.clone(),
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; points.len()],
+            log_scales: dist2.iter().map(|&d| [(0.5 * d.ln()) as f32; 3]).collect(),
+            opacity_logits: vec![logit; points.len()],
+            sh,
+        })
+    }
+}
+
+/// For each point the mean of the squared distances to its 3 nearest other points, at least 1e-7, world units².
+///
+/// Coincident points are neighbours at distance 0. Where there are fewer than 3 other points, the mean is over
+/// those; a lone point gets the minimum.
+///
+/// # Errors
+/// [`Error::Argument`] for a position that is not finite.
+pub fn mean_squared_neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<f64>> {
+    // Coincident points are merged first: a search tree degenerates to a list in them.
+    let mut copies: HashMap<[u32; 3], usize> = HashMap::with_capacity(positions.len());
+    let mut tree = KdTree::new(3);
+    for (index, position) in positions.iter().enumerate() {
+        // Adding 0 merges -0 and 0, which differ in their bits alone.
+        let key = position.map(|v| (v + 0.0).to_bits());
+        let count = copies.entry(key).or_insert(0);
+        *count += 1;
+        if *count == 1 {
+            tree.add(position.map(f64::from), key).map_err(|e| {
+                Error::argument("points", format!("point {index} at {position:?} cannot be placed: {e}"))
+            })?;
+        }
+    }
+    positions
+        .par_iter()
+        .map(|position| {
+            let nearest = tree
+                .nearest(&position.map(f64::from), NEIGHBOURS + 1, &squared_euclidean)
+                .map_err(|e| Error::argument("points", format!("no neighbours of {position:?}: {e}")))?;
+            // Every place counts as often as points lie there; one of the first is the point itself.
+            let distances = nearest.iter().flat_map(|&(d, key)| std::iter::repeat_n(d, copies[key]));
+            let (sum, n) = distances.skip(1).take(NEIGHBOURS).fold((0.0, 0), |(s, n), d| (s + d, n + 1));
+            Ok((sum / f64::from(n.max(1))).max(MIN_SQUARED_DISTANCE))
+        })
+        .collect()
+}
+
+/// Grey points, uniformly distributed in a box; the same ones for the same seed.
+pub fn random_points(count: usize, bounds: Bounds, seed: u64) -> PointCloud {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (min, size) = (bounds.min.to_array(), bounds.size().to_array());
+    let positions = (0..count)
+        .map(|_| std::array::from_fn(|axis| min[axis] + size[axis] * random.random::<f32>()))
+        .collect();
+    PointCloud { positions, colors: vec![[128; 3]; count] }
+}

@@ -1,0 +1,74 @@
+//! A circle of cameras around a point.
+
+use glam::Vec3;
+
+use super::camera::{Camera, Intrinsics};
+
+/// A circular camera path that looks at its centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Orbit {
+    /// The point that all cameras look at, world units.
+    pub center: Vec3,
+    /// World direction that is up in the pictures; need not be of unit length.
+    pub up: Vec3,
+    /// Distance of the cameras to the centre, world units.
+    pub radius: f32,
+    /// Angle above the plane through the centre, radians.
+    pub elevation: f32,
+    /// Number of cameras in one full turn.
+    pub count: u32,
+    /// Focal length and size of every camera.
+    pub intrinsics: Intrinsics,
+}
+
+impl Orbit {
+    /// The cameras, in order; the last is one step before the first again.
+    pub fn cameras(&self) -> Vec<Camera> {
+        let up = self.up.try_normalize().unwrap_or(Vec3::NEG_Y);
+        let side = up.any_orthonormal_vector();
+        let front = up.cross(side);
+        (0..self.count)
+            .map(|i| {
+                let azimuth = std::f32::consts::TAU * i as f32 / self.count as f32;
+                let outward = side * azimuth.cos() + front * azimuth.sin();
+                let direction = outward * self.elevation.cos() + up * self.elevation.sin();
+                Camera::look_at(self.center + direction * self.radius, self.center, up, self.intrinsics)
+            })
+            .collect()
+    }
+
+    /// An orbit that repeats the situation of existing cameras: their mean height above the point they look at,
+    /// their mean distance to it, their mean up direction. `None` without cameras.
+    ///
+    /// The centre is the point nearest to all optical axes (least squares); for parallel axes, the mean of the
+    /// points one mean distance ahead.
+    pub fn around(cameras: &[Camera], count: u32, intrinsics: Intrinsics) -> Option<Self> {
+        if cameras.is_empty() {
+            return None;
+        }
+        let n = cameras.len() as f32;
+        let mean = |f: &dyn Fn(&Camera) -> Vec3| cameras.iter().map(f).sum::<Vec3>() / n;
+        let up = mean(&|c| -c.camera_from_world.row(1)).try_normalize().unwrap_or(Vec3::NEG_Y);
+        let middle = mean(&|c| c.position());
+        let center = nearest_to_axes(cameras).unwrap_or_else(|| middle + mean(&|c| c.forward()));
+        let radius = cameras.iter().map(|c| c.position().distance(center)).sum::<f32>() / n;
+        let height = (middle - center).dot(up);
+        let elevation = if radius > 0.0 { (height / radius).clamp(-1.0, 1.0).asin() } else { 0.0 };
+        Some(Self { center, up, radius, elevation, count, intrinsics })
+    }
+}
+
+/// The point with the least sum of squared distances to the cameras' optical axes.
+fn nearest_to_axes(cameras: &[Camera]) -> Option<Vec3> {
+    use glam::{DMat3, DVec3};
+    let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
+    for camera in cameras {
+        let d = camera.forward().as_dvec3();
+        let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+        a += across;
+        b += across * camera.position().as_dvec3();
+    }
+    // The determinant falls to 0 as the axes become parallel; a mean sin² below 1e-4 says nothing about depth.
+    let scaled = a * (1.0 / cameras.len() as f64);
+    (scaled.determinant() > 1e-4).then(|| (a.inverse() * b).as_vec3()).filter(|p| p.is_finite())
+}

@@ -1,0 +1,58 @@
+//! Coloured points, and boxes around them.
+
+use glam::Vec3;
+
+/// A point cloud, structure of arrays: both vectors have `len()` entries.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PointCloud {
+    /// Positions, world units.
+    pub positions: Vec<[f32; 3]>,
+    /// Colours (r, g, b), 0 to 255.
+    pub colors: Vec<[u8; 3]>,
+}
+
+impl PointCloud {
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// The smallest box around the points; `None` without points.
+    pub fn bounds(&self) -> Option<Bounds> {
+        Bounds::of(self.positions.iter().map(|&p| Vec3::from_array(p)))
+    }
+}
+
+/// An axis-aligned box in world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// The corner with the smallest coordinates.
+    pub min: Vec3,
+    /// The corner with the largest coordinates.
+    pub max: Vec3,
+}
+
+impl Bounds {
+    /// The smallest box around the points; `None` without points.
+    pub fn of(points: impl Iterator<Item = Vec3>) -> Option<Self> {
+        points.fold(None, |bounds: Option<Self>, p| {
+            let Self { min, max } = bounds.unwrap_or(Self { min: p, max: p });
+            Some(Self { min: min.min(p), max: max.max(p) })
+        })
+    }
+
+    /// Edge lengths.
+    pub fn size(&self) -> Vec3 {
+        self.max - self.min
+    }
+
+    /// The middle.
+    pub fn center(&self) -> Vec3 {
+        0.5 * (self.min + self.max)
+    }
+}
