@@ -2,6 +2,7 @@
 
 pub mod error;
 pub mod io;
+pub mod kernels;
 pub mod metrics;
 pub mod scene;
 pub mod trainer;

@@ -4,3 +4,4 @@ mod common;
 mod comparators;
 mod gradients;
 mod reference;
+mod vk;

@@ -1,1 +1,74 @@
-//! The Vulkan layer.
+//! The Vulkan layer: everything that touches the device, and the only place with `unsafe`. Knows no splats.
+//!
+//! | module | what |
+//! |---|---|
+//! | `instance`, `device`, `context` | loader, devices and their choice, the open [`Context`] |
+//! | `limits` | [`Limits`], read once; stricter ones for tests |
+//! | `memory`, `buffer` | [`Context::allocate`]: requests packed into blocks; a [`Buffer`] is a named range of one |
+//! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
+//! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
+//! | `hazard` | finds missing barriers while recording |
+//! | `submit` | [`Context::submit`], [`Pending`], [`RunReport`] |
+//! | `transfer` | [`Context::upload`], [`Context::download`] |
+//! | `profiler`, `debug` | time of each scope; names, labels and validation messages |
+//!
+//! # Ownership
+//! A [`Context`] is a counted reference to the open device. Buffers, kernels, recorders and pending submissions hold
+//! one, so the device outlives them all. A recorder also holds the memory and the pipelines of every command in it,
+//! and hands them to its [`Pending`], which lets go once the device is done: dropping a buffer or a kernel is safe at
+//! any time. Dropping a recorder discards the recording; dropping a pending submission waits for it.
+//!
+//! # Synchronisation
+//! Inside a recording, commands may overlap until a [`Recorder::barrier`] stands between them. There is one kind,
+//! compute and transfer to compute, transfer and indirect arguments, placed by hand where a stage needs it, like a
+//! `__syncthreads` of the whole device. The hazard checker knows what each command reads and writes and panics, with
+//! the names of both ends, where a barrier is missing. Between recordings nothing is needed: each begins with a full
+//! barrier, and ends with one towards the host. The queue is guarded by a lock, so a context may be used from several
+//! threads.
+//!
+//! Host access to memory that a submission uses is refused with an error until the submission has been waited for.
+//!
+//! # Subgroups
+//! A kernel whose `Spec` has a `subgroup_size` runs with exactly that size and full subgroups;
+//! [`Limits::subgroup_size`] says which to take, and [`Limits::workgroup_size`] which workgroup fits it.
+
+#![allow(unsafe_code)]
+
+mod buffer;
+mod context;
+mod debug;
+mod device;
+pub mod hazard;
+mod instance;
+mod kernel;
+mod limits;
+mod memory;
+mod profiler;
+mod recorder;
+mod submit;
+mod transfer;
+
+pub use buffer::Buffer;
+pub use context::{Context, ContextOptions};
+pub use device::{DeviceDescription, devices};
+pub use instance::validation_available;
+pub use kernel::{Access, BindingInfo, Kernel, KernelInterface};
+pub use limits::{Limits, LimitsOverride};
+pub use memory::{ArenaMemory, MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
+pub use profiler::ScopeTime;
+pub use recorder::{MAX_UPDATE_BYTES, Recorder};
+pub use submit::{Pending, RunReport};
+
+/// The error for a failed Vulkan call.
+fn vk_error(call: &'static str) -> impl Fn(ash::vk::Result) -> crate::Error {
+    use ash::vk::Result as R;
+    move |result| {
+        let remedy = match result {
+            R::ERROR_OUT_OF_DEVICE_MEMORY => "free device memory, or use a smaller scene or resolution",
+            R::ERROR_OUT_OF_HOST_MEMORY => "free memory, or use a smaller scene or resolution",
+            R::ERROR_DEVICE_LOST => "the driver has reset the device: see the system's log",
+            _ => "",
+        };
+        crate::Error::Vulkan { call, result: format!("{result:?} ({result})"), remedy: remedy.to_owned() }
+    }
+}

@@ -4,5 +4,8 @@
 #![allow(dead_code)]
 
 pub mod compare;
+pub mod device;
 pub mod npz;
 pub mod scenes;
+
+pub use device::{assert_silent, context, options};

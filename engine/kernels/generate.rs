@@ -1,0 +1,248 @@
+//! Writes the Rust side of each shader from what [`super::reflect`] found. Used by build.rs.
+
+use super::reflect::Shader;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+
+/// A compiled shader.
+pub struct Kernel {
+    /// Path below glsl/ without extension, "sort/sort_count".
+    pub name: String,
+    /// The leading comment of its source.
+    pub documentation: Vec<String>,
+    /// Its interface.
+    pub shader: Shader,
+    /// The file with its SPIR-V as a Rust array.
+    pub spirv_file: String,
+}
+
+/// The text of `kernels.rs`: modules that mirror glsl/'s folders.
+pub fn kernels(kernels: &[Kernel], constants: &str) -> Result<String, String> {
+    let mut tree: BTreeMap<&str, Vec<(&str, &Kernel)>> = BTreeMap::new();
+    let mut errors = Vec::new();
+    for kernel in kernels {
+        let (folder, stem) = kernel.name.rsplit_once('/').unwrap_or(("", &kernel.name));
+        tree.entry(folder).or_default().push((stem, kernel));
+    }
+    let mut out = constants.to_owned();
+    for (folder, members) in tree {
+        let depth = folder.split('/').filter(|s| !s.is_empty()).count();
+        for part in folder.split('/').filter(|s| !s.is_empty()) {
+            let _ = writeln!(out, "/// Kernels of `glsl/{folder}`.\npub mod {part} {{");
+        }
+        for (stem, kernel) in members {
+            match module(stem, kernel) {
+                Ok(text) => out.push_str(&text),
+                Err(error) => errors.push(format!("glsl/{}.comp: {error}", kernel.name)),
+            }
+        }
+        out.push_str(&"}\n".repeat(depth));
+    }
+    if errors.is_empty() { Ok(out) } else { Err(errors.join("\n")) }
+}
+
+/// Mirrors `const uint NAME = 16;` lines (and float, int, bool) with their comments.
+pub fn constants(source: &str) -> Result<String, String> {
+    let mut out =
+        String::from("/// Constants that host and shaders share, from `glsl/include/constants.glsl`.\n");
+    out.push_str("pub mod constants {\n");
+    let mut documentation: Vec<&str> = Vec::new();
+    for (index, line) in source.lines().enumerate() {
+        let line = line.trim();
+        if let Some(comment) = line.strip_prefix("//") {
+            documentation.push(comment.trim_start_matches('/').trim());
+            continue;
+        }
+        let Some(rest) = line.strip_prefix("const ") else {
+            documentation.clear();
+            continue;
+        };
+        let (declaration, comment) = rest.split_once("//").unwrap_or((rest, ""));
+        let parsed = declaration.trim().strip_suffix(';').and_then(|d| {
+            let (left, value) = d.split_once('=')?;
+            let (ty, name) = left.trim().split_once(' ')?;
+            Some((ty.trim(), name.trim(), value.trim()))
+        });
+        let Some((ty, name, value)) = parsed else {
+            return Err(format!(
+                "glsl/include/constants.glsl:{}: write `const TYPE NAME = LITERAL;`",
+                index + 1
+            ));
+        };
+        let value = match ty {
+            "uint" => format!("u32 = {}", value.trim_end_matches(['u', 'U'])),
+            "int" => format!("i32 = {value}"),
+            "float" => format!("f32 = {}", value.trim_end_matches(['f', 'F'])),
+            "bool" => format!("bool = {value}"),
+            _ => continue,
+        };
+        let comment = comment.trim().to_owned();
+        let text = if comment.is_empty() { documentation.join(" ") } else { comment };
+        let text = if text.is_empty() { format!("`{name}`") } else { text };
+        let _ = writeln!(out, "#[doc = {text:?}]\n#[allow(clippy::all)]\npub const {name}: {value};");
+        documentation.clear();
+    }
+    out.push_str("}\n");
+    Ok(out)
+}
+
+fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
+    let mut out = String::new();
+    check_identifier(stem)?;
+    let _ = writeln!(out, "#[doc = \"`glsl/{}.comp`\"]\n#[doc = \"\"]\n#[doc = \"```text\"]", kernel.name);
+    for line in &kernel.documentation {
+        let _ = writeln!(out, "#[doc = {line:?}]");
+    }
+    let _ = writeln!(
+        out,
+        "#[doc = \"```\"]\n#[allow(clippy::all, unused_imports, unused_variables, unused_parens)]"
+    );
+    let _ =
+        writeln!(out, "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, KernelInterface}};");
+    out.push_str(&bind(&kernel.shader)?);
+    out.push_str(&push(&kernel.shader)?);
+    out.push_str(&spec(&kernel.shader)?);
+    out.push_str(&interface(kernel));
+    out.push_str("}\n");
+    Ok(out)
+}
+
+fn bind(shader: &Shader) -> Result<String, String> {
+    let mut names = BTreeSet::new();
+    let mut numbers = BTreeSet::new();
+    let mut fields = String::new();
+    for b in &shader.bindings {
+        check_identifier(&b.name)?;
+        if !names.insert(&b.name) {
+            return Err(format!("two buffers begin with a member named '{}': rename one", b.name));
+        }
+        if !numbers.insert(b.binding) {
+            return Err(format!("two buffers have binding {}", b.binding));
+        }
+        let access = match (b.reads, b.writes) {
+            (true, false) => "read",
+            (false, true) => "written",
+            _ => "read and written",
+        };
+        let _ = writeln!(fields, "/// Binding {}, {access}.\npub {}: &'a Buffer,", b.binding, b.name);
+    }
+    if fields.is_empty() {
+        fields.push_str("#[doc(hidden)] pub none: std::marker::PhantomData<&'a Buffer>,\n");
+    }
+    Ok(format!(
+        "/// The buffers that the kernel works on.\n#[derive(Clone, Copy)]\npub struct Bind<'a> {{\n{fields}}}\n"
+    ))
+}
+
+fn push(shader: &Shader) -> Result<String, String> {
+    let mut out = String::from("/// The push constants of one dispatch.\n#[repr(C)]\n");
+    if shader.push.is_empty() {
+        out.push_str("#[derive(Clone, Copy, Debug, Default, PartialEq)]\npub struct Push {}\n");
+        return Ok(out);
+    }
+    out.push_str(
+        "#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]\npub struct Push {\n",
+    );
+    for field in &shader.push {
+        check_identifier(&field.name)?;
+        let _ = writeln!(out, "/// At byte {}.\npub {}: {},", field.offset, field.name, field.rust_type);
+    }
+    out.push_str("}\nimpl Default for Push { fn default() -> Self { bytemuck::Zeroable::zeroed() } }\nconst _: () = {\n");
+    for field in &shader.push {
+        let _ = writeln!(out, "assert!(std::mem::offset_of!(Push, {}) == {});", field.name, field.offset);
+    }
+    let end = shader.push.last().map_or(0, |f| f.offset + f.bytes);
+    let _ = writeln!(out, "assert!(std::mem::size_of::<Push>() == {end});\n}};");
+    Ok(out)
+}
+
+fn spec(shader: &Shader) -> Result<String, String> {
+    let mut fields = String::new();
+    let mut defaults = String::new();
+    for c in &shader.spec {
+        let name = c.name.to_lowercase();
+        check_identifier(&name)?;
+        let _ = writeln!(fields, "/// `{}`, constant_id {}.\npub {name}: {},", c.name, c.id, c.rust_type);
+        let value = match c.rust_type {
+            "bool" => (c.default_bits != 0).to_string(),
+            "i32" => format!("{}", c.default_bits as i32),
+            "f32" => format!("f32::from_bits({})", c.default_bits),
+            _ => c.default_bits.to_string(),
+        };
+        let _ = writeln!(defaults, "{name}: {value},");
+    }
+    Ok(format!(
+        "/// The specialization constants of a pipeline; the shader's own values by default.\n\
+         #[derive(Clone, Copy, Debug, PartialEq)]\npub struct Spec {{\n{fields}}}\n\
+         impl Default for Spec {{ fn default() -> Self {{ Self {{\n{defaults}}} }} }}\n"
+    ))
+}
+
+fn interface(kernel: &Kernel) -> String {
+    let shader = &kernel.shader;
+    let mut infos = String::new();
+    let mut buffers = String::new();
+    for b in &shader.bindings {
+        let access = match (b.reads, b.writes) {
+            (true, false) => "Read",
+            (false, true) => "Write",
+            _ => "ReadWrite",
+        };
+        let _ = writeln!(
+            infos,
+            "BindingInfo {{ name: {:?}, binding: {}, access: Access::{access} }},",
+            b.name, b.binding
+        );
+        let _ = write!(buffers, "bind.{}, ", b.name);
+    }
+    let mut entries = String::new();
+    for c in &shader.spec {
+        let field = format!("spec.{}", c.name.to_lowercase());
+        let bits = match c.rust_type {
+            "f32" => format!("{field}.to_bits()"),
+            "u32" => field,
+            _ => format!("{field} as u32"),
+        };
+        let _ = write!(entries, "({}, {bits}), ", c.id);
+    }
+    let subgroup = if shader.spec.iter().any(|c| c.name.to_lowercase() == "subgroup_size") {
+        "Some(spec.subgroup_size)"
+    } else {
+        "None"
+    };
+    let push_bytes = if shader.push.is_empty() { "&[]" } else { "bytemuck::bytes_of(push)" };
+    let [x, y, z] = &shader.workgroup_size;
+    format!(
+        "/// What the kernel is, for [`crate::vk::Kernel`].\npub struct Interface;\n\
+         impl KernelInterface for Interface {{\n\
+         const NAME: &'static str = {name:?};\n\
+         const SPIRV: &'static [u32] = &include!(concat!(env!(\"OUT_DIR\"), \"/\", {file:?}));\n\
+         const BINDINGS: &'static [BindingInfo] = &[\n{infos}];\n\
+         const PUSH_BYTES: u32 = {push_size};\n\
+         type Bind<'a> = Bind<'a>;\ntype Push = Push;\ntype Spec = Spec;\n\
+         fn buffers<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Buffer]> {{ let all: [&'a Buffer; {count}] = [{buffers}]; all }}\n\
+         fn push_bytes(push: &Push) -> &[u8] {{ {push_bytes} }}\n\
+         fn spec_entries(spec: &Spec) -> Vec<(u32, u32)> {{ vec![{entries}] }}\n\
+         fn subgroup_size(spec: &Spec) -> Option<u32> {{ {subgroup} }}\n\
+         fn workgroup_size(spec: &Spec) -> [u32; 3] {{ [{x}, {y}, {z}] }}\n\
+         fn shared_bytes(spec: &Spec) -> u32 {{ {shared} }}\n}}\n",
+        name = kernel.name,
+        file = kernel.spirv_file,
+        push_size = shader.push.last().map_or(0, |f| f.offset + f.bytes),
+        count = shader.bindings.len(),
+        shared = shader.shared_bytes,
+    )
+}
+
+fn check_identifier(name: &str) -> Result<(), String> {
+    const KEYWORDS: [&str; 18] = [
+        "as", "box", "crate", "dyn", "enum", "fn", "impl", "in", "let", "loop", "match", "mod", "move",
+        "mut", "ref", "self", "type", "use",
+    ];
+    let plain = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+    if name.is_empty() || !plain || name.starts_with(|c: char| c.is_ascii_digit()) || KEYWORDS.contains(&name)
+    {
+        return Err(format!("'{name}' cannot be a name in Rust: rename it"));
+    }
+    Ok(())
+}

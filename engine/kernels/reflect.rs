@@ -1,0 +1,379 @@
+//! Reads from a shader's SPIR-V what its host side has to agree with: bindings, push constants, specialization
+//! constants, workgroup size and shared memory.
+//!
+//! Used by build.rs, which generates the typed interface of each kernel from it. Only what compute shaders of this
+//! crate use is understood; anything else is an error that says what.
+
+use std::collections::BTreeMap;
+
+/// What a shader declares.
+#[derive(Debug, Default, PartialEq)]
+pub struct Shader {
+    /// Storage buffers by binding.
+    pub bindings: Vec<Binding>,
+    /// Members of the push constant block, in order.
+    pub push: Vec<PushField>,
+    /// Specialization constants by id.
+    pub spec: Vec<SpecConstant>,
+    /// Workgroup size: a Rust expression of type u32 over `spec` for each axis.
+    pub workgroup_size: [String; 3],
+    /// Bytes of shared memory: a Rust expression of type u32 over `spec`.
+    pub shared_bytes: String,
+}
+
+/// A storage buffer.
+#[derive(Debug, PartialEq)]
+pub struct Binding {
+    /// Name of the block's first member.
+    pub name: String,
+    /// Number of the binding in set 0.
+    pub binding: u32,
+    /// Whether the shader may read it.
+    pub reads: bool,
+    /// Whether the shader may write it.
+    pub writes: bool,
+}
+
+/// A member of the push constant block.
+#[derive(Debug, PartialEq)]
+pub struct PushField {
+    /// Its name.
+    pub name: String,
+    /// Bytes from the start of the block.
+    pub offset: u32,
+    /// Its type in Rust.
+    pub rust_type: String,
+    /// Its size.
+    pub bytes: u32,
+}
+
+/// A specialization constant.
+#[derive(Debug, PartialEq)]
+pub struct SpecConstant {
+    /// `constant_id`.
+    pub id: u32,
+    /// Its name in the shader.
+    pub name: String,
+    /// "bool", "u32", "i32" or "f32".
+    pub rust_type: &'static str,
+    /// The default's bits.
+    pub default_bits: u32,
+}
+
+#[derive(Clone, Debug)]
+enum Type {
+    Bool,
+    Int { bits: u32, signed: bool },
+    Float { bits: u32 },
+    Vector { of: u32, count: u32 },
+    Matrix { column: u32, columns: u32 },
+    Array { of: u32, length: u32 },
+    RuntimeArray,
+    Struct(Vec<u32>),
+    Pointer { of: u32 },
+}
+
+#[derive(Clone, Debug)]
+enum Constant {
+    Value { ty: u32, bits: u32 },
+    Composite(Vec<u32>),
+    Operation { opcode: u32, operands: Vec<u32> },
+}
+
+const SPEC_ID: u32 = 1;
+const BLOCK: u32 = 2;
+const ARRAY_STRIDE: u32 = 6;
+const MATRIX_STRIDE: u32 = 7;
+const NON_WRITABLE: u32 = 24;
+const NON_READABLE: u32 = 25;
+const BINDING: u32 = 33;
+const DESCRIPTOR_SET: u32 = 34;
+const OFFSET: u32 = 35;
+
+#[derive(Default)]
+struct Module {
+    names: BTreeMap<u32, String>,
+    member_names: BTreeMap<(u32, u32), String>,
+    decorations: BTreeMap<(u32, u32), u32>,
+    member_decorations: BTreeMap<(u32, u32, u32), u32>,
+    types: BTreeMap<u32, Type>,
+    constants: BTreeMap<u32, Constant>,
+    /// (result id, pointer type, storage class)
+    variables: Vec<(u32, u32, u32)>,
+    workgroup_size_ids: Option<[u32; 3]>,
+    workgroup_size: Option<[u32; 3]>,
+}
+
+/// Reflects one compute shader.
+pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
+    let module = Module::parse(spirv)?;
+    let spec = module.spec_constants()?;
+    let mut shader = Shader { spec, ..Shader::default() };
+    let mut shared = Vec::new();
+    for &(id, pointer, storage_class) in &module.variables {
+        let Some(Type::Pointer { of }) = module.types.get(&pointer) else { continue };
+        match storage_class {
+            12 => shader.bindings.push(module.storage_buffer(id, *of)?),
+            9 => shader.push = module.push_block(*of)?,
+            4 => shared.push(module.size_expression(*of, &shader.spec)?),
+            0 | 2 => return Err(format!("'{}': only storage buffers can be bound", module.name(id))),
+            _ => {}
+        }
+    }
+    shader.bindings.sort_by_key(|b| b.binding);
+    shader.shared_bytes = if shared.is_empty() { "0".into() } else { shared.join(" + ") };
+    shader.workgroup_size = module.workgroup_size(&shader.spec)?;
+    Ok(shader)
+}
+
+impl Module {
+    fn parse(spirv: &[u32]) -> Result<Self, String> {
+        if spirv.first() != Some(&0x0723_0203) || spirv.len() < 5 {
+            return Err("not a SPIR-V module".into());
+        }
+        let mut module = Self::default();
+        let mut rest = &spirv[5..];
+        while let Some(&head) = rest.first() {
+            let (words, opcode) = ((head >> 16) as usize, head & 0xffff);
+            if words == 0 || words > rest.len() {
+                return Err("truncated SPIR-V".into());
+            }
+            module.instruction(opcode, &rest[1..words]);
+            rest = &rest[words..];
+        }
+        Ok(module)
+    }
+
+    fn instruction(&mut self, opcode: u32, o: &[u32]) {
+        match opcode {
+            5 => drop(self.names.insert(o[0], text(&o[1..]))),
+            6 => drop(self.member_names.insert((o[0], o[1]), text(&o[2..]))),
+            16 if o[1] == 17 => self.workgroup_size = Some([o[2], o[3], o[4]]),
+            331 if o[1] == 38 => self.workgroup_size_ids = Some([o[2], o[3], o[4]]),
+            20 => drop(self.types.insert(o[0], Type::Bool)),
+            21 => drop(self.types.insert(o[0], Type::Int { bits: o[1], signed: o[2] != 0 })),
+            22 => drop(self.types.insert(o[0], Type::Float { bits: o[1] })),
+            23 => drop(self.types.insert(o[0], Type::Vector { of: o[1], count: o[2] })),
+            24 => drop(self.types.insert(o[0], Type::Matrix { column: o[1], columns: o[2] })),
+            28 => drop(self.types.insert(o[0], Type::Array { of: o[1], length: o[2] })),
+            29 => drop(self.types.insert(o[0], Type::RuntimeArray)),
+            30 => drop(self.types.insert(o[0], Type::Struct(o[1..].to_vec()))),
+            32 => drop(self.types.insert(o[0], Type::Pointer { of: o[2] })),
+            41 | 48 => drop(self.constants.insert(o[1], Constant::Value { ty: o[0], bits: 1 })),
+            42 | 49 => drop(self.constants.insert(o[1], Constant::Value { ty: o[0], bits: 0 })),
+            43 | 50 => drop(self.constants.insert(o[1], Constant::Value { ty: o[0], bits: o[2] })),
+            44 | 51 => drop(self.constants.insert(o[1], Constant::Composite(o[2..].to_vec()))),
+            52 => {
+                let operation = Constant::Operation { opcode: o[2], operands: o[3..].to_vec() };
+                self.constants.insert(o[1], operation);
+            }
+            59 => self.variables.push((o[1], o[0], o[2])),
+            71 => drop(self.decorations.insert((o[0], o[1]), o.get(2).copied().unwrap_or(0))),
+            72 => {
+                self.member_decorations.insert((o[0], o[1], o[2]), o.get(3).copied().unwrap_or(0));
+            }
+            _ => {}
+        }
+    }
+
+    fn name(&self, id: u32) -> &str {
+        self.names.get(&id).map_or("", String::as_str)
+    }
+
+    fn member_name(&self, block: u32, member: u32) -> Result<String, String> {
+        match self.member_names.get(&(block, member)) {
+            Some(name) if !name.is_empty() => Ok(name.clone()),
+            _ => Err(format!("member {member} of block '{}' has no name", self.name(block))),
+        }
+    }
+
+    fn storage_buffer(&self, variable: u32, block: u32) -> Result<Binding, String> {
+        let block_name = self.name(block);
+        let Some(Type::Struct(members)) = self.types.get(&block) else {
+            return Err(format!("binding '{}': arrays of buffers cannot be bound", self.name(variable)));
+        };
+        if !self.decorations.contains_key(&(block, BLOCK)) {
+            return Err(format!("'{block_name}' is not a buffer block"));
+        }
+        if self.decorations.get(&(variable, DESCRIPTOR_SET)) != Some(&0) {
+            return Err(format!("buffer '{block_name}': write set = 0"));
+        }
+        let Some(&binding) = self.decorations.get(&(variable, BINDING)) else {
+            return Err(format!("buffer '{block_name}' has no binding number"));
+        };
+        let everywhere = |decoration| {
+            self.decorations.contains_key(&(variable, decoration))
+                || (0..members.len() as u32)
+                    .all(|m| self.member_decorations.contains_key(&(block, m, decoration)))
+        };
+        let (reads, writes) = (!everywhere(NON_READABLE), !everywhere(NON_WRITABLE));
+        Ok(Binding { name: self.member_name(block, 0)?, binding, reads, writes })
+    }
+
+    fn push_block(&self, block: u32) -> Result<Vec<PushField>, String> {
+        let Some(Type::Struct(members)) = self.types.get(&block) else {
+            return Err("the push constants are not a block".into());
+        };
+        let mut end = 0;
+        let mut fields = Vec::new();
+        for (index, &ty) in members.iter().enumerate() {
+            let index = index as u32;
+            let name = self.member_name(block, index)?;
+            let offset = *self.member_decorations.get(&(block, index, OFFSET)).unwrap_or(&0);
+            let matrix_stride = self.member_decorations.get(&(block, index, MATRIX_STRIDE)).copied();
+            let (rust_type, bytes) =
+                self.host_type(ty, matrix_stride).map_err(|e| format!("push constant '{name}': {e}"))?;
+            if offset != end {
+                return Err(format!(
+                    "push constant '{name}' lies at {offset}, {} bytes after the one before it: declare the block \
+                     layout(push_constant, scalar)",
+                    offset - end
+                ));
+            }
+            end = offset + bytes;
+            fields.push(PushField { name, offset, rust_type, bytes });
+        }
+        Ok(fields)
+    }
+
+    fn host_type(&self, ty: u32, matrix_stride: Option<u32>) -> Result<(String, u32), String> {
+        let wrap = |element: u32, count: u32, stride: Option<u32>| {
+            let (inner, bytes) = self.host_type(element, matrix_stride)?;
+            match stride {
+                Some(stride) if stride != bytes => {
+                    Err(format!("elements of {bytes} bytes lie {stride} apart: declare the block scalar"))
+                }
+                _ => Ok((format!("[{inner}; {count}]"), bytes * count)),
+            }
+        };
+        match self.types.get(&ty) {
+            Some(Type::Int { bits: 32, signed: false }) => Ok(("u32".into(), 4)),
+            Some(Type::Int { bits: 32, signed: true }) => Ok(("i32".into(), 4)),
+            Some(Type::Float { bits: 32 }) => Ok(("f32".into(), 4)),
+            Some(&Type::Vector { of, count }) => wrap(of, count, None),
+            Some(&Type::Matrix { column, columns }) => wrap(column, columns, matrix_stride),
+            Some(&Type::Array { of, length }) => match self.constants.get(&length) {
+                Some(&Constant::Value { bits, .. }) if !self.decorations.contains_key(&(length, SPEC_ID)) => {
+                    wrap(of, bits, self.decorations.get(&(ty, ARRAY_STRIDE)).copied())
+                }
+                _ => Err("its length is not a plain constant".into()),
+            },
+            other => Err(format!("type {other:?} cannot be passed")),
+        }
+    }
+
+    fn spec_constants(&self) -> Result<Vec<SpecConstant>, String> {
+        let mut found: BTreeMap<u32, SpecConstant> = BTreeMap::new();
+        for (&(target, decoration), &id) in &self.decorations {
+            if decoration != SPEC_ID {
+                continue;
+            }
+            let Some(&Constant::Value { ty, bits }) = self.constants.get(&target) else { continue };
+            let rust_type = match self.types.get(&ty) {
+                Some(Type::Bool) => "bool",
+                Some(Type::Int { bits: 32, signed: false }) => "u32",
+                Some(Type::Int { bits: 32, signed: true }) => "i32",
+                Some(Type::Float { bits: 32 }) => "f32",
+                other => {
+                    return Err(format!("specialization constant {id}: type {other:?} is not supported"));
+                }
+            };
+            let name = self.name(target).to_owned();
+            // local_size_x_id makes an unnamed second constant of the same id: the named one counts.
+            if !name.is_empty() || !found.contains_key(&id) {
+                found.insert(id, SpecConstant { id, name, rust_type, default_bits: bits });
+            }
+        }
+        match found.values().find(|c| c.name.is_empty()) {
+            Some(c) => {
+                Err(format!("specialization constant {} has no name: declare it with constant_id", c.id))
+            }
+            None => Ok(found.into_values().collect()),
+        }
+    }
+
+    fn workgroup_size(&self, spec: &[SpecConstant]) -> Result<[String; 3], String> {
+        if let Some([x, y, z]) = self.workgroup_size_ids {
+            return Ok([self.expression(x, spec)?, self.expression(y, spec)?, self.expression(z, spec)?]);
+        }
+        let size = self.workgroup_size.ok_or("no workgroup size: write layout(local_size_x_id = 0) in;")?;
+        Ok(size.map(|n| n.to_string()))
+    }
+
+    /// Bytes of a type in shared memory, as an expression over `spec`.
+    fn size_expression(&self, ty: u32, spec: &[SpecConstant]) -> Result<String, String> {
+        match self.types.get(&ty) {
+            Some(Type::Bool) => Ok("4".into()),
+            Some(Type::Int { bits, .. } | Type::Float { bits }) => Ok((bits / 8).to_string()),
+            Some(Type::Vector { of, count }) => {
+                Ok(format!("{count} * ({})", self.size_expression(*of, spec)?))
+            }
+            Some(Type::Matrix { column, columns }) => {
+                Ok(format!("{columns} * ({})", self.size_expression(*column, spec)?))
+            }
+            Some(Type::Array { of, length }) => {
+                Ok(format!("({}) * ({})", self.expression(*length, spec)?, self.size_expression(*of, spec)?))
+            }
+            Some(Type::Struct(members)) => {
+                let sizes: Result<Vec<_>, _> =
+                    members.iter().map(|&m| self.size_expression(m, spec)).collect();
+                Ok(sizes?.join(" + "))
+            }
+            other => Err(format!("shared memory of type {other:?} is not supported")),
+        }
+    }
+
+    /// The value of a constant, as a u32 expression over `spec`.
+    fn expression(&self, id: u32, spec: &[SpecConstant]) -> Result<String, String> {
+        if let Some(spec_id) = self.decorations.get(&(id, SPEC_ID))
+            && let Some(constant) = spec.iter().find(|c| c.id == *spec_id)
+        {
+            let field = format!("spec.{}", constant.name.to_lowercase());
+            return Ok(if constant.rust_type == "u32" { field } else { format!("({field} as u32)") });
+        }
+        match self.constants.get(&id) {
+            Some(Constant::Value { bits, .. }) => Ok(bits.to_string()),
+            Some(Constant::Operation { opcode: 81, operands }) => match self.constants.get(&operands[0]) {
+                Some(Constant::Composite(elements)) => self.expression(elements[operands[1] as usize], spec),
+                _ => Err("an array length takes an element of something unknown".into()),
+            },
+            Some(Constant::Operation { opcode, operands }) => {
+                let values: Result<Vec<_>, _> = operands.iter().map(|&x| self.expression(x, spec)).collect();
+                operation(*opcode, &values?)
+            }
+            _ => Err("an array length is not a constant".into()),
+        }
+    }
+}
+
+fn operation(opcode: u32, v: &[String]) -> Result<String, String> {
+    let binary = |op: &str| Ok(format!("(({}) {op} ({}))", v[0], v[1]));
+    let compare = |op: &str| Ok(format!("((({}) {op} ({})) as u32)", v[0], v[1]));
+    match opcode {
+        124 => Ok(v[0].clone()),
+        128 => binary("+"),
+        130 => binary("-"),
+        132 => binary("*"),
+        134 | 135 => binary("/"),
+        137..=139 => binary("%"),
+        194 | 195 => binary(">>"),
+        196 => binary("<<"),
+        166 | 197 => binary("|"),
+        198 => binary("^"),
+        167 | 199 => binary("&"),
+        169 => Ok(format!("(if ({}) != 0 {{ {} }} else {{ {} }})", v[0], v[1], v[2])),
+        164 | 170 => compare("=="),
+        165 | 171 => compare("!="),
+        172 | 173 => compare(">"),
+        174 | 175 => compare(">="),
+        176 | 177 => compare("<"),
+        178 | 179 => compare("<="),
+        168 => Ok(format!("(1 - ({}))", v[0])),
+        other => Err(format!("operation {other} in an array length is not supported")),
+    }
+}
+
+fn text(words: &[u32]) -> String {
+    let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).take_while(|&b| b != 0).collect();
+    String::from_utf8_lossy(&bytes).into_owned()
+}

@@ -1,0 +1,113 @@
+//! Names and labels for tools, and what the validation layers say.
+
+use ash::vk;
+use std::ffi::{CStr, CString, c_void};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Everything that the layers said, oldest first.
+#[derive(Default)]
+pub(super) struct Messages(Mutex<Vec<String>>);
+
+impl Messages {
+    fn push(&self, message: String) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(message);
+    }
+
+    pub(super) fn all(&self) -> Vec<String> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// A messenger of VK_EXT_debug_utils that collects warnings and errors of the validation layers.
+pub(super) struct Messenger {
+    loader: ash::ext::debug_utils::Instance,
+    raw: vk::DebugUtilsMessengerEXT,
+    pub(super) messages: Arc<Messages>,
+}
+
+impl Messenger {
+    /// The instance must have been created with VK_EXT_debug_utils and must outlive the messenger.
+    pub(super) fn new(entry: &ash::Entry, instance: &ash::Instance) -> Result<Self, vk::Result> {
+        let loader = ash::ext::debug_utils::Instance::new(entry, instance);
+        let messages = Arc::<Messages>::default();
+        let info = vk::DebugUtilsMessengerCreateInfoEXT::default()
+            .message_severity(
+                vk::DebugUtilsMessageSeverityFlagsEXT::WARNING | vk::DebugUtilsMessageSeverityFlagsEXT::ERROR,
+            )
+            .message_type(vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION)
+            .pfn_user_callback(Some(collect))
+            .user_data(Arc::as_ptr(&messages).cast_mut().cast());
+        // SAFETY: `messages` lives as long as the messenger (same struct), and `collect` only reads through the
+        // pointer as the `Messages` that it is.
+        let raw = unsafe { loader.create_debug_utils_messenger(&info, None)? };
+        Ok(Self { loader, raw, messages })
+    }
+}
+
+impl Drop for Messenger {
+    fn drop(&mut self) {
+        // SAFETY: created by this loader, destroyed once.
+        unsafe { self.loader.destroy_debug_utils_messenger(self.raw, None) }
+    }
+}
+
+/// Called by the layers, on any thread.
+///
+/// # Safety
+/// `data` is null or valid for the call, `user` points to the [`Messages`] given at creation.
+unsafe extern "system" fn collect(
+    severity: vk::DebugUtilsMessageSeverityFlagsEXT,
+    _: vk::DebugUtilsMessageTypeFlagsEXT,
+    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
+    user: *mut c_void,
+) -> vk::Bool32 {
+    // SAFETY: the contract of the callback; the message is a C string or null.
+    let (messages, text) = unsafe {
+        let message = data.as_ref().map_or(std::ptr::null(), |d| d.p_message);
+        let text = (!message.is_null()).then(|| CStr::from_ptr(message).to_string_lossy().into_owned());
+        (user.cast::<Messages>().as_ref(), text)
+    };
+    if let (Some(messages), Some(text)) = (messages, text) {
+        messages.push(format!("{severity:?}: {text}"));
+    }
+    vk::FALSE
+}
+
+/// Names objects and labels ranges of commands, where VK_EXT_debug_utils is present.
+pub(super) struct Names(Option<ash::ext::debug_utils::Device>);
+
+impl Names {
+    pub(super) fn new(instance: &ash::Instance, device: &ash::Device, present: bool) -> Self {
+        Self(present.then(|| ash::ext::debug_utils::Device::new(instance, device)))
+    }
+
+    /// Gives a Vulkan object its name in tools and messages.
+    pub(super) fn name<T: vk::Handle>(&self, object: T, name: &str) {
+        let Some(loader) = &self.0 else { return };
+        let name = c_string(name);
+        let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(object).object_name(&name);
+        // SAFETY: the object belongs to this device and is alive: callers name what they have just created. A
+        // failure only costs the name.
+        let _ = unsafe { loader.set_debug_utils_object_name(&info) };
+    }
+
+    pub(super) fn begin_label(&self, commands: vk::CommandBuffer, name: &str) {
+        let Some(loader) = &self.0 else { return };
+        let name = c_string(name);
+        // SAFETY: `commands` is in the recording state, held by the recorder that calls.
+        unsafe {
+            loader
+                .cmd_begin_debug_utils_label(commands, &vk::DebugUtilsLabelEXT::default().label_name(&name));
+        }
+    }
+
+    pub(super) fn end_label(&self, commands: vk::CommandBuffer) {
+        let Some(loader) = &self.0 else { return };
+        // SAFETY: as above, and every end follows its begin (`Recorder::scope`).
+        unsafe { loader.cmd_end_debug_utils_label(commands) }
+    }
+}
+
+fn c_string(text: &str) -> CString {
+    CString::new(text.replace('\0', "")).unwrap_or_default()
+}

@@ -1,0 +1,294 @@
+//! Which devices there are, which of them will do, and which one is meant.
+
+use super::instance::Instance;
+use super::limits::Limits;
+use super::vk_error;
+use crate::{Error, Result};
+use ash::vk;
+use std::ffi::CStr;
+
+/// What [`devices`] tells about a device.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct DeviceDescription {
+    /// Its index, as `--device` and `ASHSPLAT_DEVICE` take it.
+    pub index: usize,
+    /// Its name, as the driver gives it.
+    pub name: String,
+    /// "discrete GPU", "integrated GPU", "virtual GPU", "CPU" or "other".
+    pub kind: &'static str,
+    /// The driver's name and version.
+    pub driver: String,
+    /// The Vulkan version that it implements.
+    pub api_version: String,
+    /// Its limits; None where the device is too old to be asked.
+    pub limits: Option<Limits>,
+    /// Why it cannot be used; None if it can.
+    pub problem: Option<String>,
+}
+
+/// Lists the devices of this machine, the usable and the others.
+///
+/// # Errors
+/// [`Error::NoLoader`] or [`Error::NoDevice`] where there is no loader or no driver at all.
+pub fn devices() -> Result<Vec<DeviceDescription>> {
+    let instance = Instance::new(false)?;
+    Ok(candidates(&instance)?.into_iter().map(|c| c.description).collect())
+}
+
+/// A device and what is needed to open it.
+pub(super) struct Candidate {
+    pub(super) physical: vk::PhysicalDevice,
+    pub(super) description: DeviceDescription,
+    pub(super) device_type: vk::PhysicalDeviceType,
+    pub(super) queue_family: u32,
+    pub(super) features: OptionalFeatures,
+    missing: Option<String>,
+}
+
+/// Features that are turned on where they exist.
+#[derive(Clone, Copy, Default)]
+pub(super) struct OptionalFeatures {
+    pub(super) int8: bool,
+    pub(super) storage8: bool,
+    pub(super) uniform_storage8: bool,
+    pub(super) memory_model: bool,
+    pub(super) memory_model_device_scope: bool,
+    pub(super) portability_subset: bool,
+}
+
+const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
+    (vk::SubgroupFeatureFlags::BASIC, "basic"),
+    (vk::SubgroupFeatureFlags::VOTE, "vote"),
+    (vk::SubgroupFeatureFlags::ARITHMETIC, "arithmetic"),
+    (vk::SubgroupFeatureFlags::BALLOT, "ballot"),
+    (vk::SubgroupFeatureFlags::SHUFFLE, "shuffle"),
+    (vk::SubgroupFeatureFlags::SHUFFLE_RELATIVE, "shuffle relative"),
+];
+
+/// All devices, in the loader's order.
+pub(super) fn candidates(instance: &Instance) -> Result<Vec<Candidate>> {
+    // SAFETY: the instance is alive.
+    let physical = unsafe { instance.raw.enumerate_physical_devices() };
+    let physical = physical.map_err(vk_error("vkEnumeratePhysicalDevices"))?;
+    if physical.is_empty() {
+        return Err(Error::NoDevice { reason: "the loader found no device".into() });
+    }
+    physical.into_iter().enumerate().map(|(index, physical)| describe(instance, index, physical)).collect()
+}
+
+/// The device that is asked for by index or by part of its name, or else the best: discrete, integrated, virtual,
+/// processor, in this order.
+pub(super) fn choose(instance: &Instance, asked: Option<&str>) -> Result<Candidate> {
+    let mut all = candidates(instance)?;
+    if let Some(asked) = asked {
+        let Some(found) = find(all.iter().map(|c| c.description.name.as_str()), asked) else {
+            let names = all.iter().map(|c| format!("{} '{}'", c.description.index, c.description.name));
+            let available = names.collect::<Vec<_>>().join(", ");
+            return Err(Error::UnknownDevice { asked: asked.to_owned(), available });
+        };
+        let candidate = all.swap_remove(found);
+        return match &candidate.missing {
+            Some(feature) => Err(Error::MissingFeature {
+                device: candidate.description.name.clone(),
+                feature: feature.clone(),
+            }),
+            None => Ok(candidate),
+        };
+    }
+    let rank = |c: &Candidate| match c.device_type {
+        vk::PhysicalDeviceType::DISCRETE_GPU => 0,
+        vk::PhysicalDeviceType::INTEGRATED_GPU => 1,
+        vk::PhysicalDeviceType::VIRTUAL_GPU => 2,
+        vk::PhysicalDeviceType::CPU => 3,
+        _ => 4,
+    };
+    let reasons =
+        all.iter().filter_map(|c| Some(format!("'{}' lacks {}", c.description.name, c.missing.as_ref()?)));
+    let reason = reasons.collect::<Vec<_>>().join(", ");
+    let usable = all.into_iter().filter(|c| c.missing.is_none());
+    usable.min_by_key(rank).ok_or(Error::NoDevice { reason })
+}
+
+/// Index of the device meant by `asked`: a number, the whole name, or part of a name in any case.
+fn find<'a>(names: impl Iterator<Item = &'a str> + Clone, asked: &str) -> Option<usize> {
+    let asked = asked.trim().to_lowercase();
+    if let Ok(index) = asked.parse::<usize>() {
+        return (index < names.clone().count()).then_some(index);
+    }
+    let lower = names.map(str::to_lowercase);
+    let whole = lower.clone().position(|name| name == asked);
+    whole.or_else(
+        || if asked.is_empty() { None } else { lower.clone().position(|name| name.contains(&asked)) },
+    )
+}
+
+fn describe(instance: &Instance, index: usize, physical: vk::PhysicalDevice) -> Result<Candidate> {
+    // SAFETY: the physical device is of this instance; so in all queries below.
+    let basic = unsafe { instance.raw.get_physical_device_properties(physical) };
+    let mut candidate = Candidate {
+        physical,
+        description: DeviceDescription {
+            index,
+            name: text(basic.device_name_as_c_str()),
+            kind: match basic.device_type {
+                vk::PhysicalDeviceType::DISCRETE_GPU => "discrete GPU",
+                vk::PhysicalDeviceType::INTEGRATED_GPU => "integrated GPU",
+                vk::PhysicalDeviceType::VIRTUAL_GPU => "virtual GPU",
+                vk::PhysicalDeviceType::CPU => "CPU",
+                _ => "other",
+            },
+            driver: String::new(),
+            api_version: version(basic.api_version),
+            limits: None,
+            problem: None,
+        },
+        device_type: basic.device_type,
+        queue_family: 0,
+        features: OptionalFeatures::default(),
+        missing: None,
+    };
+    let missing = if basic.api_version < vk::API_VERSION_1_3 {
+        Some(format!("Vulkan 1.3 (it has {})", candidate.description.api_version))
+    } else {
+        examine(instance, physical, &mut candidate)?
+    };
+    candidate.description.problem = missing.as_ref().map(|m| format!("lacks {m}"));
+    candidate.missing = missing;
+    Ok(candidate)
+}
+
+/// Fills in limits, queue and features; returns what the device lacks.
+fn examine(
+    instance: &Instance,
+    physical: vk::PhysicalDevice,
+    candidate: &mut Candidate,
+) -> Result<Option<String>> {
+    // SAFETY: a plain query.
+    let extensions = unsafe { instance.raw.enumerate_device_extension_properties(physical) };
+    let extensions = extensions.map_err(vk_error("vkEnumerateDeviceExtensionProperties"))?;
+    let has = |name: &CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
+    // SAFETY: a plain query.
+    let families = unsafe { instance.raw.get_physical_device_queue_family_properties(physical) };
+    let compute = |f: &&vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
+    let timed = families.iter().position(|f| compute(&f) && f.timestamp_valid_bits > 0);
+    let Some(family) = timed.or_else(|| families.iter().position(|f| compute(&f))) else {
+        return Ok(Some("a compute queue".into()));
+    };
+    candidate.queue_family = family as u32;
+    let (limits, missing_operations) =
+        limits(instance, physical, timed.is_some(), &mut candidate.description);
+    candidate.description.limits = Some(limits);
+    if !has(ash::khr::push_descriptor::NAME) {
+        return Ok(Some("VK_KHR_push_descriptor".into()));
+    }
+    let (optional, missing) = features(instance, physical);
+    candidate.features = optional;
+    candidate.features.portability_subset = has(c"VK_KHR_portability_subset");
+    Ok(missing.or(missing_operations))
+}
+
+fn features(instance: &Instance, physical: vk::PhysicalDevice) -> (OptionalFeatures, Option<String>) {
+    let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
+    let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
+    let mut all = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
+    // SAFETY: the device implements Vulkan 1.3, each struct is chained once.
+    unsafe { instance.raw.get_physical_device_features2(physical, &mut all) };
+    let required = [
+        (v12.scalar_block_layout, "scalarBlockLayout"),
+        (v12.host_query_reset, "hostQueryReset"),
+        (v13.synchronization2, "synchronization2"),
+        (v13.maintenance4, "maintenance4"),
+        (v13.subgroup_size_control, "subgroupSizeControl"),
+        (v13.compute_full_subgroups, "computeFullSubgroups"),
+    ];
+    let missing = required.iter().find(|(has, _)| *has == vk::FALSE).map(|(_, name)| (*name).to_owned());
+    let optional = OptionalFeatures {
+        int8: v12.shader_int8 != 0,
+        storage8: v12.storage_buffer8_bit_access != 0,
+        uniform_storage8: v12.uniform_and_storage_buffer8_bit_access != 0,
+        memory_model: v12.vulkan_memory_model != 0,
+        memory_model_device_scope: v12.vulkan_memory_model_device_scope != 0,
+        portability_subset: false,
+    };
+    (optional, missing)
+}
+
+fn limits(
+    instance: &Instance,
+    physical: vk::PhysicalDevice,
+    timestamps: bool,
+    description: &mut DeviceDescription,
+) -> (Limits, Option<String>) {
+    let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
+    let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
+    let mut v13 = vk::PhysicalDeviceVulkan13Properties::default();
+    let mut push = vk::PhysicalDevicePushDescriptorPropertiesKHR::default();
+    let mut all = vk::PhysicalDeviceProperties2::default()
+        .push_next(&mut v11)
+        .push_next(&mut v12)
+        .push_next(&mut v13)
+        .push_next(&mut push);
+    // SAFETY: the device implements Vulkan 1.3, each struct is chained once.
+    unsafe { instance.raw.get_physical_device_properties2(physical, &mut all) };
+    let properties = all.properties;
+    let l = properties.limits;
+    // SAFETY: a plain query.
+    let memory = unsafe { instance.raw.get_physical_device_memory_properties(physical) };
+    let local = memory.memory_heaps_as_slice().iter();
+    let local = local.filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL)).map(|h| h.size).max();
+    description.driver = format!("{} {}", text(v12.driver_name_as_c_str()), text(v12.driver_info_as_c_str()));
+    let lacking =
+        SUBGROUP_OPERATIONS.iter().find(|(flag, _)| !v11.subgroup_supported_operations.contains(*flag));
+    let missing = if v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE) {
+        lacking.map(|(_, name)| format!("subgroup operations ({name})"))
+    } else {
+        Some("subgroup operations in compute shaders".into())
+    };
+    let limits = Limits {
+        subgroup_size: v11.subgroup_size,
+        min_subgroup_size: v13.min_subgroup_size,
+        max_subgroup_size: v13.max_subgroup_size,
+        subgroup_size_selectable: v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
+        max_workgroup_invocations: l.max_compute_work_group_invocations,
+        max_workgroup_size: l.max_compute_work_group_size,
+        max_workgroup_subgroups: v13.max_compute_workgroup_subgroups,
+        max_workgroups_per_axis: l.max_compute_work_group_count.into_iter().min().unwrap_or(65_535),
+        shared_memory_bytes: l.max_compute_shared_memory_size,
+        max_storage_buffer_range: u64::from(l.max_storage_buffer_range),
+        max_allocation_bytes: v11.max_memory_allocation_size.min(v13.max_buffer_size),
+        heap_bytes: local.unwrap_or(0),
+        storage_alignment: l.min_storage_buffer_offset_alignment.max(4),
+        push_constant_bytes: l.max_push_constants_size,
+        max_push_descriptors: push.max_push_descriptors,
+        timestamp_period_ns: if timestamps { f64::from(l.timestamp_period) } else { 0.0 },
+        is_cpu: properties.device_type == vk::PhysicalDeviceType::CPU,
+        max_loop_iterations: (v12.driver_id == vk::DriverId::MESA_LLVMPIPE).then_some(65_535),
+    };
+    (limits, missing)
+}
+
+fn text(name: Result<&CStr, std::ffi::FromBytesUntilNulError>) -> String {
+    name.map_or_else(|_| String::new(), |n| n.to_string_lossy().trim().to_owned())
+}
+
+fn version(v: u32) -> String {
+    format!("{}.{}.{}", vk::api_version_major(v), vk::api_version_minor(v), vk::api_version_patch(v))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::find;
+
+    #[test]
+    fn a_device_is_found_by_index_and_by_part_of_its_name() {
+        let names = ["NVIDIA H200", "llvmpipe (LLVM 15)", "AMD 200"];
+        let find = |asked| find(names.into_iter(), asked);
+        assert_eq!(find("1"), Some(1));
+        assert_eq!(find("3"), None);
+        assert_eq!(find("LLVMpipe"), Some(1));
+        assert_eq!(find("amd 200"), Some(2));
+        assert_eq!(find("intel"), None);
+        assert_eq!(find(""), None);
+    }
+}

@@ -1,0 +1,110 @@
+//! Finds missing barriers: a pure bookkeeping of what the commands of a recording declare to read and write.
+//!
+//! Since the last barrier it keeps every range that was read or written, and by which command. A command that touches
+//! a range that an earlier one wrote, or writes one that an earlier one read, without a barrier between them, is a
+//! hazard. A command may read and write its own buffers.
+//!
+//! Knows no Vulkan: a block of memory is a number, so all of it is tested without a device.
+
+use super::kernel::Access;
+use std::fmt;
+use std::ops::Range;
+
+/// One declared access of a command.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Use {
+    /// Which block of memory.
+    pub block: u64,
+    /// Which bytes of it.
+    pub bytes: Range<u64>,
+    /// The buffer's name.
+    pub buffer: &'static str,
+    /// What it is to the command: the binding's name, "destination", …
+    pub role: &'static str,
+    /// Whether it is read, written, or both.
+    pub access: Access,
+}
+
+/// Two commands that touch the same bytes with no barrier between them, at least one of them writing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hazard {
+    /// The earlier command and its access.
+    pub first: (&'static str, Use),
+    /// The later command and its access.
+    pub second: (&'static str, Use),
+}
+
+impl Hazard {
+    /// "read after write", "write after read" or "write after write".
+    pub fn kind(&self) -> &'static str {
+        match (self.first.1.access, self.second.1.access) {
+            (Access::Read, _) => "write after read",
+            (_, Access::Read) => "read after write",
+            (Access::Write, Access::Write) => "write after write",
+            _ => "read and write after write",
+        }
+    }
+}
+
+impl fmt::Display for Hazard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let verb = |access| match access {
+            Access::Read => "reads",
+            Access::Write => "writes",
+            Access::ReadWrite => "reads and writes",
+        };
+        let ((first, a), (second, b)) = (&self.first, &self.second);
+        let (start, end) = (a.bytes.start.max(b.bytes.start), a.bytes.end.min(b.bytes.end));
+        write!(
+            f,
+            "missing barrier ({}): '{second}' {} buffer '{}' as '{}' after '{first}' {} buffer '{}' as '{}' \
+             ({} bytes in common); call barrier() between them",
+            self.kind(),
+            verb(b.access),
+            b.buffer,
+            b.role,
+            verb(a.access),
+            a.buffer,
+            a.role,
+            end - start
+        )
+    }
+}
+
+/// What happened since the last barrier.
+#[derive(Debug, Default)]
+pub struct HazardTracker {
+    since_barrier: Vec<(&'static str, Use)>,
+}
+
+impl HazardTracker {
+    /// Nothing recorded yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a command; returns the hazards with earlier ones, the first for each of its accesses.
+    pub fn command(&mut self, name: &'static str, uses: &[Use]) -> Vec<Hazard> {
+        let mut hazards = Vec::new();
+        for later in uses {
+            let earlier = self.since_barrier.iter().find(|(_, earlier)| conflict(earlier, later));
+            if let Some((first, earlier)) = earlier {
+                hazards.push(Hazard { first: (first, earlier.clone()), second: (name, later.clone()) });
+            }
+        }
+        self.since_barrier.extend(uses.iter().map(|u| (name, u.clone())));
+        hazards
+    }
+
+    /// Everything before is ordered before everything after.
+    pub fn barrier(&mut self) {
+        self.since_barrier.clear();
+    }
+}
+
+fn conflict(a: &Use, b: &Use) -> bool {
+    a.block == b.block
+        && a.bytes.start < b.bytes.end
+        && b.bytes.start < a.bytes.end
+        && (a.access.writes() || b.access.writes())
+}

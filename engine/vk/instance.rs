@@ -1,0 +1,114 @@
+//! The loader and the Vulkan instance.
+
+use super::debug::Messenger;
+use super::vk_error;
+use crate::{Error, Result};
+use ash::vk;
+use std::ffi::CStr;
+
+pub(super) const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
+
+/// An instance of Vulkan 1.3 and the loader that it came from.
+pub(super) struct Instance {
+    pub(super) messenger: Option<Messenger>,
+    pub(super) has_debug_utils: bool,
+    pub(super) raw: ash::Instance,
+    // Unloads the library when dropped: keep it last.
+    _entry: ash::Entry,
+}
+
+impl Instance {
+    /// With `validation`, turns on the Khronos layer with synchronization validation, and collects what it says.
+    pub(super) fn new(validation: bool) -> Result<Self> {
+        // SAFETY: loading the system's Vulkan loader runs its initialisers, which are sound for a proper install.
+        let entry = unsafe { ash::Entry::load() }
+            .map_err(|e| Error::NoLoader { reason: one_line(&e.to_string()) })?;
+        let layer = validation && has_layer(&entry)?;
+        if validation && !layer {
+            return Err(Error::MissingFeature {
+                device: "this machine".into(),
+                feature: "VK_LAYER_KHRONOS_validation (Debian: vulkan-validationlayers)".into(),
+            });
+        }
+        let (has_debug_utils, has_portability) = (
+            has_extension(&entry, None, ash::ext::debug_utils::NAME)?,
+            has_extension(&entry, None, ash::khr::portability_enumeration::NAME)?,
+        );
+        let raw = create(&entry, layer, has_debug_utils, has_portability)?;
+        let messenger = (layer && has_debug_utils).then(|| Messenger::new(&entry, &raw)).transpose();
+        match messenger {
+            Ok(messenger) => Ok(Self { messenger, has_debug_utils, raw, _entry: entry }),
+            Err(error) => {
+                // SAFETY: nothing was created from the instance.
+                unsafe { raw.destroy_instance(None) };
+                Err(vk_error("vkCreateDebugUtilsMessengerEXT")(error))
+            }
+        }
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        self.messenger = None;
+        // SAFETY: the messenger is gone, and the owner of this struct has destroyed its device before.
+        unsafe { self.raw.destroy_instance(None) }
+    }
+}
+
+/// Whether the Khronos validation layer is installed (false without a loader).
+pub fn validation_available() -> bool {
+    // SAFETY: as in `Instance::new`.
+    unsafe { ash::Entry::load() }.is_ok_and(|entry| has_layer(&entry).unwrap_or(false))
+}
+
+fn create(entry: &ash::Entry, layer: bool, debug_utils: bool, portability: bool) -> Result<ash::Instance> {
+    let application = vk::ApplicationInfo::default()
+        .application_name(c"ashsplat")
+        .engine_name(c"ashsplat")
+        .api_version(vk::API_VERSION_1_3);
+    let mut extensions = Vec::new();
+    if debug_utils {
+        extensions.push(ash::ext::debug_utils::NAME.as_ptr());
+    }
+    let mut flags = vk::InstanceCreateFlags::empty();
+    if portability {
+        extensions.push(ash::khr::portability_enumeration::NAME.as_ptr());
+        flags |= vk::InstanceCreateFlags::ENUMERATE_PORTABILITY_KHR;
+    }
+    let layers = if layer { vec![VALIDATION_LAYER.as_ptr()] } else { Vec::new() };
+    let checks = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
+    let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&checks);
+    let mut info = vk::InstanceCreateInfo::default()
+        .flags(flags)
+        .application_info(&application)
+        .enabled_extension_names(&extensions)
+        .enabled_layer_names(&layers);
+    if layer {
+        info = info.push_next(&mut features);
+    }
+    // SAFETY: every pointer in `info` outlives the call.
+    unsafe { entry.create_instance(&info, None) }.map_err(|error| match error {
+        vk::Result::ERROR_INCOMPATIBLE_DRIVER => {
+            Error::NoDevice { reason: "the loader found no driver for Vulkan 1.3".into() }
+        }
+        error => vk_error("vkCreateInstance")(error),
+    })
+}
+
+fn has_layer(entry: &ash::Entry) -> Result<bool> {
+    // SAFETY: a plain query.
+    let layers = unsafe { entry.enumerate_instance_layer_properties() };
+    let layers = layers.map_err(vk_error("vkEnumerateInstanceLayerProperties"))?;
+    Ok(layers.iter().any(|l| l.layer_name_as_c_str() == Ok(VALIDATION_LAYER)))
+}
+
+fn has_extension(entry: &ash::Entry, layer: Option<&CStr>, name: &CStr) -> Result<bool> {
+    // SAFETY: a plain query; `layer` is a C string.
+    let extensions = unsafe { entry.enumerate_instance_extension_properties(layer) };
+    let extensions = extensions.map_err(vk_error("vkEnumerateInstanceExtensionProperties"))?;
+    Ok(extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name)))
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}

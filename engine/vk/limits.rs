@@ -1,0 +1,97 @@
+//! The limits of a device, read once.
+
+/// What a device allows, and the subgroup size that kernels are pinned to.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Limits {
+    /// Invocations of a subgroup in every kernel with a `subgroup_size` constant.
+    pub subgroup_size: u32,
+    /// Smallest subgroup size that may be chosen.
+    pub min_subgroup_size: u32,
+    /// Largest subgroup size that may be chosen.
+    pub max_subgroup_size: u32,
+    /// Whether a pipeline's subgroup size may be required; otherwise it is `subgroup_size` in all of them.
+    pub subgroup_size_selectable: bool,
+    /// maxComputeWorkGroupInvocations.
+    pub max_workgroup_invocations: u32,
+    /// maxComputeWorkGroupSize, for each axis.
+    pub max_workgroup_size: [u32; 3],
+    /// maxComputeWorkgroupSubgroups.
+    pub max_workgroup_subgroups: u32,
+    /// The smallest of maxComputeWorkGroupCount.
+    pub max_workgroups_per_axis: u32,
+    /// maxComputeSharedMemorySize.
+    pub shared_memory_bytes: u32,
+    /// maxStorageBufferRange: a single buffer never has more bytes.
+    pub max_storage_buffer_range: u64,
+    /// The smaller of maxMemoryAllocationSize and maxBufferSize.
+    pub max_allocation_bytes: u64,
+    /// Size of the largest device-local heap.
+    pub heap_bytes: u64,
+    /// minStorageBufferOffsetAlignment.
+    pub storage_alignment: u64,
+    /// maxPushConstantsSize.
+    pub push_constant_bytes: u32,
+    /// maxPushDescriptors.
+    pub max_push_descriptors: u32,
+    /// Nanoseconds of a timestamp tick; 0 where the queue has no timestamps.
+    pub timestamp_period_ns: f64,
+    /// Whether the device is a processor.
+    pub is_cpu: bool,
+    /// How often the loops of one invocation run before they stop silently, all loops together. Some(65,535) on
+    /// llvmpipe; None where there is no such limit.
+    pub max_loop_iterations: Option<u32>,
+}
+
+/// Stricter limits than the device's, for tests: `None` keeps the device's.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LimitsOverride {
+    /// For [`Limits::max_storage_buffer_range`].
+    pub max_storage_buffer_range: Option<u64>,
+    /// For [`Limits::max_allocation_bytes`].
+    pub max_allocation_bytes: Option<u64>,
+    /// For [`Limits::max_workgroups_per_axis`].
+    pub max_workgroups_per_axis: Option<u32>,
+    /// For [`Limits::max_workgroup_invocations`].
+    pub max_workgroup_invocations: Option<u32>,
+    /// For [`Limits::shared_memory_bytes`].
+    pub shared_memory_bytes: Option<u32>,
+}
+
+impl Limits {
+    /// The largest workgroup size up to `preferred` that a kernel may have here: a multiple of the subgroup size,
+    /// within the invocations and subgroups of a workgroup, and at least one subgroup.
+    pub fn workgroup_size(&self, preferred: u32) -> u32 {
+        let most = preferred
+            .min(self.max_workgroup_invocations)
+            .min(self.max_workgroup_size[0])
+            .min(self.max_workgroup_subgroups.saturating_mul(self.subgroup_size));
+        (most / self.subgroup_size * self.subgroup_size).max(self.subgroup_size)
+    }
+
+    /// The limits with each value lowered to the override's. An override never raises a limit.
+    pub fn lowered(mut self, to: &LimitsOverride) -> Self {
+        fn lower<T: Ord + Copy>(limit: &mut T, to: Option<T>) {
+            *limit = to.map_or(*limit, |to| to.min(*limit));
+        }
+        lower(&mut self.max_storage_buffer_range, to.max_storage_buffer_range);
+        lower(&mut self.max_allocation_bytes, to.max_allocation_bytes);
+        lower(&mut self.max_workgroups_per_axis, to.max_workgroups_per_axis);
+        lower(&mut self.max_workgroup_invocations, to.max_workgroup_invocations);
+        lower(&mut self.shared_memory_bytes, to.shared_memory_bytes);
+        self
+    }
+
+    /// A count of workgroups as a grid: one row while it fits, else rows of the largest width, the last one partly
+    /// unused. Kernels number workgroups as `gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x` and ignore
+    /// those past the end.
+    ///
+    /// # Panics
+    /// When the count exceeds the square of [`Limits::max_workgroups_per_axis`].
+    pub fn grid(&self, workgroups: u64) -> [u32; 3] {
+        let limit = u64::from(self.max_workgroups_per_axis);
+        let (x, y) = if workgroups <= limit { (workgroups, 1) } else { (limit, workgroups.div_ceil(limit)) };
+        assert!(y <= limit, "{workgroups} workgroups exceed {limit} x {limit}");
+        [x as u32, y as u32, 1]
+    }
+}

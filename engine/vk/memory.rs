@@ -1,0 +1,321 @@
+//! Device memory: requests are packed into blocks, one VkBuffer and one allocation each.
+
+use super::buffer::Buffer;
+use super::context::{Context, Inner};
+use super::vk_error;
+use crate::{Error, Result};
+use ash::vk;
+use std::collections::BTreeMap;
+use std::ptr::NonNull;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Where memory lives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MemoryKind {
+    /// Fastest for kernels. Filled by [`Context::upload`], read by [`Context::download`].
+    Device,
+    /// Mapped, coherent and, where possible, cached: [`Buffer::write`] and [`Buffer::read`].
+    HostVisible,
+}
+
+/// Every buffer begins at a multiple of this in its block; no device asks for more.
+pub const PLACEMENT_ALIGNMENT: u64 = 256;
+/// No buffer is smaller.
+pub const SMALLEST_BUFFER: u64 = 16;
+
+/// Where each request lies.
+#[derive(Debug, PartialEq)]
+pub struct Packing {
+    /// Bytes of each block.
+    pub blocks: Vec<u64>,
+    /// Block and offset of each request, in the order of the requests.
+    pub places: Vec<(usize, u64)>,
+}
+
+/// Packs buffers of the given sizes into blocks of at most `largest_block` bytes, in order.
+///
+/// # Errors
+/// The index of the first request that is larger than a block.
+pub fn pack(sizes: &[u64], largest_block: u64) -> Result<Packing, usize> {
+    let mut packing = Packing { blocks: Vec::new(), places: Vec::with_capacity(sizes.len()) };
+    for (index, &bytes) in sizes.iter().enumerate() {
+        let bytes = bytes.max(SMALLEST_BUFFER).next_multiple_of(4);
+        if bytes > largest_block {
+            return Err(index);
+        }
+        let used = packing.blocks.last().map(|b| b.next_multiple_of(PLACEMENT_ALIGNMENT));
+        match used {
+            Some(used) if used + bytes <= largest_block => {
+                packing.places.push((packing.blocks.len() - 1, used));
+                if let Some(block) = packing.blocks.last_mut() {
+                    *block = used + bytes;
+                }
+            }
+            _ => {
+                packing.places.push((packing.blocks.len(), 0));
+                packing.blocks.push(bytes);
+            }
+        }
+    }
+    Ok(packing)
+}
+
+/// Memory of one arena.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArenaMemory {
+    /// The arena's name.
+    pub name: String,
+    /// Allocated now.
+    pub bytes: u64,
+    /// Most that was ever allocated at a time.
+    pub peak_bytes: u64,
+}
+
+/// Bytes by arena.
+#[derive(Default)]
+pub(super) struct Registry(Mutex<BTreeMap<Arc<str>, (u64, u64)>>);
+
+impl Registry {
+    fn add(&self, arena: &Arc<str>, bytes: u64) {
+        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let (now, peak) = all.entry(arena.clone()).or_default();
+        *now += bytes;
+        *peak = (*now).max(*peak);
+    }
+
+    fn remove(&self, arena: &Arc<str>, bytes: u64) {
+        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        all.entry(arena.clone()).or_default().0 -= bytes;
+    }
+
+    pub(super) fn all(&self) -> Vec<ArenaMemory> {
+        let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        all.iter().map(|(n, &(b, p))| ArenaMemory { name: n.to_string(), bytes: b, peak_bytes: p }).collect()
+    }
+}
+
+/// The address of a mapped block. Only touched with the block's lock held.
+struct Mapping(NonNull<u8>);
+
+// SAFETY: an address of mapped device memory is valid on every thread; the lock around it orders host accesses.
+unsafe impl Send for Mapping {}
+
+/// One VkBuffer with its memory.
+pub(super) struct Block {
+    inner: Arc<Inner>,
+    pub(super) raw: vk::Buffer,
+    memory: vk::DeviceMemory,
+    mapping: Option<Mutex<Mapping>>,
+    bytes: u64,
+    arena: Arc<str>,
+    pub(super) kind: MemoryKind,
+    /// Identifies the block in the hazard checker.
+    pub(super) id: u64,
+    /// Submissions that use the block and have not been waited for.
+    pub(super) in_flight: AtomicU32,
+}
+
+static NEXT_ID: AtomicU64 = AtomicU64::new(1);
+
+impl Block {
+    fn new(
+        inner: &Arc<Inner>,
+        arena: &Arc<str>,
+        number: usize,
+        bytes: u64,
+        kind: MemoryKind,
+    ) -> Result<Self> {
+        let usage = vk::BufferUsageFlags::STORAGE_BUFFER
+            | vk::BufferUsageFlags::INDIRECT_BUFFER
+            | vk::BufferUsageFlags::TRANSFER_SRC
+            | vk::BufferUsageFlags::TRANSFER_DST;
+        let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
+        // SAFETY: valid create info, a device that `inner` keeps alive.
+        let raw = unsafe { inner.device.create_buffer(&info, None) }.map_err(vk_error("vkCreateBuffer"))?;
+        let mut block = Self {
+            inner: inner.clone(),
+            raw,
+            memory: vk::DeviceMemory::null(),
+            mapping: None,
+            bytes,
+            arena: arena.clone(),
+            kind,
+            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
+            in_flight: AtomicU32::new(0),
+        };
+        inner.registry.add(arena, bytes);
+        block.bind_memory(kind)?;
+        inner.names.name(block.raw, &format!("{arena}#{number}"));
+        inner.names.name(block.memory, &format!("{arena}#{number} memory"));
+        Ok(block)
+    }
+
+    fn bind_memory(&mut self, kind: MemoryKind) -> Result<()> {
+        let device = &self.inner.device;
+        // SAFETY: `raw` was created from this device.
+        let needs = unsafe { device.get_buffer_memory_requirements(self.raw) };
+        let types = self.inner.memory.memory_types_as_slice();
+        let index =
+            memory_type(types, needs.memory_type_bits, kind, self.inner.unified_memory).ok_or_else(|| {
+                let device = self.inner.name.clone();
+                Error::MissingFeature { device, feature: format!("a memory type for {kind:?} buffers") }
+            })?;
+        let info = vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(index);
+        // SAFETY: the type index is valid, and the buffer is bound once, at offset 0, to memory of its own.
+        unsafe {
+            self.memory = device.allocate_memory(&info, None).map_err(vk_error("vkAllocateMemory"))?;
+            device.bind_buffer_memory(self.raw, self.memory, 0).map_err(vk_error("vkBindBufferMemory"))?;
+        }
+        let flags = types[index as usize].property_flags;
+        if flags.contains(vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT) {
+            // SAFETY: host-visible memory, mapped once, whole; freeing it unmaps it.
+            let address =
+                unsafe { device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
+            let address = NonNull::new(address.map_err(vk_error("vkMapMemory"))?.cast());
+            self.mapping = address.map(|a| Mutex::new(Mapping(a)));
+        }
+        Ok(())
+    }
+
+    pub(super) fn is_mapped(&self) -> bool {
+        self.mapping.is_some()
+    }
+
+    /// Copies into the block. False when it is not mapped.
+    ///
+    /// # Panics
+    /// Outside of the block.
+    pub(super) fn write_mapped(&self, offset: u64, bytes: &[u8]) -> bool {
+        let Some(mapping) = &self.mapping else { return false };
+        assert!(offset + bytes.len() as u64 <= self.bytes, "write outside of a block");
+        let mapping = mapping.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: within the mapping (asserted), which the lock gives to this thread; no submission that uses the
+        // block is under way (`Buffer` checks), so nobody else touches it.
+        unsafe {
+            let to = mapping.0.as_ptr().add(offset as usize);
+            std::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len());
+        }
+        true
+    }
+
+    /// Copies out of the block. False when it is not mapped.
+    ///
+    /// # Panics
+    /// Outside of the block.
+    pub(super) fn read_mapped(&self, offset: u64, bytes: &mut [u8]) -> bool {
+        let Some(mapping) = &self.mapping else { return false };
+        assert!(offset + bytes.len() as u64 <= self.bytes, "read outside of a block");
+        let mapping = mapping.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: as in `write_mapped`.
+        unsafe {
+            let from = mapping.0.as_ptr().add(offset as usize);
+            std::ptr::copy_nonoverlapping(from, bytes.as_mut_ptr(), bytes.len());
+        }
+        true
+    }
+}
+
+impl Drop for Block {
+    fn drop(&mut self) {
+        self.inner.registry.remove(&self.arena, self.bytes);
+        // SAFETY: recordings and submissions hold the block until they are done with it, so it is idle; null handles
+        // are allowed.
+        unsafe {
+            self.inner.device.destroy_buffer(self.raw, None);
+            self.inner.device.free_memory(self.memory, None);
+        }
+    }
+}
+
+/// The best memory type for a kind: the first whose flags contain a wish, wishes in order.
+fn memory_type(types: &[vk::MemoryType], allowed: u32, kind: MemoryKind, unified: bool) -> Option<u32> {
+    type Flags = vk::MemoryPropertyFlags;
+    let coherent = Flags::HOST_VISIBLE | Flags::HOST_COHERENT;
+    // (has to have, should not have)
+    let wishes = match (kind, unified) {
+        (MemoryKind::Device, true) => vec![
+            (Flags::DEVICE_LOCAL | coherent | Flags::HOST_CACHED, Flags::empty()),
+            (Flags::DEVICE_LOCAL | coherent, Flags::empty()),
+            (Flags::DEVICE_LOCAL, Flags::empty()),
+            (Flags::empty(), Flags::empty()),
+        ],
+        (MemoryKind::Device, false) => vec![
+            (Flags::DEVICE_LOCAL, Flags::HOST_VISIBLE),
+            (Flags::DEVICE_LOCAL, Flags::empty()),
+            (Flags::empty(), Flags::empty()),
+        ],
+        (MemoryKind::HostVisible, _) => vec![
+            (coherent | Flags::HOST_CACHED, Flags::empty()),
+            (coherent, Flags::DEVICE_LOCAL),
+            (coherent, Flags::empty()),
+        ],
+    };
+    let fits = |index: usize, with: Flags, without: Flags| {
+        let flags = types[index].property_flags;
+        allowed & (1 << index) != 0
+            && flags.contains(with)
+            && !flags.intersects(without)
+            // Types that the driver wants special treatment for.
+            && !flags.intersects(Flags::PROTECTED | Flags::LAZILY_ALLOCATED | Flags::DEVICE_COHERENT_AMD)
+    };
+    let mut found =
+        wishes.iter().filter_map(|&(with, without)| (0..types.len()).find(|&i| fits(i, with, without)));
+    found.next().map(|i| i as u32)
+}
+
+impl Context {
+    /// Allocates buffers of one lifetime; all of them are named `arena.request` in messages.
+    ///
+    /// The requests (name, bytes) are packed into as few blocks as the device allows. Every buffer has at least 16
+    /// bytes and a multiple of 4, and begins at a multiple of 256. The contents are undefined.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] for a request above maxStorageBufferRange or the largest allocation, or when all together
+    /// exceed the memory of a GPU; nothing is allocated then. [`Error::Vulkan`] when the device has no memory left.
+    pub fn allocate(
+        &self,
+        arena: &str,
+        requests: &[(&'static str, u64)],
+        kind: MemoryKind,
+    ) -> Result<Vec<Buffer>> {
+        let limits = self.limits();
+        let too_large = |what: String, needed, limit, limit_name| {
+            Err(Error::TooLarge { what, needed, unit: "bytes", limit, limit_name })
+        };
+        if let Some(&(name, bytes)) = requests.iter().find(|(_, b)| *b > limits.max_storage_buffer_range) {
+            let limit = limits.max_storage_buffer_range;
+            return too_large(format!("buffer {arena}.{name}"), bytes, limit, "maxStorageBufferRange");
+        }
+        let total: u64 = requests.iter().map(|(_, b)| b).sum();
+        if total > limits.heap_bytes && kind == MemoryKind::Device && !limits.is_cpu {
+            return too_large(format!("arena {arena}"), total, limits.heap_bytes, "device-local heap");
+        }
+        let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
+        let packing = match pack(&sizes, limits.max_allocation_bytes) {
+            Ok(packing) => packing,
+            Err(i) => {
+                let limit = limits.max_allocation_bytes;
+                let what = format!("buffer {arena}.{}", requests[i].0);
+                return too_large(what, sizes[i], limit, "maxMemoryAllocationSize");
+            }
+        };
+        let arena: Arc<str> = arena.into();
+        let blocks: Result<Vec<_>> = (packing.blocks.iter().enumerate())
+            .map(|(number, &bytes)| Ok(Arc::new(Block::new(&self.0, &arena, number, bytes, kind)?)))
+            .collect();
+        let blocks = blocks?;
+        let places = requests.iter().zip(&packing.places);
+        Ok(places
+            .map(|(&(name, bytes), &(block, offset))| {
+                let bytes = bytes.max(SMALLEST_BUFFER).next_multiple_of(4);
+                Buffer::new(blocks[block].clone(), offset, bytes, name)
+            })
+            .collect())
+    }
+
+    /// What is allocated in each arena, and the most that ever was.
+    pub fn memory(&self) -> Vec<ArenaMemory> {
+        self.0.registry.all()
+    }
+}

@@ -1,0 +1,353 @@
+//! Records commands: dispatches, fills, copies, and the barriers between them.
+
+use super::buffer::Buffer;
+use super::context::Inner;
+use super::hazard::{HazardTracker, Use};
+use super::kernel::{Access, Kernel, KernelInterface, MAX_BINDINGS, Pipeline};
+use super::profiler::Profiler;
+use super::submit::{Commands, Kept};
+use ash::vk;
+use std::sync::Arc;
+
+/// Bytes that [`Recorder::update`] takes at most.
+pub const MAX_UPDATE_BYTES: usize = 65_536;
+
+/// A recording in progress. Commands run in the order of recording; those between two barriers may overlap.
+///
+/// Nothing is executed before [`super::Context::submit`]. In debug builds, and wherever
+/// [`super::ContextOptions::hazard_check`] is set, a missing barrier panics with the names of both commands.
+pub struct Recorder {
+    // Kept memory must go after the commands that use it: fields drop in this order.
+    commands: Target,
+    inner: Arc<Inner>,
+    profiler: Profiler,
+    kept: Kept,
+    bound: vk::Pipeline,
+    hazards: Option<Hazards>,
+    barriers: u32,
+    omitted: Vec<u32>,
+}
+
+enum Target {
+    Owned(Commands),
+    Foreign(vk::CommandBuffer),
+}
+
+struct Hazards {
+    tracker: HazardTracker,
+    uses: Vec<Use>,
+    /// None: a hazard panics.
+    collected: Option<Vec<String>>,
+}
+
+impl Hazards {
+    fn new(collect: bool) -> Self {
+        let collected = collect.then(Vec::new);
+        Self { tracker: HazardTracker::new(), uses: Vec::new(), collected }
+    }
+
+    fn add(&mut self, buffer: &Buffer, role: &'static str, access: Access) {
+        let bytes = buffer.offset()..buffer.offset() + buffer.bytes();
+        self.uses.push(Use { block: buffer.block().id, bytes, buffer: buffer.static_name(), role, access });
+    }
+
+    fn commit(&mut self, command: &'static str) {
+        let found = self.tracker.command(command, &self.uses);
+        self.uses.clear();
+        match (&mut self.collected, found.first()) {
+            (Some(collected), _) => collected.extend(found.iter().map(ToString::to_string)),
+            (None, Some(hazard)) => panic!("{hazard}"),
+            (None, None) => {}
+        }
+    }
+}
+
+impl Recorder {
+    pub(super) fn new(commands: Commands, label: &str) -> Self {
+        let (inner, queries) = (commands.inner.clone(), commands.queries());
+        let mut recorder = Self::with_target(Target::Owned(commands), inner, queries);
+        recorder.profiler.begin(&recorder.inner, recorder.raw(), label);
+        recorder
+    }
+
+    /// Records into a command buffer of somebody else, who submits it. Scopes are labelled, not timed.
+    ///
+    /// # Safety
+    /// - `commands` belongs to the context's device and is in the recording state, outside of a render pass, until
+    ///   the recorder is gone, and nobody else records into it meanwhile;
+    /// - the kernels and buffers that are recorded live until its execution is over.
+    #[allow(dead_code)] // The door for embedding: stages record into it exactly as into an own command buffer.
+    pub(crate) unsafe fn foreign(context: &super::Context, commands: vk::CommandBuffer) -> Self {
+        Self::with_target(Target::Foreign(commands), context.0.clone(), vk::QueryPool::null())
+    }
+
+    fn with_target(commands: Target, inner: Arc<Inner>, queries: vk::QueryPool) -> Self {
+        Self {
+            commands,
+            profiler: Profiler::new(queries),
+            kept: Kept::default(),
+            bound: vk::Pipeline::null(),
+            hazards: inner.hazard_check.then(|| Hazards::new(false)),
+            barriers: 0,
+            omitted: Vec::new(),
+            inner,
+        }
+    }
+
+    pub(super) fn finish(mut self) -> (Commands, Profiler, Kept) {
+        self.profiler.end(&self.inner, self.raw());
+        match self.commands {
+            Target::Owned(commands) => (commands, self.profiler, self.kept),
+            Target::Foreign(_) => panic!("a foreign command buffer is submitted by its owner"),
+        }
+    }
+
+    fn raw(&self) -> vk::CommandBuffer {
+        match &self.commands {
+            Target::Owned(commands) => commands.raw(),
+            Target::Foreign(raw) => *raw,
+        }
+    }
+
+    /// Dispatches a number of workgroups, in two dimensions where one does not hold them: see
+    /// [`super::Limits::grid`].
+    ///
+    /// # Panics
+    /// When a buffer cannot be bound, or when a barrier is missing (see [`Recorder`]).
+    pub fn dispatch<K: KernelInterface>(
+        &mut self,
+        kernel: &Kernel<K>,
+        bind: &K::Bind<'_>,
+        push: &K::Push,
+        workgroups: u64,
+    ) {
+        let grid = self.inner.limits.grid(workgroups);
+        self.dispatch_3d(kernel, bind, push, grid);
+    }
+
+    /// Dispatches a grid of workgroups. A grid of none records nothing.
+    ///
+    /// # Panics
+    /// As [`Recorder::dispatch`], and when the grid exceeds the device's limit.
+    pub fn dispatch_3d<K: KernelInterface>(
+        &mut self,
+        kernel: &Kernel<K>,
+        bind: &K::Bind<'_>,
+        push: &K::Push,
+        [x, y, z]: [u32; 3],
+    ) {
+        let limit = self.inner.limits.max_workgroups_per_axis;
+        assert!(x.max(y).max(z) <= limit, "{}: grid {x}x{y}x{z} exceeds {limit}", K::NAME);
+        self.check(&kernel.pipeline, K::buffers(bind).as_ref(), None);
+        if x == 0 || y == 0 || z == 0 {
+            return;
+        }
+        self.prepare(&kernel.pipeline, K::buffers(bind).as_ref(), K::push_bytes(push));
+        // SAFETY: the pipeline and everything that it uses are bound, the counts are within the limits.
+        unsafe { self.inner.device.cmd_dispatch(self.raw(), x, y, z) }
+    }
+
+    /// Dispatches the grid that `arguments` holds when the command runs: x, y, z as u32, in its first 12 bytes.
+    ///
+    /// # Panics
+    /// As [`Recorder::dispatch`], and when `arguments` is too small.
+    pub fn dispatch_indirect<K: KernelInterface>(
+        &mut self,
+        kernel: &Kernel<K>,
+        bind: &K::Bind<'_>,
+        push: &K::Push,
+        arguments: &Buffer,
+    ) {
+        assert!(arguments.bytes() >= 12, "{}: '{}' holds no grid", K::NAME, arguments.name());
+        assert!(arguments.offset().is_multiple_of(4), "{}: '{}' is misaligned", K::NAME, arguments.name());
+        self.check(&kernel.pipeline, K::buffers(bind).as_ref(), Some(arguments));
+        self.prepare(&kernel.pipeline, K::buffers(bind).as_ref(), K::push_bytes(push));
+        self.kept.block(arguments.block());
+        // SAFETY: as above; the buffer has the INDIRECT usage and twelve bytes at an offset divisible by four.
+        unsafe {
+            self.inner.device.cmd_dispatch_indirect(self.raw(), arguments.raw(), arguments.offset());
+        }
+    }
+
+    /// Declares the accesses of a dispatch to the hazard checker.
+    fn check(&mut self, pipeline: &Pipeline, buffers: &[&Buffer], arguments: Option<&Buffer>) {
+        let Some(hazards) = &mut self.hazards else { return };
+        for (info, buffer) in pipeline.bindings.iter().zip(buffers) {
+            hazards.add(buffer, info.name, info.access);
+        }
+        if let Some(arguments) = arguments {
+            // Only the first three words are read.
+            hazards.add(&arguments.range(0, 12), "indirect arguments", Access::Read);
+        }
+        hazards.commit(pipeline.name);
+    }
+
+    /// Binds the pipeline, its buffers and push constants.
+    fn prepare(&mut self, pipeline: &Arc<Pipeline>, buffers: &[&Buffer], push: &[u8]) {
+        let limits = &self.inner.limits;
+        let mut infos = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
+        for ((slot, info), buffer) in infos.iter_mut().zip(pipeline.bindings).zip(buffers) {
+            let (kernel, name, bytes) = (pipeline.name, buffer.name(), buffer.bytes());
+            assert!(
+                bytes <= limits.max_storage_buffer_range && bytes > 0,
+                "{kernel}: '{name}' bound as '{}' has {bytes} bytes, the limit is {}",
+                info.name,
+                limits.max_storage_buffer_range
+            );
+            assert!(
+                buffer.offset().is_multiple_of(limits.storage_alignment),
+                "{kernel}: '{name}' bound as '{}' begins at {}, no multiple of {}",
+                info.name,
+                buffer.offset(),
+                limits.storage_alignment
+            );
+            self.kept.block(buffer.block());
+            *slot =
+                vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(buffer.offset()).range(bytes);
+        }
+        let mut writes = [vk::WriteDescriptorSet::default(); MAX_BINDINGS];
+        for ((write, info), slot) in writes.iter_mut().zip(pipeline.bindings).zip(&infos) {
+            *write = vk::WriteDescriptorSet::default()
+                .dst_binding(info.binding)
+                .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                .buffer_info(std::slice::from_ref(slot));
+        }
+        self.kept.pipeline(pipeline);
+        let (raw, device, point) = (self.raw(), &self.inner.device, vk::PipelineBindPoint::COMPUTE);
+        // SAFETY: recording state; pipeline, layout and descriptors belong together, and the recorder keeps all of
+        // them until the execution is over. `push` has the size that the layout was made with.
+        unsafe {
+            if self.bound != pipeline.raw {
+                device.cmd_bind_pipeline(raw, point, pipeline.raw);
+                self.bound = pipeline.raw;
+            }
+            if !buffers.is_empty() {
+                let writes = &writes[..buffers.len()];
+                self.inner.push_descriptor.cmd_push_descriptor_set(raw, point, pipeline.layout, 0, writes);
+            }
+            if !push.is_empty() {
+                device.cmd_push_constants(raw, pipeline.layout, vk::ShaderStageFlags::COMPUTE, 0, push);
+            }
+        }
+    }
+
+    /// Sets every word of a buffer.
+    ///
+    /// # Panics
+    /// When the buffer's offset or size is no multiple of 4, or a barrier is missing.
+    pub fn fill(&mut self, buffer: &Buffer, value: u32) {
+        self.transfer("fill", &[(buffer, "destination", Access::Write)]);
+        // SAFETY: recording state; a range within a buffer that is kept, with TRANSFER_DST usage.
+        unsafe {
+            let (offset, bytes) = (buffer.offset(), buffer.bytes());
+            self.inner.device.cmd_fill_buffer(self.raw(), buffer.raw(), offset, bytes, value);
+        }
+    }
+
+    /// Copies a buffer onto another of at least its size.
+    ///
+    /// # Panics
+    /// When the destination is smaller or the two overlap, or a barrier is missing.
+    pub fn copy(&mut self, from: &Buffer, to: &Buffer) {
+        let bytes = from.bytes();
+        assert!(bytes <= to.bytes(), "copy: '{}' does not hold '{}'", to.name(), from.name());
+        let apart = from.offset() + bytes <= to.offset() || to.offset() + bytes <= from.offset();
+        assert!(from.raw() != to.raw() || apart, "copy: '{}' and '{}' overlap", from.name(), to.name());
+        let to = &to.range(0, bytes);
+        self.transfer("copy", &[(from, "source", Access::Read), (to, "destination", Access::Write)]);
+        let region = vk::BufferCopy::default().src_offset(from.offset()).dst_offset(to.offset()).size(bytes);
+        // SAFETY: recording state; ranges within buffers that are kept, with transfer usage, that do not overlap.
+        unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }
+    }
+
+    /// Writes bytes that are stored in the recording itself into the start of a buffer.
+    ///
+    /// # Panics
+    /// With more than [`MAX_UPDATE_BYTES`], more than the buffer holds, a length that is no multiple of 4, or when a
+    /// barrier is missing.
+    pub fn update(&mut self, buffer: &Buffer, bytes: &[u8]) {
+        assert!(bytes.len() <= MAX_UPDATE_BYTES, "update: {} bytes are too many", bytes.len());
+        let range = buffer.range(0, bytes.len() as u64);
+        if bytes.is_empty() {
+            return;
+        }
+        self.transfer("update", &[(&range, "destination", Access::Write)]);
+        // SAFETY: recording state; a range within a buffer that is kept, sizes checked above.
+        unsafe { self.inner.device.cmd_update_buffer(self.raw(), range.raw(), range.offset(), bytes) }
+    }
+
+    fn transfer(&mut self, command: &'static str, uses: &[(&Buffer, &'static str, Access)]) {
+        for (buffer, role, access) in uses {
+            let aligned = buffer.offset().is_multiple_of(4) && buffer.bytes().is_multiple_of(4);
+            assert!(aligned, "{command}: '{}' is no range of whole words", buffer.name());
+            self.kept.block(buffer.block());
+            if let Some(hazards) = &mut self.hazards {
+                hazards.add(buffer, role, *access);
+            }
+        }
+        if let Some(hazards) = &mut self.hazards {
+            hazards.commit(command);
+        }
+    }
+
+    /// Orders everything before it before everything after it: compute and transfer writes are visible to compute,
+    /// transfers and indirect arguments. The one kind of barrier there is.
+    pub fn barrier(&mut self) {
+        let number = self.barriers;
+        self.barriers += 1;
+        if self.omitted.contains(&number) {
+            return;
+        }
+        if let Some(hazards) = &mut self.hazards {
+            hazards.tracker.barrier();
+        }
+        type Stage = vk::PipelineStageFlags2;
+        type Flags = vk::AccessFlags2;
+        // All stages on both sides: a write must also wait for reads before it.
+        let stages = Stage::COMPUTE_SHADER | Stage::ALL_TRANSFER | Stage::DRAW_INDIRECT;
+        let writes = Flags::SHADER_WRITE | Flags::TRANSFER_WRITE;
+        let reads = Flags::SHADER_READ | Flags::TRANSFER_READ | Flags::INDIRECT_COMMAND_READ;
+        let barriers = [vk::MemoryBarrier2::default()
+            .src_stage_mask(stages)
+            .src_access_mask(writes)
+            .dst_stage_mask(stages)
+            .dst_access_mask(reads | writes)];
+        let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
+        // SAFETY: recording state, outside of a render pass.
+        unsafe { self.inner.device.cmd_pipeline_barrier2(self.raw(), &dependency) }
+    }
+
+    /// Labels and times what `f` records.
+    pub fn scope<T>(&mut self, name: &str, f: impl FnOnce(&mut Self) -> T) -> T {
+        self.profiler.begin(&self.inner, self.raw(), name);
+        let result = f(self);
+        self.profiler.end(&self.inner, self.raw());
+        result
+    }
+
+    /// The device's limits.
+    pub fn limits(&self) -> &super::Limits {
+        &self.inner.limits
+    }
+
+    /// How many times [`Recorder::barrier`] was called.
+    pub fn barriers(&self) -> u32 {
+        self.barriers
+    }
+
+    /// For tests: the `index`-th call of [`Recorder::barrier`] (from 0) will do nothing.
+    pub fn omit_barrier(&mut self, index: u32) {
+        self.omitted.push(index);
+    }
+
+    /// For tests: collects hazards, beginning with the next command, in place of panicking; see
+    /// [`Recorder::hazards`]. Works whether or not the context checks.
+    pub fn collect_hazards(&mut self) {
+        self.hazards = Some(Hazards::new(true));
+    }
+
+    /// The hazards found since [`Recorder::collect_hazards`].
+    pub fn hazards(&self) -> &[String] {
+        self.hazards.as_ref().and_then(|h| h.collected.as_deref()).unwrap_or_default()
+    }
+}

@@ -1,0 +1,286 @@
+//! Command buffers, submission and waiting.
+
+use super::context::{Context, Inner};
+use super::kernel::Pipeline;
+use super::memory::Block;
+use super::profiler::{MAX_SCOPES, Profiler, ScopeTime};
+use super::recorder::Recorder;
+use super::vk_error;
+use crate::Result;
+use ash::vk;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
+
+/// What a submission took.
+#[derive(Clone, Debug, Default)]
+#[non_exhaustive]
+pub struct RunReport {
+    /// Each [`Recorder::scope`] in the order of recording. Empty where there are no timestamps.
+    pub scopes: Vec<ScopeTime>,
+    /// The whole recording on the device, nanoseconds. 0 where there are no timestamps.
+    pub nanoseconds: f64,
+}
+
+/// The Vulkan objects of one recording, used again after it.
+#[derive(Clone, Copy)]
+pub(super) struct Slot {
+    pool: vk::CommandPool,
+    commands: vk::CommandBuffer,
+    fence: vk::Fence,
+    queries: vk::QueryPool,
+}
+
+impl Slot {
+    fn new(inner: &Inner) -> Result<Self> {
+        let null = Self {
+            pool: vk::CommandPool::null(),
+            commands: vk::CommandBuffer::null(),
+            fence: vk::Fence::null(),
+            queries: vk::QueryPool::null(),
+        };
+        let mut slot = null;
+        slot.create(inner).inspect_err(|_| slot.destroy(inner))?;
+        Ok(slot)
+    }
+
+    fn create(&mut self, inner: &Inner) -> Result<()> {
+        let device = &inner.device;
+        let pool = vk::CommandPoolCreateInfo::default()
+            .queue_family_index(inner.queue_family)
+            .flags(vk::CommandPoolCreateFlags::TRANSIENT);
+        // SAFETY: valid create infos for this device.
+        unsafe {
+            self.pool = device.create_command_pool(&pool, None).map_err(vk_error("vkCreateCommandPool"))?;
+            let commands = vk::CommandBufferAllocateInfo::default()
+                .command_pool(self.pool)
+                .level(vk::CommandBufferLevel::PRIMARY)
+                .command_buffer_count(1);
+            let commands = device.allocate_command_buffers(&commands);
+            let commands = commands.map_err(vk_error("vkAllocateCommandBuffers"))?;
+            self.commands = commands.first().copied().unwrap_or_default();
+            let fence = device.create_fence(&vk::FenceCreateInfo::default(), None);
+            self.fence = fence.map_err(vk_error("vkCreateFence"))?;
+            if inner.timestamp_bits > 0 {
+                let queries = vk::QueryPoolCreateInfo::default()
+                    .query_type(vk::QueryType::TIMESTAMP)
+                    .query_count(2 * MAX_SCOPES);
+                let queries = device.create_query_pool(&queries, None);
+                self.queries = queries.map_err(vk_error("vkCreateQueryPool"))?;
+                inner.names.name(self.queries, "scope timestamps");
+            }
+        }
+        inner.names.name(self.pool, "recorder pool");
+        inner.names.name(self.fence, "recorder fence");
+        Ok(())
+    }
+
+    pub(super) fn destroy(&self, inner: &Inner) {
+        // SAFETY: the slot is idle; null handles are allowed. Destroying the pool frees its command buffer.
+        unsafe {
+            inner.device.destroy_query_pool(self.queries, None);
+            inner.device.destroy_fence(self.fence, None);
+            inner.device.destroy_command_pool(self.pool, None);
+        }
+    }
+}
+
+/// A command buffer in the recording state or submitted. Goes back to the context when dropped.
+pub(super) struct Commands {
+    pub(super) inner: Arc<Inner>,
+    slot: Slot,
+    submitted: bool,
+}
+
+impl Commands {
+    pub(super) fn begin(inner: &Arc<Inner>, label: &str) -> Result<Self> {
+        let free = inner.slots.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let slot = match free {
+            Some(slot) => slot,
+            None => Slot::new(inner)?,
+        };
+        let commands = Self { inner: inner.clone(), slot, submitted: false };
+        inner.names.name(slot.commands, label);
+        let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        // SAFETY: the command buffer is in the initial state (new, or its pool was reset) and this thread's alone; the
+        // queries are not in use.
+        unsafe {
+            if slot.queries != vk::QueryPool::null() {
+                inner.device.reset_query_pool(slot.queries, 0, 2 * MAX_SCOPES);
+            }
+            let begun = inner.device.begin_command_buffer(slot.commands, &info);
+            begun.map_err(vk_error("vkBeginCommandBuffer"))?;
+        }
+        // Makes whatever earlier submissions wrote visible, also where nobody has waited for them.
+        let earlier = vk::MemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE);
+        commands.memory_barrier(earlier);
+        Ok(commands)
+    }
+
+    pub(super) fn raw(&self) -> vk::CommandBuffer {
+        self.slot.commands
+    }
+
+    pub(super) fn queries(&self) -> vk::QueryPool {
+        self.slot.queries
+    }
+
+    fn memory_barrier(&self, barrier: vk::MemoryBarrier2<'_>) {
+        let barriers = [barrier];
+        let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
+        // SAFETY: the command buffer is in the recording state.
+        unsafe { self.inner.device.cmd_pipeline_barrier2(self.slot.commands, &dependency) }
+    }
+
+    fn submit(&mut self) -> Result<()> {
+        // A fence alone does not make writes visible to the host.
+        let to_host = vk::MemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::HOST)
+            .dst_access_mask(vk::AccessFlags2::HOST_READ | vk::AccessFlags2::HOST_WRITE);
+        self.memory_barrier(to_host);
+        let device = &self.inner.device;
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.slot.commands)];
+        let submits = [vk::SubmitInfo2::default().command_buffer_infos(&buffers)];
+        let queue = self.inner.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: the command buffer was recorded on this device and everything that it refers to is kept by the
+        // caller until the fence has signalled; the lock gives the queue to this thread.
+        unsafe {
+            let ended = device.end_command_buffer(self.slot.commands);
+            ended.map_err(vk_error("vkEndCommandBuffer"))?;
+            let submitted = device.queue_submit2(*queue, &submits, self.slot.fence);
+            submitted.map_err(vk_error("vkQueueSubmit2"))?;
+        }
+        self.submitted = true;
+        Ok(())
+    }
+
+    /// Sleeps until the submission is over. However long that takes: a processor may need minutes, and a device that
+    /// hangs is reset and reported by its driver.
+    fn wait(&mut self) -> Result<()> {
+        const TIMEOUT_NS: u64 = 5_000_000_000;
+        while self.submitted {
+            // SAFETY: the fence is alive and was submitted.
+            match unsafe { self.inner.device.wait_for_fences(&[self.slot.fence], true, TIMEOUT_NS) } {
+                Ok(()) => self.submitted = false,
+                Err(vk::Result::TIMEOUT) => {}
+                Err(error) => {
+                    // The device is lost, so nothing runs any more.
+                    self.submitted = false;
+                    return Err(vk_error("vkWaitForFences")(error));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Commands {
+    fn drop(&mut self) {
+        let _ = self.wait();
+        let device = &self.inner.device;
+        // SAFETY: nothing of the slot is in use: it was never submitted, or has been waited for.
+        let reset = unsafe {
+            device
+                .reset_command_pool(self.slot.pool, vk::CommandPoolResetFlags::empty())
+                .and_then(|()| device.reset_fences(&[self.slot.fence]))
+        };
+        match reset {
+            Ok(()) => self.inner.slots.lock().unwrap_or_else(PoisonError::into_inner).push(self.slot),
+            Err(_) => self.slot.destroy(&self.inner),
+        }
+    }
+}
+
+/// Everything that a recording refers to.
+#[derive(Default)]
+pub(super) struct Kept {
+    blocks: Vec<Arc<Block>>,
+    pipelines: Vec<Arc<Pipeline>>,
+}
+
+impl Kept {
+    pub(super) fn block(&mut self, block: &Arc<Block>) {
+        if !self.blocks.iter().rev().any(|b| Arc::ptr_eq(b, block)) {
+            self.blocks.push(block.clone());
+        }
+    }
+
+    pub(super) fn pipeline(&mut self, pipeline: &Arc<Pipeline>) {
+        if !self.pipelines.iter().rev().any(|p| Arc::ptr_eq(p, pipeline)) {
+            self.pipelines.push(pipeline.clone());
+        }
+    }
+}
+
+/// A submission under way. Dropping it waits as well.
+#[must_use = "the results are there only after wait()"]
+pub struct Pending {
+    // Dropped in this order: the wait comes before the memory goes.
+    commands: Commands,
+    profiler: Option<Profiler>,
+    kept: Kept,
+}
+
+impl Pending {
+    /// Sleeps until the device is done; then its results may be read.
+    ///
+    /// # Errors
+    /// [`crate::Error::Vulkan`] when the device is lost.
+    pub fn wait(mut self) -> Result<RunReport> {
+        self.commands.wait()?;
+        let Some(profiler) = self.profiler.take() else { return Ok(RunReport::default()) };
+        let (nanoseconds, scopes) = profiler.collect(&self.commands.inner)?;
+        Ok(RunReport { scopes, nanoseconds })
+    }
+}
+
+impl Drop for Pending {
+    fn drop(&mut self) {
+        let _ = self.commands.wait();
+        for block in &self.kept.blocks {
+            block.in_flight.fetch_sub(1, Ordering::Release);
+        }
+    }
+}
+
+impl Context {
+    /// Starts a recording under a label. Dropping the recorder discards it.
+    ///
+    /// # Errors
+    /// [`crate::Error::Vulkan`] when the driver has no memory left.
+    pub fn begin(&self, label: &str) -> Result<Recorder> {
+        Ok(Recorder::new(Commands::begin(&self.0, label)?, label))
+    }
+
+    /// Submits a recording; whoever needs its results waits for the [`Pending`].
+    ///
+    /// # Errors
+    /// [`crate::Error::Vulkan`] when the device is lost or out of memory.
+    ///
+    /// # Panics
+    /// When the recorder records into a foreign command buffer.
+    pub fn submit(&self, recorder: Recorder) -> Result<Pending> {
+        let (commands, profiler, kept) = recorder.finish();
+        let mut pending = Pending { commands, profiler: Some(profiler), kept };
+        for block in &pending.kept.blocks {
+            block.in_flight.fetch_add(1, Ordering::Release);
+        }
+        pending.commands.submit()?;
+        Ok(pending)
+    }
+
+    /// Records, submits and waits.
+    ///
+    /// # Errors
+    /// What `record` returns (nothing is submitted then), and as [`Context::submit`] and [`Pending::wait`].
+    pub fn run(&self, label: &str, record: impl FnOnce(&mut Recorder) -> Result<()>) -> Result<RunReport> {
+        let mut recorder = self.begin(label)?;
+        record(&mut recorder)?;
+        self.submit(recorder)?.wait()
+    }
+}

@@ -1,0 +1,1 @@
+//! The Vulkan layer on the device at hand.
