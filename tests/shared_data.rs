@@ -1,15 +1,33 @@
-//! Data-driven tests: one named trial for each set of golden vectors.
+//! Data-driven tests: one named trial for each set of golden vectors, each malformed file, each real data set.
+//!
+//! The data lie in `$ASHSPLAT_SHARED`, by default `../shared` beside the repository. Without them, one ignored
+//! trial per kind says so.
 
 mod common;
 mod golden;
+mod golden_host;
+mod malformed;
+mod real_data;
 mod reference;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use libtest_mimic::{Failed, Trial};
+
 fn main() -> ExitCode {
     let arguments = libtest_mimic::Arguments::from_args();
     let shared = std::env::var_os("ASHSPLAT_SHARED")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")), PathBuf::from);
-    libtest_mimic::run(&arguments, golden::trials(&shared)).exit_code()
+    let mut trials = golden::trials(&shared);
+    trials.extend(golden_host::trials(&shared));
+    trials.extend(malformed::trials(&shared));
+    trials.extend(real_data::trials(&shared));
+    libtest_mimic::run(&arguments, trials).exit_code()
+}
+
+/// An ignored trial that says why nothing is tested; run nevertheless, it fails with the reason.
+fn absent(name: &str, reason: impl Into<String>) -> Trial {
+    let reason = reason.into();
+    Trial::ignorable_test(name, move || Err(Failed::from(reason))).with_ignored_flag(true)
 }

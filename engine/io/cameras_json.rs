@@ -100,7 +100,9 @@ pub fn read(path: impl AsRef<Path>) -> Result<Vec<NamedCamera>> {
     })?;
     let check = |entry: &Entry| {
         let camera = entry.camera();
-        camera.check().map_err(|e| Error::input(path, format!("camera {}: {e}", entry.id), ""))?;
+        if let Some(problem) = camera.problem() {
+            return Err(Error::input(path, format!("camera {}: {problem}", entry.id), "correct it in the file"));
+        }
         Ok(NamedCamera { name: entry.img_name.clone(), camera })
     };
     entries.iter().map(check).collect()

@@ -135,7 +135,8 @@ impl Camera {
         }
     }
 
-    fn problem(&self) -> Option<String> {
+    /// What is wrong with the camera, if anything.
+    pub(crate) fn problem(&self) -> Option<String> {
         let Self { fx, fy, cx, cy, width, height, .. } = *self;
         let sides = 1..=MAX_IMAGE_SIDE;
         if !sides.contains(&width) || !sides.contains(&height) {

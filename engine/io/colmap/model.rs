@@ -162,7 +162,7 @@ impl Model {
         let length = image.quat.iter().map(|q| q * q).sum::<f64>().sqrt();
         let finite = length.is_finite() && image.translation.iter().all(|t| t.is_finite());
         let result = Camera::from_colmap(image.quat, image.translation, intrinsics);
-        if !finite || length == 0.0 || result.check().is_err() {
+        if !finite || length == 0.0 || result.problem().is_some() {
             let what = if length == 0.0 { "is a zero quaternion" } else { "is not finite" };
             let problem = format!("image {} ({}): its pose {what}", image.id, image.name);
             return Err(Error::input(
@@ -201,7 +201,9 @@ impl Model {
         let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
         let intrinsics = Intrinsics { fx, fy, cx, cy, width, height };
         let upright = Camera::with_pose(glam::Mat3::IDENTITY, glam::Vec3::ZERO, intrinsics);
-        upright.check().map_err(|e| Error::input(&file, format!("{place}: {e}"), "run COLMAP again"))?;
+        if let Some(problem) = upright.problem() {
+            return Err(Error::input(&file, format!("{place}: {problem}"), "run COLMAP again"));
+        }
         Ok(intrinsics)
     }
 }

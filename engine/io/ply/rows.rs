@@ -94,6 +94,7 @@ impl<'a> PlyFile<'a> {
         names: &[String],
         mut row: impl FnMut(u64, &[f32]),
     ) -> Result<()> {
+        self.check_no_list(element)?;
         let columns = names.iter().map(|name| self.column(element, name)).collect::<Result<Vec<_>>>()?;
         let mut values = vec![0.0; columns.len()];
         match self.header.encoding {
@@ -105,7 +106,7 @@ impl<'a> PlyFile<'a> {
                 }
                 Ok(())
             }
-            encoding => self.binary_rows(element, &columns, |index, bytes| {
+            encoding => self.binary_rows(element, |index, bytes| {
                 for (value, column) in values.iter_mut().zip(&columns) {
                     *value = decode(&bytes[column.offset..], column.scalar, encoding) as f32;
                 }
@@ -114,31 +115,34 @@ impl<'a> PlyFile<'a> {
         }
     }
 
+    /// Refuses lists: rows of differing length are skipped, never read.
+    fn check_no_list(&self, element: &Element) -> Result<()> {
+        match element.properties.iter().find(|p| matches!(p.kind, Kind::List { .. })) {
+            None => Ok(()),
+            Some(list) => {
+                let problem =
+                    format!("property {} of element {} is a list", shortened(&list.name), element.name);
+                Err(Error::input(self.path, problem, "write the file without it"))
+            }
+        }
+    }
+
     fn column(&self, element: &Element, name: &str) -> Result<Column> {
         let mut offset = 0;
         for (place, property) in element.properties.iter().enumerate() {
-            let Kind::Scalar(scalar) = property.kind else {
-                let list = shortened(&property.name);
-                let problem = format!("property {list} of element {} is a list", element.name);
-                return Err(Error::input(self.path, problem, "write the file without it"));
-            };
-            if property.name == name {
-                return Ok(Column { offset, place, scalar });
+            match property.kind {
+                Kind::Scalar(scalar) if property.name == name => return Ok(Column { offset, place, scalar }),
+                Kind::Scalar(scalar) => offset += scalar.bytes(),
+                Kind::List { .. } => break,
             }
-            offset += scalar.bytes();
         }
         Err(Error::input(self.path, format!("property {name} of element {} is missing", element.name), ""))
     }
 
-    fn binary_rows(
-        &mut self,
-        element: &Element,
-        columns: &[Column],
-        mut row: impl FnMut(u64, &[u8]),
-    ) -> Result<()> {
-        // Without columns nobody asks for the rows; with one, a row has at least a byte and no list.
+    fn binary_rows(&mut self, element: &Element, mut row: impl FnMut(u64, &[u8])) -> Result<()> {
+        // Zero is for lists and elements without properties; the caller has excluded both.
         let row_bytes = element.row_bytes().unwrap_or(0) as usize;
-        if columns.is_empty() || row_bytes == 0 {
+        if row_bytes == 0 {
             return self.skip_element(element);
         }
         let rows_at_once = (BUFFER_BYTES / row_bytes).max(1) as u64;

@@ -1,0 +1,69 @@
+//! Golden vectors of what the host computes: the Gaussians that training starts from, and the scene extent.
+
+use std::path::Path;
+
+use ashsplat::scene::init::mean_squared_neighbour_distances;
+use ashsplat::scene::{Gaussians, PointCloud, scene_extent};
+use glam::Vec3;
+use libtest_mimic::Trial;
+
+use crate::absent;
+use crate::common::npz::Npz;
+
+/// One trial per set that has the fields.
+pub fn trials(shared: &Path) -> Vec<Trial> {
+    let folder = shared.join("golden");
+    let Ok(entries) = std::fs::read_dir(&folder) else {
+        return vec![absent("golden_host_absent", format!("no golden vectors in {}", folder.display()))];
+    };
+    let mut sets: Vec<_> = entries
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| path.extension().is_some_and(|extension| extension == "npz"))
+        .filter(|path| Npz::names(path).iter().any(|name| name == "dist2"))
+        .collect();
+    sets.sort();
+    sets.into_iter()
+        .map(|path| {
+            let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+            Trial::test(format!("golden_{name}_host"), move || {
+                check(&Npz::read(&path));
+                Ok(())
+            })
+        })
+        .collect()
+}
+
+fn check(set: &Npz) {
+    let positions: Vec<[f32; 3]> =
+        set.rows("xyz").into_iter().map(|p: [f64; 3]| p.map(|v| v as f32)).collect();
+    let dist2 = mean_squared_neighbour_distances(&positions).unwrap();
+    assert_close("dist2", dist2.iter().copied(), set.values("dist2"), 1e-6);
+
+    // A point cloud's colours have 8 bits: the set's go to the coefficients afterwards.
+    let colors = vec![[0; 3]; positions.len()];
+    let gaussians = Gaussians::from_points(&PointCloud { positions: positions.clone(), colors }, 3).unwrap();
+    gaussians.check_shapes().unwrap();
+    assert_eq!(gaussians.means, positions);
+    assert!(gaussians.quats.iter().all(|&q| q == [1.0, 0.0, 0.0, 0.0]));
+    let flat = |values: &[[f32; 3]]| values.as_flattened().iter().map(|&v| f64::from(v)).collect::<Vec<_>>();
+    assert_close("log_scales", flat(&gaussians.log_scales).into_iter(), set.values("log_scales"), 2e-6);
+    let logits = gaussians.opacity_logits.iter().map(|&v| f64::from(v));
+    assert_close("opacity_logits", logits, set.values("opacity_logits"), 1e-6);
+    let mut sh = gaussians.sh;
+    for (index, rgb) in set.rows::<3>("rgb").into_iter().enumerate() {
+        sh[16 * index] = rgb.map(|c| ashsplat::scene::sh::rgb_to_sh_dc(c as f32));
+    }
+    assert_close("sh", flat(&sh).into_iter(), set.values("sh"), 1e-6);
+
+    let centers = set.rows::<3>("cam_centers");
+    let extent = scene_extent(centers.iter().map(|c| Vec3::from_array(c.map(|v| v as f32))));
+    assert_close("scene_extent", [f64::from(extent)].into_iter(), set.values("scene_extent"), 1e-6);
+}
+
+/// Elementwise: the error is at most `tolerance`, relative above 1 and absolute below.
+fn assert_close(name: &str, computed: impl ExactSizeIterator<Item = f64>, expected: &[f64], tolerance: f64) {
+    assert_eq!(computed.len(), expected.len(), "{name}");
+    for (index, (a, b)) in computed.zip(expected).enumerate() {
+        assert!((a - b).abs() <= tolerance * b.abs().max(1.0), "{name}[{index}]: {a}, expected {b}");
+    }
+}

@@ -1,0 +1,127 @@
+//! Damaged, hostile and unusual files: one trial per case of `data/malformed/expected.json`.
+
+mod values;
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::time::Duration;
+
+use ashsplat::Error;
+use ashsplat::io::dataset::{Dataset, DatasetOptions};
+use ashsplat::io::{Progress, ply};
+use libtest_mimic::{Failed, Trial};
+
+use crate::absent;
+
+/// Far beyond what any of the small files needs.
+const TIMEOUT: Duration = Duration::from_secs(120);
+
+/// Far beyond what any of the small files needs, and far below what their counts claim.
+const MAX_MEMORY_KIB: u64 = 1 << 20;
+
+/// A row of expected.json.
+struct Case {
+    path: String,
+    what: String,
+    verdict: String,
+}
+
+/// One trial per case.
+pub fn trials(shared: &Path) -> Vec<Trial> {
+    let folder = shared.join("data/malformed");
+    let Ok(text) = std::fs::read(folder.join("expected.json")) else {
+        return vec![absent("malformed_absent", format!("no malformed files in {}", folder.display()))];
+    };
+    let rows: Vec<serde_json::Value> = serde_json::from_slice(&text).expect("expected.json is a list");
+    let text = |row: &serde_json::Value, key: &str| row[key].as_str().expect("a string").to_owned();
+    rows.iter()
+        .map(|row| Case { path: text(row, "path"), what: text(row, "what"), verdict: text(row, "verdict") })
+        .map(|case| trial(&folder, case))
+        .collect()
+}
+
+fn trial(folder: &Path, case: Case) -> Trial {
+    let stem = case.path.trim_end_matches('/').trim_end_matches(".ply");
+    let name = format!("malformed_{}", stem.replace(['/', '.', '-'], "_"));
+    if case.path.starts_with("transforms/") || case.path.starts_with("splat/") {
+        return absent(&name, "this format is not read yet").with_kind("later");
+    }
+    let path = folder.join(&case.path);
+    Trial::test(name, move || guarded(path, case))
+}
+
+/// What loading gave: a description of the scene, or the error.
+type Outcome = Result<String, Error>;
+
+/// Runs a case with a limit on time, and looks at the memory that it took.
+fn guarded(path: PathBuf, case: Case) -> Result<(), Failed> {
+    let (sender, receiver) = mpsc::channel();
+    let loaded = path.clone();
+    let thread = std::thread::spawn(move || {
+        let _ = sender.send(load(&loaded));
+    });
+    let outcome = match receiver.recv_timeout(TIMEOUT) {
+        Ok(outcome) => outcome,
+        Err(mpsc::RecvTimeoutError::Timeout) => return Err(format!("hangs: {}", case.what).into()),
+        Err(mpsc::RecvTimeoutError::Disconnected) => {
+            let panic = thread.join().expect_err("only a panic drops the sender");
+            std::panic::resume_unwind(panic)
+        }
+    };
+    if let Some(kib) = peak_memory_kib().filter(|&kib| kib > MAX_MEMORY_KIB) {
+        return Err(format!("took {kib} KiB: {}", case.what).into());
+    }
+    judge(&path, &case, &outcome).map_err(|e| format!("{e} ({}, {outcome:?})", case.what).into())
+}
+
+fn load(path: &Path) -> Outcome {
+    if path.is_file() {
+        return ply::read(path, &ply::PlyOptions::default())
+            .map(|scene| format!("{} Gaussians", scene.gaussians.len()));
+    }
+    let options = DatasetOptions::default();
+    let report = Dataset::inspect(path, &options, Progress::NONE);
+    let loaded = Dataset::load(path, &options, Progress::NONE);
+    assert_eq!(report.is_sound(), loaded.is_ok(), "load and inspect disagree: {report}");
+    loaded.map(|set| format!("{} views, {} points, {:?}", set.train.len(), set.points.len(), set.warnings))
+}
+
+fn judge(path: &Path, case: &Case, outcome: &Outcome) -> Result<(), String> {
+    match (case.verdict.as_str(), outcome) {
+        ("accept", Ok(_)) => {
+            values::check(path, case.path.trim_end_matches('/'));
+            Ok(())
+        }
+        ("accept", Err(_)) => Err("must be accepted".into()),
+        ("refuse", Ok(_)) => Err("must be refused".into()),
+        (_, Err(e)) => check_message(path, &e.to_string()),
+        ("either", Ok(text)) if text.ends_with("[]") => Err("accepted without a warning".into()),
+        ("either", Ok(_)) => Ok(()),
+        (verdict, _) => Err(format!("unknown verdict {verdict}")),
+    }?;
+    values::check_refused(path, case.path.trim_end_matches('/'), outcome.as_ref().err());
+    Ok(())
+}
+
+/// One line that names the file, or one in the data set, and then says something.
+fn check_message(path: &Path, message: &str) -> Result<(), String> {
+    let named = path.to_str().expect("UTF-8").trim_end_matches('/');
+    let Some(rest) = message.strip_prefix(named) else {
+        return Err("the error does not begin with the file".into());
+    };
+    match () {
+        () if message.contains('\n') => Err("the error has several lines".into()),
+        () if message.len() > 600 => Err("the error is longer than 600 bytes".into()),
+        () if rest.split_once(": ").is_none_or(|(_, problem)| problem.len() < 10) => {
+            Err("the error says nothing".into())
+        }
+        () => Ok(()),
+    }
+}
+
+/// The most memory that this process ever had, where the system tells.
+fn peak_memory_kib() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    line.split_ascii_whitespace().nth(1)?.parse().ok()
+}

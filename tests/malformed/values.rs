@@ -1,0 +1,151 @@
+//! What the accepted files must contain, and what the refusals must say.
+
+use std::path::Path;
+
+use ashsplat::Error;
+use ashsplat::io::colmap::Model;
+use ashsplat::io::dataset::{Dataset, DatasetOptions, View};
+use ashsplat::io::{Progress, ply};
+use ashsplat::scene::Gaussians;
+
+/// Checks the values of an accepted case.
+pub fn check(path: &Path, case: &str) {
+    match case.split_once('/') {
+        Some(("ply", name)) => check_gaussians(path, name),
+        Some(("colmap", "ok_jpeg")) => check_counts(path, 3, 20),
+        Some(("colmap", name)) => check_generated(path, name),
+        Some(("fetched", "tiny_model_3_of_many")) => check_counts(path, 3, 1334),
+        Some(("fetched", "two_pinhole_fx_ne_fy")) => check_counts(path, 3, 368),
+        _ => panic!("nothing known of {case}"),
+    }
+}
+
+/// Checks what is special about refused cases.
+pub fn check_refused(path: &Path, case: &str, error: Option<&Error>) {
+    let message = error.map(ToString::to_string).unwrap_or_default();
+    let says = |words: &str| assert!(message.contains(words), "no '{words}' in: {message}");
+    match case {
+        "ply/nan_inf.ply" => {
+            says("5 of 16");
+            says("vertex 0: x = NaN");
+            assert_eq!(dropping(path), (11, 5));
+        }
+        "ply/extreme_values.ply" => {
+            says("2 of 16");
+            assert_eq!(dropping(path), (14, 2));
+        }
+        "ply/points_only.ply" => says("point cloud"),
+        "ply/empty.ply" => says("empty"),
+        "ply/missing_f_rest_7.ply" => says("f_rest_7"),
+        "fetched/lfs_pointer_point_cloud.ply" => says("git lfs pull"),
+        "colmap/distorted_camera" => {
+            says("SIMPLE_RADIAL");
+            says("camera 1");
+            says("cameras.bin");
+            says("colmap image_undistorter --image_path");
+        }
+        "colmap/png_wrong_size" => says("is 32x24 pixels, its camera 64x48"),
+        "colmap/missing_image_file" => says("c.png"),
+        "fetched/per_image_cameras_simple_radial" => {
+            let model = Model::of_dataset(path).unwrap();
+            assert_eq!((model.cameras.len(), model.images.len(), model.points.len()), (362, 362, 8649));
+        }
+        _ => {}
+    }
+}
+
+fn dropping(path: &Path) -> (usize, u64) {
+    let scene = ply::read(path, &ply::PlyOptions { drop_invalid: true }).unwrap();
+    assert!(scene.warning.is_some());
+    scene.gaussians.check_shapes().unwrap();
+    (scene.gaussians.len(), scene.dropped)
+}
+
+/// The values of ok_inria.ply, whose data are 16 rows of 62 floats after the header, by place.
+fn plain_rows(folder: &Path) -> Vec<[f32; 62]> {
+    let bytes = std::fs::read(folder.join("ok_inria.ply")).unwrap();
+    let data = &bytes[bytes.len() - 16 * 248..];
+    let floats: Vec<f32> = data.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
+    floats.as_chunks::<62>().0.to_vec()
+}
+
+fn check_gaussians(path: &Path, name: &str) {
+    let scene = ply::read(path, &ply::PlyOptions::default()).unwrap();
+    assert_eq!((scene.dropped, scene.warning), (0, None));
+    let gaussians = scene.gaussians;
+    gaussians.check_shapes().unwrap();
+    if name == "zero_vertices.ply" {
+        return assert_eq!(gaussians, Gaussians { sh_degree: 3, ..Gaussians::default() });
+    }
+    let degree = ["ok_sh0.ply", "ok_sh1.ply", "ok_sh2.ply"].iter().position(|&n| n == name).unwrap_or(3);
+    assert_eq!(gaussians.sh_degree as usize, degree);
+    let higher = (degree + 1).pow(2) - 1;
+    let stretch = if name == "ok_unnormalised_quaternions.ply" { 50.0 } else { 1.0 };
+    assert_eq!(gaussians.len(), 16);
+    for (index, row) in plain_rows(path.parent().unwrap()).iter().enumerate() {
+        assert_eq!(gaussians.means[index], row[..3]);
+        assert_eq!(gaussians.opacity_logits[index], row[54]);
+        assert_eq!(gaussians.log_scales[index], row[55..58]);
+        let quat: Vec<f32> = row[58..].iter().map(|q| q * stretch).collect();
+        assert_eq!(gaussians.quats[index], quat[..]);
+        let sh = gaussians.sh_of(index);
+        assert_eq!(sh[0], row[6..9]);
+        for (k, coefficient) in sh[1..].iter().enumerate() {
+            // Channel-major: all higher coefficients of red, then of green, then of blue.
+            assert_eq!(*coefficient, [0, 1, 2].map(|channel| row[9 + channel * higher + k]));
+        }
+    }
+}
+
+fn load(path: &Path) -> Dataset {
+    Dataset::load(path, &DatasetOptions::default(), Progress::NONE).unwrap()
+}
+
+fn check_counts(path: &Path, views: usize, points: usize) {
+    let dataset = load(path);
+    assert_eq!((dataset.train.len(), dataset.points.len()), (views, points));
+    for View { camera, photo, .. } in &dataset.train {
+        camera.check().unwrap();
+        assert_eq!((camera.width, camera.height), (photo.width, photo.height));
+        assert_eq!(photo.rgb.len(), 3 * (photo.width * photo.height) as usize);
+        // Real pictures are not flat.
+        assert!(photo.rgb.iter().max() > photo.rgb.iter().min().map(|v| v + 100).as_ref());
+    }
+}
+
+/// Three pictures of 64×48 with a formula for each pixel.
+fn check_generated(path: &Path, name: &str) {
+    let dataset = load(path);
+    let plain = load(&path.parent().unwrap().join("ok"));
+    assert_eq!(dataset.points.positions, plain.points.positions);
+    // One case has another colour at its last point.
+    assert_eq!(dataset.points.colors[..19], plain.points.colors[..19]);
+    assert_eq!(dataset.points.len(), 20);
+    assert!(dataset.test.is_empty());
+    assert_eq!(dataset.train.len(), 3);
+    for view in &dataset.train {
+        let stem = view.name.trim_start_matches("left/");
+        let seed = stem.as_bytes()[0] - b'a';
+        let same = plain.train.iter().find(|v| v.name == stem).unwrap();
+        assert!(view.camera.camera_from_world.abs_diff_eq(same.camera.camera_from_world, 1e-6));
+        assert_eq!(view.camera.translation, same.camera.translation);
+        assert_eq!(view.camera.intrinsics(), same.camera.intrinsics());
+        let ids = if name == "ok_gap_in_ids" { [5, 900, 41] } else { [1, 2, 3] };
+        assert_eq!(view.image_id, ids[usize::from(seed)]);
+        check_pixels(view, seed, name);
+    }
+}
+
+fn check_pixels(view: &View, seed: u8, name: &str) {
+    let [fx, fy, cx, cy] = [view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy];
+    assert_eq!([fx, fy, cx, cy], [60.0, 60.0, 32.0, 24.0]);
+    let (width, height) = (view.photo.width, view.photo.height);
+    assert_eq!((width, height), (64, 48));
+    let grey = name == "ok_png_kinds" && seed == 0;
+    let seed = if name == "ok_png_kinds" { 0 } else { u32::from(seed) };
+    for (index, &pixel) in view.photo.rgb.as_chunks::<3>().0.iter().enumerate() {
+        let (x, y) = (index as u32 % width, index as u32 / width);
+        let [r, g, b] = [x * 4 + 40 * seed, y * 5, x + y].map(|v| (v % 256) as u8);
+        assert_eq!(pixel, if grey { [r; 3] } else { [r, g, b] }, "{} ({x}, {y})", view.name);
+    }
+}

@@ -1,0 +1,134 @@
+//! Real photographs with COLMAP models, and trained scenes: one trial each.
+
+use std::path::{Path, PathBuf};
+
+use ashsplat::io::colmap::{Model, find};
+use ashsplat::io::dataset::{Dataset, DatasetOptions};
+use ashsplat::io::{Progress, Resolution, ply};
+use glam::Vec3;
+use libtest_mimic::Trial;
+
+use crate::absent;
+
+/// Trials of the data sets and trained scenes that are there.
+pub fn trials(shared: &Path) -> Vec<Trial> {
+    let data = shared.join("data");
+    let mut trials = Vec::new();
+    let mut add = |name: &str, path: &str, check: fn(&Path)| {
+        let path: PathBuf = data.join(path);
+        trials.push(match path.exists() {
+            true => Trial::test(name, move || {
+                check(&path);
+                Ok(())
+            }),
+            false => absent(name, format!("no {}", path.display())),
+        });
+    };
+    add("data_fox_half", "fox/half", |path| fox(path, 266, 474));
+    add("data_fox_quarter", "fox/quarter", |path| fox(path, 133, 237));
+    add("data_fox_quarter_scaled", "fox/quarter", fox_scaled);
+    add("data_fox_quarter_txt", "fox/quarter_txt", fox_text);
+    add("data_trained_quantised_sh3", "trained/yushimatenjin_186k_sh3.inria.ply", |p| trained(p, 185_761, 3));
+    add("data_trained_reordered_sh2", "trained/playbot_lod3_31k_sh2.ply", |p| trained(p, 31_000, 2));
+    add("data_trained_by_the_reference", "trained/kacytran_iter7000.ply", |p| trained(p, 9_080, 3));
+    add("data_trained_three", "trained/test-splat.3-points-from-train.ply", |p| trained(p, 3, 3));
+    add("data_trained_compressed", "trained/biker.compressed.ply", compressed);
+    trials
+}
+
+fn fox(path: &Path, width: u32, height: u32) {
+    let options = DatasetOptions { eval: true, ..DatasetOptions::default() };
+    let dataset = Dataset::load(path, &options, Progress::NONE).unwrap();
+    assert_eq!((dataset.train.len(), dataset.test.len(), dataset.points.len()), (43, 7, 12_079));
+    assert_eq!(dataset.warnings, [""; 0]);
+    let names = |views: &[ashsplat::io::View]| views.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&dataset.test)[..3], ["0001.jpg", "0012.jpg", "0027.jpg"]);
+    assert!(names(&dataset.train).is_sorted());
+    for view in dataset.views() {
+        view.camera.check().unwrap();
+        assert_eq!((view.photo.width, view.photo.height), (width, height));
+    }
+    assert!(dataset.scene_extent > 1.0 && dataset.scene_extent < 20.0, "{}", dataset.scene_extent);
+    assert_points_are_seen(&dataset);
+    let gaussians = dataset.initial_gaussians(3, 0).unwrap();
+    gaussians.check_shapes().unwrap();
+    assert!(Dataset::inspect(path, &options, Progress::NONE).is_sound());
+}
+
+/// The points of a model lie in front of its cameras, many of them in each picture, and have its colours: more so
+/// than those of the mirrored picture.
+fn assert_points_are_seen(dataset: &Dataset) {
+    let (mut difference, mut mirrored) = (0, 0);
+    for view in dataset.views() {
+        let (width, height) = (view.photo.width as usize, view.photo.height as usize);
+        let pixel = |x: usize, y: usize| &view.photo.rgb[3 * (y * width + x)..][..3];
+        let distance =
+            |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(&a, &b)| u64::from(a.abs_diff(b))).sum::<u64>();
+        let mut seen = 0;
+        for (&position, color) in dataset.points.positions.iter().zip(&dataset.points.colors) {
+            let (x, y, depth) = view.camera.project(Vec3::from_array(position));
+            if depth > 0.0 && x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32 {
+                seen += 1;
+                let (x, y) = (x as usize, y as usize);
+                difference += distance(pixel(x, y), color);
+                mirrored += distance(pixel(width - 1 - x, y), color);
+            }
+        }
+        assert!(seen > 500, "{}: {seen} points", view.name);
+    }
+    assert!(3 * difference < 2 * mirrored, "colours differ by {difference}, mirrored by {mirrored}");
+}
+
+fn fox_scaled(path: &Path) {
+    let options = DatasetOptions { resolution: Resolution::Factor(2), ..DatasetOptions::default() };
+    let dataset = Dataset::load(path, &options, Progress::NONE).unwrap();
+    for view in &dataset.train {
+        // Half of 133 and 237, ties to even.
+        assert_eq!((view.photo.width, view.photo.height), (66, 118));
+        let ratio = view.camera.fx / view.original_camera.fx;
+        assert!((ratio - 66.0 / 133.0).abs() < 1e-6);
+        assert!((view.camera.cy / view.original_camera.cy - 118.0 / 237.0).abs() < 1e-6);
+    }
+    assert_points_are_seen(&dataset);
+}
+
+fn fox_text(path: &Path) {
+    let text = Model::read(&find(path).unwrap()).unwrap();
+    assert!(text.source.text);
+    let binary = Model::of_dataset(path.with_file_name("quarter")).unwrap();
+    assert!(!binary.source.text);
+    assert_eq!(text.cameras, binary.cameras);
+    let sorted = |model: &Model| {
+        let mut images = model.images.clone();
+        images.sort_by_key(|image| image.id);
+        images
+    };
+    assert_eq!(sorted(&text), sorted(&binary));
+    let mut points = [&text, &binary].map(|model| {
+        let rows = model.points.positions.iter().zip(&model.points.colors);
+        rows.map(|(p, c)| (p.map(f32::to_bits), *c)).collect::<Vec<_>>()
+    });
+    points.iter_mut().for_each(|p| p.sort());
+    assert_eq!(points[0], points[1]);
+}
+
+fn trained(path: &Path, count: usize, sh_degree: u32) {
+    let options = ply::PlyOptions::default();
+    let scene = ply::read(path, &options).unwrap();
+    let gaussians = &scene.gaussians;
+    assert_eq!((gaussians.len(), gaussians.sh_degree), (count, sh_degree));
+    gaussians.check_shapes().unwrap();
+    assert_eq!(scene.dropped, 0);
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join("copy.ply");
+    ply::write(&copy, gaussians).unwrap();
+    assert_eq!(ply::read(&copy, &options).unwrap().gaussians, *gaussians);
+    let statistics = gaussians.statistics();
+    let bounds = statistics.central_bounds.unwrap();
+    assert!(bounds.size().min_element() > 0.0 && bounds.size().is_finite(), "{statistics:?}");
+}
+
+fn compressed(path: &Path) {
+    let message = ply::read(path, &ply::PlyOptions::default()).unwrap_err().to_string();
+    assert!(message.contains("compressed"), "{message}");
+}
