@@ -137,7 +137,7 @@ fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) 
         fs::write(out.join(&spirv_file), array).unwrap();
     }
     let shader = reflect::reflect(&spirv).map_err(|e| format!("{display}: {e}"))?;
-    Ok(generate::Kernel { name, documentation: leading_comment(&source), shader, spirv_file })
+    Ok(generate::Kernel { name, source, shader, spirv_file })
 }
 
 fn compile(glsl: &Path, path: &Path, display: &str, source: &str) -> Result<Vec<u32>, String> {
@@ -242,14 +242,4 @@ fn forget_older(out: &Path, flat: &str) {
             let _ = fs::remove_file(entry.path());
         }
     }
-}
-
-/// The first block of `//` lines, before or after `#version` and extensions.
-fn leading_comment(source: &str) -> Vec<String> {
-    let lines = source.lines().map(str::trim);
-    lines
-        .skip_while(|l| l.is_empty() || l.starts_with('#'))
-        .map_while(|l| l.strip_prefix("//"))
-        .map(|l| l.strip_prefix(' ').unwrap_or(l).to_owned())
-        .collect()
 }

@@ -10,3 +10,80 @@
 //! another type, does not compile.
 
 include!(concat!(env!("OUT_DIR"), "/kernels.rs"));
+
+#[cfg(test)]
+mod generate;
+#[cfg(test)]
+mod reflect;
+
+#[cfg(test)]
+mod tests {
+    use super::generate;
+    use super::reflect::{Binding, PushField, SpecConstant, reflect};
+    use crate::vk::KernelInterface;
+
+    #[test]
+    fn a_shader_is_reflected() {
+        let shader = reflect(super::scan::scan_reduce::Interface::SPIRV).expect("valid SPIR-V");
+        let buffer =
+            |name: &str, binding, reads, writes| Binding { name: name.into(), binding, reads, writes };
+        let buffers = [
+            buffer("counts", 0, true, false),
+            buffer("values", 1, true, false),
+            buffer("block_sums", 2, false, true),
+        ];
+        assert_eq!(shader.bindings, buffers);
+        let push = PushField { name: "count_index".into(), offset: 0, rust_type: "u32".into(), bytes: 4 };
+        assert_eq!(shader.push, [push]);
+        let constant = |id, name: &str, default_bits| SpecConstant {
+            id,
+            name: name.into(),
+            rust_type: "u32",
+            default_bits,
+        };
+        let constants =
+            [constant(0, "WORKGROUP_SIZE", 256), constant(1, "SUBGROUP_SIZE", 32), constant(2, "ITEMS", 4)];
+        assert_eq!(shader.spec, constants);
+        assert_eq!(shader.workgroup_size, ["spec.workgroup_size", "1", "1"]);
+        assert!(shader.shared_bytes.contains("spec.subgroup_size"), "{}", shader.shared_bytes);
+    }
+
+    #[test]
+    fn what_is_no_spirv_is_refused() {
+        assert!(reflect(&[]).is_err());
+        assert!(reflect(&[1, 2, 3, 4, 5]).is_err());
+        let spirv = super::scan::scan_reduce::Interface::SPIRV;
+        assert!(reflect(&spirv[..6]).expect_err("cut").contains("truncated"));
+    }
+
+    #[test]
+    fn constants_are_mirrored_with_their_comments() {
+        let source = "// A tile.\nconst uint TILE = 16u; // pixels\n\n// Near.\nconst float NEAR = 0.2;\nconst bool B = true;\n";
+        let text = generate::constants(source).expect("valid");
+        for part in [
+            "pub const TILE: u32 = 16;",
+            "\"pixels\"",
+            "pub const NEAR: f32 = 0.2;",
+            "\"Near.\"",
+            "B: bool = true",
+        ] {
+            assert!(text.contains(part), "{part} is missing:\n{text}");
+        }
+        let error = generate::constants("const uint A = 1;\nconst uint = 2\n").expect_err("malformed");
+        assert!(error.starts_with("glsl/include/constants.glsl:2:"), "{error}");
+    }
+
+    #[test]
+    fn two_buffers_of_one_name_are_refused() {
+        let mut shader = reflect(super::scan::scan_reduce::Interface::SPIRV).expect("valid SPIR-V");
+        shader.bindings[1].name = "counts".into();
+        let kernel = generate::Kernel {
+            name: "scan/twice".into(),
+            source: String::new(),
+            shader,
+            spirv_file: "twice.spv.rs".into(),
+        };
+        let error = generate::kernels(&[kernel], "").expect_err("a duplicate");
+        assert!(error.contains("glsl/scan/twice.comp") && error.contains("'counts'"), "{error}");
+    }
+}

@@ -1,1 +1,7 @@
 //! The Vulkan layer on the device at hand.
+
+mod context;
+mod hazard;
+mod kernels;
+mod memory;
+mod recorder;

@@ -8,8 +8,8 @@ use std::fmt::Write;
 pub struct Kernel {
     /// Path below glsl/ without extension, "sort/sort_count".
     pub name: String,
-    /// The leading comment of its source.
-    pub documentation: Vec<String>,
+    /// Its source, for the comments.
+    pub source: String,
     /// Its interface.
     pub shader: Shader,
     /// The file with its SPIR-V as a Rust array.
@@ -25,19 +25,32 @@ pub fn kernels(kernels: &[Kernel], constants: &str) -> Result<String, String> {
         tree.entry(folder).or_default().push((stem, kernel));
     }
     let mut out = constants.to_owned();
+    let mut visits = String::new();
     for (folder, members) in tree {
-        let depth = folder.split('/').filter(|s| !s.is_empty()).count();
-        for part in folder.split('/').filter(|s| !s.is_empty()) {
-            let _ = writeln!(out, "/// Kernels of `glsl/{folder}`.\npub mod {part} {{");
+        if folder.contains('/') {
+            errors.push(format!("glsl/{folder}: kernels lie in folders directly below glsl/"));
+        }
+        let nested = !folder.is_empty();
+        if nested {
+            let _ = writeln!(out, "/// Kernels of `glsl/{folder}`.\npub mod {folder} {{");
         }
         for (stem, kernel) in members {
+            let path = kernel.name.replace('/', "::");
+            let _ = writeln!(visits, "visitor.visit::<{path}::Interface>();");
             match module(stem, kernel) {
                 Ok(text) => out.push_str(&text),
                 Err(error) => errors.push(format!("glsl/{}.comp: {error}", kernel.name)),
             }
         }
-        out.push_str(&"}\n".repeat(depth));
+        if nested {
+            out.push_str("}\n");
+        }
     }
+    let _ = writeln!(
+        out,
+        "/// Shows every kernel to a visitor, by name in alphabetical order of the folders.\n\
+         pub fn visit_all(visitor: &mut impl crate::vk::KernelVisitor) {{\n{visits}let _ = visitor;\n}}"
+    );
     if errors.is_empty() { Ok(out) } else { Err(errors.join("\n")) }
 }
 
@@ -90,24 +103,27 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     let mut out = String::new();
     check_identifier(stem)?;
     let _ = writeln!(out, "#[doc = \"`glsl/{}.comp`\"]\n#[doc = \"\"]\n#[doc = \"```text\"]", kernel.name);
-    for line in &kernel.documentation {
+    for line in leading_comment(&kernel.source) {
         let _ = writeln!(out, "#[doc = {line:?}]");
     }
     let _ = writeln!(
         out,
         "#[doc = \"```\"]\n#[allow(clippy::all, unused_imports, unused_variables, unused_parens)]"
     );
-    let _ =
-        writeln!(out, "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, KernelInterface}};");
-    out.push_str(&bind(&kernel.shader)?);
-    out.push_str(&push(&kernel.shader)?);
-    out.push_str(&spec(&kernel.shader)?);
+    let _ = writeln!(
+        out,
+        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, KernelInterface, Limits}};"
+    );
+    out.push_str(&bind(kernel)?);
+    out.push_str(&push(kernel)?);
+    out.push_str(&spec(kernel)?);
     out.push_str(&interface(kernel));
     out.push_str("}\n");
     Ok(out)
 }
 
-fn bind(shader: &Shader) -> Result<String, String> {
+fn bind(kernel: &Kernel) -> Result<String, String> {
+    let shader = &kernel.shader;
     let mut names = BTreeSet::new();
     let mut numbers = BTreeSet::new();
     let mut fields = String::new();
@@ -124,7 +140,8 @@ fn bind(shader: &Shader) -> Result<String, String> {
             (false, true) => "written",
             _ => "read and written",
         };
-        let _ = writeln!(fields, "/// Binding {}, {access}.\npub {}: &'a Buffer,", b.binding, b.name);
+        let about = format!("Binding {}, {access}.{}", b.binding, comment_of(&kernel.source, &b.name));
+        let _ = writeln!(fields, "#[doc = {about:?}]\npub {}: &'a Buffer,", b.name);
     }
     if fields.is_empty() {
         fields.push_str("#[doc(hidden)] pub none: std::marker::PhantomData<&'a Buffer>,\n");
@@ -134,7 +151,8 @@ fn bind(shader: &Shader) -> Result<String, String> {
     ))
 }
 
-fn push(shader: &Shader) -> Result<String, String> {
+fn push(kernel: &Kernel) -> Result<String, String> {
+    let shader = &kernel.shader;
     let mut out = String::from("/// The push constants of one dispatch.\n#[repr(C)]\n");
     if shader.push.is_empty() {
         out.push_str("#[derive(Clone, Copy, Debug, Default, PartialEq)]\npub struct Push {}\n");
@@ -145,7 +163,8 @@ fn push(shader: &Shader) -> Result<String, String> {
     );
     for field in &shader.push {
         check_identifier(&field.name)?;
-        let _ = writeln!(out, "/// At byte {}.\npub {}: {},", field.offset, field.name, field.rust_type);
+        let about = format!("At byte {}.{}", field.offset, comment_of(&kernel.source, &field.name));
+        let _ = writeln!(out, "#[doc = {about:?}]\npub {}: {},", field.name, field.rust_type);
     }
     out.push_str("}\nimpl Default for Push { fn default() -> Self { bytemuck::Zeroable::zeroed() } }\nconst _: () = {\n");
     for field in &shader.push {
@@ -156,13 +175,15 @@ fn push(shader: &Shader) -> Result<String, String> {
     Ok(out)
 }
 
-fn spec(shader: &Shader) -> Result<String, String> {
+fn spec(kernel: &Kernel) -> Result<String, String> {
+    let shader = &kernel.shader;
     let mut fields = String::new();
     let mut defaults = String::new();
     for c in &shader.spec {
         let name = c.name.to_lowercase();
         check_identifier(&name)?;
-        let _ = writeln!(fields, "/// `{}`, constant_id {}.\npub {name}: {},", c.name, c.id, c.rust_type);
+        let about = format!("`{}`, constant_id {}.{}", c.name, c.id, comment_of(&kernel.source, &c.name));
+        let _ = writeln!(fields, "#[doc = {about:?}]\npub {name}: {},", c.rust_type);
         let value = match c.rust_type {
             "bool" => (c.default_bits != 0).to_string(),
             "i32" => format!("{}", c.default_bits as i32),
@@ -174,8 +195,31 @@ fn spec(shader: &Shader) -> Result<String, String> {
     Ok(format!(
         "/// The specialization constants of a pipeline; the shader's own values by default.\n\
          #[derive(Clone, Copy, Debug, PartialEq)]\npub struct Spec {{\n{fields}}}\n\
-         impl Default for Spec {{ fn default() -> Self {{ Self {{\n{defaults}}} }} }}\n"
+         impl Default for Spec {{ fn default() -> Self {{ Self {{\n{defaults}}} }} }}\n{}",
+        for_device(shader)
     ))
+}
+
+/// A constructor of `Spec` that fits a device.
+fn for_device(shader: &Shader) -> String {
+    let has = |name: &str| shader.spec.iter().any(|c| c.name == name && c.rust_type == "u32");
+    let mut body = String::from("let mut spec = Self::default();\n");
+    if has("SUBGROUP_SIZE") {
+        body.push_str("spec.subgroup_size = limits.subgroup_size;\n");
+    }
+    if has("WORKGROUP_SIZE") {
+        body.push_str(
+            "spec.workgroup_size = limits.workgroup_size(spec.workgroup_size);\n\
+             while Interface::shared_bytes(&spec) > limits.shared_memory_bytes\n\
+             && spec.workgroup_size > limits.subgroup_size {\n\
+             spec.workgroup_size = limits.workgroup_size(spec.workgroup_size / 2);\n}\n",
+        );
+    }
+    format!(
+        "impl Spec {{\n/// The shader's values, with the device's subgroup size and the largest workgroup up to the \
+         shader's own\n/// that the device's limits on invocations, subgroups and shared memory allow.\n\
+         #[allow(unused_mut)]\npub fn for_device(limits: &Limits) -> Self {{\n{body}spec\n}}\n}}\n"
+    )
 }
 
 fn interface(kernel: &Kernel) -> String {
@@ -224,6 +268,7 @@ fn interface(kernel: &Kernel) -> String {
          fn push_bytes(push: &Push) -> &[u8] {{ {push_bytes} }}\n\
          fn spec_entries(spec: &Spec) -> Vec<(u32, u32)> {{ vec![{entries}] }}\n\
          fn subgroup_size(spec: &Spec) -> Option<u32> {{ {subgroup} }}\n\
+         fn spec_for(limits: &Limits) -> Spec {{ Spec::for_device(limits) }}\n\
          fn workgroup_size(spec: &Spec) -> [u32; 3] {{ [{x}, {y}, {z}] }}\n\
          fn shared_bytes(spec: &Spec) -> u32 {{ {shared} }}\n}}\n",
         name = kernel.name,
@@ -232,6 +277,26 @@ fn interface(kernel: &Kernel) -> String {
         count = shader.bindings.len(),
         shared = shader.shared_bytes,
     )
+}
+
+/// The first block of `//` lines, before or after `#version` and extensions.
+fn leading_comment(source: &str) -> Vec<&str> {
+    let lines = source.lines().map(str::trim).skip_while(|l| l.is_empty() || l.starts_with('#'));
+    lines.map_while(|l| l.strip_prefix("//")).map(|l| l.strip_prefix(' ').unwrap_or(l)).collect()
+}
+
+/// The comment behind the declaration of a name, with a space before it; empty if there is none.
+fn comment_of(source: &str, name: &str) -> String {
+    let declares = |code: &str| {
+        let mut words = code.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'));
+        code.contains(';') && words.any(|w| w == name)
+    };
+    let mut declarations =
+        source.lines().filter_map(|l| l.split_once("//")).filter(|(code, _)| declares(code));
+    match declarations.next() {
+        Some((_, comment)) => format!(" {}", comment.trim()),
+        None => String::new(),
+    }
 }
 
 fn check_identifier(name: &str) -> Result<(), String> {

@@ -27,6 +27,8 @@ pub struct ContextOptions {
     pub subgroup_size: Option<u32>,
     /// Stricter limits than the device's, for tests.
     pub limits_override: Option<LimitsOverride>,
+    /// For tests: transfer through staging memory, as on a discrete GPU, also where device memory could be mapped.
+    pub force_staging: bool,
 }
 
 impl Default for ContextOptions {
@@ -38,6 +40,7 @@ impl Default for ContextOptions {
             timestamps: true,
             subgroup_size: None,
             limits_override: None,
+            force_staging: false,
         }
     }
 }
@@ -99,10 +102,11 @@ impl Context {
             queue_family: candidate.queue_family,
             limits,
             memory,
-            unified_memory: matches!(
-                candidate.device_type,
-                vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU
-            ),
+            unified_memory: !options.force_staging
+                && matches!(
+                    candidate.device_type,
+                    vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU
+                ),
             timestamp_bits: if options.timestamps { family.timestamp_valid_bits } else { 0 },
             hazard_check: options.hazard_check,
             name: candidate.description.name,

@@ -1,5 +1,6 @@
 //! A compute pipeline with a typed interface.
 
+use super::buffer::Buffer;
 use super::context::{Context, Inner};
 use super::limits::Limits;
 use super::vk_error;
@@ -7,8 +8,6 @@ use crate::{Error, Result};
 use ash::vk;
 use std::marker::PhantomData;
 use std::sync::Arc;
-
-use super::buffer::Buffer;
 
 /// What a shader does with a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,6 +66,14 @@ pub trait KernelInterface {
     fn workgroup_size(spec: &Self::Spec) -> [u32; 3];
     /// Bytes of shared memory.
     fn shared_bytes(spec: &Self::Spec) -> u32;
+    /// The shader's own constants with subgroup and workgroup size fitted to a device.
+    fn spec_for(limits: &Limits) -> Self::Spec;
+}
+
+/// For code that goes over all kernels: see [`crate::kernels::visit_all`].
+pub trait KernelVisitor {
+    /// Called once for each kernel.
+    fn visit<K: KernelInterface>(&mut self);
 }
 
 /// A shader compiled for a device with its specialization constants.

@@ -168,7 +168,10 @@ impl Block {
             device.bind_buffer_memory(self.raw, self.memory, 0).map_err(vk_error("vkBindBufferMemory"))?;
         }
         let flags = types[index as usize].property_flags;
-        if flags.contains(vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT) {
+        let mappable =
+            flags.contains(vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT);
+        // Reading or writing a GPU's own memory word by word over the bus is slower than staging.
+        if mappable && (kind == MemoryKind::HostVisible || self.inner.unified_memory) {
             // SAFETY: host-visible memory, mapped once, whole; freeing it unmaps it.
             let address =
                 unsafe { device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };

@@ -52,7 +52,7 @@ pub use buffer::Buffer;
 pub use context::{Context, ContextOptions};
 pub use device::{DeviceDescription, devices};
 pub use instance::validation_available;
-pub use kernel::{Access, BindingInfo, Kernel, KernelInterface};
+pub use kernel::{Access, BindingInfo, Kernel, KernelInterface, KernelVisitor};
 pub use limits::{Limits, LimitsOverride};
 pub use memory::{ArenaMemory, MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use profiler::ScopeTime;

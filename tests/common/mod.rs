@@ -1,7 +1,7 @@
 //! What the tests share.
 
 // Each test binary uses a part of it.
-#![allow(dead_code)]
+#![allow(dead_code, unused_imports)]
 
 pub mod compare;
 pub mod device;

@@ -1,0 +1,63 @@
+//! The generated interfaces and pipelines of all kernels.
+
+use crate::common;
+use ashsplat::Error;
+use ashsplat::kernels::{self, scan::scan_reduce};
+use ashsplat::vk::{Context, Kernel, KernelInterface, KernelVisitor};
+
+struct Compile<'a> {
+    context: &'a Context,
+    names: Vec<&'static str>,
+}
+
+impl KernelVisitor for Compile<'_> {
+    fn visit<K: KernelInterface>(&mut self) {
+        let spec = K::spec_for(self.context.limits());
+        let kernel = Kernel::<K>::new(self.context, &spec).unwrap_or_else(|e| panic!("{}: {e}", K::NAME));
+        assert_eq!(kernel.workgroup_size(), K::workgroup_size(&spec));
+        self.names.push(K::NAME);
+    }
+}
+
+#[test]
+fn every_kernel_compiles_on_this_device() {
+    let context = common::context();
+    let mut compile = Compile { context, names: Vec::new() };
+    kernels::visit_all(&mut compile);
+    assert!(compile.names.contains(&"scan/scan_reduce"));
+    common::assert_silent(context);
+}
+
+#[test]
+fn what_exceeds_the_device_is_refused_before_the_driver_sees_it() {
+    let limits = common::context().limits();
+    let fits = scan_reduce::Spec::for_device(limits);
+    let refused =
+        |spec| Kernel::<scan_reduce::Interface>::new(common::context(), &spec).err().expect("refused");
+    let most = limits.max_workgroup_invocations.max(limits.max_workgroup_subgroups * limits.subgroup_size);
+    let error = refused(scan_reduce::Spec { workgroup_size: most * 2, ..fits });
+    assert!(matches!(&error, Error::TooLarge { what, .. } if what.contains("scan/scan_reduce")), "{error}");
+    let error = refused(scan_reduce::Spec { workgroup_size: fits.subgroup_size + 1, ..fits });
+    assert!(error.to_string().contains("no multiple"), "{error}");
+    let error = refused(scan_reduce::Spec { subgroup_size: limits.max_subgroup_size * 2, ..fits });
+    assert!(error.to_string().contains("subgroup size"), "{error}");
+    let error = refused(scan_reduce::Spec { workgroup_size: 0, ..fits });
+    assert!(error.to_string().contains("no invocations"), "{error}");
+    common::assert_silent(common::context());
+}
+
+#[test]
+fn the_generated_interface_mirrors_the_shader() {
+    use ashsplat::vk::Access;
+    let access: Vec<_> =
+        scan_reduce::Interface::BINDINGS.iter().map(|b| (b.name, b.binding, b.access)).collect();
+    let expected =
+        [("counts", 0, Access::Read), ("values", 1, Access::Read), ("block_sums", 2, Access::Write)];
+    assert_eq!(access, expected);
+    let spec = scan_reduce::Spec { workgroup_size: 64, subgroup_size: 8, items: 3 };
+    assert_eq!(scan_reduce::Interface::spec_entries(&spec), [(0, 64), (1, 8), (2, 3)]);
+    assert_eq!(scan_reduce::Interface::workgroup_size(&spec), [64, 1, 1]);
+    assert_eq!(scan_reduce::Interface::subgroup_size(&spec), Some(8));
+    assert_eq!(scan_reduce::Interface::push_bytes(&scan_reduce::Push { count_index: 5 }), 5u32.to_ne_bytes());
+    assert_eq!(kernels::constants::TILE_SIZE, 16);
+}

@@ -1,0 +1,122 @@
+//! Allocation, transfer, and what keeps memory alive.
+
+use crate::common;
+use ashsplat::Error;
+use ashsplat::vk::{Context, ContextOptions, LimitsOverride, MemoryKind, PLACEMENT_ALIGNMENT, pack};
+
+#[test]
+fn requests_are_packed_in_order_without_overlap() {
+    let packing = pack(&[100, 0, 256, 5], 4096).expect("fits");
+    assert_eq!(packing.places, [(0, 0), (0, 256), (0, 512), (0, 768)]);
+    assert_eq!(packing.blocks, [784]);
+}
+
+#[test]
+fn a_full_block_is_followed_by_another() {
+    let packing = pack(&[600, 300, 200, 1000], 1000).expect("fits");
+    assert_eq!(packing.places, [(0, 0), (1, 0), (1, 512), (2, 0)]);
+    assert_eq!(packing.blocks, [600, 712, 1000]);
+    assert!(pack(&[], 1000).expect("fits").blocks.is_empty());
+    assert_eq!(pack(&[1000, 1001], 1000), Err(1));
+}
+
+proptest::proptest! {
+    #[test]
+    fn packing_holds_everything(sizes in proptest::collection::vec(0u64..5000, 0..40), block in 5000u64..20_000) {
+        let packing = pack(&sizes, block).expect("each fits");
+        let mut taken: Vec<(usize, u64, u64)> = (packing.places.iter().zip(&sizes))
+            .map(|(&(block, offset), &bytes)| (block, offset, offset + bytes.max(16)))
+            .collect();
+        taken.sort_unstable();
+        for (block, start, end) in &taken {
+            proptest::prop_assert!(start % PLACEMENT_ALIGNMENT == 0 && *end <= packing.blocks[*block]);
+        }
+        for pair in taken.windows(2) {
+            proptest::prop_assert!(pair[0].0 < pair[1].0 || pair[0].2 <= pair[1].1);
+        }
+        proptest::prop_assert!(packing.blocks.iter().all(|b| *b <= block));
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_an_error_with_the_size() {
+    let limits = common::context().limits();
+    let needed = limits.max_storage_buffer_range + 4;
+    let result = common::context().allocate("frame", &[("keys", 4), ("huge", needed)], MemoryKind::Device);
+    match result {
+        Err(Error::TooLarge { what, needed: n, limit, .. }) => {
+            assert!(what.contains("frame.huge"), "{what}");
+            assert_eq!((n, limit), (needed, limits.max_storage_buffer_range));
+        }
+        other => panic!("{other:?}"),
+    }
+    let override_ = LimitsOverride { max_allocation_bytes: Some(1000), ..LimitsOverride::default() };
+    let small = Context::new(&ContextOptions { limits_override: Some(override_), ..common::options() });
+    let small = small.expect("a context");
+    let result = small.allocate("frame", &[("keys", 1004)], MemoryKind::Device);
+    assert!(matches!(result, Err(Error::TooLarge { limit: 1000, .. })), "{result:?}");
+    let buffers = small.allocate("frame", &[("a", 600), ("b", 600)], MemoryKind::Device).expect("two blocks");
+    assert_eq!(buffers.iter().map(|b| b.bytes()).collect::<Vec<_>>(), [600, 600]);
+    common::assert_silent(&small);
+}
+
+#[test]
+fn arenas_are_counted() {
+    let context = Context::new(&common::options()).expect("a context");
+    let arena = |name: &str| context.memory().into_iter().find(|a| a.name == name).expect("registered");
+    let first = context.allocate("frame", &[("a", 1024)], MemoryKind::Device).expect("memory");
+    let second = context.allocate("frame", &[("b", 512)], MemoryKind::HostVisible).expect("memory");
+    assert_eq!((arena("frame").bytes, arena("frame").peak_bytes), (1536, 1536));
+    drop(first);
+    assert_eq!((arena("frame").bytes, arena("frame").peak_bytes), (512, 1536));
+    let part = second[0].range(4, 8);
+    drop(second);
+    assert_eq!(arena("frame").bytes, 512, "a part keeps the whole alive");
+    drop(part);
+    assert_eq!(arena("frame").bytes, 0);
+}
+
+/// Bytes that differ at every place.
+fn pattern(bytes: usize) -> Vec<u8> {
+    (0..bytes as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect()
+}
+
+#[test]
+fn transfers_give_back_what_they_got() {
+    for force_staging in [false, true] {
+        let options = ContextOptions { force_staging, ..common::options() };
+        let context = Context::new(&options).expect("a context");
+        for bytes in [1, 3, 4, 17, 65_536, 65_540, (16 << 20) + 5] {
+            let requests = [("before", 16), ("data", bytes as u64), ("after", 16)];
+            let buffers = context.allocate("transfer", &requests, MemoryKind::Device).expect("memory");
+            context.upload(&buffers[2], &[7; 16]).expect("upload");
+            context.upload(&buffers[1], &pattern(bytes)).expect("upload");
+            let back = context.download(&buffers[1]).expect("download");
+            assert!(back[..bytes] == pattern(bytes), "{bytes} bytes, staging {force_staging}");
+            assert_eq!(context.download(&buffers[2]).expect("download"), [7; 16]);
+        }
+        common::assert_silent(&context);
+    }
+}
+
+#[test]
+fn host_access_outside_or_to_device_memory_is_refused() {
+    let context = common::context();
+    let host =
+        context.allocate("host", &[("h", 16)], MemoryKind::HostVisible).expect("memory").swap_remove(0);
+    let device = context.allocate("device", &[("d", 16)], MemoryKind::Device).expect("memory").swap_remove(0);
+    host.write(4, &[1, 2, 3, 4]).expect("inside");
+    let mut back = [0; 3];
+    host.read(5, &mut back).expect("inside");
+    assert_eq!(back, [2, 3, 4]);
+    assert!(host.write(13, &[0; 4]).is_err() && host.read(u64::MAX, &mut back).is_err());
+    assert!(device.write(0, &[0; 4]).is_err(), "even where it is mapped");
+    assert!(context.upload(&device, &[0; 17]).is_err());
+}
+
+#[test]
+#[should_panic(expected = "outside of 'h'")]
+fn a_range_outside_panics() {
+    let buffers = common::context().allocate("host", &[("h", 64)], MemoryKind::HostVisible).expect("memory");
+    let _ = buffers[0].range(60, 8);
+}

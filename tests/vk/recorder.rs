@@ -1,0 +1,313 @@
+//! Recording, submission, hazards in recordings, timestamps.
+
+use crate::common;
+use ashsplat::kernels::scan::scan_reduce;
+use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, LimitsOverride, MemoryKind};
+
+/// Sums of blocks of a sequence on the device.
+struct BlockSums {
+    counts: Buffer,
+    values: Buffer,
+    block_sums: Buffer,
+    arguments: Buffer,
+    kernel: Kernel<scan_reduce::Interface>,
+    workgroups: u64,
+    expected: Vec<u32>,
+}
+
+impl BlockSums {
+    fn new(context: &Context, count: usize) -> Self {
+        let spec = scan_reduce::Spec::for_device(context.limits());
+        let block = (spec.workgroup_size * spec.items) as usize;
+        let values: Vec<u32> = (0..count as u32).map(|i| i % 97).collect();
+        let expected: Vec<u32> = values.chunks(block).map(|c| c.iter().sum()).collect();
+        let workgroups = expected.len() as u64;
+        let bytes = 4 * workgroups;
+        let requests =
+            [("counts", 4), ("values", 4 * count as u64), ("block_sums", bytes), ("arguments", 12)];
+        let buffers = context.allocate("block sums", &requests, MemoryKind::Device).expect("memory");
+        let [counts, step_values, block_sums, arguments] = <[Buffer; 4]>::try_from(buffers).expect("four");
+        context.upload(&counts, bytemuck::bytes_of(&(count as u32))).expect("upload");
+        context.upload(&step_values, bytemuck::cast_slice(&values)).expect("upload");
+        let kernel = Kernel::new(context, &spec).expect("a kernel");
+        Self { counts, values: step_values, block_sums, arguments, kernel, workgroups, expected }
+    }
+
+    fn bind(&self) -> scan_reduce::Bind<'_> {
+        scan_reduce::Bind { counts: &self.counts, values: &self.values, block_sums: &self.block_sums }
+    }
+
+    fn check(&self, context: &Context) {
+        let bytes = context.download(&self.block_sums.range(0, 4 * self.workgroups)).expect("download");
+        assert_eq!(bytemuck::pod_collect_to_vec::<u8, u32>(&bytes), self.expected);
+    }
+}
+
+const PUSH: scan_reduce::Push = scan_reduce::Push { count_index: 0 };
+
+#[test]
+fn a_dispatch_computes() {
+    let context = common::context();
+    let sums = BlockSums::new(context, 10_000);
+    context
+        .run("sums", |r| {
+            r.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups);
+            Ok(())
+        })
+        .expect("a run");
+    sums.check(context);
+    common::assert_silent(context);
+}
+
+#[test]
+fn more_workgroups_than_an_axis_holds_are_all_run() {
+    let override_ = LimitsOverride { max_workgroups_per_axis: Some(5), ..LimitsOverride::default() };
+    let context = Context::new(&ContextOptions { limits_override: Some(override_), ..common::options() });
+    let context = context.expect("a context");
+    let sums = BlockSums::new(&context, 8_500);
+    assert!(sums.workgroups > 5);
+    let report = context.run("sums", |r| {
+        r.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups);
+        Ok(())
+    });
+    report.expect("a run");
+    sums.check(&context);
+    common::assert_silent(&context);
+}
+
+#[test]
+fn an_indirect_dispatch_takes_its_grid_from_a_buffer() {
+    let context = common::context();
+    let sums = BlockSums::new(context, 5_000);
+    let grid = [sums.workgroups as u32, 1, 1];
+    let report = context.run("sums", |r| {
+        r.update(&sums.arguments, bytemuck::cast_slice(&grid));
+        r.fill(&sums.block_sums, 0);
+        r.barrier();
+        r.dispatch_indirect(&sums.kernel, &sums.bind(), &PUSH, &sums.arguments);
+        Ok(())
+    });
+    report.expect("a run");
+    sums.check(context);
+    common::assert_silent(context);
+}
+
+#[test]
+fn no_workgroups_are_no_dispatch() {
+    let context = common::context();
+    let sums = BlockSums::new(context, 2_000);
+    let report = context.run("nothing", |r| {
+        r.fill(&sums.block_sums, 5);
+        r.barrier();
+        r.dispatch(&sums.kernel, &sums.bind(), &PUSH, 0);
+        Ok(())
+    });
+    report.expect("a run");
+    let bytes = context.download(&sums.block_sums).expect("download");
+    assert!(bytemuck::pod_collect_to_vec::<u8, u32>(&bytes).iter().all(|&v| v == 5));
+}
+
+#[test]
+fn fill_copy_and_update_touch_their_range_only() {
+    let context = common::context();
+    let buffers = context.allocate("words", &[("a", 64), ("b", 64)], MemoryKind::Device).expect("memory");
+    let (a, b) = (&buffers[0], &buffers[1]);
+    let report = context.run("transfers", |r| {
+        r.fill(a, 1);
+        r.fill(b, 2);
+        r.barrier();
+        r.fill(&a.range(8, 8), 3);
+        r.update(&a.range(32, 32), bytemuck::cast_slice(&[4u32, 5]));
+        r.barrier();
+        r.copy(&a.range(4, 32), &b.range(16, 40));
+        Ok(())
+    });
+    report.expect("a run");
+    let words =
+        |buffer| -> Vec<u32> { bytemuck::pod_collect_to_vec(&context.download(buffer).expect("download")) };
+    assert_eq!(words(a), [1, 1, 3, 3, 1, 1, 1, 1, 4, 5, 1, 1, 1, 1, 1, 1]);
+    assert_eq!(words(b), [2, 2, 2, 2, 1, 3, 3, 1, 1, 1, 1, 4, 2, 2, 2, 2]);
+    common::assert_silent(context);
+}
+
+#[test]
+#[should_panic(
+    expected = "missing barrier (write after write): 'scan/scan_reduce' writes buffer 'block_sums' as \
+                           'block_sums' after 'fill' writes buffer 'block_sums' as 'destination'"
+)]
+fn a_missing_barrier_panics_with_both_ends() {
+    let context = common::context();
+    let sums = BlockSums::new(context, 2_000);
+    let _ = context.run("missing", |r| {
+        r.fill(&sums.block_sums, 0);
+        r.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups);
+        Ok(())
+    });
+}
+
+/// Four commands, three barriers, each of them needed.
+fn record(recorder: &mut ashsplat::vk::Recorder, sums: &BlockSums) {
+    recorder.update(&sums.arguments, bytemuck::cast_slice(&[sums.workgroups as u32, 1, 1]));
+    recorder.barrier();
+    recorder.dispatch_indirect(&sums.kernel, &sums.bind(), &PUSH, &sums.arguments);
+    recorder.barrier();
+    recorder.copy(&sums.block_sums.range(0, 4), &sums.arguments);
+    recorder.barrier();
+    recorder.fill(&sums.block_sums, 0);
+}
+
+#[test]
+fn each_omitted_barrier_is_found_without_submitting() {
+    let context = common::context();
+    let sums = BlockSums::new(context, 2_000);
+    let hazards = |omitted: Option<u32>| {
+        let mut recorder = context.begin("never submitted").expect("a recorder");
+        recorder.collect_hazards();
+        omitted.into_iter().for_each(|k| recorder.omit_barrier(k));
+        record(&mut recorder, &sums);
+        assert_eq!(recorder.barriers(), 3);
+        recorder.hazards().to_vec()
+    };
+    assert_eq!(hazards(None), [""; 0]);
+    assert!(hazards(Some(0))[0].contains("'indirect arguments'"), "{:?}", hazards(Some(0)));
+    assert!(hazards(Some(1))[0].contains("read after write"), "{:?}", hazards(Some(1)));
+    assert!(hazards(Some(2))[0].contains("write after read"), "{:?}", hazards(Some(2)));
+}
+
+#[test]
+fn the_validation_layer_sees_an_omitted_barrier_too() {
+    if !common::options().validation {
+        eprintln!("SKIPPED: no validation layer");
+        return;
+    }
+    let context =
+        Context::new(&ContextOptions { hazard_check: false, ..common::options() }).expect("a context");
+    let buffers = context.allocate("words", &[("a", 64), ("b", 64)], MemoryKind::Device).expect("memory");
+    let copy = |omit: bool| {
+        let report = context.run("copy", |r| {
+            if omit {
+                r.omit_barrier(0);
+            }
+            r.fill(&buffers[0], 1);
+            r.barrier();
+            r.copy(&buffers[0], &buffers[1]);
+            Ok(())
+        });
+        report.expect("a run");
+    };
+    copy(false);
+    common::assert_silent(&context);
+    copy(true);
+    let messages = context.validation_messages();
+    assert!(messages.iter().any(|m| m.contains("SYNC-HAZARD")), "{messages:?}");
+}
+
+#[test]
+fn what_a_submission_uses_may_be_dropped_and_is_not_accessible_before_it_is_done() {
+    let context = common::context();
+    let sums = BlockSums::new(context, 100_000);
+    let host = context.allocate("result", &[("sums", 4 * sums.workgroups)], MemoryKind::HostVisible);
+    let host = host.expect("memory").swap_remove(0);
+    let mut recorder = context.begin("kept").expect("a recorder");
+    recorder.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups);
+    recorder.barrier();
+    recorder.copy(&sums.block_sums.range(0, 4 * sums.workgroups), &host);
+    let pending = context.submit(recorder).expect("a submission");
+    let expected = sums.expected.clone();
+    drop(sums);
+    let mut bytes = vec![0; 4 * expected.len()];
+    assert!(host.read(0, &mut bytes).is_err(), "the submission is under way");
+    pending.wait().expect("done");
+    host.read(0, &mut bytes).expect("done");
+    assert_eq!(bytemuck::pod_collect_to_vec::<u8, u32>(&bytes), expected);
+    common::assert_silent(context);
+}
+
+#[test]
+fn submissions_follow_each_other_without_waiting() {
+    let context = common::context();
+    let buffers = context.allocate("chain", &[("a", 4096), ("b", 4096)], MemoryKind::Device).expect("memory");
+    let mut pending = Vec::new();
+    for step in 0..20 {
+        let mut recorder = context.begin("chain").expect("a recorder");
+        recorder.copy(&buffers[0], &buffers[1]);
+        recorder.barrier();
+        recorder.fill(&buffers[0], step);
+        pending.push(context.submit(recorder).expect("a submission"));
+    }
+    drop(pending);
+    assert!(context.download(&buffers[1]).expect("download").chunks(4).all(|w| w == [18, 0, 0, 0]));
+    common::assert_silent(context);
+}
+
+#[test]
+fn a_context_serves_several_threads() {
+    let context = common::context();
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                let sums = BlockSums::new(context, 20_000);
+                for _ in 0..5 {
+                    let report = context.run("thread", |r| {
+                        r.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups);
+                        Ok(())
+                    });
+                    report.expect("a run");
+                    sums.check(context);
+                }
+            });
+        }
+    });
+    common::assert_silent(context);
+}
+
+#[test]
+fn scopes_are_timed_and_nested() {
+    for timestamps in [true, false] {
+        let context = Context::new(&ContextOptions { timestamps, ..common::options() }).expect("a context");
+        let sums = BlockSums::new(&context, 50_000);
+        let report = context.run("whole", |r| {
+            r.scope("outer", |r| {
+                r.scope("inner", |r| r.dispatch(&sums.kernel, &sums.bind(), &PUSH, sums.workgroups));
+                r.barrier();
+                r.scope("clear", |r| r.fill(&sums.block_sums, 0));
+            });
+            Ok(())
+        });
+        let report = report.expect("a run");
+        if !timestamps || context.limits().timestamp_period_ns == 0.0 {
+            assert!(report.scopes.is_empty());
+            continue;
+        }
+        let names: Vec<_> = report.scopes.iter().map(|s| (s.name.as_str(), s.depth)).collect();
+        assert_eq!(names, [("outer", 0), ("inner", 1), ("clear", 1)]);
+        let [outer, inner, clear] = [0, 1, 2].map(|i| report.scopes[i].nanoseconds);
+        assert!(inner > 0.0 && inner + clear <= outer && outer <= report.nanoseconds, "{report:?}");
+        common::assert_silent(&context);
+    }
+}
+
+#[test]
+fn more_scopes_than_timestamps_are_fine() {
+    let context = common::context();
+    let report = context.run("many", |r| {
+        (0..300).for_each(|i| r.scope(&format!("scope {i}"), |_| ()));
+        Ok(())
+    });
+    let report = report.expect("a run");
+    assert!(report.scopes.len() < 300);
+    common::assert_silent(context);
+}
+
+#[test]
+fn an_error_while_recording_submits_nothing() {
+    let context = common::context();
+    let buffer = context.allocate("words", &[("a", 16)], MemoryKind::Device).expect("memory").swap_remove(0);
+    context.upload(&buffer, &[1; 16]).expect("upload");
+    let result = context.run("fails", |r| {
+        r.fill(&buffer, 0);
+        Err(ashsplat::Error::Interrupted)
+    });
+    assert!(matches!(result, Err(ashsplat::Error::Interrupted)));
+    assert_eq!(context.download(&buffer).expect("download"), [1; 16]);
+}
