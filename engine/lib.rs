@@ -1,11 +1,41 @@
-//! 3D Gaussian Splatting (Kerbl et al., SIGGRAPH 2023) on raw Vulkan compute.
+//! 3D Gaussian Splatting (Kerbl et al., SIGGRAPH 2023) on raw Vulkan compute: rendering, differentiation, training.
+//!
+//! ```text
+//!            per Gaussian        per visible              per (tile, Gaussian) instance          per tile, per pixel
+//!  forward   cull → compact ──→ project → depth sort ──→ count → scan → expand → tile sort ──→ ranges → blend
+//!  backward  adam ←──────────── project backward ←────── slots ←──────────────────────────────── blend backward ← loss
+//!            densify: decide → place → gather
+//! ```
+//!
+//! - [`Renderer`] and `Trainer` own their submissions: they record, submit, wait and read back.
+//! - [`forward`], [`backward`], [`loss`], [`optimizer`], [`densify`] only *record*, into a [`vk::Recorder`].
+//! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`].
+//! - [`scene`], [`io`] and [`metrics`] know no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
+//!
+//! Sizes are planned in [`plan`] as pure arithmetic. How many Gaussians are visible and how many instances they make is
+//! known only on the device: dispatches over them are indirect, buffers have capacities, and a frame that needs more
+//! says so and is run again. The same inputs on the same device give the same bits, in training too.
 
+pub mod backward;
+pub mod densify;
 pub mod error;
+pub mod forward;
 pub mod io;
 pub mod kernels;
+pub mod loss;
 pub mod metrics;
+pub mod optimizer;
+pub mod plan;
+pub mod planes;
+pub mod renderer;
+pub mod scan;
 pub mod scene;
+pub mod sort;
 pub mod trainer;
 pub mod vk;
 
 pub use error::{Error, Result};
+pub use forward::{Extent, JacobianLimit, RenderSettings};
+pub use renderer::{Frame, FrameStats, Gradients, PixelReport, Renderer, Sample};
+pub use scene::{Camera, Gaussians};
+pub use trainer::TrainSettings;

@@ -101,7 +101,11 @@ pub fn read(path: impl AsRef<Path>) -> Result<Vec<NamedCamera>> {
     let check = |entry: &Entry| {
         let camera = entry.camera();
         if let Some(problem) = camera.problem() {
-            return Err(Error::input(path, format!("camera {}: {problem}", entry.id), "correct it in the file"));
+            return Err(Error::input(
+                path,
+                format!("camera {}: {problem}", entry.id),
+                "correct it in the file",
+            ));
         }
         Ok(NamedCamera { name: entry.img_name.clone(), camera })
     };

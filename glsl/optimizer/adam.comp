@@ -37,6 +37,9 @@ layout(push_constant, scalar) uniform Push {
     uint gradient_stride;
     float beta_1;
     float beta_2;
+    // 1 - b, rounded once: 1 - 0.999 in float32 is off by 5e-5.
+    float one_minus_beta_1;
+    float one_minus_beta_2;
     float epsilon;
     // Learning rates, already divided by 1 - b1^t.
     float rate_mean;
@@ -56,8 +59,8 @@ layout(push_constant, scalar) uniform Push {
 
 void update(uint plane, uint index, vec4 g, vec4 rate, vec4 inverse_bias) {
     uint at = plane * stride + index;
-    vec4 m = beta_1 * moments_1[at] + (1.0 - beta_1) * g;
-    vec4 v = beta_2 * moments_2[at] + (1.0 - beta_2) * g * g;
+    vec4 m = beta_1 * moments_1[at] + one_minus_beta_1 * g;
+    vec4 v = beta_2 * moments_2[at] + one_minus_beta_2 * g * g;
     moments_1[at] = m;
     moments_2[at] = v;
     parameters[at] -= rate * (m / (sqrt(v) * inverse_bias + epsilon));

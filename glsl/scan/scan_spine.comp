@@ -1,7 +1,7 @@
 // Exclusive prefix sum of the block sums, in place, by a single workgroup: second step of reduce-then-scan.
 //
 // invocation: one block sum at a time; workgroup: walks over all of them with a carry
-// in/out: block_sums[m], m = ceil(n / block_size); n = count, or totals[count] when from_totals is set
+// in/out: block_sums[first_sum ..][m], m = ceil(n / block_size); n = count, or totals[count] when from_totals is set
 // out: totals[total_index] = the sum of all
 // shared: one word per subgroup; any subgroup size
 #version 460
@@ -17,12 +17,13 @@ layout(local_size_x_id = 0) in;
 layout(set = 0, binding = 0, scalar) buffer BlockSums { uint block_sums[]; };
 layout(set = 0, binding = 1, scalar) buffer Totals { uint totals[]; };
 
-// `from_totals` != 0: the number of values is totals[count], else it is `count`.
+// `from_totals` != 0: the number of values is totals[count], else it is `count`. The sums start at `first_sum`.
 layout(push_constant, scalar) uniform Push {
     uint count;
     uint from_totals;
     uint block_size;
     uint total_index;
+    uint first_sum;
 };
 
 #include "workgroup_scan.glsl"
@@ -33,11 +34,11 @@ void main() {
     uint carry = 0;
     for (uint first = 0; first < blocks; first += WORKGROUP_SIZE) {
         uint index = first + gl_LocalInvocationID.x;
-        uint value = index < blocks ? block_sums[index < blocks ? index : 0] : 0;
+        uint value = index < blocks ? block_sums[first_sum + (index < blocks ? index : 0)] : 0;
         uint total;
         uint exclusive = workgroup_exclusive_add(value, total);
         if (index < blocks) {
-            block_sums[index] = carry + exclusive;
+            block_sums[first_sum + index] = carry + exclusive;
         }
         carry += total;
     }

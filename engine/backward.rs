@@ -1,0 +1,201 @@
+//! The backward pass: from dL/dpixel to dL/d(every parameter), exact and in one fixed order of summation.
+//!
+//! No atomics: each (tile, Gaussian) instance owns a slot, its place before the tile sort, and slots of one Gaussian
+//! are contiguous. A tile writes its sums there, and the projection's backward adds a Gaussian's slots in order. The
+//! same inputs on the same device give the same bits.
+
+use crate::error::Result;
+use crate::forward::{Forward, FrameInputs, camera_push};
+use crate::kernels::backward::{blend_backward, expand_gradients, project_backward};
+use crate::kernels::constants as c;
+use crate::plan::{Blocks, blocks, tile_grid};
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// Tiles above which a Gaussian's slots are added by its whole subgroup.
+const LANE_SLOTS: u32 = 64;
+
+/// The kernels of the backward pass.
+pub struct Backward {
+    context: Context,
+    sizes: Blocks,
+    blend: [Option<Kernel<blend_backward::Interface>>; 2],
+    project: [Option<Kernel<project_backward::Interface>>; 4],
+    expand: [Option<Kernel<expand_gradients::Interface>>; 4],
+}
+
+/// Where the densification statistics go: per Gaussian, the sum of NDC gradient norms and the number of views.
+#[derive(Clone, Copy)]
+pub struct Statistics<'a> {
+    /// vec2 per Gaussian.
+    pub buffer: &'a Buffer,
+    /// Whether to add to it.
+    pub accumulate: bool,
+}
+
+impl Backward {
+    /// Prepares for a device; kernels are built by [`Backward::prepare`].
+    pub fn new(context: &Context) -> Self {
+        Self {
+            context: context.clone(),
+            sizes: Blocks::new(context.limits()),
+            blend: Default::default(),
+            project: Default::default(),
+            expand: Default::default(),
+        }
+    }
+
+    /// Builds the variants for an SH degree, and with or without inverse depth, unless they exist.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
+        let subgroup_size = self.context.limits().subgroup_size;
+        let slot = &mut self.blend[usize::from(inverse_depth)];
+        if slot.is_none() {
+            let spec = blend_backward::Spec { workgroup_size: self.sizes.tile, subgroup_size, inverse_depth };
+            *slot = Some(Kernel::new(&self.context, &spec)?);
+        }
+        let slot = &mut self.project[sh_degree as usize];
+        if slot.is_none() {
+            let spec = project_backward::Spec {
+                // The dispatch over the visible is counted in blocks of the streaming workgroup's size.
+                workgroup_size: self.sizes.stream,
+                subgroup_size,
+                sh_degree,
+                lane_slots: LANE_SLOTS,
+            };
+            *slot = Some(Kernel::new(&self.context, &spec)?);
+        }
+        Ok(())
+    }
+
+    /// Builds the kernel behind [`Backward::record_expand`].
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_expand(&mut self, sh_degree: u32) -> Result<()> {
+        let slot = &mut self.expand[sh_degree as usize];
+        if slot.is_none() {
+            let spec = expand_gradients::Spec { workgroup_size: self.sizes.stream, sh_degree };
+            *slot = Some(Kernel::new(&self.context, &spec)?);
+        }
+        Ok(())
+    }
+
+    /// Records the backward pass of the frame that was recorded before into the same buffers, from
+    /// `frame.image_gradient` to `frame.gradients`. The caller places a barrier before; it ends without one.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics) {
+        r.scope("blend backward", |r| self.record_blend(r, inputs));
+        r.barrier();
+        r.scope("project backward", |r| self.record_project(r, inputs, statistics));
+    }
+
+    fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        let Some(kernel) = &self.blend[usize::from(inputs.settings.inverse_depth)] else {
+            panic!("Backward::prepare was not called for inverse depth");
+        };
+        let bind = blend_backward::Bind {
+            tile_ranges: &f.tile_ranges,
+            sorted_visible: &f.sorted_visible,
+            sorted_slots: Forward::sorted_slots(f, inputs.camera),
+            mean2d_extent: &f.mean2d_extent,
+            conic_opacity: &f.conic_opacity,
+            color_inverse_depth: &f.color_inverse_depth,
+            accumulated: &f.accumulated,
+            inverse_depth: &f.inverse_depth,
+            last_entries: &f.last_entries,
+            image_gradient: &f.image_gradient,
+            running: &f.running,
+            sums_a: &f.sums_a,
+            sums_b: &f.sums_b,
+            sums_c: &f.sums_c,
+        };
+        let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
+        for pass in 0..inputs.capacity.blend_passes {
+            if pass > 0 {
+                r.barrier();
+            }
+            let push = blend_backward::Push {
+                image_width: inputs.camera.width,
+                image_height: inputs.camera.height,
+                tiles_per_row: columns,
+                tile_count: columns * rows,
+                first_entry: pass.saturating_mul(self.sizes.entries_per_pass),
+                max_entries: self.sizes.entries_per_pass,
+                background: inputs.settings.background,
+            };
+            r.dispatch(kernel, &bind, &push, u64::from(columns) * u64::from(rows));
+        }
+    }
+
+    fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics) {
+        let f = inputs.frame;
+        let Some(kernel) = &self.project[inputs.sh_degree as usize] else {
+            panic!("Backward::prepare was not called for SH degree {}", inputs.sh_degree);
+        };
+        for range in inputs.scene.plan.ranges(inputs.scene.count) {
+            if range.chunk > 0 {
+                r.barrier();
+            }
+            let push = camera_push!(
+                project_backward::Push,
+                inputs,
+                range,
+                gradient_stride: inputs.capacity.gaussians,
+                accumulate: statistics.accumulate.into()
+            );
+            let bind = project_backward::Bind {
+                parameters: &inputs.scene.chunks[range.chunk],
+                state: &f.state,
+                visible_list: &f.visible_list,
+                footprints: &f.footprints,
+                slot_begins: &f.slot_begins,
+                conic_opacity: &f.conic_opacity,
+                sums_a: &f.sums_a,
+                sums_b: &f.sums_b,
+                sums_c: &f.sums_c,
+                gradients: &f.gradients,
+                statistics: statistics.buffer,
+            };
+            let at = f.arguments.range(u64::from(c::ARGUMENTS_VISIBLE) * 16, 12);
+            r.dispatch_indirect(kernel, &bind, &push, &at);
+        }
+    }
+
+    /// Records the expansion of `frame.gradients` to gradients of all parameters of all Gaussians, laid out like the
+    /// scene's own planes, and of the 2D means in pixels. The caller places barriers before and after.
+    pub fn record_expand(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        parameter_gradients: &[Buffer],
+        mean2d_gradients: &Buffer,
+    ) {
+        let f = inputs.frame;
+        let Some(kernel) = &self.expand[inputs.sh_degree as usize] else {
+            panic!("Backward::prepare_expand was not called for SH degree {}", inputs.sh_degree);
+        };
+        for range in inputs.scene.plan.ranges(inputs.scene.count) {
+            if range.chunk > 0 {
+                r.barrier();
+            }
+            let bind = expand_gradients::Bind {
+                parameters: &inputs.scene.chunks[range.chunk],
+                visible_index: &f.visible_index,
+                gradients: &f.gradients,
+                parameter_gradients: &parameter_gradients[range.chunk],
+                mean2d_gradients,
+            };
+            let push = expand_gradients::Push {
+                camera_position: inputs.camera.position().to_array(),
+                first: range.first,
+                count: range.count,
+                stride: inputs.scene.plan.stride,
+                gradient_stride: inputs.capacity.gaussians,
+                planes: inputs.scene.plan.planes,
+            };
+            r.dispatch(kernel, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! Adaptive density control, wholly on the device: decide, prefix-sum, place, gather; and the opacity reset.
+//!
+//! The new set has the reference's order: those that stay, then clones, then the first and the second halves of split
+//! Gaussians. Random numbers are keyed by (seed, iteration, Gaussian, half), so that the result does not depend on
+//! scheduling.
+
+use crate::error::Result;
+use crate::forward::SceneBuffers;
+use crate::kernels::densify::{decide, gather, place, reset_opacity};
+use crate::plan::{Blocks, blocks};
+use crate::scan::Scan;
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// Opacity that the reset leaves at most.
+pub const RESET_OPACITY: f64 = 0.01;
+
+/// What densification goes by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DensifySettings {
+    /// Mean norm of the gradient of the 2D mean in NDC, from which a Gaussian is cloned or split.
+    pub gradient_threshold: f32,
+    /// Largest scale that is cloned rather than split, world units.
+    pub clone_scale: f32,
+    /// Opacity below which a Gaussian is removed.
+    pub min_opacity: f32,
+    /// Scale above which a Gaussian is removed, world units; 0 for no bound.
+    pub max_scale: f32,
+}
+
+/// Scratch of a densification.
+#[derive(Clone)]
+pub struct DensifyBuffers {
+    /// Per Gaussian: decision bits.
+    pub decisions: Buffer,
+    /// Per block of Gaussians, three counts, then offsets.
+    pub blocks: Buffer,
+    /// How many stay, are cloned, split.
+    pub totals: Buffer,
+    /// Per row of the new set: where it comes from.
+    pub sources: Buffer,
+}
+
+impl DensifyBuffers {
+    /// Names and bytes, in the order of the fields, for up to `gaussians` before and `rows` after.
+    pub fn requests(sizes: &Blocks, gaussians: u32, rows: u32) -> [(&'static str, u64); 4] {
+        let blocks = blocks(gaussians.into(), sizes.stream.into());
+        [
+            ("decisions", u64::from(gaussians) * 4),
+            ("densify_blocks", blocks * 12),
+            ("densify_totals", 16),
+            ("sources", u64::from(rows) * 4),
+        ]
+    }
+}
+
+/// Standard normal numbers given from outside, for comparisons with other implementations.
+#[derive(Clone, Copy)]
+pub struct ExplicitNoise<'a> {
+    /// vec3 at `half * stride + Gaussian`.
+    pub buffer: &'a Buffer,
+    /// Gaussians.
+    pub stride: u32,
+}
+
+/// Which random numbers a densification draws.
+#[derive(Clone, Copy)]
+pub struct RandomKey<'a> {
+    /// Seed of the run.
+    pub seed: u32,
+    /// Iteration.
+    pub iteration: u32,
+    /// Instead of the generator.
+    pub explicit: Option<ExplicitNoise<'a>>,
+}
+
+/// Rows to copy from one set of planes to another.
+#[derive(Clone, Copy)]
+pub struct Gather<'a> {
+    /// Old planes and their layout.
+    pub from: &'a SceneBuffers,
+    /// New planes and their layout; `count` rows are written.
+    pub to: &'a SceneBuffers,
+    /// Where each row comes from.
+    pub sources: &'a Buffer,
+}
+
+/// The kernels of densification.
+pub struct Densify {
+    sizes: Blocks,
+    scan: Scan,
+    decide: Kernel<decide::Interface>,
+    place: Kernel<place::Interface>,
+    gather_parameters: Kernel<gather::Interface>,
+    gather_explicit: Kernel<gather::Interface>,
+    gather_moments: Kernel<gather::Interface>,
+    reset: Kernel<reset_opacity::Interface>,
+}
+
+impl Densify {
+    /// Builds the kernels.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context) -> Result<Self> {
+        let sizes = Blocks::new(context.limits());
+        let (workgroup_size, subgroup_size) = (sizes.stream, context.limits().subgroup_size);
+        let gather = gather::Spec { workgroup_size, moments: false, explicit_noise: false };
+        Ok(Self {
+            sizes,
+            scan: Scan::new(context)?,
+            decide: Kernel::new(context, &decide::Spec { workgroup_size, subgroup_size })?,
+            place: Kernel::new(context, &place::Spec { workgroup_size, subgroup_size })?,
+            gather_parameters: Kernel::new(context, &gather)?,
+            gather_explicit: Kernel::new(context, &gather::Spec { explicit_noise: true, ..gather })?,
+            gather_moments: Kernel::new(context, &gather::Spec { moments: true, ..gather })?,
+            reset: Kernel::new(context, &reset_opacity::Spec { workgroup_size })?,
+        })
+    }
+
+    /// Records the decisions and the number of Gaussians that stay, are cloned and split, into `buffers.totals`.
+    pub fn record_decide(
+        &self,
+        r: &mut Recorder,
+        scene: &SceneBuffers,
+        statistics: &Buffer,
+        buffers: &DensifyBuffers,
+        settings: &DensifySettings,
+    ) {
+        let all_blocks = scene.count.div_ceil(self.sizes.stream);
+        r.scope("decide", |r| {
+            for range in scene.plan.ranges(scene.count) {
+                if range.chunk > 0 {
+                    r.barrier();
+                }
+                let bind = decide::Bind {
+                    parameters: &scene.chunks[range.chunk],
+                    statistics,
+                    decisions: &buffers.decisions,
+                    block_counts: &buffers.blocks,
+                };
+                let push = decide::Push {
+                    first: range.first,
+                    count: range.count,
+                    stride: scene.plan.stride,
+                    blocks: all_blocks,
+                    gradient_threshold: settings.gradient_threshold,
+                    clone_scale: settings.clone_scale,
+                    min_opacity: settings.min_opacity,
+                    max_scale: settings.max_scale,
+                };
+                r.dispatch(&self.decide, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
+            }
+            // Three rows of one buffer, whose offsets need not meet the device's alignment: one dispatch each.
+            for decision in 0..3 {
+                r.barrier();
+                let row = (decision * all_blocks, all_blocks);
+                self.scan.record_block_sums(r, &buffers.blocks, row, &buffers.totals, decision);
+            }
+        });
+    }
+
+    /// Records where each row of the new set comes from: at most `rows` of them.
+    pub fn record_place(&self, r: &mut Recorder, count: u32, rows: u32, buffers: &DensifyBuffers) {
+        let all_blocks = count.div_ceil(self.sizes.stream);
+        r.dispatch(
+            &self.place,
+            &place::Bind {
+                decisions: &buffers.decisions,
+                block_offsets: &buffers.blocks,
+                totals: &buffers.totals,
+                sources: &buffers.sources,
+            },
+            &place::Push { count, blocks: all_blocks, capacity: rows },
+            all_blocks.into(),
+        );
+    }
+
+    /// Records the copy of parameters, with the halves of split Gaussians drawn.
+    pub fn record_gather_parameters(&self, r: &mut Recorder, rows: &Gather, key: &RandomKey) {
+        let kernel = if key.explicit.is_some() { &self.gather_explicit } else { &self.gather_parameters };
+        self.record_gather(r, kernel, rows, key);
+    }
+
+    /// Records the copy of moments, zero for new Gaussians.
+    pub fn record_gather_moments(&self, r: &mut Recorder, rows: &Gather) {
+        let key = RandomKey { seed: 0, iteration: 0, explicit: None };
+        self.record_gather(r, &self.gather_moments, rows, &key);
+    }
+
+    fn record_gather(
+        &self,
+        r: &mut Recorder,
+        kernel: &Kernel<gather::Interface>,
+        rows: &Gather,
+        key: &RandomKey,
+    ) {
+        let Gather { from, to, sources } = *rows;
+        for target in to.plan.ranges(to.count) {
+            for source in from.plan.ranges(from.count) {
+                if source.chunk > 0 {
+                    r.barrier();
+                }
+                let bind = gather::Bind {
+                    sources,
+                    from: &from.chunks[source.chunk],
+                    to: &to.chunks[target.chunk],
+                    noise: key.explicit.map_or(sources, |noise| noise.buffer),
+                };
+                let push = gather::Push {
+                    from_first: source.first,
+                    from_count: source.count,
+                    from_stride: from.plan.stride,
+                    to_first: target.first,
+                    to_count: target.count,
+                    to_stride: to.plan.stride,
+                    planes: from.plan.planes,
+                    noise_stride: key.explicit.map_or(0, |noise| noise.stride),
+                    seed: key.seed,
+                    iteration: key.iteration,
+                };
+                r.dispatch(kernel, &bind, &push, blocks(target.count.into(), self.sizes.stream.into()));
+            }
+        }
+    }
+
+    /// Records the opacity reset.
+    pub fn record_reset(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &crate::optimizer::Moments) {
+        let max_logit = (RESET_OPACITY / (1.0 - RESET_OPACITY)).ln() as f32;
+        r.scope("reset opacity", |r| {
+            for range in scene.plan.ranges(scene.count) {
+                let bind = reset_opacity::Bind {
+                    parameters: &scene.chunks[range.chunk],
+                    moments_1: &moments.first[range.chunk],
+                    moments_2: &moments.second[range.chunk],
+                };
+                let push = reset_opacity::Push { count: range.count, stride: scene.plan.stride, max_logit };
+                r.dispatch(&self.reset, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
+            }
+        });
+    }
+}

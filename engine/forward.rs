@@ -1,0 +1,459 @@
+//! The forward pass: project → count → scan → expand → sort → ranges → blend.
+//!
+//! Reads like the paper's pipeline, with two differences that change the cost but not the picture. The visible are
+//! sorted by depth first and then expanded to (tile, Gaussian) instances, so that only the tile bits of the instances
+//! remain to be sorted: the order is that of the 64-bit (tile | depth) key. And a tile is touched only if the ellipse
+//! where alpha reaches 1/255 meets it.
+
+use crate::error::Result;
+use crate::kernels::constants as c;
+use crate::kernels::forward::{blend, compact, count, cull, expand, prepare, project, ranges};
+use crate::plan::{Blocks, FrameBuffers, FrameCapacity, ScenePlan, blocks, tile_bits, tile_grid};
+use crate::scan::{Scan, ScanBuffers, Workgroups};
+use crate::scene::Camera;
+use crate::sort::{RadixSort, SortBuffers, Values};
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// Fills the push constants of camera_push.glsl, which several kernels share.
+macro_rules! camera_push {
+    ($push:path, $inputs:expr, $range:expr $(, $extra:ident: $value:expr)*) => {{
+        let camera = $inputs.camera;
+        let rows = camera.camera_from_world.transpose();
+        $push {
+            camera_row_x: rows.x_axis.to_array(),
+            camera_row_y: rows.y_axis.to_array(),
+            camera_row_z: rows.z_axis.to_array(),
+            camera_translation: camera.translation.to_array(),
+            focal_px: [camera.fx, camera.fy],
+            // COLMAP puts the centre of the first pixel at 0.5, the shaders at 0.
+            center_px: [camera.cx - 0.5, camera.cy - 0.5],
+            jacobian_limits: crate::forward::jacobian_limits(camera, $inputs.settings.jacobian_limit),
+            image_width: camera.width,
+            image_height: camera.height,
+            first: $range.first,
+            count: $range.count,
+            stride: $inputs.scene.plan.stride,
+            extent: $inputs.settings.extent_word(),
+            antialias: $inputs.settings.antialias.into(),
+            $($extra: $value,)*
+        }
+    }};
+}
+pub(crate) use camera_push;
+
+/// Which pixels a Gaussian counts at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Extent {
+    /// Wherever its alpha is at least 1/255.
+    #[default]
+    Exact,
+    /// In the tiles of the reference implementation's square of three standard deviations: for parity with it.
+    Reference,
+}
+
+/// Within which directions the projection is linearised at the Gaussian itself; beyond, at the limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum JacobianLimit {
+    /// The image's edges and 0.3 tan(fov/2) beyond.
+    #[default]
+    Edge,
+    /// ±1.3 tan(fov/2) around the optical axis, as the reference does also for off-centre cameras.
+    Symmetric,
+}
+
+/// How a frame is rendered.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderSettings {
+    /// Extent of a Gaussian.
+    pub extent: Extent,
+    /// Limits of the projection's linearisation.
+    pub jacobian_limit: JacobianLimit,
+    /// Opacity compensation for the low-pass filter (Mip-Splatting's 2D filter).
+    pub antialias: bool,
+    /// Background, linear as trained.
+    pub background: [f32; 3],
+    /// Highest SH degree used; `None` for all that are stored.
+    pub sh_degree: Option<u32>,
+    /// Also render the sum of weights / z.
+    pub inverse_depth: bool,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        Self {
+            extent: Extent::default(),
+            jacobian_limit: JacobianLimit::default(),
+            antialias: false,
+            background: [0.0; 3],
+            sh_degree: None,
+            inverse_depth: false,
+        }
+    }
+}
+
+impl RenderSettings {
+    pub(crate) fn extent_word(&self) -> u32 {
+        match self.extent {
+            Extent::Exact => c::EXTENT_EXACT,
+            Extent::Reference => c::EXTENT_REFERENCE,
+        }
+    }
+}
+
+/// The parameters of a scene on the device: planes cut into chunks.
+#[derive(Clone)]
+pub struct SceneBuffers {
+    /// One buffer per chunk of Gaussians.
+    pub chunks: Vec<Buffer>,
+    /// How they are laid out.
+    pub plan: ScenePlan,
+    /// Gaussians in it.
+    pub count: u32,
+}
+
+/// One frame to record.
+#[derive(Clone, Copy)]
+pub struct FrameInputs<'a> {
+    /// The scene.
+    pub scene: &'a SceneBuffers,
+    /// The frame's buffers.
+    pub frame: &'a FrameBuffers,
+    /// Their capacity.
+    pub capacity: &'a FrameCapacity,
+    /// The camera.
+    pub camera: &'a Camera,
+    /// How to render.
+    pub settings: &'a RenderSettings,
+    /// SH degree that is evaluated.
+    pub sh_degree: u32,
+}
+
+/// The kernels of the forward pass.
+pub struct Forward {
+    context: Context,
+    pub(crate) sizes: Blocks,
+    scan: Scan,
+    sort: RadixSort,
+    cull: Kernel<cull::Interface>,
+    compact: Kernel<compact::Interface>,
+    prepare: Kernel<prepare::Interface>,
+    project: [Option<Kernel<project::Interface>>; 4],
+    count: Kernel<count::Interface>,
+    expand: Kernel<expand::Interface>,
+    ranges: Kernel<ranges::Interface>,
+    blend: [Option<Kernel<blend::Interface>>; 2],
+}
+
+impl Forward {
+    /// Builds the kernels that every frame needs.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context) -> Result<Self> {
+        let limits = context.limits();
+        let sizes = Blocks::new(limits);
+        let (workgroup_size, subgroup_size) = (sizes.stream, limits.subgroup_size);
+        Ok(Self {
+            context: context.clone(),
+            sizes,
+            scan: Scan::new(context)?,
+            sort: RadixSort::new(context)?,
+            cull: Kernel::new(context, &cull::Spec { workgroup_size, subgroup_size })?,
+            compact: Kernel::new(context, &compact::Spec { workgroup_size, subgroup_size })?,
+            prepare: Kernel::new(context, &prepare::Spec::default())?,
+            project: Default::default(),
+            count: Kernel::new(context, &count::Spec { workgroup_size })?,
+            expand: Kernel::new(context, &expand::Spec { workgroup_size })?,
+            ranges: Kernel::new(context, &ranges::Spec { workgroup_size })?,
+            blend: Default::default(),
+        })
+    }
+
+    /// Builds the variants for an SH degree, and with or without inverse depth, unless they exist.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
+        let slot = &mut self.project[sh_degree as usize];
+        if slot.is_none() {
+            let spec = project::Spec { workgroup_size: self.sizes.stream, sh_degree };
+            *slot = Some(Kernel::new(&self.context, &spec)?);
+        }
+        let slot = &mut self.blend[usize::from(inverse_depth)];
+        if slot.is_none() {
+            let subgroup_size = self.context.limits().subgroup_size;
+            let spec = blend::Spec { workgroup_size: self.sizes.tile, subgroup_size, inverse_depth };
+            *slot = Some(Kernel::new(&self.context, &spec)?);
+        }
+        Ok(())
+    }
+
+    /// Records a frame; [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        r.scope("clear", |r| {
+            r.fill(&f.state, 0);
+            r.fill(&f.tile_ranges, 0);
+            r.barrier();
+        });
+        r.scope("cull", |r| self.record_visibility(r, inputs));
+        r.scope("project", |r| self.record_project(r, inputs));
+        r.scope("depth sort", |r| self.record_depth_sort(r, f));
+        r.scope("count", |r| self.record_count(r, inputs));
+        r.scope("expand", |r| self.record_expand(r, inputs));
+        let sorted = r.scope("tile sort", |r| self.record_tile_sort(r, inputs));
+        r.scope("ranges", |r| self.record_ranges(r, f, sorted));
+        r.scope("blend", |r| self.record_blend(r, inputs));
+    }
+
+    /// Which Gaussians are visible, in their own order.
+    fn record_visibility(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        for range in inputs.scene.plan.ranges(inputs.scene.count) {
+            let push = camera_push!(cull::Push, inputs, range);
+            let bind = cull::Bind {
+                parameters: &inputs.scene.chunks[range.chunk],
+                visible_flags: &f.visible_flags,
+                block_counts: &f.visible_blocks,
+            };
+            if range.chunk > 0 {
+                r.barrier();
+            }
+            r.dispatch(&self.cull, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
+        }
+        r.barrier();
+        let count = inputs.scene.count;
+        let culled_blocks = count.div_ceil(self.sizes.stream);
+        self.scan.record_block_sums(
+            r,
+            &f.visible_blocks,
+            (0, culled_blocks),
+            &f.state,
+            c::STATE_VISIBLE_NEEDED,
+        );
+        r.barrier();
+        r.dispatch(
+            &self.compact,
+            &compact::Bind {
+                visible_flags: &f.visible_flags,
+                block_offsets: &f.visible_blocks,
+                visible_list: &f.visible_list,
+                visible_index: &f.visible_index,
+            },
+            &compact::Push { count },
+            culled_blocks.into(),
+        );
+        self.record_prepare(r, f, c::STATE_VISIBLE_NEEDED, inputs.capacity.gaussians, c::ARGUMENTS_VISIBLE);
+        r.barrier();
+    }
+
+    fn record_prepare(
+        &self,
+        r: &mut Recorder,
+        f: &FrameBuffers,
+        count_index: u32,
+        capacity: u32,
+        first: u32,
+    ) {
+        r.dispatch(
+            &self.prepare,
+            &prepare::Bind { state: &f.state, arguments: &f.arguments },
+            &prepare::Push {
+                count_index,
+                capacity,
+                first_argument: first,
+                block_stream: self.sizes.stream,
+                block_sort: self.sizes.sort,
+                block_scan: self.sizes.scan,
+                max_workgroups_per_axis: self.context.limits().max_workgroups_per_axis,
+            },
+            1,
+        );
+    }
+
+    /// Screen-space attributes of the visible.
+    fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        let Some(kernel) = &self.project[inputs.sh_degree as usize] else {
+            panic!("Forward::prepare was not called for SH degree {}", inputs.sh_degree);
+        };
+        for range in inputs.scene.plan.ranges(inputs.scene.count) {
+            let push = camera_push!(project::Push, inputs, range);
+            let bind = project::Bind {
+                parameters: &inputs.scene.chunks[range.chunk],
+                state: &f.state,
+                visible_list: &f.visible_list,
+                mean2d_extent: &f.mean2d_extent,
+                conic_opacity: &f.conic_opacity,
+                color_inverse_depth: &f.color_inverse_depth,
+                depth_keys: &f.depth_keys_a,
+                footprints: &f.footprints,
+            };
+            if range.chunk > 0 {
+                r.barrier();
+            }
+            r.dispatch_indirect(kernel, &bind, &push, &arguments(f, c::ARGUMENTS_VISIBLE));
+        }
+        r.barrier();
+    }
+
+    /// Ranks of the visible from near to far; equal depths in the Gaussians' own order.
+    fn record_depth_sort(&self, r: &mut Recorder, f: &FrameBuffers) {
+        let buffers = SortBuffers {
+            counts: &f.state,
+            count_index: c::STATE_VISIBLE,
+            keys: [&f.depth_keys_a, &f.depth_keys_b],
+            values: [&f.order_a, &f.order_b],
+            histogram: &f.histogram,
+            digit_totals: &f.digit_totals,
+        };
+        let at = arguments(f, c::ARGUMENTS_VISIBLE_SORT);
+        // 32 bits are four passes: the order ends in `order_a`.
+        self.sort.record(r, &buffers, Values::Positions, u32::BITS, Workgroups::Indirect(&at));
+        r.barrier();
+    }
+
+    /// Tiles per visible Gaussian in depth order, their prefix sums, and the number of instances.
+    fn record_count(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        let bind = count::Bind {
+            state: &f.state,
+            order: &f.order_a,
+            mean2d_extent: &f.mean2d_extent,
+            conic_opacity: &f.conic_opacity,
+            footprints: &f.footprints,
+            tile_counts: &f.tile_counts,
+        };
+        let push = count::Push { extent: inputs.settings.extent_word() };
+        r.dispatch_indirect(&self.count, &bind, &push, &arguments(f, c::ARGUMENTS_VISIBLE));
+        r.barrier();
+        let buffers = ScanBuffers {
+            counts: &f.state,
+            count_index: c::STATE_VISIBLE,
+            total_index: c::STATE_INSTANCES_NEEDED,
+            values: &f.tile_counts,
+            prefix: &f.instance_offsets,
+            block_sums: &f.scan_blocks,
+        };
+        self.scan.record(r, &buffers, Workgroups::Indirect(&arguments(f, c::ARGUMENTS_VISIBLE_SCAN)));
+        r.barrier();
+        let capacity = inputs.capacity.instances;
+        self.record_prepare(r, f, c::STATE_INSTANCES_NEEDED, capacity, c::ARGUMENTS_INSTANCES);
+        r.barrier();
+    }
+
+    /// One (tile, Gaussian) instance per touched tile.
+    fn record_expand(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        let bind = expand::Bind {
+            state: &f.state,
+            order: &f.order_a,
+            instance_offsets: &f.instance_offsets,
+            mean2d_extent: &f.mean2d_extent,
+            conic_opacity: &f.conic_opacity,
+            footprints: &f.footprints,
+            instance_tiles: &f.tiles_a,
+            instance_visible: &f.instance_visible,
+            slot_begins: &f.slot_begins,
+        };
+        let (tiles_per_row, _) = tile_grid(inputs.camera.width, inputs.camera.height);
+        let push = expand::Push { extent: inputs.settings.extent_word(), tiles_per_row };
+        r.dispatch_indirect(&self.expand, &bind, &push, &arguments(f, c::ARGUMENTS_INSTANCES));
+        r.barrier();
+    }
+
+    /// Instances by tile, stable, so that depth order remains within a tile. Returns where the result lies.
+    fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) -> usize {
+        let f = inputs.frame;
+        let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
+        let buffers = SortBuffers {
+            counts: &f.state,
+            count_index: c::STATE_INSTANCES,
+            keys: [&f.tiles_a, &f.tiles_b],
+            values: [&f.slots_a, &f.slots_b],
+            histogram: &f.histogram,
+            digit_totals: &f.digit_totals,
+        };
+        let at = arguments(f, c::ARGUMENTS_INSTANCES_SORT);
+        let bits = tile_bits(columns * rows);
+        let sorted = self.sort.record(r, &buffers, Values::Positions, bits, Workgroups::Indirect(&at));
+        r.barrier();
+        sorted
+    }
+
+    /// Where each tile begins and ends.
+    fn record_ranges(&self, r: &mut Recorder, f: &FrameBuffers, sorted: usize) {
+        let bind = ranges::Bind {
+            state: &f.state,
+            sorted_tiles: [&f.tiles_a, &f.tiles_b][sorted],
+            sorted_slots: [&f.slots_a, &f.slots_b][sorted],
+            instance_visible: &f.instance_visible,
+            tile_ranges: &f.tile_ranges,
+            sorted_visible: &f.sorted_visible,
+        };
+        r.dispatch_indirect(&self.ranges, &bind, &ranges::Push {}, &arguments(f, c::ARGUMENTS_INSTANCES));
+        r.barrier();
+    }
+
+    /// Colour and transmittance of each pixel.
+    fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        let Some(kernel) = &self.blend[usize::from(inputs.settings.inverse_depth)] else {
+            panic!("Forward::prepare was not called for inverse depth");
+        };
+        let bind = blend::Bind {
+            tile_ranges: &f.tile_ranges,
+            sorted_visible: &f.sorted_visible,
+            mean2d_extent: &f.mean2d_extent,
+            conic_opacity: &f.conic_opacity,
+            color_inverse_depth: &f.color_inverse_depth,
+            accumulated: &f.accumulated,
+            inverse_depth: &f.inverse_depth,
+            last_entries: &f.last_entries,
+            state: &f.state,
+        };
+        let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
+        for pass in 0..inputs.capacity.blend_passes {
+            if pass > 0 {
+                r.barrier();
+            }
+            let push = blend::Push {
+                image_width: inputs.camera.width,
+                image_height: inputs.camera.height,
+                tiles_per_row: columns,
+                tile_count: columns * rows,
+                first_entry: pass.saturating_mul(self.sizes.entries_per_pass),
+                max_entries: self.sizes.entries_per_pass,
+            };
+            r.dispatch(kernel, &bind, &push, u64::from(columns) * u64::from(rows));
+        }
+    }
+
+    /// Which of the frame's two slot buffers hold the sorted slots for an image of this size.
+    pub fn sorted_slots<'a>(frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
+        let (columns, rows) = tile_grid(camera.width, camera.height);
+        let passes = RadixSort::passes(tile_bits(columns * rows));
+        if passes.is_multiple_of(2) { &frame.slots_a } else { &frame.slots_b }
+    }
+}
+
+fn arguments(frame: &FrameBuffers, index: u32) -> Buffer {
+    frame.arguments.range(u64::from(index) * 16, 12)
+}
+
+/// Limits of x/z and y/z (low, high, low, high) within which the projection is linearised.
+pub(crate) fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4] {
+    let axis = |focal: f32, center: f32, size: u32| {
+        let size = size as f32;
+        let half_tan = size / (2.0 * focal);
+        match limit {
+            JacobianLimit::Edge => {
+                [-center / focal - 0.3 * half_tan, (size - center) / focal + 0.3 * half_tan]
+            }
+            JacobianLimit::Symmetric => [-1.3 * half_tan, 1.3 * half_tan],
+        }
+    };
+    let [x_low, x_high] = axis(camera.fx, camera.cx, camera.width);
+    let [y_low, y_high] = axis(camera.fy, camera.cy, camera.height);
+    [x_low, x_high, y_low, y_high]
+}

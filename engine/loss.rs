@@ -1,0 +1,119 @@
+//! The loss of an image against a photograph, and its gradient: (1 - λ) L1 + λ (1 - SSIM).
+
+use crate::error::Result;
+use crate::kernels::loss::{loss_reduce, ssim_backward, ssim_forward};
+use crate::plan::{Blocks, tile_grid};
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// The kernels of the loss.
+pub struct Loss {
+    forward: Kernel<ssim_forward::Interface>,
+    backward: Kernel<ssim_backward::Interface>,
+    reduce: Kernel<loss_reduce::Interface>,
+}
+
+/// What the loss works on.
+#[derive(Clone, Copy)]
+pub struct LossInputs<'a> {
+    /// Per pixel: premultiplied colour without background, transmittance.
+    pub accumulated: &'a Buffer,
+    /// Per pixel: RGBA8 of the photograph.
+    pub photo: &'a Buffer,
+    /// Scratch: [`ssim_maps_bytes`].
+    pub ssim_maps: &'a Buffer,
+    /// Scratch: [`partials_bytes`].
+    pub partials: &'a Buffer,
+    /// Out: vec4 (loss, L1, SSIM, 0) per slot.
+    pub losses: &'a Buffer,
+    /// Which slot of `losses`.
+    pub slot: u32,
+    /// Out, per pixel: dL/d(r, g, b); the fourth component is not written.
+    pub image_gradient: &'a Buffer,
+    /// Size of the image, pixels.
+    pub width: u32,
+    /// Size of the image, pixels.
+    pub height: u32,
+    /// Background the image is composited on.
+    pub background: [f32; 3],
+    /// λ.
+    pub lambda_dssim: f32,
+}
+
+/// Bytes of scratch for an image.
+pub fn ssim_maps_bytes(width: u32, height: u32) -> u64 {
+    u64::from(width) * u64::from(height) * 3 * 12
+}
+
+/// Bytes of scratch for an image.
+pub fn partials_bytes(width: u32, height: u32) -> u64 {
+    let (columns, rows) = tile_grid(width, height);
+    u64::from(columns) * u64::from(rows) * 3 * 8
+}
+
+impl Loss {
+    /// Builds the kernels.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context) -> Result<Self> {
+        let subgroup_size = context.limits().subgroup_size;
+        let workgroup_size = Blocks::new(context.limits()).stream;
+        Ok(Self {
+            forward: Kernel::new(context, &ssim_forward::Spec { workgroup_size, subgroup_size })?,
+            backward: Kernel::new(context, &ssim_backward::Spec { workgroup_size })?,
+            reduce: Kernel::new(context, &loss_reduce::Spec { workgroup_size, subgroup_size })?,
+        })
+    }
+
+    /// Records loss and gradient. The caller places barriers before and after.
+    pub fn record(&self, r: &mut Recorder, inputs: &LossInputs) {
+        let i = inputs;
+        // Blocks of the window are as large as tiles; one layer of workgroups per colour channel.
+        let (columns, rows) = tile_grid(i.width, i.height);
+        r.scope("loss", |r| {
+            r.dispatch_3d(
+                &self.forward,
+                &ssim_forward::Bind {
+                    accumulated: i.accumulated,
+                    photo: i.photo,
+                    ssim_maps: i.ssim_maps,
+                    loss_partials: i.partials,
+                },
+                &ssim_forward::Push {
+                    image_width: i.width,
+                    image_height: i.height,
+                    background: i.background,
+                },
+                [columns, rows, 3],
+            );
+            r.barrier();
+            r.dispatch_3d(
+                &self.backward,
+                &ssim_backward::Bind {
+                    accumulated: i.accumulated,
+                    photo: i.photo,
+                    ssim_maps: i.ssim_maps,
+                    image_gradient: i.image_gradient,
+                },
+                &ssim_backward::Push {
+                    image_width: i.width,
+                    image_height: i.height,
+                    background: i.background,
+                    lambda_dssim: i.lambda_dssim,
+                },
+                [columns, rows, 3],
+            );
+            r.dispatch(
+                &self.reduce,
+                &loss_reduce::Bind { loss_partials: i.partials, losses: i.losses },
+                &loss_reduce::Push {
+                    partials: columns * rows * 3,
+                    slot: i.slot,
+                    scale: 1.0 / (3.0 * i.width as f32 * i.height as f32),
+                    lambda_dssim: i.lambda_dssim,
+                },
+                1,
+            );
+        });
+    }
+}

@@ -1,0 +1,122 @@
+//! Gaussians as the device keeps them: vec4 planes cut into chunks, and back.
+
+use crate::error::{Error, Result};
+use crate::forward::SceneBuffers;
+use crate::kernels::constants as c;
+use crate::plan::{ScenePlan, to_u32};
+use crate::scene::Gaussians;
+use crate::scene::gaussians::sh_coefficients;
+use crate::vk::{Buffer, Context, MemoryKind};
+
+/// Allocates planes for a plan, one buffer per chunk.
+///
+/// # Errors
+/// When the memory does not suffice.
+pub fn allocate(context: &Context, arena: &str, plan: &ScenePlan) -> Result<Vec<Buffer>> {
+    let requests = vec![("planes", plan.chunk_bytes()); plan.chunks as usize];
+    context.allocate(arena, &requests, MemoryKind::Device)
+}
+
+/// Uploads Gaussians into newly allocated planes with room for `capacity` of them, stored with SH up to `sh_degree`
+/// (coefficients that the Gaussians lack are zero).
+///
+/// # Errors
+/// [`Error::TooLarge`] or an allocation's failure; [`Error::Argument`] when the Gaussians' vectors differ in length.
+pub fn upload(
+    context: &Context,
+    arena: &str,
+    gaussians: &Gaussians,
+    capacity: u32,
+    sh_degree: u32,
+) -> Result<SceneBuffers> {
+    check_lengths(gaussians)?;
+    let count = to_u32(gaussians.len() as u64)?;
+    let plan = ScenePlan::new(context.limits(), capacity.max(count), sh_degree)?;
+    let chunks = allocate(context, arena, &plan)?;
+    for range in plan.ranges(count) {
+        let (first, end) = (range.first as usize, (range.first + range.count) as usize);
+        let words = pack(gaussians, first..end, &plan);
+        context.upload(&chunks[range.chunk], bytemuck::cast_slice(&words))?;
+    }
+    Ok(SceneBuffers { chunks, plan, count })
+}
+
+/// Downloads the Gaussians of a scene.
+///
+/// # Errors
+/// When the device is lost.
+pub fn download(context: &Context, scene: &SceneBuffers) -> Result<Gaussians> {
+    let k = sh_coefficients(scene.plan.sh_degree);
+    let n = scene.count as usize;
+    let mut out = Gaussians { sh_degree: scene.plan.sh_degree, ..Gaussians::default() };
+    out.means.reserve_exact(n);
+    out.quats.reserve_exact(n);
+    out.log_scales.reserve_exact(n);
+    out.opacity_logits.reserve_exact(n);
+    out.sh.reserve_exact(n * k);
+    for range in scene.plan.ranges(scene.count) {
+        let bytes = context.download(&scene.chunks[range.chunk])?;
+        let words: &[[f32; 4]] = &bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes);
+        unpack(words, range.count as usize, &scene.plan, &mut out);
+    }
+    Ok(out)
+}
+
+fn check_lengths(gaussians: &Gaussians) -> Result<()> {
+    let n = gaussians.len();
+    let k = sh_coefficients(gaussians.sh_degree);
+    if gaussians.quats.len() == n
+        && gaussians.log_scales.len() == n
+        && gaussians.opacity_logits.len() == n
+        && gaussians.sh.len() == n * k
+        && gaussians.sh_degree <= 3
+    {
+        return Ok(());
+    }
+    let problem = format!(
+        "{n} means, but {} quaternions, {} log-scales, {} opacities and {} SH coefficients of degree {}; \
+         all must belong to the same Gaussians",
+        gaussians.quats.len(),
+        gaussians.log_scales.len(),
+        gaussians.opacity_logits.len(),
+        gaussians.sh.len(),
+        gaussians.sh_degree
+    );
+    Err(Error::argument("gaussians", problem))
+}
+
+fn pack(g: &Gaussians, range: std::ops::Range<usize>, plan: &ScenePlan) -> Vec<[f32; 4]> {
+    let stride = plan.stride as usize;
+    let mut planes = vec![[0.0f32; 4]; stride * plan.planes as usize];
+    let plane = |p: u32, i: usize| p as usize * stride + i;
+    let first = range.start;
+    for source in range {
+        let i = source - first;
+        let [x, y, z] = g.means[source];
+        planes[plane(c::PLANE_MEAN_OPACITY, i)] = [x, y, z, g.opacity_logits[source]];
+        planes[plane(c::PLANE_QUAT, i)] = g.quats[source];
+        let [x, y, z] = g.log_scales[source];
+        planes[plane(c::PLANE_LOG_SCALE, i)] = [x, y, z, 0.0];
+        let stored = sh_coefficients(plan.sh_degree);
+        for (float, &value) in g.sh_of(source).iter().take(stored).flatten().enumerate() {
+            planes[plane(c::PLANE_SH + float as u32 / 4, i)][float % 4] = value;
+        }
+    }
+    planes
+}
+
+fn unpack(planes: &[[f32; 4]], count: usize, plan: &ScenePlan, out: &mut Gaussians) {
+    let stride = plan.stride as usize;
+    let at = |p: u32, i: usize| planes[p as usize * stride + i];
+    let k = sh_coefficients(plan.sh_degree);
+    for i in 0..count {
+        let [x, y, z, opacity] = at(c::PLANE_MEAN_OPACITY, i);
+        out.means.push([x, y, z]);
+        out.opacity_logits.push(opacity);
+        out.quats.push(at(c::PLANE_QUAT, i));
+        let [x, y, z, _] = at(c::PLANE_LOG_SCALE, i);
+        out.log_scales.push([x, y, z]);
+        let float = |f: usize| at(c::PLANE_SH + f as u32 / 4, i)[f % 4];
+        out.sh.extend((0..k).map(|j| [float(3 * j), float(3 * j + 1), float(3 * j + 2)]));
+    }
+}

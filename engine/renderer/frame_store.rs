@@ -1,0 +1,168 @@
+//! The buffers of a frame, and how they grow.
+
+use crate::error::{Error, Result};
+use crate::kernels::constants as c;
+use crate::plan::{Blocks, FrameBuffers, FrameCapacity, frame_requests, initial_instances};
+use crate::scene::Camera;
+use crate::vk::{Buffer, Context, MemoryKind, Recorder};
+
+/// Buffers of a frame that grow with what is asked of them.
+pub struct FrameStore {
+    context: Context,
+    sizes: Blocks,
+    readback: Buffer,
+    capacity: FrameCapacity,
+    frame: Option<FrameBuffers>,
+}
+
+/// What a frame says of itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct State {
+    /// Visible Gaussians.
+    pub visible: u32,
+    /// Instances that the frame needs; more than it has room for when it overflowed.
+    pub instances: u32,
+    /// Entries of the fullest tile.
+    pub longest_tile: u32,
+    /// Gaussians whose gradient was not finite.
+    pub non_finite: u32,
+    /// Whether a capacity was too small, so that the frame is not valid.
+    pub overflow: bool,
+}
+
+impl FrameStore {
+    /// No buffers yet but the one for reading counts back.
+    ///
+    /// # Errors
+    /// When the memory does not suffice.
+    pub fn new(context: &Context) -> Result<Self> {
+        let words = [("state_readback", u64::from(c::STATE_WORDS) * 4)];
+        let mut readback = context.allocate("readback", &words, MemoryKind::HostVisible)?;
+        let Some(readback) = readback.pop() else { unreachable!("one buffer per request") };
+        let capacity = FrameCapacity {
+            gaussians: 0,
+            instances: 0,
+            width: 0,
+            height: 0,
+            blend_passes: 1,
+            backward: false,
+        };
+        let sizes = Blocks::new(context.limits());
+        Ok(Self { context: context.clone(), sizes, readback, capacity, frame: None })
+    }
+
+    /// Buffers for a scene and a camera, allocated anew if those at hand are too small.
+    ///
+    /// # Errors
+    /// When the memory or a limit of the device does not suffice: before any work.
+    pub fn ensure(
+        &mut self,
+        gaussians: u32,
+        camera: &Camera,
+        backward: bool,
+    ) -> Result<(FrameBuffers, FrameCapacity)> {
+        let old = self.capacity;
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        let fits = gaussians <= old.gaussians
+            && camera.width.div_ceil(c::TILE_SIZE) <= old.width.div_ceil(c::TILE_SIZE)
+            && camera.height.div_ceil(c::TILE_SIZE) <= old.height.div_ceil(c::TILE_SIZE)
+            && pixels <= u64::from(old.width) * u64::from(old.height)
+            && backward <= old.backward;
+        if let (Some(frame), true) = (&self.frame, fits) {
+            return Ok((frame.clone(), old));
+        }
+        let guess = match old.instances {
+            0 => initial_instances(gaussians, camera.width, camera.height),
+            instances => instances,
+        };
+        let capacity = FrameCapacity {
+            gaussians: gaussians.max(old.gaussians),
+            instances: guess,
+            width: camera.width.max(old.width),
+            height: camera.height.max(old.height),
+            blend_passes: old.blend_passes,
+            backward: backward || old.backward,
+        };
+        let frame = self.allocate(capacity)?;
+        Ok((frame, capacity))
+    }
+
+    fn allocate(&mut self, capacity: FrameCapacity) -> Result<FrameBuffers> {
+        // The old buffers go first: both at once might not fit.
+        self.frame = None;
+        let requests = frame_requests(&capacity, &self.sizes);
+        let buffers = self.context.allocate("frame", &requests, MemoryKind::Device)?;
+        let frame = FrameBuffers::from_allocated(buffers);
+        if capacity.backward {
+            // Its fourth component stays 0 unless somebody writes it.
+            self.context.run("clear gradient", |r| {
+                r.fill(&frame.image_gradient, 0);
+                Ok(())
+            })?;
+        }
+        self.capacity = capacity;
+        self.frame = Some(frame.clone());
+        Ok(frame)
+    }
+
+    /// Sets the capacity for instances; takes effect with the next allocation, which this forces.
+    pub fn set_instances(&mut self, instances: u32) {
+        self.capacity.instances = instances.max(1);
+        self.frame = None;
+    }
+
+    /// The buffers of the last frame.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when there is none.
+    pub fn current(&self) -> Result<&FrameBuffers> {
+        self.frame.as_ref().ok_or_else(|| Error::argument("frame", "none was rendered yet"))
+    }
+
+    /// Records the copy of the frame's counts to where the host reads them.
+    pub fn record_readback(&self, r: &mut Recorder, frame: &FrameBuffers) {
+        r.barrier();
+        r.copy(&frame.state, &self.readback);
+    }
+
+    /// The counts, after the frame has finished.
+    ///
+    /// # Errors
+    /// When the memory cannot be read.
+    pub fn state(&self) -> Result<State> {
+        let mut bytes = [0u8; c::STATE_WORDS as usize * 4];
+        self.readback.read(0, &mut bytes)?;
+        let words: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
+        let word = |index: u32| words[index as usize];
+        Ok(State {
+            visible: word(c::STATE_VISIBLE),
+            instances: word(c::STATE_INSTANCES_NEEDED),
+            longest_tile: word(c::STATE_LONGEST_TILE),
+            non_finite: word(c::STATE_NON_FINITE),
+            overflow: word(c::STATE_OVERFLOW) != 0,
+        })
+    }
+
+    /// Makes room if the frame overflowed: then it has to be run again, and the answer is true.
+    ///
+    /// # Errors
+    /// When the memory or a limit of the device does not suffice.
+    pub fn grow(&mut self, state: &State, sizes: &Blocks) -> Result<bool> {
+        let mut capacity = self.capacity;
+        if state.overflow {
+            // Half as much again: the next frames will not need exactly this many.
+            capacity.instances = state.instances.saturating_add(state.instances / 2);
+        }
+        let passes = state.longest_tile.div_ceil(sizes.entries_per_pass).max(1);
+        capacity.blend_passes = capacity.blend_passes.max(passes);
+        if capacity == self.capacity {
+            return Ok(false);
+        }
+        if self.allocate(capacity).is_err() && state.overflow {
+            // Without the reserve, if that is what did not fit.
+            capacity.instances = state.instances;
+            self.allocate(capacity)?;
+        }
+        Ok(true)
+    }
+}

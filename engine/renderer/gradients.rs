@@ -1,0 +1,84 @@
+//! Differentiable rendering: the gradient of any function of the image with respect to all parameters.
+
+use super::Renderer;
+use crate::backward::Statistics;
+use crate::error::{Error, Result};
+use crate::forward::RenderSettings;
+use crate::planes;
+use crate::scene::{Camera, Gaussians};
+use crate::vk::MemoryKind;
+
+/// Gradients of a scalar with respect to a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gradients {
+    /// With respect to the raw parameters, in their shapes.
+    pub parameters: Gaussians,
+    /// With respect to the 2D means, pixels; 0 for those not visible.
+    pub mean2d_px: Vec<[f32; 2]>,
+}
+
+impl Renderer {
+    /// Renders the scene and returns the gradient of `sum(image * image_gradient)` (plus
+    /// `sum(inverse_depth * inverse_depth_gradient)`): with dL/dimage, that of L. Exact derivative of the forward pass
+    /// (paper, appendix A).
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when a gradient does not have one entry per pixel, or an inverse-depth gradient comes without
+    /// `settings.inverse_depth`; as [`Renderer::render`].
+    pub fn gradients(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        image_gradient: &[[f32; 3]],
+        inverse_depth_gradient: Option<&[f32]>,
+    ) -> Result<Gradients> {
+        let pixels = camera.width as usize * camera.height as usize;
+        if image_gradient.len() != pixels || inverse_depth_gradient.is_some_and(|g| g.len() != pixels) {
+            let problem = format!("needs one entry for each of {}x{} pixels", camera.width, camera.height);
+            return Err(Error::argument("image gradient", problem));
+        }
+        if inverse_depth_gradient.is_some() && !settings.inverse_depth {
+            return Err(Error::argument("inverse-depth gradient", "needs settings.inverse_depth"));
+        }
+        let Some(scene) = self.scene.clone() else {
+            return Err(Error::argument("scene", "none is loaded; call upload first"));
+        };
+        let sh_degree = super::active_degree(&scene, settings);
+        self.backward.prepare(sh_degree, settings.inverse_depth)?;
+        self.backward.prepare_expand(sh_degree)?;
+        let count = u64::from(scene.count);
+        let planes = planes::allocate(&self.context, "gradients", &scene.plan)?;
+        let requests =
+            [("mean2d_gradients", count * 8), ("statistics", count * 8), ("target", pixels as u64 * 16)];
+        let extra = self.context.allocate("gradients", &requests, MemoryKind::Device)?;
+        let target: Vec<[f32; 4]> = (0..pixels)
+            .map(|i| {
+                let [r, g, b] = image_gradient[i];
+                [r, g, b, inverse_depth_gradient.map_or(0.0, |d| d[i])]
+            })
+            .collect();
+        self.context.upload(&extra[2], bytemuck::cast_slice(&target))?;
+
+        // The borrow of the kernels must end before `run` borrows the rest.
+        let backward = std::mem::replace(&mut self.backward, crate::backward::Backward::new(&self.context));
+        let ran = self.run(camera, settings, true, |r, inputs| {
+            r.copy(
+                &extra[2].range(0, pixels as u64 * 16),
+                &inputs.frame.image_gradient.range(0, pixels as u64 * 16),
+            );
+            r.barrier();
+            backward.record(r, inputs, Statistics { buffer: &extra[1], accumulate: false });
+            r.barrier();
+            backward.record_expand(r, inputs, &planes, &extra[0]);
+            Ok(())
+        });
+        self.backward = backward;
+        ran?;
+        let parameters =
+            planes::download(&self.context, &crate::forward::SceneBuffers { chunks: planes, ..scene })?;
+        let bytes = self.context.download(&extra[0])?;
+        let mut mean2d_px: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&bytes);
+        mean2d_px.truncate(parameters.len());
+        Ok(Gradients { parameters, mean2d_px })
+    }
+}

@@ -1,0 +1,111 @@
+//! Which Gaussians make up a pixel.
+
+use super::Renderer;
+use crate::error::{Error, Result};
+use crate::forward::RenderSettings;
+use crate::kernels::constants as c;
+use crate::plan::tile_grid;
+use crate::scene::Camera;
+use crate::vk::Buffer;
+
+/// One Gaussian blended at a pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Index in the scene.
+    pub gaussian: u32,
+    /// Depth (z in the camera's frame), world units.
+    pub depth: f32,
+    /// Alpha at the pixel.
+    pub alpha: f32,
+    /// Transmittance in front of it.
+    pub transmittance_before: f32,
+    /// Its share of the pixel: alpha times the transmittance in front.
+    pub weight: f32,
+    /// Transmittance behind it.
+    pub transmittance_after: f32,
+    /// Its colour towards the camera.
+    pub color: [f32; 3],
+}
+
+/// The Gaussians blended at a pixel, front to back, and what they add up to.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PixelReport {
+    /// Front to back.
+    pub samples: Vec<Sample>,
+    /// The pixel on the background.
+    pub color: [f32; 3],
+    /// Transmittance behind the last.
+    pub transmittance: f32,
+}
+
+impl Renderer {
+    /// Renders a frame and lists what the device blended at one pixel (column, row): its tile's sorted list and the
+    /// projected attributes are read back from the frame, and the pixel is blended again from them.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the pixel lies outside the image; as [`Renderer::render`].
+    pub fn inspect(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        pixel: [u32; 2],
+    ) -> Result<PixelReport> {
+        let [x, y] = pixel;
+        if x >= camera.width || y >= camera.height {
+            let problem = format!("({x}, {y}) lies outside the image of {}x{}", camera.width, camera.height);
+            return Err(Error::argument("pixel", problem));
+        }
+        self.render(camera, settings)?;
+        let f = self.store.current()?;
+        let (columns, _) = tile_grid(camera.width, camera.height);
+        let tile = u64::from(y / c::TILE_SIZE * columns + x / c::TILE_SIZE);
+        let range: Vec<u32> = self.read(&f.tile_ranges, tile * 8, 8)?;
+        let entries: Vec<u32> =
+            self.read(&f.sorted_visible, u64::from(range[0]) * 4, u64::from(range[1] - range[0]) * 4)?;
+        let mut report = PixelReport { transmittance: 1.0, ..PixelReport::default() };
+        for visible in entries {
+            let at = u64::from(visible);
+            let mean: Vec<f32> = self.read(&f.mean2d_extent, at * 16, 16)?;
+            let conic: Vec<f32> = self.read(&f.conic_opacity, at * 16, 16)?;
+            let shade: Vec<f32> = self.read(&f.color_inverse_depth, at * 16, 16)?;
+            let (dx, dy) = (mean[0] - x as f32, mean[1] - y as f32);
+            let power = -0.5 * (conic[0] * dx * dx + conic[2] * dy * dy) - conic[1] * dx * dy;
+            let alpha = (conic[3] * power.exp()).min(c::ALPHA_MAX);
+            if power > 0.0 || alpha < c::ALPHA_MIN {
+                continue;
+            }
+            let before = report.transmittance;
+            let after = before * (1.0 - alpha);
+            if after < c::TRANSMITTANCE_MIN {
+                break;
+            }
+            let gaussian: Vec<u32> = self.read(&f.visible_list, at * 4, 4)?;
+            let color = [shade[0], shade[1], shade[2]];
+            let weight = alpha * before;
+            for (sum, channel) in report.color.iter_mut().zip(color) {
+                *sum += weight * channel;
+            }
+            report.transmittance = after;
+            report.samples.push(Sample {
+                gaussian: gaussian[0],
+                depth: shade[3].recip(),
+                alpha,
+                transmittance_before: before,
+                weight,
+                transmittance_after: after,
+                color,
+            });
+        }
+        for (sum, background) in report.color.iter_mut().zip(settings.background) {
+            *sum += report.transmittance * background;
+        }
+        Ok(report)
+    }
+
+    fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, bytes: u64) -> Result<Vec<T>> {
+        if bytes == 0 {
+            return Ok(Vec::new());
+        }
+        Ok(bytemuck::pod_collect_to_vec(&self.context.download(&buffer.range(offset, bytes))?))
+    }
+}
