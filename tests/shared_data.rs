@@ -10,15 +10,13 @@ mod malformed;
 mod real_data;
 mod reference;
 
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use libtest_mimic::{Failed, Trial};
 
 fn main() -> ExitCode {
     let arguments = libtest_mimic::Arguments::from_args();
-    let shared = std::env::var_os("ASHSPLAT_SHARED")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")), PathBuf::from);
+    let shared = common::shared_folder();
     let mut trials = golden::trials(&shared);
     trials.extend(golden_host::trials(&shared));
     trials.extend(malformed::trials(&shared));

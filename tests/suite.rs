@@ -1,5 +1,6 @@
 //! The test suite: one binary, one Vulkan context.
 
+mod architecture;
 mod common;
 mod comparators;
 mod gradients;

@@ -9,3 +9,10 @@ pub mod npz;
 pub mod scenes;
 
 pub use device::{assert_silent, context, options};
+use std::path::PathBuf;
+
+/// Where the golden vectors and data sets are: `$ASHSPLAT_SHARED`, else next to the repository.
+pub fn shared_folder() -> PathBuf {
+    std::env::var_os("ASHSPLAT_SHARED")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")), PathBuf::from)
+}

@@ -1,7 +1,7 @@
 //! The Gaussians after densification in the reference implementation's order, the twin of `densify/place`.
 
 use super::decide::{Decision, Statistic, decide, is_pruned};
-use super::linear::{apply, normalize_quat, rotation};
+use super::gather::child_of;
 use super::types::Gaussian;
 
 /// Where a Gaussian of the new state comes from.
@@ -69,16 +69,4 @@ pub fn place(
         !is_pruned(opacity_logit, log_scale, settings.scene_extent, settings.prune_big)
     });
     placed
-}
-
-/// scale / 1.6, position = mean + R(q)·(scale ∘ noise), everything else copied.
-pub fn child_of(parent: &Gaussian, noise: [f64; 3]) -> Gaussian {
-    let scale = parent.log_scale.map(f64::exp);
-    let offset =
-        apply(&rotation(normalize_quat(parent.quat).0), [0, 1, 2].map(|axis| scale[axis] * noise[axis]));
-    Gaussian {
-        mean: [0, 1, 2].map(|axis| parent.mean[axis] + offset[axis]),
-        log_scale: scale.map(|s| (s / 1.6).ln()),
-        ..parent.clone()
-    }
 }

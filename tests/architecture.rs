@@ -1,0 +1,417 @@
+//! The rules of the house that a machine can check. Each rule also has an example that it must reject.
+
+use std::collections::HashMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Lines of a file at most.
+const LONGEST_FILE: usize = 450;
+
+/// A file of the repository: path from its root with forward slashes, and contents.
+struct Source {
+    path: String,
+    text: String,
+}
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn files_below(folder: &Path, found: &mut Vec<PathBuf>) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    paths.sort();
+    for path in paths {
+        if path.is_dir() {
+            files_below(&path, found);
+        } else {
+            found.push(path);
+        }
+    }
+}
+
+/// The sources of some folders with some extensions.
+fn sources(folders: &[&str], extensions: &[&str]) -> Vec<Source> {
+    let root = root();
+    let mut paths = Vec::new();
+    for folder in folders {
+        files_below(&root.join(folder), &mut paths);
+    }
+    paths
+        .into_iter()
+        .filter(|path| path.extension().is_some_and(|e| extensions.iter().any(|wanted| e == *wanted)))
+        .map(|path| Source {
+            text: fs::read_to_string(&path).expect("sources are text"),
+            path: path.strip_prefix(&root).expect("below the root").to_string_lossy().replace('\\', "/"),
+        })
+        .collect()
+}
+
+/// Fails with all the violations of a rule at once.
+fn assert_none(rule: &str, violations: Vec<String>) {
+    assert!(violations.is_empty(), "{rule}:\n  {}", violations.join("\n  "));
+}
+
+/// Code without line comments; strings stay.
+fn without_comment(line: &str) -> &str {
+    line.split("//").next().unwrap_or_default()
+}
+
+/// Lines of code (number from 1, text without comment) in front of the unit tests of a file.
+fn code_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines()
+        .take_while(|line| !line.trim_start().starts_with("#[cfg(test)]"))
+        .enumerate()
+        .map(|(number, line)| (number + 1, without_comment(line)))
+}
+
+fn has_word(line: &str, word: &str) -> bool {
+    line.match_indices(word).any(|(at, _)| {
+        let part_of_name = |c: char| c.is_alphanumeric() || c == '_';
+        let before = line[..at].chars().next_back();
+        let after = line[at + word.len()..].chars().next();
+        !before.is_some_and(part_of_name) && !after.is_some_and(part_of_name)
+    })
+}
+
+// ---- `unsafe` only in engine/vk -----------------------------------------------------------------------------------
+
+fn unsafe_outside_vk(source: &Source) -> Vec<String> {
+    if source.path.starts_with("engine/vk/") {
+        return vec![];
+    }
+    let lines = source.text.lines().enumerate();
+    lines
+        .filter(|(_, line)| has_word(without_comment(line), concat!("un", "safe")))
+        .map(|(number, _)| format!("{}:{}", source.path, number + 1))
+        .collect()
+}
+
+#[test]
+fn architecture_unsafe_only_under_vk() {
+    let example = Source { path: "engine/sort.rs".into(), text: concat!("un", "safe { f() }").into() };
+    assert_eq!(unsafe_outside_vk(&example).len(), 1);
+    let sources = sources(&["engine", "tools", "tests"], &["rs"]);
+    assert_none("unsafe outside engine/vk", sources.iter().flat_map(unsafe_outside_vk).collect());
+}
+
+// ---- dependencies between modules ---------------------------------------------------------------------------------
+
+const STAGES: [&str; 7] = ["scan", "sort", "forward", "backward", "loss", "optimizer", "densify"];
+const DOORS: [&str; 2] = ["renderer", "trainer"];
+
+/// The modules that a module may name.
+fn allowed(module: &str) -> Vec<&'static str> {
+    let mut allowed = vec!["error"];
+    match module {
+        "error" => {}
+        "scene" | "metrics" => allowed.extend(["scene"]),
+        "io" => allowed.extend(["scene", "metrics"]),
+        "vk" => {}
+        "kernels" => allowed.extend(["vk"]),
+        "plan" => allowed.extend(["vk", "scene", "kernels"]),
+        stage if STAGES.contains(&stage) => {
+            allowed.extend(["vk", "scene", "kernels", "plan"]);
+            allowed.extend(STAGES);
+        }
+        _ => {
+            allowed.extend(["vk", "scene", "kernels", "plan", "io", "metrics"]);
+            allowed.extend(STAGES);
+            allowed.extend(DOORS);
+        }
+    }
+    allowed
+}
+
+/// The module of a file of the engine.
+fn module_of(path: &str) -> &str {
+    let below = path.strip_prefix("engine/").unwrap_or(path);
+    below.split('/').next().unwrap_or(below).trim_end_matches(".rs")
+}
+
+/// The first names behind each `crate::`, also within braces.
+fn names_used(text: &str) -> Vec<String> {
+    let code: String = text.lines().map(|line| without_comment(line).to_owned() + "\n").collect();
+    let mut names = Vec::new();
+    for (at, found) in code.match_indices("crate::") {
+        if code[..at].ends_with('$') {
+            continue;
+        }
+        let rest = &code[at + found.len()..];
+        match rest.strip_prefix('{') {
+            None => names.extend(first_name(rest)),
+            Some(group) => {
+                let mut depth = 0;
+                let mut start = 0;
+                for (place, c) in group.char_indices() {
+                    match c {
+                        '{' => depth += 1,
+                        '}' if depth > 0 => depth -= 1,
+                        ',' | '}' if depth == 0 => {
+                            names.extend(first_name(&group[start..place]));
+                            start = place + 1;
+                            if c == '}' {
+                                break;
+                            }
+                        }
+                        _ => {}
+                    }
+                }
+            }
+        }
+    }
+    names
+}
+
+fn first_name(text: &str) -> Option<String> {
+    let name: String = text.trim_start().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+    (!name.is_empty()).then_some(name)
+}
+
+/// Which module each name that lib.rs re-exports belongs to.
+fn re_exports(lib: &str) -> HashMap<String, String> {
+    let mut exports = HashMap::new();
+    let code: String = lib.lines().map(|line| without_comment(line).to_owned() + " ").collect();
+    for statement in code.split(';') {
+        let Some((_, path)) = statement.split_once("pub use ") else { continue };
+        let module = first_name(path).unwrap_or_default();
+        let names = path.split(|c: char| !(c.is_alphanumeric() || c == '_')).filter(|name| !name.is_empty());
+        for name in names {
+            exports.insert(name.to_owned(), module.clone());
+        }
+    }
+    exports
+}
+
+fn forbidden_arrows(source: &Source, exports: &HashMap<String, String>) -> Vec<String> {
+    let module = module_of(&source.path);
+    if module == "lib" {
+        return vec![];
+    }
+    let allowed = allowed(module);
+    names_used(&source.text)
+        .into_iter()
+        .map(|name| exports.get(&name).cloned().unwrap_or(name))
+        .filter(|target| target != module && !allowed.contains(&target.as_str()))
+        .map(|target| format!("{}: {module} → {target}", source.path))
+        .collect()
+}
+
+#[test]
+fn architecture_dependencies_point_one_way() {
+    let lib = "pub use error::{Error, Result}; pub use renderer::Renderer;";
+    let exports = re_exports(lib);
+    let check = |path: &str, text: &str| {
+        forbidden_arrows(&Source { path: path.into(), text: text.into() }, &exports).len()
+    };
+    assert_eq!(check("engine/scene/camera.rs", "use crate::vk::Context;"), 1);
+    assert_eq!(check("engine/vk/memory.rs", "use crate::{Error, scene::{Camera, Gaussians}};"), 1);
+    assert_eq!(check("engine/sort.rs", "fn f() { crate::Renderer::new() }"), 1);
+    assert_eq!(check("engine/sort.rs", "use crate::{Result, vk::Buffer, scan::Scan};"), 0);
+
+    let sources = sources(&["engine"], &["rs"]);
+    let lib = sources.iter().find(|s| s.path == "engine/lib.rs").expect("the crate has a root");
+    let exports = re_exports(&lib.text);
+    let arrows = sources.iter().flat_map(|source| forbidden_arrows(source, &exports)).collect();
+    assert_none("arrows against the order of the modules", arrows);
+    let only_public = tools_inside_engine();
+    assert_none("tools stand on the public API only", only_public);
+}
+
+/// Paths of the tools into the engine's files other than through the crate.
+fn tools_inside_engine() -> Vec<String> {
+    sources(&["tools"], &["rs"])
+        .iter()
+        .filter(|source| source.text.contains("engine/"))
+        .filter(|source| source.text.contains("#[path") || source.text.contains("include!"))
+        .map(|source| source.path.clone())
+        .collect()
+}
+
+// ---- shaders ------------------------------------------------------------------------------------------------------
+
+/// Subgroup sizes are never literal: only `SUBGROUP_SIZE` and `gl_SubgroupSize` stand for them.
+fn literal_subgroup_sizes(source: &Source) -> Vec<String> {
+    let builtins = ["gl_SubgroupInvocationID", "gl_SubgroupSize", "gl_SubgroupID", "gl_NumSubgroups"];
+    let literals = ["4", "8", "16", "31", "32", "63", "64", "127", "128"];
+    let assumes = |line: &str| {
+        builtins.iter().any(|builtin| {
+            line.match_indices(builtin).any(|(at, _)| {
+                let after = line[at + builtin.len()..].trim_start_matches([' ', 'u', ')']);
+                let operand = after.trim_start_matches(['=', '!', '<', '>', '&', '%', '/', '*', ' ']);
+                let literal: String = operand.chars().take_while(char::is_ascii_digit).collect();
+                operand.len() < after.len() && literals.contains(&literal.as_str())
+            })
+        })
+    };
+    code_lines(&source.text)
+        .filter(|(_, line)| assumes(line))
+        .map(|(number, line)| format!("{}:{number}: {}", source.path, line.trim()))
+        .collect()
+}
+
+#[test]
+fn architecture_no_literal_subgroup_sizes() {
+    let check = |line: &str| {
+        literal_subgroup_sizes(&Source { path: "glsl/a.comp".into(), text: line.into() }).len()
+    };
+    assert_eq!(check("if (gl_SubgroupSize == 32) {"), 1);
+    assert_eq!(check("uint lane = gl_SubgroupInvocationID & 31;"), 1);
+    assert_eq!(check("uint lane = gl_SubgroupInvocationID % SUBGROUP_SIZE;"), 0);
+    assert_eq!(check("if (gl_SubgroupInvocationID == 0) {"), 0);
+    let shaders = sources(&["glsl"], &["comp", "glsl"]);
+    assert_none("literal subgroup sizes", shaders.iter().flat_map(literal_subgroup_sizes).collect());
+}
+
+/// Functions that hold a barrier, by the includes; a shader's own `barrier()` counts as well.
+fn has_barrier(line: &str, barrier_functions: &[String]) -> bool {
+    has_word(line, "barrier") || barrier_functions.iter().any(|function| has_word(line, function))
+}
+
+/// `return` in `main` with a barrier behind it: undefined where not all invocations return.
+fn return_before_barrier(source: &Source, barrier_functions: &[String]) -> Vec<String> {
+    let lines: Vec<(usize, &str)> = code_lines(&source.text).collect();
+    let Some(main) = lines.iter().position(|(_, line)| line.contains("void main()")) else { return vec![] };
+    let last_barrier = lines.iter().rposition(|(_, line)| has_barrier(line, barrier_functions)).unwrap_or(0);
+    lines[main..]
+        .iter()
+        .enumerate()
+        .filter(|(place, (_, line))| has_word(line, "return") && main + place < last_barrier)
+        .map(|(_, (number, _))| format!("{}:{number}", source.path))
+        .collect()
+}
+
+/// Names of the functions of a shader include in which a barrier stands.
+fn barrier_functions(source: &Source) -> Vec<String> {
+    let mut functions = Vec::new();
+    let mut current = String::new();
+    for (_, line) in code_lines(&source.text) {
+        let starts = !line.starts_with([' ', '}', '#']) && line.contains('(') && line.trim_end().ends_with('{');
+        if starts {
+            let head = line.split('(').next().unwrap_or_default();
+            current = head.split_whitespace().next_back().unwrap_or_default().to_owned();
+        }
+        if has_word(line, "barrier") && !current.is_empty() {
+            functions.push(current.clone());
+        }
+    }
+    functions
+}
+
+#[test]
+fn architecture_no_return_before_a_barrier() {
+    let source = |text: &str| Source { path: "glsl/a.comp".into(), text: text.into() };
+    let include = source("uint f(uint x) {\n    barrier();\n    return x;\n}\n");
+    assert_eq!(barrier_functions(&include), ["f"]);
+    let early = source("void main() {\n    if (x) return;\n    f(1);\n}");
+    assert_eq!(return_before_barrier(&early, &["f".into()]).len(), 1);
+    let late = source("void main() {\n    barrier();\n    if (x) return;\n    y = 1;\n}");
+    assert_eq!(return_before_barrier(&late, &["f".into()]).len(), 0);
+
+    let shaders = sources(&["glsl"], &["comp", "glsl"]);
+    let functions: Vec<String> = shaders.iter().flat_map(barrier_functions).filter(|f| f != "main").collect();
+    let violations = shaders.iter().flat_map(|s| return_before_barrier(s, &functions)).collect();
+    assert_none("return before a barrier", violations);
+}
+
+/// What is missing of a kernel's triple: shader, twin, test.
+fn missing_of_triples(shaders: &[String], exists: impl Fn(&str) -> bool) -> Vec<String> {
+    let mut missing = Vec::new();
+    for shader in shaders {
+        let stem = shader.rsplit('/').next().unwrap_or(shader).trim_end_matches(".comp");
+        let wanted = [format!("tests/reference/{stem}.rs"), format!("tests/kernels/{stem}.rs")];
+        missing.extend(wanted.into_iter().filter(|path| !exists(path)));
+    }
+    missing
+}
+
+#[test]
+fn architecture_each_shader_has_its_twin_and_its_test() {
+    let missing = missing_of_triples(&["glsl/sort/a.comp".into()], |path| path == "tests/kernels/a.rs");
+    assert_eq!(missing, ["tests/reference/a.rs"]);
+    let shaders: Vec<String> = sources(&["glsl"], &["comp"]).into_iter().map(|source| source.path).collect();
+    assert!(!shaders.is_empty());
+    let root = root();
+    assert_none("missing", missing_of_triples(&shaders, |path| root.join(path).exists()));
+}
+
+#[test]
+fn architecture_each_shader_says_what_it_does() {
+    let silent = sources(&["glsl"], &["comp", "glsl"])
+        .into_iter()
+        .filter(|source| !source.text.starts_with("//"))
+        .map(|source| source.path)
+        .collect();
+    assert_none("shaders without a header", silent);
+}
+
+// ---- code in general ----------------------------------------------------------------------------------------------
+
+fn panicking_calls(source: &Source) -> Vec<String> {
+    let calls = [concat!(".un", "wrap()"), concat!(".ex", "pect("), concat!("to", "do!("), concat!("unimpl", "emented!(")];
+    // Compiled into build.rs alone, like build.rs itself.
+    if source.path.starts_with("engine/kernels/") {
+        return vec![];
+    }
+    code_lines(&source.text)
+        .filter(|(_, line)| calls.iter().any(|call| line.contains(call)))
+        .map(|(number, line)| format!("{}:{number}: {}", source.path, line.trim()))
+        .collect()
+}
+
+#[test]
+fn architecture_errors_are_returned() {
+    let example = Source { path: "engine/a.rs".into(), text: concat!("let x = y.un", "wrap();").into() };
+    assert_eq!(panicking_calls(&example).len(), 1);
+    let tested = Source { path: "engine/a.rs".into(), text: concat!("#[cfg(test)]\nlet x = y.un", "wrap();").into() };
+    assert_eq!(panicking_calls(&tested).len(), 0);
+    let sources = sources(&["engine", "tools"], &["rs"]);
+    assert_none("unwrap or expect outside tests", sources.iter().flat_map(panicking_calls).collect());
+}
+
+#[test]
+fn architecture_files_are_short() {
+    let long = sources(&["engine", "glsl", "tools", "tests"], &["rs", "comp", "glsl"])
+        .into_iter()
+        .map(|source| (source.text.lines().count(), source.path))
+        .filter(|(lines, _)| *lines > LONGEST_FILE)
+        .map(|(lines, path)| format!("{path}: {lines} lines"))
+        .collect();
+    assert_none("files too long to be read", long);
+}
+
+/// Files whose contents equal a file of another folder.
+fn copies(files: &[PathBuf], others: &[PathBuf]) -> Vec<String> {
+    let size = |path: &PathBuf| fs::metadata(path).map_or(0, |metadata| metadata.len());
+    let mut by_size: HashMap<u64, Vec<&PathBuf>> = HashMap::new();
+    for other in others {
+        by_size.entry(size(other)).or_default().push(other);
+    }
+    let mut copies = Vec::new();
+    for file in files {
+        let length = size(file);
+        let same_length = by_size.get(&length).filter(|_| length > 16);
+        for other in same_length.into_iter().flatten() {
+            if fs::read(file).ok() == fs::read(other).ok() {
+                copies.push(format!("{} = {}", file.display(), other.display()));
+            }
+        }
+    }
+    copies
+}
+
+#[test]
+fn architecture_nothing_is_copied_from_the_shared_folder() {
+    let shared = crate::common::shared_folder();
+    if !shared.exists() {
+        eprintln!("skipped: {} is absent", shared.display());
+        return;
+    }
+    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    for folder in ["engine", "glsl", "tools", "tests", "docs", ".ci"] {
+        files_below(&root().join(folder), &mut ours);
+    }
+    files_below(&shared, &mut theirs);
+    assert_none("copied", copies(&ours, &theirs));
+    assert_eq!(copies(&ours[..1], &ours[..1]).len(), 1, "a copy would be found");
+}
