@@ -92,7 +92,7 @@ fn architecture_unsafe_only_under_vk() {
     let example = Source { path: "engine/sort.rs".into(), text: concat!("un", "safe { f() }").into() };
     assert_eq!(unsafe_outside_vk(&example).len(), 1);
     let sources = sources(&["engine", "tools", "tests"], &["rs"]);
-    assert_none("unsafe outside engine/vk", sources.iter().flat_map(unsafe_outside_vk).collect());
+    assert_none("only engine/vk may do this", sources.iter().flat_map(unsafe_outside_vk).collect());
 }
 
 // ---- dependencies between modules ---------------------------------------------------------------------------------
@@ -252,9 +252,8 @@ fn literal_subgroup_sizes(source: &Source) -> Vec<String> {
 
 #[test]
 fn architecture_no_literal_subgroup_sizes() {
-    let check = |line: &str| {
-        literal_subgroup_sizes(&Source { path: "glsl/a.comp".into(), text: line.into() }).len()
-    };
+    let check =
+        |line: &str| literal_subgroup_sizes(&Source { path: "glsl/a.comp".into(), text: line.into() }).len();
     assert_eq!(check("if (gl_SubgroupSize == 32) {"), 1);
     assert_eq!(check("uint lane = gl_SubgroupInvocationID & 31;"), 1);
     assert_eq!(check("uint lane = gl_SubgroupInvocationID % SUBGROUP_SIZE;"), 0);
@@ -286,7 +285,8 @@ fn barrier_functions(source: &Source) -> Vec<String> {
     let mut functions = Vec::new();
     let mut current = String::new();
     for (_, line) in code_lines(&source.text) {
-        let starts = !line.starts_with([' ', '}', '#']) && line.contains('(') && line.trim_end().ends_with('{');
+        let starts =
+            !line.starts_with([' ', '}', '#']) && line.contains('(') && line.trim_end().ends_with('{');
         if starts {
             let head = line.split('(').next().unwrap_or_default();
             current = head.split_whitespace().next_back().unwrap_or_default().to_owned();
@@ -348,7 +348,12 @@ fn architecture_each_shader_says_what_it_does() {
 // ---- code in general ----------------------------------------------------------------------------------------------
 
 fn panicking_calls(source: &Source) -> Vec<String> {
-    let calls = [concat!(".un", "wrap()"), concat!(".ex", "pect("), concat!("to", "do!("), concat!("unimpl", "emented!(")];
+    let calls = [
+        concat!(".un", "wrap()"),
+        concat!(".ex", "pect("),
+        concat!("to", "do!("),
+        concat!("unimpl", "emented!("),
+    ];
     // Compiled into build.rs alone, like build.rs itself.
     if source.path.starts_with("engine/kernels/") {
         return vec![];
@@ -363,7 +368,8 @@ fn panicking_calls(source: &Source) -> Vec<String> {
 fn architecture_errors_are_returned() {
     let example = Source { path: "engine/a.rs".into(), text: concat!("let x = y.un", "wrap();").into() };
     assert_eq!(panicking_calls(&example).len(), 1);
-    let tested = Source { path: "engine/a.rs".into(), text: concat!("#[cfg(test)]\nlet x = y.un", "wrap();").into() };
+    let tested =
+        Source { path: "engine/a.rs".into(), text: concat!("#[cfg(test)]\nlet x = y.un", "wrap();").into() };
     assert_eq!(panicking_calls(&tested).len(), 0);
     let sources = sources(&["engine", "tools"], &["rs"]);
     assert_none("unwrap or expect outside tests", sources.iter().flat_map(panicking_calls).collect());

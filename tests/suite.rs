@@ -4,5 +4,6 @@ mod architecture;
 mod common;
 mod comparators;
 mod gradients;
+mod kernels;
 mod reference;
 mod vk;

@@ -5,6 +5,8 @@
 
 pub mod compare;
 pub mod device;
+pub mod gpu;
+pub mod layout;
 pub mod npz;
 pub mod scenes;
 

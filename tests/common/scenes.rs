@@ -90,3 +90,20 @@ pub fn rotation_about_y(angle: f64) -> [[f64; 3]; 3] {
     let (sine, cosine) = (f64::from(angle.sin() as f32), f64::from(angle.cos() as f32));
     [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]
 }
+
+/// Gaussians inside and outside of the view of [`small_view`], near and behind the camera, faint, tiny and huge.
+pub fn mixed_scene(random: &mut Random, count: usize, coefficients: usize) -> Vec<Gaussian> {
+    (0..count)
+        .map(|i| {
+            let (reach, log_scale) = match i % 4 {
+                0 => (1.5, [-2.5, -1.0]),
+                1 => (6.0, [-4.0, -1.0]),
+                2 => (3.0, [-9.0, -5.0]),
+                _ => (2.0, [-1.0, 0.5]),
+            };
+            let mut gaussian = gaussian(random, reach, log_scale, coefficients);
+            gaussian.opacity_logit = random.between(-8.0, 6.0);
+            gaussian
+        })
+        .collect()
+}

@@ -37,7 +37,8 @@ pub fn half_extent_px(splat: &Splat) -> [f64; 2] {
 /// Tiles of which a pixel centre lies in the box around the ellipse α ≥ 1/255.
 pub fn exact_box(splat: &Splat, view: &View) -> TileBox {
     let half = half_extent_px(splat);
-    let size = view.size_px.map(f64::from);
+    // Tiles at the border are whole ones.
+    let size = view.tiles().map(|n| f64::from(n * TILE));
     let mut tiles = [0; 4];
     for axis in 0..2 {
         let first = (splat.mean2d_px[axis] - half[axis]).ceil().max(0.0);

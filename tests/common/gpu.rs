@@ -1,0 +1,96 @@
+//! Running single kernels: buffers from slices and back, and the check that validation stayed silent.
+
+use ashsplat::vk::{Buffer, Context, Kernel, KernelInterface, MemoryKind, Recorder};
+use bytemuck::Pod;
+
+use super::{assert_silent, context};
+
+/// What outputs hold before a kernel runs, to see what it writes.
+pub const UNTOUCHED: u32 = 0xDEAD_BEEF;
+
+/// The shared device. Dropping it at the end of a test fails the test if validation has said anything.
+pub struct Gpu {
+    /// The device.
+    pub context: &'static Context,
+}
+
+impl Gpu {
+    /// The device that all tests share.
+    pub fn new() -> Gpu {
+        Gpu { context: context() }
+    }
+
+    /// The subgroup size of the kernels.
+    pub fn subgroup(&self) -> u32 {
+        self.context.limits().subgroup_size
+    }
+
+    /// The largest possible workgroup up to a size.
+    pub fn workgroup(&self, preferred: u32) -> u32 {
+        self.context.limits().workgroup_size(preferred)
+    }
+
+    /// A buffer with these contents.
+    pub fn buffer<T: Pod>(&self, name: &'static str, values: &[T]) -> Buffer {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        let buffer = self.allocate(name, bytes.len() as u64);
+        if !bytes.is_empty() {
+            self.context.upload(&buffer.range(0, bytes.len() as u64), bytes).expect("upload");
+        }
+        buffer
+    }
+
+    /// A buffer of a number of elements, each word [`UNTOUCHED`].
+    pub fn untouched<T: Pod>(&self, name: &'static str, count: usize) -> Buffer {
+        let words = (count * size_of::<T>()).div_ceil(4).max(4);
+        self.buffer(name, &vec![UNTOUCHED; words])
+    }
+
+    /// A buffer of zeros.
+    pub fn zeros<T: Pod>(&self, name: &'static str, count: usize) -> Buffer {
+        self.buffer(name, &vec![0_u8; (count * size_of::<T>()).next_multiple_of(4).max(16)])
+    }
+
+    /// The first `count` elements of a buffer.
+    pub fn read<T: Pod>(&self, buffer: &Buffer, count: usize) -> Vec<T> {
+        if count == 0 {
+            return Vec::new();
+        }
+        let bytes =
+            self.context.download(&buffer.range(0, (count * size_of::<T>()) as u64)).expect("download");
+        bytemuck::pod_collect_to_vec(&bytes)
+    }
+
+    /// Compiles a kernel.
+    pub fn kernel<K: KernelInterface>(&self, spec: &K::Spec) -> Kernel<K> {
+        Kernel::new(self.context, spec).expect(K::NAME)
+    }
+
+    /// Records, submits and waits.
+    pub fn run(&self, record: impl FnOnce(&mut Recorder)) {
+        self.context
+            .run("test", |recorder| {
+                record(recorder);
+                Ok(())
+            })
+            .expect("a submission");
+    }
+
+    fn allocate(&self, name: &'static str, bytes: u64) -> Buffer {
+        let request = [(name, bytes.max(16).next_multiple_of(4))];
+        self.context.allocate("test", &request, MemoryKind::Device).expect("memory").remove(0)
+    }
+}
+
+impl Drop for Gpu {
+    fn drop(&mut self) {
+        if !std::thread::panicking() {
+            assert_silent(self.context);
+        }
+    }
+}
+
+/// Sizes at which a kernel that works on blocks may go wrong.
+pub fn sizes(block: usize) -> Vec<usize> {
+    vec![0, 1, 2, block - 1, block, block + 1, 2 * block - 1, 3 * block + 7, 7 * block + block / 2]
+}

@@ -1,0 +1,156 @@
+//! How the kernels see Gaussians, cameras and splats (documented in the shaders and `constants.glsl`).
+
+use ashsplat::kernels::constants::{PLANE_LOG_SCALE, PLANE_MEAN_OPACITY, PLANE_QUAT, PLANE_SH};
+
+use crate::reference::project::slope_limits;
+use crate::reference::tiles::half_extent_px;
+use crate::reference::types::{Gaussian, Splat, View};
+
+/// vec4 planes for coefficients stored: plane p of Gaussian i at p · stride + i.
+pub fn planes(coefficients: usize) -> usize {
+    PLANE_SH as usize + (3 * coefficients).div_ceil(4)
+}
+
+/// Gaussians as planes.
+pub fn pack(gaussians: &[Gaussian], stride: usize) -> Vec<[f32; 4]> {
+    let coefficients = gaussians.first().map_or(1, |g| g.sh.len());
+    let mut packed = vec![[0.0; 4]; planes(coefficients) * stride];
+    for (i, gaussian) in gaussians.iter().enumerate() {
+        let f = |x: f64| x as f32;
+        let [x, y, z] = gaussian.mean.map(f);
+        packed[PLANE_MEAN_OPACITY as usize * stride + i] = [x, y, z, f(gaussian.opacity_logit)];
+        packed[PLANE_QUAT as usize * stride + i] = gaussian.quat.map(f);
+        let [a, b, c] = gaussian.log_scale.map(f);
+        packed[PLANE_LOG_SCALE as usize * stride + i] = [a, b, c, 0.0];
+        for (place, value) in gaussian.sh.as_flattened().iter().enumerate() {
+            packed[(PLANE_SH as usize + place / 4) * stride + i][place % 4] = f(*value);
+        }
+    }
+    packed
+}
+
+/// The inverse of [`pack`].
+pub fn unpack(packed: &[[f32; 4]], stride: usize, count: usize, coefficients: usize) -> Vec<Gaussian> {
+    let f = |x: f32| f64::from(x);
+    (0..count)
+        .map(|i| {
+            let [x, y, z, opacity_logit] = packed[PLANE_MEAN_OPACITY as usize * stride + i].map(f);
+            let [a, b, c, _] = packed[PLANE_LOG_SCALE as usize * stride + i].map(f);
+            let flat = |place: usize| f(packed[(PLANE_SH as usize + place / 4) * stride + i][place % 4]);
+            Gaussian {
+                mean: [x, y, z],
+                quat: packed[PLANE_QUAT as usize * stride + i].map(f),
+                log_scale: [a, b, c],
+                opacity_logit,
+                sh: (0..coefficients).map(|k| [0, 1, 2].map(|channel| flat(3 * k + channel))).collect(),
+            }
+        })
+        .collect()
+}
+
+/// A camera's values as the kernels take them.
+pub struct CameraValues {
+    pub rows: [[f32; 3]; 3],
+    pub translation: [f32; 3],
+    pub focal_px: [f32; 2],
+    /// Pixel centres at the integers.
+    pub center_px: [f32; 2],
+    pub limits: [f32; 4],
+    pub position: [f32; 3],
+}
+
+impl CameraValues {
+    pub fn of(view: &View) -> CameraValues {
+        let [[x0, x1], [y0, y1]] = slope_limits(view);
+        CameraValues {
+            rows: view.camera_from_world.map(|row| row.map(|x| x as f32)),
+            translation: view.translation.map(|x| x as f32),
+            focal_px: view.focal_px.map(|x| x as f32),
+            center_px: view.center_px.map(|x| (x - 0.5) as f32),
+            limits: [x0 as f32, x1 as f32, y0 as f32, y1 as f32],
+            position: crate::reference::project::camera_position(view).map(|x| x as f32),
+        }
+    }
+}
+
+/// The push constants of a kernel that projects; further fields behind the count and the stride.
+macro_rules! camera_push {
+    ($push:path, $view:expr, $count:expr, $stride:expr $(, $field:ident: $value:expr)*) => {{
+        let view: &$crate::reference::types::View = $view;
+        let camera = $crate::common::layout::CameraValues::of(view);
+        $push {
+            camera_row_x: camera.rows[0],
+            camera_row_y: camera.rows[1],
+            camera_row_z: camera.rows[2],
+            camera_translation: camera.translation,
+            focal_px: camera.focal_px,
+            center_px: camera.center_px,
+            jacobian_limits: camera.limits,
+            image_width: view.size_px[0],
+            image_height: view.size_px[1],
+            first: 0,
+            count: $count as u32,
+            stride: $stride as u32,
+            extent: $crate::common::layout::extent_word(view),
+            antialias: u32::from(view.antialias),
+            $($field: $value,)*
+            ..Default::default()
+        }
+    }};
+}
+pub(crate) use camera_push;
+
+/// EXTENT_EXACT or EXTENT_REFERENCE.
+pub fn extent_word(view: &View) -> u32 {
+    use crate::reference::types::Extent;
+    match view.extent {
+        Extent::Exact => ashsplat::kernels::constants::EXTENT_EXACT,
+        Extent::Reference => ashsplat::kernels::constants::EXTENT_REFERENCE,
+    }
+}
+
+/// Splats as the blending reads them.
+#[derive(Clone, Debug, Default)]
+pub struct SplatPlanes {
+    pub mean2d_extent: Vec<[f32; 4]>,
+    pub conic_opacity: Vec<[f32; 4]>,
+    pub color_inverse_depth: Vec<[f32; 4]>,
+}
+
+/// Packs splats, rounding to float32; the extents a little wider, as the projection leaves them.
+pub fn pack_splats(splats: &[Splat]) -> SplatPlanes {
+    let f = |x: f64| x as f32;
+    let mut planes = SplatPlanes::default();
+    for splat in splats {
+        let [hx, hy] = half_extent_px(splat).map(|h| h * 1.0001 + 0.001);
+        planes.mean2d_extent.push([splat.mean2d_px[0], splat.mean2d_px[1], hx, hy].map(f));
+        let [a, b, c] = splat.conic;
+        planes.conic_opacity.push([a, b, c, splat.opacity].map(f));
+        let [red, green, blue] = splat.color;
+        planes.color_inverse_depth.push([red, green, blue, 1.0 / splat.depth].map(f));
+    }
+    planes
+}
+
+/// What the twins must work on to see the same numbers as the kernels: every value rounded to float32.
+pub fn rounded(splats: &[Splat]) -> Vec<Splat> {
+    let planes = pack_splats(splats);
+    let f = |x: f32| f64::from(x);
+    splats
+        .iter()
+        .enumerate()
+        .map(|(i, splat)| {
+            let [x, y, _, _] = planes.mean2d_extent[i].map(f);
+            let [a, b, c, opacity] = planes.conic_opacity[i].map(f);
+            let [red, green, blue, inverse_depth] = planes.color_inverse_depth[i].map(f);
+            Splat {
+                depth: 1.0 / inverse_depth,
+                mean2d_px: [x, y],
+                conic: [a, b, c],
+                opacity,
+                color: [red, green, blue],
+                ..splat.clone()
+            }
+        })
+        .collect()
+}

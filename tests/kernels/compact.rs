@@ -1,0 +1,41 @@
+//! `forward/compact` against its twin.
+
+use ashsplat::kernels::forward::compact::{Bind, Interface, Push, Spec};
+
+use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
+use crate::common::scenes::Random;
+use crate::reference::compact::compact;
+use crate::reference::scan_spine::scan_spine;
+
+#[test]
+fn compact_equals_its_twin() {
+    let gpu = Gpu::new();
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    let block = spec.workgroup_size as usize;
+    // One in `share` is flagged: all, some, hardly any.
+    for (size, share) in sizes(block).into_iter().flat_map(|n| [(n, 1), (n, 3), (n, 500)]) {
+        let mut random = Random::new(size as u64);
+        let flags: Vec<bool> = (0..size).map(|_| random.below(share) == 0).collect();
+        let words: Vec<u32> = flags.iter().map(|&flag| u32::from(flag)).collect();
+        let mut offsets: Vec<u32> = words.chunks(block).map(|flags| flags.iter().sum()).collect();
+        let total = scan_spine(&mut offsets) as usize;
+        let (input, block_offsets) =
+            (gpu.buffer("visible_flags", &words), gpu.buffer("block_offsets", &offsets));
+        let list = gpu.untouched::<u32>("visible_list", total + 2);
+        let places = gpu.untouched::<u32>("visible_index", size + 2);
+        let bind = Bind {
+            visible_flags: &input,
+            block_offsets: &block_offsets,
+            visible_list: &list,
+            visible_index: &places,
+        };
+        let push = Push { count: size as u32 };
+        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, size.div_ceil(block) as u64));
+        let (mut expected_list, mut expected_places) = compact(&flags);
+        expected_list.extend([UNTOUCHED; 2]);
+        expected_places.extend([UNTOUCHED; 2]);
+        assert_eq!(gpu.read::<u32>(&list, total + 2), expected_list, "size {size}");
+        assert_eq!(gpu.read::<u32>(&places, size + 2), expected_places, "size {size}");
+    }
+}

@@ -1,0 +1,100 @@
+//! `forward/cull` against its twin.
+
+use ashsplat::kernels::forward::cull::{Bind, Interface, Push, Spec};
+
+use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
+use crate::common::layout::{camera_push, pack};
+use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::reference::cull::cull;
+use crate::reference::project::project;
+use crate::reference::types::{Extent, Gaussian, View};
+
+/// Whether a Gaussian's visibility may hang on the rounding of float32, or on the margin that the kernel adds to
+/// exact extents: a splat that touches nothing but the margin costs time only.
+fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
+    let nudged = [-1.0, 1.0].map(|by: f64| {
+        let larger = Gaussian {
+            log_scale: gaussian.log_scale.map(|s| s + 2e-3 * by),
+            opacity_logit: gaussian.opacity_logit + 5e-3 * by,
+            ..gaussian.clone()
+        };
+        project(&larger, view).is_some()
+    });
+    nudged[0] != nudged[1]
+}
+
+#[test]
+fn cull_equals_its_twin() {
+    let gpu = Gpu::new();
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    let block = spec.workgroup_size as usize;
+    for (size, extent, antialias) in
+        sizes(block).into_iter().flat_map(|n| [(n, Extent::Exact, false), (n, Extent::Reference, true)])
+    {
+        let gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
+        let view = View { extent, antialias, ..small_view([53, 37]) };
+        let stride = size.max(1) + 3;
+        let parameters = gpu.buffer("parameters", &pack(&gaussians, stride));
+        let blocks = size.div_ceil(block);
+        let flags = gpu.untouched::<u32>("visible_flags", size + 2);
+        let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
+        let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
+        let push = camera_push!(Push, &view, size, stride);
+        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
+
+        let flags = gpu.read::<u32>(&flags, size + 2);
+        let expected = cull(&gaussians, &view);
+        let mut borderline = 0;
+        for (i, gaussian) in gaussians.iter().enumerate() {
+            if flags[i] != u32::from(expected[i]) {
+                assert!(may_differ(gaussian, &view), "{extent:?} {size}: Gaussian {i} is {}", flags[i]);
+                borderline += 1;
+            }
+        }
+        assert!(borderline <= 1 + size / 50, "{borderline} of {size} differ");
+        assert_eq!(flags[size..], [UNTOUCHED; 2]);
+        let mut counted: Vec<u32> = flags[..size].chunks(block).map(|flags| flags.iter().sum()).collect();
+        counted.extend([UNTOUCHED; 2]);
+        assert_eq!(gpu.read::<u32>(&counts, blocks + 2), counted, "{extent:?} {size}");
+    }
+}
+
+/// NaN and infinities are culled, opacity logits of ±∞ are valid.
+#[test]
+fn cull_of_non_finite_parameters() {
+    let gpu = Gpu::new();
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    let plain = Gaussian {
+        mean: [0.0; 3],
+        quat: [1.0, 0.0, 0.0, 0.0],
+        log_scale: [-1.0; 3],
+        opacity_logit: 0.0,
+        sh: vec![[0.0; 3]],
+    };
+    let cases = [
+        (plain.clone(), 1),
+        (Gaussian { mean: [f64::NAN, 0.0, 0.0], ..plain.clone() }, 0),
+        (Gaussian { mean: [0.0, f64::INFINITY, 0.0], ..plain.clone() }, 0),
+        (Gaussian { mean: [0.0, 0.0, f64::NAN], ..plain.clone() }, 0),
+        (Gaussian { quat: [f64::NAN; 4], ..plain.clone() }, 0),
+        (Gaussian { quat: [0.0; 4], ..plain.clone() }, 1),
+        (Gaussian { log_scale: [f64::NAN, 0.0, 0.0], ..plain.clone() }, 0),
+        (Gaussian { log_scale: [f64::INFINITY; 3], ..plain.clone() }, 0),
+        (Gaussian { log_scale: [f64::NEG_INFINITY; 3], ..plain.clone() }, 1),
+        (Gaussian { opacity_logit: f64::NAN, ..plain.clone() }, 0),
+        (Gaussian { opacity_logit: f64::INFINITY, ..plain.clone() }, 1),
+        (Gaussian { opacity_logit: f64::NEG_INFINITY, ..plain.clone() }, 0),
+    ];
+    let gaussians: Vec<Gaussian> = cases.iter().map(|(gaussian, _)| gaussian.clone()).collect();
+    let expected: Vec<u32> = cases.iter().map(|(_, visible)| *visible).collect();
+    let view = small_view([53, 37]);
+    let parameters = gpu.buffer("parameters", &pack(&gaussians, cases.len()));
+    let flags = gpu.untouched::<u32>("visible_flags", cases.len());
+    let counts = gpu.untouched::<u32>("block_counts", 1);
+    let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
+    let push = camera_push!(Push, &view, cases.len(), cases.len());
+    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
+    assert_eq!(gpu.read::<u32>(&flags, cases.len()), expected);
+}

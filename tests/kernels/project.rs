@@ -1,0 +1,144 @@
+//! `forward/project` against its twin.
+
+use ashsplat::kernels::constants::{STATE_VISIBLE, STATE_WORDS};
+use ashsplat::kernels::forward::project::{Bind, Interface, Push, Spec};
+
+use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
+use crate::common::layout::{camera_push, pack};
+use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::reference::project::project;
+use crate::reference::tiles::{half_extent_px, reference_square};
+use crate::reference::types::{Extent, Splat, View};
+
+/// What the kernel writes of each visible Gaussian.
+struct Output {
+    mean2d_extent: Vec<[f32; 4]>,
+    conic_opacity: Vec<[f32; 4]>,
+    color_inverse_depth: Vec<[f32; 4]>,
+    depth_keys: Vec<u32>,
+    footprints: Vec<[u32; 4]>,
+}
+
+fn check(gpu: &Gpu, size: usize, view: &View) {
+    // The degree may be below what is stored.
+    let spec = Spec { workgroup_size: gpu.workgroup(64), sh_degree: view.sh_degree };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    let gaussians = mixed_scene(&mut Random::new(size as u64), size, 16);
+    let visible: Vec<u32> =
+        (0..size as u32).filter(|&i| project(&gaussians[i as usize], view).is_some()).collect();
+    let splats: Vec<Splat> =
+        visible.iter().map(|&i| project(&gaussians[i as usize], view).expect("visible")).collect();
+    let (stride, count) = (size.max(1) + 3, visible.len());
+    let mut state = vec![0; STATE_WORDS as usize];
+    state[STATE_VISIBLE as usize] = count as u32;
+    let parameters = gpu.buffer("parameters", &pack(&gaussians, stride));
+    let (state, list) = (gpu.buffer("state", &state), gpu.buffer("visible_list", &visible));
+    let [mean2d_extent, conic_opacity, color_inverse_depth, footprints] =
+        ["mean2d_extent", "conic_opacity", "color_inverse_depth", "footprints"]
+            .map(|name| gpu.untouched::<[u32; 4]>(name, count + 1));
+    let depth_keys = gpu.untouched::<u32>("depth_keys", count + 1);
+    let bind = Bind {
+        parameters: &parameters,
+        state: &state,
+        visible_list: &list,
+        mean2d_extent: &mean2d_extent,
+        conic_opacity: &conic_opacity,
+        color_inverse_depth: &color_inverse_depth,
+        depth_keys: &depth_keys,
+        footprints: &footprints,
+    };
+    let push = camera_push!(Push, view, size, stride);
+    let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;
+    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
+    let output = Output {
+        mean2d_extent: gpu.read(&mean2d_extent, count),
+        conic_opacity: gpu.read(&conic_opacity, count),
+        color_inverse_depth: gpu.read(&color_inverse_depth, count),
+        depth_keys: gpu.read(&depth_keys, count + 1),
+        footprints: gpu.read(&footprints, count),
+    };
+    assert_eq!(output.depth_keys[count], UNTOUCHED);
+    for (place, splat) in splats.iter().enumerate() {
+        compare(&output, place, splat, view);
+    }
+}
+
+fn compare(output: &Output, place: usize, splat: &Splat, view: &View) {
+    let close = |what: &str, actual: f32, expected: f64, absolute: f64, relative: f64| {
+        let error = (f64::from(actual) - expected).abs();
+        assert!(error <= absolute + relative * expected.abs(), "{what} of {place}: {actual:e}, {expected:e}");
+    };
+    let [x, y, hx, hy] = output.mean2d_extent[place];
+    // Cancellation between the terms of the camera's transform, magnified by f/z.
+    let pixel = 2e-6 * (64.0 + 1.0 / splat.depth * 256.0);
+    close("x", x, splat.mean2d_px[0], pixel, 2e-6);
+    close("y", y, splat.mean2d_px[1], pixel, 2e-6);
+    if splat.opacity >= 1.0 / 254.0 {
+        // Never narrower than the ellipse of 1/255, and hardly wider.
+        for (actual, half) in [hx, hy].into_iter().zip(half_extent_px(splat)) {
+            let wide = f64::from(actual);
+            assert!(wide >= half && wide <= 1.01 * half + 0.5, "half extent of {place}: {actual}, {half}");
+        }
+    }
+    let [a, b, c, opacity] = output.conic_opacity[place];
+    let largest = splat.conic[0].max(splat.conic[2]);
+    for (actual, expected) in [a, b, c].into_iter().zip(splat.conic) {
+        close("conic", actual, expected, 2e-5 * largest, 1e-4);
+    }
+    close("opacity", opacity, splat.opacity, 1e-7, 2e-4);
+    let [red, green, blue, inverse_depth] = output.color_inverse_depth[place];
+    for (actual, expected) in [red, green, blue].into_iter().zip(splat.color) {
+        close("colour", actual, expected, 3e-6, 1e-6);
+    }
+    close("1/z", inverse_depth, 1.0 / splat.depth, 0.0, 1e-5);
+    close("depth", f32::from_bits(output.depth_keys[place]), splat.depth, 2e-6, 1e-6);
+    if view.extent == Extent::Reference {
+        compare_square(output.footprints[place], place, splat, view);
+    }
+}
+
+/// The radius and the tiles are equal unless they hang on rounding.
+fn compare_square(footprint: [u32; 4], place: usize, splat: &Splat, view: &View) {
+    let moved = |by: f64| {
+        let cov2d = splat.cov2d.map(|x| x * (1.0 + by));
+        let radius_px = crate::reference::project::radius_px(cov2d);
+        let mean2d_px = splat.mean2d_px.map(|x| x + 1e3 * by);
+        (radius_px, reference_square(&Splat { radius_px, mean2d_px, ..splat.clone() }, view))
+    };
+    if moved(-3e-5) != moved(3e-5) {
+        return;
+    }
+    let [x0, y0, x1, y1] = reference_square(splat, view);
+    assert_eq!(
+        footprint[..3],
+        [x0 | x1 << 16, y0 | y1 << 16, splat.radius_px as u32],
+        "footprint of {place}"
+    );
+}
+
+#[test]
+fn project_equals_its_twin() {
+    let gpu = Gpu::new();
+    for size in sizes(gpu.workgroup(64) as usize) {
+        check(&gpu, size, &small_view([53, 37]));
+    }
+}
+
+#[test]
+fn project_equals_its_twin_in_every_mode() {
+    let gpu = Gpu::new();
+    for sh_degree in 0..=3 {
+        let antialias = sh_degree % 2 == 1;
+        let symmetric_limit = sh_degree >= 2;
+        let extent = if sh_degree == 0 { Extent::Exact } else { Extent::Reference };
+        let view = View {
+            sh_degree,
+            antialias,
+            symmetric_limit,
+            extent,
+            center_px: [31.0, 11.0],
+            ..small_view([53, 37])
+        };
+        check(&gpu, 500, &view);
+    }
+}
