@@ -34,19 +34,17 @@ pub fn half_extent_px(splat: &Splat) -> [f64; 2] {
     [(level * splat.cov2d[0]).sqrt(), (level * splat.cov2d[2]).sqrt()]
 }
 
-/// Tiles of which a pixel centre lies in the box around the ellipse α ≥ 1/255.
+/// Tiles whose rectangle of pixel centres, [16 t, 16 t + 15] on each axis, meets the box around the ellipse α ≥ 1/255.
+/// Tiles at the border are whole ones.
 pub fn exact_box(splat: &Splat, view: &View) -> TileBox {
     let half = half_extent_px(splat);
-    // Tiles at the border are whole ones.
-    let size = view.tiles().map(|n| f64::from(n * TILE));
+    let tile = f64::from(TILE);
     let mut tiles = [0; 4];
     for axis in 0..2 {
-        let first = (splat.mean2d_px[axis] - half[axis]).ceil().max(0.0);
-        let last = (splat.mean2d_px[axis] + half[axis]).floor().min(size[axis] - 1.0);
-        if first <= last {
-            tiles[axis] = first as u32 / TILE;
-            tiles[axis + 2] = last as u32 / TILE + 1;
-        }
+        let count = f64::from(view.tiles()[axis]);
+        let (low, high) = (splat.mean2d_px[axis] - half[axis], splat.mean2d_px[axis] + half[axis]);
+        tiles[axis] = ((low - (tile - 1.0)) / tile).ceil().clamp(0.0, count) as u32;
+        tiles[axis + 2] = ((high / tile).floor() + 1.0).clamp(0.0, count) as u32;
     }
     tiles
 }
