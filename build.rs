@@ -191,9 +191,12 @@ fn resolve(glsl: &Path, file: &Path, name: &str) -> Option<PathBuf> {
 
 impl IncludeHandler for Includer<'_> {
     fn include(&mut self, _: IncludeType, name: &str, includer: &str, _: usize) -> Option<IncludeResult> {
-        let from = resolve(self.glsl, self.file, includer).unwrap_or_else(|| self.file.to_owned());
+        // Includes go by their path from the crate's root, which is what errors then show.
+        let root = self.glsl.parent()?;
+        let from = if includer.is_empty() { self.file.to_owned() } else { root.join(includer) };
         let path = resolve(self.glsl, &from, name).or_else(|| resolve(self.glsl, self.file, name))?;
-        Some(IncludeResult { name: name.to_owned(), data: fs::read_to_string(path).ok()? })
+        let shown = path.strip_prefix(root).unwrap_or(&path).display().to_string().replace('\\', "/");
+        Some(IncludeResult { name: shown, data: fs::read_to_string(path).ok()? })
     }
 }
 

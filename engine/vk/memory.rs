@@ -164,7 +164,7 @@ impl Block {
         let info = vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(index);
         // SAFETY: the type index is valid, and the buffer is bound once, at offset 0, to memory of its own.
         unsafe {
-            self.memory = device.allocate_memory(&info, None).map_err(vk_error("vkAllocateMemory"))?;
+            self.memory = device.allocate_memory(&info, None).map_err(|e| self.out_of_memory(e))?;
             device.bind_buffer_memory(self.raw, self.memory, 0).map_err(vk_error("vkBindBufferMemory"))?;
         }
         let flags = types[index as usize].property_flags;
@@ -179,6 +179,17 @@ impl Block {
             self.mapping = address.map(|a| Mutex::new(Mapping(a)));
         }
         Ok(())
+    }
+
+    /// The error of a failed allocation, with what it was for.
+    fn out_of_memory(&self, result: vk::Result) -> Error {
+        match vk_error("vkAllocateMemory")(result) {
+            Error::Vulkan { call, result, remedy } => {
+                let result = format!("{result}, for {} bytes of arena '{}'", self.bytes, self.arena);
+                Error::Vulkan { call, result, remedy }
+            }
+            other => other,
+        }
     }
 
     pub(super) fn is_mapped(&self) -> bool {
