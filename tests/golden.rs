@@ -1,5 +1,6 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod gpu;
 mod rendering;
 mod sets;
 mod training;
@@ -64,6 +65,7 @@ pub fn trials(shared: &Path) -> Vec<Trial> {
     let mut trials = Vec::new();
     for set in &sets {
         trials.extend(twin::trials(set));
+        trials.extend(gpu::trials(set));
     }
     trials
 }

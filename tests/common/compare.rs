@@ -7,6 +7,8 @@ pub struct PixelTolerance {
     pub max: f64,
     /// On the mean absolute difference.
     pub mean: f64,
+    /// How far a pixel whose decisions hang on rounding may be off, except for [`UNSTABLE_SHARE`] of them.
+    pub unstable: f64,
 }
 
 /// What was measured.
@@ -16,13 +18,11 @@ pub struct PixelErrors {
     pub max: f64,
     /// Mean absolute difference at stable pixels.
     pub mean: f64,
-    /// Unstable pixels that differ by more than [`UNSTABLE_BOUND`].
+    /// Unstable pixels that differ by more than their bound.
     pub unstable_off: usize,
 }
 
-/// How far a pixel whose decisions hang on rounding may be off...
-pub const UNSTABLE_BOUND: f64 = 2e-2;
-/// ...except for this share of them.
+/// Share of the pixels whose decisions hang on rounding that may be off by more than their bound.
 pub const UNSTABLE_SHARE: f64 = 0.01;
 
 /// Compares pictures of some values per pixel.
@@ -43,7 +43,7 @@ pub fn pixels(
         let difference = actual[values.clone()].iter().zip(&expected[values]).map(|(a, e)| (a - e).abs());
         let largest = difference.clone().fold(0.0, f64::max);
         if unstable {
-            errors.unstable_off += usize::from(largest > UNSTABLE_BOUND);
+            errors.unstable_off += usize::from(largest > tolerance.unstable);
         } else {
             if largest > errors.max {
                 (errors.max, place) = (largest, pixel);

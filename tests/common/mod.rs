@@ -5,6 +5,7 @@
 
 pub mod compare;
 pub mod device;
+pub mod engine;
 pub mod gpu;
 pub mod layout;
 pub mod npz;

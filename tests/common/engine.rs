@@ -1,0 +1,84 @@
+//! The twins' scenes and views as the engine's.
+
+use std::sync::{Mutex, MutexGuard, OnceLock};
+
+use ashsplat::{Camera, Gaussians, JacobianLimit, RenderSettings, Renderer};
+use glam::{Mat3, Vec3};
+
+use super::context;
+use crate::reference::types::{Extent, Gaussian, View};
+
+/// Parameters, rounded to float32.
+pub fn gaussians(twins: &[Gaussian]) -> Gaussians {
+    let f = |x: f64| x as f32;
+    let stored = twins.first().map_or(1, |g| g.sh.len());
+    Gaussians {
+        sh_degree: stored.isqrt() as u32 - 1,
+        means: twins.iter().map(|g| g.mean.map(f)).collect(),
+        quats: twins.iter().map(|g| g.quat.map(f)).collect(),
+        log_scales: twins.iter().map(|g| g.log_scale.map(f)).collect(),
+        opacity_logits: twins.iter().map(|g| f(g.opacity_logit)).collect(),
+        sh: twins.iter().flat_map(|g| g.sh.iter().map(|c| c.map(f))).collect(),
+    }
+}
+
+/// The inverse of [`gaussians`].
+pub fn twins(gaussians: &Gaussians) -> Vec<Gaussian> {
+    let f = |x: f32| f64::from(x);
+    (0..gaussians.len())
+        .map(|i| Gaussian {
+            mean: gaussians.means[i].map(f),
+            quat: gaussians.quats[i].map(f),
+            log_scale: gaussians.log_scales[i].map(f),
+            opacity_logit: f(gaussians.opacity_logits[i]),
+            sh: gaussians.sh_of(i).iter().map(|c| c.map(f)).collect(),
+        })
+        .collect()
+}
+
+/// The camera of a view.
+pub fn camera(view: &View) -> Camera {
+    let f = |x: f64| x as f32;
+    let [x, y, z] = view.camera_from_world.map(|row| Vec3::from_array(row.map(f)));
+    Camera {
+        camera_from_world: Mat3::from_cols(x, y, z).transpose(),
+        translation: Vec3::from_array(view.translation.map(f)),
+        fx: f(view.focal_px[0]),
+        fy: f(view.focal_px[1]),
+        cx: f(view.center_px[0]),
+        cy: f(view.center_px[1]),
+        width: view.size_px[0],
+        height: view.size_px[1],
+    }
+}
+
+/// The settings of a view, with the inverse depth.
+pub fn settings(view: &View) -> RenderSettings {
+    RenderSettings {
+        extent: match view.extent {
+            Extent::Exact => ashsplat::Extent::Exact,
+            Extent::Reference => ashsplat::Extent::Reference,
+        },
+        jacobian_limit: match view.symmetric_limit {
+            true => JacobianLimit::Symmetric,
+            false => JacobianLimit::Edge,
+        },
+        antialias: view.antialias,
+        background: view.background.map(|x| x as f32),
+        sh_degree: Some(view.sh_degree),
+        inverse_depth: true,
+    }
+}
+
+/// One renderer for all tests: its kernels are compiled once.
+pub fn renderer() -> MutexGuard<'static, Renderer> {
+    static RENDERER: OnceLock<Mutex<Renderer>> = OnceLock::new();
+    let renderer = RENDERER.get_or_init(|| Mutex::new(Renderer::new(context()).expect("a renderer")));
+    // A test that failed with it has not broken it.
+    renderer.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+}
+
+/// float32 to the twins' precision, flattened.
+pub fn widen<const N: usize>(values: &[[f32; N]]) -> Vec<f64> {
+    values.as_flattened().iter().map(|&x| f64::from(x)).collect()
+}

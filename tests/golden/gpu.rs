@@ -1,0 +1,101 @@
+//! The trials of the device: within the tolerances for float32.
+
+use libtest_mimic::Trial;
+
+use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
+use super::sets::RenderingSet;
+use super::{Kind, SetFile, trial};
+use crate::common::engine::{camera, gaussians, renderer, settings, widen};
+use crate::common::{assert_silent, context};
+use crate::reference::types::Extent;
+
+/// The trials of one set.
+pub fn trials(set: &SetFile) -> Vec<Trial> {
+    match set.kind {
+        Kind::Rendering => rendering_trials(set),
+        _ => vec![],
+    }
+}
+
+fn rendering_trials(set: &SetFile) -> Vec<Trial> {
+    let mut trials = Vec::new();
+    for extent in [Extent::Reference, Extent::Exact] {
+        if extent == Extent::Exact && set.exact.is_none() {
+            continue;
+        }
+        let suffix = if extent == Extent::Exact { "exact_" } else { "" };
+        let file = set.clone();
+        trials
+            .push(trial(format!("golden_gpu_forward_{suffix}{}", set.name), move || forward(&file, extent)));
+        let file = set.clone();
+        trials.push(trial(format!("golden_gpu_gradients_{suffix}{}", set.name), move || {
+            gradients(&file, extent)
+        }));
+    }
+    trials
+}
+
+fn forward(file: &SetFile, extent: Extent) -> Result<(), String> {
+    let set = RenderingSet::read(&file.path, file.exact.as_deref());
+    let view = set.view_with(extent);
+    let mut renderer = renderer();
+    renderer.upload(&gaussians(&set.gaussians)).map_err(|e| e.to_string())?;
+    let frame = renderer.render(&camera(&view), &settings(&view)).map_err(|e| e.to_string())?;
+    drop(renderer);
+    let single = |values: &[f32]| values.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
+    let picture = Picture {
+        color: widen(&frame.color),
+        transmittance: single(&frame.transmittance),
+        inverse_depth: frame.inverse_depth.as_deref().map(single),
+    };
+    judge_picture(&file.name, &set, extent, &picture, SINGLE)?;
+    if extent == Extent::Reference && !super::rendering::only_finite(&file.name) {
+        judge_instances(&set, frame.stats.instances)?;
+    }
+    assert_silent(context());
+    Ok(())
+}
+
+/// The tiles touched are equal, except those of Gaussians whose rectangle hangs on rounding.
+fn judge_instances(set: &RenderingSet, instances: u32) -> Result<(), String> {
+    let unstable = set.gaussian_flag(2);
+    let touched = set.npz.values("tiles_touched");
+    let expected: f64 = touched.iter().sum();
+    let slack: f64 =
+        touched.iter().zip(unstable).filter(|(_, unstable)| *unstable).map(|(n, _)| n + 1.0).sum();
+    let off = (f64::from(instances) - expected).abs();
+    if off <= slack {
+        Ok(())
+    } else {
+        Err(format!("{instances} tiles touched, expected {expected} ± {slack}"))
+    }
+}
+
+fn gradients(file: &SetFile, extent: Extent) -> Result<(), String> {
+    let set = RenderingSet::read(&file.path, file.exact.as_deref());
+    let view = set.view_with(extent);
+    let (color, inverse_depth) = set.image_gradient(extent);
+    let color: Vec<[f32; 3]> = color.iter().map(|c| c.map(|x| x as f32)).collect();
+    let inverse_depth: Vec<f32> = inverse_depth.iter().map(|&x| x as f32).collect();
+    let mut renderer = renderer();
+    renderer.upload(&gaussians(&set.gaussians)).map_err(|e| e.to_string())?;
+    let gradients = renderer
+        .gradients(&camera(&view), &settings(&view), &color, Some(&inverse_depth))
+        .map_err(|e| e.to_string())?;
+    drop(renderer);
+    let parameters = gradients.parameters;
+    let actual = Gradients {
+        means: widen(&parameters.means),
+        quats: widen(&parameters.quats),
+        log_scales: widen(&parameters.log_scales),
+        opacity_logits: parameters.opacity_logits.iter().map(|&x| f64::from(x)).collect(),
+        sh: widen(&parameters.sh),
+        mean2d_px: Some(widen(&gradients.mean2d_px)),
+        conic: None,
+        opacity: None,
+        color: None,
+    };
+    judge_gradients(&file.name, &set, extent, &actual, SINGLE)?;
+    assert_silent(context());
+    Ok(())
+}
