@@ -424,6 +424,7 @@ impl Forward {
                 tile_count: columns * rows,
                 first_entry: pass.saturating_mul(self.sizes.entries_per_pass),
                 max_entries: self.sizes.entries_per_pass,
+                last_pass: (pass + 1 == inputs.capacity.blend_passes).into(),
             };
             r.dispatch(kernel, &bind, &push, u64::from(columns) * u64::from(rows));
         }

@@ -7,7 +7,7 @@
 //!            densify: decide → place → gather
 //! ```
 //!
-//! - [`Renderer`] and `Trainer` own their submissions: they record, submit, wait and read back.
+//! - [`Renderer`] and [`Trainer`] own their submissions: they record, submit, wait and read back.
 //! - [`forward`], [`backward`], [`loss`], [`optimizer`], [`densify`] only *record*, into a [`vk::Recorder`].
 //! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`].
 //! - [`scene`], [`io`] and [`metrics`] know no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
@@ -38,4 +38,4 @@ pub use error::{Error, Result};
 pub use forward::{Extent, JacobianLimit, RenderSettings};
 pub use renderer::{Frame, FrameStats, Gradients, PixelReport, Renderer, Sample};
 pub use scene::{Camera, Gaussians};
-pub use trainer::TrainSettings;
+pub use trainer::{StepReport, TrainSettings, TrainView, Trainer};

@@ -149,7 +149,7 @@ impl FrameStore {
     /// When the memory or a limit of the device does not suffice.
     pub fn grow(&mut self, state: &State, sizes: &Blocks) -> Result<bool> {
         let mut capacity = self.capacity;
-        if state.overflow {
+        if state.instances > capacity.instances {
             // Half as much again: the next frames will not need exactly this many.
             capacity.instances = state.instances.saturating_add(state.instances / 2);
         }
@@ -158,7 +158,7 @@ impl FrameStore {
         if capacity == self.capacity {
             return Ok(false);
         }
-        if self.allocate(capacity).is_err() && state.overflow {
+        if self.allocate(capacity).is_err() && state.instances > self.capacity.instances {
             // Without the reserve, if that is what did not fit.
             capacity.instances = state.instances;
             self.allocate(capacity)?;

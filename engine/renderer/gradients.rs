@@ -1,6 +1,6 @@
 //! Differentiable rendering: the gradient of any function of the image with respect to all parameters.
 
-use super::Renderer;
+use super::{Renderer, Request};
 use crate::backward::Statistics;
 use crate::error::{Error, Result};
 use crate::forward::RenderSettings;
@@ -40,10 +40,8 @@ impl Renderer {
         if inverse_depth_gradient.is_some() && !settings.inverse_depth {
             return Err(Error::argument("inverse-depth gradient", "needs settings.inverse_depth"));
         }
-        let Some(scene) = self.scene.clone() else {
-            return Err(Error::argument("scene", "none is loaded; call upload first"));
-        };
-        let sh_degree = super::active_degree(&scene, settings);
+        let scene = self.scene.clone().ok_or_else(super::no_scene)?;
+        let sh_degree = settings.sh_degree.unwrap_or(scene.plan.sh_degree).min(scene.plan.sh_degree);
         self.backward.prepare(sh_degree, settings.inverse_depth)?;
         self.backward.prepare_expand(sh_degree)?;
         let count = u64::from(scene.count);
@@ -59,21 +57,17 @@ impl Renderer {
             .collect();
         self.context.upload(&extra[2], bytemuck::cast_slice(&target))?;
 
-        // The borrow of the kernels must end before `run` borrows the rest.
-        let backward = std::mem::replace(&mut self.backward, crate::backward::Backward::new(&self.context));
-        let ran = self.run(camera, settings, true, |r, inputs| {
-            r.copy(
-                &extra[2].range(0, pixels as u64 * 16),
-                &inputs.frame.image_gradient.range(0, pixels as u64 * 16),
-            );
+        let target_bytes = pixels as u64 * 16;
+        let request = Request { scene: &scene, camera, settings, sh_degree, backward: true };
+        let backward = &self.backward;
+        self.runner.run(&request, |r, inputs| {
+            r.copy(&extra[2].range(0, target_bytes), &inputs.frame.image_gradient.range(0, target_bytes));
             r.barrier();
             backward.record(r, inputs, Statistics { buffer: &extra[1], accumulate: false });
             r.barrier();
             backward.record_expand(r, inputs, &planes, &extra[0]);
             Ok(())
-        });
-        self.backward = backward;
-        ran?;
+        })?;
         let parameters =
             planes::download(&self.context, &crate::forward::SceneBuffers { chunks: planes, ..scene })?;
         let bytes = self.context.download(&extra[0])?;

@@ -56,7 +56,7 @@ impl Renderer {
             return Err(Error::argument("pixel", problem));
         }
         self.render(camera, settings)?;
-        let f = self.store.current()?;
+        let f = self.runner.frame()?;
         let (columns, _) = tile_grid(camera.width, camera.height);
         let tile = u64::from(y / c::TILE_SIZE * columns + x / c::TILE_SIZE);
         let range: Vec<u32> = self.read(&f.tile_ranges, tile * 8, 8)?;

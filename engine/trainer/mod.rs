@@ -1,5 +1,257 @@
 //! Training: from photographs and a sparse point cloud to Gaussians.
+//!
+//! One step is one submission: forward, loss, backward, Adam. A densification is a second one, which first counts what
+//! the new set needs. A step whose frame overflowed its buffers changes nothing and is run again with more room.
 
+mod density;
+mod photos;
 pub mod settings;
+mod step;
 
 pub use settings::{OptimizerType, TrainSettings};
+
+use crate::backward::Backward;
+use crate::densify::Densify;
+use crate::error::{Error, Result};
+use crate::forward::{RenderSettings, SceneBuffers};
+use crate::io::Photo;
+use crate::loss::{Loss, partials_bytes, ssim_maps_bytes};
+use crate::optimizer::{Moments, Optimizer};
+use crate::planes;
+use crate::renderer::{Frame, FrameRunner};
+use crate::scene::{Camera, Gaussians};
+use crate::vk::{Buffer, Context, MemoryKind, ScopeTime};
+use photos::Photos;
+
+/// A photograph and where it was taken from.
+#[derive(Clone, Debug)]
+pub struct TrainView {
+    /// The camera; its size is the photo's.
+    pub camera: Camera,
+    /// The photo, kept on the device as 8 bits per channel.
+    pub photo: Photo,
+}
+
+/// What a step did.
+#[derive(Clone, Debug, Default)]
+pub struct StepReport {
+    /// Iteration, from 1.
+    pub iteration: u32,
+    /// (1 - λ) L1 + λ (1 - SSIM) before the step.
+    pub loss: f32,
+    /// Mean absolute difference.
+    pub l1: f32,
+    /// Mean SSIM.
+    pub ssim: f32,
+    /// Gaussians after the step.
+    pub gaussians: u32,
+    /// Visible in the step's view.
+    pub visible: u32,
+    /// (tile, Gaussian) instances of the step's view.
+    pub instances: u32,
+    /// Gaussians that were left alone because their gradient was not finite.
+    pub skipped_non_finite: u32,
+    /// Wall time of the step.
+    pub milliseconds: f64,
+    /// Index of the view.
+    pub view: usize,
+    /// What a densification did, if the step ended with one.
+    pub densified: Option<Densified>,
+    /// Device time per stage.
+    pub scopes: Vec<ScopeTime>,
+}
+
+/// What a densification did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Densified {
+    /// Gaussians before.
+    pub before: u32,
+    /// Of those, how many stayed.
+    pub kept: u32,
+    /// Clones that were added.
+    pub cloned: u32,
+    /// Gaussians that were replaced by two each.
+    pub split: u32,
+}
+
+/// The optimiser's state and the scene on the device.
+pub(crate) struct Training {
+    pub scene: SceneBuffers,
+    pub moments: Moments,
+    /// A fourth set of planes, which densification gathers into.
+    pub spare: Vec<Buffer>,
+    /// Per Gaussian: sum of NDC gradient norms, views.
+    pub statistics: Buffer,
+}
+
+/// Trains Gaussians on photographs.
+pub struct Trainer {
+    context: Context,
+    settings: TrainSettings,
+    scene_extent: f32,
+    cameras: Vec<Camera>,
+    photos: Photos,
+    runner: FrameRunner,
+    loss: Loss,
+    backward: Backward,
+    optimizer: Optimizer,
+    densify: Densify,
+    training: Training,
+    scratch: LossScratch,
+    order: step::ViewOrder,
+    iteration: u32,
+    /// Steps of the optimiser: iterations that densify have none.
+    steps: u64,
+    opacity_steps: u64,
+}
+
+pub(crate) struct LossScratch {
+    pub ssim_maps: Buffer,
+    pub partials: Buffer,
+    pub losses: Buffer,
+    pub readback: Buffer,
+}
+
+impl LossScratch {
+    fn new(context: &Context, cameras: &[Camera]) -> Result<Self> {
+        let largest =
+            |f: fn(u32, u32) -> u64| cameras.iter().map(|c| f(c.width, c.height)).max().unwrap_or(0);
+        let requests = [
+            ("ssim_maps", largest(ssim_maps_bytes)),
+            ("loss_partials", largest(partials_bytes)),
+            ("losses", 16),
+        ];
+        let mut device = context.allocate("loss", &requests, MemoryKind::Device)?;
+        let mut host = context.allocate("readback", &[("loss_readback", 16)], MemoryKind::HostVisible)?;
+        match (device.pop(), device.pop(), device.pop(), host.pop()) {
+            (Some(losses), Some(partials), Some(ssim_maps), Some(readback)) => {
+                Ok(Self { ssim_maps, partials, losses, readback })
+            }
+            _ => unreachable!("one buffer per request"),
+        }
+    }
+}
+
+impl Trainer {
+    /// Uploads photographs and initial Gaussians.
+    ///
+    /// `scene_extent` is 1.1 times the largest distance of a training camera to their mean, world units (the
+    /// reference's `cameras_extent`): it scales the learning rate of the means and the thresholds of densification.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for settings, cameras or photographs that make no sense; memory or device failures.
+    pub fn new(
+        context: &Context,
+        views: Vec<TrainView>,
+        initial: &Gaussians,
+        scene_extent: f32,
+        settings: TrainSettings,
+    ) -> Result<Self> {
+        settings.check()?;
+        if views.is_empty() {
+            return Err(Error::argument("views", "there are none to train on"));
+        }
+        if initial.is_empty() {
+            return Err(Error::argument("initial Gaussians", "there are none to start from"));
+        }
+        if !(scene_extent.is_finite() && scene_extent > 0.0) {
+            let problem = format!("is {scene_extent}, must be positive; do all cameras stand at one place?");
+            return Err(Error::argument("scene extent", problem));
+        }
+        let photos = Photos::upload(context, &views)?;
+        let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+        drop(views);
+        let count = crate::plan::to_u32(initial.len() as u64)?;
+        // Room to grow: densification allocates anew when it does not suffice.
+        let capacity = count.saturating_add(count / 2).max(1 << 12);
+        let scene = planes::upload(context, "scene", initial, capacity, settings.sh_degree)?;
+        let training = Training::new(context, scene)?;
+        let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
+        Ok(Self {
+            scratch: LossScratch::new(context, &cameras)?,
+            order: step::ViewOrder::new(settings.seed, cameras.len()),
+            runner: FrameRunner::new(context)?,
+            loss: Loss::new(context)?,
+            backward: Backward::new(context),
+            optimizer: Optimizer::new(context, sparse),
+            densify: Densify::new(context)?,
+            context: context.clone(),
+            settings,
+            scene_extent,
+            cameras,
+            photos,
+            training,
+            iteration: 0,
+            steps: 0,
+            opacity_steps: 0,
+        })
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &TrainSettings {
+        &self.settings
+    }
+
+    /// Iterations done.
+    pub fn iteration(&self) -> u32 {
+        self.iteration
+    }
+
+    /// Renders the scene as it stands; with `settings.sh_degree` None, at the degree in use at this iteration.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a camera that makes no sense; memory or device failures.
+    pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
+        let sh_degree = settings.sh_degree.unwrap_or_else(|| self.settings.sh_degree_at(self.iteration));
+        let settings = RenderSettings { sh_degree: Some(sh_degree), ..*settings };
+        self.runner.render(&self.training.scene, camera, &settings)
+    }
+
+    /// How views are rendered in training, but for a random background.
+    pub fn render_settings(&self) -> RenderSettings {
+        RenderSettings {
+            antialias: self.settings.antialiasing,
+            background: [f32::from(u8::from(self.settings.white_background)); 3],
+            ..RenderSettings::default()
+        }
+    }
+
+    /// Downloads the Gaussians.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn gaussians(&self) -> Result<Gaussians> {
+        planes::download(&self.context, &self.training.scene)
+    }
+
+    /// Bytes of device memory in use, all arenas of the context together.
+    pub fn memory_bytes(&self) -> u64 {
+        self.context.memory().iter().map(|arena| arena.bytes).sum()
+    }
+}
+
+impl Training {
+    fn new(context: &Context, scene: SceneBuffers) -> Result<Self> {
+        let moments = Moments {
+            first: planes::allocate(context, "moments", &scene.plan)?,
+            second: planes::allocate(context, "moments", &scene.plan)?,
+        };
+        let spare = planes::allocate(context, "spare", &scene.plan)?;
+        let statistics = allocate_statistics(context, scene.plan.capacity)?;
+        context.run("clear moments", |r| {
+            for buffer in moments.first.iter().chain(&moments.second).chain([&statistics]) {
+                r.fill(buffer, 0);
+            }
+            Ok(())
+        })?;
+        Ok(Self { scene, moments, spare, statistics })
+    }
+}
+
+fn allocate_statistics(context: &Context, capacity: u32) -> Result<Buffer> {
+    let requests = [("statistics", u64::from(capacity) * 8)];
+    match context.allocate("statistics", &requests, MemoryKind::Device)?.pop() {
+        Some(buffer) => Ok(buffer),
+        None => unreachable!("one buffer per request"),
+    }
+}

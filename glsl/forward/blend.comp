@@ -44,6 +44,8 @@ layout(push_constant, scalar) uniform Push {
     uint tile_count;
     uint first_entry;
     uint max_entries;
+    // No pass follows: a tile with more entries than this one reaches leaves the frame invalid (STATE_OVERFLOW).
+    uint last_pass;
 };
 
 #include "dispatch.glsl"
@@ -66,6 +68,9 @@ void main() {
         return;
     }
     uint end = first_entry + min(entries - first_entry, max_entries);
+    if (gl_LocalInvocationID.x == 0 && last_pass != 0 && end < entries) {
+        state[STATE_OVERFLOW] = 1;
+    }
     uvec2 origin = region_origin(uvec2(tile % tiles_per_row, tile / tiles_per_row));
     uvec2 corner = origin + lane_offset();
     vec2 corner_px = vec2(corner);

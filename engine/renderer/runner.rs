@@ -1,0 +1,112 @@
+//! Runs a frame until its capacities suffice, and reads it back.
+
+use super::frame_store::{FrameStore, State};
+use super::{Frame, FrameStats};
+use crate::error::Result;
+use crate::forward::{Forward, FrameInputs, RenderSettings, SceneBuffers};
+use crate::plan::FrameBuffers;
+use crate::scene::Camera;
+use crate::vk::{Context, Recorder, RunReport};
+
+/// The forward pass with buffers of its own.
+pub(crate) struct FrameRunner {
+    context: Context,
+    pub(super) forward: Forward,
+    pub(super) store: FrameStore,
+}
+
+/// What to run.
+#[derive(Clone, Copy)]
+pub(crate) struct Request<'a> {
+    pub scene: &'a SceneBuffers,
+    pub camera: &'a Camera,
+    pub settings: &'a RenderSettings,
+    /// SH degree that is evaluated.
+    pub sh_degree: u32,
+    /// With the buffers that backward needs.
+    pub backward: bool,
+}
+
+/// What came of it.
+pub(crate) struct Ran {
+    pub state: State,
+    pub report: RunReport,
+    /// Times the frame was run again because a capacity had to grow.
+    pub retries: u32,
+}
+
+impl FrameRunner {
+    pub fn new(context: &Context) -> Result<Self> {
+        let (forward, store) = (Forward::new(context)?, FrameStore::new(context)?);
+        Ok(Self { context: context.clone(), forward, store })
+    }
+
+    /// Runs a frame; `record_more` records what follows the blending. An overflowed frame is run again with more room,
+    /// so what follows must change nothing that lasts when `STATE_OVERFLOW` is set.
+    pub fn run(
+        &mut self,
+        request: &Request,
+        mut record_more: impl FnMut(&mut Recorder, &FrameInputs) -> Result<()>,
+    ) -> Result<Ran> {
+        let Request { scene, camera, settings, sh_degree, backward } = *request;
+        camera.check()?;
+        self.forward.prepare(sh_degree, settings.inverse_depth)?;
+        let mut retries = 0;
+        loop {
+            let (frame, capacity) = self.store.ensure(scene.plan.capacity, camera, backward)?;
+            let inputs =
+                FrameInputs { scene, frame: &frame, capacity: &capacity, camera, settings, sh_degree };
+            let report = self.context.run("frame", |r| {
+                self.forward.record(r, &inputs);
+                record_more(r, &inputs)?;
+                self.store.record_readback(r, &frame);
+                Ok(())
+            })?;
+            let state = self.store.state()?;
+            if !self.store.grow(&state, &self.forward.sizes)? {
+                return Ok(Ran { state, report, retries });
+            }
+            retries += 1;
+        }
+    }
+
+    /// The buffers of the last frame.
+    pub fn frame(&self) -> Result<&FrameBuffers> {
+        self.store.current()
+    }
+
+    /// Renders a scene and reads the image back.
+    pub fn render(
+        &mut self,
+        scene: &SceneBuffers,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<Frame> {
+        let sh_degree = settings.sh_degree.unwrap_or(scene.plan.sh_degree).min(scene.plan.sh_degree);
+        let request = Request { scene, camera, settings, sh_degree, backward: false };
+        let ran = self.run(&request, |_, _| Ok(()))?;
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        let frame = self.frame()?;
+        let bytes = self.context.download(&frame.accumulated.range(0, pixels * 16))?;
+        let texels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+        let [r, g, b] = settings.background;
+        let composed = texels.iter().map(|&[x, y, z, t]| ([x + t * r, y + t * g, z + t * b], t));
+        let (color, transmittance) = composed.unzip();
+        let inverse_depth = match settings.inverse_depth {
+            false => None,
+            true => {
+                let bytes = self.context.download(&frame.inverse_depth.range(0, pixels * 4))?;
+                Some(bytemuck::pod_collect_to_vec(&bytes))
+            }
+        };
+        let stats = FrameStats {
+            gaussians: scene.count,
+            visible: ran.state.visible,
+            instances: ran.state.instances,
+            longest_tile: ran.state.longest_tile,
+            scopes: ran.report.scopes,
+            retries: ran.retries,
+        };
+        Ok(Frame { width: camera.width, height: camera.height, color, transmittance, inverse_depth, stats })
+    }
+}
