@@ -57,6 +57,15 @@ mod tests {
     }
 
     #[test]
+    fn subgroup_operations_need_a_pinned_size() {
+        let mut spirv = super::scan::scan_reduce::Interface::SPIRV.to_vec();
+        let decorates = |w: &[u32]| w[0] == (4 << 16 | 71) && w[2..] == [1, 1];
+        let at = spirv.windows(4).position(decorates).expect("OpDecorate SpecId 1");
+        spirv[at + 2] = 0;
+        assert!(reflect(&spirv).expect_err("no SUBGROUP_SIZE").contains("SUBGROUP_SIZE"));
+    }
+
+    #[test]
     fn constants_are_mirrored_with_their_comments() {
         let source = "// A tile.\nconst uint TILE = 16u; // pixels\n\n// Near.\nconst float NEAR = 0.2;\nconst bool B = true;\n";
         let text = generate::constants(source).expect("valid");

@@ -102,12 +102,17 @@ struct Module {
     variables: Vec<(u32, u32, u32)>,
     workgroup_size_ids: Option<[u32; 3]>,
     workgroup_size: Option<[u32; 3]>,
+    uses_subgroups: bool,
 }
 
 /// Reflects one compute shader.
 pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
     let module = Module::parse(spirv)?;
     let spec = module.spec_constants()?;
+    if module.uses_subgroups && !spec.iter().any(|c| c.name == "SUBGROUP_SIZE") {
+        // Without it the pipeline's subgroup size is not pinned, and some drivers vary it between pipelines.
+        return Err("subgroup operations without `layout(constant_id = 1) const uint SUBGROUP_SIZE`".into());
+    }
     let mut shader = Shader { spec, ..Shader::default() };
     let mut shared = Vec::new();
     for &(id, pointer, storage_class) in &module.variables {
@@ -168,6 +173,8 @@ impl Module {
                 self.constants.insert(o[1], operation);
             }
             59 => self.variables.push((o[1], o[0], o[2])),
+            // OpGroupNonUniformElect to OpGroupNonUniformQuadSwap.
+            333..=366 => self.uses_subgroups = true,
             71 => drop(self.decorations.insert((o[0], o[1]), o.get(2).copied().unwrap_or(0))),
             72 => {
                 self.member_decorations.insert((o[0], o[1], o[2]), o.get(3).copied().unwrap_or(0));
