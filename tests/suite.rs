@@ -4,6 +4,7 @@ mod architecture;
 mod common;
 mod comparators;
 mod gradients;
+mod host;
 mod kernels;
 mod reference;
 mod vk;

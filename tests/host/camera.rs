@@ -1,0 +1,159 @@
+//! Cameras: poses, sizes, checks, orbits.
+
+use ashsplat::io::cameras_json;
+use ashsplat::scene::{Camera, Intrinsics, Orbit, scene_extent};
+use glam::{Mat3, Quat, Vec3};
+
+use super::files::names;
+
+fn intrinsics() -> Intrinsics {
+    Intrinsics { fx: 60.0, fy: 61.0, cx: 31.0, cy: 25.0, width: 64, height: 48 }
+}
+
+fn oblique() -> Camera {
+    Camera::look_at(Vec3::new(3.0, -2.0, 1.0), Vec3::new(0.0, 0.5, 0.2), Vec3::NEG_Y, intrinsics())
+}
+
+#[test]
+fn look_at_sees_its_target_upright() {
+    let camera = oblique();
+    camera.check().unwrap();
+    let target = Vec3::new(0.0, 0.5, 0.2);
+    let (x, y, depth) = camera.project(target);
+    assert!((x - 31.0).abs() < 1e-3 && (y - 25.0).abs() < 1e-3);
+    assert!((depth - camera.position().distance(target)).abs() < 1e-5);
+    assert!(camera.position().abs_diff_eq(Vec3::new(3.0, -2.0, 1.0), 1e-5));
+    // Up in the world is up in the picture, that is, smaller y; right-handed, so nothing is mirrored.
+    assert!(camera.project(target + 0.1 * Vec3::NEG_Y).1 < y);
+    let to_the_right = camera.forward().cross(Vec3::NEG_Y);
+    assert!(camera.project(target + 0.1 * to_the_right).0 > x);
+    // Straight along up.
+    Camera::look_at(Vec3::ZERO, Vec3::Y, Vec3::NEG_Y, intrinsics()).check().unwrap();
+    Camera::look_at(Vec3::ONE, Vec3::ONE, Vec3::Y, intrinsics()).check().unwrap();
+}
+
+#[test]
+fn colmap_poses() {
+    let rotation = Quat::from_euler(glam::EulerRot::XYZ, 0.3, -0.8, 1.1);
+    let quat = [rotation.w, rotation.x, rotation.y, rotation.z].map(|q| 3.0 * f64::from(q));
+    let camera = Camera::from_colmap(quat, [1.0, 2.0, 3.0], intrinsics());
+    camera.check().unwrap();
+    assert!(camera.camera_from_world.abs_diff_eq(Mat3::from_quat(rotation), 1e-6));
+    let center = camera.position();
+    assert!((camera.camera_from_world * center + camera.translation).length() < 1e-5);
+    assert!(Camera::from_colmap([0.0; 4], [0.0; 3], intrinsics()).check().is_err());
+    assert_eq!(camera.intrinsics(), intrinsics());
+}
+
+#[test]
+fn scaling_keeps_the_picture() {
+    let camera = oblique();
+    let half = camera.scaled_to(32, 12);
+    let point = Vec3::new(0.3, 0.1, -0.2);
+    let (full, small) = (camera.project(point), half.project(point));
+    assert!((small.0 - full.0 / 2.0).abs() < 1e-4 && (small.1 - full.1 / 4.0).abs() < 1e-4);
+    assert_eq!((half.width, half.height), (32, 12));
+}
+
+#[test]
+fn field_of_view() {
+    let intrinsics = Intrinsics::from_fov_x(std::f32::consts::FRAC_PI_2, 200, 100);
+    assert!((intrinsics.fx - 100.0).abs() < 1e-4 && intrinsics.fy == intrinsics.fx);
+    assert_eq!((intrinsics.cx, intrinsics.cy), (100.0, 50.0));
+}
+
+#[test]
+fn unusable_cameras_are_refused() {
+    let damages: [fn(&mut Camera); 10] = [
+        |c| c.width = 0,
+        |c| c.height = 70_000,
+        |c| c.fx = 0.0,
+        |c| c.fy = -1.0,
+        |c| c.fx = f32::NAN,
+        |c| c.fy = f32::INFINITY,
+        |c| c.cx = f32::NAN,
+        |c| c.translation.y = f32::INFINITY,
+        |c| c.camera_from_world *= 1.1,
+        |c| c.camera_from_world.x_axis = -c.camera_from_world.x_axis,
+    ];
+    for (index, damage) in damages.iter().enumerate() {
+        let mut camera = oblique();
+        damage(&mut camera);
+        let message = camera.check().expect_err(&index.to_string()).to_string();
+        assert!(message.starts_with("camera: "), "{message}");
+    }
+}
+
+#[test]
+fn extent() {
+    assert_eq!(scene_extent([].into_iter()), 0.0);
+    assert_eq!(scene_extent([Vec3::ONE].into_iter()), 0.0);
+    let positions = [Vec3::ZERO, Vec3::X * 2.0, Vec3::X, Vec3::X];
+    assert!((scene_extent(positions.into_iter()) - 1.1).abs() < 1e-6);
+}
+
+#[test]
+fn an_orbit_is_a_circle_around_its_centre() {
+    let orbit = Orbit {
+        center: Vec3::new(1.0, 2.0, 3.0),
+        up: Vec3::new(0.0, -2.0, 0.5),
+        radius: 4.0,
+        elevation: 0.4,
+        count: 12,
+        intrinsics: intrinsics(),
+    };
+    let cameras = orbit.cameras();
+    assert_eq!(cameras.len(), 12);
+    let up = orbit.up.normalize();
+    for (camera, next) in cameras.iter().zip(cameras.iter().cycle().skip(1)) {
+        camera.check().unwrap();
+        let outward = camera.position() - orbit.center;
+        assert!((outward.length() - 4.0).abs() < 1e-4);
+        assert!((outward.dot(up) - 4.0 * 0.4f32.sin()).abs() < 1e-4);
+        let (x, y, _) = camera.project(orbit.center);
+        assert!((x - 31.0).abs() < 1e-2 && (y - 25.0).abs() < 1e-2);
+        let step = 2.0 * 4.0 * 0.4f32.cos() * (std::f32::consts::PI / 12.0).sin();
+        assert!((camera.position().distance(next.position()) - step).abs() < 1e-3);
+    }
+    let found = Orbit::around(&cameras, 5, intrinsics()).unwrap();
+    assert!(found.center.abs_diff_eq(orbit.center, 1e-3), "{found:?}");
+    assert!((found.radius - 4.0).abs() < 1e-3 && (found.elevation - 0.4).abs() < 1e-3);
+    assert_eq!(Orbit::around(&[], 5, intrinsics()), None);
+    let one = Orbit::around(&cameras[..1], 3, intrinsics()).unwrap();
+    one.cameras().iter().for_each(|camera| camera.check().unwrap());
+}
+
+#[test]
+fn cameras_json_has_the_names_of_the_reference_and_reads_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cameras.json");
+    let camera = oblique();
+    cameras_json::write(&path, [("a.png", &camera), ("b.png", &camera)]).unwrap();
+    assert_eq!(names(folder.path()), ["cameras.json"]);
+    let mut json: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    let entry = &json[1];
+    assert_eq!((entry["id"].as_u64(), entry["img_name"].as_str()), (Some(1), Some("b.png")));
+    assert_eq!((entry["width"].as_u64(), entry["height"].as_u64()), (Some(64), Some(48)));
+    // Rows of the rotation from camera to world: the third column is the viewing direction.
+    for axis in 0..3 {
+        assert!((entry["rotation"][axis][2].as_f64().unwrap() as f32 - camera.forward()[axis]).abs() < 1e-6);
+        assert!((entry["position"][axis].as_f64().unwrap() as f32 - camera.position()[axis]).abs() < 1e-6);
+    }
+    let read = cameras_json::read(&path).unwrap();
+    assert_eq!(read[1].name, "b.png");
+    assert!(read[1].camera.translation.abs_diff_eq(camera.translation, 1e-5));
+    assert_eq!(read[1].camera.intrinsics(), camera.intrinsics());
+    assert!(read[1].camera.camera_from_world.abs_diff_eq(camera.camera_from_world, 1e-6));
+
+    // The reference's own files have no principal point.
+    json[0].as_object_mut().unwrap().retain(|key, _| key != "cx" && key != "cy");
+    json[1]["fx"] = 0.into();
+    let list = serde_json::Value::Array(vec![json[0].clone()]);
+    std::fs::write(&path, list.to_string()).unwrap();
+    assert_eq!(cameras_json::read(&path).unwrap()[0].camera.cx, 32.0);
+    std::fs::write(&path, json.to_string()).unwrap();
+    let message = cameras_json::read(&path).unwrap_err().to_string();
+    assert!(message.contains("camera 1: focal length (0, 61)"), "{message}");
+    std::fs::write(&path, "{}").unwrap();
+    assert!(cameras_json::read(&path).unwrap_err().to_string().contains("is not a list of cameras"));
+}

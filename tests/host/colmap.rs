@@ -1,0 +1,266 @@
+//! COLMAP models: round trips, text against binary, the choice among several, damage.
+
+use std::path::Path;
+
+use ashsplat::io::colmap::{self, CameraModel, ColmapCamera, ColmapImage, Model};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use glam::Vec3;
+
+use super::files::{for_each_mutation, for_each_truncation, names};
+
+struct Parts {
+    cameras: Vec<ColmapCamera>,
+    images: Vec<ColmapImage>,
+    points: PointCloud,
+}
+
+/// Two cameras, three images in no order, four points.
+fn parts() -> Parts {
+    let intrinsics = Intrinsics { fx: 60.5, fy: 61.0, cx: 31.0, cy: 25.0, width: 64, height: 48 };
+    let camera = |x: f32| Camera::look_at(Vec3::new(x, -2.0, 1.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+    let simple = ColmapCamera {
+        id: 900,
+        model: CameraModel::SIMPLE_PINHOLE,
+        width: 20,
+        height: 10,
+        parameters: vec![15.0, 10.0, 5.0],
+    };
+    Parts {
+        cameras: vec![ColmapCamera::pinhole(7, &camera(0.0)), simple],
+        images: vec![
+            ColmapImage::posed(12, 7, "left/b c.png", &camera(1.0)),
+            ColmapImage::posed(3, 900, "ä.jpg", &camera(2.0)),
+            ColmapImage::posed(5, 7, "a.png", &camera(3.0)),
+        ],
+        points: PointCloud {
+            positions: vec![[0.1, 0.2, 0.3], [1.0, -1e-7, 1e7], [0.0; 3], [4.0, 5.0, 6.0]],
+            colors: vec![[1, 2, 3], [255, 0, 128], [9; 3], [0; 3]],
+        },
+    }
+}
+
+fn write(dataset: &Path, place: &str, parts: &Parts) {
+    colmap::write(dataset.join(place), &parts.cameras, &parts.images, &parts.points).unwrap();
+}
+
+/// The same model as text, with comments, blank lines and observations where the format has them.
+fn write_text(folder: &Path, parts: &Parts) {
+    let join = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    let mut cameras = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n\n".to_owned();
+    for c in &parts.cameras {
+        cameras += &format!("{} {} {} {} {}\n", c.id, c.model.name(), c.width, c.height, join(&c.parameters));
+    }
+    let mut images = "# two lines per image\n".to_owned();
+    for (index, i) in parts.images.iter().enumerate() {
+        let pose = format!("{} {}", join(&i.quat), join(&i.translation));
+        let observations = ["1.5 2.5 -1 3 4 2", "", "  "][index % 3];
+        images += &format!("{} {pose} {} {}\n{observations}\n", i.id, i.camera_id, i.name);
+    }
+    let mut points = "# points\n".to_owned();
+    for (index, (p, c)) in parts.points.positions.iter().zip(&parts.points.colors).enumerate() {
+        points += &format!("{index} {} {} {} {} 0.5 3 0 5 1\n", join(&p.map(f64::from)), c[0], c[1], c[2]);
+    }
+    std::fs::create_dir_all(folder).unwrap();
+    for (name, text) in [("cameras", cameras), ("images", images), ("points3D", points)] {
+        std::fs::write(folder.join(format!("{name}.txt")), text).unwrap();
+    }
+}
+
+fn assert_same(model: &Model, parts: &Parts) {
+    assert_eq!(model.cameras.values().cloned().collect::<Vec<_>>(), parts.cameras);
+    assert_eq!(model.images, parts.images);
+    assert_eq!(model.points, parts.points);
+}
+
+fn error(dataset: &Path) -> String {
+    let message = Model::of_dataset(dataset).unwrap_err().to_string();
+    assert!(message.starts_with(dataset.to_str().unwrap()) && !message.contains('\n'), "{message}");
+    message
+}
+
+#[test]
+fn binary_round_trip_and_text_are_equal() {
+    let folder = tempfile::tempdir().unwrap();
+    let parts = parts();
+    write(folder.path(), "binary/sparse/0", &parts);
+    write_text(&folder.path().join("text/sparse/0"), &parts);
+    assert_eq!(names(&folder.path().join("binary/sparse/0")), ["cameras.bin", "images.bin", "points3D.bin"]);
+    let binary = Model::of_dataset(folder.path().join("binary")).unwrap();
+    assert_same(&binary, &parts);
+    assert!(binary.warnings.is_empty() && !binary.source.text);
+    let text = Model::of_dataset(folder.path().join("text")).unwrap();
+    assert_same(&text, &parts);
+    assert!(text.warnings.is_empty() && text.source.text);
+    // The pose survives its way through a quaternion.
+    let camera = binary.camera_of(&binary.images[0]).unwrap();
+    assert!(camera.position().abs_diff_eq(Vec3::new(1.0, -2.0, 1.0), 1e-5));
+    assert_eq!(camera.intrinsics().fy, 61.0);
+    let simple = binary.camera_of(&binary.images[1]).unwrap().intrinsics();
+    assert_eq!((simple.fx, simple.fy, simple.cx, simple.cy), (15.0, 15.0, 10.0, 5.0));
+}
+
+#[test]
+fn every_place_of_a_model_is_found() {
+    let parts = parts();
+    for (place, text) in
+        [("sparse/0", false), ("sparse", false), (".", false), ("sparse/0", true), ("sparse", true)]
+    {
+        let folder = tempfile::tempdir().unwrap();
+        match text {
+            true => write_text(&folder.path().join(place), &parts),
+            false => write(folder.path(), place, &parts),
+        }
+        let model = Model::of_dataset(folder.path()).unwrap();
+        assert_same(&model, &parts);
+        assert_eq!((model.source.text, model.warnings.len()), (text, 0), "{place}");
+    }
+}
+
+#[test]
+fn binary_is_preferred_to_text_and_folders_without_model_are_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let all = parts();
+    write(folder.path(), "sparse/1", &all);
+    let fewer = Parts { images: all.images[..1].to_vec(), ..parts() };
+    write_text(&folder.path().join("sparse/1"), &fewer);
+    std::fs::create_dir_all(folder.path().join("sparse/0")).unwrap();
+    let model = Model::of_dataset(folder.path()).unwrap();
+    assert_same(&model, &all);
+    assert!(model.warnings.is_empty());
+}
+
+#[test]
+fn the_largest_of_several_is_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let all = parts();
+    let images = |n: usize| Parts { images: all.images[..n].to_vec(), ..parts() };
+    let no_points = Parts { points: PointCloud::default(), ..parts() };
+    write(folder.path(), "sparse/0", &images(2));
+    write(folder.path(), "sparse/10", &all);
+    write(folder.path(), "sparse/2", &no_points);
+    write_text(&folder.path().join("sparse/3"), &images(1));
+    let chosen = |expected: &str| {
+        let found = colmap::find(folder.path()).unwrap();
+        assert_eq!(found.folder, folder.path().join("sparse").join(expected));
+        assert!(found.warning.unwrap().contains(&format!("sparse/{expected}, the largest")));
+    };
+    chosen("10");
+    write_text(&folder.path().join("sparse/3"), &all);
+    // Equally large: the lowest.
+    chosen("3");
+    std::fs::remove_dir_all(folder.path().join("sparse/3")).unwrap();
+    std::fs::remove_dir_all(folder.path().join("sparse/10")).unwrap();
+    chosen("2");
+}
+
+#[test]
+fn what_is_missing_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    assert!(error(&folder.path().join("none")).contains("none: cannot read"));
+    assert!(error(folder.path()).contains("has no COLMAP model"));
+    write(folder.path(), "sparse/0", &parts());
+    let model = folder.path().join("sparse/0");
+    std::fs::remove_file(model.join("cameras.bin")).unwrap();
+    assert!(error(folder.path()).contains("the model has no cameras.bin"));
+    std::fs::remove_file(model.join("images.bin")).unwrap();
+    assert!(error(folder.path()).contains("has no COLMAP model"));
+    let file = folder.path().join("file");
+    std::fs::write(&file, "x").unwrap();
+    assert!(error(&file).contains("is not a folder"));
+}
+
+#[test]
+fn no_truncation_of_a_binary_model_is_accepted() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "sparse/0", &parts());
+    for part in ["cameras", "images", "points3D"] {
+        let path = folder.path().join("sparse/0").join(part).with_extension("bin");
+        let bytes = std::fs::read(&path).unwrap();
+        for_each_truncation(&path, &bytes, |_| assert!(error(folder.path()).contains(part)));
+        std::fs::write(&path, &bytes).unwrap();
+    }
+}
+
+#[test]
+fn no_mutation_panics() {
+    let folder = tempfile::tempdir().unwrap();
+    let check = || {
+        if let Ok(model) = Model::of_dataset(folder.path()) {
+            assert_eq!(model.points.colors.len(), model.points.len());
+            for image in &model.images {
+                if let Ok(camera) = model.camera_of(image) {
+                    camera.check().unwrap();
+                }
+                let _ = image.photo_path(Path::new("images"), Path::new("images.bin"));
+            }
+        }
+    };
+    for text in [false, true] {
+        match text {
+            true => write_text(&folder.path().join("sparse/0"), &parts()),
+            false => write(folder.path(), "sparse/0", &parts()),
+        }
+        for part in ["cameras", "images", "points3D"] {
+            let ending = if text { "txt" } else { "bin" };
+            let path = folder.path().join("sparse/0").join(part).with_extension(ending);
+            let bytes = std::fs::read(&path).unwrap();
+            for_each_mutation(&path, &bytes, |_| check());
+            for_each_truncation(&path, &bytes, |_| check());
+            std::fs::write(&path, &bytes).unwrap();
+        }
+        assert_same(&Model::of_dataset(folder.path()).unwrap(), &parts());
+        ["cameras.bin", "images.bin", "points3D.bin"]
+            .map(|f| std::fs::remove_file(folder.path().join("sparse/0").join(f)));
+    }
+}
+
+#[test]
+fn text_errors_name_the_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("sparse/0");
+    for (part, text, words) in [
+        ("cameras", "1 PINHOLE 64 48 1 2 3", "cameras.txt: line 1: the parameter is missing"),
+        ("cameras", "# x\n1 PINHOLE 64 48 1 2 3 4 5", "line 2: has more values than its camera model"),
+        ("cameras", "1 BALL 64 48 1", "line 1: unknown camera model \"BALL\""),
+        ("cameras", "1 PINHOLE -64 48 1 2 3 4", "\"-64\" is no valid width"),
+        ("images", "1 1 0 0 0 0 0 0 7 a.png\n2 1 0 0 0 0 0 0 7 b.png\n", "line 2: expected the observations"),
+        ("images", "1 1 0 0 0 0 0 0 7\n", "line 1: the image name is missing"),
+        ("images", "1 1 0 0 0 0 0 0 7 a.png\n\n1 1 0 0 0 0 0 0 7 b.png\n", "image id 1 appears twice"),
+        (
+            "images",
+            "1 1 0 0 0 0 0 0 7 a.png\n\n2 1 0 0 0 0 0 0 7 a.png\n",
+            "image name \"a.png\" appears twice",
+        ),
+        ("points3D", "1 0 0 0 256 0 0 1", "line 1: \"256\" is no valid colour"),
+        ("points3D", "<!DOCTYPE html>", "is a web page"),
+    ] {
+        write_text(&model, &parts());
+        std::fs::write(model.join(part).with_extension("txt"), text).unwrap();
+        assert!(error(folder.path()).contains(words), "{}", error(folder.path()));
+    }
+}
+
+#[test]
+fn names_stay_in_the_images_folder() {
+    let camera = Camera::look_at(Vec3::ONE, Vec3::ZERO, Vec3::Y, Intrinsics::from_fov_x(1.0, 8, 8));
+    let path = |name: &str| {
+        ColmapImage::posed(1, 1, name, &camera).photo_path(Path::new("/data/images"), Path::new("images.bin"))
+    };
+    for name in ["../a.png", "a/../../b.png", "/etc/passwd", "..", "a\\..\\b.png", "", "a\0b", "left/.."] {
+        assert!(path(name).unwrap_err().to_string().starts_with("images.bin: image 1"), "{name:?}");
+    }
+    for name in ["a.png", "left/a.png", "a..b.png", "...", "./a.png", "a b/ü.jpg"] {
+        assert_eq!(path(name).unwrap(), Path::new("/data/images").join(name));
+    }
+}
+
+#[test]
+fn what_cannot_be_written_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut parts = parts();
+    parts.cameras[0].parameters.pop();
+    assert!(colmap::write(folder.path(), &parts.cameras, &[], &parts.points).is_err());
+    parts.images[0].name = "a\0b".into();
+    assert!(colmap::write(folder.path(), &[], &parts.images, &parts.points).is_err());
+    assert_eq!(names(folder.path()), [""; 0]);
+}

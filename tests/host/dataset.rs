@@ -1,0 +1,187 @@
+//! Data sets: loading, splitting, what is wrong with them.
+
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
+
+use ashsplat::io::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat::io::{Dataset, DatasetOptions, Photo, Progress, Resolution, View, cameras_json};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use glam::Vec3;
+
+/// Pictures of 20×12 from a circle of radius 3 around the origin; every picture has its own grey.
+fn write(folder: &Path, count: u32, points: usize) -> Vec<Camera> {
+    let intrinsics = Intrinsics { fx: 21.0, fy: 22.0, cx: 10.5, cy: 6.0, width: 20, height: 12 };
+    let camera = |i: u32| {
+        let (sin, cos) = (std::f32::consts::TAU * i as f32 / count as f32).sin_cos();
+        Camera::look_at(3.0 * Vec3::new(cos, 0.0, sin), Vec3::ZERO, Vec3::NEG_Y, intrinsics)
+    };
+    let cameras: Vec<Camera> = (0..count).map(camera).collect();
+    let name = |i: u32| format!("{i:03}.png");
+    // Registered in the opposite order of the names.
+    let images: Vec<_> =
+        (0..count).rev().map(|i| ColmapImage::posed(100 - i, 1, name(i), &cameras[i as usize])).collect();
+    let points = PointCloud { positions: vec![[0.5, 0.0, -0.5]; points], colors: vec![[10, 20, 30]; points] };
+    colmap::write(folder.join("sparse/0"), &[ColmapCamera::pinhole(1, &camera(0))], &images, &points)
+        .unwrap();
+    std::fs::create_dir_all(folder.join("images")).unwrap();
+    for i in 0..count {
+        let photo = Photo { width: 20, height: 12, rgb: vec![i as u8; 20 * 12 * 3] };
+        photo.write_png(folder.join("images").join(name(i))).unwrap();
+    }
+    cameras
+}
+
+fn load(folder: &Path, options: &DatasetOptions) -> Dataset {
+    Dataset::load(folder, options, Progress::NONE).unwrap()
+}
+
+fn names(views: &[View]) -> Vec<&str> {
+    views.iter().map(|view| view.name.as_str()).collect()
+}
+
+#[test]
+fn views_come_by_name_with_their_cameras_and_photos() {
+    let folder = tempfile::tempdir().unwrap();
+    let cameras = write(folder.path(), 5, 4);
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert!(dataset.test.is_empty() && dataset.warnings.is_empty());
+    assert_eq!(names(&dataset.train), ["000.png", "001.png", "002.png", "003.png", "004.png"]);
+    for (index, (view, camera)) in dataset.train.iter().zip(&cameras).enumerate() {
+        assert!(view.camera.position().abs_diff_eq(camera.position(), 1e-5));
+        assert_eq!(view.camera.intrinsics(), camera.intrinsics());
+        assert_eq!(view.image_id, 100 - index as u32);
+        assert!(view.photo.rgb.iter().all(|&v| v == index as u8));
+    }
+    assert_eq!(dataset.points.len(), 4);
+    assert!((dataset.scene_extent - 3.3).abs() < 1e-4);
+    assert_eq!(dataset.source, folder.path().join("sparse/0"));
+}
+
+#[test]
+fn every_eighth_view_is_held_out() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 18, 1);
+    let options = DatasetOptions { eval: true, ..DatasetOptions::default() };
+    let dataset = load(folder.path(), &options);
+    assert_eq!(names(&dataset.test), ["000.png", "008.png", "016.png"]);
+    assert_eq!(dataset.train.len(), 15);
+    assert_eq!(dataset.views().len(), 18);
+    assert!(dataset.views().is_sorted_by_key(|view| &view.name));
+    let every_second = load(folder.path(), &DatasetOptions { test_every: 2, ..options });
+    assert_eq!(every_second.test.len(), 9);
+    // The held-out views come first in cameras.json, at the size of their files.
+    let path = folder.path().join("cameras.json");
+    dataset.write_cameras_json(&path).unwrap();
+    let listed = cameras_json::read(&path).unwrap();
+    assert_eq!(listed.len(), 18);
+    assert_eq!((listed[1].name.as_str(), listed[3].name.as_str()), ("008.png", "001.png"));
+}
+
+#[test]
+fn the_resolution_scales_photos_and_cameras() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 3, 1);
+    let options = DatasetOptions { resolution: Resolution::Width(15), ..DatasetOptions::default() };
+    for view in load(folder.path(), &options).train {
+        assert_eq!((view.photo.width, view.photo.height), (15, 9));
+        assert_eq!((view.camera.width, view.camera.height), (15, 9));
+        assert_eq!((view.original_camera.width, view.original_camera.height), (20, 12));
+        assert!((view.camera.fx - 21.0 * 0.75).abs() < 1e-5 && (view.camera.cy - 4.5).abs() < 1e-5);
+    }
+}
+
+#[test]
+fn another_images_folder_and_background() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 2, 1);
+    std::fs::rename(folder.path().join("images"), folder.path().join("images_2")).unwrap();
+    let clear = image::RgbaImage::new(20, 12);
+    clear.save(folder.path().join("images_2/000.png")).unwrap();
+    let mut options = DatasetOptions { images: "images_2".into(), ..DatasetOptions::default() };
+    assert!(load(folder.path(), &options).train[0].photo.rgb.iter().all(|&v| v == 0));
+    options.white_background = true;
+    assert!(load(folder.path(), &options).train[0].photo.rgb.iter().all(|&v| v == 255));
+    let message =
+        Dataset::load(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap_err().to_string();
+    assert!(message.contains("images: there is no folder with photos"), "{message}");
+}
+
+#[test]
+fn without_points_it_starts_from_random_ones_around_the_cameras() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 6, 0);
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert!(dataset.warnings[0].contains("100000 random"), "{:?}", dataset.warnings);
+    let points = dataset.initial_points(5);
+    assert_eq!(points.len(), 100_000);
+    assert_eq!(points, dataset.initial_points(5));
+    let bounds = points.bounds().unwrap();
+    for view in &dataset.train {
+        let position = view.camera.position();
+        assert!(position.cmpgt(bounds.min).all() && position.cmplt(bounds.max).all());
+    }
+    let gaussians = dataset.initial_gaussians(1, 5).unwrap();
+    gaussians.check_shapes().unwrap();
+    assert_eq!(gaussians.means, points.positions);
+}
+
+#[test]
+fn one_camera_has_an_extent() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 1, 3);
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert_eq!(dataset.scene_extent, 1.0);
+    assert_eq!(dataset.warnings.len(), 1);
+    let options = DatasetOptions { eval: true, ..DatasetOptions::default() };
+    let message = Dataset::load(folder.path(), &options, Progress::NONE).unwrap_err().to_string();
+    assert!(message.contains("none is left to train on"), "{message}");
+}
+
+#[test]
+fn progress_is_reported_and_an_interruption_obeyed() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 12, 1);
+    let seen = Mutex::new(Vec::new());
+    let report = |done, total| seen.lock().unwrap().push((done, total));
+    let progress = Progress { report: Some(&report), interrupted: None };
+    Dataset::load(folder.path(), &DatasetOptions::default(), progress).unwrap();
+    let mut seen = seen.into_inner().unwrap();
+    seen.sort();
+    assert_eq!(seen, (0..=12).map(|done| (done, 12)).collect::<Vec<_>>());
+    let interrupted = AtomicBool::new(true);
+    let progress = Progress { report: None, interrupted: Some(&interrupted) };
+    let result = Dataset::load(folder.path(), &DatasetOptions::default(), progress);
+    assert!(matches!(result, Err(ashsplat::Error::Interrupted)), "{result:?}");
+}
+
+#[test]
+fn inspect_lists_every_problem() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 10, 7);
+    let options = DatasetOptions { eval: true, ..DatasetOptions::default() };
+    let report = Dataset::inspect(folder.path(), &options, Progress::NONE);
+    assert!(report.is_sound(), "{report}");
+    assert_eq!((report.images, report.sound_photos, report.points), (10, 10, 7));
+    assert_eq!((report.train_views, report.test_views), (8, 2));
+    assert_eq!(report.cameras.iter().next(), Some((&"PINHOLE 20x12".to_owned(), &1)));
+    assert!((report.camera_bounds.unwrap().size().x - 6.0).abs() < 1e-4);
+
+    let image = |name: &str| folder.path().join("images").join(name);
+    std::fs::remove_file(image("001.png")).unwrap();
+    std::fs::write(image("004.png"), "text").unwrap();
+    Photo { width: 4, height: 4, rgb: vec![0; 48] }.write_png(image("007.png")).unwrap();
+    let report = Dataset::inspect(folder.path(), &options, Progress::NONE);
+    assert_eq!(report.sound_photos, 7);
+    assert_eq!(report.problems.len(), 3, "{report}");
+    for (name, words) in [("001.png", "missing"), ("004.png", "not a JPEG"), ("007.png", "is 4x4 pixels")] {
+        assert!(report.problems.iter().any(|p| p.contains(name) && p.contains(words)), "{report}");
+    }
+    assert!(report.to_string().lines().filter(|line| line.starts_with("problem ")).count() == 3);
+    // Loading gives one of them.
+    let message = Dataset::load(folder.path(), &options, Progress::NONE).unwrap_err().to_string();
+    assert!(report.problems.contains(&message), "{message}");
+
+    let report = Dataset::inspect(folder.path().join("none"), &options, Progress::NONE);
+    assert_eq!((report.model.is_none(), report.problems.len()), (true, 1));
+}

@@ -1,0 +1,228 @@
+//! Photographs: colour types, sizes, damage.
+
+use std::path::Path;
+
+use ashsplat::io::images::photo_size;
+use ashsplat::io::{Photo, Resolution};
+use image::{DynamicImage, ImageBuffer, Luma, LumaA, Rgb, Rgba};
+
+use super::files::{for_each_truncation, names};
+
+const BLACK: [f32; 3] = [0.0; 3];
+
+fn gradient(width: u32, height: u32) -> Photo {
+    let pixel = |i: u32| [(i % width * 3) as u8, (i / width * 5) as u8, 77];
+    Photo { width, height, rgb: (0..width * height).flat_map(pixel).collect() }
+}
+
+fn error(path: &Path) -> String {
+    let message = Photo::read(path, BLACK).unwrap_err().to_string();
+    assert!(message.starts_with(path.to_str().unwrap()) && !message.contains('\n'), "{message}");
+    message
+}
+
+#[test]
+fn png_round_trip() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.png");
+    let photo = gradient(17, 9);
+    photo.write_png(&path).unwrap();
+    assert_eq!(Photo::read(&path, BLACK).unwrap(), photo);
+    assert_eq!(photo_size(&path).unwrap(), (17, 9));
+    assert_eq!(Photo::read_sized(&path, BLACK, 17, 9).unwrap(), photo);
+    let message = Photo::read_sized(&path, BLACK, 9, 17).unwrap_err().to_string();
+    assert!(message.contains("is 17x9 pixels, its camera 9x17"), "{message}");
+    assert_eq!(names(folder.path()), ["a.png"]);
+    let bad = Photo { width: 18, ..photo };
+    assert!(bad.write_png(&path).is_err() && bad.scaled_to(3, 3).is_err());
+}
+
+#[test]
+fn every_colour_type_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.png");
+    let white = [1.0; 3];
+    let cases: [(DynamicImage, [f32; 3], [u8; 3]); 9] = [
+        (ImageBuffer::from_pixel(2, 2, Luma([40u8])).into(), BLACK, [40; 3]),
+        (ImageBuffer::from_pixel(2, 2, Luma([40u16 * 257])).into(), BLACK, [40; 3]),
+        (ImageBuffer::from_pixel(2, 2, Rgb([1u16 * 257, 2 * 257, 65535])).into(), BLACK, [1, 2, 255]),
+        (ImageBuffer::from_pixel(2, 2, Rgba([10u8, 20, 30, 255])).into(), white, [10, 20, 30]),
+        (ImageBuffer::from_pixel(2, 2, Rgba([10u8, 20, 30, 0])).into(), white, [255; 3]),
+        (ImageBuffer::from_pixel(2, 2, Rgba([10u8, 20, 30, 0])).into(), BLACK, [0; 3]),
+        (ImageBuffer::from_pixel(2, 2, Rgba([100u8, 0, 200, 51])).into(), [1.0, 0.5, 0.0], [224, 102, 40]),
+        (ImageBuffer::from_pixel(2, 2, LumaA([100u8, 51])).into(), white, [224; 3]),
+        (ImageBuffer::from_pixel(2, 2, Rgba([100u16 * 257, 0, 0, 51 * 257])).into(), BLACK, [20, 0, 0]),
+    ];
+    for (index, (image, background, expected)) in cases.into_iter().enumerate() {
+        image.save(&path).unwrap();
+        let photo = Photo::read(&path, background).unwrap();
+        assert_eq!(photo.rgb, expected.repeat(4), "case {index}");
+    }
+}
+
+/// A PNG of 2×1 pixels with a palette: opaque red, and half transparent blue.
+#[test]
+fn palettes_are_read() {
+    let crc = |bytes: &[u8]| {
+        !bytes.iter().fold(!0u32, |crc, &byte| {
+            (0..8).fold(crc ^ u32::from(byte), |c, _| (c >> 1) ^ (0xedb8_8320 & 0u32.wrapping_sub(c & 1)))
+        })
+    };
+    let mut png = b"\x89PNG\r\n\x1a\n".to_vec();
+    let mut chunk = |kind: &[u8], data: &[u8]| {
+        let body = [kind, data].concat();
+        png.extend((data.len() as u32).to_be_bytes());
+        png.extend(&body);
+        png.extend(crc(&body).to_be_bytes());
+    };
+    chunk(b"IHDR", &[0, 0, 0, 2, 0, 0, 0, 1, 8, 3, 0, 0, 0]);
+    chunk(b"PLTE", &[255, 0, 0, 0, 0, 255]);
+    chunk(b"tRNS", &[255, 51]);
+    // One stored block: no filter, indices 0 and 1; then the Adler-32 checksum.
+    chunk(b"IDAT", &[0x78, 0x01, 1, 3, 0, 0xfc, 0xff, 0, 0, 1, 0, 4, 0, 2]);
+    chunk(b"IEND", b"");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.png");
+    std::fs::write(&path, png).unwrap();
+    assert_eq!(Photo::read(&path, [1.0; 3]).unwrap().rgb, [255, 0, 0, 204, 204, 255]);
+}
+
+#[test]
+fn jpeg_is_read_whatever_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jpg");
+    let photo = gradient(40, 30);
+    let image = image::RgbImage::from_raw(40, 30, photo.rgb.clone()).unwrap();
+    image.save(&path).unwrap();
+    let misnamed = folder.path().join("a.png");
+    std::fs::copy(&path, &misnamed).unwrap();
+    let read = Photo::read(&misnamed, BLACK).unwrap();
+    assert_eq!(read, Photo::read(&path, BLACK).unwrap());
+    let worst = read.rgb.iter().zip(&photo.rgb).map(|(a, b)| a.abs_diff(*b)).max();
+    assert!(worst < Some(40), "{worst:?}");
+}
+
+#[test]
+fn no_truncation_is_accepted() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.jpg", "a.png"] {
+        let path = folder.path().join(name);
+        let photo = gradient(24, 16);
+        image::RgbImage::from_raw(24, 16, photo.rgb.clone()).unwrap().save(&path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for_each_truncation(&path, &bytes, |length| match Photo::read(&path, BLACK) {
+            Err(_) => drop(error(&path)),
+            // A PNG without its last, empty chunk has all its pixels.
+            Ok(read) => {
+                assert!(name == "a.png" && length + 16 > bytes.len() && read == photo, "{name} {length}")
+            }
+        });
+    }
+}
+
+#[test]
+fn sizes_that_the_file_cannot_hold_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.png");
+    gradient(4, 4).write_png(&path).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    for (side, words) in
+        [(100_000u32, ""), (40_000, "2 GiB"), (20_000, "claims 20000x20000 pixels in"), (0, "")]
+    {
+        let mut claim = bytes.clone();
+        claim[16..20].copy_from_slice(&side.to_be_bytes());
+        claim[20..24].copy_from_slice(&side.to_be_bytes());
+        // Whether the checksum is looked at before the size does not matter here: both must be refused fast.
+        let crc = claim[12..29].iter().fold(!0u32, |crc, &byte| {
+            (0..8).fold(crc ^ u32::from(byte), |c, _| (c >> 1) ^ (0xedb8_8320 & 0u32.wrapping_sub(c & 1)))
+        });
+        claim[29..33].copy_from_slice(&(!crc).to_be_bytes());
+        std::fs::write(&path, &claim).unwrap();
+        assert!(error(&path).contains(words), "{side}: {}", error(&path));
+    }
+}
+
+#[test]
+fn what_is_no_picture_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jpg");
+    for (bytes, words) in [
+        (&b""[..], "is empty"),
+        (b"GIF89a", "is not a JPEG or PNG"),
+        (b"version https://git-lfs", "git lfs pull"),
+        (b"<html>", "is a web page"),
+        (b"\xff\xd8\xff", "cannot be decoded"),
+        (b"\x89PNG\r\n\x1a\n", "cannot be decoded"),
+    ] {
+        std::fs::write(&path, bytes).unwrap();
+        assert!(error(&path).contains(words), "{}", error(&path));
+    }
+    assert!(error(&folder.path().join("none.png")).contains("cannot read: No such file"));
+}
+
+#[test]
+fn resolutions_follow_the_reference() {
+    use Resolution::{Auto, Factor, Width};
+    for (resolution, from, to) in [
+        (Auto, (1600, 900), (1600, 900)),
+        (Auto, (1601, 900), (1600, 899)),
+        (Auto, (5187, 3361), (1600, 1036)),
+        (Factor(1), (5187, 3361), (5187, 3361)),
+        (Factor(2), (133, 237), (66, 118)),
+        (Factor(2), (135, 239), (68, 120)),
+        (Factor(4), (5187, 3361), (1297, 840)),
+        (Factor(8), (3, 1), (1, 1)),
+        (Width(800), (1600, 900), (800, 450)),
+        (Width(100), (133, 237), (100, 178)),
+        (Width(10), (1000, 3), (10, 1)),
+    ] {
+        assert_eq!(resolution.apply(from.0, from.1), to, "{resolution:?} of {from:?}");
+    }
+    for (text, expected) in [
+        ("-1", Auto),
+        ("auto", Auto),
+        ("1", Factor(1)),
+        ("8", Factor(8)),
+        ("640", Width(640)),
+        ("65535", Width(65535)),
+    ] {
+        let parsed: Resolution = text.parse().unwrap();
+        assert_eq!(parsed, expected);
+        assert_eq!(parsed.to_string().parse::<Resolution>().unwrap(), expected);
+    }
+    for text in ["", "0", "3", "-2", "1.5", "65536", "99999999999999999999", "x"] {
+        assert!(text.parse::<Resolution>().unwrap_err().to_string().starts_with("resolution: "), "{text}");
+    }
+}
+
+#[test]
+fn scaling_keeps_flat_pictures_and_the_mean() {
+    let flat = Photo { width: 33, height: 21, rgb: [9, 100, 250].repeat(33 * 21) };
+    let scaled = flat.clone().scaled_to(16, 10).unwrap();
+    assert_eq!((scaled.width, scaled.height), (16, 10));
+    assert_eq!(scaled.rgb, [9, 100, 250].repeat(160));
+    assert_eq!(flat.clone().scaled_to(33, 21).unwrap(), flat);
+    assert!(flat.clone().scaled_to(0, 4).is_err() && flat.scaled_to(4, 70_000).is_err());
+    let mean = |photo: &Photo| photo.rgb.iter().map(|&v| f64::from(v)).sum::<f64>() / photo.rgb.len() as f64;
+    let noise: Vec<u8> = (0..3 * 64 * 64u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let noise = Photo { width: 64, height: 64, rgb: noise };
+    let eighth = noise.clone().scaled_to(8, 8).unwrap();
+    assert!((mean(&noise) - mean(&eighth)).abs() < 3.0);
+    // The whole area counts, not a few pixels of it: noise averages out.
+    assert!(eighth.rgb.iter().all(|v| v.abs_diff(127) < 60), "{:?}", eighth.rgb);
+    // The first pixel's centre moves from 0.5 to 0.25 of the new size: no shift.
+    let ramp = Photo { width: 64, height: 1, rgb: (0..64u8).flat_map(|x| [x * 4; 3]).collect() };
+    let half = ramp.scaled_to(32, 1).unwrap();
+    for x in 4..28 {
+        assert!(half.rgb[3 * x].abs_diff((8 * x + 2) as u8) <= 1, "{x}: {}", half.rgb[3 * x]);
+    }
+}
+
+#[test]
+fn floats() {
+    let photo = gradient(5, 4);
+    assert_eq!(Photo::from_f32(5, 4, &photo.to_f32()).unwrap(), photo);
+    let clamped = Photo::from_f32(1, 1, &[[-1.0, 2.0, f32::NAN]]).unwrap();
+    assert_eq!(clamped.rgb, [0, 255, 0]);
+    assert!(Photo::from_f32(2, 1, &[[0.0; 3]]).is_err());
+}

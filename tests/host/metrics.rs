@@ -1,0 +1,73 @@
+//! PSNR and SSIM against direct loops.
+
+use ashsplat::metrics::{psnr, ssim};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn noise(pixels: usize, seed: u64) -> Vec<[f32; 3]> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    (0..pixels).map(|_| [(); 3].map(|()| random.random_range(-0.1..1.1f32))).collect()
+}
+
+/// SSIM by its definition: for each pixel a loop over the whole two-dimensional window.
+fn ssim_direct(a: &[[f32; 3]], b: &[[f32; 3]], width: i64) -> f64 {
+    let height = a.len() as i64 / width;
+    let gauss = |d: i64| (-(d * d) as f64 / 4.5).exp();
+    let norm: f64 = (-5..=5).map(gauss).sum();
+    let mut total = 0.0;
+    for (index, channel) in (0..a.len() as i64).flat_map(|i| (0..3).map(move |c| (i, c))) {
+        let (x, y) = (index % width, index / width);
+        let [mut ma, mut mb, mut aa, mut bb, mut ab] = [0.0; 5];
+        for (dy, dx) in (-5..=5).flat_map(|dy| (-5..=5).map(move |dx| (dy, dx))) {
+            if (0..width).contains(&(x + dx)) && (0..height).contains(&(y + dy)) {
+                let at = ((y + dy) * width + x + dx) as usize;
+                let weight = gauss(dx) * gauss(dy) / (norm * norm);
+                let [p, q] = [a, b].map(|image| f64::from(image[at][channel]).clamp(0.0, 1.0));
+                ma += weight * p;
+                mb += weight * q;
+                aa += weight * p * p;
+                bb += weight * q * q;
+                ab += weight * p * q;
+            }
+        }
+        let (va, vb, cov) = (aa - ma * ma, bb - mb * mb, ab - ma * mb);
+        total +=
+            (2.0 * ma * mb + 1e-4) * (2.0 * cov + 9e-4) / ((ma * ma + mb * mb + 1e-4) * (va + vb + 9e-4));
+    }
+    total / (3 * a.len()) as f64
+}
+
+#[test]
+fn ssim_equals_the_direct_loop() {
+    for (width, height) in [(1, 1), (1, 30), (30, 1), (4, 3), (11, 11), (33, 17)] {
+        let a = noise(width * height, 1);
+        let b: Vec<_> = a
+            .iter()
+            .zip(noise(width * height, 2))
+            .map(|(a, b)| [0, 1, 2].map(|c| 0.7 * a[c] + 0.3 * b[c]))
+            .collect();
+        let (fast, direct) = (ssim(&a, &b, width as u32).unwrap(), ssim_direct(&a, &b, width as i64));
+        assert!((fast - direct).abs() < 1e-12, "{width}x{height}: {fast}, directly {direct}");
+        assert!((ssim(&a, &a, width as u32).unwrap() - 1.0).abs() < 1e-12);
+        // The comparison above must be able to fail.
+        assert!((ssim(&b, &b, width as u32).unwrap() - direct).abs() > 1e-3);
+    }
+}
+
+#[test]
+fn psnr_of_a_known_error() {
+    let (a, b) = (vec![[0.5; 3]; 7], vec![[0.6, 0.5, 0.4]; 7]);
+    let expected = -10.0 * (0.02f64 / 3.0).log10();
+    assert!((psnr(&a, &b).unwrap() - expected).abs() < 1e-5);
+    assert_eq!(psnr(&a, &a).unwrap(), f64::INFINITY);
+    // Clamped: 2 counts as 1.
+    assert_eq!(psnr(&[[2.0; 3]], &[[1.0; 3]]).unwrap(), f64::INFINITY);
+    assert_eq!(psnr(&[[0.0; 3]], &[[1.0; 3]]).unwrap(), 0.0);
+}
+
+#[test]
+fn sizes_that_do_not_fit_are_refused() {
+    let [a, b] = [vec![[0.0; 3]; 6], vec![[0.0; 3]; 5]];
+    assert!(psnr(&a, &b).is_err() && psnr(&[], &[]).is_err());
+    assert!(ssim(&a, &b, 1).is_err() && ssim(&a, &a, 4).is_err() && ssim(&a, &a, 0).is_err());
+}

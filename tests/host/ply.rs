@@ -1,0 +1,325 @@
+//! PLY files: round trips, every layout, damage.
+
+use std::path::Path;
+
+use ashsplat::io::ply::{self, PlyOptions};
+use ashsplat::scene::{Gaussians, PointCloud};
+use proptest::prelude::*;
+
+use super::files::{for_each_mutation, for_each_truncation, names};
+
+const KEEP: PlyOptions = PlyOptions { drop_invalid: false };
+const DROP: PlyOptions = PlyOptions { drop_invalid: true };
+
+/// Distinct values everywhere.
+fn numbered(count: usize, sh_degree: u32) -> Gaussians {
+    let k = ((sh_degree + 1) * (sh_degree + 1)) as usize;
+    let mut next = 0.0f32;
+    let mut row = || {
+        next += 0.37;
+        next - 20.0
+    };
+    Gaussians {
+        sh_degree,
+        means: (0..count).map(|_| [row(), row(), row()]).collect(),
+        quats: (0..count).map(|_| [row(), row(), row(), row()]).collect(),
+        log_scales: (0..count).map(|_| [row() % 50.0, row() % 50.0, row() % 50.0]).collect(),
+        opacity_logits: (0..count).map(|_| row()).collect(),
+        sh: (0..count * k).map(|_| [row(), row(), row()]).collect(),
+    }
+}
+
+/// The values of a Gaussian by property name, as in the file.
+fn named(gaussians: &Gaussians, index: usize) -> Vec<(String, f32)> {
+    let sh = gaussians.sh_of(index);
+    let mut values = Vec::new();
+    let mut put = |name: String, value: f32| values.push((name, value));
+    for (axis, name) in ["x", "y", "z"].iter().enumerate() {
+        put(name.to_string(), gaussians.means[index][axis]);
+    }
+    (0..3).for_each(|i| put(format!("f_dc_{i}"), sh[0][i]));
+    let rest = sh.len() - 1;
+    (0..3 * rest).for_each(|i| put(format!("f_rest_{i}"), sh[1 + i % rest][i / rest]));
+    put("opacity".into(), gaussians.opacity_logits[index]);
+    (0..3).for_each(|i| put(format!("scale_{i}"), gaussians.log_scales[index][i]));
+    (0..4).for_each(|i| put(format!("rot_{i}"), gaussians.quats[index][i]));
+    values
+}
+
+fn message(path: &Path, options: &PlyOptions) -> String {
+    let message = ply::read(path, options).unwrap_err().to_string();
+    assert!(message.starts_with(path.to_str().unwrap()) && !message.contains('\n'), "{message}");
+    message
+}
+
+#[test]
+fn round_trips_are_bit_exact() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    for degree in 0..=3 {
+        for count in [0, 1, 3000] {
+            let mut gaussians = numbered(count, degree);
+            if count > 0 {
+                gaussians.opacity_logits[0] = f32::INFINITY;
+                gaussians.opacity_logits[count - 1] = f32::NEG_INFINITY;
+                gaussians.means[0] = [-0.0, f32::MIN_POSITIVE / 8.0, 1e17];
+            }
+            ply::write(&path, &gaussians).unwrap();
+            let scene = ply::read(&path, &KEEP).unwrap();
+            assert_eq!((scene.dropped, scene.warning), (0, None));
+            assert_eq!(scene.gaussians, gaussians);
+            assert!(count == 0 || scene.gaussians.means[0][0].is_sign_negative());
+        }
+    }
+    assert_eq!(names(folder.path()), ["a.ply"]);
+}
+
+#[test]
+fn the_written_layout_is_that_of_the_reference() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    ply::write(&path, &numbered(2, 1)).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let data = bytes.len() - 2 * 4 * (6 + 3 + 9 + 8);
+    let mut expected = "ply\nformat binary_little_endian 1.0\nelement vertex 2\n".to_owned();
+    let rest = (0..9).map(|i| format!("f_rest_{i}"));
+    let fixed = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].map(String::from);
+    let last =
+        ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"].map(String::from);
+    for name in fixed.into_iter().chain(rest).chain(last) {
+        expected += &format!("property float {name}\n");
+    }
+    assert_eq!(String::from_utf8_lossy(&bytes[..data]), expected + "end_header\n");
+    let row: Vec<f32> = bytes[data..].as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
+    let gaussians = numbered(2, 1);
+    assert_eq!(row[3..6], [0.0; 3]);
+    let sh = gaussians.sh_of(0);
+    assert_eq!(row[9..12], [sh[1][0], sh[2][0], sh[3][0]]);
+    assert_eq!(row[26..29], gaussians.means[1]);
+}
+
+#[test]
+fn shapes_are_checked_before_writing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut gaussians = numbered(3, 1);
+    gaussians.sh.pop();
+    assert!(ply::write(folder.path().join("a.ply"), &gaussians).is_err());
+    assert_eq!(names(folder.path()), [""; 0]);
+}
+
+/// How a test file is laid out.
+#[derive(Clone, Debug)]
+struct Shape {
+    order: Vec<usize>,
+    types: Vec<usize>,
+    encoding: usize,
+    crlf: bool,
+    extra: bool,
+}
+
+const TYPES: [(&str, usize); 8] = [
+    ("float", 4),
+    ("double", 8),
+    ("float32", 4),
+    ("float64", 8),
+    ("int", 4),
+    ("short", 2),
+    ("uint8", 1),
+    ("int8", 1),
+];
+
+fn shape(properties: usize) -> impl Strategy<Value = Shape> {
+    let order = Just((0..properties).collect::<Vec<_>>()).prop_shuffle();
+    let types = prop::collection::vec(0..TYPES.len(), properties);
+    (order, types, 0..3usize, any::<bool>(), any::<bool>())
+        .prop_map(|(order, types, encoding, crlf, extra)| Shape { order, types, encoding, crlf, extra })
+}
+
+/// A number in the file's encoding.
+fn encode(out: &mut Vec<u8>, value: f64, kind: &str, encoding: usize) {
+    let start = out.len();
+    match kind {
+        _ if encoding == 0 => return out.extend(format!("{value} ").bytes()),
+        "float" | "float32" => out.extend((value as f32).to_le_bytes()),
+        "double" | "float64" => out.extend(value.to_le_bytes()),
+        "int" => out.extend((value as i32).to_le_bytes()),
+        "short" => out.extend((value as i16).to_le_bytes()),
+        "uint8" => out.push(value as u8),
+        _ => out.push(value as i8 as u8),
+    }
+    if encoding == 2 {
+        out[start..].reverse();
+    }
+}
+
+fn file_of(gaussians: &Gaussians, shape: &Shape) -> Vec<u8> {
+    let encoding = ["ascii", "binary_little_endian", "binary_big_endian"][shape.encoding];
+    let end = if shape.crlf { "\r\n" } else { "\n" };
+    let mut header = vec!["ply".to_owned(), format!("format {encoding} 1.0"), "comment by a test".into()];
+    if shape.extra {
+        header.extend(
+            ["element rig 2", "property list uchar short ids", "property double w"].map(String::from),
+        );
+    }
+    header.push(format!("element vertex {}", gaussians.len()));
+    let properties = named(gaussians, 0);
+    for &place in &shape.order {
+        header.push(format!("property {} {}", TYPES[shape.types[place]].0, properties[place].0));
+        if shape.extra && place % 5 == 0 {
+            header.push(format!("property ushort extra_{place}"));
+        }
+    }
+    header
+        .extend(["element face 1", "property list uchar int vertex_indices", "end_header"].map(String::from));
+    let mut out = header.iter().flat_map(|line| format!("{line}{end}").into_bytes()).collect::<Vec<u8>>();
+    let line_end = |out: &mut Vec<u8>| {
+        if shape.encoding == 0 {
+            out.extend(end.bytes())
+        }
+    };
+    for length in 0..if shape.extra { 2 } else { 0 } {
+        encode(&mut out, length as f64, "uint8", shape.encoding);
+        (0..length).for_each(|_| encode(&mut out, 7.0, "short", shape.encoding));
+        encode(&mut out, 0.5, "double", shape.encoding);
+        line_end(&mut out);
+    }
+    for index in 0..gaussians.len() {
+        let values = named(gaussians, index);
+        for &place in &shape.order {
+            encode(&mut out, values[place].1.into(), TYPES[shape.types[place]].0, shape.encoding);
+            if shape.extra && place % 5 == 0 {
+                encode(&mut out, 3.0, "short", shape.encoding);
+            }
+        }
+        line_end(&mut out);
+    }
+    out
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+    #[test]
+    fn any_order_type_and_encoding_gives_the_same(
+        (degree, shape) in (0..=3u32).prop_flat_map(|d| (Just(d), shape(14 + 3 * ((d + 1) * (d + 1) - 1) as usize))),
+    ) {
+        let mut gaussians = numbered(5, degree);
+        // Whole numbers that every type can hold.
+        let whole = |v: &mut f32| *v = (v.abs() * 3.0).round() % 80.0;
+        gaussians.means.as_flattened_mut().iter_mut().for_each(whole);
+        gaussians.quats.as_flattened_mut().iter_mut().for_each(whole);
+        gaussians.log_scales.as_flattened_mut().iter_mut().for_each(whole);
+        gaussians.sh.as_flattened_mut().iter_mut().for_each(whole);
+        gaussians.opacity_logits.iter_mut().for_each(whole);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.ply");
+        std::fs::write(&path, file_of(&gaussians, &shape)).unwrap();
+        prop_assert_eq!(ply::read(&path, &KEEP).unwrap().gaussians, gaussians);
+    }
+
+    #[test]
+    fn floats_survive_every_encoding(bits in prop::collection::vec(any::<u32>(), 14), encoding in 0..3usize) {
+        let value = |i: usize| Some(f32::from_bits(bits[i])).filter(|v| v.abs() < 1e18).unwrap_or(0.25);
+        let mut gaussians = numbered(1, 0);
+        gaussians.means[0] = [value(0), value(1), value(2)];
+        gaussians.quats[0] = [value(3), value(4), value(5), value(6)];
+        gaussians.log_scales[0] = [7, 8, 9].map(|i| value(i).clamp(-1e18, 80.0));
+        gaussians.opacity_logits[0] = value(10);
+        gaussians.sh[0] = [value(11), value(12), value(13)];
+        let shape = Shape { order: (0..14).collect(), types: vec![0; 14], encoding, crlf: false, extra: false };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.ply");
+        std::fs::write(&path, file_of(&gaussians, &shape)).unwrap();
+        prop_assert_eq!(ply::read(&path, &KEEP).unwrap().gaussians, gaussians);
+    }
+}
+
+fn plain_shape(encoding: usize) -> Shape {
+    Shape { order: (0..23).collect(), types: vec![0; 23], encoding, crlf: false, extra: true }
+}
+
+#[test]
+fn no_truncation_gives_a_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    for encoding in 0..3 {
+        let bytes = file_of(&numbered(2, 1), &plain_shape(encoding));
+        for_each_truncation(&path, &bytes, |length| match ply::read(&path, &KEEP) {
+            Err(e) => assert!(e.to_string().starts_with(path.to_str().unwrap()), "{e}"),
+            // The last number of a text may lose digits unnoticed, or the line its end.
+            Ok(scene) => assert!(encoding == 0 && length + 30 > bytes.len() && scene.gaussians.len() == 2),
+        });
+    }
+}
+
+#[test]
+fn no_mutation_panics() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    for encoding in 0..3 {
+        let bytes = file_of(&numbered(2, 1), &plain_shape(encoding));
+        for_each_mutation(&path, &bytes, |_| {
+            if let Ok(scene) = ply::read(&path, &DROP) {
+                scene.gaussians.check_shapes().unwrap();
+                assert!(scene.gaussians.means.as_flattened().iter().all(|v| v.is_finite()));
+            }
+            if let Ok(points) = ply::read_points(&path) {
+                assert_eq!(points.colors.len(), points.len());
+            }
+        });
+    }
+}
+
+#[test]
+fn unusable_values_are_counted_and_dropped_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    let mut gaussians = numbered(6, 0);
+    gaussians.means[1][2] = f32::NAN;
+    gaussians.log_scales[3][1] = 89.0;
+    gaussians.quats[5][0] = f32::INFINITY;
+    gaussians.opacity_logits = vec![f32::INFINITY, 0.0, f32::NEG_INFINITY, 0.0, 1e30, 0.0];
+    ply::write(&path, &gaussians).unwrap();
+    let text = message(&path, &KEEP);
+    assert!(text.contains("3 of 6 Gaussians") && text.contains("vertex 1: z = NaN"), "{text}");
+    assert!(text.ends_with("--drop-invalid leaves them out"));
+    let scene = ply::read(&path, &DROP).unwrap();
+    assert_eq!((scene.dropped, scene.gaussians.len()), (3, 3));
+    assert_eq!(scene.gaussians.opacity_logits, [f32::INFINITY, f32::NEG_INFINITY, 1e30]);
+    assert_eq!(scene.gaussians.means[2], gaussians.means[4]);
+}
+
+#[test]
+fn points_round_trip_and_are_no_gaussians() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("input.ply");
+    let points = PointCloud { positions: vec![[1.5, -2.0, 3e-8]; 100], colors: vec![[0, 127, 255]; 100] };
+    ply::write_points(&path, &points).unwrap();
+    assert_eq!(ply::read_points(&path).unwrap(), points);
+    assert!(message(&path, &KEEP).contains("is a point cloud"));
+    std::fs::write(&path, "ply\nformat ascii 1.0\nelement vertex 1\nproperty int x\nproperty int y\nproperty int z\nend_header\n1 2 3").unwrap();
+    assert_eq!(
+        ply::read_points(&path).unwrap(),
+        PointCloud { positions: vec![[1.0, 2.0, 3.0]], colors: vec![[255; 3]] }
+    );
+}
+
+#[test]
+fn files_that_are_something_else_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    for (bytes, words) in [
+        (&b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n"[..], "is a Git LFS pointer"),
+        (b"\n<!DOCTYPE html><html>", "is a web page"),
+        (b"<HTML>", "is a web page"),
+        (b"\x1f\x8b\x08\0", "is compressed with gzip"),
+        (b"PK\x03\x04", "is a ZIP archive"),
+        (b"", "is empty"),
+        (&[0; 700], "nothing but zeros"),
+        (b"hello", "is not a PLY file"),
+    ] {
+        std::fs::write(&path, bytes).unwrap();
+        assert!(message(&path, &KEEP).contains(words), "{}", message(&path, &KEEP));
+    }
+    assert!(message(folder.path(), &KEEP).contains("is not a file"));
+    assert!(message(&folder.path().join("none.ply"), &KEEP).contains("cannot read: No such file"));
+}
