@@ -1,5 +1,8 @@
 //! Golden vectors of what the host computes: the Gaussians that training starts from, and the scene extent.
 
+// In a test, an unwrap is an assertion.
+#![allow(clippy::unwrap_used)]
+
 use std::path::Path;
 
 use ashsplat::scene::init::mean_squared_neighbour_distances;

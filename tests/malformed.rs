@@ -1,5 +1,8 @@
 //! Damaged, hostile and unusual files: one trial per case of `data/malformed/expected.json`.
 
+// In a test, an unwrap is an assertion.
+#![allow(clippy::unwrap_used)]
+
 mod values;
 
 use std::path::{Path, PathBuf};

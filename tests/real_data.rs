@@ -1,5 +1,8 @@
 //! Real photographs with COLMAP models, and trained scenes: one trial each.
 
+// In a test, an unwrap is an assertion.
+#![allow(clippy::unwrap_used)]
+
 use std::path::{Path, PathBuf};
 
 use ashsplat::io::colmap::{Model, find};

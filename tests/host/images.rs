@@ -45,7 +45,7 @@ fn every_colour_type_is_read() {
     let cases: [(DynamicImage, [f32; 3], [u8; 3]); 9] = [
         (ImageBuffer::from_pixel(2, 2, Luma([40u8])).into(), BLACK, [40; 3]),
         (ImageBuffer::from_pixel(2, 2, Luma([40u16 * 257])).into(), BLACK, [40; 3]),
-        (ImageBuffer::from_pixel(2, 2, Rgb([1u16 * 257, 2 * 257, 65535])).into(), BLACK, [1, 2, 255]),
+        (ImageBuffer::from_pixel(2, 2, Rgb([257u16, 2 * 257, 65535])).into(), BLACK, [1, 2, 255]),
         (ImageBuffer::from_pixel(2, 2, Rgba([10u8, 20, 30, 255])).into(), white, [10, 20, 30]),
         (ImageBuffer::from_pixel(2, 2, Rgba([10u8, 20, 30, 0])).into(), white, [255; 3]),
         (ImageBuffer::from_pixel(2, 2, Rgba([10u8, 20, 30, 0])).into(), BLACK, [0; 3]),

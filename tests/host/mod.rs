@@ -1,5 +1,8 @@
 //! The parts that know no Vulkan: scene, files, metrics.
 
+// In a test, an unwrap is an assertion.
+#![allow(clippy::unwrap_used)]
+
 mod atomic;
 mod camera;
 mod colmap;

@@ -102,14 +102,14 @@ fn jpeg_is_complete(bytes: &[u8]) -> bool {
     const START_OF_SCAN: u8 = 0xda;
     const END_OF_IMAGE: u8 = 0xd9;
     let mut at = 2;
-    while let Some(&[0xff, marker]) = bytes.get(at..at + 2).and_then(|b| b.as_array()) {
+    while let Some(&[0xff, marker]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
         match marker {
             END_OF_IMAGE => return true,
             // Fill bytes, and markers without a length.
             0xff => at += 1,
             0x01 | 0xd0..=0xd8 => at += 2,
             _ => {
-                let Some(&length) = bytes.get(at + 2..at + 4).and_then(|b| b.as_array()) else {
+                let Some(&length) = bytes.get(at + 2..).and_then(|rest| rest.first_chunk()) else {
                     return false;
                 };
                 at += 2 + usize::from(u16::from_be_bytes(length)).max(2);
@@ -124,7 +124,7 @@ fn jpeg_is_complete(bytes: &[u8]) -> bool {
 
 /// Where the entropy-coded data from `at` end: at the next marker that is neither stuffing nor a restart.
 fn end_of_scan(bytes: &[u8], mut at: usize) -> usize {
-    while let Some(&[first, second]) = bytes.get(at..at + 2).and_then(|b| b.as_array()) {
+    while let Some(&[first, second]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
         if first == 0xff && !matches!(second, 0x00 | 0xd0..=0xd7 | 0xff) {
             return at;
         }

@@ -143,9 +143,9 @@ impl Layout {
     /// The first column with an unusable value.
     fn unusable(&self, row: &[f32]) -> Option<usize> {
         row.iter().enumerate().position(|(column, &value)| match column {
-            0..OPACITY => !(value.abs() <= MAX_COORDINATE),
+            0..OPACITY => !value.is_finite() || value.abs() > MAX_COORDINATE,
             OPACITY => value.is_nan(),
-            SCALE..QUATERNION => !(value.is_finite() && value <= MAX_LOG_SCALE),
+            SCALE..QUATERNION => !value.is_finite() || value > MAX_LOG_SCALE,
             _ => !value.is_finite(),
         })
     }
