@@ -5,6 +5,11 @@
 //! remain to be sorted: the order is that of the 64-bit (tile | depth) key. And a tile is touched only if the ellipse
 //! where alpha reaches 1/255 meets it.
 
+mod settings;
+
+pub use settings::{Extent, JacobianLimit, RenderSettings};
+pub(crate) use settings::{camera_push, jacobian_limits};
+
 use crate::error::Result;
 use crate::kernels::constants as c;
 use crate::kernels::forward::{blend, compact, count, cull, expand, prepare, project, ranges};
@@ -13,92 +18,6 @@ use crate::scan::{Scan, ScanBuffers, Workgroups};
 use crate::scene::Camera;
 use crate::sort::{RadixSort, SortBuffers, Values};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
-
-/// Fills the push constants of camera_push.glsl, which several kernels share.
-macro_rules! camera_push {
-    ($push:path, $inputs:expr, $range:expr $(, $extra:ident: $value:expr)*) => {{
-        let camera = $inputs.camera;
-        let rows = camera.camera_from_world.transpose();
-        $push {
-            camera_row_x: rows.x_axis.to_array(),
-            camera_row_y: rows.y_axis.to_array(),
-            camera_row_z: rows.z_axis.to_array(),
-            camera_translation: camera.translation.to_array(),
-            focal_px: [camera.fx, camera.fy],
-            // COLMAP puts the centre of the first pixel at 0.5, the shaders at 0.
-            center_px: [camera.cx - 0.5, camera.cy - 0.5],
-            jacobian_limits: crate::forward::jacobian_limits(camera, $inputs.settings.jacobian_limit),
-            image_width: camera.width,
-            image_height: camera.height,
-            first: $range.first,
-            count: $range.count,
-            stride: $inputs.scene.plan.stride,
-            extent: $inputs.settings.extent_word(),
-            antialias: $inputs.settings.antialias.into(),
-            $($extra: $value,)*
-        }
-    }};
-}
-pub(crate) use camera_push;
-
-/// Which pixels a Gaussian counts at.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Extent {
-    /// Wherever its alpha is at least 1/255.
-    #[default]
-    Exact,
-    /// In the tiles of the reference implementation's square of three standard deviations: for parity with it.
-    Reference,
-}
-
-/// Within which directions the projection is linearised at the Gaussian itself; beyond, at the limit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum JacobianLimit {
-    /// The image's edges and 0.3 tan(fov/2) beyond.
-    #[default]
-    Edge,
-    /// ±1.3 tan(fov/2) around the optical axis, as the reference does also for off-centre cameras.
-    Symmetric,
-}
-
-/// How a frame is rendered.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RenderSettings {
-    /// Extent of a Gaussian.
-    pub extent: Extent,
-    /// Limits of the projection's linearisation.
-    pub jacobian_limit: JacobianLimit,
-    /// Opacity compensation for the low-pass filter (Mip-Splatting's 2D filter).
-    pub antialias: bool,
-    /// Background, linear as trained.
-    pub background: [f32; 3],
-    /// Highest SH degree used; `None` for all that are stored.
-    pub sh_degree: Option<u32>,
-    /// Also render the sum of weights / z.
-    pub inverse_depth: bool,
-}
-
-impl Default for RenderSettings {
-    fn default() -> Self {
-        Self {
-            extent: Extent::default(),
-            jacobian_limit: JacobianLimit::default(),
-            antialias: false,
-            background: [0.0; 3],
-            sh_degree: None,
-            inverse_depth: false,
-        }
-    }
-}
-
-impl RenderSettings {
-    pub(crate) fn extent_word(&self) -> u32 {
-        match self.extent {
-            Extent::Exact => c::EXTENT_EXACT,
-            Extent::Reference => c::EXTENT_REFERENCE,
-        }
-    }
-}
 
 /// The parameters of a scene on the device: planes cut into chunks.
 #[derive(Clone)]
@@ -440,21 +359,4 @@ impl Forward {
 
 fn arguments(frame: &FrameBuffers, index: u32) -> Buffer {
     frame.arguments.range(u64::from(index) * 16, 12)
-}
-
-/// Limits of x/z and y/z (low, high, low, high) within which the projection is linearised.
-pub(crate) fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4] {
-    let axis = |focal: f32, center: f32, size: u32| {
-        let size = size as f32;
-        let half_tan = size / (2.0 * focal);
-        match limit {
-            JacobianLimit::Edge => {
-                [-center / focal - 0.3 * half_tan, (size - center) / focal + 0.3 * half_tan]
-            }
-            JacobianLimit::Symmetric => [-1.3 * half_tan, 1.3 * half_tan],
-        }
-    };
-    let [x_low, x_high] = axis(camera.fx, camera.cx, camera.width);
-    let [y_low, y_high] = axis(camera.fy, camera.cy, camera.height);
-    [x_low, x_high, y_low, y_high]
 }

@@ -12,12 +12,21 @@ pub struct Loss {
     reduce: Kernel<loss_reduce::Interface>,
 }
 
+/// How a photograph lies in memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PhotoFormat {
+    /// Four bytes per pixel, (r, g, b, unused), 255 being 1.
+    Rgba8,
+    /// Three f32 per pixel: for targets that 8 bits cannot hold.
+    Float,
+}
+
 /// What the loss works on.
 #[derive(Clone, Copy)]
 pub struct LossInputs<'a> {
     /// Per pixel: premultiplied colour without background, transmittance.
     pub accumulated: &'a Buffer,
-    /// Per pixel: RGBA8 of the photograph.
+    /// Per pixel: the photograph, in the format that [`Loss::new`] was told.
     pub photo: &'a Buffer,
     /// Scratch: [`ssim_maps_bytes`].
     pub ssim_maps: &'a Buffer,
@@ -55,12 +64,17 @@ impl Loss {
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context) -> Result<Self> {
+    pub fn new(context: &Context, photos: PhotoFormat) -> Result<Self> {
+        let float_photo = photos == PhotoFormat::Float;
         let subgroup_size = context.limits().subgroup_size;
-        let workgroup_size = Blocks::new(context.limits()).stream;
+        let sizes = Blocks::new(context.limits());
+        let (workgroup_size, strip) = (sizes.loss, sizes.loss_strip);
         Ok(Self {
-            forward: Kernel::new(context, &ssim_forward::Spec { workgroup_size, subgroup_size })?,
-            backward: Kernel::new(context, &ssim_backward::Spec { workgroup_size })?,
+            forward: Kernel::new(
+                context,
+                &ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo },
+            )?,
+            backward: Kernel::new(context, &ssim_backward::Spec { workgroup_size, strip, float_photo })?,
             reduce: Kernel::new(context, &loss_reduce::Spec { workgroup_size, subgroup_size })?,
         })
     }

@@ -52,6 +52,10 @@ pub struct Blocks {
     pub scan: u32,
     /// Invocations of a tile's workgroup: one subgroup per region of a tile.
     pub tile: u32,
+    /// Invocations of the loss' workgroups.
+    pub loss: u32,
+    /// Pixels in a row of one invocation of the loss.
+    pub loss_strip: u32,
     /// Entries of a tile that one blending pass may handle.
     pub entries_per_pass: u32,
 }
@@ -68,6 +72,9 @@ impl Blocks {
             sort: sort_workgroup * SORT_ITEMS,
             scan: stream * SCAN_ITEMS,
             tile: regions * limits.subgroup_size,
+            loss: limits.workgroup_size(if limits.is_cpu { 64 } else { STREAM_WORKGROUP }),
+            // Wide enough to fill a GPU's workgroup; a processor rather reads less.
+            loss_strip: if limits.is_cpu { 8 } else { 2 },
             entries_per_pass: limits.max_loop_iterations.map_or(u32::MAX, |n| n / ENTRIES_PER_LOOP_BUDGET),
         }
     }

@@ -21,6 +21,8 @@ pub struct RadixSort {
     scatter: Kernel<sort_scatter::Interface>,
     scatter_identity: Kernel<sort_scatter::Interface>,
     block: u32,
+    /// Digits of one workgroup of the histogram's scan.
+    rows: u32,
 }
 
 /// What a sort works on. Keys start in `keys[0]`; where they end depends on the number of passes, see
@@ -68,6 +70,7 @@ impl RadixSort {
             scatter: Kernel::new(context, &scatter)?,
             scatter_identity: Kernel::new(context, &sort_scatter::Spec { identity_values: true, ..scatter })?,
             block: sizes.sort,
+            rows: sizes.stream / subgroup_size,
         })
     }
 
@@ -129,11 +132,12 @@ impl RadixSort {
             Workgroups::Indirect(at) => recorder.dispatch_indirect(&self.count, &count, &push, at),
         }
         recorder.barrier();
+        let digits = 1 << bits;
         recorder.dispatch(
             &self.scan,
             &sort_scan::Bind { counts: b.counts, histogram: b.histogram, digit_totals: b.digit_totals },
-            &sort_scan::Push { count_index, block_size: self.block },
-            1 << bits,
+            &sort_scan::Push { count_index, block_size: self.block, digits },
+            blocks(digits.into(), self.rows.into()),
         );
         recorder.barrier();
         let scatter = sort_scatter::Bind {

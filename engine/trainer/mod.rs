@@ -15,7 +15,7 @@ use crate::densify::Densify;
 use crate::error::{Error, Result};
 use crate::forward::{RenderSettings, SceneBuffers};
 use crate::io::Photo;
-use crate::loss::{Loss, partials_bytes, ssim_maps_bytes};
+use crate::loss::{Loss, PhotoFormat, partials_bytes, ssim_maps_bytes};
 use crate::optimizer::{Moments, Optimizer};
 use crate::planes;
 use crate::renderer::{Frame, FrameRunner};
@@ -171,7 +171,7 @@ impl Trainer {
             scratch: LossScratch::new(context, &cameras)?,
             order: step::ViewOrder::new(settings.seed, cameras.len()),
             runner: FrameRunner::new(context)?,
-            loss: Loss::new(context)?,
+            loss: Loss::new(context, PhotoFormat::Rgba8)?,
             backward: Backward::new(context),
             optimizer: Optimizer::new(context, sparse),
             densify: Densify::new(context)?,

@@ -3,9 +3,15 @@
 // PCG-4D (Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 2020).
 uvec4 pcg4d(uvec4 v) {
     v = v * 1664525u + 1013904223u;
-    v += v.yzxy * v.wxyz;
+    v.x += v.y * v.w;
+    v.y += v.z * v.x;
+    v.z += v.x * v.y;
+    v.w += v.y * v.z;
     v ^= v >> 16;
-    v += v.yzxy * v.wxyz;
+    v.x += v.y * v.w;
+    v.y += v.z * v.x;
+    v.z += v.x * v.y;
+    v.w += v.y * v.z;
     return v;
 }
 

@@ -2,7 +2,7 @@
 //
 //   dSSIM/dx = window * by_mean + 2 x (window * by_square) + y (window * by_product)
 //
-// invocation: pixels of its workgroup's block; workgroup: a 16 x 16 block of one channel (z), window separable
+// invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable
 // in, PerPixel: accumulated, photo, ssim_maps; out, PerPixel: image_gradient[4 * pixel + channel]
 // shared: 3 * (26^2 + 26 * 16) words; any subgroup size
 #version 460
@@ -11,6 +11,10 @@
 #extension GL_GOOGLE_include_directive : require
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
+// Pixels in a row that one invocation computes: a divisor of 16.
+layout(constant_id = 2) const uint STRIP = 4;
+// The photograph is three floats per pixel instead of RGBA8.
+layout(constant_id = 3) const bool FLOAT_PHOTO = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
@@ -27,8 +31,23 @@ layout(push_constant, scalar) uniform Push {
 
 #include "ssim.glsl"
 
+float photo_value(uint index, uint channel) {
+    return FLOAT_PHOTO ? uintBitsToFloat(photo[3 * index + channel]) : float(photo[index] >> (8 * channel) & 0xFF) / 255.0;
+}
+
 shared vec3 values[SSIM_APRON * SSIM_APRON];
 shared vec3 rows[SSIM_APRON * SSIM_BLOCK];
+
+void finish(vec3 windowed, uvec2 pixel, uint channel) {
+    if (pixel.x < image_width && pixel.y < image_height) {
+        float scale = 1.0 / (3.0 * float(image_width) * float(image_height));
+        uint index = pixel.y * image_width + pixel.x;
+        float x = accumulated[index][channel] + accumulated[index].w * background[channel];
+        float y = photo_value(index, channel);
+        float d_ssim = windowed.x + 2.0 * x * windowed.y + y * windowed.z;
+        image_gradient[4 * index + channel] = scale * ((1.0 - lambda_dssim) * sign(x - y) - lambda_dssim * d_ssim);
+    }
+}
 
 void main() {
     uint channel = gl_WorkGroupID.z;
@@ -42,29 +61,35 @@ void main() {
         values[at] = inside ? value : vec3(0.0);
     }
     barrier();
-    for (uint at = gl_LocalInvocationID.x; at < SSIM_APRON * SSIM_BLOCK; at += WORKGROUP_SIZE) {
-        uint base = at / SSIM_BLOCK * SSIM_APRON + at % SSIM_BLOCK;
-        vec3 row = vec3(0.0);
-        [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
-            row += SSIM_WINDOW[tap] * values[base + tap];
+    for (uint at = gl_LocalInvocationID.x; at < SSIM_APRON * SSIM_STRIPS; at += WORKGROUP_SIZE) {
+        uint row = at / SSIM_STRIPS;
+        uint column = at % SSIM_STRIPS * STRIP;
+        vec3 window[SSIM_WINDOW_OF_STRIP];
+        [[unroll]] for (uint k = 0; k < SSIM_WINDOW_OF_STRIP; ++k) {
+            window[k] = values[row * SSIM_APRON + column + k];
         }
-        rows[at] = row;
+        [[unroll]] for (uint k = 0; k < STRIP; ++k) {
+            vec3 sum = vec3(0.0);
+            [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
+                sum += SSIM_WINDOW[tap] * window[k + tap];
+            }
+            rows[row * SSIM_BLOCK + column + k] = sum;
+        }
     }
     barrier();
-    float scale = 1.0 / (3.0 * float(image_width) * float(image_height));
-    for (uint at = gl_LocalInvocationID.x; at < SSIM_BLOCK * SSIM_BLOCK; at += WORKGROUP_SIZE) {
-        vec3 windowed = vec3(0.0);
-        [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
-            windowed += SSIM_WINDOW[tap] * rows[at + tap * SSIM_BLOCK];
+    for (uint at = gl_LocalInvocationID.x; at < SSIM_BLOCK * SSIM_STRIPS; at += WORKGROUP_SIZE) {
+        uint column = at % SSIM_BLOCK;
+        uint row = at / SSIM_BLOCK * STRIP;
+        vec3 window[SSIM_WINDOW_OF_STRIP];
+        [[unroll]] for (uint k = 0; k < SSIM_WINDOW_OF_STRIP; ++k) {
+            window[k] = rows[(row + k) * SSIM_BLOCK + column];
         }
-        uvec2 pixel = uvec2(origin) + uvec2(at % SSIM_BLOCK, at / SSIM_BLOCK);
-        if (pixel.x < image_width && pixel.y < image_height) {
-            uint index = pixel.y * image_width + pixel.x;
-            vec4 rendered = accumulated[index];
-            float x = rendered[channel] + rendered.w * background[channel];
-            float y = float(photo[index] >> (8 * channel) & 0xFF) / 255.0;
-            float d_ssim = windowed.x + 2.0 * x * windowed.y + y * windowed.z;
-            image_gradient[4 * index + channel] = scale * ((1.0 - lambda_dssim) * sign(x - y) - lambda_dssim * d_ssim);
+        [[unroll]] for (uint k = 0; k < STRIP; ++k) {
+            vec3 windowed = vec3(0.0);
+            [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
+                windowed += SSIM_WINDOW[tap] * window[k + tap];
+            }
+            finish(windowed, uvec2(origin) + uvec2(column, row + k), channel);
         }
     }
 }

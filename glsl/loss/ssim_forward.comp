@@ -3,7 +3,7 @@
 //
 //   SSIM = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sx^2 + sy^2 + C2)), means and variances under the window
 //
-// invocation: pixels of its workgroup's block; workgroup: a 16 x 16 block of one channel (z), window separable
+// invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable
 // in, PerPixel: accumulated (r, g, b, T), photo (RGBA8); out, PerPixel and channel: ssim_maps[channel * pixels + pixel]
 //     = derivatives of SSIM by the windowed x, x^2 and x y; loss_partials[workgroup] = sums of (|x - y|, SSIM)
 // shared: 2 * 26^2 + 5 * 26 * 16 words and one per subgroup; any subgroup size
@@ -16,6 +16,10 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+// Pixels in a row that one invocation computes: a divisor of 16.
+layout(constant_id = 2) const uint STRIP = 4;
+// The photograph is three floats per pixel instead of RGBA8.
+layout(constant_id = 3) const bool FLOAT_PHOTO = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
@@ -31,10 +35,33 @@ layout(push_constant, scalar) uniform Push {
 
 #include "ssim.glsl"
 
+float photo_value(uint index, uint channel) {
+    return FLOAT_PHOTO ? uintBitsToFloat(photo[3 * index + channel]) : float(photo[index] >> (8 * channel) & 0xFF) / 255.0;
+}
+
 shared vec2 values[SSIM_APRON * SSIM_APRON];
 shared vec4 rows_a[SSIM_APRON * SSIM_BLOCK];
 shared float rows_b[SSIM_APRON * SSIM_BLOCK];
 shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
+
+// Derivatives of SSIM at a pixel, from the windowed x, y, x^2, y^2 and x y. Returns (|x - y|, SSIM).
+vec2 finish(vec4 moments, float xy, vec2 value, uvec2 pixel, uint channel) {
+    float mx = moments.x, my = moments.y;
+    float a1 = 2.0 * mx * my + SSIM_C1;
+    float a2 = 2.0 * (xy - mx * my) + SSIM_C2;
+    float b1 = mx * mx + my * my + SSIM_C1;
+    float b2 = moments.z - mx * mx + (moments.w - my * my) + SSIM_C2;
+    float inverse = 1.0 / (b1 * b2);
+    float ssim = a1 * a2 * inverse;
+    float by_square = -ssim / b2;
+    float by_product = 2.0 * a1 * inverse;
+    float by_mean = 2.0 * my * a2 * inverse - 2.0 * mx * ssim / b1 - 2.0 * mx * by_square - my * by_product;
+    bool inside = pixel.x < image_width && pixel.y < image_height;
+    if (inside) {
+        ssim_maps[(channel * image_height + pixel.y) * image_width + pixel.x] = vec3(by_mean, by_square, by_product);
+    }
+    return inside ? vec2(abs(value.x - value.y), ssim) : vec2(0.0);
+}
 
 void main() {
     uint channel = gl_WorkGroupID.z;
@@ -46,49 +73,51 @@ void main() {
         uint index = inside ? uint(pixel.y) * image_width + uint(pixel.x) : 0;
         vec4 rendered = accumulated[index];
         float x = rendered[channel] + rendered.w * background[channel];
-        float y = float(photo[index] >> (8 * channel) & 0xFF) / 255.0;
+        float y = photo_value(index, channel);
         values[at] = inside ? vec2(x, y) : vec2(0.0);
     }
     barrier();
-    for (uint at = gl_LocalInvocationID.x; at < SSIM_APRON * SSIM_BLOCK; at += WORKGROUP_SIZE) {
-        uint base = at / SSIM_BLOCK * SSIM_APRON + at % SSIM_BLOCK;
-        vec2 mean = vec2(0.0);
-        vec2 square = vec2(0.0);
-        float product = 0.0;
-        [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
-            vec2 value = values[base + tap];
-            vec2 weighted = SSIM_WINDOW[tap] * value;
-            mean += weighted;
-            square += weighted * value;
-            product += weighted.x * value.y;
+    for (uint at = gl_LocalInvocationID.x; at < SSIM_APRON * SSIM_STRIPS; at += WORKGROUP_SIZE) {
+        uint row = at / SSIM_STRIPS;
+        uint column = at % SSIM_STRIPS * STRIP;
+        vec2 window[SSIM_WINDOW_OF_STRIP];
+        [[unroll]] for (uint k = 0; k < SSIM_WINDOW_OF_STRIP; ++k) {
+            window[k] = values[row * SSIM_APRON + column + k];
         }
-        rows_a[at] = vec4(mean, square);
-        rows_b[at] = product;
+        [[unroll]] for (uint k = 0; k < STRIP; ++k) {
+            vec2 mean = vec2(0.0);
+            vec2 square = vec2(0.0);
+            float product = 0.0;
+            [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
+                vec2 weighted = SSIM_WINDOW[tap] * window[k + tap];
+                mean += weighted;
+                square += weighted * window[k + tap];
+                product += weighted.x * window[k + tap].y;
+            }
+            rows_a[row * SSIM_BLOCK + column + k] = vec4(mean, square);
+            rows_b[row * SSIM_BLOCK + column + k] = product;
+        }
     }
     barrier();
     vec2 sum = vec2(0.0);
-    for (uint at = gl_LocalInvocationID.x; at < SSIM_BLOCK * SSIM_BLOCK; at += WORKGROUP_SIZE) {
-        vec4 moments = vec4(0.0);
-        float xy = 0.0;
-        [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
-            moments += SSIM_WINDOW[tap] * rows_a[at + tap * SSIM_BLOCK];
-            xy += SSIM_WINDOW[tap] * rows_b[at + tap * SSIM_BLOCK];
+    for (uint at = gl_LocalInvocationID.x; at < SSIM_BLOCK * SSIM_STRIPS; at += WORKGROUP_SIZE) {
+        uint column = at % SSIM_BLOCK;
+        uint row = at / SSIM_BLOCK * STRIP;
+        vec4 window_a[SSIM_WINDOW_OF_STRIP];
+        float window_b[SSIM_WINDOW_OF_STRIP];
+        [[unroll]] for (uint k = 0; k < SSIM_WINDOW_OF_STRIP; ++k) {
+            window_a[k] = rows_a[(row + k) * SSIM_BLOCK + column];
+            window_b[k] = rows_b[(row + k) * SSIM_BLOCK + column];
         }
-        float mx = moments.x, my = moments.y;
-        float a1 = 2.0 * mx * my + SSIM_C1;
-        float a2 = 2.0 * (xy - mx * my) + SSIM_C2;
-        float b1 = mx * mx + my * my + SSIM_C1;
-        float b2 = moments.z - mx * mx + (moments.w - my * my) + SSIM_C2;
-        float inverse = 1.0 / (b1 * b2);
-        float ssim = a1 * a2 * inverse;
-        float by_square = -ssim / b2;
-        float by_product = 2.0 * a1 * inverse;
-        float by_mean = 2.0 * my * a2 * inverse - 2.0 * mx * ssim / b1 - 2.0 * mx * by_square - my * by_product;
-        uvec2 pixel = uvec2(origin) + uvec2(at % SSIM_BLOCK, at / SSIM_BLOCK);
-        if (pixel.x < image_width && pixel.y < image_height) {
-            ssim_maps[(channel * image_height + pixel.y) * image_width + pixel.x] = vec3(by_mean, by_square, by_product);
-            vec2 value = values[(at / SSIM_BLOCK + SSIM_RADIUS) * SSIM_APRON + at % SSIM_BLOCK + SSIM_RADIUS];
-            sum += vec2(abs(value.x - value.y), ssim);
+        [[unroll]] for (uint k = 0; k < STRIP; ++k) {
+            vec4 moments = vec4(0.0);
+            float xy = 0.0;
+            [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
+                moments += SSIM_WINDOW[tap] * window_a[k + tap];
+                xy += SSIM_WINDOW[tap] * window_b[k + tap];
+            }
+            vec2 value = values[(row + k + SSIM_RADIUS) * SSIM_APRON + column + SSIM_RADIUS];
+            sum += finish(moments, xy, value, uvec2(origin) + uvec2(column, row + k), channel);
         }
     }
     sum = subgroupAdd(sum);

@@ -1,14 +1,15 @@
 // Exclusive prefix sum of each digit's row of the histogram, in place, and the row's total:
-// second step of a radix sort pass. Rows are independent, so one workgroup per digit suffices.
+// second step of a radix sort pass. Rows are independent: a subgroup walks along one, and no barrier is needed.
 //
-// invocation: one count at a time; workgroup: one digit's row, walked with a carry
+// invocation: one count at a time; subgroup: one digit's row, walked with a carry; workgroup: some rows
 // in/out: histogram[digit * blocks + block]; out: digit_totals[digit]
-// shared: one word per subgroup; any subgroup size
+// shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
@@ -21,27 +22,28 @@ layout(set = 0, binding = 2, scalar) writeonly buffer DigitTotals { uint digit_t
 layout(push_constant, scalar) uniform Push {
     uint count_index;
     uint block_size;
+    uint digits;
 };
-
-#include "workgroup_scan.glsl"
 
 void main() {
     uint n = counts[count_index];
     uint blocks = n / block_size + (n % block_size != 0 ? 1 : 0);
-    uint digit = gl_WorkGroupID.x;
+    uint digit = gl_WorkGroupID.x * (WORKGROUP_SIZE / SUBGROUP_SIZE) + gl_SubgroupID;
+    if (digit >= digits) {
+        return;
+    }
     uint carry = 0;
-    for (uint first = 0; first < blocks; first += WORKGROUP_SIZE) {
-        uint column = first + gl_LocalInvocationID.x;
+    for (uint first = 0; first < blocks; first += SUBGROUP_SIZE) {
+        uint column = first + gl_SubgroupInvocationID;
         uint index = digit * blocks + (column < blocks ? column : 0);
         uint value = column < blocks ? histogram[index] : 0;
-        uint total;
-        uint exclusive = workgroup_exclusive_add(value, total);
+        uint inclusive = subgroupInclusiveAdd(value);
         if (column < blocks) {
-            histogram[index] = carry + exclusive;
+            histogram[index] = carry + inclusive - value;
         }
-        carry += total;
+        carry += subgroupShuffle(inclusive, SUBGROUP_SIZE - 1);
     }
-    if (gl_LocalInvocationID.x == 0) {
+    if (gl_SubgroupInvocationID == 0) {
         digit_totals[digit] = carry;
     }
 }
