@@ -1,0 +1,212 @@
+//! Whatever is wrong with the input: one line that names it, exit code 2, nothing half-written.
+
+use super::*;
+use tempfile::{TempDir, tempdir};
+
+/// A data set that a test may spoil, and a place for results.
+struct Place {
+    folder: TempDir,
+}
+
+impl Place {
+    fn new() -> Place {
+        let folder = tempdir().expect("a temporary folder");
+        write_dataset(&folder.path().join("data"));
+        Place { folder }
+    }
+
+    fn data(&self) -> PathBuf {
+        self.folder.path().join("data")
+    }
+
+    fn out(&self) -> PathBuf {
+        self.folder.path().join("out")
+    }
+
+    /// Training must refuse, before it writes anything.
+    fn training_refuses(&self, words: &[&str]) {
+        refuse(&["train", "-s", text(&self.data()), "-m", text(&self.out()), "--quiet"], words);
+        assert!(!self.out().exists(), "{:?}", files_below(&self.out()));
+    }
+}
+
+#[test]
+fn missing_folder() {
+    let place = Place::new();
+    std::fs::remove_dir_all(place.data()).expect("removed");
+    place.training_refuses(&[text(&place.data())]);
+}
+
+#[test]
+fn empty_folder() {
+    let place = Place::new();
+    std::fs::remove_dir_all(place.data()).expect("removed");
+    std::fs::create_dir(place.data()).expect("created");
+    place.training_refuses(&[text(&place.data()), "sparse"]);
+}
+
+#[test]
+fn no_images_registered() {
+    let place = Place::new();
+    write_model(&place.data(), &[], &wall_points());
+    place.training_refuses(&["images.bin", "no images are registered"]);
+}
+
+#[test]
+fn photo_missing() {
+    let place = Place::new();
+    std::fs::remove_file(place.data().join("images/04.png")).expect("removed");
+    place.training_refuses(&["04.png", "missing"]);
+    let run = finish(program().args(["info", text(&place.data())]));
+    assert_eq!(run.code, Some(2), "{}", run.stderr);
+    assert!(run.stdout.contains("9 registered, 8 sound photos"), "{}", run.stdout);
+}
+
+#[test]
+fn photo_of_another_size() {
+    let place = Place::new();
+    let small = Photo { width: 2, height: 2, rgb: vec![0; 12] };
+    small.write_png(place.data().join("images/05.png")).expect("written");
+    place.training_refuses(&["05.png", "2x2", "48x32"]);
+}
+
+#[test]
+fn zero_points_start_from_random_ones_and_say_so() {
+    let place = Place::new();
+    let images: Vec<_> =
+        (1..=VIEWS).map(|id| ColmapImage::posed(id, 1, format!("{id:02}.png"), &view(id - 1))).collect();
+    write_model(&place.data(), &images, &PointCloud::default());
+    let (data, out) = (place.data(), place.out());
+    let run = finish(program().args([
+        "train",
+        "-s",
+        text(&data),
+        "-m",
+        text(&out),
+        "--iterations",
+        "1",
+        "--quiet",
+    ]));
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    assert!(run.stderr.starts_with("warning: ") && run.stderr.contains("random"), "{}", run.stderr);
+}
+
+#[test]
+fn ply_is_an_lfs_pointer() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("scene.ply");
+    let pointer =
+        format!("version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize 12345\n", "0".repeat(64));
+    std::fs::write(&path, pointer).expect("written");
+    let out = folder.path().join("out");
+    refuse(&["info", text(&path)], &["scene.ply", "LFS", "git lfs pull"]);
+    refuse(&["render", text(&path), "--orbit", "1", "-o", text(&out)], &["scene.ply", "LFS"]);
+    assert!(!out.exists());
+}
+
+#[test]
+fn parameters_that_are_not_finite() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("scene.ply");
+    let mut gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 0).expect("Gaussians");
+    gaussians.means[7][1] = f32::NAN;
+    gaussians.log_scales[9][0] = f32::INFINITY;
+    // Opacity 1 and 0: real files have them.
+    gaussians.opacity_logits[1] = f32::INFINITY;
+    gaussians.opacity_logits[2] = f32::NEG_INFINITY;
+    ashsplat::io::ply::write(&path, &gaussians).expect("written");
+    refuse(&["info", text(&path)], &["scene.ply", "2", "--drop-invalid"]);
+    let report: serde_json::Value =
+        serde_json::from_str(&succeed(&["info", text(&path), "--drop-invalid", "--json"])).expect("JSON");
+    assert_eq!((report["gaussians"].as_u64(), report["dropped"].as_u64()), (Some(398), Some(2)));
+}
+
+#[test]
+fn unknown_device() {
+    let place = Place::new();
+    let (data, out) = (place.data(), place.out());
+    refuse(
+        &["train", "-s", text(&data), "-m", text(&out), "--device", "no such card"],
+        &["'no such card'", "there are: 0 '"],
+    );
+    assert!(!out.exists());
+}
+
+#[test]
+fn no_driver() {
+    let mut command = program();
+    command
+        .args(["devices"])
+        .env("VK_DRIVER_FILES", "/nowhere.json")
+        .env("VK_ICD_FILENAMES", "/nowhere.json");
+    assert_refused(&finish(&mut command), &["Vulkan", "driver"]);
+}
+
+/// A file of the loader's name that is no library, found before the real one.
+#[cfg(target_os = "linux")]
+#[test]
+fn no_loader() {
+    let folder = tempdir().expect("a temporary folder");
+    for name in ["libvulkan.so.1", "libvulkan.so"] {
+        std::fs::write(folder.path().join(name), "").expect("written");
+    }
+    let run = finish(program().args(["devices"]).env("LD_LIBRARY_PATH", folder.path()));
+    assert_refused(&run, &["no Vulkan loader", "libvulkan1"]);
+}
+
+#[test]
+fn unwritable_output() {
+    let place = Place::new();
+    std::fs::write(place.out(), "a file, not a folder").expect("written");
+    let model = place.out().join("model");
+    refuse(
+        &["train", "-s", text(&place.data()), "-m", text(&model), "--quiet"],
+        &[text(&model), "cannot create"],
+    );
+    assert_eq!(std::fs::read_to_string(place.out()).expect("still there"), "a file, not a folder");
+}
+
+/// The system refuses files above a size, as it refuses to write when the disk is full: every file that is there is
+/// whole, and no temporary one is left.
+#[cfg(unix)]
+#[test]
+fn disk_full_while_saving() {
+    let place = Place::new();
+    // Only the point cloud grows beyond the limit (blocks of 512 or 1024 bytes, as the shell has it).
+    let images: Vec<_> =
+        (1..=VIEWS).map(|id| ColmapImage::posed(id, 1, format!("{id:02}.png"), &view(id - 1))).collect();
+    let cloud = wall_points();
+    let many = PointCloud { positions: cloud.positions.repeat(10), colors: cloud.colors.repeat(10) };
+    write_model(&place.data(), &images, &many);
+    let script = "trap '' XFSZ; ulimit -f 16; exec \"$@\"";
+    let mut command = Command::new("sh");
+    command.args([
+        "-c",
+        script,
+        "sh",
+        env!("CARGO_BIN_EXE_ashsplat"),
+        "train",
+        "--quiet",
+        "--iterations",
+        "1",
+    ]);
+    command.args(["-s", text(&place.data()), "-m", text(&place.out())]);
+    assert_refused(&finish(&mut command), &["input.ply", "cannot write"]);
+    let left = files_below(&place.out());
+    assert!(left.iter().all(|file| !file.to_string_lossy().contains("tmp")), "{left:?}");
+    assert!(!left.contains(&PathBuf::from("input.ply")), "{left:?}");
+    let cameras = std::fs::read_to_string(place.out().join("cameras.json")).expect("cameras.json");
+    serde_json::from_str::<serde_json::Value>(&cameras).expect("whole");
+}
+
+#[test]
+fn mistakes_on_the_command_line() {
+    refuse(&[], &["no command"]);
+    refuse(&["train"], &["--source-path"]);
+    refuse(&["train", "-s", "somewhere"], &["--model-path"]);
+    refuse(&["train", "-s", "a", "-m", "b", "--sh_degree", "5"], &["sh_degree", "5"]);
+    refuse(&["train", "-s", "a", "-m", "b", "--iterations", "many"], &["many"]);
+    refuse(&["train", "-s", "a", "-m", "b", "--resolution", "3"], &["resolution", "3"]);
+    refuse(&["inspect", "scene.ply", "--pixel", "420"], &["420"]);
+    refuse(&["train", "-s", "a", "-m", "b", "--config", "/nowhere.toml"], &["/nowhere.toml"]);
+}

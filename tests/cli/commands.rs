@@ -1,0 +1,111 @@
+//! Commands that need no training.
+
+use super::*;
+use serde_json::Value;
+use tempfile::tempdir;
+
+#[test]
+fn help_names_every_command() {
+    let help = succeed(&["--help"]);
+    for command in ["train", "render", "eval", "info", "inspect", "devices", "demo"] {
+        assert!(help.contains(command), "{help}");
+        assert!(succeed(&[command, "--help"]).contains("Usage: ashsplat"), "{command}");
+    }
+}
+
+#[test]
+fn devices_are_listed_with_their_limits() {
+    let list = succeed(&["devices"]);
+    assert!(list.starts_with("0: "), "{list}");
+    for word in ["subgroups", "shared memory", "per allocation", "usable"] {
+        assert!(list.contains(word), "no '{word}' in {list}");
+    }
+}
+
+#[test]
+fn info_of_a_data_set() {
+    let folder = tempdir().expect("a temporary folder");
+    write_dataset(folder.path());
+    let report: Value =
+        serde_json::from_str(&succeed(&["info", text(folder.path()), "--eval", "--json"])).expect("JSON");
+    assert_eq!(report["images"], 9);
+    assert_eq!(report["sound_photos"], 9);
+    assert_eq!((&report["train_views"], &report["test_views"]), (&Value::from(7), &Value::from(2)));
+    assert_eq!(report["points"], 400);
+    assert_eq!(report["cameras"]["PINHOLE 48x32"], 1);
+}
+
+#[test]
+fn info_of_a_ply() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("scene.ply");
+    let gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 2).expect("Gaussians");
+    ashsplat::io::ply::write(&path, &gaussians).expect("written");
+    let report: Value = serde_json::from_str(&succeed(&["info", text(&path), "--json"])).expect("JSON");
+    assert_eq!((&report["gaussians"], &report["sh_degree"]), (&Value::from(400), &Value::from(2)));
+    // All start at opacity 0.1.
+    let counts: Vec<u64> = serde_json::from_value(report["opacity"]["counts"].clone()).expect("counts");
+    assert_eq!(counts.iter().sum::<u64>(), 400);
+    assert_eq!(counts[0] + counts[1], 400);
+    let table = succeed(&["info", text(&path)]);
+    assert!(table.contains("Gaussians  400") && table.contains("largest scale"), "{table}");
+}
+
+#[test]
+fn camera_path_is_rendered_to_png_and_exr() {
+    let folder = tempdir().expect("a temporary folder");
+    let (ply, path, out) =
+        (folder.path().join("scene.ply"), folder.path().join("path.json"), folder.path().join("out"));
+    let mut gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 0).expect("Gaussians");
+    gaussians.opacity_logits.fill(4.0);
+    ashsplat::io::ply::write(&ply, &gaussians).expect("written");
+    // No cx and cy, as the reference writes it; looking along +z from in front of the wall.
+    let camera = r#"[{"id": 0, "img_name": "front", "width": 64, "height": 48, "position": [0, 0, -2],
+        "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 60, "fy": 60}]"#;
+    std::fs::write(&path, camera).expect("written");
+    let said = succeed(&["render", text(&ply), "--path", text(&path), "--format", "both", "-o", text(&out)]);
+    assert!(said.contains("front 64x48") && said.contains(" ms"), "{said}");
+    assert_eq!(files_below(&out), ["00000.exr", "00000.png"].map(PathBuf::from));
+    compare_exr_with_png(&out);
+}
+
+/// The EXR's colour is the PNG's without the sRGB curve; the wall's depth is 2.
+fn compare_exr_with_png(folder: &Path) {
+    use exr::prelude::*;
+    let picture = image::open(folder.join("00000.png")).expect("a PNG").to_rgb8();
+    let image = read_first_flat_layer_from_file(folder.join("00000.exr")).expect("an EXR");
+    let channels = &image.layer_data.channel_data.list;
+    let values = |name: &str| -> Vec<f32> {
+        let channel = channels.iter().find(|channel| channel.name.eq(name)).expect(name);
+        channel.sample_data.values_as_f32().collect()
+    };
+    let (red, alpha, depth) = (values("R"), values("A"), values("Z"));
+    assert_eq!(red.len(), 64 * 48);
+    for (index, pixel) in picture.pixels().enumerate() {
+        let linear = red[index].clamp(0.0, 1.0);
+        let srgb =
+            if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
+        assert!((srgb * 255.0 - f32::from(pixel[0])).abs() < 0.51, "pixel {index}");
+    }
+    let middle = 24 * 64 + 32;
+    assert!(alpha[middle] > 0.9, "alpha {}", alpha[middle]);
+    assert!((depth[middle] - 2.0).abs() < 0.01, "depth {}", depth[middle]);
+}
+
+#[test]
+fn orbit_of_a_bare_ply_shows_the_scene() {
+    let folder = tempdir().expect("a temporary folder");
+    let (ply, out) = (folder.path().join("scene.ply"), folder.path().join("out"));
+    let mut gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 0).expect("Gaussians");
+    gaussians.opacity_logits.fill(4.0);
+    ashsplat::io::ply::write(&ply, &gaussians).expect("written");
+    refuse(&["render", text(&ply), "-o", text(&out)], &["scene.ply", "--orbit"]);
+    let size = ["--width", "40", "--height", "30"];
+    succeed(&[["render", text(&ply), "--orbit", "4", "-o", text(&out)].as_slice(), &size].concat());
+    assert_eq!(files_below(&out).len(), 4);
+    let brightest = |index: usize| {
+        let path = out.join(format!("{index:05}.png"));
+        image::open(path).expect("a PNG").to_luma8().pixels().map(|pixel| pixel[0]).max()
+    };
+    assert!((0..4).all(|index| brightest(index) > Some(60)));
+}

@@ -1,0 +1,215 @@
+//! `train`, and what is done with its results.
+
+use super::*;
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::process::Stdio;
+use std::sync::OnceLock;
+use tempfile::tempdir;
+
+/// A data set, and a model trained on it for a few iterations; made once.
+struct Trained {
+    data: PathBuf,
+    model: PathBuf,
+    stdout: String,
+}
+
+fn trained() -> &'static Trained {
+    static TRAINED: OnceLock<Trained> = OnceLock::new();
+    TRAINED.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("cli");
+        std::fs::remove_dir_all(&folder).ok();
+        let (data, model) = (folder.join("data"), folder.join("model"));
+        write_dataset(&data);
+        // The names as people type them: hyphens here, underscores there.
+        let schedule =
+            ["--iterations", "30", "--sh_degree", "1", "--sh-degree-interval=10", "--test_iterations", "10"];
+        let densify = ["--densify_from_iter", "5", "--densification-interval=10", "--densify_until_iter=25"];
+        let paths =
+            ["train", "-s", text(&data), "-m", text(&model), "--eval", "--seed=4", "--save-iterations", "20"];
+        let stdout = succeed(&[paths.as_slice(), &schedule, &densify].concat());
+        Trained { data, model, stdout }
+    })
+}
+
+fn json(path: PathBuf) -> Value {
+    let text = std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+#[test]
+fn leaves_what_the_reference_leaves() {
+    let model = &trained().model;
+    let mut expected: Vec<PathBuf> = [
+        "cameras.json",
+        "cfg_args",
+        "input.ply",
+        "per_view.json",
+        "results.json",
+        "settings.toml",
+        "train_log.csv",
+    ]
+    .map(PathBuf::from)
+    .to_vec();
+    for iteration in [20, 30] {
+        expected.push(format!("point_cloud/iteration_{iteration}/point_cloud.ply").into());
+    }
+    for (iteration, kind, index) in [10, 30]
+        .iter()
+        .flat_map(|i| ["renders", "gt"].map(|k| (i, k)))
+        .flat_map(|(i, k)| [0, 1].map(|n| (i, k, n)))
+    {
+        expected.push(format!("test/ours_{iteration}/{kind}/{index:05}.png").into());
+    }
+    expected.sort();
+    assert_eq!(files_below(model), expected);
+}
+
+#[test]
+fn results_have_the_references_form() {
+    let model = &trained().model;
+    let (results, per_view) = (json(model.join("results.json")), json(model.join("per_view.json")));
+    for run in ["ours_10", "ours_30"] {
+        for metric in ["PSNR", "SSIM"] {
+            let views = per_view[run][metric].as_object().expect("views");
+            assert_eq!(views.keys().collect::<Vec<_>>(), ["00000.png", "00001.png"]);
+            let mean = views.values().filter_map(Value::as_f64).sum::<f64>() / 2.0;
+            assert!((mean - results[run][metric].as_f64().expect("a mean")).abs() < 1e-9);
+        }
+    }
+    assert!(results["ours_30"]["PSNR"].as_f64() > results["ours_10"]["PSNR"].as_f64(), "{results}");
+    assert_eq!(json(model.join("cameras.json")).as_array().map(Vec::len), Some(9));
+}
+
+#[test]
+fn log_has_a_line_for_each_iteration() {
+    let log = std::fs::read_to_string(trained().model.join("train_log.csv")).expect("the log");
+    let rows: Vec<Vec<&str>> = log.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 31);
+    assert_eq!(rows[0], ["iteration", "loss", "psnr", "gaussians", "ms", "skipped"]);
+    let loss = |row: usize| rows[row][1].parse::<f64>().expect("a loss");
+    assert!(loss(30) < loss(1), "{log}");
+    let tested: Vec<usize> = (1..31).filter(|&row| !rows[row][2].is_empty()).collect();
+    assert_eq!(tested, [10, 30]);
+    assert!(rows[1..].iter().all(|row| row[5] == "0"), "{log}");
+}
+
+#[test]
+fn reports_speed_and_quality() {
+    let said = &trained().stdout;
+    for word in ["iteration 30: PSNR", "held-out views", "it/s", "all 30 iterations"] {
+        assert!(said.contains(word), "no '{word}' in {said}");
+    }
+    if cfg!(target_os = "linux") {
+        assert!(said.contains("CPU-seconds per iteration"), "{said}");
+    }
+}
+
+#[test]
+fn settings_are_dumped_and_read_back() {
+    let Trained { model, .. } = trained();
+    let dump = std::fs::read_to_string(model.join("settings.toml")).expect("the dump");
+    for line in
+        ["sh_degree = 1", "densification_interval = 10", "densify_until_iter = 25", "seed = 4", "eval = true"]
+    {
+        assert!(dump.lines().any(|l| l == line), "no '{line}' in {dump}");
+    }
+    let arguments = std::fs::read_to_string(model.join("cfg_args")).expect("cfg_args");
+    assert!(arguments.starts_with("Namespace(sh_degree=1, source_path='"), "{arguments}");
+    // The same settings give the same scene, to the last bit; the command line wins over the file.
+    let folder = tempdir().expect("a temporary folder");
+    let again = folder.path().join("again");
+    succeed(&[
+        "train",
+        "--config",
+        text(&model.join("settings.toml")),
+        "-m",
+        text(&again),
+        "--test_iterations",
+        "-1",
+        "--quiet",
+    ]);
+    let ply = |folder: &Path| {
+        std::fs::read(folder.join("point_cloud/iteration_30/point_cloud.ply")).expect("a PLY")
+    };
+    assert!(ply(&again) == ply(model), "two runs with the same settings differ");
+}
+
+#[test]
+fn eval_agrees_with_training() {
+    let Trained { data, model, .. } = trained();
+    let during = json(model.join("results.json"))["ours_30"].clone();
+    let after: Value =
+        serde_json::from_str(&succeed(&["eval", text(model), "--json", "--quiet"])).expect("JSON");
+    // Of the PLY alone, on the data set: the same views are held out.
+    let ply = model.join("point_cloud/iteration_30/point_cloud.ply");
+    let bare: Value =
+        serde_json::from_str(&succeed(&["eval", text(&ply), "-s", text(data), "--json"])).expect("JSON");
+    for metric in ["PSNR", "SSIM"] {
+        let value = |of: &Value| of[metric].as_f64().expect("a number");
+        assert!((value(&during) - value(&after["mean"])).abs() < 1e-4, "{during} {after}");
+        assert!((value(&bare["mean"]) - value(&after["mean"])).abs() < 1e-4, "{bare} {after}");
+    }
+    let table = succeed(&["eval", "-m", text(model), "--quiet"]);
+    assert!(table.contains("01.png") && table.contains("09.png") && table.contains("mean of 2"), "{table}");
+}
+
+#[test]
+fn renders_its_own_cameras_and_those_of_a_data_set() {
+    let Trained { data, model, .. } = trained();
+    let folder = tempdir().expect("a temporary folder");
+    let (own, from_data) = (folder.path().join("own"), folder.path().join("data"));
+    succeed(&["render", "-m", text(model), "-o", text(&own)]);
+    succeed(&["render", text(model), "-s", text(data), "-o", text(&from_data), "--width", "24"]);
+    assert_eq!((files_below(&own).len(), files_below(&from_data).len()), (9, 9));
+    let size = |path: PathBuf| image::image_dimensions(path).expect("a PNG");
+    assert_eq!(size(own.join("00000.png")), (48, 32));
+    assert_eq!(size(from_data.join("00008.png")), (24, 16));
+    // The first of its own cameras is the first that was held out; training left the same picture.
+    let bytes = |path: PathBuf| image::open(path).expect("a PNG").to_rgb8().into_raw();
+    assert_eq!(bytes(own.join("00000.png")), bytes(model.join("test/ours_30/renders/00000.png")));
+}
+
+#[test]
+fn demo_leaves_data_set_sheet_metrics_and_scene() {
+    let folder = tempdir().expect("a temporary folder");
+    let out = folder.path().join("demo");
+    let said = succeed(&["demo", "--out", text(&out), "--iterations", "6", "--quiet"]);
+    for file in ["contact_sheet.png", "metrics.json", "model/point_cloud/iteration_6/point_cloud.ply"] {
+        assert!(out.join(file).is_file(), "{file} in {:?}", files_below(&out));
+        assert!(said.contains(text(&out.join(file))), "{file} in {said}");
+    }
+    let metrics = json(out.join("metrics.json"));
+    assert_eq!(metrics["views"].as_array().map(Vec::len), Some(5));
+    assert!(metrics["psnr"].as_f64() > Some(5.0), "{metrics}");
+    // A data set like any other.
+    let info = succeed(&["info", text(&out.join("dataset")), "--eval"]);
+    assert!(info.contains("40 registered, 40 sound photos"), "{info}");
+    assert!(info.contains("35 for training, 5 held out"), "{info}");
+    // Three columns with margins.
+    assert_eq!(image::image_dimensions(out.join("contact_sheet.png")).expect("a PNG").0, 3 * 256 + 4 * 8);
+}
+
+/// Ctrl-C in the middle: the iteration is finished, the scene saved, the exit code that of an interrupted program.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_saves() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
+    write_dataset(&data);
+    let mut command = program();
+    command.args(["train", "-s", text(&data), "-m", text(&out), "--iterations", "1000000"]);
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts");
+    let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
+    let first = lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
+    assert!(first.contains("it/s") && first.contains("Gaussians") && first.contains("left"), "{first}");
+    let pid = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().expect("kill").success());
+    let rest: Vec<String> = lines.collect();
+    assert_eq!(child.wait().expect("it ends").code(), Some(130), "{rest:?}");
+    assert!(rest.iter().any(|line| line.starts_with("interrupted: saved ")), "{rest:?}");
+    let log = std::fs::read_to_string(out.join("train_log.csv")).expect("the log");
+    let last = log.lines().last().and_then(|line| line.split(',').next()).expect("a line");
+    let saved = out.join(format!("point_cloud/iteration_{last}/point_cloud.ply"));
+    assert!(saved.is_file(), "{:?}", files_below(&out));
+}

@@ -1,0 +1,128 @@
+//! The command line: what all commands share, and how it is read.
+
+use crate::{demo, devices, eval, info, inspect, render, train};
+use ashsplat::Result;
+use ashsplat::vk::{Context, ContextOptions};
+use clap::error::ErrorKind;
+use clap::{Args, Parser, Subcommand};
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+/// 3D Gaussian Splatting on any Vulkan device: train, render, examine.
+///
+/// Names may be written with hyphens or underscores (--sh-degree, --sh_degree).
+#[derive(Parser)]
+#[command(name = "ashsplat", version)]
+struct CommandLine {
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What to do.
+#[derive(Subcommand)]
+pub enum Command {
+    /// Train a scene from a COLMAP data set
+    Train(Box<train::Arguments>),
+    /// Render a trained scene: a data set's views, an orbit or a camera path
+    Render(render::Arguments),
+    /// PSNR and SSIM of a trained scene on a data set
+    Eval(eval::Arguments),
+    /// What is in a PLY, a model folder or a data set, and whether it can be used
+    Info(info::Arguments),
+    /// The Gaussians blended at one pixel, front to back
+    Inspect(inspect::Arguments),
+    /// The Vulkan devices of this machine, with the limits that matter
+    Devices(devices::Arguments),
+    /// Make a small data set, train on it and show the result
+    Demo(demo::Arguments),
+}
+
+/// Which device, and how closely it is watched.
+#[derive(Args, Clone, Default)]
+pub struct DeviceArguments {
+    /// Vulkan device: its number in `ashsplat devices` or a part of its name [default: $ASHSPLAT_DEVICE, else the best]
+    #[arg(long, value_name = "N|NAME")]
+    pub device: Option<String>,
+    /// Run under the Khronos validation layer, with synchronisation validation; its messages go to stderr
+    #[arg(long)]
+    pub validation: bool,
+}
+
+impl DeviceArguments {
+    /// Opens the device.
+    pub fn context(&self) -> Result<Context> {
+        let options =
+            ContextOptions { device: self.device.clone(), validation: self.validation, ..Default::default() };
+        Context::new(&options)
+    }
+
+    /// Prints what the validation layer said, if it was asked for.
+    pub fn report_validation(&self, context: &Context) {
+        for message in context.validation_messages() {
+            tell!("validation: {message}");
+        }
+    }
+}
+
+/// Reads the command line; the error is the exit code of a run that is over already (`--help`, or a mistake,
+/// which has been printed as one line).
+pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitCode> {
+    match CommandLine::try_parse_from(arguments.map(hyphenated)) {
+        Ok(line) => Ok(line.command),
+        Err(error) if is_request(error.kind()) => {
+            // A closed pipe (`ashsplat --help | head`) is no failure.
+            error.print().ok();
+            Err(ExitCode::SUCCESS)
+        }
+        Err(error) => {
+            tell!("{}", summary(&error));
+            Err(ExitCode::from(crate::FAILURE))
+        }
+    }
+}
+
+fn is_request(kind: ErrorKind) -> bool {
+    matches!(kind, ErrorKind::DisplayHelp | ErrorKind::DisplayVersion)
+}
+
+/// Clap's message up to its first empty line, as one line.
+fn summary(error: &clap::Error) -> String {
+    if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        return "error: no command given; `ashsplat --help` lists them".into();
+    }
+    let text = error.to_string();
+    let first = text.split("\n\n").next().unwrap_or_default();
+    format!("{}; see --help", crate::one_line(first))
+}
+
+/// `--sh_degree=3` as `--sh-degree=3`: the reference's names have underscores.
+fn hyphenated(argument: OsString) -> OsString {
+    let Some(text) = argument.to_str().filter(|text| text.starts_with("--")) else { return argument };
+    match text.split_once('=') {
+        Some((name, value)) => format!("{}={value}", name.replace('_', "-")).into(),
+        None => text.replace('_', "-").into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn definition_is_consistent() {
+        CommandLine::command().debug_assert();
+    }
+
+    #[test]
+    fn underscores_become_hyphens_in_names_only() {
+        let cases = [
+            ("--sh_degree", "--sh-degree"),
+            ("--images=my_photos", "--images=my_photos"),
+            ("my_data", "my_data"),
+        ];
+        for (given, expected) in cases {
+            assert_eq!(hyphenated(given.into()), OsString::from(expected));
+        }
+    }
+}

@@ -1,0 +1,323 @@
+//! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
+
+use ashsplat::trainer::TrainSettings;
+use ashsplat::{Error, Result};
+use clap::Args;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use toml::Table;
+
+/// Name of the dump that `--config` reads back.
+pub const SETTINGS_FILE: &str = "settings.toml";
+/// Name of the dump in the reference's format.
+pub const CFG_ARGS_FILE: &str = "cfg_args";
+/// Name of the list of a run's cameras, held-out ones first.
+pub const CAMERAS_FILE: &str = "cameras.json";
+
+/// The settings that can be given on the command line, under the reference's names. All are optional: what is
+/// not given comes from `--config`, or else is the default.
+#[derive(Args, Serialize, Default)]
+pub struct Overrides {
+    /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them
+    #[arg(short, long, value_name = "DATASET")]
+    source_path: Option<PathBuf>,
+    /// Folder for everything that the run writes
+    #[arg(short, long, value_name = "OUT")]
+    model_path: Option<PathBuf>,
+    /// Folder of the photos within the data set [default: images]
+    #[arg(short, long, value_name = "NAME")]
+    images: Option<String>,
+    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: -1]
+    #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
+    resolution: Option<i32>,
+    /// Hold out every 8th view (by name) for tests
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
+    eval: Option<bool>,
+    /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
+    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
+    test_iterations: Option<Vec<u32>>,
+    /// Save a PLY after these iterations, and after the last; -1 for the last only [default: 7000 30000]
+    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
+    save_iterations: Option<Vec<u32>>,
+    /// Number of iterations, one view each [default: 30000]
+    #[arg(long, value_name = "N")]
+    iterations: Option<u32>,
+    /// Highest degree of the spherical harmonics, 0 to 3 [default: 3]
+    #[arg(long, value_name = "N")]
+    sh_degree: Option<u32>,
+    /// Iterations after which the SH degree in use rises by one [default: 1000]
+    #[arg(long, value_name = "N")]
+    sh_degree_interval: Option<u32>,
+    /// Learning rate of the means at the start, times the scene's extent [default: 0.00016]
+    #[arg(long, value_name = "X")]
+    position_lr_init: Option<f64>,
+    /// Learning rate of the means at the end, times the scene's extent [default: 0.0000016]
+    #[arg(long, value_name = "X")]
+    position_lr_final: Option<f64>,
+    /// Without effect, as in the reference [default: 0.01]
+    #[arg(long, value_name = "X")]
+    position_lr_delay_mult: Option<f64>,
+    /// Iteration at which position_lr_final is reached [default: 30000]
+    #[arg(long, value_name = "N")]
+    position_lr_max_steps: Option<u32>,
+    /// Learning rate of the colours (SH degree 0; the others take a twentieth) [default: 0.0025]
+    #[arg(long, value_name = "X")]
+    feature_lr: Option<f64>,
+    /// Learning rate of the opacities' logits [default: 0.025]
+    #[arg(long, value_name = "X")]
+    opacity_lr: Option<f64>,
+    /// Learning rate of the logarithms of the scales [default: 0.005]
+    #[arg(long, value_name = "X")]
+    scaling_lr: Option<f64>,
+    /// Learning rate of the quaternions [default: 0.001]
+    #[arg(long, value_name = "X")]
+    rotation_lr: Option<f64>,
+    /// Larger than this share of the scene's extent: split, else cloned [default: 0.01]
+    #[arg(long, value_name = "X")]
+    percent_dense: Option<f64>,
+    /// Weight of 1 - SSIM in the loss [default: 0.2]
+    #[arg(long, value_name = "X")]
+    lambda_dssim: Option<f64>,
+    /// Iterations between densifications [default: 100]
+    #[arg(long, value_name = "N")]
+    densification_interval: Option<u32>,
+    /// Iterations between opacity resets [default: 3000]
+    #[arg(long, value_name = "N")]
+    opacity_reset_interval: Option<u32>,
+    /// Densification starts after this iteration [default: 500]
+    #[arg(long, value_name = "N")]
+    densify_from_iter: Option<u32>,
+    /// Densification ends before this iteration [default: 15000]
+    #[arg(long, value_name = "N")]
+    densify_until_iter: Option<u32>,
+    /// Gradient of the 2D mean from which a Gaussian is densified [default: 0.0002]
+    #[arg(long, value_name = "X")]
+    densify_grad_threshold: Option<f64>,
+    /// Gaussians of a smaller opacity are pruned [default: 0.005]
+    #[arg(long, value_name = "X")]
+    min_opacity: Option<f64>,
+    /// White background instead of black
+    #[arg(short, long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
+    white_background: Option<bool>,
+    /// A random background colour in every iteration
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
+    random_background: Option<bool>,
+    /// Compensate the opacity for the screen-space dilation (Mip-Splatting)
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
+    antialiasing: Option<bool>,
+    /// Adam on all Gaussians, or on those seen only [default: default]
+    #[arg(long, value_parser = ["default", "sparse_adam"], value_name = "NAME")]
+    optimizer_type: Option<String>,
+    /// Seed of everything random [default: 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u32>,
+}
+
+/// An iteration; -1, with which scripts for the reference say "never", becomes 0, which never comes.
+fn iteration(text: &str) -> Result<u32, std::num::ParseIntError> {
+    if text == "-1" { Ok(0) } else { text.parse() }
+}
+
+/// The data of a run: where it comes from, where its results go, what is saved and tested when.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DataSettings {
+    /// The data set; empty: not given.
+    pub source_path: PathBuf,
+    /// Where results go; empty: not given.
+    pub model_path: PathBuf,
+    /// Folder of the photos within the data set.
+    pub images: String,
+    /// The reference's `-r`.
+    pub resolution: i32,
+    /// Hold out every 8th view.
+    pub eval: bool,
+    /// Iterations after which to test; the last is always one.
+    pub test_iterations: Vec<u32>,
+    /// Iterations after which to save; the last is always one.
+    pub save_iterations: Vec<u32>,
+}
+
+impl Default for DataSettings {
+    fn default() -> Self {
+        Self {
+            source_path: PathBuf::new(),
+            model_path: PathBuf::new(),
+            images: "images".into(),
+            resolution: -1,
+            eval: false,
+            test_iterations: vec![7000, 30_000],
+            save_iterations: vec![7000, 30_000],
+        }
+    }
+}
+
+/// All settings of a run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Settings {
+    pub data: DataSettings,
+    pub train: TrainSettings,
+}
+
+impl Settings {
+    /// Defaults, overridden by the file, overridden by the command line; checked.
+    pub fn resolve(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
+        let mut table = match file {
+            Some(path) => read_table(path)?,
+            None => Table::new(),
+        };
+        let given = Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
+        table.extend(given);
+        let settings = Settings::from_table(table).map_err(|problem| Error::argument("settings", problem))?;
+        settings.train.check()?;
+        Ok(settings)
+    }
+
+    /// The settings that a run left in its folder: ours, or the reference's `cfg_args`.
+    pub fn of_model(folder: &Path) -> Result<Settings> {
+        let ours = folder.join(SETTINGS_FILE);
+        if ours.is_file() {
+            return Settings::resolve(Some(&ours), &Overrides::default());
+        }
+        let reference = folder.join(CFG_ARGS_FILE);
+        match std::fs::read_to_string(&reference) {
+            Ok(text) => Ok(Settings::from_cfg_args(&text)),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Settings::default()),
+            Err(e) => Err(Error::io(reference, "read", e)),
+        }
+    }
+
+    fn from_table(table: Table) -> Result<Settings, String> {
+        let data_keys = Table::try_from(DataSettings::default()).map_err(|e| e.to_string())?;
+        let (data, train): (Table, Table) =
+            table.into_iter().partition(|(key, _)| data_keys.contains_key(key));
+        Ok(Settings {
+            data: data.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?,
+            train: train.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?,
+        })
+    }
+
+    /// The dump that `--config` reads back.
+    pub fn to_toml(&self) -> Result<String> {
+        let problem = |e: toml::ser::Error| Error::argument("settings", e.to_string());
+        let data = toml::to_string(&self.data).map_err(problem)?;
+        let train = toml::to_string(&self.train).map_err(problem)?;
+        Ok(format!("# Read back by: ashsplat train --config {SETTINGS_FILE}\n{data}{train}"))
+    }
+
+    /// The line that the reference writes: the `repr` of its parsed model arguments, which viewers and scripts
+    /// look into.
+    pub fn to_cfg_args(&self) -> String {
+        let python = |value: bool| if value { "True" } else { "False" };
+        let quoted = |path: &Path| python_string(&absolute(path).to_string_lossy());
+        format!(
+            "Namespace(sh_degree={}, source_path={}, model_path={}, images={}, depths='', resolution={}, \
+             white_background={}, train_test_exp=False, data_device='cuda', eval={})",
+            self.train.sh_degree,
+            quoted(&self.data.source_path),
+            python_string(&self.data.model_path.to_string_lossy()),
+            python_string(&self.data.images),
+            self.data.resolution,
+            python(self.train.white_background),
+            python(self.data.eval),
+        )
+    }
+
+    fn from_cfg_args(text: &str) -> Settings {
+        let mut settings = Settings::default();
+        let text_of = |key| cfg_value(text, key).map(|v| v.trim_matches(['\'', '"']).to_owned());
+        let flag_of = |key| cfg_value(text, key) == Some("True");
+        if let Some(source) = text_of("source_path") {
+            settings.data.source_path = source.into();
+        }
+        if let Some(images) = text_of("images") {
+            settings.data.images = images;
+        }
+        if let Some(resolution) = cfg_value(text, "resolution").and_then(|v| v.parse().ok()) {
+            settings.data.resolution = resolution;
+        }
+        settings.data.eval = flag_of("eval");
+        settings.train.white_background = flag_of("white_background");
+        settings.train.antialiasing = flag_of("antialiasing");
+        settings
+    }
+}
+
+/// The text of `key=value` in a Python `Namespace(…)` line; values with commas in them are not understood.
+fn cfg_value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+    let fields = text.trim().strip_prefix("Namespace(")?.strip_suffix(')')?;
+    fields.split(", ").find_map(|field| field.strip_prefix(key)?.strip_prefix('='))
+}
+
+fn read_table(path: &Path) -> Result<Table> {
+    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    let remedy =
+        "write lines such as `iterations = 7000`, with the names of `ashsplat train --help` and underscores";
+    let table: Table = text.parse().map_err(|e: toml::de::Error| {
+        let line = e.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
+        Error::input(path, format!("line {line}: {}", e.message()), remedy)
+    })?;
+    Settings::from_table(table.clone()).map_err(|problem| Error::input(path, problem, remedy))?;
+    Ok(table)
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+fn python_string(text: &str) -> String {
+    format!("'{}'", text.replace('\\', "\\\\").replace('\'', "\\'"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dump_reads_back() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join(SETTINGS_FILE);
+        let mut settings = Settings::default();
+        settings.data.eval = true;
+        settings.data.source_path = "some/where".into();
+        settings.train.position_lr_init = 1.25e-4;
+        settings.train.seed = 17;
+        std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
+        let read = Settings::resolve(Some(&path), &Overrides::default()).expect("read back");
+        assert_eq!(read, settings);
+    }
+
+    #[test]
+    fn command_line_wins_over_file() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("my.toml");
+        std::fs::write(&path, "iterations = 10\nseed = 3\n").expect("written");
+        let overrides = Overrides { iterations: Some(20), ..Default::default() };
+        let settings = Settings::resolve(Some(&path), &overrides).expect("settings");
+        assert_eq!((settings.train.iterations, settings.train.seed), (20, 3));
+    }
+
+    #[test]
+    fn unknown_name_in_file_is_refused() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("my.toml");
+        std::fs::write(&path, "iteration = 10\n").expect("written");
+        let message = Settings::resolve(Some(&path), &Overrides::default()).expect_err("refused").to_string();
+        assert!(message.contains("my.toml") && message.contains("`iteration`"), "{message}");
+    }
+
+    #[test]
+    fn cfg_args_of_the_reference() {
+        let mut settings = Settings::default();
+        settings.data.source_path = "/data/it's".into();
+        settings.data.eval = true;
+        let line = settings.to_cfg_args();
+        assert!(line.starts_with("Namespace(sh_degree=3, source_path='/data/it\\'s', "), "{line}");
+        let read = Settings::from_cfg_args(
+            "Namespace(data_device='cuda', eval=True, images='images_4', resolution=2, source_path='/data/truck', white_background=True)",
+        );
+        assert_eq!(read.data.source_path, PathBuf::from("/data/truck"));
+        assert_eq!((read.data.images.as_str(), read.data.resolution, read.data.eval), ("images_4", 2, true));
+        assert!(read.train.white_background);
+    }
+}

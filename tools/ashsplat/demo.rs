@@ -1,0 +1,120 @@
+//! `ashsplat demo`: from nothing to a trained scene in one command.
+
+mod dataset;
+mod raycast;
+mod scene;
+mod sheet;
+
+use crate::args::DeviceArguments;
+use crate::config::{DataSettings, Settings};
+use crate::model::point_cloud_path;
+use crate::train::Run;
+use crate::{output, render, session};
+use ashsplat::trainer::TrainSettings;
+use ashsplat::{Error, Result};
+use clap::Args;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Make a small data set, train on it and show the result: a contact sheet of the held-out views (photo, render,
+/// difference), the metrics and the PLY.
+///
+/// The data set is a procedural scene, photographed by ray casting from 40 sides, with a sparse, noisy point cloud, as a
+/// COLMAP folder: `ashsplat train -s OUT/dataset` and every other program that reads COLMAP can use it too.
+#[derive(Args)]
+pub struct Arguments {
+    /// Folder for everything
+    #[arg(short, long, value_name = "DIR", default_value = "out/demo")]
+    out: PathBuf,
+    /// Number of iterations; the schedule stretches with it
+    #[arg(long, value_name = "N", default_value_t = ITERATIONS, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
+    /// Seed of everything random
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u32,
+    #[command(flatten)]
+    device: DeviceArguments,
+    /// No progress; only results and errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// Iterations that two processor cores manage in about two minutes.
+const ITERATIONS: u32 = 1500;
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let start = Instant::now();
+    // The device first: without one, nothing should be written.
+    let context = arguments.device.context()?;
+    let folder = &arguments.out;
+    let data = folder.join("dataset");
+    dataset::write(&data, u64::from(arguments.seed), arguments.quiet)?;
+    let settings = settings(&data, &folder.join("model"), arguments.iterations, arguments.seed);
+    settings.train.check()?;
+    let loaded = session::load(&settings.data, false, arguments.quiet)?;
+    let photos = loaded.train.len() + loaded.test.len();
+    if !arguments.quiet {
+        tell!("{photos} photographs, {} points; training on {}", loaded.points.len(), context.device_name());
+    }
+    let model = settings.data.model_path.clone();
+    let mut run = Run::prepare(&context, loaded, settings, arguments.quiet)?;
+    let interrupted = run.train()?;
+    if !interrupted {
+        finish(&mut run, folder, arguments.iterations)?;
+        run.report();
+        say!("data set        {}", data.display());
+        say!("PLY             {}", point_cloud_path(&model, arguments.iterations).display());
+        say!("metrics         {}", folder.join("metrics.json").display());
+        say!("contact sheet   {}", folder.join("contact_sheet.png").display());
+        say!("total           {:.1} s", start.elapsed().as_secs_f64());
+    }
+    arguments.device.report_validation(&context);
+    if interrupted { Err(Error::Interrupted) } else { Ok(()) }
+}
+
+/// The reference's schedule, compressed: densification between a tenth and six tenths, SH degrees in the first
+/// half, the means' learning rate falling over the whole run, no opacity reset (there is no time to recover).
+fn settings(dataset: &Path, model: &Path, iterations: u32, seed: u32) -> Settings {
+    let data = DataSettings {
+        source_path: dataset.to_owned(),
+        model_path: model.to_owned(),
+        eval: true,
+        test_iterations: vec![iterations / 3, iterations * 2 / 3],
+        save_iterations: Vec::new(),
+        ..Default::default()
+    };
+    let train = TrainSettings {
+        iterations,
+        seed,
+        sh_degree_interval: (iterations / 6).max(1),
+        position_lr_max_steps: iterations,
+        densify_from_iter: iterations / 10,
+        densify_until_iter: iterations * 6 / 10,
+        opacity_reset_interval: iterations + 1,
+        ..Default::default()
+    };
+    Settings { data, train }
+}
+
+/// Writes the contact sheet and the metrics.
+fn finish(run: &mut Run, folder: &Path, iterations: u32) -> Result<()> {
+    let settings = render::settings_of(run.settings());
+    let Some(evaluation) = run.evaluations.last().map(|tested| &tested.evaluation) else { return Ok(()) };
+    let metrics = json!({
+        "iterations": iterations,
+        "gaussians": run.gaussians(),
+        "psnr": evaluation.psnr(),
+        "ssim": evaluation.ssim(),
+        "views": evaluation.views.iter().map(|v| json!({"name": v.name, "psnr": v.psnr, "ssim": v.ssim})).collect::<Vec<_>>(),
+    });
+    let quality: Vec<(f64, f64)> = evaluation.views.iter().map(|v| (v.psnr, v.ssim)).collect();
+    let mut rows = Vec::with_capacity(quality.len());
+    for (view, (psnr, ssim)) in run.test_views().to_vec().into_iter().zip(quality) {
+        let frame = run.trainer().render(&view.camera, &settings)?;
+        rows.push(sheet::Row { render: output::to_photo(&frame)?, photo: view.photo, psnr, ssim });
+    }
+    output::write_png(&folder.join("contact_sheet.png"), &sheet::contact_sheet(&rows))?;
+    output::write_json(&folder.join("metrics.json"), &metrics)
+}

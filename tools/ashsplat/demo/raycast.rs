@@ -1,0 +1,223 @@
+//! A small ray-caster: analytic intersections (sphere tracing for the torus), one jittered sun, Phong highlights.
+
+use super::scene::{Object, SKY_RADIUS, Scene, Shape};
+use ashsplat::io::Photo;
+use ashsplat::scene::Camera;
+use glam::{Mat3, Vec3, vec3};
+use rayon::prelude::*;
+
+/// Rays per pixel and axis: 9 rays each, on a regular grid, each with its own point of the sun's disc.
+const GRID: u32 = 3;
+/// Half-width of the sun, as seen from the scene (radians): soft shadows.
+const SUN_RADIUS: f32 = 0.06;
+/// Surfaces closer than this to a ray's origin are the one that it starts on.
+const SKIN: f32 = 1e-3;
+
+/// A ray in world coordinates; the direction is of unit length.
+#[derive(Clone, Copy)]
+pub struct Ray {
+    origin: Vec3,
+    direction: Vec3,
+}
+
+/// Where a ray first meets the scene.
+pub struct Hit<'a> {
+    /// Distance from the ray's origin.
+    pub distance: f32,
+    /// Outward normal, of unit length.
+    normal: Vec3,
+    object: &'a Object,
+}
+
+impl Ray {
+    /// The ray through a point of the image; pixels, the centre of the first pixel at (0.5, 0.5).
+    pub fn through_pixel(camera: &Camera, x: f32, y: f32) -> Ray {
+        let in_camera = vec3((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0);
+        let direction = (camera.camera_from_world.transpose() * in_camera).normalize();
+        Ray { origin: camera.position(), direction }
+    }
+
+    /// The point at a distance.
+    pub fn at(&self, distance: f32) -> Vec3 {
+        self.origin + self.direction * distance
+    }
+
+    /// Distance to the sky's dome, for rays that start inside it.
+    pub fn sky_distance(&self) -> f32 {
+        let b = self.origin.dot(self.direction);
+        -b + (b * b - self.origin.length_squared() + SKY_RADIUS * SKY_RADIUS).max(0.0).sqrt()
+    }
+}
+
+/// Photographs the scene: 8-bit sRGB, row-major.
+pub fn photograph(scene: &Scene, camera: &Camera) -> Photo {
+    let (width, height) = (camera.width, camera.height);
+    let row = |y: u32| (0..width).flat_map(move |x| encode(pixel_light(scene, camera, x, y)));
+    let rgb = (0..height).into_par_iter().flat_map_iter(row).collect();
+    Photo { width, height, rgb }
+}
+
+/// Light that arrives at a pixel, linear: the mean of a grid of rays.
+pub fn pixel_light(scene: &Scene, camera: &Camera, x: u32, y: u32) -> Vec3 {
+    let mut sum = Vec3::ZERO;
+    for sample in 0..GRID * GRID {
+        let (i, j) = (sample % GRID, sample / GRID);
+        let offset = |index: u32| (index as f32 + 0.5) / GRID as f32;
+        let ray = Ray::through_pixel(camera, x as f32 + offset(i), y as f32 + offset(j));
+        // 7 is coprime to 9: the sun's points are in another order than the rays, which decorrelates them.
+        sum += light(scene, &ray, (sample * 7 + x * 3 + y * 5) % (GRID * GRID));
+    }
+    sum / (GRID * GRID) as f32
+}
+
+/// Linear light to an 8-bit sRGB triple.
+pub fn encode(light: Vec3) -> [u8; 3] {
+    light.to_array().map(|v| {
+        let v = v.clamp(0.0, 1.0);
+        let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+        (encoded * 255.0 + 0.5) as u8
+    })
+}
+
+/// The first surface on a ray, if any.
+pub fn first_hit<'a>(scene: &'a Scene, ray: &Ray) -> Option<Hit<'a>> {
+    let hits = scene.objects.iter().filter_map(|object| {
+        intersect(&object.shape, ray).map(|(distance, normal)| Hit { distance, normal, object })
+    });
+    hits.min_by(|a, b| a.distance.total_cmp(&b.distance))
+}
+
+/// Light that comes back along a ray; `sun_sample` in 0..9 chooses the point of the sun's disc for the shadow.
+fn light(scene: &Scene, ray: &Ray, sun_sample: u32) -> Vec3 {
+    let Some(hit) = first_hit(scene, ray) else { return scene.sky(ray.direction) };
+    let point = ray.at(hit.distance);
+    let material = &hit.object.material;
+    let color = material.texture.color(local_position(&hit.object.shape, point));
+    let to_sun = sun_point(scene.to_sun, sun_sample);
+    let shadow_ray = Ray { origin: point + hit.normal * SKIN, direction: to_sun };
+    let facing = hit.normal.dot(to_sun).max(0.0);
+    let sun = if facing > 0.0 && first_hit(scene, &shadow_ray).is_none() { scene.sun } else { Vec3::ZERO };
+    // The sky as a hemisphere: bluish from above, the terrace's reflected light from below.
+    let ambient = vec3(0.25, 0.24, 0.22).lerp(vec3(0.40, 0.46, 0.55), 0.5 + 0.5 * hit.normal.z);
+    let mirrored = ray.direction - 2.0 * ray.direction.dot(hit.normal) * hit.normal;
+    let highlight = material.gloss * mirrored.dot(to_sun).max(0.0).powf(material.shininess);
+    let diffuse = color * (ambient + sun * facing);
+    diffuse * (1.0 - material.mirror) + scene.sky(mirrored) * material.mirror + sun * highlight
+}
+
+/// A direction to one of 9 points spread evenly over the sun's disc (a golden-angle spiral).
+fn sun_point(to_sun: Vec3, sample: u32) -> Vec3 {
+    let radius = SUN_RADIUS * ((sample as f32 + 0.5) / (GRID * GRID) as f32).sqrt();
+    let angle = sample as f32 * 2.399_963;
+    let (u, v) = to_sun.any_orthonormal_pair();
+    (to_sun + radius * (angle.cos() * u + angle.sin() * v)).normalize()
+}
+
+/// A world position in the frame in which the shape's texture is defined.
+fn local_position(shape: &Shape, point: Vec3) -> Vec3 {
+    match shape {
+        Shape::Sphere { center, .. } => point - *center,
+        Shape::Box { center, local_from_world, .. } | Shape::Torus { center, local_from_world, .. } => {
+            *local_from_world * (point - *center)
+        }
+        Shape::Capsule { start, .. } => point - *start,
+        Shape::Terrace { .. } => point,
+    }
+}
+
+/// Distance and outward normal of the nearest intersection in front of the ray's origin.
+fn intersect(shape: &Shape, ray: &Ray) -> Option<(f32, Vec3)> {
+    match shape {
+        Shape::Sphere { center, radius } => {
+            let (t, _) = sphere_roots(ray, *center, *radius)?;
+            (t > SKIN).then(|| (t, (ray.at(t) - *center) / *radius))
+        }
+        Shape::Box { center, half, local_from_world } => hit_box(ray, *center, *half, local_from_world),
+        Shape::Capsule { start, end, radius } => hit_capsule(ray, *start, *end, *radius),
+        Shape::Torus { center, local_from_world, major, minor } => {
+            let origin = *local_from_world * (ray.origin - *center);
+            let local = Ray { origin, direction: *local_from_world * ray.direction };
+            let (t, normal) = hit_torus(&local, *major, *minor)?;
+            Some((t, local_from_world.transpose() * normal))
+        }
+        Shape::Terrace { radius } => {
+            let t = -ray.origin.z / ray.direction.z;
+            let inside = t > SKIN && ray.at(t).truncate().length_squared() < radius * radius;
+            inside.then_some((t, Vec3::Z))
+        }
+    }
+}
+
+/// Both distances at which a line meets a sphere.
+fn sphere_roots(ray: &Ray, center: Vec3, radius: f32) -> Option<(f32, f32)> {
+    let from_center = ray.origin - center;
+    let b = from_center.dot(ray.direction);
+    let discriminant = b * b - from_center.length_squared() + radius * radius;
+    (discriminant > 0.0).then(|| (-b - discriminant.sqrt(), -b + discriminant.sqrt()))
+}
+
+/// A box by its three slabs.
+fn hit_box(ray: &Ray, center: Vec3, half: Vec3, local_from_world: &Mat3) -> Option<(f32, Vec3)> {
+    let origin = *local_from_world * (ray.origin - center);
+    let direction = *local_from_world * ray.direction;
+    let (a, b) = ((-half - origin) / direction, (half - origin) / direction);
+    let (near, far) = (a.min(b), a.max(b));
+    let enter = near.max_element();
+    if enter <= SKIN || enter >= far.min_element() {
+        return None;
+    }
+    let axis = if enter == near.x {
+        Vec3::X
+    } else if enter == near.y {
+        Vec3::Y
+    } else {
+        Vec3::Z
+    };
+    let normal = -axis * direction.dot(axis).signum();
+    Some((enter, local_from_world.transpose() * normal))
+}
+
+/// A capsule: a cylinder's side between two spheres.
+fn hit_capsule(ray: &Ray, start: Vec3, end: Vec3, radius: f32) -> Option<(f32, Vec3)> {
+    let axis = end - start;
+    let from_start = ray.origin - start;
+    let (aa, ad, ao) = (axis.length_squared(), axis.dot(ray.direction), axis.dot(from_start));
+    let a = aa - ad * ad;
+    let b = aa * from_start.dot(ray.direction) - ao * ad;
+    let c = aa * from_start.length_squared() - ao * ao - radius * radius * aa;
+    let discriminant = b * b - a * c;
+    if discriminant < 0.0 {
+        return None;
+    }
+    let side = (-b - discriminant.sqrt()) / a;
+    let along = (ao + side * ad) / aa;
+    if side > SKIN && (0.0..=1.0).contains(&along) {
+        return Some((side, (ray.at(side) - start - axis * along) / radius));
+    }
+    let cap = if along < 0.0 { start } else { end };
+    let (t, _) = sphere_roots(ray, cap, radius)?;
+    (t > SKIN).then(|| (t, (ray.at(t) - cap) / radius))
+}
+
+/// A torus around the z axis at the origin, by sphere tracing within its bounding sphere.
+fn hit_torus(ray: &Ray, major: f32, minor: f32) -> Option<(f32, Vec3)> {
+    let (enter, leave) = sphere_roots(ray, Vec3::ZERO, major + minor)?;
+    let signed_distance = |p: Vec3| {
+        let to_ring = p.truncate().length() - major;
+        to_ring.hypot(p.z) - minor
+    };
+    let mut t = enter.max(SKIN);
+    for _ in 0..64 {
+        let distance = signed_distance(ray.at(t));
+        if distance < 1e-4 {
+            let p = ray.at(t);
+            let ring = p.truncate().normalize_or_zero() * major;
+            return Some((t, (p - ring.extend(0.0)).normalize_or_zero()));
+        }
+        t += distance;
+        if t > leave {
+            return None;
+        }
+    }
+    None
+}

@@ -1,0 +1,204 @@
+//! `ashsplat eval`, and the measurement of held-out views that training and the demo share.
+
+use crate::args::DeviceArguments;
+use crate::model::Model;
+use crate::progress::counting;
+use crate::{output, render, session};
+use ashsplat::io::{Dataset, View};
+use ashsplat::metrics;
+use ashsplat::scene::Camera;
+use ashsplat::{Error, Frame, RenderSettings, Renderer, Result};
+use clap::Args;
+use serde_json::{Map, Value, json};
+use std::path::{Path, PathBuf};
+
+/// PSNR and SSIM of a trained scene on a data set.
+///
+/// For a model folder the data set, the size of the photos and the split are those of its training; results go
+/// to its results.json and per_view.json.
+#[derive(Args)]
+pub struct Arguments {
+    /// A model folder or a PLY
+    #[arg(value_name = "MODEL", required_unless_present = "model_path")]
+    model: Option<PathBuf>,
+    /// The same, under the reference's name
+    #[arg(short, long, value_name = "MODEL", conflicts_with = "model")]
+    model_path: Option<PathBuf>,
+    /// Iteration of the model folder's PLY [default: the last]
+    #[arg(long, value_name = "N")]
+    iteration: Option<u32>,
+    #[command(flatten)]
+    data: session::DataArguments,
+    /// Measure all views, not only those held out
+    #[arg(long)]
+    all: bool,
+    #[command(flatten)]
+    look: render::LookArguments,
+    #[command(flatten)]
+    device: DeviceArguments,
+    /// Print the table as JSON
+    #[arg(long)]
+    json: bool,
+    /// No progress
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// Means over the held-out views, by iteration.
+pub const RESULTS_FILE: &str = "results.json";
+/// The same for each view.
+pub const PER_VIEW_FILE: &str = "per_view.json";
+
+/// Quality of one view.
+pub struct ViewResult {
+    pub name: String,
+    pub psnr: f64,
+    pub ssim: f64,
+}
+
+/// Quality of all views of a test.
+pub struct Evaluation {
+    pub views: Vec<ViewResult>,
+}
+
+impl Evaluation {
+    /// Mean over the views, dB.
+    pub fn psnr(&self) -> f64 {
+        self.mean(|view| view.psnr)
+    }
+
+    /// Mean over the views.
+    pub fn ssim(&self) -> f64 {
+        self.mean(|view| view.ssim)
+    }
+
+    fn mean(&self, value: impl Fn(&ViewResult) -> f64) -> f64 {
+        self.views.iter().map(value).sum::<f64>() / self.views.len().max(1) as f64
+    }
+
+    /// The reference's entry in results.json.
+    pub fn summary(&self) -> Value {
+        json!({ "SSIM": self.ssim(), "PSNR": self.psnr() })
+    }
+
+    /// The reference's entry in per_view.json, whose views are named after their saved renders.
+    pub fn per_view(&self) -> Value {
+        let by_view = |value: fn(&ViewResult) -> f64| -> Map<String, Value> {
+            let named = |(index, view): (usize, &ViewResult)| (format!("{index:05}.png"), json!(value(view)));
+            self.views.iter().enumerate().map(named).collect()
+        };
+        json!({ "SSIM": by_view(|view| view.ssim), "PSNR": by_view(|view| view.psnr) })
+    }
+}
+
+/// Renders the views, measures them and, if asked, saves them as `renders/00000.png` and `gt/00000.png`.
+pub fn evaluate(
+    views: &[View],
+    save_to: Option<&Path>,
+    mut draw: impl FnMut(&Camera) -> Result<Frame>,
+) -> Result<Evaluation> {
+    let mut results = Vec::with_capacity(views.len());
+    for (index, view) in views.iter().enumerate() {
+        let frame = draw(&view.camera)?;
+        results.push(measure(view, &frame)?);
+        if let Some(folder) = save_to {
+            output::write_png(
+                &output::numbered(&folder.join("renders"), index, "png"),
+                &output::to_photo(&frame)?,
+            )?;
+            output::write_png(&output::numbered(&folder.join("gt"), index, "png"), &view.photo)?;
+        }
+    }
+    Ok(Evaluation { views: results })
+}
+
+/// PSNR and SSIM of a frame, clamped to [0, 1], against the view's photo.
+fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
+    let photo = view.photo.to_f32();
+    Ok(ViewResult {
+        name: view.name.clone(),
+        psnr: metrics::psnr(&frame.color, &photo)?,
+        ssim: metrics::ssim(&frame.color, &photo, frame.width)?,
+    })
+}
+
+/// Adds an iteration's results to a model folder's results.json and per_view.json, keeping those of others.
+pub fn write_results(folder: &Path, iteration: u32, evaluation: &Evaluation) -> Result<()> {
+    let key = format!("ours_{iteration}");
+    for (file, entry) in [(RESULTS_FILE, evaluation.summary()), (PER_VIEW_FILE, evaluation.per_view())] {
+        let path = folder.join(file);
+        let mut results = match std::fs::read_to_string(&path) {
+            Ok(text) => serde_json::from_str::<Map<String, Value>>(&text)
+                .map_err(|e| Error::input(&path, e.to_string(), "remove the file and run again"))?,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Map::new(),
+            Err(e) => return Err(Error::io(&path, "read", e)),
+        };
+        results.insert(key.clone(), entry);
+        output::write_json(&path, &results)?;
+    }
+    Ok(())
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
+    let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
+    let model = Model::locate(path, arguments.iteration)?;
+    let mut data = arguments.data.applied_to(&model.settings.data)?;
+    // Of a bare PLY nobody knows the split: the usual one.
+    data.eval |= model.folder.is_none();
+    let gaussians = arguments.look.load(&model.ply)?;
+    let white = model.settings.train.white_background;
+    let views = chosen_views(session::load(&data, white, arguments.quiet)?, arguments.all, &data)?;
+    let context = arguments.device.context()?;
+    let mut renderer = Renderer::new(&context)?;
+    renderer.upload(&gaussians)?;
+    let settings = RenderSettings { inverse_depth: false, ..arguments.look.settings(&model.settings)? };
+    let bar = counting("views", views.len() as u64, arguments.quiet);
+    let evaluation = evaluate(&views, None, |camera| {
+        bar.inc(1);
+        renderer.render(camera, &settings)
+    })?;
+    bar.finish_and_clear();
+    if let (Some((folder, iteration)), false) = (&model.folder, arguments.all) {
+        write_results(folder, *iteration, &evaluation)?;
+    }
+    print_results(arguments.json, &evaluation, gaussians.len())?;
+    arguments.device.report_validation(&context);
+    Ok(())
+}
+
+fn chosen_views(loaded: Dataset, all: bool, data: &crate::config::DataSettings) -> Result<Vec<View>> {
+    if all {
+        return Ok(loaded.train.into_iter().chain(loaded.test).collect());
+    }
+    if loaded.test.is_empty() {
+        let problem =
+            if data.eval { "has no views to hold out" } else { "was trained on all views of this data set" };
+        return Err(Error::input(
+            &data.source_path,
+            problem,
+            "measure on all views with --all, or hold out with --eval",
+        ));
+    }
+    Ok(loaded.test)
+}
+
+fn print_results(json: bool, evaluation: &Evaluation, gaussians: usize) -> Result<()> {
+    if json {
+        let value = json!({
+            "gaussians": gaussians,
+            "mean": evaluation.summary(),
+            "views": evaluation.views.iter().map(|v| json!({"name": v.name, "PSNR": v.psnr, "SSIM": v.ssim})).collect::<Vec<_>>(),
+        });
+        say!("{value:#}");
+        return Ok(());
+    }
+    say!("{:<28} {:>8} {:>8}", "view", "PSNR", "SSIM");
+    for view in &evaluation.views {
+        say!("{:<28} {:>8.3} {:>8.4}", view.name, view.psnr, view.ssim);
+    }
+    let mean = format!("mean of {}", evaluation.views.len());
+    say!("{mean:<28} {:>8.3} {:>8.4}", evaluation.psnr(), evaluation.ssim());
+    Ok(())
+}

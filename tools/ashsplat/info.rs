@@ -1,0 +1,226 @@
+//! `ashsplat info`.
+
+use crate::config::DataSettings;
+use crate::model::Model;
+use crate::progress::{counting, thousands};
+use crate::session;
+use ashsplat::io::{Dataset, DatasetReport, Progress, ply};
+use ashsplat::scene::{Bounds, Gaussians};
+use ashsplat::{Error, Result};
+use clap::Args;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// What is in a PLY, a model folder or a data set.
+///
+/// Of a data set everything is checked that training would check: every photo is present, can be decoded and has the
+/// size of its camera. All problems are listed, and the exit code is 2 if there are any.
+#[derive(Args)]
+pub struct Arguments {
+    /// A PLY, a model folder or a data set
+    #[arg(value_name = "PATH")]
+    path: PathBuf,
+    /// Folder of a data set's photos
+    #[arg(short, long, value_name = "NAME", default_value = "images")]
+    images: String,
+    /// Count a data set's views as with --eval
+    #[arg(long)]
+    eval: bool,
+    /// Drop the Gaussians of a PLY whose parameters are not finite, instead of refusing it
+    #[arg(long)]
+    drop_invalid: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// No progress
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// Rows of a histogram.
+const ROWS: usize = 10;
+/// Length of a histogram's longest bar, characters.
+const BAR: usize = 40;
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let path = &arguments.path;
+    if path.is_dir() && !path.join("point_cloud").is_dir() {
+        return dataset(arguments);
+    }
+    let model = Model::locate(path, None)?;
+    let scene = ply::read(&model.ply, &ply::PlyOptions { drop_invalid: arguments.drop_invalid })?;
+    let summary = Summary::of(&scene.gaussians);
+    if arguments.json {
+        say!("{:#}", summary.json(&model.ply, scene.dropped));
+        return Ok(());
+    }
+    say!("file       {}", model.ply.display());
+    summary.print();
+    if scene.dropped > 0 {
+        say!("dropped    {} that are not finite", thousands(scene.dropped));
+    }
+    if let Some(warning) = scene.warning {
+        say!("warning    {warning}");
+    }
+    Ok(())
+}
+
+fn dataset(arguments: &Arguments) -> Result<()> {
+    let data = DataSettings { images: arguments.images.clone(), eval: arguments.eval, ..Default::default() };
+    let options = session::options(&data, false)?;
+    let bar = counting("checking photos", 0, arguments.quiet);
+    let report = |done: usize, total: usize| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+    };
+    let progress = Progress { report: Some(&report), interrupted: None };
+    let report = Dataset::inspect(&arguments.path, &options, progress);
+    bar.finish_and_clear();
+    if arguments.json {
+        say!("{:#}", dataset_json(&report));
+    } else if report.model.is_some() {
+        say!("{}", report.to_string().trim_end());
+    }
+    match report.problems.as_slice() {
+        [] => Ok(()),
+        [only] => Err(Error::argument("data set", only.clone())),
+        [first, rest @ ..] => Err(Error::argument("data set", format!("{first} (and {} more)", rest.len()))),
+    }
+}
+
+fn dataset_json(report: &DatasetReport) -> Value {
+    json!({
+        "model": report.model,
+        "cameras": report.cameras,
+        "images": report.images,
+        "sound_photos": report.sound_photos,
+        "train_views": report.train_views,
+        "test_views": report.test_views,
+        "points": report.points,
+        "point_bounds": report.point_bounds.map(bounds_json),
+        "camera_bounds": report.camera_bounds.map(bounds_json),
+        "scene_extent": report.scene_extent,
+        "problems": report.problems,
+        "warnings": report.warnings,
+    })
+}
+
+fn bounds_json(bounds: Bounds) -> Value {
+    json!({ "min": bounds.min.to_array(), "max": bounds.max.to_array() })
+}
+
+/// What there is to say about a set of Gaussians.
+struct Summary {
+    count: usize,
+    sh_degree: u32,
+    bounds: Option<Bounds>,
+    central: Option<Bounds>,
+    scales: Histogram,
+    opacities: Histogram,
+}
+
+impl Summary {
+    fn of(gaussians: &Gaussians) -> Summary {
+        let statistics = gaussians.statistics();
+        let opacities = gaussians.opacity_logits.iter().map(|logit| 1.0 / (1.0 + (-logit).exp()));
+        // A Gaussian's size is its largest scale; its logarithm in base 10 spreads evenly.
+        let largest = |scales: &[f32; 3]| scales.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let scales = gaussians.log_scales.iter().map(|s| largest(s) / std::f32::consts::LN_10);
+        Summary {
+            count: statistics.count,
+            sh_degree: statistics.sh_degree,
+            bounds: statistics.bounds,
+            central: statistics.central_bounds,
+            scales: Histogram::spanning(scales.collect()),
+            opacities: Histogram::between(0.0, 1.0, opacities.collect()),
+        }
+    }
+
+    fn print(&self) {
+        say!("Gaussians  {}", thousands(self.count as u64));
+        say!("SH degree  {}", self.sh_degree);
+        for (name, bounds) in [("extent", self.bounds), ("central", self.central)] {
+            if let Some(Bounds { min, max }) = bounds {
+                say!("{name:<10} from {min:.3} to {max:.3}");
+            }
+        }
+        say!("largest scale (world units)");
+        self.scales.print(|edge| format!("{:.2e}", 10f32.powf(edge)));
+        say!("opacity");
+        self.opacities.print(|edge| format!("{edge:.2}"));
+    }
+
+    fn json(&self, path: &Path, dropped: u64) -> Value {
+        json!({
+            "file": path,
+            "gaussians": self.count,
+            "dropped": dropped,
+            "sh_degree": self.sh_degree,
+            "bounds": self.bounds.map(bounds_json),
+            "central_bounds": self.central.map(bounds_json),
+            "log10_largest_scale": self.scales.json(),
+            "opacity": self.opacities.json(),
+        })
+    }
+}
+
+/// Counts in intervals of equal width.
+struct Histogram {
+    low: f32,
+    high: f32,
+    counts: [usize; ROWS],
+}
+
+impl Histogram {
+    fn between(low: f32, high: f32, values: Vec<f32>) -> Histogram {
+        let mut counts = [0; ROWS];
+        let width = ((high - low) / ROWS as f32).max(f32::MIN_POSITIVE);
+        for value in values {
+            // Saturates: what lies outside counts in the first or last row.
+            counts[(((value - low) / width) as usize).min(ROWS - 1)] += 1;
+        }
+        Histogram { low, high, counts }
+    }
+
+    fn spanning(values: Vec<f32>) -> Histogram {
+        let finite = || values.iter().copied().filter(|v| v.is_finite());
+        let (low, high) =
+            (finite().fold(f32::INFINITY, f32::min), finite().fold(f32::NEG_INFINITY, f32::max));
+        if low > high {
+            return Histogram { low: 0.0, high: 0.0, counts: [0; ROWS] };
+        }
+        Histogram::between(low, high, values)
+    }
+
+    fn edge(&self, index: usize) -> f32 {
+        self.low + (self.high - self.low) * index as f32 / ROWS as f32
+    }
+
+    fn print(&self, label: impl Fn(f32) -> String) {
+        let most = self.counts.iter().copied().max().unwrap_or(0).max(1);
+        for (row, &count) in self.counts.iter().enumerate() {
+            let bar = "#".repeat((count * BAR).div_ceil(most));
+            let (from, to) = (label(self.edge(row)), label(self.edge(row + 1)));
+            say!("  {from:>9} to {to:>9} {:>10} {bar}", thousands(count as u64));
+        }
+    }
+
+    fn json(&self) -> Value {
+        let edges: Vec<f32> = (0..=ROWS).map(|index| self.edge(index)).collect();
+        json!({ "edges": edges, "counts": self.counts })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn histogram_counts_everything_once() {
+        let histogram = Histogram::between(0.0, 1.0, vec![0.0, 0.05, 0.1, 0.55, 1.0, 2.0, -1.0]);
+        assert_eq!(histogram.counts, [3, 1, 0, 0, 0, 1, 0, 0, 0, 2]);
+        assert_eq!(Histogram::spanning(vec![]).counts, [0; ROWS]);
+        assert_eq!(Histogram::spanning(vec![2.0, 2.0]).counts.iter().sum::<usize>(), 2);
+    }
+}

@@ -1,0 +1,160 @@
+//! `ashsplat inspect`.
+
+use crate::args::DeviceArguments;
+use crate::model::Model;
+use crate::render::LookArguments;
+use crate::session;
+use ashsplat::io::cameras_json;
+use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::{Error, PixelReport, Renderer, Result, Sample};
+use clap::Args;
+use glam::{Mat3, Vec3};
+use serde_json::json;
+use std::path::PathBuf;
+
+/// The Gaussians blended at one pixel, front to back, and the colour that they give.
+///
+/// The camera is one of a data set (-s), of a camera path or cameras.json (--path), or stands at the origin and
+/// looks along +z (x right, y down) with --fx, --width and --height.
+#[derive(Args)]
+pub struct Arguments {
+    /// A model folder or a PLY
+    #[arg(value_name = "MODEL")]
+    model: PathBuf,
+    /// Column and row, counted from 0 at the top left
+    #[arg(long, value_name = "X,Y", value_parser = parse_pixel)]
+    pixel: [u32; 2],
+    /// Take the camera from this data set
+    #[arg(short, long, value_name = "DATASET", conflicts_with = "path")]
+    source_path: Option<PathBuf>,
+    /// Take the camera from a camera path or cameras.json
+    #[arg(long, value_name = "FILE")]
+    path: Option<PathBuf>,
+    /// Which camera of the data set or path: its number from 0, or its name
+    #[arg(long, alias = "frame", value_name = "N|NAME", default_value = "0")]
+    camera: String,
+    /// Focal length of a camera at the origin, pixels
+    #[arg(long, value_name = "PIXELS", conflicts_with_all = ["source_path", "path"], requires_all = ["width", "height"])]
+    fx: Option<f32>,
+    /// Its vertical focal length [default: fx]
+    #[arg(long, value_name = "PIXELS", requires = "fx")]
+    fy: Option<f32>,
+    /// Its principal point [default: the middle]
+    #[arg(long, value_name = "PIXELS", requires = "fx")]
+    cx: Option<f32>,
+    /// Its principal point [default: the middle]
+    #[arg(long, value_name = "PIXELS", requires = "fx")]
+    cy: Option<f32>,
+    /// Width of its picture, pixels
+    #[arg(long, value_name = "PIXELS", requires = "fx")]
+    width: Option<u32>,
+    /// Height of its picture, pixels
+    #[arg(long, value_name = "PIXELS", requires = "fx")]
+    height: Option<u32>,
+    #[command(flatten)]
+    look: LookArguments,
+    #[command(flatten)]
+    device: DeviceArguments,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
+    let numbers =
+        text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    numbers.ok_or_else(|| "expected two whole numbers with a comma between them".into())
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let model = Model::locate(&arguments.model, None)?;
+    let gaussians = arguments.look.load(&model.ply)?;
+    let camera = arguments.camera()?;
+    let [x, y] = arguments.pixel;
+    if x >= camera.width || y >= camera.height {
+        let problem =
+            format!("{x},{y} lies outside the picture of {}x{} pixels", camera.width, camera.height);
+        return Err(Error::argument("--pixel", problem));
+    }
+    let settings = arguments.look.settings(&model.settings)?;
+    let context = arguments.device.context()?;
+    let mut renderer = Renderer::new(&context)?;
+    renderer.upload(&gaussians)?;
+    let report = renderer.inspect(&camera, &settings, arguments.pixel)?;
+    if arguments.json {
+        print_json(&report)
+    } else {
+        print_table(&report)
+    }
+    arguments.device.report_validation(&context);
+    Ok(())
+}
+
+impl Arguments {
+    fn camera(&self) -> Result<Camera> {
+        let cameras = match (&self.source_path, &self.path) {
+            (Some(dataset), _) => session::cameras(dataset)?,
+            (None, Some(path)) => cameras_json::read(path)?,
+            (None, None) => return self.camera_at_origin(),
+        };
+        let by_number = || cameras.get(self.camera.parse::<usize>().ok()?);
+        let found = cameras.iter().find(|named| named.name == self.camera).or_else(by_number);
+        found.map(|named| named.camera).ok_or_else(|| {
+            let problem =
+                format!("there is no '{}': numbers go from 0 to {}", self.camera, cameras.len().max(1) - 1);
+            Error::argument("--camera", problem)
+        })
+    }
+
+    fn camera_at_origin(&self) -> Result<Camera> {
+        let (Some(fx), Some(width), Some(height)) = (self.fx, self.width, self.height) else {
+            let problem = "is not given: use -s DATASET, --path FILE, or --fx, --width and --height";
+            return Err(Error::argument("camera", problem));
+        };
+        let middle = |size: u32| size as f32 / 2.0;
+        let intrinsics = Intrinsics {
+            fx,
+            fy: self.fy.unwrap_or(fx),
+            cx: self.cx.unwrap_or(middle(width)),
+            cy: self.cy.unwrap_or(middle(height)),
+            width,
+            height,
+        };
+        let camera = Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, intrinsics);
+        camera.check()?;
+        Ok(camera)
+    }
+}
+
+fn print_table(report: &PixelReport) {
+    say!("{:>4} {:>9} {:>10} {:>8} {:>8} {:>8}  colour", "rank", "id", "depth", "alpha", "weight", "left");
+    for (rank, sample) in report.samples.iter().enumerate() {
+        say!(
+            "{rank:>4} {:>9} {:>10.4} {:>8.5} {:>8.5} {:>8.5}  {}",
+            sample.gaussian,
+            sample.depth,
+            sample.alpha,
+            sample.weight,
+            sample.transmittance_after,
+            triple(sample.color),
+        );
+    }
+    say!("final colour {}, transmittance {:.5}", triple(report.color), report.transmittance);
+}
+
+fn triple(color: [f32; 3]) -> String {
+    let [r, g, b] = color;
+    format!("{r:.4} {g:.4} {b:.4}")
+}
+
+fn print_json(report: &PixelReport) {
+    let sample = |(rank, s): (usize, &Sample)| {
+        json!({
+            "rank": rank, "id": s.gaussian, "depth": s.depth, "alpha": s.alpha, "weight": s.weight,
+            "transmittance_left": s.transmittance_after, "color": s.color,
+        })
+    };
+    let samples: Vec<_> = report.samples.iter().enumerate().map(sample).collect();
+    say!("{:#}", json!({ "samples": samples, "color": report.color, "transmittance": report.transmittance }));
+}

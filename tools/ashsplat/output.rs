@@ -1,0 +1,105 @@
+//! The files that commands leave: whole or not at all, in folders that are created as needed.
+
+use ashsplat::io::{Photo, atomic};
+use ashsplat::{Error, Frame, Result};
+use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, SmallVec, WritableImage};
+use serde::Serialize;
+use std::io::{Cursor, Write};
+use std::path::{Path, PathBuf};
+
+/// Writes a line; where nobody reads any more, nothing happens.
+pub fn say(stream: &mut dyn Write, text: std::fmt::Arguments<'_>) {
+    writeln!(stream, "{text}").ok();
+}
+
+/// Creates the folder that a file is to lie in.
+pub fn make_way(path: &Path) -> Result<()> {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => atomic::create_folder(folder),
+        _ => Ok(()),
+    }
+}
+
+/// Writes a file and the folders above it.
+fn write_whole(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
+    make_way(path)?;
+    atomic::write(path, fill)
+}
+
+/// Removes a file, if it is there.
+pub fn remove(path: &Path) -> Result<()> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, "remove", e)),
+        _ => Ok(()),
+    }
+}
+
+/// Text, such as a dump of settings.
+pub fn write_text(path: &Path, text: &str) -> Result<()> {
+    write_whole(path, |out| out.write_all(text.as_bytes()))
+}
+
+/// Pretty-printed JSON.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    write_whole(path, |out| {
+        serde_json::to_writer_pretty(&mut *out, value).map_err(std::io::Error::from)?;
+        out.write_all(b"\n")
+    })
+}
+
+/// An 8-bit PNG.
+pub fn write_png(path: &Path, picture: &Photo) -> Result<()> {
+    make_way(path)?;
+    picture.write_png(path)
+}
+
+/// A frame's colour as 8 bits per channel.
+pub fn to_photo(frame: &Frame) -> Result<Photo> {
+    Photo::from_f32(frame.width, frame.height, &frame.color)
+}
+
+/// A 32-bit float EXR with the channels R G B (linear light: the sRGB curve of the photographs is undone), A
+/// (1 − transmittance) and Z (expected depth along the view axis, world units, see [`expected_depth`]).
+pub fn write_exr(path: &Path, frame: &Frame) -> Result<()> {
+    let channel = |name: &str, samples: Vec<f32>| AnyChannel::new(name, FlatSamples::F32(samples));
+    let color = |c: usize| frame.color.iter().map(|rgb| linear_from_srgb(rgb[c])).collect();
+    let channels: SmallVec<_> = [
+        channel("R", color(0)),
+        channel("G", color(1)),
+        channel("B", color(2)),
+        channel("A", frame.transmittance.iter().map(|t| 1.0 - t).collect()),
+        channel("Z", expected_depth(frame)),
+    ]
+    .into_iter()
+    .collect();
+    let size = (frame.width as usize, frame.height as usize);
+    let image = Image::from_encoded_channels(size, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels));
+    let mut bytes = Cursor::new(Vec::new());
+    image
+        .write()
+        .to_buffered(&mut bytes)
+        .map_err(|e| Error::input(path, format!("cannot encode: {e}"), ""))?;
+    write_whole(path, |out| out.write_all(bytes.get_ref()))
+}
+
+/// Depth of each pixel: the harmonic mean of the blended Gaussians' depths, `Σ αT / Σ (αT / z)` = (1 − transmittance)
+/// / inverse depth. Where nothing was blended: infinity.
+pub fn expected_depth(frame: &Frame) -> Vec<f32> {
+    let Some(inverse_depth) = &frame.inverse_depth else { return vec![f32::INFINITY; frame.color.len()] };
+    let depth = |(&inverse, &transmittance): (&f32, &f32)| {
+        if inverse > 0.0 { (1.0 - transmittance) / inverse } else { f32::INFINITY }
+    };
+    inverse_depth.iter().zip(&frame.transmittance).map(depth).collect()
+}
+
+/// Undoes the sRGB curve; continued oddly below 0, and as it is above 1.
+fn linear_from_srgb(value: f32) -> f32 {
+    let v = value.abs();
+    let linear = if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
+    linear.copysign(value)
+}
+
+/// `folder/00012.png`.
+pub fn numbered(folder: &Path, index: usize, extension: &str) -> PathBuf {
+    folder.join(format!("{index:05}.{extension}"))
+}

@@ -1,0 +1,156 @@
+//! Progress on stderr: a bar on a terminal, plain lines elsewhere, nothing with `--quiet`.
+
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+/// Iterations between two plain lines.
+const LINE_INTERVAL: u32 = 100;
+/// Weight of the newest loss in the running mean, as in the reference.
+const LOSS_WEIGHT: f64 = 0.4;
+
+/// What is known after an iteration.
+pub struct State {
+    pub iteration: u32,
+    pub loss: f32,
+    pub gaussians: u32,
+    pub memory_bytes: u64,
+}
+
+/// The progress of a training run.
+pub struct TrainProgress {
+    bar: Option<ProgressBar>,
+    lines: bool,
+    iterations: u32,
+    start: Instant,
+    /// When and at which iteration the present speed's measurement began.
+    window: (Instant, u32),
+    iterations_per_second: f64,
+    mean_loss: Option<f64>,
+    psnr: Option<f64>,
+}
+
+impl TrainProgress {
+    pub fn new(iterations: u32, quiet: bool) -> TrainProgress {
+        let terminal = std::io::stderr().is_terminal();
+        let bar = (terminal && !quiet).then(|| bar(u64::from(iterations), "{wide_bar} {pos}/{len}  {msg}"));
+        TrainProgress {
+            bar,
+            lines: !terminal && !quiet,
+            iterations,
+            start: Instant::now(),
+            window: (Instant::now(), 0),
+            iterations_per_second: 0.0,
+            mean_loss: None,
+            psnr: None,
+        }
+    }
+
+    /// After each iteration.
+    pub fn step(&mut self, state: &State) {
+        let loss = f64::from(state.loss);
+        let mean = self.mean_loss.map_or(loss, |mean| mean + LOSS_WEIGHT * (loss - mean));
+        self.mean_loss = Some(mean);
+        let seconds = self.window.0.elapsed().as_secs_f64();
+        if seconds > 1.0 || self.iterations_per_second == 0.0 {
+            self.iterations_per_second = f64::from(state.iteration - self.window.1) / seconds.max(1e-9);
+            self.window = (Instant::now(), state.iteration);
+        }
+        if let Some(bar) = &self.bar {
+            bar.set_position(u64::from(state.iteration));
+            bar.set_message(self.describe(state));
+        } else if self.lines
+            && (state.iteration.is_multiple_of(LINE_INTERVAL) || state.iteration == self.iterations)
+        {
+            tell!("{}/{}  {}", state.iteration, self.iterations, self.describe(state));
+        }
+    }
+
+    /// After a test.
+    pub fn tested(&mut self, psnr: f64) {
+        self.psnr = Some(psnr);
+    }
+
+    /// A line above the bar.
+    pub fn note(&self, text: &str) {
+        match &self.bar {
+            Some(bar) => bar.suspend(|| tell!("{text}")),
+            None if self.lines => tell!("{text}"),
+            None => {}
+        }
+    }
+
+    /// Leaves the bar where it is.
+    pub fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.abandon();
+        }
+    }
+
+    fn describe(&self, state: &State) -> String {
+        let psnr = self.psnr.map_or_else(|| "-".into(), |psnr| format!("{psnr:.2}"));
+        let left = f64::from(self.iterations - state.iteration) / self.overall_rate(state.iteration);
+        format!(
+            "{:.1} it/s  loss {:.4}  PSNR {psnr}  {} Gaussians  {} MiB  {} left",
+            self.iterations_per_second,
+            self.mean_loss.unwrap_or(0.0),
+            thousands(u64::from(state.gaussians)),
+            state.memory_bytes >> 20,
+            clock(left),
+        )
+    }
+
+    fn overall_rate(&self, iteration: u32) -> f64 {
+        f64::from(iteration) / self.start.elapsed().as_secs_f64().max(1e-9)
+    }
+}
+
+/// Progress of something that is counted: photos decoded, frames rendered.
+pub fn counting(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
+    if quiet || !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = bar(total, "{msg} {wide_bar} {pos}/{len}");
+    bar.set_message(what);
+    bar
+}
+
+fn bar(total: u64, template: &str) -> ProgressBar {
+    let bar = ProgressBar::new(total);
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(500));
+    bar
+}
+
+/// 1234567 as "1,234,567".
+pub fn thousands(value: u64) -> String {
+    let digits = value.to_string();
+    let mut grouped = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            grouped.push(',');
+        }
+        grouped.push(digit);
+    }
+    grouped
+}
+
+/// Seconds as "1:02:03" or "2:03".
+pub fn clock(seconds: f64) -> String {
+    let total = seconds.clamp(0.0, 3.6e6).round() as u64;
+    let (hours, minutes, seconds) = (total / 3600, total / 60 % 60, total % 60);
+    if hours > 0 { format!("{hours}:{minutes:02}:{seconds:02}") } else { format!("{minutes}:{seconds:02}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_for_people() {
+        assert_eq!([0, 999, 1000, 1_234_567].map(thousands), ["0", "999", "1,000", "1,234,567"]);
+        assert_eq!([0.4, 59.6, 3723.0].map(clock), ["0:00", "1:00", "1:02:03"]);
+    }
+}

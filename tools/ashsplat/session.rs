@@ -1,0 +1,91 @@
+//! Data sets as commands load them.
+
+use crate::config::DataSettings;
+use crate::progress::counting;
+use ashsplat::io::cameras_json::NamedCamera;
+use ashsplat::io::colmap::{ColmapImage, Model};
+use ashsplat::io::{Dataset, DatasetOptions, Progress};
+use ashsplat::{Error, Result};
+use clap::Args;
+use std::path::{Path, PathBuf};
+
+/// Which data set a command uses, and how.
+#[derive(Args)]
+pub struct DataArguments {
+    /// Data set [default: that of the training]
+    #[arg(short, long, value_name = "DATASET")]
+    source_path: Option<PathBuf>,
+    /// Folder of the photos within the data set [default: as in training, else images]
+    #[arg(short, long, value_name = "NAME")]
+    images: Option<String>,
+    /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: as in training, else -1]
+    #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
+    resolution: Option<i32>,
+    /// Hold out every 8th view (by name) [default: as in training]
+    #[arg(long)]
+    eval: bool,
+}
+
+impl DataArguments {
+    /// The settings of a training, changed by what was given.
+    pub fn applied_to(&self, trained: &DataSettings) -> Result<DataSettings> {
+        let mut data = trained.clone();
+        if let Some(source) = &self.source_path {
+            data.source_path.clone_from(source);
+        }
+        if let Some(images) = &self.images {
+            data.images.clone_from(images);
+        }
+        data.resolution = self.resolution.unwrap_or(data.resolution);
+        data.eval |= self.eval;
+        if data.source_path.as_os_str().is_empty() {
+            return Err(Error::argument(
+                "-s/--source-path",
+                "is missing, and the model does not say where its data set is",
+            ));
+        }
+        Ok(data)
+    }
+}
+
+/// The options that the settings mean.
+pub fn options(data: &DataSettings, white_background: bool) -> Result<DatasetOptions> {
+    Ok(DatasetOptions {
+        resolution: data.resolution.to_string().parse()?,
+        images: data.images.clone(),
+        eval: data.eval,
+        white_background,
+        ..Default::default()
+    })
+}
+
+/// Loads a data set with progress; its warnings go to stderr.
+pub fn load(data: &DataSettings, white_background: bool, quiet: bool) -> Result<Dataset> {
+    let options = options(data, white_background)?;
+    let bar = counting("reading photos", 0, quiet);
+    let report = |done: usize, total: usize| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+    };
+    let progress = Progress { report: Some(&report), interrupted: None };
+    let dataset = Dataset::load(&data.source_path, &options, progress);
+    bar.finish_and_clear();
+    let dataset = dataset?;
+    for warning in &dataset.warnings {
+        tell!("warning: {warning}");
+    }
+    Ok(dataset)
+}
+
+/// The cameras of a data set by name, at the photos' own sizes; the photos are not looked at.
+pub fn cameras(dataset: &Path) -> Result<Vec<NamedCamera>> {
+    let model = Model::of_dataset(dataset)?;
+    let named =
+        |image: &ColmapImage| Ok(NamedCamera { name: image.name.clone(), camera: model.camera_of(image)? });
+    let mut cameras = model.images.iter().map(named).collect::<Result<Vec<_>>>()?;
+    if cameras.is_empty() {
+        return Err(Error::input(dataset, "no images are registered", "run COLMAP's mapper again"));
+    }
+    cameras.sort_by(|a, b| a.name.cmp(&b.name));
+    Ok(cameras)
+}
