@@ -83,7 +83,7 @@ pub fn write<'a>(
     atomic::write(path, |writer| Ok(serde_json::to_writer(writer, &entries)?))
 }
 
-/// Reads cameras that [`write`] or the reference implementation wrote. Without cx and cy, the principal point is
+/// Reads cameras that [`write()`] or the reference implementation wrote. Without cx and cy, the principal point is
 /// in the middle.
 ///
 /// # Errors

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::cameras_json;
 use super::colmap::{ColmapImage, Model};
-use super::images::{Photo, Resolution};
+use super::images::{Photo, Resolution, photo_size};
 use super::progress::Progress;
 use crate::scene::init::{RANDOM_POINTS, random_points};
 use crate::scene::{Bounds, Camera, Gaussians, PointCloud, scene_extent};
@@ -22,7 +22,8 @@ pub use inspect::DatasetReport;
 pub struct DatasetOptions {
     /// Size at which the photos are used.
     pub resolution: Resolution,
-    /// Name of the subfolder with the photos.
+    /// Name of the subfolder with the photos. In one called `…_2`, `…_4` or `…_8`, as benchmark data sets have
+    /// them, the photos may be of that fraction of their cameras' size.
     pub images: String,
     /// Whether every `test_every`-th view by name is held out.
     pub eval: bool,
@@ -48,6 +49,16 @@ impl DatasetOptions {
     /// The colour behind transparent photos, (r, g, b) in [0, 1].
     pub fn background(&self) -> [f32; 3] {
         [if self.white_background { 1.0 } else { 0.0 }; 3]
+    }
+
+    /// By how much the photos in the folder are smaller than the model's cameras.
+    fn divisor(&self) -> u32 {
+        match self.images.trim_end_matches('/').rsplit_once('_') {
+            Some((_, "2")) => 2,
+            Some((_, "4")) => 4,
+            Some((_, "8")) => 8,
+            _ => 1,
+        }
     }
 
     fn is_test(&self, index: usize) -> bool {
@@ -170,7 +181,7 @@ impl Dataset {
     /// reference implementation does.
     ///
     /// # Errors
-    /// As [`cameras_json::write`].
+    /// As [`cameras_json::write()`].
     pub fn write_cameras_json(&self, path: impl AsRef<Path>) -> Result<()> {
         let views = self.test.iter().chain(&self.train);
         cameras_json::write(path, views.map(|view| (view.name.as_str(), &view.original_camera)))
@@ -194,19 +205,45 @@ struct PlannedView<'a> {
 }
 
 impl PlannedView<'_> {
-    fn read_photo(&self, options: &DatasetOptions) -> Result<Photo> {
-        let Camera { width, height, .. } = self.camera;
-        Photo::read_sized(&self.photo_path, options.background(), width, height)
+    /// The photo, and its camera at the size of the file.
+    fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Camera)> {
+        let camera = self.camera_of_file(options.divisor())?;
+        let photo = Photo::read_sized(&self.photo_path, options.background(), camera.width, camera.height)?;
+        Ok((photo, camera))
+    }
+
+    /// The camera at the size of a photo that somebody divided by `divisor`, rounding each side as they liked.
+    fn camera_of_file(&self, divisor: u32) -> Result<Camera> {
+        let camera = self.camera;
+        if divisor == 1 {
+            return Ok(camera);
+        }
+        let (width, height) = photo_size(&self.photo_path)?;
+        if (width, height) == (camera.width, camera.height) {
+            return Ok(camera);
+        }
+        let fits = |photo: u32, camera: u32| photo == camera / divisor || photo == camera.div_ceil(divisor);
+        if !fits(width, camera.width) || !fits(height, camera.height) {
+            let Camera { width: w, height: h, .. } = camera;
+            let problem =
+                format!("is {width}x{height} pixels, 1/{divisor} of its camera's {w}x{h} was expected");
+            return Err(Error::input(
+                &self.photo_path,
+                problem,
+                "use photos of that size, or another folder",
+            ));
+        }
+        Ok(camera.scaled_to(width, height))
     }
 
     fn load(&self, options: &DatasetOptions) -> Result<View> {
-        let photo = self.read_photo(options)?;
+        let (photo, original_camera) = self.read_photo(options)?;
         let (width, height) = options.resolution.apply(photo.width, photo.height);
         Ok(View {
             name: self.image.name.clone(),
             image_id: self.image.id,
-            camera: self.camera.scaled_to(width, height),
-            original_camera: self.camera,
+            camera: original_camera.scaled_to(width, height),
+            original_camera,
             photo: photo.scaled_to(width, height)?,
         })
     }

@@ -108,6 +108,30 @@ fn another_images_folder_and_background() {
 }
 
 #[test]
+fn photos_in_a_folder_of_a_fraction_are_of_that_size() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 2, 1);
+    let small = folder.path().join("images_8");
+    std::fs::create_dir_all(&small).unwrap();
+    let put = |name: &str, width: u32, height: u32| {
+        let rgb = vec![9; 3 * (width * height) as usize];
+        Photo { width, height, rgb }.write_png(small.join(name)).unwrap();
+    };
+    // An eighth of 20×12, rounded either way.
+    put("000.png", 2, 1);
+    put("001.png", 3, 2);
+    let options = DatasetOptions { images: "images_8".into(), ..DatasetOptions::default() };
+    let train = load(folder.path(), &options).train;
+    assert_eq!((train[0].camera.width, train[0].camera.height), (2, 1));
+    assert!((train[0].camera.fx - 2.1).abs() < 1e-5 && (train[1].camera.cy - 1.0).abs() < 1e-5);
+    assert_eq!(train[1].original_camera.width, 3);
+    put("001.png", 4, 2);
+    let message = Dataset::load(folder.path(), &options, Progress::NONE).unwrap_err().to_string();
+    assert!(message.contains("is 4x2 pixels, 1/8 of its camera's 20x12 was expected"), "{message}");
+    assert_eq!(Dataset::inspect(folder.path(), &options, Progress::NONE).problems, [message]);
+}
+
+#[test]
 fn without_points_it_starts_from_random_ones_around_the_cameras() {
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), 6, 0);

@@ -44,13 +44,25 @@ pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
             [sparse, dataset.to_owned()].into_iter().filter(|folder| has_model(folder)).take(1).collect();
     }
     match candidates.as_slice() {
-        [] => {
-            let remedy = "give the folder that contains sparse/0 and images, as COLMAP or its image_undistorter leave it";
-            Err(Error::input(dataset, "has no COLMAP model (sparse/0/cameras.bin or .txt)", remedy))
-        }
+        [] => Err(no_model(dataset)),
         [only] => describe(only.clone(), None),
         several => largest(several),
     }
+}
+
+fn no_model(dataset: &Path) -> Error {
+    let problem = "has no COLMAP model (sparse/0/cameras.bin or .txt)";
+    let transforms = ["transforms.json", "transforms_train.json"];
+    if let Some(file) = transforms.iter().find(|file| dataset.join(file).is_file()) {
+        return Error::input(
+            dataset,
+            format!("{problem}; its {file} is not read yet"),
+            "convert it to COLMAP's format",
+        );
+    }
+    let remedy =
+        "give the folder that contains sparse/0 and images, as COLMAP or its image_undistorter leave it";
+    Error::input(dataset, problem, remedy)
 }
 
 fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {
