@@ -1,7 +1,7 @@
 //! Training: from photographs and a sparse point cloud to Gaussians.
 //!
-//! One step is one submission: forward, loss, backward, Adam. A densification is a second one, which first counts what
-//! the new set needs. A step whose frame overflowed its buffers changes nothing and is run again with more room.
+//! One step is one submission: forward, loss, backward, Adam. A densification or an opacity reset that an iteration asks
+//! for comes at the start of the next step, so that between steps the scene is what the reference would save. A step whose frame overflowed its buffers changes nothing and is run again with more room.
 
 mod density;
 mod photos;
@@ -43,7 +43,7 @@ pub struct StepReport {
     pub l1: f32,
     /// Mean SSIM.
     pub ssim: f32,
-    /// Gaussians after the step.
+    /// Gaussians in the step.
     pub gaussians: u32,
     /// Visible in the step's view.
     pub visible: u32,
@@ -55,7 +55,7 @@ pub struct StepReport {
     pub milliseconds: f64,
     /// Index of the view.
     pub view: usize,
-    /// What a densification did, if the step ended with one.
+    /// What the densification before the step did, if the iteration before asked for one.
     pub densified: Option<Densified>,
     /// Device time per stage.
     pub scopes: Vec<ScopeTime>,
@@ -100,6 +100,7 @@ pub struct Trainer {
     scratch: LossScratch,
     order: step::ViewOrder,
     iteration: u32,
+    due: step::Due,
     /// Steps of the optimiser: iterations that densify have none.
     steps: u64,
     opacity_steps: u64,
@@ -182,6 +183,7 @@ impl Trainer {
             photos,
             training,
             iteration: 0,
+            due: step::Due::default(),
             steps: 0,
             opacity_steps: 0,
         })

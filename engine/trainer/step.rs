@@ -4,7 +4,7 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{StepReport, Trainer};
+use super::{Densified, StepReport, Trainer};
 use crate::backward::Statistics;
 use crate::error::Result;
 use crate::forward::{FrameInputs, RenderSettings};
@@ -52,6 +52,13 @@ fn generator(seed: u32, stream: u64, counter: u64) -> ChaCha8Rng {
     rng
 }
 
+/// What an iteration leaves to be done before the next.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Due {
+    densifies: bool,
+    resets: bool,
+}
+
 /// What an iteration does behind the backward pass.
 #[derive(Clone, Copy)]
 struct Plan {
@@ -68,6 +75,7 @@ impl Trainer {
     /// When memory does not suffice or the device is lost; the Gaussians are then as before the iteration.
     pub fn step(&mut self) -> Result<StepReport> {
         let start = std::time::Instant::now();
+        let densified = self.catch_up()?;
         let iteration = self.iteration + 1;
         let s = &self.settings;
         let plan = Plan {
@@ -84,11 +92,8 @@ impl Trainer {
             self.steps += 1;
             self.opacity_steps += u64::from(!plan.resets);
         }
-        let densified = if plan.densifies { Some(self.run_densification(iteration)?) } else { None };
-        if plan.resets {
-            self.run_opacity_reset()?;
-        }
         self.iteration = iteration;
+        self.due = Due { densifies: plan.densifies, resets: plan.resets };
         let [loss, l1, ssim] = self.read_loss()?;
         Ok(StepReport {
             iteration,
@@ -104,6 +109,21 @@ impl Trainer {
             densified,
             scopes: ran.report.scopes,
         })
+    }
+
+    /// Densifies and resets as the iteration before asked for. The reference tests and saves before it does so: between
+    /// steps, the scene is what it would save.
+    fn catch_up(&mut self) -> Result<Option<Densified>> {
+        let mut densified = None;
+        if self.due.densifies {
+            densified = Some(self.run_densification(self.iteration)?);
+            self.due.densifies = false;
+        }
+        if self.due.resets {
+            self.run_opacity_reset()?;
+            self.due.resets = false;
+        }
+        Ok(densified)
     }
 
     fn background(&self, iteration: u32) -> [f32; 3] {

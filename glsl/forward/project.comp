@@ -54,6 +54,10 @@ void main() {
         color += basis[k] * sh[k];
     }
 
+    // A coefficient that is not finite must not spread to the pixels.
+    bool valid = is_finite(color.x) && is_finite(color.y) && is_finite(color.z);
+    color = valid ? color : vec3(0.0);
+
     mean2d_extent[visible] = vec4(f.mean2d_px, f.half_extent_px);
     conic_opacity[visible] = vec4(vec3(p.cov2d.z, -p.cov2d.y, p.cov2d.x) / p.det, f.opacity);
     color_inverse_depth[visible] = vec4(max(color, vec3(0.0)), 1.0 / p.mean_camera.z);
