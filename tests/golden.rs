@@ -1,6 +1,7 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
 mod gpu;
+mod gpu_training;
 mod rendering;
 mod sets;
 mod training;

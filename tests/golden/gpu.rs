@@ -1,10 +1,12 @@
 //! The trials of the device: within the tolerances for float32.
 
+use std::path::Path;
+
 use libtest_mimic::Trial;
 
 use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, trial};
+use super::{Kind, SetFile, gpu_training, trial};
 use crate::common::engine::{camera, gaussians, renderer, settings, widen};
 use crate::common::{assert_silent, context};
 use crate::reference::types::Extent;
@@ -13,8 +15,19 @@ use crate::reference::types::Extent;
 pub fn trials(set: &SetFile) -> Vec<Trial> {
     match set.kind {
         Kind::Rendering => rendering_trials(set),
-        _ => vec![],
+        Kind::Loss => vec![of_file(set, "loss", gpu_training::loss)],
+        Kind::Adam => vec![of_file(set, "adam", gpu_training::adam)],
+        Kind::Rates => vec![of_file(set, "rates", gpu_training::rates)],
+        Kind::Densify => vec![of_file(set, "densify", gpu_training::densify)],
+        Kind::ResetOpacity => vec![of_file(set, "reset_opacity", gpu_training::reset_opacity)],
+        Kind::Train => vec![of_file(set, "train", gpu_training::train)],
+        Kind::Other => vec![],
     }
+}
+
+fn of_file(set: &SetFile, what: &str, check: fn(&Path) -> Result<(), String>) -> Trial {
+    let path = set.path.clone();
+    trial(format!("golden_gpu_{what}_{}", set.name), move || check(&path))
 }
 
 fn rendering_trials(set: &SetFile) -> Vec<Trial> {

@@ -179,7 +179,7 @@ pub fn train(path: &Path) -> Result<(), String> {
 /// Gaussians of which the vectors follow the reference implementation's derivative where the exact one differs: a
 /// limit of the Jacobian acts, or α's clamp at a pixel. Adam's first steps are
 /// the rate times a sign, so that they may differ by all of it.
-fn departing(gaussians: &[Gaussian], view: &View, frame: &Frame) -> Vec<bool> {
+pub fn departing(gaussians: &[Gaussian], view: &View, frame: &Frame) -> Vec<bool> {
     let mut departing: Vec<bool> = gaussians
         .iter()
         .map(|g| intermediate(g, view).is_some_and(|i| i.limited[0] || i.limited[1]))
@@ -216,10 +216,10 @@ fn compare_iteration(
     Ok(())
 }
 
-type Field = (&'static str, fn(&Gradient) -> Vec<f64>, fn(&Gaussian) -> Vec<f64>);
+pub type Field = (&'static str, fn(&Gradient) -> Vec<f64>, fn(&Gaussian) -> Vec<f64>);
 
 /// The fields of the vectors, of gradients and of parameters.
-const FIELDS: [Field; 5] = [
+pub const FIELDS: [Field; 5] = [
     ("means", |g| g.mean.to_vec(), |g| g.mean.to_vec()),
     ("quats", |g| g.quat.to_vec(), |g| g.quat.to_vec()),
     ("log_scales", |g| g.log_scale.to_vec(), |g| g.log_scale.to_vec()),

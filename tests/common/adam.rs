@@ -1,0 +1,163 @@
+//! The optimiser's kernel with its state on the device.
+
+use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_NON_FINITE, STATE_WORDS};
+use ashsplat::kernels::optimizer::adam::{Bind, Interface, Push, Spec};
+use ashsplat::vk::{Buffer, Kernel};
+
+use super::gpu::Gpu;
+use super::layout::{pack, planes, unpack};
+use crate::reference::types::Gaussian;
+
+/// Gradients of a visible Gaussian as the kernel reads them.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct VisibleGradient {
+    pub mean: [f64; 3],
+    pub opacity_logit: f64,
+    pub quat: [f64; 4],
+    pub log_scale: [f64; 3],
+    /// Of the colour before its clamp: those of SH follow from it.
+    pub color: [f64; 3],
+}
+
+/// Learning rates.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Rates {
+    pub mean: f64,
+    pub opacity: f64,
+    pub quat: f64,
+    pub log_scale: f64,
+    pub sh_dc: f64,
+    pub sh_rest: f64,
+}
+
+/// One step.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Step {
+    pub rates: Rates,
+    /// From 1; 0 for no bias correction.
+    pub count: i32,
+    pub camera_position: [f64; 3],
+}
+
+/// Parameters and moments on the device.
+pub struct AdamState<'a> {
+    gpu: &'a Gpu,
+    kernel: Kernel<Interface>,
+    workgroup: u32,
+    count: usize,
+    coefficients: usize,
+    stride: usize,
+    parameters: Buffer,
+    moments: [Buffer; 2],
+}
+
+impl<'a> AdamState<'a> {
+    /// Uploads Gaussians with zero moments.
+    pub fn new(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, sparse: bool) -> AdamState<'a> {
+        let spec = Spec { workgroup_size: gpu.workgroup(64), sh_degree, sparse };
+        let (count, coefficients) = (gaussians.len(), gaussians[0].sh.len());
+        let stride = count + 3;
+        let zeros = || gpu.zeros::<[f32; 4]>("moments", planes(coefficients) * stride);
+        AdamState {
+            gpu,
+            kernel: gpu.kernel(&spec),
+            workgroup: spec.workgroup_size,
+            count,
+            coefficients,
+            stride,
+            parameters: gpu.buffer("parameters", &pack(gaussians, stride)),
+            moments: [zeros(), zeros()],
+        }
+    }
+
+    /// Takes over the state of another, as a variant of the optimiser.
+    pub fn continued(&self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
+        let spec = Spec { workgroup_size: self.workgroup, sh_degree, sparse };
+        AdamState {
+            gpu: self.gpu,
+            kernel: self.gpu.kernel(&spec),
+            parameters: self.parameters.clone(),
+            moments: self.moments.clone(),
+            ..*self
+        }
+    }
+
+    /// Steps; `gradients` has `None` for what is not visible. Returns how many were skipped as not finite.
+    pub fn step(&self, gradients: &[Option<VisibleGradient>], step: &Step, overflow: bool) -> u32 {
+        let (visible_index, rows) = self.gradient_planes(gradients);
+        let mut state = vec![0; STATE_WORDS as usize];
+        state[ashsplat::kernels::constants::STATE_OVERFLOW as usize] = u32::from(overflow);
+        let state = self.gpu.buffer("state", &state);
+        let (index, rows) =
+            (self.gpu.buffer("visible_index", &visible_index), self.gpu.buffer("gradients", &rows));
+        let bind = Bind {
+            parameters: &self.parameters,
+            moments_1: &self.moments[0],
+            moments_2: &self.moments[1],
+            visible_index: &index,
+            gradients: &rows,
+            state: &state,
+        };
+        let workgroups = (self.count as u64).div_ceil(self.workgroup.into());
+        self.gpu.run(|recorder| recorder.dispatch(&self.kernel, &bind, &self.push(step), workgroups));
+        self.gpu.read::<u32>(&state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]
+    }
+
+    fn push(&self, step: &Step) -> Push {
+        let (beta_1, beta_2) = (0.9, 0.999);
+        let correction = |beta: f64| if step.count == 0 { 1.0 } else { 1.0 - f64::powi(beta, step.count) };
+        let rate = |rate: f64| (rate / correction(beta_1)) as f32;
+        let inverse_bias_2 = correction(beta_2).sqrt().recip() as f32;
+        Push {
+            camera_position: step.camera_position.map(|x| x as f32),
+            first: 0,
+            count: self.count as u32,
+            stride: self.stride as u32,
+            gradient_stride: self.count as u32 + 1,
+            beta_1: beta_1 as f32,
+            beta_2: beta_2 as f32,
+            one_minus_beta_1: (1.0 - beta_1) as f32,
+            one_minus_beta_2: (1.0 - beta_2) as f32,
+            epsilon: 1e-15,
+            rate_mean: rate(step.rates.mean),
+            rate_opacity: rate(step.rates.opacity),
+            rate_quat: rate(step.rates.quat),
+            rate_log_scale: rate(step.rates.log_scale),
+            rate_sh_dc: rate(step.rates.sh_dc),
+            rate_sh_rest: rate(step.rates.sh_rest),
+            inverse_bias_2,
+            inverse_bias_2_opacity: inverse_bias_2,
+        }
+    }
+
+    fn gradient_planes(&self, gradients: &[Option<VisibleGradient>]) -> (Vec<u32>, Vec<[f32; 4]>) {
+        let stride = self.count + 1;
+        let mut rows = vec![[f32::NAN; 4]; GRADIENT_PLANES as usize * stride];
+        let mut index = Vec::new();
+        let mut place = 0;
+        for gradient in gradients {
+            let Some(g) = gradient else {
+                index.push(u32::MAX);
+                continue;
+            };
+            index.push(place as u32);
+            let f = |x: f64| x as f32;
+            let three = |v: [f64; 3], w: f64| [f(v[0]), f(v[1]), f(v[2]), f(w)];
+            rows[place] = three(g.mean, g.opacity_logit);
+            rows[stride + place] = g.quat.map(f);
+            // The fourth components belong to other kernels: whatever they hold has no effect.
+            rows[2 * stride + place] = three(g.log_scale, f64::NAN);
+            rows[3 * stride + place] = three(g.color, f64::INFINITY);
+            place += 1;
+        }
+        (index, rows)
+    }
+
+    /// Parameters, first and second moments.
+    pub fn download(&self) -> [Vec<Gaussian>; 3] {
+        [&self.parameters, &self.moments[0], &self.moments[1]].map(|buffer| {
+            let words = self.gpu.read::<[f32; 4]>(buffer, planes(self.coefficients) * self.stride);
+            unpack(&words, self.stride, self.count, self.coefficients)
+        })
+    }
+}

@@ -1,0 +1,409 @@
+//! The device's loss, optimiser and densification against the vectors.
+
+use std::path::Path;
+
+use ashsplat::densify::{Densify, DensifyBuffers, DensifySettings, ExplicitNoise, Gather, RandomKey};
+use ashsplat::forward::SceneBuffers;
+use ashsplat::loss::{Loss, LossInputs, partials_bytes, ssim_maps_bytes};
+use ashsplat::optimizer::Moments;
+use ashsplat::plan::Blocks;
+use ashsplat::{TrainSettings, planes};
+
+use super::rendering::SINGLE;
+use super::report;
+use super::sets::{gaussians, view};
+use super::training::{FIELDS, GROUPS, departing};
+use crate::common::adam::{AdamState, Rates, Step, VisibleGradient};
+use crate::common::compare::{PixelTolerance, elementwise, equal, gradient, pixels};
+use crate::common::engine;
+use crate::common::gpu::Gpu;
+use crate::common::npz::{Npz, rows};
+use crate::reference::pipeline::render;
+use crate::reference::types::{Gaussian, Gradient};
+use crate::reference::{schedule, sh};
+
+/// A handful of roundings of float32.
+const ROUNDING: f64 = 1e-6;
+
+/// Loss, L1, SSIM and gradient of a picture against float ground truth.
+fn device_loss(gpu: &Gpu, image: &[f64], truth: &[f64], [width, height]: [u32; 2]) -> ([f64; 3], Vec<f64>) {
+    let loss = Loss::with_float_photos(gpu.context).expect("the kernels of the loss");
+    let count = (width * height) as usize;
+    let texels: Vec<[f32; 4]> =
+        rows::<3>(image).iter().map(|[r, g, b]| [*r as f32, *g as f32, *b as f32, 0.0]).collect();
+    let truth: Vec<f32> = truth.iter().map(|&x| x as f32).collect();
+    let accumulated = gpu.buffer("accumulated", &texels);
+    let photo = gpu.buffer("photo", &truth);
+    let ssim_maps = gpu.untouched::<u8>("ssim_maps", ssim_maps_bytes(width, height) as usize);
+    let partials = gpu.untouched::<u8>("partials", partials_bytes(width, height) as usize);
+    let losses = gpu.untouched::<[f32; 4]>("losses", 2);
+    let image_gradient = gpu.untouched::<[f32; 4]>("image_gradient", count);
+    gpu.run(|recorder| {
+        loss.record(
+            recorder,
+            &LossInputs {
+                accumulated: &accumulated,
+                photo: &photo,
+                ssim_maps: &ssim_maps,
+                partials: &partials,
+                losses: &losses,
+                slot: 1,
+                image_gradient: &image_gradient,
+                width,
+                height,
+                background: [0.0; 3],
+                lambda_dssim: 0.2,
+            },
+        );
+    });
+    let [value, l1, ssim, _] = gpu.read::<[f32; 4]>(&losses, 2)[1];
+    let gradient = gpu.read::<[f32; 4]>(&image_gradient, count);
+    let gradient = gradient.iter().flat_map(|[r, g, b, _]| [*r, *g, *b].map(f64::from)).collect();
+    ([value, l1, ssim].map(f64::from), gradient)
+}
+
+pub fn loss(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let shape = &npz.array("img").shape;
+    let size = [shape[1] as u32, shape[0] as u32];
+    let gpu = Gpu::new();
+    let ([loss, l1, ssim], d_img) = device_loss(&gpu, npz.values("img"), npz.values("gt"), size);
+    elementwise("loss", &[loss], npz.values("loss"), 0.0, ROUNDING)?;
+    elementwise("l1", &[l1], npz.values("l1"), 0.0, ROUNDING)?;
+    elementwise("ssim", &[ssim], npz.values("ssim"), ROUNDING, ROUNDING)?;
+    let skip = vec![false; shape[0] * shape[1]];
+    let errors = gradient("d_img", &d_img, npz.values("d_img"), &skip, SINGLE.gradient)?;
+    report(|| {
+        format!("| {} | d_img {:.1e} ({:.1e}) |", path.display(), errors.relative_l2, errors.max_over_max)
+    });
+    Ok(())
+}
+
+/// The values of a group as Gaussians: three values each, the opacity one. The camera lies at the origin and the means
+/// on its axis, so that the gradient of SH coefficient 2 is a known multiple of the colour's.
+fn as_gaussians(group: &str, values: &[f64]) -> Vec<Gaussian> {
+    let neutral = Gaussian {
+        mean: [0.0, 0.0, 1.0],
+        quat: [1.0, 0.0, 0.0, 0.0],
+        log_scale: [0.0; 3],
+        opacity_logit: 0.0,
+        sh: vec![[0.0; 3]; 4],
+    };
+    if group == "opacity" {
+        return values.iter().map(|&opacity_logit| Gaussian { opacity_logit, ..neutral.clone() }).collect();
+    }
+    rows::<3>(values)
+        .into_iter()
+        .map(|v| {
+            let mut gaussian = neutral.clone();
+            match group {
+                "xyz" => gaussian.mean = v,
+                "f_dc" => gaussian.sh[0] = v,
+                "f_rest" => gaussian.sh[2] = v,
+                "scaling" => gaussian.log_scale = v,
+                _ => gaussian.quat[..3].copy_from_slice(&v),
+            }
+            gaussian
+        })
+        .collect()
+}
+
+/// The inverse of [`as_gaussians`].
+fn of_gaussians(group: &str, gaussians: &[Gaussian]) -> Vec<f64> {
+    let of = |g: &Gaussian| match group {
+        "opacity" => vec![g.opacity_logit],
+        "xyz" => g.mean.to_vec(),
+        "f_dc" => g.sh[0].to_vec(),
+        "f_rest" => g.sh[2].to_vec(),
+        "scaling" => g.log_scale.to_vec(),
+        _ => g.quat[..3].to_vec(),
+    };
+    gaussians.iter().flat_map(of).collect()
+}
+
+fn as_gradients(group: &str, values: &[f64]) -> Vec<VisibleGradient> {
+    let along = sh::basis([0.0, 0.0, 1.0]);
+    as_gaussians(group, values)
+        .into_iter()
+        .map(|g| VisibleGradient {
+            mean: if group == "xyz" { g.mean } else { [0.0; 3] },
+            opacity_logit: g.opacity_logit,
+            quat: if group == "rotation" { [g.quat[0], g.quat[1], g.quat[2], 0.0] } else { [0.0; 4] },
+            log_scale: g.log_scale,
+            color: match group {
+                "f_rest" => g.sh[2].map(|x| x / along[2]),
+                _ => g.sh[0].map(|x| x / along[0]),
+            },
+        })
+        .collect()
+}
+
+fn rates_of(group: &str, rate: f64) -> Rates {
+    let mut rates = Rates::default();
+    match group {
+        "xyz" => rates.mean = rate,
+        "opacity" => rates.opacity = rate,
+        "f_dc" => rates.sh_dc = rate,
+        "f_rest" => rates.sh_rest = rate,
+        "scaling" => rates.log_scale = rate,
+        _ => rates.quat = rate,
+    }
+    rates
+}
+
+pub fn adam(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let gpu = Gpu::new();
+    for group in GROUPS {
+        let field = |name: &str| npz.values(&format!("{group}_{name}"));
+        let rates = rates_of(group, field("lr")[0]);
+        let count = field("p0").len();
+        let dense = AdamState::new(&gpu, &as_gaussians(group, field("p0")), 1, false);
+        for (place, values) in field("g").chunks(count).enumerate() {
+            let gradients: Vec<_> = as_gradients(group, values).into_iter().map(Some).collect();
+            let step = Step { rates, count: place as i32 + 1, ..Step::default() };
+            dense.step(&gradients, &step, false);
+            let now = place * count..(place + 1) * count;
+            let expected = [&field("p")[now.clone()], &field("m")[now.clone()], &field("v")[now]];
+            compare_adam(group, &dense, expected)?;
+        }
+        let visible = field("sp_vis");
+        let sparse = dense.continued(1, true);
+        let gradients = as_gradients(group, &field("g")[..count]);
+        let per_flag = gradients.len() / visible.len();
+        let gradients: Vec<_> = gradients
+            .into_iter()
+            .enumerate()
+            .map(|(i, g)| (visible[i / per_flag] != 0.0).then_some(g))
+            .collect();
+        sparse.step(&gradients, &Step { rates, ..Step::default() }, false);
+        compare_adam(group, &sparse, [field("sp_p"), field("sp_m"), field("sp_v")])?;
+    }
+    Ok(())
+}
+
+fn compare_adam(group: &str, state: &AdamState, expected: [&[f64]; 3]) -> Result<(), String> {
+    let actual = state.download().map(|gaussians| of_gaussians(group, &gaussians));
+    elementwise(&format!("{group} value"), &actual[0], expected[0], 1e-6, ROUNDING)?;
+    // Gradients of both signs cancel in the first moment.
+    let largest = expected[1].iter().fold(0.0_f64, |largest, m| largest.max(m.abs()));
+    elementwise(&format!("{group} first moment"), &actual[1], expected[1], 3e-7 * largest, ROUNDING)?;
+    elementwise(&format!("{group} second moment"), &actual[2], expected[2], 1e-12, 2.0 * ROUNDING)?;
+    Ok(())
+}
+
+/// The schedule of the settings that training resolves.
+pub fn rates(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let settings = TrainSettings::default();
+    let steps = npz.values("steps");
+    let position: Vec<f64> = npz
+        .values("extents")
+        .iter()
+        .flat_map(|&extent| steps.iter().map(move |&step| (step, extent)))
+        .map(|(step, extent)| settings.position_lr(step as u32) * extent)
+        .collect();
+    elementwise("position rate", &position, npz.values("lr_xyz"), 0.0, ROUNDING)?;
+    Ok(())
+}
+
+pub fn densify(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let gpu = Gpu::new();
+    let before = gaussians(&npz, "in_");
+    let scene_extent = npz.scalar("extent");
+    let prune_big = npz.scalar("max_screen") != 0.0;
+    let settings = DensifySettings {
+        gradient_threshold: 2e-4,
+        clone_scale: (0.01 * scene_extent) as f32,
+        min_opacity: 0.005,
+        max_scale: if prune_big { (0.1 * scene_extent) as f32 } else { 0.0 },
+    };
+    let statistics: Vec<[f32; 2]> = npz
+        .values("in_grad_accum")
+        .iter()
+        .zip(npz.values("in_denom"))
+        .map(|(&gradient, &views)| [gradient as f32, views as f32])
+        .collect();
+    let (after, sources) = densified(&gpu, &before, &statistics, &settings, &noise_of_gaussians(&npz));
+    equal(
+        "parent",
+        &sources.iter().map(|s| f64::from(s & 0x3FFF_FFFF)).collect::<Vec<_>>(),
+        npz.values("out_parent"),
+    )?;
+    let kinds: Vec<f64> = sources.iter().map(|s| f64::from((s >> 30).min(2))).collect();
+    equal("kind", &kinds, npz.values("out_kind"))?;
+    for (field, _, values) in FIELDS {
+        let name = format!("out_{field}");
+        let actual: Vec<f64> = after.iter().flat_map(values).collect();
+        elementwise(&name, &actual, npz.values(&name), 2.0 * ROUNDING, 2.0 * ROUNDING)?;
+    }
+    Ok(())
+}
+
+/// The given noise by half and Gaussian in place of half and split.
+fn noise_of_gaussians(npz: &Npz) -> Vec<[f32; 3]> {
+    let noise = npz.rows::<3>("noise");
+    let (splits, split) = (npz.array("noise").shape[1], npz.flags("split"));
+    let mut by_gaussian = vec![[f32::NAN; 3]; 2 * split.len()];
+    let parents = split.iter().enumerate().filter(|(_, split)| **split).map(|(gaussian, _)| gaussian);
+    for (place, gaussian) in parents.enumerate() {
+        for child in 0..2 {
+            by_gaussian[child * split.len() + gaussian] = noise[child * splits + place].map(|x| x as f32);
+        }
+    }
+    by_gaussian
+}
+
+/// Runs a densification; the new Gaussians and where they come from.
+fn densified(
+    gpu: &Gpu,
+    before: &[Gaussian],
+    statistics: &[[f32; 2]],
+    settings: &DensifySettings,
+    noise: &[[f32; 3]],
+) -> (Vec<Gaussian>, Vec<u32>) {
+    let densify = Densify::new(gpu.context).expect("the kernels of densification");
+    let count = before.len() as u32;
+    let input = engine::gaussians(before);
+    let scene = planes::upload(gpu.context, "test", &input, count, input.sh_degree).expect("upload");
+    let requests = DensifyBuffers::requests(&Blocks::new(gpu.context.limits()), count, 2 * count);
+    let [decisions, blocks, totals, sources] =
+        requests.map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
+    let buffers = DensifyBuffers { decisions, blocks, totals, sources };
+    let statistics = gpu.buffer("statistics", statistics);
+    gpu.run(|recorder| densify.record_decide(recorder, &scene, &statistics, &buffers, settings));
+    let totals = gpu.read::<u32>(&buffers.totals, 3);
+    let rows = totals[0] + totals[1] + 2 * totals[2];
+    let target = planes::upload(gpu.context, "test", &ashsplat::Gaussians::default(), rows, input.sh_degree);
+    let target = SceneBuffers { count: rows, ..target.expect("memory") };
+    let noise = gpu.buffer("noise", noise);
+    let explicit = Some(ExplicitNoise { buffer: &noise, stride: count });
+    let key = RandomKey { seed: 0, iteration: 0, explicit };
+    gpu.run(|recorder| {
+        densify.record_place(recorder, count, rows, &buffers);
+        recorder.barrier();
+        let gather = Gather { from: &scene, to: &target, sources: &buffers.sources };
+        densify.record_gather_parameters(recorder, &gather, &key);
+    });
+    let after = planes::download(gpu.context, &target).expect("download");
+    (engine::twins(&after), gpu.read(&buffers.sources, rows as usize))
+}
+
+pub fn reset_opacity(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let gpu = Gpu::new();
+    let before = as_gaussians("opacity", npz.values("logits"));
+    let input = engine::gaussians(&before);
+    let upload = || planes::upload(gpu.context, "test", &input, 0, 1).expect("upload");
+    // Moments are planes as well; the logits stand for them.
+    let (scene, first, second) = (upload(), upload(), upload());
+    let moments = Moments { first: first.chunks.clone(), second: second.chunks.clone() };
+    let densify = Densify::new(gpu.context).expect("the kernels of densification");
+    gpu.run(|recorder| densify.record_reset(recorder, &scene, &moments));
+    let [after, first, second] = [&scene, &first, &second]
+        .map(|s| engine::twins(&planes::download(gpu.context, s).expect("download")));
+    elementwise("logit", &of_gaussians("opacity", &after), npz.values("out"), ROUNDING, ROUNDING)?;
+    for ((after, moments), before) in after.iter().zip(first.iter().zip(&second)).zip(&before) {
+        let unchanged = |g: &Gaussian| (g.mean, g.quat, g.log_scale, g.sh.clone());
+        let zeroed = [moments.0, moments.1]
+            .iter()
+            .all(|m| m.opacity_logit == 0.0 && unchanged(m) == unchanged(before));
+        if unchanged(after) != unchanged(before) || !zeroed {
+            return Err(format!("more than the opacity has changed: {after:?}, {moments:?}"));
+        }
+    }
+    Ok(())
+}
+
+/// Full iterations: picture, loss, gradients and step, each on the device.
+pub fn train(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let view = view(&npz);
+    let gpu = Gpu::new();
+    let start = gaussians(&npz, "in_");
+    let (camera, settings) = (engine::camera(&view), engine::settings(&view));
+    let adam = AdamState::new(&gpu, &start, 0, false);
+    for iteration in (1..).take_while(|i| npz.has(&format!("it{i}_image"))) {
+        let field = |name: &str| format!("it{iteration}_{name}");
+        let [before, ..] = adam.download();
+        let mut renderer = engine::renderer();
+        let fail = |e: ashsplat::Error| e.to_string();
+        renderer.upload(&engine::gaussians(&before)).map_err(fail)?;
+        let image = engine::widen(&renderer.render(&camera, &settings).map_err(fail)?.color);
+        let unstable = npz.flags(&field("pix_unstable"));
+        pixels("image", &image, npz.values(&field("image")), &unstable, SINGLE.image)?;
+        let ([loss, ..], d_img) = device_loss(&gpu, &image, npz.values("gt"), view.size_px);
+        elementwise("loss", &[loss], npz.values(&field("loss")), 0.0, ROUNDING)?;
+        let bound = PixelTolerance { max: 1e-7, mean: 1e-9, unstable: 1e-3 };
+        pixels("d_img", &d_img, npz.values(&field("d_img")), &unstable, bound)?;
+        let target: Vec<[f32; 3]> = rows::<3>(&d_img).into_iter().map(|d| d.map(|x| x as f32)).collect();
+        let gradients = renderer.gradients(&camera, &settings, &target, None).map_err(fail)?;
+        drop(renderer);
+        let gradients = engine::twins(&gradients.parameters);
+        let step = Step {
+            rates: Rates {
+                mean: schedule::position_rate(f64::from(iteration), npz.scalar("extent")),
+                opacity: 0.025,
+                quat: 1e-3,
+                log_scale: 5e-3,
+                sh_dc: 2.5e-3,
+                sh_rest: 2.5e-3 / 20.0,
+            },
+            count: iteration,
+            camera_position: [0.0; 3],
+        };
+        let visible: Vec<_> = gradients.iter().map(|g| Some(visible_gradient(g))).collect();
+        adam.step(&visible, &step, false);
+        let departing = departing(&before, &view, &render(&before, &view));
+        let [after, ..] = adam.download();
+        compare_iteration(&npz, iteration, (&after, &gradients), &departing)?;
+    }
+    Ok(())
+}
+
+/// Only the coefficient of degree 0 is active.
+fn visible_gradient(g: &Gaussian) -> VisibleGradient {
+    VisibleGradient {
+        mean: g.mean,
+        opacity_logit: g.opacity_logit,
+        quat: g.quat,
+        log_scale: g.log_scale,
+        color: g.sh[0].map(|d| d / sh::basis([0.0, 0.0, 1.0])[0]),
+    }
+}
+
+fn compare_iteration(
+    npz: &Npz,
+    iteration: i32,
+    (after, gradients): (&[Gaussian], &[Gaussian]),
+    departing: &[bool],
+) -> Result<(), String> {
+    for (name, of_gradient, of_gaussian) in FIELDS {
+        let as_gradient = |g: &Gaussian| Gradient {
+            mean: g.mean,
+            quat: g.quat,
+            log_scale: g.log_scale,
+            opacity_logit: g.opacity_logit,
+            sh: g.sh.clone(),
+        };
+        let d: Vec<f64> = gradients.iter().flat_map(|g| of_gradient(&as_gradient(g))).collect();
+        let d_name = format!("it{iteration}_d_{name}");
+        let bound = if name == "quats" { SINGLE.quats } else { SINGLE.gradient };
+        let expected_gradient = npz.values(&d_name);
+        let errors = gradient(&d_name, &d, expected_gradient, departing, bound)?;
+        report(|| format!("| {d_name} {:.1e} |", errors.relative_l2));
+        let value_name = format!("it{iteration}_{name}");
+        let width = d.len() / after.len();
+        let largest = expected_gradient.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
+        let values: Vec<f64> = after.iter().flat_map(of_gaussian).collect();
+        for (place, (actual, expected)) in values.iter().zip(npz.values(&value_name)).enumerate() {
+            // Adam's first steps are the rate times a sign, which a gradient within rounding of zero does not have.
+            let certain = expected_gradient[place].abs() > 1e-4 * largest && !departing[place / width];
+            if certain {
+                elementwise(&value_name, &[*actual], &[*expected], 5e-5, 1e-6)?;
+            }
+        }
+    }
+    Ok(())
+}
