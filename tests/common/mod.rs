@@ -7,6 +7,7 @@ pub mod adam;
 pub mod compare;
 pub mod device;
 pub mod engine;
+pub mod frame;
 pub mod gpu;
 pub mod layout;
 pub mod npz;

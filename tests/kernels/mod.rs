@@ -1,9 +1,12 @@
 //! Each kernel alone on the device against its twin, under the shader's name.
 
 mod compact;
+mod count;
 mod cull;
+mod expand;
 mod prepare;
 mod project;
+mod ranges;
 mod scan_apply;
 mod scan_reduce;
 mod scan_spine;

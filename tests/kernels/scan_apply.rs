@@ -62,8 +62,13 @@ fn scan_of_more_than_65535_workgroups() {
         recorder.dispatch(reduce, &bind, &scan_reduce::Push { count_index: 0 }, blocks);
         recorder.barrier();
         let bind = scan_spine::Bind { block_sums: &sums, totals: &totals };
-        let push =
-            scan_spine::Push { count: size, from_totals: 0, block_size: workgroup_size, total_index: 0 };
+        let push = scan_spine::Push {
+            count: size,
+            from_totals: 0,
+            block_size: workgroup_size,
+            total_index: 0,
+            first_sum: 0,
+        };
         recorder.dispatch(&spine, &bind, &push, 1);
         recorder.barrier();
         let bind =

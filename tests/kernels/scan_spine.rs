@@ -18,20 +18,23 @@ fn scan_spine_equals_its_twin() {
             let sums: Vec<u32> = (0..size).map(|_| random.bits() as u32).collect();
             // The last block is not full.
             let values = if size == 0 { 0 } else { size as u32 * block_size - 5 };
-            let input = gpu.buffer("block_sums", &[sums.as_slice(), &[UNTOUCHED; 2]].concat());
+            // The sums start behind three words of something else.
+            let input =
+                gpu.buffer("block_sums", &[&[UNTOUCHED; 3], sums.as_slice(), &[UNTOUCHED; 2]].concat());
             let totals = gpu.buffer("totals", &[1, 2, 3, values]);
             let push = Push {
                 count: if from_totals == 1 { 3 } else { values },
                 from_totals,
                 block_size,
                 total_index: 1,
+                first_sum: 3,
             };
             let bind = Bind { block_sums: &input, totals: &totals };
             gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
             let mut expected = sums;
             let total = scan_spine(&mut expected);
-            expected.extend([UNTOUCHED; 2]);
-            assert_eq!(gpu.read::<u32>(&input, size + 2), expected, "size {size}");
+            let expected = [&[UNTOUCHED; 3], expected.as_slice(), &[UNTOUCHED; 2]].concat();
+            assert_eq!(gpu.read::<u32>(&input, size + 5), expected, "size {size}");
             assert_eq!(gpu.read::<u32>(&totals, 4), [1, total, 3, values], "size {size}");
         }
     }
