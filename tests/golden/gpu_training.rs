@@ -4,7 +4,7 @@ use std::path::Path;
 
 use ashsplat::densify::{Densify, DensifyBuffers, DensifySettings, ExplicitNoise, Gather, RandomKey};
 use ashsplat::forward::SceneBuffers;
-use ashsplat::loss::{Loss, LossInputs, partials_bytes, ssim_maps_bytes};
+use ashsplat::loss::{Loss, LossInputs, PhotoFormat, partials_bytes, ssim_maps_bytes};
 use ashsplat::optimizer::Moments;
 use ashsplat::plan::Blocks;
 use ashsplat::{TrainSettings, planes};
@@ -27,7 +27,7 @@ const ROUNDING: f64 = 1e-6;
 
 /// Loss, L1, SSIM and gradient of a picture against float ground truth.
 fn device_loss(gpu: &Gpu, image: &[f64], truth: &[f64], [width, height]: [u32; 2]) -> ([f64; 3], Vec<f64>) {
-    let loss = Loss::with_float_photos(gpu.context).expect("the kernels of the loss");
+    let loss = Loss::new(gpu.context, PhotoFormat::Float).expect("the kernels of the loss");
     let count = (width * height) as usize;
     let texels: Vec<[f32; 4]> =
         rows::<3>(image).iter().map(|[r, g, b]| [*r as f32, *g as f32, *b as f32, 0.0]).collect();
