@@ -4,6 +4,7 @@
 #![allow(dead_code, unused_imports)]
 
 pub mod adam;
+pub mod blending;
 pub mod compare;
 pub mod device;
 pub mod engine;
@@ -12,6 +13,7 @@ pub mod gpu;
 pub mod layout;
 pub mod npz;
 pub mod scenes;
+pub mod tiles;
 
 pub use device::{assert_silent, context, options};
 use std::path::PathBuf;

@@ -1,5 +1,7 @@
 //! Each kernel alone on the device against its twin, under the shader's name.
 
+mod blend;
+mod blend_backward;
 mod compact;
 mod count;
 mod cull;

@@ -1,0 +1,136 @@
+//! The two blending kernels over tile lists.
+
+use ashsplat::kernels::backward::blend_backward;
+use ashsplat::kernels::forward::blend;
+use ashsplat::vk::Buffer;
+
+use super::gpu::Gpu;
+use super::tiles::Lists;
+
+/// What the forward kernel leaves for the backward one.
+pub struct Blended {
+    pub accumulated: Buffer,
+    pub inverse_depth: Buffer,
+    pub last_entries: Buffer,
+}
+
+/// Sums of each slot.
+pub struct SlotSums {
+    /// 1, dx, dy, dx², dx·dy, dy², r, g, b, inverse depth.
+    pub sums: Vec<[f64; 10]>,
+}
+
+/// Invocations of a workgroup of one tile.
+fn workgroup(gpu: &Gpu) -> u32 {
+    gpu.subgroup() * if gpu.subgroup() <= 64 { 4 } else { 2 }
+}
+
+/// Blends lists, at most `entries_per_pass` of each tile at a time.
+pub fn forward(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) -> Blended {
+    let spec = blend::Spec { workgroup_size: workgroup(gpu), subgroup_size: gpu.subgroup(), inverse_depth };
+    let kernel = gpu.kernel::<blend::Interface>(&spec);
+    let pixels = lists.view.pixels();
+    let blended = Blended {
+        accumulated: gpu.untouched::<[f32; 4]>("accumulated", pixels),
+        inverse_depth: gpu.untouched::<f32>("inverse_depth", pixels),
+        last_entries: gpu.untouched::<u32>("last_entries", pixels),
+    };
+    let bind = blend::Bind {
+        tile_ranges: &lists.tile_ranges,
+        sorted_visible: &lists.sorted_visible,
+        mean2d_extent: &lists.frame.mean2d_extent,
+        conic_opacity: &lists.frame.conic_opacity,
+        color_inverse_depth: &lists.frame.color_inverse_depth,
+        accumulated: &blended.accumulated,
+        inverse_depth: &blended.inverse_depth,
+        last_entries: &blended.last_entries,
+        state: &lists.state,
+    };
+    let [tiles_per_row, rows] = lists.view.tiles();
+    gpu.run(|recorder| {
+        for pass in 0..passes(lists, entries_per_pass) {
+            recorder.barrier();
+            let push = blend::Push {
+                image_width: lists.view.size_px[0],
+                image_height: lists.view.size_px[1],
+                tiles_per_row,
+                tile_count: tiles_per_row * rows,
+                first_entry: pass * entries_per_pass,
+                max_entries: entries_per_pass,
+                last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
+            };
+            recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
+        }
+    });
+    blended
+}
+
+/// The sums of each slot for a gradient per pixel (r, g, b, inverse depth).
+pub fn backward(
+    gpu: &Gpu,
+    lists: &Lists,
+    blended: &Blended,
+    gradient: Option<&[[f32; 4]]>,
+    entries_per_pass: u32,
+) -> SlotSums {
+    let spec = blend_backward::Spec {
+        workgroup_size: workgroup(gpu),
+        subgroup_size: gpu.subgroup(),
+        inverse_depth: true,
+    };
+    let kernel = gpu.kernel::<blend_backward::Interface>(&spec);
+    let (pixels, slots) = (lists.view.pixels(), lists.slots.len());
+    let image_gradient = match gradient {
+        Some(gradient) => gpu.buffer("image_gradient", gradient),
+        None => gpu.zeros::<[f32; 4]>("image_gradient", pixels),
+    };
+    let running = gpu.untouched::<[f32; 2]>("running", pixels);
+    let [sums_a, sums_b] = ["sums_a", "sums_b"].map(|name| gpu.untouched::<[f32; 4]>(name, slots));
+    let sums_c = gpu.untouched::<[f32; 2]>("sums_c", slots);
+    let bind = blend_backward::Bind {
+        tile_ranges: &lists.tile_ranges,
+        sorted_visible: &lists.sorted_visible,
+        sorted_slots: &lists.sorted_slots,
+        mean2d_extent: &lists.frame.mean2d_extent,
+        conic_opacity: &lists.frame.conic_opacity,
+        color_inverse_depth: &lists.frame.color_inverse_depth,
+        accumulated: &blended.accumulated,
+        inverse_depth: &blended.inverse_depth,
+        last_entries: &blended.last_entries,
+        image_gradient: &image_gradient,
+        running: &running,
+        sums_a: &sums_a,
+        sums_b: &sums_b,
+        sums_c: &sums_c,
+    };
+    let [tiles_per_row, rows] = lists.view.tiles();
+    gpu.run(|recorder| {
+        for pass in 0..passes(lists, entries_per_pass) {
+            recorder.barrier();
+            let push = blend_backward::Push {
+                image_width: lists.view.size_px[0],
+                image_height: lists.view.size_px[1],
+                tiles_per_row,
+                tile_count: tiles_per_row * rows,
+                first_entry: pass * entries_per_pass,
+                max_entries: entries_per_pass,
+                background: lists.view.background.map(|x| x as f32),
+            };
+            recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
+        }
+    });
+    let (a, b) = (gpu.read::<[f32; 4]>(&sums_a, slots), gpu.read::<[f32; 4]>(&sums_b, slots));
+    let c = gpu.read::<[f32; 2]>(&sums_c, slots);
+    let sums = (0..slots)
+        .map(|slot| {
+            let all = [a[slot].as_slice(), &b[slot], &c[slot]].concat();
+            std::array::from_fn(|k| f64::from(all[k]))
+        })
+        .collect();
+    SlotSums { sums }
+}
+
+fn passes(lists: &Lists, entries_per_pass: u32) -> u32 {
+    let longest = lists.lists.iter().map(Vec::len).max().unwrap_or(0) as u32;
+    longest.div_ceil(entries_per_pass).max(1)
+}

@@ -1,0 +1,103 @@
+//! `forward/blend` against its twin.
+
+use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW, STATE_WORDS};
+
+use crate::common::blending::forward;
+use crate::common::compare::{PixelTolerance, pixels};
+use crate::common::gpu::{Gpu, UNTOUCHED};
+use crate::common::scenes::small_view;
+use crate::common::tiles::Lists;
+use crate::reference::blend::{Pixel, blend};
+use crate::reference::pipeline::pixels_of;
+
+const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 };
+
+/// Blends on the device and by the twin, and compares every output.
+fn check(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) {
+    let blended = forward(gpu, lists, inverse_depth, entries_per_pass);
+    let count = lists.view.pixels();
+    // The kernel leaves the background to others.
+    let expected: Vec<Pixel> =
+        pixels_of(&lists.view).map(|pixel| blend(&lists.list_of(pixel), pixel, [0.0; 3])).collect();
+    let unstable = lists.unstable();
+    let share = unstable.iter().filter(|&&unstable| unstable).count();
+    assert!(share <= 1 + count / 10, "{share} of {count} pixels hang on rounding: the scene tests little");
+
+    let accumulated = gpu.read::<[f32; 4]>(&blended.accumulated, count);
+    let actual: Vec<f64> = accumulated.as_flattened().iter().map(|&x| f64::from(x)).collect();
+    let values: Vec<f64> =
+        expected.iter().flat_map(|p| [p.color[0], p.color[1], p.color[2], p.transmittance]).collect();
+    pixels("accumulated", &actual, &values, &unstable, TOLERANCE).expect("accumulated");
+
+    if inverse_depth {
+        let actual: Vec<f64> =
+            gpu.read::<f32>(&blended.inverse_depth, count).iter().map(|&x| f64::from(x)).collect();
+        let values: Vec<f64> = expected.iter().map(|p| p.inverse_depth).collect();
+        pixels("inverse depth", &actual, &values, &unstable, TOLERANCE).expect("inverse depth");
+    } else {
+        assert!(gpu.read::<u32>(&blended.inverse_depth, count).iter().all(|&word| word == UNTOUCHED));
+    }
+    let last = gpu.read::<u32>(&blended.last_entries, count);
+    for (index, (pixel, unstable)) in expected.iter().zip(&unstable).enumerate() {
+        assert!(
+            *unstable || last[index] == pixel.last,
+            "last of {index}: {}, expected {}",
+            last[index],
+            pixel.last
+        );
+    }
+}
+
+#[test]
+fn blend_equals_its_twin_on_lists_of_all_lengths() {
+    let gpu = Gpu::new();
+    let subgroup = gpu.subgroup() as usize;
+    for entries in [0, 1, subgroup - 1, subgroup, subgroup + 1, 31, 32, 33, 300] {
+        let lists = Lists::long(&gpu, entries, [0.02, 0.6], &small_view([37, 21]));
+        check(&gpu, &lists, true, u32::MAX);
+        let state = gpu.read::<u32>(&lists.state, STATE_WORDS as usize);
+        assert_eq!(state[STATE_LONGEST_TILE as usize], entries as u32);
+        assert_eq!(state[STATE_OVERFLOW as usize], 0);
+    }
+}
+
+#[test]
+fn blend_equals_its_twin_on_images_of_all_sizes() {
+    let gpu = Gpu::new();
+    for size in [[1, 1], [17, 5], [16, 16], [15, 33], [64, 48]] {
+        let lists = Lists::long(&gpu, 40, [0.02, 0.99], &small_view(size));
+        check(&gpu, &lists, false, u32::MAX);
+    }
+}
+
+/// Opaque layers: the clamp at 0.99 and the stop before transmittance 1e-4.
+#[test]
+fn blend_of_opaque_layers() {
+    let gpu = Gpu::new();
+    check(&gpu, &Lists::long(&gpu, 50, [0.98, 1.0], &small_view([37, 21])), true, u32::MAX);
+}
+
+/// Passes over parts of the lists give the same picture to the bit.
+#[test]
+fn blend_in_passes_equals_blend_at_once() {
+    let gpu = Gpu::new();
+    for opacity in [[0.005, 0.03], [0.5, 1.0]] {
+        let lists = Lists::long(&gpu, 301, opacity, &small_view([37, 21]));
+        let at_once = forward(&gpu, &lists, true, u32::MAX);
+        let count = lists.view.pixels();
+        for entries_per_pass in [64, 100, 300, 301] {
+            check(&gpu, &lists, true, entries_per_pass);
+            let passes = forward(&gpu, &lists, true, entries_per_pass);
+            let equal = |a, b, words: usize| gpu.read::<u32>(a, words) == gpu.read::<u32>(b, words);
+            assert!(
+                equal(&at_once.accumulated, &passes.accumulated, 4 * count),
+                "{entries_per_pass} per pass"
+            );
+            assert!(
+                equal(&at_once.inverse_depth, &passes.inverse_depth, count),
+                "{entries_per_pass} per pass"
+            );
+            assert!(equal(&at_once.last_entries, &passes.last_entries, count), "{entries_per_pass} per pass");
+        }
+    }
+}

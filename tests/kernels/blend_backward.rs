@@ -1,0 +1,121 @@
+//! `backward/blend_backward` against its twin.
+
+use crate::common::blending::{SlotSums, backward, forward};
+use crate::common::compare::{GradientTolerance, gradient};
+use crate::common::gpu::Gpu;
+use crate::common::scenes::{Random, small_view};
+use crate::common::tiles::Lists;
+use crate::reference::blend_backward::{PixelGradient, blend_backward};
+use crate::reference::pipeline::{pixels_of, tile_of};
+use crate::reference::types::{Splat, SplatGradient};
+
+const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
+
+/// Random dL/dpixel, zero where a decision hangs on rounding.
+pub fn image_gradient(lists: &Lists) -> Vec<[f32; 4]> {
+    let mut random = Random::new(17);
+    let unstable = lists.unstable();
+    unstable
+        .iter()
+        .map(|&unstable| [0; 4].map(|_| if unstable { 0.0 } else { random.signed() as f32 }))
+        .collect()
+}
+
+/// The twin's gradient of each sorted instance.
+pub fn expected(lists: &Lists, d_pixels: &[[f32; 4]]) -> Vec<SplatGradient> {
+    let mut by_tile: Vec<Vec<SplatGradient>> =
+        lists.lists.iter().map(|list| vec![SplatGradient::default(); list.len()]).collect();
+    for (pixel, d) in pixels_of(&lists.view).zip(d_pixels) {
+        let [r, g, b, inverse_depth] = d.map(f64::from);
+        let d = PixelGradient { color: [r, g, b], inverse_depth };
+        let gradients = &mut by_tile[tile_of(&lists.view, pixel)];
+        blend_backward(&lists.list_of(pixel), pixel, lists.view.background, d, gradients);
+    }
+    by_tile.concat()
+}
+
+/// A splat's gradient from the moments of dL/dpower.
+pub fn from_moments(splat: &Splat, sums: [f64; 10]) -> SplatGradient {
+    let [one, x, y, xx, xy, yy, r, g, b, inverse_depth] = sums;
+    let [conic_a, conic_b, conic_c] = splat.conic;
+    SplatGradient {
+        mean2d_px: [-(conic_a * x + conic_b * y), -(conic_b * x + conic_c * y)],
+        conic: [-0.5 * xx, -xy, -0.5 * yy],
+        opacity: one / splat.opacity,
+        color: [r, g, b],
+        inverse_depth,
+    }
+}
+
+/// The device's gradient of each sorted instance.
+fn actual(lists: &Lists, sums: &SlotSums) -> Vec<SplatGradient> {
+    let splats = lists.lists.iter().flatten().map(|&visible| &lists.frame.splats[visible as usize]);
+    splats.zip(&lists.slots).map(|(splat, &slot)| from_moments(splat, sums.sums[slot as usize])).collect()
+}
+
+/// Compares field by field.
+pub fn compare(actual: &[SplatGradient], expected: &[SplatGradient]) {
+    let skip = vec![false; expected.len()];
+    let fields: [(&str, fn(&SplatGradient) -> Vec<f64>); 5] = [
+        ("mean2d", |g| g.mean2d_px.to_vec()),
+        ("conic", |g| g.conic.to_vec()),
+        ("opacity", |g| vec![g.opacity]),
+        ("colour", |g| g.color.to_vec()),
+        ("inverse depth", |g| vec![g.inverse_depth]),
+    ];
+    for (name, field) in fields {
+        let [actual, expected] = [actual, expected].map(|g| g.iter().flat_map(field).collect::<Vec<f64>>());
+        gradient(name, &actual, &expected, &skip, TOLERANCE).expect("gradients of instances");
+    }
+}
+
+fn check(gpu: &Gpu, lists: &Lists, entries_per_pass: u32) {
+    let blended = forward(gpu, lists, true, entries_per_pass);
+    let d_pixels = image_gradient(lists);
+    let sums = backward(gpu, lists, &blended, Some(&d_pixels), entries_per_pass);
+    compare(&actual(lists, &sums), &expected(lists, &d_pixels));
+}
+
+#[test]
+fn blend_backward_equals_its_twin_on_lists_of_all_lengths() {
+    let gpu = Gpu::new();
+    let subgroup = gpu.subgroup() as usize;
+    for entries in [0, 1, subgroup - 1, subgroup, subgroup + 1, 31, 32, 33, 300] {
+        check(&gpu, &Lists::long(&gpu, entries, [0.02, 0.6], &small_view([37, 21])), u32::MAX);
+    }
+}
+
+#[test]
+fn blend_backward_equals_its_twin_on_images_of_all_sizes() {
+    let gpu = Gpu::new();
+    for size in [[1, 1], [17, 5], [16, 16], [15, 33], [64, 48]] {
+        check(&gpu, &Lists::long(&gpu, 40, [0.02, 0.9], &small_view(size)), u32::MAX);
+    }
+}
+
+#[test]
+fn blend_backward_of_opaque_layers() {
+    let gpu = Gpu::new();
+    check(&gpu, &Lists::long(&gpu, 50, [0.98, 1.0], &small_view([37, 21])), u32::MAX);
+}
+
+#[test]
+fn blend_backward_in_passes() {
+    let gpu = Gpu::new();
+    for opacity in [[0.005, 0.03], [0.5, 1.0]] {
+        let lists = Lists::long(&gpu, 301, opacity, &small_view([37, 21]));
+        for entries_per_pass in [64, 96, 320] {
+            check(&gpu, &lists, entries_per_pass);
+        }
+    }
+}
+
+/// Every slot is written, also where no pixel has a gradient.
+#[test]
+fn blend_backward_of_nothing_is_zero() {
+    let gpu = Gpu::new();
+    let lists = Lists::long(&gpu, 70, [0.5, 1.0], &small_view([37, 21]));
+    let blended = forward(&gpu, &lists, true, u32::MAX);
+    let sums = backward(&gpu, &lists, &blended, None, u32::MAX);
+    assert!(sums.sums.iter().flatten().all(|&sum| sum == 0.0));
+}
