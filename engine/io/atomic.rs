@@ -44,9 +44,13 @@ fn write_inner(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>)
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    let mut writer = BufWriter::with_capacity(BUFFER_BYTES, temporary_file(&target, folder)?);
+    // Said of the folder; the creation of the file below would name the temporary one.
+    fs::metadata(folder)?;
+    let file = temporary_file(&target, folder)?;
+    let mut writer = BufWriter::with_capacity(BUFFER_BYTES, file.as_file());
     fill(&mut writer)?;
-    let file = writer.into_inner().map_err(io::IntoInnerError::into_error)?;
+    writer.flush()?;
+    drop(writer);
     file.as_file().sync_all()?;
     file.persist(&target).map_err(|e| e.error)?;
     // The rename itself reaches the disk with the folder; where folders cannot be synchronised, it is late only.
