@@ -139,7 +139,7 @@ fn without_points_it_starts_from_random_ones_around_the_cameras() {
     assert!(dataset.warnings[0].contains("100000 random"), "{:?}", dataset.warnings);
     let points = dataset.initial_points(5);
     assert_eq!(points.len(), 100_000);
-    assert_eq!(points, dataset.initial_points(5));
+    assert!(points == dataset.initial_points(5), "the seed gives the points");
     let bounds = points.bounds().unwrap();
     for view in &dataset.train {
         let position = view.camera.position();
@@ -147,7 +147,7 @@ fn without_points_it_starts_from_random_ones_around_the_cameras() {
     }
     let gaussians = dataset.initial_gaussians(1, 5).unwrap();
     gaussians.check_shapes().unwrap();
-    assert_eq!(gaussians.means, points.positions);
+    assert!(gaussians.means == points.positions, "one Gaussian at each point");
 }
 
 #[test]
