@@ -13,7 +13,7 @@ pub fn planes(coefficients: usize) -> usize {
 
 /// Gaussians as planes.
 pub fn pack(gaussians: &[Gaussian], stride: usize) -> Vec<[f32; 4]> {
-    let coefficients = gaussians.first().map_or(1, |g| g.sh.len());
+    let coefficients = gaussians.first().map_or(16, |g| g.sh.len());
     let mut packed = vec![[0.0; 4]; planes(coefficients) * stride];
     for (i, gaussian) in gaussians.iter().enumerate() {
         let f = |x: f64| x as f32;

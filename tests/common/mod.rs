@@ -11,6 +11,7 @@ pub mod engine;
 pub mod frame;
 pub mod gpu;
 pub mod layout;
+pub mod loss;
 pub mod npz;
 pub mod scenes;
 pub mod tiles;

@@ -1,0 +1,121 @@
+//! The kernels of the loss with their inputs on the device.
+
+use ashsplat::kernels::loss::{ssim_backward, ssim_forward};
+use ashsplat::vk::Buffer;
+
+use super::gpu::Gpu;
+use super::scenes::Random;
+use crate::reference::ssim_forward::Plane;
+
+pub const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.75];
+
+/// A rendered picture and a photograph.
+pub struct Pictures {
+    pub size: [u32; 2],
+    /// As the blending leaves it: colour without background, transmittance.
+    pub accumulated: Vec<[f32; 4]>,
+    /// RGBA8.
+    pub photo: Vec<u32>,
+}
+
+impl Pictures {
+    /// Random ones with structure: SSIM is neither 0 nor 1.
+    pub fn random(size: [u32; 2]) -> Pictures {
+        let mut random = Random::new(u64::from(size[0]) << 32 | u64::from(size[1]));
+        let count = (size[0] * size[1]) as usize;
+        let mut accumulated = Vec::new();
+        let mut photo = Vec::new();
+        for i in 0..count {
+            let (x, y) = (i as f64 % f64::from(size[0]), (i as f64 / f64::from(size[0])).floor());
+            let wave = [0, 1, 2].map(|c| 0.5 + 0.4 * (0.3 * x + 0.2 * y * f64::from(c)).sin());
+            let transmittance = random.unit() * 0.5;
+            let rendered = wave.map(|w| (w * (1.0 - transmittance) + 0.3 * random.signed()) as f32);
+            accumulated.push([rendered[0], rendered[1], rendered[2], transmittance as f32]);
+            let bytes = wave.map(|w| ((w + 0.1 * random.signed()) * 255.0).clamp(0.0, 255.0) as u32);
+            // The fourth byte is nobody's.
+            photo.push(bytes[0] | bytes[1] << 8 | bytes[2] << 16 | random.below(256) << 24);
+        }
+        Pictures { size, accumulated, photo }
+    }
+
+    pub fn pixels(&self) -> usize {
+        self.accumulated.len()
+    }
+
+    /// A channel of the composited picture and of the photograph.
+    pub fn planes(&self, channel: usize) -> [Plane; 2] {
+        let [width, height] = self.size.map(|n| n as usize);
+        let rendered = |t: &[f32; 4]| f64::from(t[channel]) + f64::from(t[3]) * BACKGROUND[channel];
+        let taken = |word: &u32| f64::from(word >> (8 * channel) & 0xFF) / 255.0;
+        [
+            Plane { width, height, values: self.accumulated.iter().map(rendered).collect() },
+            Plane { width, height, values: self.photo.iter().map(taken).collect() },
+        ]
+    }
+
+    /// Workgroups: blocks of 16×16 and the channel.
+    pub fn grid(&self) -> [u32; 3] {
+        [self.size[0].div_ceil(16), self.size[1].div_ceil(16), 3]
+    }
+}
+
+/// Runs the forward kernel; its maps and partial sums.
+pub fn forward(gpu: &Gpu, pictures: &Pictures, strip: u32) -> (Buffer, Buffer) {
+    let spec = ssim_forward::Spec {
+        workgroup_size: gpu.workgroup(64),
+        subgroup_size: gpu.subgroup(),
+        strip,
+        float_photo: false,
+    };
+    let kernel = gpu.kernel::<ssim_forward::Interface>(&spec);
+    let accumulated = gpu.buffer("accumulated", &pictures.accumulated);
+    let photo = gpu.buffer("photo", &pictures.photo);
+    let grid = pictures.grid();
+    let ssim_maps = gpu.untouched::<[f32; 3]>("ssim_maps", 3 * pictures.pixels());
+    let partials = gpu.untouched::<[f32; 2]>("loss_partials", grid.iter().product::<u32>() as usize);
+    let bind = ssim_forward::Bind {
+        accumulated: &accumulated,
+        photo: &photo,
+        ssim_maps: &ssim_maps,
+        loss_partials: &partials,
+    };
+    let push = ssim_forward::Push {
+        image_width: pictures.size[0],
+        image_height: pictures.size[1],
+        background: BACKGROUND.map(|x| x as f32),
+    };
+    gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, grid));
+    (ssim_maps, partials)
+}
+
+/// Runs the backward kernel; dL/d(r, g, b) and a fourth component that it does not write.
+pub fn backward(
+    gpu: &Gpu,
+    pictures: &Pictures,
+    ssim_maps: &Buffer,
+    strip: u32,
+    lambda_dssim: f32,
+) -> Vec<[f32; 4]> {
+    let spec = ssim_backward::Spec { workgroup_size: gpu.workgroup(64), strip, float_photo: false };
+    let kernel = gpu.kernel::<ssim_backward::Interface>(&spec);
+    let accumulated = gpu.buffer("accumulated", &pictures.accumulated);
+    let photo = gpu.buffer("photo", &pictures.photo);
+    let image_gradient = gpu.untouched::<[f32; 4]>("image_gradient", pictures.pixels());
+    let bind = ssim_backward::Bind {
+        accumulated: &accumulated,
+        photo: &photo,
+        ssim_maps,
+        image_gradient: &image_gradient,
+    };
+    let push = ssim_backward::Push {
+        image_width: pictures.size[0],
+        image_height: pictures.size[1],
+        background: BACKGROUND.map(|x| x as f32),
+        lambda_dssim,
+    };
+    gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
+    gpu.read(&image_gradient, pictures.pixels())
+}
+
+/// Image sizes at which blocks and apron may go wrong.
+pub const SIZES: [[u32; 2]; 8] = [[1, 1], [5, 3], [16, 16], [17, 5], [15, 33], [31, 48], [64, 10], [90, 70]];

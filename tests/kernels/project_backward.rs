@@ -1,0 +1,232 @@
+//! `backward/project_backward` against its twin.
+
+use ashsplat::kernels::backward::project_backward::{Bind, Interface, Push, Spec};
+use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBLE, STATE_WORDS};
+
+use super::blend_backward::from_moments;
+use crate::common::compare::{GradientTolerance, gradient};
+use crate::common::gpu::{Gpu, sizes};
+use crate::common::layout::{camera_push, pack};
+use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::reference::project::{color, project};
+use crate::reference::project_backward::{mean2d_statistic, project_backward};
+use crate::reference::types::{Extent, Gaussian, Gradient, Splat, SplatGradient, View};
+
+const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
+const QUATS: GradientTolerance = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };
+
+/// A scene with the sums that the blending left for each visible Gaussian.
+struct Scene {
+    view: View,
+    gaussians: Vec<Gaussian>,
+    visible: Vec<u32>,
+    splats: Vec<Splat>,
+    /// Per visible Gaussian, its slots' sums.
+    sums: Vec<Vec<[f64; 10]>>,
+}
+
+impl Scene {
+    /// Every `many`-th Gaussian has more slots than one lane adds alone.
+    fn random(size: usize, view: View, many: usize) -> Scene {
+        let mut random = Random::new(size as u64);
+        let mut gaussians = mixed_scene(&mut random, size, 16);
+        for gaussian in &mut gaussians {
+            // Float32 resolves neither needles nor opacities that hardly count.
+            gaussian.opacity_logit = gaussian.opacity_logit.max(-4.0);
+        }
+        let visible: Vec<u32> =
+            (0..size as u32).filter(|&i| project(&gaussians[i as usize], &view).is_some()).collect();
+        let splats: Vec<Splat> =
+            visible.iter().map(|&i| project(&gaussians[i as usize], &view).expect("visible")).collect();
+        let sums = splats
+            .iter()
+            .enumerate()
+            .map(|(place, splat)| {
+                let slots = if place % many == many - 1 { 64 + place % 200 } else { place % 5 };
+                (0..slots).map(|_| random_sums(&mut random, splat)).collect()
+            })
+            .collect();
+        Scene { view, gaussians, visible, splats, sums }
+    }
+
+    fn expected(&self) -> Vec<(Gradient, SplatGradient)> {
+        self.visible
+            .iter()
+            .enumerate()
+            .map(|(place, &gaussian)| {
+                let mut sum = [0.0; 10];
+                for slot in &self.sums[place] {
+                    for k in 0..10 {
+                        sum[k] += slot[k];
+                    }
+                }
+                let d = from_moments(&self.splats[place], sum);
+                (project_backward(&self.gaussians[gaussian as usize], &self.view, &d), d)
+            })
+            .collect()
+    }
+}
+
+/// Moments of the size that pixels within the splat give, rounded to float32.
+fn random_sums(random: &mut Random, splat: &Splat) -> [f64; 10] {
+    let [xx, xy, yy] = splat.cov2d;
+    let [sx, sy] = [xx.sqrt(), yy.sqrt()];
+    let _ = xy;
+    let scales = [1.0, sx, sy, xx, sx * sy, yy, 1.0, 1.0, 1.0, 1.0];
+    scales.map(|scale| f64::from((scale * 1e-2 * random.signed()) as f32))
+}
+
+/// What the kernel leaves: gradient planes and statistics.
+fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32; 4]>, Vec<[f32; 2]>) {
+    let spec = Spec {
+        workgroup_size: gpu.workgroup(64),
+        subgroup_size: gpu.subgroup(),
+        sh_degree: scene.view.sh_degree,
+        ..Spec::default()
+    };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    let (size, count) = (scene.gaussians.len(), scene.visible.len());
+    let (stride, gradient_stride) = (size.max(1) + 3, count + 5);
+    let mut words = vec![0; STATE_WORDS as usize];
+    words[STATE_VISIBLE as usize] = count as u32;
+    words[STATE_OVERFLOW as usize] = u32::from(overflow);
+    let mut begins = Vec::new();
+    let mut flat: Vec<[f64; 10]> = Vec::new();
+    for sums in &scene.sums {
+        begins.push(flat.len() as u32);
+        flat.extend(sums);
+    }
+    let footprints: Vec<[u32; 4]> = scene.sums.iter().map(|sums| [0, 0, 0, sums.len() as u32]).collect();
+    let part = |from: usize| {
+        flat.iter().map(|s| std::array::from_fn(|k| s[from + k] as f32)).collect::<Vec<[f32; 4]>>()
+    };
+    let conic: Vec<[f32; 4]> = scene
+        .splats
+        .iter()
+        .map(|s| [s.conic[0], s.conic[1], s.conic[2], s.opacity].map(|x| x as f32))
+        .collect();
+    let parameters = gpu.buffer("parameters", &pack(&scene.gaussians, stride));
+    let state = gpu.buffer("state", &words);
+    let visible_list = gpu.buffer("visible_list", &scene.visible);
+    let footprints = gpu.buffer("footprints", &footprints);
+    let slot_begins = gpu.buffer("slot_begins", &begins);
+    let conic_opacity = gpu.buffer("conic_opacity", &conic);
+    let (sums_a, sums_b) = (gpu.buffer("sums_a", &part(0)), gpu.buffer("sums_b", &part(4)));
+    let sums_c: Vec<[f32; 2]> = flat.iter().map(|s| [s[8] as f32, s[9] as f32]).collect();
+    let sums_c = gpu.buffer("sums_c", &sums_c);
+    let gradients = gpu.untouched::<[f32; 4]>("gradients", GRADIENT_PLANES as usize * gradient_stride);
+    let statistics = gpu.buffer("statistics", &vec![[2.0_f32, 3.0]; size]);
+    let bind = Bind {
+        parameters: &parameters,
+        state: &state,
+        visible_list: &visible_list,
+        footprints: &footprints,
+        slot_begins: &slot_begins,
+        conic_opacity: &conic_opacity,
+        sums_a: &sums_a,
+        sums_b: &sums_b,
+        sums_c: &sums_c,
+        gradients: &gradients,
+        statistics: &statistics,
+    };
+    let push = camera_push!(
+        Push, &scene.view, size, stride,
+        gradient_stride: gradient_stride as u32, accumulate: u32::from(accumulate)
+    );
+    gpu.run(|recorder| {
+        recorder.dispatch(&kernel, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1)
+    });
+    (gpu.read(&gradients, GRADIENT_PLANES as usize * gradient_stride), gpu.read(&statistics, size))
+}
+
+fn check(gpu: &Gpu, scene: &Scene) {
+    let (planes, statistics) = run(gpu, scene, true, false);
+    let (count, stride) = (scene.visible.len(), scene.visible.len() + 5);
+    let expected = scene.expected();
+    let plane = |p: usize, components: std::ops::Range<usize>| -> Vec<f64> {
+        planes[p * stride..p * stride + count]
+            .iter()
+            .flat_map(|v| v[components.clone()].iter().map(|&x| f64::from(x)).collect::<Vec<f64>>())
+            .collect()
+    };
+    let skip = vec![false; count];
+    // The colour's gradient is that before the clamp at 0, which may act or not where the colour is nearly 0.
+    let near_clamp: Vec<bool> = scene
+        .visible
+        .iter()
+        .map(|&i| color(&scene.gaussians[i as usize], &scene.view).1.iter().any(|c| c.abs() < 1e-4))
+        .collect();
+    let d_color = |(place, d): (usize, &SplatGradient)| {
+        let (_, raw) = color(&scene.gaussians[scene.visible[place] as usize], &scene.view);
+        [0, 1, 2].map(|c| if raw[c] < 0.0 { 0.0 } else { d.color[c] })
+    };
+    let of_gradient = |field: fn(&Gradient) -> Vec<f64>| -> Vec<f64> {
+        expected.iter().flat_map(|(g, _)| field(g)).collect()
+    };
+    let colors: Vec<f64> = expected.iter().map(|(_, d)| d).enumerate().flat_map(d_color).collect();
+    let mean2d: Vec<f64> = expected.iter().flat_map(|(_, d)| d.mean2d_px).collect();
+    let interleave =
+        |x: Vec<f64>, y: Vec<f64>| x.into_iter().zip(y).flat_map(|(x, y)| [x, y]).collect::<Vec<f64>>();
+    let compared = [
+        ("mean", plane(0, 0..3), of_gradient(|g| g.mean.to_vec()), &near_clamp, TOLERANCE),
+        ("opacity", plane(0, 3..4), of_gradient(|g| vec![g.opacity_logit]), &skip, TOLERANCE),
+        ("quaternion", plane(1, 0..4), of_gradient(|g| g.quat.to_vec()), &skip, QUATS),
+        ("log-scale", plane(2, 0..3), of_gradient(|g| g.log_scale.to_vec()), &skip, TOLERANCE),
+        ("colour", plane(3, 0..3), colors, &near_clamp, TOLERANCE),
+        ("mean2d", interleave(plane(2, 3..4), plane(3, 3..4)), mean2d, &skip, TOLERANCE),
+    ];
+    for (name, actual, expected, skip, tolerance) in compared {
+        gradient(name, &actual, &expected, skip, tolerance).expect("gradients of parameters");
+    }
+    check_statistics(scene, &statistics, &expected);
+}
+
+/// Visible Gaussians have one view more and the norm added, the others are as they were.
+fn check_statistics(scene: &Scene, statistics: &[[f32; 2]], expected: &[(Gradient, SplatGradient)]) {
+    let mut wanted = vec![[2.0, 3.0]; scene.gaussians.len()];
+    let largest =
+        expected.iter().map(|(_, d)| mean2d_statistic(&scene.view, d.mean2d_px)).fold(0.0_f64, f64::max);
+    for (&gaussian, (_, d)) in scene.visible.iter().zip(expected) {
+        wanted[gaussian as usize] = [2.0 + mean2d_statistic(&scene.view, d.mean2d_px), 4.0];
+    }
+    for (i, (actual, wanted)) in statistics.iter().zip(&wanted).enumerate() {
+        let error = (f64::from(actual[0]) - wanted[0]).abs();
+        assert!(error <= 1e-6 * wanted[0] + 1e-4 * largest, "statistic of {i}: {actual:?}, {wanted:?}");
+        assert_eq!(f64::from(actual[1]), wanted[1], "views of {i}");
+    }
+}
+
+#[test]
+fn project_backward_equals_its_twin() {
+    let gpu = Gpu::new();
+    for size in sizes(gpu.workgroup(64) as usize) {
+        check(&gpu, &Scene::random(size, small_view([53, 37]), 7));
+    }
+}
+
+#[test]
+fn project_backward_equals_its_twin_in_every_mode() {
+    let gpu = Gpu::new();
+    for sh_degree in 0..=3 {
+        let view = View {
+            sh_degree,
+            antialias: sh_degree % 2 == 1,
+            symmetric_limit: sh_degree >= 2,
+            extent: if sh_degree == 0 { Extent::Exact } else { Extent::Reference },
+            focal_px: [140.0, 120.0],
+            center_px: [31.0, 11.0],
+            ..small_view([53, 37])
+        };
+        check(&gpu, &Scene::random(300, view, 50));
+    }
+}
+
+#[test]
+fn project_backward_leaves_statistics_alone_unless_told() {
+    let gpu = Gpu::new();
+    let scene = Scene::random(200, small_view([53, 37]), 9);
+    for (accumulate, overflow) in [(false, false), (true, true)] {
+        let (_, statistics) = run(&gpu, &scene, accumulate, overflow);
+        assert!(statistics.iter().all(|&s| s == [2.0, 3.0]), "accumulate {accumulate}, overflow {overflow}");
+    }
+}
