@@ -169,7 +169,7 @@ void main() {
             vec4 conic = conic_opacity[visible];
             vec4 shade = color_inverse_depth[visible];
             vec3 form = vec3(-0.5 * LOG2_E, -LOG2_E, -0.5 * LOG2_E) * conic.xyz;
-            uvec4 hits = subgroupBallot(exists && meets_region(mean2d, origin));
+            uvec4 hits = subgroupBallot(exists && meets_region(mean2d, form, conic.w, origin));
             [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
                 uint bits = hits[word];
                 if (gl_SubgroupInvocationID == 0) {
@@ -177,7 +177,8 @@ void main() {
                     uint shift = step * SUBGROUP_SIZE % 32;
                     touched[mask_word] = shift == 0 ? bits : touched[mask_word] | bits << shift;
                 }
-                while (bits != 0) {
+                // Tested at its end: see blend.comp.
+                if (bits != 0) for (;;) {
                     uint lane = findLSB(bits) + 32 * word;
                     bits &= bits - 1;
                     vec2 mean = vec2(subgroupShuffle(mean2d.x, lane), subgroupShuffle(mean2d.y, lane));
@@ -223,13 +224,17 @@ void main() {
                     uint base = ((step * SUBGROUP_SIZE + lane) * REGIONS + gl_SubgroupID) * INSTANCE_SUMS;
                     store_sums(base, sum_1, sum_x, sum_y, sum_xx, sum_xy, sum_yy, sum_value.x, sum_value.y, sum_value.z,
                         sum_value.w);
+                    if (bits == 0) {
+                        break;
+                    }
                 }
             }
         }
         barrier();
-        for (uint slot = gl_LocalInvocationID.x; slot < BATCH; slot += WORKGROUP_SIZE) {
+        [[unroll]] for (uint round = 0; round < BATCH; round += WORKGROUP_SIZE) {
+            uint slot = round + gl_LocalInvocationID.x;
             uint entry = batch + slot;
-            if (entry < end) {
+            if (slot < BATCH && entry < end) {
                 float sums[INSTANCE_SUMS];
                 [[unroll]] for (uint k = 0; k < INSTANCE_SUMS; ++k) {
                     sums[k] = 0.0;

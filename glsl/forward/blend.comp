@@ -4,7 +4,7 @@
 //   C += T alpha c, T <- T (1 - alpha); a pixel stops before the Gaussian that would bring T below 1e-4.
 //
 // invocation: COLUMNS x ROWS pixels; subgroup: a region of the tile (tile_region.glsl): each lane tests one Gaussian's
-// opacity-aware box against the region, then all lanes blend the hits, passed round by shuffles; workgroup: one tile
+// exact reach against the region, then all lanes blend the hits, passed round by shuffles; workgroup: one tile
 // in: tile_ranges, sorted_visible, PerVisible attributes
 // out, PerPixel: accumulated (r, g, b without background, T), inverse_depth, last_entries (1 + place of the last
 //     blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
@@ -103,8 +103,9 @@ void main() {
         }
     }
 
-    bool alive = true;
-    for (uint batch = first_entry; batch < end && alive; batch += SUBGROUP_SIZE) {
+    // Both loops test at their end: a loop that tests first costs a driver without branches one more masked iteration.
+    uint batch = first_entry;
+    if (batch < end) for (;;) {
         uint entry = batch + gl_SubgroupInvocationID;
         bool exists = entry < end;
         uint visible = sorted_visible[range.x + (exists ? entry : first_entry)];
@@ -112,10 +113,10 @@ void main() {
         vec4 conic = conic_opacity[visible];
         vec4 shade = color_inverse_depth[visible];
         vec3 form = vec3(-0.5 * LOG2_E, -LOG2_E, -0.5 * LOG2_E) * conic.xyz;
-        uvec4 hits = subgroupBallot(exists && meets_region(mean2d, origin));
+        uvec4 hits = subgroupBallot(exists && meets_region(mean2d, form, conic.w, origin));
         [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
             uint bits = hits[word];
-            while (bits != 0) {
+            if (bits != 0) for (;;) {
                 uint lane = findLSB(bits) + 32 * word;
                 bits &= bits - 1;
                 vec2 mean = vec2(subgroupShuffle(mean2d.x, lane), subgroupShuffle(mean2d.y, lane));
@@ -143,13 +144,19 @@ void main() {
                     transmittance[k] = blends ? next : hit ? -abs(transmittance[k]) : transmittance[k];
                     last[k] = blends ? place : last[k];
                 }
+                if (bits == 0) {
+                    break;
+                }
             }
         }
         float brightest = transmittance[0];
         [[unroll]] for (uint k = 1; k < PIXELS; ++k) {
             brightest = max(brightest, transmittance[k]);
         }
-        alive = subgroupAny(brightest > 0.0);
+        batch += SUBGROUP_SIZE;
+        if (batch >= end || !subgroupAny(brightest > 0.0)) {
+            break;
+        }
     }
 
     // A pass that ends early keeps the sign, so that the next one knows which pixels have stopped.

@@ -28,10 +28,19 @@ uvec2 pixel_step(uint k) {
     return uvec2(k / ROWS * LANES_X, k % ROWS * LANES_Y);
 }
 
-// Whether the box mean +- half_extent meets the region's pixel centres.
-bool meets_region(vec4 mean2d_extent_px, uvec2 origin) {
-    vec2 low = vec2(origin);
+// Whether a Gaussian reaches alpha >= 1/255 at some point of the rectangle of the region's pixel centres. `form` is
+// (a, b, c) of log2 exp(power) = a dx^2 + b dx dy + c dy^2, which is largest on an edge that faces the mean, if the
+// mean lies outside. The test errs on the safe side by more than float32 can: a false hit costs time only.
+bool meets_region(vec4 mean2d_extent_px, vec3 form, float opacity, uvec2 origin) {
+    vec2 low = vec2(origin) - mean2d_extent_px.xy;
     vec2 high = low + vec2(REGION_WIDTH - 1, REGION_HEIGHT - 1);
-    return all(greaterThanEqual(mean2d_extent_px.xy + mean2d_extent_px.zw, low))
-        && all(lessThanEqual(mean2d_extent_px.xy - mean2d_extent_px.zw, high));
+    vec2 half_extent = mean2d_extent_px.zw;
+    bool boxes_meet = all(lessThanEqual(low, half_extent)) && all(greaterThanEqual(high, -half_extent));
+    vec2 near = clamp(vec2(0.0), low, high);
+    vec2 on_column = vec2(near.x, clamp(-0.5 * form.y * near.x / form.z, low.y, high.y));
+    vec2 on_row = vec2(clamp(-0.5 * form.y * near.y / form.x, low.x, high.x), near.y);
+    float column_power = form.x * on_column.x * on_column.x + on_column.y * (form.z * on_column.y + form.y * on_column.x);
+    float row_power = form.x * on_row.x * on_row.x + on_row.y * (form.z * on_row.y + form.y * on_row.x);
+    float slack = 0.01 - 2e-6 * (form.x * half_extent.x * half_extent.x + form.z * half_extent.y * half_extent.y);
+    return boxes_meet && opacity * exp2(max(column_power, row_power) + slack) >= ALPHA_MIN;
 }

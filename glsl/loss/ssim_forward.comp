@@ -67,7 +67,11 @@ void main() {
     uint channel = gl_WorkGroupID.z;
     ivec2 size = ivec2(image_width, image_height);
     ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);
-    for (uint at = gl_LocalInvocationID.x; at < SSIM_APRON * SSIM_APRON; at += WORKGROUP_SIZE) {
+    [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_APRON; round += WORKGROUP_SIZE) {
+        uint at = round + gl_LocalInvocationID.x;
+        if (at >= SSIM_APRON * SSIM_APRON) {
+            continue;
+        }
         ivec2 pixel = origin + ivec2(at % SSIM_APRON, at / SSIM_APRON) - int(SSIM_RADIUS);
         bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, size));
         uint index = inside ? uint(pixel.y) * image_width + uint(pixel.x) : 0;
@@ -77,7 +81,11 @@ void main() {
         values[at] = inside ? vec2(x, y) : vec2(0.0);
     }
     barrier();
-    for (uint at = gl_LocalInvocationID.x; at < SSIM_APRON * SSIM_STRIPS; at += WORKGROUP_SIZE) {
+    [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_STRIPS; round += WORKGROUP_SIZE) {
+        uint at = round + gl_LocalInvocationID.x;
+        if (at >= SSIM_APRON * SSIM_STRIPS) {
+            continue;
+        }
         uint row = at / SSIM_STRIPS;
         uint column = at % SSIM_STRIPS * STRIP;
         vec2 window[SSIM_WINDOW_OF_STRIP];
@@ -100,7 +108,11 @@ void main() {
     }
     barrier();
     vec2 sum = vec2(0.0);
-    for (uint at = gl_LocalInvocationID.x; at < SSIM_BLOCK * SSIM_STRIPS; at += WORKGROUP_SIZE) {
+    [[unroll]] for (uint round = 0; round < SSIM_BLOCK * SSIM_STRIPS; round += WORKGROUP_SIZE) {
+        uint at = round + gl_LocalInvocationID.x;
+        if (at >= SSIM_BLOCK * SSIM_STRIPS) {
+            continue;
+        }
         uint column = at % SSIM_BLOCK;
         uint row = at / SSIM_BLOCK * STRIP;
         vec4 window_a[SSIM_WINDOW_OF_STRIP];
