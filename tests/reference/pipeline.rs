@@ -41,12 +41,9 @@ pub fn render(gaussians: &[Gaussian], view: &View) -> Frame {
             instances[begin as usize..end as usize].iter().map(|instance| instance.gaussian).collect()
         })
         .collect();
-    let pixels = pixels_of(view)
-        .map(|pixel| {
-            let list = splats_of(&splats, &lists[tile_of(view, pixel)]);
-            blend(&list, pixel, view.background)
-        })
-        .collect();
+    let by_tile: Vec<Vec<&Splat>> = lists.iter().map(|list| splats_of(&splats, list)).collect();
+    let pixels =
+        pixels_of(view).map(|pixel| blend(&by_tile[tile_of(view, pixel)], pixel, view.background)).collect();
     Frame { splats, tiles_touched, lists, pixels }
 }
 
@@ -58,13 +55,16 @@ pub fn backward(
     d_pixels: &[PixelGradient],
 ) -> FrameGradient {
     let mut splats = vec![SplatGradient::default(); gaussians.len()];
+    let by_tile: Vec<Vec<&Splat>> = frame.lists.iter().map(|list| splats_of(&frame.splats, list)).collect();
+    let mut sums: Vec<Vec<SplatGradient>> =
+        frame.lists.iter().map(|list| vec![SplatGradient::default(); list.len()]).collect();
     for (pixel, d_pixel) in pixels_of(view).zip(d_pixels) {
-        let entries = &frame.lists[tile_of(view, pixel)];
-        let list = splats_of(&frame.splats, entries);
-        let mut gradients = vec![SplatGradient::default(); entries.len()];
-        blend_backward(&list, pixel, view.background, *d_pixel, &mut gradients);
-        for (&gaussian, gradient) in entries.iter().zip(&gradients) {
-            splats[gaussian as usize].add(gradient);
+        let tile = tile_of(view, pixel);
+        blend_backward(&by_tile[tile], pixel, view.background, *d_pixel, &mut sums[tile]);
+    }
+    for (list, sums) in frame.lists.iter().zip(&sums) {
+        for (&gaussian, sum) in list.iter().zip(sums) {
+            splats[gaussian as usize].add(sum);
         }
     }
     let parameters = gaussians

@@ -1,0 +1,78 @@
+//! The same inputs on the same device give the same bits, in training too.
+
+use ashsplat::io::Photo;
+use ashsplat::trainer::{TrainView, Trainer};
+use ashsplat::{Gaussians, TrainSettings};
+
+use crate::common::engine::{camera, gaussians, renderer, settings};
+use crate::common::gpu::Gpu;
+use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
+use crate::reference::types::View;
+
+/// Photographs of a scene of Gaussians from around it.
+fn views() -> Vec<TrainView> {
+    let scene = gaussians(&small_scene(&mut Random::new(11), 120, 4));
+    let mut renderer = renderer();
+    renderer.upload(&scene).expect("upload");
+    (0..6)
+        .map(|i| {
+            let view = View { camera_from_world: rotation_about_y(f64::from(i)), ..small_view([70, 50]) };
+            let frame = renderer.render(&camera(&view), &settings(&view)).expect("a photograph");
+            let rgb =
+                frame.color.iter().flatten().map(|x| (x * 255.0).round().clamp(0.0, 255.0) as u8).collect();
+            TrainView { camera: camera(&view), photo: Photo { width: 70, height: 50, rgb } }
+        })
+        .collect()
+}
+
+/// A short run with densification and an opacity reset; the losses and the Gaussians at the end.
+fn train(gpu: &Gpu, seed: u32) -> (Vec<f32>, Gaussians) {
+    let settings = TrainSettings {
+        iterations: 70,
+        sh_degree: 2,
+        sh_degree_interval: 20,
+        densify_from_iter: 15,
+        densification_interval: 15,
+        densify_until_iter: 60,
+        opacity_reset_interval: 40,
+        densify_grad_threshold: 5e-5,
+        seed,
+        ..TrainSettings::default()
+    };
+    let start = gaussians(&small_scene(&mut Random::new(12), 200, 9));
+    let mut trainer = Trainer::new(gpu.context, views(), &start, 5.0, settings).expect("a trainer");
+    let mut losses = Vec::new();
+    for _ in 0..70 {
+        let report = trainer.step().expect("a step");
+        assert_eq!(report.skipped_non_finite, 0);
+        losses.push(report.loss);
+    }
+    (losses, trainer.gaussians().expect("the Gaussians"))
+}
+
+#[test]
+fn determinism_of_training() {
+    let gpu = Gpu::new();
+    let (losses, first) = train(&gpu, 3);
+    let (again, second) = train(&gpu, 3);
+    assert!(losses.iter().all(|loss| loss.is_finite()));
+    assert_eq!(losses, again);
+    assert!(first == second, "two runs with one seed differ");
+    assert_ne!(first.len(), 200, "nothing was densified");
+    let (_, other) = train(&gpu, 4);
+    assert!(first != other, "the seed has no effect");
+}
+
+#[test]
+fn determinism_of_gradients() {
+    let gpu = Gpu::new();
+    let view = small_view([150, 90]);
+    let scene = gaussians(&small_scene(&mut Random::new(13), 2000, 16));
+    let target = vec![[0.5, -1.0, 0.25]; 150 * 90];
+    let mut renderer = renderer();
+    renderer.upload(&scene).expect("upload");
+    let mut gradients =
+        || renderer.gradients(&camera(&view), &settings(&view), &target, None).expect("gradients");
+    assert!(gradients() == gradients());
+    drop(gpu);
+}

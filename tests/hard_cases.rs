@@ -1,0 +1,215 @@
+//! Frames at the limits: very long tiles, nothing to draw, odd and large images, too little room.
+
+use ashsplat::{Frame, Renderer};
+
+use crate::common::compare::{GradientTolerance, PixelTolerance, gradient, pixels};
+use crate::common::engine::{camera, gaussians, renderer, settings, twins, widen};
+use crate::common::gpu::Gpu;
+use crate::common::scenes::{Random, small_scene, small_view};
+use crate::common::tiles::is_unstable;
+use crate::reference::blend_backward::PixelGradient;
+use crate::reference::pipeline::{self, backward, pixels_of, render, tile_of};
+use crate::reference::types::{Extent, Gaussian, Gradient, Splat, View};
+
+/// A camera at the origin that looks along z, so that depths are exact in float32.
+fn axis_view(size_px: [u32; 2]) -> View {
+    View {
+        camera_from_world: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        translation: [0.0; 3],
+        sh_degree: 0,
+        ..small_view(size_px)
+    }
+}
+
+/// Gaussians of hardly a pixel, faint enough that very many blend before a pixel is opaque, all in the first tile.
+fn faint_points(count: usize, view: &View) -> Vec<Gaussian> {
+    let mut random = Random::new(count as u64);
+    (0..count)
+        .map(|_| {
+            let depth = random.between(1.0, 9.0);
+            let at = |random: &mut Random, axis: usize| {
+                let pixel = random.between(0.5, 15.5) - view.center_px[axis];
+                f64::from((pixel * depth / view.focal_px[axis]) as f32)
+            };
+            Gaussian {
+                mean: [at(&mut random, 0), at(&mut random, 1), depth],
+                quat: [1.0, 0.0, 0.0, 0.0],
+                log_scale: [random.between(-9.0, -5.0); 3],
+                opacity_logit: random.between(-5.2, -4.4),
+                sh: vec![[0; 3].map(|_| random.signed())],
+            }
+        })
+        .collect()
+}
+
+/// Pixels of a frame whose decisions hang on the rounding of everything that float32 computed so far.
+fn unstable(view: &View, frame: &pipeline::Frame) -> Vec<bool> {
+    let lists: Vec<Vec<&Splat>> = frame
+        .lists
+        .iter()
+        .map(|list| list.iter().map(|&g| frame.splats[g as usize].as_ref().expect("listed")).collect())
+        .collect();
+    pixels_of(view).map(|pixel| is_unstable(&lists[tile_of(view, pixel)], pixel, 2e-5)).collect()
+}
+
+fn compare_picture(actual: &Frame, expected: &pipeline::Frame, unstable: &[bool]) {
+    let bound = PixelTolerance { max: 1e-4, mean: 2e-6, unstable: 2e-2 };
+    let color: Vec<f64> = expected.pixels.iter().flat_map(|p| p.color).collect();
+    pixels("colour", &widen(&actual.color), &color, unstable, bound).expect("the picture");
+    let transmittance: Vec<f64> = expected.pixels.iter().map(|p| p.transmittance).collect();
+    let actual: Vec<f64> = actual.transmittance.iter().map(|&t| f64::from(t)).collect();
+    pixels("transmittance", &actual, &transmittance, unstable, bound).expect("the transmittance");
+}
+
+/// Forward and backward against the twin; returns the entries of the fullest tile.
+fn check(gaussians_: &[Gaussian], view: &View) -> u32 {
+    let gpu = Gpu::new();
+    let expected = render(gaussians_, view);
+    let unstable = unstable(view, &expected);
+    let mut renderer = renderer();
+    renderer.upload(&gaussians(gaussians_)).expect("upload");
+    let actual = renderer.render(&camera(view), &settings(view)).expect("a frame");
+    compare_picture(&actual, &expected, &unstable);
+
+    let mut random = Random::new(8);
+    let d: Vec<[f64; 3]> =
+        unstable.iter().map(|&u| if u { [0.0; 3] } else { [0; 3].map(|_| random.signed()) }).collect();
+    let d_pixels: Vec<PixelGradient> =
+        d.iter().map(|&color| PixelGradient { color, inverse_depth: 0.0 }).collect();
+    let target: Vec<[f32; 3]> = d.iter().map(|d| d.map(|x| x as f32)).collect();
+    let actual_gradients =
+        renderer.gradients(&camera(view), &settings(view), &target, None).expect("gradients").parameters;
+    drop(renderer);
+    let expected_gradients = backward(gaussians_, view, &expected, &d_pixels).parameters;
+    compare_gradients(&twins(&actual_gradients), &expected_gradients);
+    drop(gpu);
+    actual.stats.longest_tile
+}
+
+fn compare_gradients(actual: &[Gaussian], expected: &[Gradient]) {
+    let fields: [(&str, fn(&Gaussian) -> Vec<f64>, fn(&Gradient) -> Vec<f64>); 5] = [
+        ("means", |g| g.mean.to_vec(), |g| g.mean.to_vec()),
+        ("quaternions", |g| g.quat.to_vec(), |g| g.quat.to_vec()),
+        ("log-scales", |g| g.log_scale.to_vec(), |g| g.log_scale.to_vec()),
+        ("opacities", |g| vec![g.opacity_logit], |g| vec![g.opacity_logit]),
+        ("SH", |g| g.sh.concat(), |g| g.sh.concat()),
+    ];
+    let skip = vec![false; expected.len()];
+    let scale = expected.iter().flat_map(|g| g.log_scale).fold(0.0_f64, |largest, d| largest.max(d.abs()));
+    for (name, of_actual, of_expected) in fields {
+        let actual: Vec<f64> = actual.iter().flat_map(of_actual).collect();
+        let expected: Vec<f64> = expected.iter().flat_map(of_expected).collect();
+        let round = name == "quaternions" && expected.iter().all(|d| d.abs() <= 1e-12 * scale);
+        if round {
+            // Spheres have no orientation: rounding is left.
+            assert!(actual.iter().all(|d| d.abs() <= 1e-4 * scale), "quaternions of spheres");
+            continue;
+        }
+        let bound = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };
+        gradient(name, &actual, &expected, &skip, bound).expect("gradients");
+    }
+}
+
+#[test]
+fn hard_case_tile_of_300_entries() {
+    let view = axis_view([16, 16]);
+    assert!(check(&faint_points(310, &view), &view) >= 300);
+}
+
+#[test]
+fn hard_case_tile_of_5000_entries() {
+    let view = axis_view([16, 16]);
+    assert!(check(&faint_points(5_100, &view), &view) >= 5_000);
+}
+
+/// More than a loop of one invocation makes on lavapipe.
+#[test]
+fn hard_case_tile_of_100000_entries() {
+    let view = axis_view([16, 16]);
+    assert!(check(&faint_points(100_500, &view), &view) >= 100_000);
+}
+
+#[test]
+fn hard_case_no_gaussians() {
+    let gpu = Gpu::new();
+    let view = small_view([33, 18]);
+    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
+    renderer.upload(&ashsplat::Gaussians { sh_degree: 1, ..Default::default() }).expect("upload");
+    let frame = renderer.render(&camera(&view), &settings(&view)).expect("a frame");
+    assert!(frame.color.iter().all(|&c| c == [0.25, 0.5, 0.125]));
+    assert!(frame.transmittance.iter().all(|&t| t == 1.0));
+    assert_eq!((frame.stats.gaussians, frame.stats.visible, frame.stats.instances), (0, 0, 0));
+    let target = vec![[1.0; 3]; frame.color.len()];
+    let gradients = renderer.gradients(&camera(&view), &settings(&view), &target, None).expect("gradients");
+    assert!(gradients.parameters.is_empty() && gradients.mean2d_px.is_empty());
+}
+
+#[test]
+fn hard_case_all_culled() {
+    let view = small_view([33, 18]);
+    let mut scene = small_scene(&mut Random::new(1), 300, 16);
+    for gaussian in &mut scene {
+        gaussian.mean[2] -= 40.0;
+    }
+    assert_eq!(check(&scene, &view), 0);
+}
+
+#[test]
+fn hard_case_images_of_odd_sizes() {
+    for size in [[1, 1], [17, 5], [5, 17], [16, 16], [257, 3]] {
+        for extent in [Extent::Exact, Extent::Reference] {
+            let focal = f64::from(size[0].max(size[1]));
+            let view = View { extent, focal_px: [focal; 2], ..small_view(size) };
+            check(&small_scene(&mut Random::new(2), 80, 16), &view);
+        }
+    }
+}
+
+#[test]
+fn hard_case_large_image() {
+    let view = small_view([3840, 2160]);
+    let mut scene = small_scene(&mut Random::new(3), 60, 4);
+    for gaussian in &mut scene {
+        gaussian.log_scale = gaussian.log_scale.map(|s| s - 1.5);
+    }
+    let gpu = Gpu::new();
+    let expected = render(&scene, &view);
+    let unstable = unstable(&view, &expected);
+    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
+    renderer.upload(&gaussians(&scene)).expect("upload");
+    let settings = ashsplat::RenderSettings { inverse_depth: false, ..settings(&view) };
+    let actual = renderer.render(&camera(&view), &settings).expect("a frame");
+    compare_picture(&actual, &expected, &unstable);
+}
+
+/// A frame whose instances exceed the capacity is run again with more, to the same result.
+#[test]
+fn hard_case_overflow_then_growth() {
+    let gpu = Gpu::new();
+    let view = small_view([150, 90]);
+    let scene = gaussians(&small_scene(&mut Random::new(4), 500, 16));
+    let (camera, settings) = (camera(&view), settings(&view));
+    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
+    renderer.upload(&scene).expect("upload");
+    renderer.set_instance_capacity(1 << 20);
+    let roomy = renderer.render(&camera, &settings).expect("a frame");
+    assert_eq!(roomy.stats.retries, 0);
+    let target = vec![[0.5, -1.0, 0.25]; roomy.color.len()];
+    let roomy_gradients = renderer.gradients(&camera, &settings, &target, None).expect("gradients");
+    for capacity in [1, 100, roomy.stats.instances - 1] {
+        renderer.set_instance_capacity(capacity);
+        let frame = renderer.render(&camera, &settings).expect("a frame");
+        assert!(frame.stats.retries > 0, "capacity {capacity}");
+        assert!(
+            frame.color == roomy.color && frame.transmittance == roomy.transmittance,
+            "capacity {capacity}"
+        );
+        assert!(frame.inverse_depth == roomy.inverse_depth, "capacity {capacity}");
+        assert_eq!(frame.stats.instances, roomy.stats.instances);
+        renderer.set_instance_capacity(capacity);
+        let gradients = renderer.gradients(&camera, &settings, &target, None).expect("gradients");
+        assert!(gradients == roomy_gradients, "capacity {capacity}");
+    }
+    renderer.set_instance_capacity(roomy.stats.instances);
+    assert_eq!(renderer.render(&camera, &settings).expect("a frame").stats.retries, 0);
+}

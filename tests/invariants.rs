@@ -1,0 +1,166 @@
+//! What a picture must not depend on.
+
+use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
+use ashsplat::{Frame, Renderer};
+
+use crate::common::engine::{camera, gaussians, renderer, settings};
+use crate::common::gpu::Gpu;
+use crate::common::options;
+use crate::common::scenes::{Random, mixed_scene, small_scene, small_view};
+use crate::reference::types::{Extent, Gaussian, View};
+
+fn frame(scene: &[Gaussian], view: &View) -> Frame {
+    let mut renderer = renderer();
+    renderer.upload(&gaussians(scene)).expect("upload");
+    renderer.render(&camera(view), &settings(view)).expect("a frame")
+}
+
+/// Largest difference of two pictures' values.
+fn difference<'a>(a: impl Iterator<Item = &'a [f32; 3]>, b: impl Iterator<Item = &'a [f32; 3]>) -> f32 {
+    a.zip(b).flat_map(|(a, b)| [0, 1, 2].map(|i| (a[i] - b[i]).abs())).fold(0.0, f32::max)
+}
+
+/// Depths differ, so the order in memory has no effect on the order of blending: the same to the bit.
+#[test]
+fn invariant_under_the_order_of_the_gaussians() {
+    let gpu = Gpu::new();
+    for (seed, extent) in [(1, Extent::Exact), (2, Extent::Reference)] {
+        let view = View { extent, ..small_view([100, 70]) };
+        let mut scene = small_scene(&mut Random::new(seed), 400, 16);
+        let before = frame(&scene, &view);
+        scene.reverse();
+        scene.rotate_left(123);
+        let after = frame(&scene, &view);
+        assert!(before.color == after.color && before.transmittance == after.transmittance, "{extent:?}");
+        assert!(before.inverse_depth == after.inverse_depth, "{extent:?}");
+    }
+    drop(gpu);
+}
+
+/// Equal depths blend in the Gaussians' own order.
+#[test]
+fn invariant_ties_follow_the_order_of_the_gaussians() {
+    let gpu = Gpu::new();
+    let mut random = Random::new(3);
+    let view = View {
+        camera_from_world: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        ..small_view([40, 30])
+    };
+    let mut scene = small_scene(&mut random, 60, 1);
+    for gaussian in &mut scene {
+        gaussian.mean[2] = 0.5;
+    }
+    let expected = crate::reference::pipeline::render(&scene, &view);
+    let actual = frame(&scene, &view);
+    for (pixel, (actual, expected)) in actual.color.iter().zip(&expected.pixels).enumerate() {
+        for channel in 0..3 {
+            let error = (f64::from(actual[channel]) - expected.color[channel]).abs();
+            assert!(error < 2e-2, "pixel {pixel}: {actual:?}, {:?}", expected.color);
+        }
+    }
+    let mean_error: f64 = actual
+        .color
+        .iter()
+        .zip(&expected.pixels)
+        .map(|(a, e)| (f64::from(a[0]) - e.color[0]).abs())
+        .sum::<f64>()
+        / actual.color.len() as f64;
+    assert!(mean_error < 1e-5, "{mean_error:e}");
+    drop(gpu);
+}
+
+/// Gaussians that nobody sees change nothing, to the bit.
+#[test]
+fn invariant_under_culled_gaussians() {
+    let gpu = Gpu::new();
+    let view = small_view([100, 70]);
+    let scene = small_scene(&mut Random::new(5), 200, 16);
+    let before = frame(&scene, &view);
+    let mut unseen = mixed_scene(&mut Random::new(6), 300, 16);
+    for gaussian in &mut unseen {
+        // Behind the camera, which is 4 in front of the origin.
+        gaussian.mean[2] = -20.0 - gaussian.mean[2].abs();
+    }
+    let mixed: Vec<Gaussian> = unseen[..150].iter().chain(&scene).chain(&unseen[150..]).cloned().collect();
+    let after = frame(&mixed, &view);
+    assert!(before.color == after.color && before.transmittance == after.transmittance);
+    assert_eq!(before.stats.visible, after.stats.visible);
+    drop(gpu);
+}
+
+/// With the exact extent the tiles are only a matter of speed: a picture moved by any number of pixels against the grid
+/// of tiles is the same picture.
+#[test]
+fn invariant_under_the_place_of_the_tiles() {
+    let gpu = Gpu::new();
+    let size = [60, 50];
+    let scene = small_scene(&mut Random::new(7), 300, 16);
+    // Symmetric limits of a wide view do not reach the Gaussians, in either picture.
+    let view = View { focal_px: [40.0, 40.0], ..small_view(size) };
+    let before = frame(&scene, &view);
+    for [x, y] in [[1, 0], [0, 5], [7, 3], [15, 9], [16, 16]] {
+        let moved = View {
+            size_px: [size[0] + x, size[1] + y],
+            center_px: [view.center_px[0] + f64::from(x), view.center_px[1] + f64::from(y)],
+            ..view.clone()
+        };
+        let after = frame(&scene, &moved);
+        let part = (0..size[1]).flat_map(|row| {
+            let begin = ((row + y) * moved.size_px[0] + x) as usize;
+            &after.color[begin..begin + size[0] as usize]
+        });
+        let off = difference(before.color.iter(), part);
+        // Positions in pixels are rounded at other places; an entry at the threshold of 1/255 may come or go.
+        assert!(off < 5e-3, "moved by {x}, {y}: {off}");
+        let mean: f32 = before
+            .color
+            .iter()
+            .zip((0..size[1]).flat_map(|row| {
+                let begin = ((row + y) * moved.size_px[0] + x) as usize;
+                &after.color[begin..begin + size[0] as usize]
+            }))
+            .map(|(a, b)| (a[0] - b[0]).abs())
+            .sum::<f32>()
+            / before.color.len() as f32;
+        assert!(mean < 2e-6, "moved by {x}, {y}: {mean:e} on average");
+    }
+    drop(gpu);
+}
+
+/// Stricter limits of a device split buffers and grids, and change no bit of picture and gradients.
+#[test]
+fn invariant_under_the_limits_of_the_device() {
+    let gpu = Gpu::new();
+    let view = small_view([200, 120]);
+    // Small ones, so that the parameters are larger than what a frame needs of instances.
+    let mut scene = small_scene(&mut Random::new(8), 20_000, 16);
+    for gaussian in &mut scene {
+        gaussian.log_scale = gaussian.log_scale.map(|s| s - 2.5);
+    }
+    let scene = gaussians(&scene);
+    let target = vec![[0.5, -1.0, 0.25]; 200 * 120];
+    let both = |context: &Context| {
+        let mut renderer = Renderer::new(context).expect("a renderer");
+        renderer.upload(&scene).expect("upload");
+        let frame = renderer.render(&camera(&view), &settings(&view)).expect("a frame");
+        let gradients =
+            renderer.gradients(&camera(&view), &settings(&view), &target, None).expect("gradients");
+        (frame, gradients)
+    };
+    let (frame, gradients) = both(gpu.context);
+    let overrides = [
+        LimitsOverride { max_workgroups_per_axis: Some(16), ..LimitsOverride::default() },
+        LimitsOverride { max_storage_buffer_range: Some(2_000_000), ..LimitsOverride::default() },
+    ];
+    for limits in overrides {
+        let strict =
+            Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device");
+        let (strict_frame, strict_gradients) = both(&strict);
+        assert!(
+            frame.color == strict_frame.color && frame.transmittance == strict_frame.transmittance,
+            "{limits:?}"
+        );
+        assert!(gradients == strict_gradients, "{limits:?}");
+        crate::common::assert_silent(&strict);
+    }
+}
