@@ -110,10 +110,10 @@ impl Forward {
     /// Records a frame; [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
+        // Culling touches neither: the barrier behind it serves both.
         r.scope("clear", |r| {
             r.fill(&f.state, 0);
             r.fill(&f.tile_ranges, 0);
-            r.barrier();
         });
         r.scope("cull", |r| self.record_visibility(r, inputs));
         r.scope("project", |r| self.record_project(r, inputs));
