@@ -1,11 +1,15 @@
-//! Finite differences prove the twins' backward pass.
+//! Finite differences prove the twins' backward pass, the twins prove the device's.
 
+use crate::common::compare::{GradientTolerance, gradient};
+use crate::common::engine;
+use crate::common::gpu::Gpu;
+use crate::common::scenes::{Random, small_scene, small_view};
+use crate::common::tiles::is_unstable;
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::loss_reduce;
-use crate::reference::pipeline::{backward, render};
-use crate::reference::types::{Extent, Gaussian, Gradient, View};
-
-use crate::common::scenes::{Random, small_scene, small_view};
+use crate::reference::pipeline::{backward, pixels_of, render, tile_of};
+use crate::reference::project::color as color_of;
+use crate::reference::types::{Extent, Gaussian, Gradient, Splat, View};
 
 /// Σ pixel · weight, a loss that is linear in the picture.
 fn linear_loss(gaussians: &[Gaussian], view: &View, weights: &[PixelGradient]) -> f64 {
@@ -123,5 +127,77 @@ fn gradient_of_the_loss_agrees_with_finite_differences() {
         };
         let difference = (moved(step) - moved(-step)) / (2.0 * step);
         assert!((difference - gradient[place]).abs() <= 1e-9, "{place}: {} {difference}", gradient[place]);
+    }
+}
+
+/// Gradients of random scenes on the device against the twin.
+fn compare_with_device(view: &View, seed: u64) {
+    let gpu = Gpu::new();
+    let mut random = Random::new(seed);
+    let scene = small_scene(&mut random, 150, 16);
+    let frame = render(&scene, view);
+    let mut weights = random_weights(&mut random, view);
+    for (pixel, weight) in pixels_of(view).zip(&mut weights) {
+        let list: Vec<&Splat> = frame.lists[tile_of(view, pixel)]
+            .iter()
+            .map(|&g| frame.splats[g as usize].as_ref().expect("listed"))
+            .collect();
+        if is_unstable(&list, pixel, 2e-5) {
+            *weight = PixelGradient::default();
+        }
+        // As float32 sees them.
+        weight.color = weight.color.map(|x| f64::from(x as f32));
+    }
+    let expected = backward(&scene, view, &frame, &weights).parameters;
+    let color: Vec<[f32; 3]> = weights.iter().map(|w| w.color.map(|x| x as f32)).collect();
+    let inverse_depth: Vec<f32> = weights.iter().map(|w| w.inverse_depth as f32).collect();
+    let mut renderer = engine::renderer();
+    renderer.upload(&engine::gaussians(&scene)).expect("upload");
+    let actual = renderer
+        .gradients(&engine::camera(view), &engine::settings(view), &color, Some(&inverse_depth))
+        .expect("gradients");
+    drop(renderer);
+    let actual = engine::twins(&actual.parameters);
+    let nobody = vec![false; scene.len()];
+    // A colour of nearly 0 may be clamped or not.
+    let near_clamp: Vec<bool> =
+        scene.iter().map(|g| color_of(g, view).1.iter().any(|c| c.abs() < 1e-5)).collect();
+    let fields: [Field; 5] = [
+        ("means", |g| g.mean.to_vec(), |g| g.mean.to_vec(), &near_clamp, 1e-4),
+        ("quaternions", |g| g.quat.to_vec(), |g| g.quat.to_vec(), &nobody, 5e-4),
+        ("log-scales", |g| g.log_scale.to_vec(), |g| g.log_scale.to_vec(), &nobody, 1e-4),
+        ("opacities", |g| vec![g.opacity_logit], |g| vec![g.opacity_logit], &nobody, 1e-4),
+        ("SH", |g| g.sh.concat(), |g| g.sh.concat(), &near_clamp, 1e-4),
+    ];
+    for (name, of_actual, of_expected, skip, bound) in fields {
+        let actual: Vec<f64> = actual.iter().flat_map(of_actual).collect();
+        let expected: Vec<f64> = expected.iter().flat_map(of_expected).collect();
+        let tolerance = GradientTolerance { relative_l2: bound, max_over_max: 2.0 * bound };
+        gradient(name, &actual, &expected, skip, tolerance).expect("gradients of the device");
+    }
+    drop(gpu);
+}
+
+/// Name, values of the device, values of the twin, Gaussians to skip, bound.
+type Field<'a> = (&'a str, fn(&Gaussian) -> Vec<f64>, fn(&Gradient) -> Vec<f64>, &'a [bool], f64);
+
+#[test]
+fn gradients_of_the_device_agree_with_the_twin() {
+    for seed in 0..3 {
+        for extent in [Extent::Exact, Extent::Reference] {
+            for (antialias, sh_degree) in [(false, 3), (true, 1)] {
+                let view = View { extent, antialias, sh_degree, ..small_view([90, 60]) };
+                compare_with_device(&view, 100 + seed);
+            }
+        }
+    }
+}
+
+#[test]
+fn gradients_of_the_device_through_the_jacobian_limits() {
+    for symmetric_limit in [false, true] {
+        let view =
+            View { symmetric_limit, focal_px: [60.0, 55.0], center_px: [9.0, 6.5], ..small_view([20, 12]) };
+        compare_with_device(&view, 7);
     }
 }

@@ -1,6 +1,7 @@
 //! The test suite: one binary, one Vulkan context.
 
 mod architecture;
+mod barriers;
 mod cli;
 mod common;
 mod comparators;

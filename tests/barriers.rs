@@ -1,0 +1,199 @@
+//! Every barrier of a training step is needed, and the hazard checker notices the absence of any one.
+
+use ashsplat::backward::{Backward, Statistics};
+use ashsplat::forward::{Forward, FrameInputs, SceneBuffers};
+use ashsplat::loss::{Loss, LossInputs, PhotoFormat, partials_bytes, ssim_maps_bytes};
+use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
+use ashsplat::plan::{Blocks, FrameBuffers, FrameCapacity, frame_requests};
+use ashsplat::planes;
+use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind, Recorder};
+use ashsplat::{Camera, RenderSettings};
+
+use crate::common::engine::{camera, gaussians, settings};
+use crate::common::options;
+use crate::common::scenes::{Random, small_scene, small_view};
+
+const SIZE: [u32; 2] = [40, 30];
+const SH_DEGREE: u32 = 1;
+
+/// What is recorded behind the forward pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// Loss, backward, optimiser.
+    Step,
+    /// Backward, and the gradients of all parameters.
+    Gradients,
+}
+
+const KINDS: [Kind; 2] = [Kind::Step, Kind::Gradients];
+
+/// Everything that a training step works on.
+struct Training {
+    context: Context,
+    forward: Forward,
+    loss: Loss,
+    backward: Backward,
+    optimizer: Optimizer,
+    scene: SceneBuffers,
+    moments: Moments,
+    gradients: Vec<Buffer>,
+    frame: FrameBuffers,
+    capacity: FrameCapacity,
+    /// Photo, SSIM maps, partial sums, losses, statistics, 2-D gradients.
+    others: Vec<Buffer>,
+    camera: Camera,
+    settings: RenderSettings,
+}
+
+impl Training {
+    /// Parameters in several buffers, blending in two passes: with all the barriers that there can be.
+    fn new() -> Training {
+        let limits = LimitsOverride { max_storage_buffer_range: Some(100_000), ..LimitsOverride::default() };
+        let options = ContextOptions { limits_override: Some(limits), ..options() };
+        let context = Context::new(&options).expect("a device");
+        let view = small_view(SIZE);
+        let start = gaussians(&small_scene(&mut Random::new(1), 1200, 4));
+        let scene = planes::upload(&context, "scene", &start, 1200, SH_DEGREE).expect("a scene");
+        assert!(scene.plan.chunks > 1, "the parameters are to lie in several buffers");
+        let planes_of = |arena: &str| planes::allocate(&context, arena, &scene.plan).expect("planes");
+        let capacity = FrameCapacity {
+            gaussians: 1200,
+            instances: 6000,
+            width: SIZE[0],
+            height: SIZE[1],
+            blend_passes: 2,
+            backward: true,
+        };
+        let requests = frame_requests(&capacity, &Blocks::new(context.limits()));
+        let frame = context.allocate("frame", &requests, MemoryKind::Device).expect("a frame");
+        let [width, height] = SIZE;
+        let others = [
+            ("photo", u64::from(width * height) * 4),
+            ("ssim_maps", ssim_maps_bytes(width, height)),
+            ("partials", partials_bytes(width, height)),
+            ("losses", 16),
+            ("statistics", 1200 * 8),
+            ("mean2d_gradients", 1200 * 8),
+        ];
+        let mut training = Training {
+            forward: Forward::new(&context).expect("kernels"),
+            loss: Loss::new(&context, PhotoFormat::Rgba8).expect("kernels"),
+            backward: Backward::new(&context),
+            optimizer: Optimizer::new(&context, false),
+            moments: Moments { first: planes_of("moments"), second: planes_of("moments") },
+            gradients: planes_of("gradients"),
+            frame: FrameBuffers::from_allocated(frame),
+            others: context.allocate("test", &others, MemoryKind::Device).expect("buffers"),
+            camera: camera(&view),
+            settings: settings(&view),
+            capacity,
+            scene,
+            context,
+        };
+        training.forward.prepare(SH_DEGREE, true).expect("kernels");
+        training.backward.prepare(SH_DEGREE, true).expect("kernels");
+        training.backward.prepare_expand(SH_DEGREE).expect("kernels");
+        training.optimizer.prepare(SH_DEGREE).expect("kernels");
+        training
+    }
+
+    fn record(&self, recorder: &mut Recorder, kind: Kind) {
+        let inputs = FrameInputs {
+            scene: &self.scene,
+            frame: &self.frame,
+            capacity: &self.capacity,
+            camera: &self.camera,
+            settings: &self.settings,
+            sh_degree: SH_DEGREE,
+        };
+        let [photo, ssim_maps, partials, losses, statistics, mean2d_gradients] = &self.others[..] else {
+            unreachable!("as many as were asked for")
+        };
+        let statistics = Statistics { buffer: statistics, accumulate: true };
+        self.forward.record(recorder, &inputs);
+        recorder.barrier();
+        if kind == Kind::Gradients {
+            self.backward.record(recorder, &inputs, statistics);
+            recorder.barrier();
+            self.backward.record_expand(recorder, &inputs, &self.gradients, mean2d_gradients);
+            return;
+        }
+        let loss = LossInputs {
+            accumulated: &self.frame.accumulated,
+            photo,
+            ssim_maps,
+            partials,
+            losses,
+            slot: 0,
+            image_gradient: &self.frame.image_gradient,
+            width: SIZE[0],
+            height: SIZE[1],
+            background: [0.0; 3],
+            lambda_dssim: 0.2,
+        };
+        self.loss.record(recorder, &loss);
+        recorder.barrier();
+        self.backward.record(recorder, &inputs, statistics);
+        recorder.barrier();
+        let rates =
+            Rates { mean: 1e-4, opacity: 0.025, quat: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
+        let step = Step { rates, count: 1, opacity_count: 1 };
+        self.optimizer.record(recorder, &inputs, &self.moments, &step);
+    }
+
+    /// The hazards of a recording without one of its barriers, and how many barriers it has.
+    fn hazards(&self, kind: Kind, omitted: Option<u32>) -> (Vec<String>, u32) {
+        let mut recorder = self.context.begin("training step").expect("a recorder");
+        recorder.collect_hazards();
+        if let Some(index) = omitted {
+            recorder.omit_barrier(index);
+        }
+        self.record(&mut recorder, kind);
+        (recorder.hazards().to_vec(), recorder.barriers())
+    }
+}
+
+#[test]
+fn barriers_are_complete_and_none_is_superfluous() {
+    let training = Training::new();
+    for kind in KINDS {
+        let (hazards, barriers) = training.hazards(kind, None);
+        assert!(hazards.is_empty(), "{kind:?} with all barriers: {hazards:#?}");
+        assert!(barriers > 30, "{barriers} barriers");
+        let superfluous: Vec<u32> =
+            (0..barriers).filter(|&index| training.hazards(kind, Some(index)).0.is_empty()).collect();
+        assert!(superfluous.is_empty(), "{kind:?}: of {barriers} barriers, nothing needs {superfluous:?}");
+    }
+    crate::common::assert_silent(&training.context);
+}
+
+/// And the recording runs: what the checker accepts, synchronisation validation accepts as well.
+#[test]
+fn barriers_satisfy_synchronization_validation() {
+    let training = Training::new();
+    for kind in KINDS {
+        training
+            .context
+            .run("training step", |recorder| {
+                training.record(recorder, kind);
+                Ok(())
+            })
+            .expect("a step");
+    }
+    crate::common::assert_silent(&training.context);
+}
+
+#[test]
+fn barriers_missing_in_a_recording_panic_with_both_ends() {
+    let training = Training::new();
+    for index in [3, 20, 33] {
+        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            let mut recorder = training.context.begin("training step").expect("a recorder");
+            recorder.omit_barrier(index);
+            training.record(&mut recorder, Kind::Step);
+        }));
+        let payload = outcome.expect_err("a missing barrier panics");
+        let message = payload.downcast_ref::<String>().cloned().unwrap_or_default();
+        assert!(message.contains("barrier"), "{index}: {message}");
+    }
+}
