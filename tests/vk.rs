@@ -4,4 +4,5 @@ mod context;
 mod hazard;
 mod kernels;
 mod memory;
+mod profile;
 mod recorder;

@@ -1,15 +1,18 @@
 //! The device that everything runs on.
 
+use super::clock::Clock;
 use super::debug::Names;
-use super::device::{self, Candidate};
+use super::device::{self, Candidate, DeviceDescription};
 use super::instance::Instance;
 use super::limits::{Limits, LimitsOverride};
 use super::memory::Registry;
+use super::profile::Log;
 use super::submit::Slot;
 use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// How to open a device.
 #[derive(Clone, Debug)]
@@ -60,8 +63,14 @@ pub(super) struct Inner {
     /// Whether device memory is the host's memory, so that mapping it is the fastest way in and out.
     pub(super) unified_memory: bool,
     pub(super) timestamp_bits: u32,
+    /// Whether timestamps are written at the moment.
+    pub(super) timestamps: AtomicBool,
+    /// Reads the device's clock, where it can be compared with the host's.
+    pub(super) clock: Option<Clock>,
+    /// Who records every command, if anybody does.
+    pub(super) profile: Mutex<Weak<Log>>,
     pub(super) hazard_check: bool,
-    pub(super) name: String,
+    pub(super) description: DeviceDescription,
     pub(super) registry: Registry,
     /// Idle command buffers.
     pub(super) slots: Mutex<Vec<Slot>>,
@@ -92,6 +101,7 @@ impl Context {
         let device = create_device(&instance, &candidate)?;
         // SAFETY: the device was created with one queue of this family.
         let queue = unsafe { device.get_device_queue(candidate.queue_family, 0) };
+        let clock = Clock::new(&instance, &device, candidate.features.calibrated_timestamps);
         let names = Names::new(&instance.raw, &device, instance.has_debug_utils);
         names.name(queue, "ashsplat queue");
         Ok(Self(Arc::new(Inner {
@@ -108,8 +118,11 @@ impl Context {
                     vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU
                 ),
             timestamp_bits: if options.timestamps { family.timestamp_valid_bits } else { 0 },
+            timestamps: AtomicBool::new(true),
+            clock,
+            profile: Mutex::default(),
             hazard_check: options.hazard_check,
-            name: candidate.description.name,
+            description: candidate.description,
             registry: Registry::default(),
             slots: Mutex::default(),
             instance,
@@ -123,7 +136,12 @@ impl Context {
 
     /// The device's name, as the driver gives it.
     pub fn device_name(&self) -> &str {
-        &self.0.name
+        &self.0.description.name
+    }
+
+    /// What the driver says of the device; its limits are those without the options' changes.
+    pub fn description(&self) -> &DeviceDescription {
+        &self.0.description
     }
 
     /// All warnings and errors of the validation layers so far. Empty without [`ContextOptions::validation`].
@@ -186,6 +204,7 @@ fn create_device(instance: &Instance, candidate: &Candidate) -> Result<ash::Devi
     if optional.portability_subset {
         extensions.push(c"VK_KHR_portability_subset".as_ptr());
     }
+    extensions.extend(optional.calibrated_timestamps.map(|kind| kind.extension().as_ptr()));
     let priorities = [1.0];
     let queues = [vk::DeviceQueueCreateInfo::default()
         .queue_family_index(candidate.queue_family)

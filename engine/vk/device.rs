@@ -1,5 +1,6 @@
 //! Which devices there are, which of them will do, and which one is meant.
 
+use super::clock::Calibrated;
 use super::instance::Instance;
 use super::limits::Limits;
 use super::vk_error;
@@ -55,6 +56,7 @@ pub(super) struct OptionalFeatures {
     pub(super) memory_model: bool,
     pub(super) memory_model_device_scope: bool,
     pub(super) portability_subset: bool,
+    pub(super) calibrated_timestamps: Option<Calibrated>,
 }
 
 const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
@@ -185,6 +187,7 @@ fn examine(
     let (optional, missing) = features(instance, physical);
     candidate.features = optional;
     candidate.features.portability_subset = has(c"VK_KHR_portability_subset");
+    candidate.features.calibrated_timestamps = Calibrated::find(has);
     Ok(missing.or(missing_operations))
 }
 
@@ -210,6 +213,7 @@ fn features(instance: &Instance, physical: vk::PhysicalDevice) -> (OptionalFeatu
         memory_model: v12.vulkan_memory_model != 0,
         memory_model_device_scope: v12.vulkan_memory_model_device_scope != 0,
         portability_subset: false,
+        calibrated_timestamps: None,
     };
     (optional, missing)
 }

@@ -158,7 +158,7 @@ impl Block {
         let types = self.inner.memory.memory_types_as_slice();
         let index =
             memory_type(types, needs.memory_type_bits, kind, self.inner.unified_memory).ok_or_else(|| {
-                let device = self.inner.name.clone();
+                let device = self.inner.description.name.clone();
                 Error::MissingFeature { device, feature: format!("a memory type for {kind:?} buffers") }
             })?;
         let info = vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(index);

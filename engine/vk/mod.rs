@@ -11,6 +11,7 @@
 //! | `submit` | [`Context::submit`], [`Pending`], [`RunReport`] |
 //! | `transfer` | [`Context::upload`], [`Context::download`] |
 //! | `profiler`, `debug` | time of each scope; names, labels and validation messages |
+//! | `profile`, `clock` | [`Context::profile`]: every command with its grid, buffers and time, on the host's clock |
 //!
 //! # Ownership
 //! A [`Context`] is a counted reference to the open device. Buffers, kernels, recorders and pending submissions hold
@@ -35,6 +36,7 @@
 #![allow(unsafe_code)]
 
 mod buffer;
+mod clock;
 mod context;
 mod debug;
 mod device;
@@ -43,6 +45,7 @@ mod instance;
 mod kernel;
 mod limits;
 mod memory;
+mod profile;
 mod profiler;
 mod recorder;
 mod submit;
@@ -55,6 +58,7 @@ pub use instance::validation_available;
 pub use kernel::{Access, BindingInfo, Kernel, KernelInterface, KernelVisitor};
 pub use limits::{Limits, LimitsOverride};
 pub use memory::{ArenaMemory, MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
+pub use profile::{BoundBuffer, CommandRecord, Profile, Submission};
 pub use profiler::ScopeTime;
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use submit::{Pending, RunReport};

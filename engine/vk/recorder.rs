@@ -4,6 +4,7 @@ use super::buffer::Buffer;
 use super::context::Inner;
 use super::hazard::{HazardTracker, Use};
 use super::kernel::{Access, Kernel, KernelInterface, MAX_BINDINGS, Pipeline};
+use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled};
 use super::profiler::Profiler;
 use super::submit::{Commands, Kept};
 use ash::vk;
@@ -63,9 +64,10 @@ impl Hazards {
 }
 
 impl Recorder {
-    pub(super) fn new(commands: Commands, label: &str) -> Self {
+    pub(super) fn new(commands: Commands, label: &str, profiled: Option<Profiled>) -> Self {
         let (inner, queries) = (commands.inner.clone(), commands.queries());
         let mut recorder = Self::with_target(Target::Owned(commands), inner, queries);
+        recorder.profiler.commands = profiled;
         recorder.profiler.begin(&recorder.inner, recorder.raw(), label);
         recorder
     }
@@ -84,7 +86,7 @@ impl Recorder {
     fn with_target(commands: Target, inner: Arc<Inner>, queries: vk::QueryPool) -> Self {
         Self {
             commands,
-            profiler: Profiler::new(queries),
+            profiler: Profiler::new(queries, None),
             kept: Kept::default(),
             bound: vk::Pipeline::null(),
             hazards: inner.hazard_check.then(|| Hazards::new(false)),
@@ -96,6 +98,7 @@ impl Recorder {
 
     pub(super) fn finish(mut self) -> (Commands, Profiler, Kept) {
         self.profiler.end(&self.inner, self.raw());
+        self.copy_indirect_arguments();
         match self.commands {
             Target::Owned(commands) => (commands, self.profiler, self.kept),
             Target::Foreign(_) => panic!("a foreign command buffer is submitted by its owner"),
@@ -145,6 +148,7 @@ impl Recorder {
         self.prepare(&kernel.pipeline, K::buffers(bind).as_ref(), K::push_bytes(push));
         // SAFETY: the pipeline and everything that it uses are bound, the counts are within the limits.
         unsafe { self.inner.device.cmd_dispatch(self.raw(), x, y, z) }
+        self.profile_dispatch(&kernel.pipeline, K::buffers(bind).as_ref(), Some([x, y, z]));
     }
 
     /// Dispatches the grid that `arguments` holds when the command runs: x, y, z as u32, in its first 12 bytes.
@@ -167,6 +171,44 @@ impl Recorder {
         unsafe {
             self.inner.device.cmd_dispatch_indirect(self.raw(), arguments.raw(), arguments.offset());
         }
+        self.profile_dispatch(&kernel.pipeline, K::buffers(bind).as_ref(), None);
+        if let Some(profiled) = &mut self.profiler.commands {
+            profiled.is_indirect(arguments);
+        }
+    }
+
+    fn profile_dispatch(&mut self, pipeline: &Pipeline, buffers: &[&Buffer], grid: Option<[u32; 3]>) {
+        let raw = self.raw();
+        self.profiler.command(&self.inner, raw, || {
+            let bound = pipeline.bindings.iter().zip(buffers);
+            let bound = bound.map(|(info, buffer)| BoundBuffer::new(info.name, buffer, info.access));
+            CommandRecord::new(pipeline.name, grid, bound)
+        });
+    }
+
+    fn profile_transfer(&mut self, command: &'static str, uses: &[(&Buffer, &'static str, Access)]) {
+        let raw = self.raw();
+        self.profiler.command(&self.inner, raw, || {
+            let bound = uses.iter().map(|&(buffer, role, access)| BoundBuffer::new(role, buffer, access));
+            CommandRecord::new(command, None, bound)
+        });
+    }
+
+    /// The grids of indirect dispatches, as their arguments stand at the end, to where the profile reads them.
+    fn copy_indirect_arguments(&mut self) {
+        let Some(profiled) = self.profiler.commands.take() else { return };
+        let copies: Vec<_> = profiled.copies().collect();
+        if !copies.is_empty() {
+            self.barrier();
+        }
+        for (from, to) in copies {
+            self.kept.block(to.block());
+            let region =
+                vk::BufferCopy::default().src_offset(from.offset()).dst_offset(to.offset()).size(to.bytes());
+            // SAFETY: recording state; ranges of equal size in buffers that are kept, with transfer usage.
+            unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }
+        }
+        self.profiler.commands = Some(profiled);
     }
 
     /// Declares the accesses of a dispatch to the hazard checker.
@@ -242,6 +284,7 @@ impl Recorder {
             let (offset, bytes) = (buffer.offset(), buffer.bytes());
             self.inner.device.cmd_fill_buffer(self.raw(), buffer.raw(), offset, bytes, value);
         }
+        self.profile_transfer("fill", &[(buffer, "destination", Access::Write)]);
     }
 
     /// Copies a buffer onto another of at least its size.
@@ -254,10 +297,12 @@ impl Recorder {
         let apart = from.offset() + bytes <= to.offset() || to.offset() + bytes <= from.offset();
         assert!(from.raw() != to.raw() || apart, "copy: '{}' and '{}' overlap", from.name(), to.name());
         let to = &to.range(0, bytes);
-        self.transfer("copy", &[(from, "source", Access::Read), (to, "destination", Access::Write)]);
+        let uses = [(from, "source", Access::Read), (to, "destination", Access::Write)];
+        self.transfer("copy", &uses);
         let region = vk::BufferCopy::default().src_offset(from.offset()).dst_offset(to.offset()).size(bytes);
         // SAFETY: recording state; ranges within buffers that are kept, with transfer usage, that do not overlap.
         unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }
+        self.profile_transfer("copy", &uses);
     }
 
     /// Writes bytes that are stored in the recording itself into the start of a buffer.
@@ -274,6 +319,7 @@ impl Recorder {
         self.transfer("update", &[(&range, "destination", Access::Write)]);
         // SAFETY: recording state; a range within a buffer that is kept, sizes checked above.
         unsafe { self.inner.device.cmd_update_buffer(self.raw(), range.raw(), range.offset(), bytes) }
+        self.profile_transfer("update", &[(&range, "destination", Access::Write)]);
     }
 
     fn transfer(&mut self, command: &'static str, uses: &[(&Buffer, &'static str, Access)]) {

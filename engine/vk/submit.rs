@@ -3,13 +3,15 @@
 use super::context::{Context, Inner};
 use super::kernel::Pipeline;
 use super::memory::Block;
-use super::profiler::{MAX_SCOPES, Profiler, ScopeTime};
+use super::profile::{self, HostTimes};
+use super::profiler::{MAX_SCOPES, Profiler, QUERIES, ScopeTime};
 use super::recorder::Recorder;
 use super::vk_error;
 use crate::Result;
 use ash::vk;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
+use std::time::Instant;
 
 /// What a submission took.
 #[derive(Clone, Debug, Default)]
@@ -63,7 +65,7 @@ impl Slot {
             if inner.timestamp_bits > 0 {
                 let queries = vk::QueryPoolCreateInfo::default()
                     .query_type(vk::QueryType::TIMESTAMP)
-                    .query_count(2 * MAX_SCOPES);
+                    .query_count(QUERIES);
                 let queries = device.create_query_pool(&queries, None);
                 self.queries = queries.map_err(vk_error("vkCreateQueryPool"))?;
                 inner.names.name(self.queries, "scope timestamps");
@@ -92,7 +94,8 @@ pub(super) struct Commands {
 }
 
 impl Commands {
-    pub(super) fn begin(inner: &Arc<Inner>, label: &str) -> Result<Self> {
+    /// With `every_command`, there are queries for each command too.
+    pub(super) fn begin(inner: &Arc<Inner>, label: &str, every_command: bool) -> Result<Self> {
         let free = inner.slots.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let slot = match free {
             Some(slot) => slot,
@@ -105,7 +108,8 @@ impl Commands {
         // queries are not in use.
         unsafe {
             if slot.queries != vk::QueryPool::null() {
-                inner.device.reset_query_pool(slot.queries, 0, 2 * MAX_SCOPES);
+                let count = if every_command { QUERIES } else { 2 * MAX_SCOPES };
+                inner.device.reset_query_pool(slot.queries, 0, count);
             }
             let begun = inner.device.begin_command_buffer(slot.commands, &info);
             begun.map_err(vk_error("vkBeginCommandBuffer"))?;
@@ -124,8 +128,10 @@ impl Commands {
         self.slot.commands
     }
 
+    /// Null where there are no timestamps, or none are wanted.
     pub(super) fn queries(&self) -> vk::QueryPool {
-        self.slot.queries
+        let wanted = self.inner.timestamps.load(Ordering::Relaxed);
+        if wanted { self.slot.queries } else { vk::QueryPool::null() }
     }
 
     fn memory_barrier(&self, barrier: vk::MemoryBarrier2<'_>) {
@@ -223,6 +229,9 @@ pub struct Pending {
     // Dropped in this order: the wait comes before the memory goes.
     commands: Commands,
     profiler: Option<Profiler>,
+    label: String,
+    submitting: Instant,
+    submitted: Instant,
     kept: Kept,
 }
 
@@ -233,9 +242,19 @@ impl Pending {
     /// [`crate::Error::Vulkan`] when the device is lost.
     pub fn wait(mut self) -> Result<RunReport> {
         self.commands.wait()?;
-        let Some(profiler) = self.profiler.take() else { return Ok(RunReport::default()) };
-        let (nanoseconds, scopes) = profiler.collect(&self.commands.inner)?;
-        Ok(RunReport { scopes, nanoseconds })
+        let done = Instant::now();
+        let Some(mut profiler) = self.profiler.take() else { return Ok(RunReport::default()) };
+        let inner = &self.commands.inner;
+        let collected = profiler.collect(inner)?;
+        let report = RunReport {
+            scopes: collected.scopes.clone(),
+            nanoseconds: collected.nanoseconds.unwrap_or_default(),
+        };
+        if let Some(commands) = profiler.commands {
+            let host = HostTimes { submitting: self.submitting, submitted: self.submitted, done };
+            commands.log(inner, std::mem::take(&mut self.label), host, collected);
+        }
+        Ok(report)
     }
 }
 
@@ -254,7 +273,8 @@ impl Context {
     /// # Errors
     /// [`crate::Error::Vulkan`] when the driver has no memory left.
     pub fn begin(&self, label: &str) -> Result<Recorder> {
-        Ok(Recorder::new(Commands::begin(&self.0, label)?, label))
+        let profiled = profile::Commands::begin(&self.0)?;
+        Ok(Recorder::new(Commands::begin(&self.0, label, profiled.is_some())?, label, profiled))
     }
 
     /// Submits a recording; whoever needs its results waits for the [`Pending`].
@@ -265,12 +285,16 @@ impl Context {
     /// # Panics
     /// When the recorder records into a foreign command buffer.
     pub fn submit(&self, recorder: Recorder) -> Result<Pending> {
+        let submitting = Instant::now();
         let (commands, profiler, kept) = recorder.finish();
-        let mut pending = Pending { commands, profiler: Some(profiler), kept };
+        let label = profiler.label();
+        let mut pending =
+            Pending { commands, profiler: Some(profiler), label, submitting, submitted: submitting, kept };
         for block in &pending.kept.blocks {
             block.in_flight.fetch_add(1, Ordering::Release);
         }
         pending.commands.submit()?;
+        pending.submitted = Instant::now();
         Ok(pending)
     }
 

@@ -1,0 +1,54 @@
+//! The device's clock, read at a known time of the host's.
+
+use super::instance::Instance;
+use ash::vk;
+use std::ffi::CStr;
+
+/// Under which name a device has calibrated timestamps.
+#[derive(Clone, Copy)]
+pub(super) enum Calibrated {
+    Khr,
+    Ext,
+}
+
+impl Calibrated {
+    /// The newer name, where a device has both.
+    pub(super) fn find(has: impl Fn(&CStr) -> bool) -> Option<Self> {
+        [Self::Khr, Self::Ext].into_iter().find(|kind| has(kind.extension()))
+    }
+
+    pub(super) fn extension(self) -> &'static CStr {
+        match self {
+            Self::Khr => ash::khr::calibrated_timestamps::NAME,
+            Self::Ext => ash::ext::calibrated_timestamps::NAME,
+        }
+    }
+}
+
+/// The functions of the extension that is enabled.
+pub(super) enum Clock {
+    Khr(ash::khr::calibrated_timestamps::Device),
+    Ext(ash::ext::calibrated_timestamps::Device),
+}
+
+impl Clock {
+    pub(super) fn new(instance: &Instance, device: &ash::Device, kind: Option<Calibrated>) -> Option<Self> {
+        Some(match kind? {
+            Calibrated::Khr => Self::Khr(ash::khr::calibrated_timestamps::Device::new(&instance.raw, device)),
+            Calibrated::Ext => Self::Ext(ash::ext::calibrated_timestamps::Device::new(&instance.raw, device)),
+        })
+    }
+
+    /// The device's clock now, ticks; None when the driver fails.
+    pub(super) fn ticks(&self) -> Option<u64> {
+        let info = [vk::CalibratedTimestampInfoKHR::default().time_domain(vk::TimeDomainKHR::DEVICE)];
+        // SAFETY: the extension is enabled, and every implementation of it has the device's time domain.
+        let read = unsafe {
+            match self {
+                Self::Khr(clock) => clock.get_calibrated_timestamps(&info),
+                Self::Ext(clock) => clock.get_calibrated_timestamps(&info),
+            }
+        };
+        read.ok()?.0.first().copied()
+    }
+}

@@ -1,0 +1,256 @@
+//! The opt-in profile of a context: every command of every submission, with what it was bound to and how long it took.
+
+use super::buffer::Buffer;
+use super::context::{Context, Inner};
+use super::kernel::Access;
+use super::memory::MemoryKind;
+use super::profiler::{Collected, MAX_COMMANDS, ScopeTime};
+use crate::Result;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// While it lives, all submissions of its context are recorded command by command. Costs a timestamp per command;
+/// without a profile there is no cost.
+pub struct Profile {
+    log: Arc<Log>,
+}
+
+/// A submission that is over.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Submission {
+    /// The label given to [`Context::begin`] or [`Context::run`].
+    pub label: String,
+    /// Its commands in the order of recording.
+    pub commands: Vec<CommandRecord>,
+    /// Its scopes, as in [`super::RunReport`].
+    pub scopes: Vec<ScopeTime>,
+    /// The whole of it on the device; None where there are no timestamps.
+    pub nanoseconds: Option<f64>,
+    /// When the recording began, on the host.
+    pub begun: Instant,
+    /// When recording was over and submitting began.
+    pub submitting: Instant,
+    /// When the driver had taken it.
+    pub submitted: Instant,
+    /// When the host knew that it was over.
+    pub done: Instant,
+    /// When the device began with it, on the host's clock; None where there are no timestamps.
+    pub device_begun: Option<Instant>,
+    /// Whether `device_begun` comes from calibrated timestamps. Otherwise the device is taken to have finished at
+    /// `done`, which is late by what it takes to wake the host.
+    pub calibrated: bool,
+}
+
+/// A command of a recording.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct CommandRecord {
+    /// The kernel's name, or "fill", "copy" or "update".
+    pub name: &'static str,
+    /// The innermost scope around it; empty outside of all.
+    pub scope: String,
+    /// The grid of a dispatch. Of an indirect one: what its arguments said at the end of the recording.
+    pub workgroups: Option<[u32; 3]>,
+    /// What it was bound to.
+    pub buffers: Vec<BoundBuffer>,
+    /// When it began, nanoseconds from the recording's begin on the device; None without timestamps.
+    pub begin_ns: Option<f64>,
+    /// From the end of the command before it to its own end, with the barrier between them; None without timestamps.
+    pub nanoseconds: Option<f64>,
+}
+
+/// A buffer as a command sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BoundBuffer {
+    /// What the kernel calls it.
+    pub role: &'static str,
+    /// The name that it was allocated under.
+    pub name: &'static str,
+    /// What the command may do with it.
+    pub access: Access,
+    /// How many bytes were bound: its capacity, not what was touched.
+    pub bytes: u64,
+}
+
+impl CommandRecord {
+    pub(super) fn new(
+        name: &'static str,
+        workgroups: Option<[u32; 3]>,
+        buffers: impl Iterator<Item = BoundBuffer>,
+    ) -> Self {
+        Self {
+            name,
+            scope: String::new(),
+            workgroups,
+            buffers: buffers.collect(),
+            begin_ns: None,
+            nanoseconds: None,
+        }
+    }
+}
+
+impl BoundBuffer {
+    pub(super) fn new(role: &'static str, buffer: &Buffer, access: Access) -> Self {
+        Self { role, name: buffer.static_name(), access, bytes: buffer.bytes() }
+    }
+}
+
+/// Where submissions go, and memory for the arguments of indirect dispatches.
+#[derive(Default)]
+pub(super) struct Log {
+    submissions: Mutex<Vec<Submission>>,
+    spare: Mutex<Vec<Buffer>>,
+}
+
+/// The commands of a recording under way.
+pub(super) struct Commands {
+    log: Arc<Log>,
+    records: Vec<CommandRecord>,
+    /// For each indirect dispatch its record and its arguments.
+    indirect: Vec<(usize, Buffer)>,
+    /// Three words for each of `indirect`.
+    readback: Buffer,
+    begun: Instant,
+}
+
+const GRID_BYTES: u64 = 12;
+
+impl Commands {
+    /// None where nobody profiles.
+    pub(super) fn begin(inner: &Arc<Inner>) -> Result<Option<Self>> {
+        let begun = Instant::now();
+        let log = inner.profile.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
+        let Some(log) = log else { return Ok(None) };
+        let spare = log.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let readback = match spare {
+            Some(buffer) => buffer,
+            None => {
+                let request = [("indirect_arguments", u64::from(MAX_COMMANDS) * GRID_BYTES)];
+                Context(inner.clone()).allocate("profile", &request, MemoryKind::HostVisible)?.swap_remove(0)
+            }
+        };
+        Ok(Some(Self { log, records: Vec::new(), indirect: Vec::new(), readback, begun }))
+    }
+
+    /// The index of the new record.
+    pub(super) fn push(&mut self, record: CommandRecord) -> u32 {
+        self.records.push(record);
+        self.records.len() as u32 - 1
+    }
+
+    /// Marks the last record as an indirect dispatch.
+    pub(super) fn is_indirect(&mut self, arguments: &Buffer) {
+        if self.indirect.len() < MAX_COMMANDS as usize
+            && let Some(last) = self.records.len().checked_sub(1)
+        {
+            self.indirect.push((last, arguments.range(0, GRID_BYTES)));
+        }
+    }
+
+    /// What to copy behind everything else, so that the copies are in nobody's time.
+    pub(super) fn copies(&self) -> impl Iterator<Item = (&Buffer, Buffer)> {
+        self.indirect
+            .iter()
+            .enumerate()
+            .map(|(i, (_, from))| (from, self.readback.range(i as u64 * GRID_BYTES, GRID_BYTES)))
+    }
+
+    /// The records, with the grids of indirect dispatches. The submission must have been waited for.
+    pub(super) fn take(&mut self) -> Vec<CommandRecord> {
+        let mut records = std::mem::take(&mut self.records);
+        for (i, (record, _)) in self.indirect.iter().enumerate() {
+            let mut bytes = [0u8; GRID_BYTES as usize];
+            let offset = self.readback.offset() + i as u64 * GRID_BYTES;
+            if self.readback.block().read_mapped(offset, &mut bytes) {
+                records[*record].workgroups = Some(bytemuck::pod_read_unaligned(&bytes));
+            }
+        }
+        self.indirect.clear();
+        records
+    }
+
+    /// Writes the submission into the log.
+    pub(super) fn log(self, inner: &Inner, label: String, host: HostTimes, collected: Collected) {
+        let HostTimes { submitting, submitted, done } = host;
+        let calibrated = inner.now_on_both_clocks();
+        let begin = collected.begin_ticks;
+        let device_begun = match (collected.nanoseconds, calibrated) {
+            (None, _) => None,
+            (Some(_), Some((ticks, now))) => {
+                now.checked_sub(nanoseconds(inner.nanoseconds_between(begin, ticks)))
+            }
+            (Some(whole), None) => done.checked_sub(nanoseconds(whole)),
+        };
+        let submission = Submission {
+            label,
+            commands: collected.commands,
+            scopes: collected.scopes,
+            nanoseconds: collected.nanoseconds,
+            begun: self.begun,
+            submitting,
+            submitted,
+            done,
+            device_begun,
+            calibrated: calibrated.is_some() && device_begun.is_some(),
+        };
+        self.log.submissions.lock().unwrap_or_else(PoisonError::into_inner).push(submission);
+        self.log.spare.lock().unwrap_or_else(PoisonError::into_inner).push(self.readback);
+    }
+}
+
+fn nanoseconds(n: f64) -> Duration {
+    Duration::from_nanos(n.max(0.0) as u64)
+}
+
+/// The host's part of a submission.
+#[derive(Clone, Copy)]
+pub(super) struct HostTimes {
+    pub(super) submitting: Instant,
+    pub(super) submitted: Instant,
+    pub(super) done: Instant,
+}
+
+impl Inner {
+    /// Nanoseconds between two timestamps of the device.
+    pub(super) fn nanoseconds_between(&self, begin: u64, end: u64) -> f64 {
+        let bits = self.timestamp_bits;
+        let mask = if bits >= 64 { u64::MAX } else { (1 << bits) - 1 };
+        (end.wrapping_sub(begin) & mask) as f64 * self.limits.timestamp_period_ns
+    }
+
+    /// The device's clock and the host's at one moment; None where timestamps cannot be calibrated.
+    fn now_on_both_clocks(&self) -> Option<(u64, Instant)> {
+        let clock = self.clock.as_ref()?;
+        let before = Instant::now();
+        let ticks = clock.ticks()?;
+        let middle = before + before.elapsed() / 2;
+        Some((ticks, middle))
+    }
+}
+
+impl Context {
+    /// Records every submission from now on, until the profile is dropped. A newer profile takes over from an older.
+    pub fn profile(&self) -> Profile {
+        let log = Arc::<Log>::default();
+        *self.0.profile.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(&log);
+        Profile { log }
+    }
+
+    /// Turns timestamps off or on again: without, scopes are only labelled.
+    pub fn set_timestamps(&self, on: bool) {
+        self.0.timestamps.store(on, std::sync::atomic::Ordering::Relaxed);
+    }
+
+    /// Whether device times can be had at all.
+    pub fn has_timestamps(&self) -> bool {
+        self.0.timestamp_bits > 0
+    }
+}
+
+impl Profile {
+    /// The submissions that ended since the last call, oldest first.
+    pub fn take(&self) -> Vec<Submission> {
+        std::mem::take(&mut *self.log.submissions.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}

@@ -1,0 +1,139 @@
+//! The opt-in profile: what it records, and that it is off unless somebody asks.
+
+use crate::common::gpu::Gpu;
+use ashsplat::scan::{Scan, ScanBuffers, Workgroups};
+use ashsplat::vk::{Access, Context, ContextOptions, Submission};
+
+const COUNT: u32 = 5000;
+
+/// One scan with its grid given by the host, then the same with the grid in a buffer.
+fn run_scans(gpu: &Gpu) {
+    let scan = Scan::new(gpu.context).expect("kernels");
+    let grid = scan.block_words(COUNT.into()) as u32;
+    let counts = gpu.buffer("counts", &[COUNT, 0, 0, 0]);
+    let values = gpu.buffer("values", &vec![1u32; COUNT as usize]);
+    let prefix = gpu.untouched::<u32>("prefix", COUNT as usize);
+    let sums = gpu.untouched::<u32>("sums", grid as usize);
+    let arguments = gpu.buffer("arguments", &[grid, 1, 1, 0]);
+    let buffers = ScanBuffers {
+        counts: &counts,
+        count_index: 0,
+        total_index: 1,
+        values: &values,
+        prefix: &prefix,
+        block_sums: &sums,
+    };
+    gpu.run(|r| {
+        r.fill(&prefix, 0);
+        r.barrier();
+        r.scope("direct", |r| scan.record(r, &buffers, Workgroups::Elements(COUNT.into())));
+        r.barrier();
+        r.scope("indirect", |r| scan.record(r, &buffers, Workgroups::Indirect(&arguments)));
+    });
+    let expected: Vec<u32> = (0..COUNT).collect();
+    assert_eq!(gpu.read::<u32>(&prefix, COUNT as usize), expected);
+}
+
+/// Other tests run on the shared device at the same time: the recording that is meant is known by its commands.
+fn of_scans(submissions: Vec<Submission>) -> Submission {
+    let mut own = submissions.into_iter().filter(|s| s.scopes.iter().any(|scope| scope.name == "indirect"));
+    own.next().expect("the recording was logged")
+}
+
+/// A device of one's own, as a profile belongs to its context.
+fn own_gpu(options: ContextOptions) -> Gpu {
+    let context = Context::new(&options).expect("a device");
+    Gpu { context: Box::leak(Box::new(context)) }
+}
+
+#[test]
+fn profile_names_every_command_with_its_grid_and_time() {
+    let gpu = own_gpu(crate::common::options());
+    let profile = gpu.context.profile();
+    run_scans(&gpu);
+    let submission = of_scans(profile.take());
+    let names: Vec<(&str, &str)> = submission.commands.iter().map(|c| (c.scope.as_str(), c.name)).collect();
+    let kernels = ["scan/scan_reduce", "scan/scan_spine", "scan/scan_apply"];
+    let expected: Vec<(&str, &str)> = std::iter::once(("", "fill"))
+        .chain(kernels.map(|name| ("direct", name)))
+        .chain(kernels.map(|name| ("indirect", name)))
+        .collect();
+    assert_eq!(names, expected);
+    assert_eq!(submission.commands[0].workgroups, None);
+    // The grid of an indirect dispatch is read back.
+    assert_eq!(submission.commands[1].workgroups, submission.commands[4].workgroups);
+    assert!(submission.commands[4].workgroups.is_some_and(|[x, y, z]| x > 1 && y == 1 && z == 1));
+    let apply = &submission.commands[3];
+    let roles: Vec<_> = apply.buffers.iter().map(|b| (b.role, b.name, b.access)).collect();
+    assert!(roles.contains(&("values", "values", Access::Read)), "{roles:?}");
+    assert!(roles.contains(&("prefix", "prefix", Access::Write)), "{roles:?}");
+    assert!(apply.buffers.iter().any(|b| b.name == "values" && b.bytes == u64::from(COUNT) * 4));
+    check_times(&gpu, &submission);
+    assert!(profile.take().is_empty(), "taken once");
+}
+
+/// Commands follow one another without gaps, within the recording, within the host's times.
+fn check_times(gpu: &Gpu, submission: &Submission) {
+    if !gpu.context.has_timestamps() {
+        return;
+    }
+    let whole = submission.nanoseconds.expect("timestamps");
+    let mut end = 0.0;
+    for command in &submission.commands {
+        let (begin, duration) = (command.begin_ns.expect("begin"), command.nanoseconds.expect("duration"));
+        assert!((begin - end).abs() < 1.0 && duration >= 0.0, "{command:?}");
+        end = begin + duration;
+    }
+    assert!(end <= whole, "{end} > {whole}");
+    assert!(submission.begun <= submission.submitting && submission.submitting <= submission.submitted);
+    assert!(submission.submitted <= submission.done);
+    let device_begun = submission.device_begun.expect("timestamps");
+    if submission.calibrated {
+        assert!(device_begun >= submission.submitting, "the device begins after the host submits");
+        let device_done = device_begun + std::time::Duration::from_nanos(whole as u64);
+        assert!(device_done <= submission.done + std::time::Duration::from_micros(100));
+    }
+}
+
+#[test]
+fn profile_is_off_before_and_after() {
+    let gpu = own_gpu(crate::common::options());
+    let profile = gpu.context.profile();
+    let newer = gpu.context.profile();
+    run_scans(&gpu);
+    assert!(profile.take().is_empty(), "the newer profile has taken over");
+    of_scans(newer.take());
+    drop(newer);
+    run_scans(&gpu);
+    assert!(gpu.context.profile().take().is_empty());
+}
+
+#[test]
+fn profile_without_timestamps_has_host_times_only() {
+    let gpu = own_gpu(ContextOptions { timestamps: false, ..crate::common::options() });
+    assert!(!gpu.context.has_timestamps());
+    let profile = gpu.context.profile();
+    run_scans(&gpu);
+    let submissions = profile.take();
+    let submission = submissions.iter().find(|s| s.commands.len() == 7).expect("logged");
+    assert!(submission.nanoseconds.is_none() && submission.device_begun.is_none() && !submission.calibrated);
+    assert!(submission.commands.iter().all(|c| c.nanoseconds.is_none()));
+    assert!(submission.commands[4].workgroups.is_some(), "grids need no clock");
+    assert!(submission.done > submission.begun);
+}
+
+#[test]
+fn timestamps_can_be_turned_off_and_on() {
+    let gpu = own_gpu(crate::common::options());
+    let scopes = || {
+        let report = gpu.context.run("empty", |r| {
+            r.scope("nothing", |_| ());
+            Ok(())
+        });
+        report.expect("a submission").scopes.len()
+    };
+    gpu.context.set_timestamps(false);
+    assert_eq!(scopes(), 0);
+    gpu.context.set_timestamps(true);
+    assert_eq!(scopes(), usize::from(gpu.context.has_timestamps()));
+}
