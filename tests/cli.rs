@@ -18,20 +18,20 @@ const SIZE: [u32; 2] = [48, 32];
 const VIEWS: u32 = 9;
 
 /// A finished run of the program.
-struct Finished {
-    code: Option<i32>,
-    stdout: String,
-    stderr: String,
+pub(crate) struct Finished {
+    pub(crate) code: Option<i32>,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
 }
 
 /// The program, not yet started, in a clean environment apart from what chooses the driver.
-fn program() -> Command {
+pub(crate) fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
     command.env_remove("ASHSPLAT_DEVICE");
     command
 }
 
-fn finish(command: &mut Command) -> Finished {
+pub(crate) fn finish(command: &mut Command) -> Finished {
     let output = command.output().expect("the program starts");
     Finished {
         code: output.status.code(),
@@ -41,14 +41,14 @@ fn finish(command: &mut Command) -> Finished {
 }
 
 /// Runs the program, which must succeed; returns its stdout.
-fn succeed(arguments: &[&str]) -> String {
+pub(crate) fn succeed(arguments: &[&str]) -> String {
     let run = finish(program().args(arguments));
     assert_eq!(run.code, Some(0), "{arguments:?}: {}", run.stderr);
     run.stdout
 }
 
 /// Checks that the program refused: exit code 2, nothing on stdout, one line `error: …` with all the given words.
-fn assert_refused(run: &Finished, words: &[&str]) {
+pub(crate) fn assert_refused(run: &Finished, words: &[&str]) {
     assert_eq!(run.code, Some(2), "{}{}", run.stdout, run.stderr);
     let errors: Vec<&str> = run.stderr.lines().filter(|line| !line.starts_with("warning: ")).collect();
     assert_eq!(errors.len(), 1, "{}", run.stderr);
@@ -59,12 +59,12 @@ fn assert_refused(run: &Finished, words: &[&str]) {
 }
 
 /// Runs the program, which must refuse.
-fn refuse(arguments: &[&str], words: &[&str]) {
+pub(crate) fn refuse(arguments: &[&str], words: &[&str]) {
     assert_refused(&finish(program().args(arguments)), words);
 }
 
 /// A path as an argument.
-fn text(path: &Path) -> &str {
+pub(crate) fn text(path: &Path) -> &str {
     path.to_str().expect("temporary paths are UTF-8")
 }
 

@@ -2,6 +2,7 @@
 
 mod architecture;
 mod barriers;
+mod bench;
 mod cli;
 mod common;
 mod comparators;

@@ -1,6 +1,6 @@
 //! The command line: what all commands share, and how it is read.
 
-use crate::{demo, devices, eval, info, inspect, render, train};
+use crate::{bench, demo, devices, eval, info, inspect, render, train};
 use ashsplat::Result;
 use ashsplat::vk::{Context, ContextOptions};
 use clap::error::ErrorKind;
@@ -35,6 +35,8 @@ pub enum Command {
     Devices(devices::Arguments),
     /// Make a small data set, train on it and show the result
     Demo(demo::Arguments),
+    /// Time of every kernel: scan, sort, render, train-step; comparisons, scaling
+    Bench(Box<bench::Arguments>),
 }
 
 /// Which device, and how closely it is watched.
@@ -51,8 +53,14 @@ pub struct DeviceArguments {
 impl DeviceArguments {
     /// Opens the device.
     pub fn context(&self) -> Result<Context> {
-        let options =
+        self.context_with(|_| ())
+    }
+
+    /// Opens the device with other options than usual.
+    pub fn context_with(&self, change: impl FnOnce(&mut ContextOptions)) -> Result<Context> {
+        let mut options =
             ContextOptions { device: self.device.clone(), validation: self.validation, ..Default::default() };
+        change(&mut options);
         Context::new(&options)
     }
 

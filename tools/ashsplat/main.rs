@@ -13,6 +13,7 @@ macro_rules! tell {
 }
 
 mod args;
+mod bench;
 mod config;
 mod demo;
 mod devices;
@@ -60,6 +61,7 @@ fn run(command: args::Command) -> Result<()> {
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
+        Command::Bench(arguments) => bench::run(&arguments),
     }
 }
 

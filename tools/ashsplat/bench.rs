@@ -1,0 +1,215 @@
+//! `ashsplat bench`: the time of every kernel, against the device's own copy bandwidth.
+
+mod compare;
+mod cpu_sorts;
+pub mod cpu_time;
+pub mod frames;
+pub mod machine;
+pub mod measure;
+pub mod plot;
+mod primitives;
+mod scaling;
+pub mod schema;
+mod synthetic;
+pub mod table;
+pub mod traffic;
+pub mod workload;
+
+use crate::args::DeviceArguments;
+use crate::output;
+use ashsplat::vk::Context;
+use ashsplat::{Error, Result};
+use clap::{Args, Subcommand};
+use measure::Iterations;
+use schema::{CopyBandwidth, Report, Run, Settings};
+use std::path::PathBuf;
+use workload::SceneArguments;
+
+/// Measure: every kernel's time, workgroups and bytes, beside what this device copies per second.
+///
+/// The result file (--json) follows the schema ashsplat-bench/1, described in tools/bench.md. Bytes are those of a
+/// kernel's inputs and outputs, each element once, so that "copy" says how far a kernel is from the speed of a plain
+/// copy of them on this device.
+#[derive(Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Subcommand)]
+enum What {
+    /// The prefix sum alone
+    Scan(RunArguments),
+    /// The radix sort alone, beside the processor's
+    Sort(RunArguments),
+    /// A frame
+    Render(RunArguments),
+    /// A training step
+    TrainStep(RunArguments),
+    /// Scan, sort, render and train-step
+    All(RunArguments),
+    /// Two result files, kernel by kernel
+    Compare(CompareArguments),
+    /// How each stage grows with the Gaussians and the pixels
+    Scaling(scaling::Arguments),
+}
+
+/// What every measurement takes.
+#[derive(Args)]
+pub struct RunArguments {
+    /// Values of the scan, pairs of the sort
+    #[arg(long, value_name = "N", default_value_t = 1 << 20)]
+    elements: u32,
+    #[command(flatten)]
+    pub scene: SceneArguments,
+    /// Measured iterations of each workload
+    #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
+    /// Iterations before them that do not count
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    warmup: u32,
+    /// Write the result here (JSON)
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Write one line per kernel here (CSV)
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Do not time kernels, as on a device without timestamps: host times only
+    #[arg(long)]
+    host_clock: bool,
+    #[command(flatten)]
+    pub device: DeviceArguments,
+    /// Print no table
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// Which files, and when their difference is a failure.
+#[derive(Args)]
+struct CompareArguments {
+    /// The result to compare with
+    a: PathBuf,
+    /// The result to judge
+    b: PathBuf,
+    /// Fail where a kernel of B takes more than X times as long as in A, beyond the spread of both
+    #[arg(long, value_name = "X")]
+    fail_above: Option<f64>,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let wanted: (&RunArguments, &[&str]) = match &arguments.what {
+        What::Scan(run) => (run, &["scan"]),
+        What::Sort(run) => (run, &["sort"]),
+        What::Render(run) => (run, &["render"]),
+        What::TrainStep(run) => (run, &["train-step"]),
+        What::All(run) => (run, &["scan", "sort", "render", "train-step"]),
+        What::Compare(files) => return compare_files(files),
+        What::Scaling(sweep) => return scaling::run(sweep),
+    };
+    measure_all(wanted.0, wanted.1)
+}
+
+fn compare_files(files: &CompareArguments) -> Result<()> {
+    if let Some(limit) = files.fail_above
+        && !(limit.is_finite() && limit > 0.0)
+    {
+        return Err(Error::argument(
+            "--fail-above",
+            format!("is {limit}, must be a positive ratio, say 1.15"),
+        ));
+    }
+    let (a, b) = (compare::read(&files.a)?, compare::read(&files.b)?);
+    let lines = compare::compare(&a, &b)?;
+    for (name, report) in [("A", &a), ("B", &b)] {
+        let commit = report.program.commit.as_deref().unwrap_or("no checkout");
+        say!(
+            "{name}: {}, {}, ashsplat {} ({commit})",
+            report.device.name,
+            report.device.driver,
+            report.program.version
+        );
+    }
+    say!("{}", compare::table(&lines));
+    files.fail_above.map_or(Ok(()), |limit| compare::check(&lines, limit))
+}
+
+fn measure_all(arguments: &RunArguments, names: &[&str]) -> Result<()> {
+    let scenes = names.iter().any(|name| ["render", "train-step"].contains(name));
+    let scene = if scenes {
+        // Before the device: bad input is reported at once.
+        Some(arguments.scene.load(names.contains(&"train-step"))?)
+    } else {
+        None
+    };
+    let context = arguments.context()?;
+    let copy = measure::copy_bandwidth(&context)?;
+    let mut runs = Vec::new();
+    for name in names {
+        let (context, iterations, copy) = (&context, arguments.iterations(), copy.as_ref());
+        let seed = arguments.scene.seed;
+        runs.push(match (*name, &scene) {
+            ("render", Some(scene)) => {
+                frames::render(&frames::Job { context, iterations, copy, scene, seed })?
+            }
+            ("train-step", Some(scene)) => {
+                frames::train_step(&frames::Job { context, iterations, copy, scene, seed })?
+            }
+            (name, _) => {
+                let elements = arguments.elements;
+                let job = primitives::Job { context, iterations, copy, elements, seed };
+                if name == "scan" { primitives::scan(&job)? } else { primitives::sort(&job)? }
+            }
+        });
+    }
+    let report = report_of(&context, arguments, copy, runs);
+    arguments.write(&report)?;
+    if !arguments.quiet {
+        say!("{}", table::render(&report).trim_end());
+    }
+    arguments.device.report_validation(&context);
+    Ok(())
+}
+
+impl RunArguments {
+    fn iterations(&self) -> Iterations {
+        Iterations { measured: self.iterations, warmup: self.warmup }
+    }
+
+    fn context(&self) -> Result<Context> {
+        self.device.context_with(|options| options.timestamps = !self.host_clock)
+    }
+
+    fn write(&self, report: &Report) -> Result<()> {
+        if let Some(path) = &self.json {
+            output::write_json(path, report)?;
+        }
+        if let Some(path) = &self.csv {
+            output::write_text(path, &table::csv(report))?;
+        }
+        Ok(())
+    }
+}
+
+fn report_of(
+    context: &Context,
+    arguments: &RunArguments,
+    copy: Option<CopyBandwidth>,
+    runs: Vec<Run>,
+) -> Report {
+    Report {
+        schema: schema::SCHEMA.to_owned(),
+        program: machine::program(),
+        host: machine::host(),
+        device: machine::device(context),
+        environment: machine::environment(),
+        settings: Settings {
+            iterations: arguments.iterations,
+            warmup: arguments.warmup,
+            seed: arguments.scene.seed,
+            clock: if context.has_timestamps() { "timestamps" } else { "host" }.to_owned(),
+        },
+        copy_bandwidth: copy,
+        runs,
+    }
+}

@@ -1,0 +1,192 @@
+//! `bench compare`: two result files, kernel by kernel.
+
+use super::schema::{Report, Run, SCHEMA, Spread};
+use ashsplat::{Error, Result};
+use serde_json::Value;
+use std::path::Path;
+
+/// Times that differ by less than this share are the same, whatever their spread: clocks and frequencies drift.
+const DRIFT: f64 = 0.10;
+/// Times that differ by less per call are the same: the cost of a dispatch jitters by this much.
+const JITTER_US: f64 = 10.0;
+
+/// One kernel, or the whole, in both files.
+pub struct Line {
+    pub run: String,
+    pub scope: String,
+    pub kernel: String,
+    pub calls: u32,
+    pub a_us: Spread,
+    pub b_us: Spread,
+}
+
+/// How B's time stands to A's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    Same,
+    Slower,
+    Faster,
+}
+
+impl Line {
+    /// B's median over A's.
+    pub fn ratio(&self) -> f64 {
+        self.b_us.median / self.a_us.median.max(1e-9)
+    }
+
+    /// Least and largest ratio that the two spreads allow.
+    pub fn ratio_range(&self) -> (f64, f64) {
+        (self.b_us.min / self.a_us.p90.max(1e-9), self.b_us.p90 / self.a_us.min.max(1e-9))
+    }
+
+    /// Same where the spreads (least to 90th percentile, widened by drift and jitter) overlap.
+    pub fn verdict(&self) -> Verdict {
+        let slack = |time: f64| time * DRIFT + JITTER_US * f64::from(self.calls);
+        if self.b_us.min > self.a_us.p90 + slack(self.a_us.p90) {
+            Verdict::Slower
+        } else if self.a_us.min > self.b_us.p90 + slack(self.b_us.p90) {
+            Verdict::Faster
+        } else {
+            Verdict::Same
+        }
+    }
+}
+
+/// Reads a result file; one of another schema is refused.
+pub fn read(path: &Path) -> Result<Report> {
+    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    let value: Value = serde_json::from_str(&text).map_err(|e| {
+        Error::input(path, format!("is no JSON: {e}"), "give a file that `ashsplat bench` wrote")
+    })?;
+    let schema = value.get("schema").and_then(Value::as_str).unwrap_or("none");
+    if schema != SCHEMA {
+        let remedy = "measure again with this program, or compare with the one that wrote it";
+        return Err(Error::input(
+            path,
+            format!("has schema '{schema}', this program reads '{SCHEMA}'"),
+            remedy,
+        ));
+    }
+    serde_json::from_value(value)
+        .map_err(|e| Error::input(path, format!("does not follow {SCHEMA}: {e}"), ""))
+}
+
+/// Pairs two reports up; those of different workloads are refused.
+pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
+    let names = |report: &Report| report.runs.iter().map(|r| r.name.clone()).collect::<Vec<_>>().join(", ");
+    if names(a) != names(b) {
+        let problem = format!("one has {}, the other {}; compare like with like", names(a), names(b));
+        return Err(Error::argument("the runs differ", problem));
+    }
+    let mut lines = Vec::new();
+    for (a, b) in a.runs.iter().zip(&b.runs) {
+        check_workloads(a, b)?;
+        let whole = |run: &Run| run.device_ms.unwrap_or(run.wall_ms).times(1e3);
+        let line = |scope: &str, kernel: &str, calls, a_us, b_us| Line {
+            run: a.name.clone(),
+            scope: scope.to_owned(),
+            kernel: kernel.to_owned(),
+            calls,
+            a_us,
+            b_us,
+        };
+        lines.push(line("", "all", 1, whole(a), whole(b)));
+        for kernel in &a.kernels {
+            let twin = b.kernels.iter().find(|k| (&k.scope, &k.kernel) == (&kernel.scope, &kernel.kernel));
+            if let (Some(a_us), Some(b_us)) = (kernel.time_us, twin.and_then(|k| k.time_us)) {
+                lines.push(line(&kernel.scope, &kernel.kernel, kernel.calls, a_us, b_us));
+            }
+        }
+    }
+    Ok(lines)
+}
+
+fn check_workloads(a: &Run, b: &Run) -> Result<()> {
+    let (wa, wb) = (&a.workload, &b.workload);
+    if wa.hash == wb.hash {
+        return Ok(());
+    }
+    let (da, db) = (super::table::describe(wa), super::table::describe(wb));
+    let problem = if da == db {
+        format!("the same counts but other contents (hashes {} and {}): {da}", wa.hash, wb.hash)
+    } else {
+        format!("{da} against {db}")
+    };
+    Err(Error::argument(format!("the workloads of {} differ", a.name), problem))
+}
+
+/// The comparison as a table.
+pub fn table(lines: &[Line]) -> String {
+    let mut out = format!(
+        "{:<11} {:<16} {:<26} {:>11} {:>11} {:>7}  {:<16} {}\n",
+        "run", "stage", "kernel", "A µs", "B µs", "B/A", "range", "verdict"
+    );
+    for line in lines {
+        let (low, high) = line.ratio_range();
+        let verdict = match line.verdict() {
+            Verdict::Same => "same",
+            Verdict::Slower => "SLOWER",
+            Verdict::Faster => "faster",
+        };
+        out += &format!(
+            "{:<11} {:<16} {:<26} {:>11.1} {:>11.1} {:>7.3}  {:<16} {verdict}\n",
+            line.run,
+            line.scope,
+            line.kernel,
+            line.a_us.median,
+            line.b_us.median,
+            line.ratio(),
+            format!("{low:.2} to {high:.2}"),
+        );
+    }
+    out
+}
+
+/// Fails with the kernels that became slower than `limit` times, beyond their spread.
+pub fn check(lines: &[Line], limit: f64) -> Result<()> {
+    let slow = lines.iter().filter(|line| line.verdict() == Verdict::Slower && line.ratio() > limit);
+    let named = slow.map(|line| {
+        let stage = if line.scope.is_empty() { String::new() } else { format!(" in '{}'", line.scope) };
+        format!("{} {}{stage} {:.2} times", line.run, line.kernel, line.ratio())
+    });
+    let named: Vec<String> = named.collect();
+    if named.is_empty() {
+        return Ok(());
+    }
+    Err(Error::argument(format!("slower than {limit} times"), named.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(a: [f64; 3], b: [f64; 3]) -> Line {
+        let spread = |[min, median, p90]: [f64; 3]| Spread { min, median, p90 };
+        Line {
+            run: "sort".into(),
+            scope: "sort".into(),
+            kernel: "sort/sort_count".into(),
+            calls: 1,
+            a_us: spread(a),
+            b_us: spread(b),
+        }
+    }
+
+    #[test]
+    fn overlapping_spreads_are_the_same() {
+        assert_eq!(line([90.0, 100.0, 120.0], [110.0, 130.0, 150.0]).verdict(), Verdict::Same);
+        assert_eq!(line([1.0, 2.0, 3.0], [9.0, 10.0, 12.0]).verdict(), Verdict::Same, "jitter");
+        assert_eq!(line([1000.0; 3], [1090.0; 3]).verdict(), Verdict::Same, "drift");
+    }
+
+    #[test]
+    fn distant_spreads_are_not() {
+        let slower = line([900.0, 1000.0, 1100.0], [1900.0, 2000.0, 2200.0]);
+        assert_eq!(slower.verdict(), Verdict::Slower);
+        assert!((slower.ratio() - 2.0).abs() < 1e-9);
+        assert_eq!(line([1900.0, 2000.0, 2200.0], [900.0, 1000.0, 1100.0]).verdict(), Verdict::Faster);
+        let error = check(&[slower], 1.15).expect_err("too slow").to_string();
+        assert!(error.contains("sort/sort_count") && error.contains("2.00 times"), "{error}");
+        assert!(check(&[line([900.0, 1000.0, 1100.0], [950.0, 1300.0, 1500.0])], 1.15).is_ok());
+    }
+}

@@ -1,0 +1,77 @@
+//! What a measurement was made on.
+
+use super::schema::{Device, Host, Program};
+use ashsplat::vk::Context;
+use std::collections::BTreeMap;
+use std::process::Command;
+
+/// Variables that change what the common drivers do.
+const VARIABLES: [&str; 6] = [
+    "LP_NATIVE_VECTOR_WIDTH",
+    "LP_NUM_THREADS",
+    "MESA_SHADER_CACHE_DISABLE",
+    "RADV_PERFTEST",
+    "VK_ICD_FILENAMES",
+    "VK_DRIVER_FILES",
+];
+
+/// The program.
+pub fn program() -> Program {
+    Program {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        commit: commit(),
+        build: if cfg!(debug_assertions) { "debug" } else { "release" }.to_owned(),
+    }
+}
+
+/// The commit of the checkout that the program was built in, as it stands now.
+fn commit() -> Option<String> {
+    let git = |arguments: &[&str]| {
+        let output = Command::new("git").arg("-C").arg(env!("CARGO_MANIFEST_DIR")).args(arguments).output();
+        let output = output.ok().filter(|output| output.status.success())?;
+        Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    };
+    let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
+    let dirty = git(&["status", "--porcelain", "--untracked-files=no"])?;
+    Some(if dirty.is_empty() { commit } else { format!("{commit}-dirty") })
+}
+
+/// The machine.
+pub fn host() -> Host {
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
+    Host {
+        system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+        processor: model.map(|(_, name)| name.to_owned()),
+        threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
+    }
+}
+
+/// The device.
+pub fn device(context: &Context) -> Device {
+    let (description, l) = (context.description(), context.limits());
+    let limits = [
+        ("maxComputeWorkGroupInvocations", f64::from(l.max_workgroup_invocations)),
+        ("maxComputeWorkgroupSubgroups", f64::from(l.max_workgroup_subgroups)),
+        ("maxComputeWorkGroupCount", f64::from(l.max_workgroups_per_axis)),
+        ("maxComputeSharedMemorySize", f64::from(l.shared_memory_bytes)),
+        ("maxStorageBufferRange", l.max_storage_buffer_range as f64),
+        ("maxMemoryAllocationSize", l.max_allocation_bytes as f64),
+        ("deviceLocalHeapSize", l.heap_bytes as f64),
+        ("timestampPeriod", l.timestamp_period_ns),
+    ];
+    Device {
+        name: description.name.clone(),
+        kind: description.kind.to_owned(),
+        driver: description.driver.clone(),
+        api_version: description.api_version.clone(),
+        subgroup_size: l.subgroup_size,
+        limits: limits.into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
+    }
+}
+
+/// Those of [`VARIABLES`] that are set.
+pub fn environment() -> BTreeMap<String, String> {
+    let set = |name: &&str| Some(((*name).to_owned(), std::env::var(name).ok()?));
+    VARIABLES.iter().filter_map(set).collect()
+}

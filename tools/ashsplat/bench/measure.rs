@@ -1,0 +1,208 @@
+//! Runs a workload again and again and sorts out where its time goes.
+
+use super::cpu_time::process_seconds;
+use super::schema::{Arena, CopyBandwidth, KernelResult, Split, Spread};
+use super::traffic::Traffic;
+use ashsplat::Result;
+use ashsplat::vk::{Context, MemoryKind, Submission};
+use std::time::{Duration, Instant};
+
+/// Iterations of a measurement.
+#[derive(Clone, Copy)]
+pub struct Iterations {
+    pub measured: u32,
+    pub warmup: u32,
+}
+
+/// One timed iteration.
+pub struct Iteration {
+    pub wall: Duration,
+    pub submissions: Vec<Submission>,
+}
+
+/// What came of a workload.
+pub struct Measured {
+    /// With every command timed.
+    pub iterations: Vec<Iteration>,
+    /// Processor seconds per iteration, nothing being timed.
+    pub cpu_seconds: Option<f64>,
+    /// Wall time of timed over untimed iterations in turn.
+    pub cost: Option<Spread>,
+}
+
+/// Runs `iterate` with and without timestamps in turn; `prepare` before each, which does not count.
+pub fn measure(
+    context: &Context,
+    iterations: Iterations,
+    mut prepare: impl FnMut() -> Result<()>,
+    mut iterate: impl FnMut() -> Result<()>,
+) -> Result<Measured> {
+    for _ in 0..iterations.warmup {
+        prepare()?;
+        iterate()?;
+    }
+    let mut measured = Measured { iterations: Vec::new(), cpu_seconds: None, cost: None };
+    let (mut cpu, mut ratios) = (Some(0.0), Vec::new());
+    for _ in 0..iterations.measured.max(1) {
+        context.set_timestamps(false);
+        prepare()?;
+        let (begun, cpu_begun) = (Instant::now(), process_seconds());
+        iterate()?;
+        let untimed = begun.elapsed();
+        cpu = cpu.zip(cpu_begun).zip(process_seconds()).map(|((sum, before), now)| sum + now - before);
+        context.set_timestamps(true);
+        prepare()?;
+        let profile = context.profile();
+        let begun = Instant::now();
+        iterate()?;
+        let wall = begun.elapsed();
+        ratios.push(wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
+        measured.iterations.push(Iteration { wall, submissions: profile.take() });
+    }
+    measured.cpu_seconds = cpu.map(|sum| sum / f64::from(iterations.measured.max(1)));
+    measured.cost = Spread::of(ratios);
+    Ok(measured)
+}
+
+impl Measured {
+    /// Wall time per iteration.
+    pub fn wall_ms(&self) -> Spread {
+        self.spread(|iteration| Some(iteration.wall.as_secs_f64() * 1e3)).unwrap_or_default()
+    }
+
+    /// Time on the device per iteration.
+    pub fn device_ms(&self) -> Option<Spread> {
+        self.spread(|iteration| {
+            iteration.submissions.iter().map(|s| s.nanoseconds.map(|ns| ns * 1e-6)).sum::<Option<f64>>()
+        })
+    }
+
+    /// Host time between the submissions of an iteration; None where there is but one.
+    pub fn between_submissions_ms(&self) -> Option<Spread> {
+        self.spread(|iteration| {
+            let pairs = iteration.submissions.windows(2);
+            let gaps = pairs.map(|pair| (pair[1].submitted - pair[0].done).as_secs_f64() * 1e3);
+            (iteration.submissions.len() > 1).then(|| gaps.sum())
+        })
+    }
+
+    fn spread(&self, of: impl Fn(&Iteration) -> Option<f64>) -> Option<Spread> {
+        Spread::of(self.iterations.iter().map(of).collect::<Option<Vec<_>>>()?)
+    }
+
+    /// Mean parts of an iteration's wall time.
+    pub fn split(&self) -> Split {
+        let n = self.iterations.len().max(1) as f64;
+        let ms = |duration: Duration| duration.as_secs_f64() * 1e3 / n;
+        let mut split = Split { kernels_ms: Some(0.0), ..Split::default() };
+        let mut in_submissions = 0.0;
+        for iteration in &self.iterations {
+            split.wall_ms += ms(iteration.wall);
+            for s in &iteration.submissions {
+                let device: Option<f64> = s.commands.iter().map(|c| c.nanoseconds).sum();
+                let device = device.map(|ns| ns * 1e-6 / n);
+                split.kernels_ms = split.kernels_ms.zip(device).map(|(sum, device)| sum + device);
+                split.recording_ms += ms(s.submitting - s.begun);
+                // What a driver executes while it takes a submission is the device's time, not its own.
+                let taking = ms(s.submitted - s.submitting);
+                let waiting = ms(s.done - s.submitted) - device.unwrap_or(0.0);
+                split.submitting_ms += taking + waiting.min(0.0);
+                split.waiting_ms += waiting.max(0.0);
+                in_submissions += ms(s.done - s.begun);
+            }
+        }
+        split.host_ms = split.wall_ms - in_submissions;
+        split
+    }
+
+    /// Every kernel of every scope, in the order of the first iteration.
+    pub fn kernels(&self, traffic: &Traffic, copy: Option<&CopyBandwidth>) -> Vec<KernelResult> {
+        let mut found: Vec<KernelResult> = Vec::new();
+        for command in self.iterations.first().into_iter().flat_map(commands) {
+            let place = found.iter().position(|k| (k.scope.as_str(), k.kernel.as_str()) == key(command));
+            let (read, written) = traffic.of(command, place.is_none());
+            let groups = command.workgroups.map(|g| g.iter().map(|&n| u64::from(n)).product::<u64>());
+            match place {
+                Some(place) => {
+                    let kernel = &mut found[place];
+                    kernel.calls += 1;
+                    kernel.workgroups = kernel.workgroups.zip(groups).map(|(sum, groups)| sum + groups);
+                    kernel.bytes_read += read;
+                    kernel.bytes_written += written;
+                }
+                None => found.push(KernelResult {
+                    scope: command.scope.clone(),
+                    kernel: command.name.to_owned(),
+                    calls: 1,
+                    workgroups: groups,
+                    time_us: None,
+                    bytes_read: read,
+                    bytes_written: written,
+                    gigabytes_per_second: None,
+                    share_of_copy_bandwidth: None,
+                }),
+            }
+        }
+        for kernel in &mut found {
+            let time = |iteration: &Iteration| {
+                let own = commands(iteration).filter(|c| key(c) == (&kernel.scope, &kernel.kernel));
+                own.map(|c| c.nanoseconds.map(|ns| ns * 1e-3)).sum::<Option<f64>>()
+            };
+            kernel.time_us = self.spread(time);
+            let bytes = (kernel.bytes_read + kernel.bytes_written) as f64;
+            let positive = kernel.time_us.filter(|time| time.median > 0.0);
+            kernel.gigabytes_per_second = positive.map(|time| bytes / time.median * 1e-3);
+            kernel.share_of_copy_bandwidth =
+                kernel.gigabytes_per_second.zip(copy).map(|(rate, copy)| rate / copy.gigabytes_per_second);
+        }
+        found
+    }
+}
+
+fn commands(iteration: &Iteration) -> impl Iterator<Item = &ashsplat::vk::CommandRecord> {
+    iteration.submissions.iter().flat_map(|submission| &submission.commands)
+}
+
+fn key(command: &ashsplat::vk::CommandRecord) -> (&str, &str) {
+    (&command.scope, command.name)
+}
+
+/// Size of the buffers that are copied, where the device allows it: larger than any cache.
+const COPY_BYTES: u64 = 64 << 20;
+const COPIES: u32 = 9;
+
+/// Measures `vkCmdCopyBuffer`; None without timestamps.
+pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
+    let limits = context.limits();
+    let bytes = COPY_BYTES.min(limits.max_storage_buffer_range).min(limits.max_allocation_bytes) / 256 * 256;
+    let requests = [("copy_source", bytes), ("copy_destination", bytes)];
+    let buffers = context.allocate("copy", &requests, MemoryKind::Device)?;
+    let copy = || {
+        context.run("copy", |r| {
+            r.copy(&buffers[0], &buffers[1]);
+            Ok(())
+        })
+    };
+    context.run("fill", |r| {
+        buffers.iter().for_each(|buffer| r.fill(buffer, 1));
+        Ok(())
+    })?;
+    copy()?;
+    let profile = context.profile();
+    for _ in 0..COPIES {
+        copy()?;
+    }
+    let times = profile.take().iter().map(|s| Some(s.commands.first()?.nanoseconds? * 1e-6)).collect();
+    let spread = Option::<Vec<f64>>::and_then(times, Spread::of).filter(|time| time.median > 0.0);
+    Ok(spread.map(|time_ms| CopyBandwidth {
+        bytes,
+        gigabytes_per_second: 2.0 * bytes as f64 / time_ms.median * 1e-6,
+        time_ms,
+    }))
+}
+
+/// The arenas of a context, with the most that each ever held.
+pub fn memory(context: &Context) -> Vec<Arena> {
+    let arenas = context.memory().into_iter().filter(|arena| arena.name != "copy" && arena.name != "profile");
+    arenas.map(|arena| Arena { name: arena.name, peak_bytes: arena.peak_bytes }).collect()
+}

@@ -1,0 +1,174 @@
+//! `bench scaling`: how each kernel grows with the Gaussians and with the pixels.
+
+use super::frames;
+use super::measure::{Iterations, copy_bandwidth};
+use super::plot::{Panel, Series};
+use super::schema::{Report, Run};
+use super::workload::SceneArguments;
+use super::{RunArguments, plot, report_of, table};
+use crate::output;
+use ashsplat::Result;
+use clap::Args;
+use std::path::PathBuf;
+
+/// Sweep the number of Gaussians at one resolution, then the resolution at one number of Gaussians, and fit how the
+/// time of each stage grows: time ~ count^exponent.
+#[derive(Args)]
+pub struct Arguments {
+    /// Numbers of Gaussians
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [10_000, 30_000, 100_000, 300_000, 1_000_000])]
+    counts: Vec<u32>,
+    /// Widths of the pictures, 16:9 or square below 512
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [256, 512, 1024, 1920, 3840])]
+    widths: Vec<u32>,
+    /// Write the plot here (SVG)
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+    #[command(flatten)]
+    run: RunArguments,
+}
+
+/// Points of one sweep: how large, and what was measured.
+type Sweep = Vec<(f64, Run)>;
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let context = arguments.run.device.context()?;
+    let copy = copy_bandwidth(&context)?;
+    let iterations = arguments.run.iterations();
+    let scene = |gaussians: u32, width: u32| SceneArguments {
+        gaussians,
+        width: Some(width),
+        height: Some(height_of(width)),
+        scene: None,
+        camera: None,
+        dataset: None,
+        ..arguments.run.scene.clone()
+    };
+    let measure = |arguments: SceneArguments, iterations: Iterations| -> Result<Run> {
+        let scene = arguments.load(false)?;
+        let seed = arguments.seed;
+        frames::render(&frames::Job {
+            context: &context,
+            iterations,
+            copy: copy.as_ref(),
+            scene: &scene,
+            seed,
+        })
+    };
+    let (mut by_count, mut by_pixels): (Sweep, Sweep) = (Vec::new(), Vec::new());
+    let base = &arguments.run.scene;
+    for &count in &arguments.counts {
+        let run = measure(scene(count, base.width.unwrap_or(960)), iterations)?;
+        tell!("{}: {:.2} ms", table::describe(&run.workload), run.wall_ms.median);
+        by_count.push((f64::from(count), run));
+    }
+    for &width in &arguments.widths {
+        let run = measure(scene(base.gaussians, width), iterations)?;
+        tell!("{}: {:.2} ms", table::describe(&run.workload), run.wall_ms.median);
+        by_pixels.push((f64::from(width) * f64::from(height_of(width)), run));
+    }
+    let growth = |title: &str, axis: &str, sweep: &Sweep| Panel {
+        title: title.to_owned(),
+        axis: axis.to_owned(),
+        series: series(sweep),
+    };
+    let fixed = table::grouped(base.gaussians.into());
+    let width = base.width.unwrap_or(960);
+    let panels = [
+        growth(&format!("{width}x{} pixels", height_of(width)), "Gaussians", &by_count),
+        growth(&format!("{fixed} Gaussians"), "pixels", &by_pixels),
+    ];
+    for panel in &panels {
+        say!("{}", exponents(panel));
+    }
+    let runs = by_count.into_iter().chain(by_pixels).map(|(_, run)| run).collect();
+    let report: Report = report_of(&context, &arguments.run, copy, runs);
+    arguments.run.write(&report)?;
+    if let Some(path) = &arguments.plot {
+        let subtitle = format!("{}, {}", report.device.name, report.device.driver);
+        output::write_text(path, &plot::svg(&subtitle, &panels))?;
+    }
+    arguments.run.device.report_validation(&context);
+    Ok(())
+}
+
+fn height_of(width: u32) -> u32 {
+    if width <= 512 { width } else { width * 9 / 16 }
+}
+
+/// Device time of each stage, milliseconds; the wall time first.
+fn series(sweep: &Sweep) -> Vec<Series> {
+    let mut names: Vec<String> = Vec::new();
+    for kernel in sweep.iter().flat_map(|(_, run)| &run.kernels) {
+        let stage = stage_of(&kernel.scope);
+        if !names.contains(&stage) {
+            names.push(stage);
+        }
+    }
+    let mut all = vec![Series {
+        name: "frame".into(),
+        points: sweep.iter().map(|(x, r)| (*x, r.wall_ms.median)).collect(),
+    }];
+    for name in names {
+        let time = |run: &Run| -> f64 {
+            let own = run.kernels.iter().filter(|k| stage_of(&k.scope) == name);
+            own.filter_map(|k| k.time_us).map(|time| time.median * 1e-3).sum()
+        };
+        let points: Vec<_> = sweep.iter().map(|(x, run)| (*x, time(run))).collect();
+        all.push(Series { name, points });
+    }
+    all.retain(|series| series.points.iter().any(|&(_, time)| time > 0.0));
+    all
+}
+
+fn stage_of(scope: &str) -> String {
+    if scope.is_empty() { "read-back".to_owned() } else { scope.to_owned() }
+}
+
+/// Slope of the least-squares line through (ln x, ln y); None with fewer than two points.
+pub fn exponent(points: &[(f64, f64)]) -> Option<f64> {
+    let logs: Vec<(f64, f64)> =
+        points.iter().filter(|(x, y)| *x > 0.0 && *y > 0.0).map(|(x, y)| (x.ln(), y.ln())).collect();
+    let n = logs.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| logs.iter().map(of).sum::<f64>() / n;
+    let (mx, my) = (mean(|p| p.0), mean(|p| p.1));
+    let (mut above, mut below) = (0.0, 0.0);
+    for (x, y) in &logs {
+        above += (x - mx) * (y - my);
+        below += (x - mx).powi(2);
+    }
+    (below > 1e-12).then(|| above / below)
+}
+
+fn exponents(panel: &Panel) -> String {
+    let mut out =
+        format!("\n{}: milliseconds by {}, and the exponent of their growth\n", panel.title, panel.axis);
+    out += &format!("{:<18}", panel.axis);
+    for (x, _) in panel.series.first().map_or(&[][..], |series| &series.points) {
+        out += &format!("{:>12}", table::grouped(*x as u64));
+    }
+    out += "   exponent\n";
+    for series in &panel.series {
+        out += &format!("{:<18}", series.name);
+        for (_, y) in &series.points {
+            out += &format!("{y:>12.3}");
+        }
+        out += &exponent(&series.points).map_or_else(String::new, |e| format!("{e:>11.2}"));
+        out.push('\n');
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::exponent;
+
+    #[test]
+    fn exponent_of_a_power_law() {
+        let points: Vec<(f64, f64)> = (1..6).map(|i| (f64::from(i), 3.0 * f64::from(i).powf(1.5))).collect();
+        assert!((exponent(&points).expect("points") - 1.5).abs() < 1e-9);
+        assert_eq!(exponent(&points[..1]), None);
+        assert_eq!(exponent(&[]), None);
+    }
+}

@@ -1,0 +1,211 @@
+//! What a benchmark's result file holds: the schema `ashsplat-bench/1`, described in tools/bench.md.
+//!
+//! A field that was not measured is null. Times name their unit; a [`Spread`] is over the measured iterations.
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The schema's name and version, first field of every file. The version rises when a reader of old files would
+/// misunderstand new ones.
+pub const SCHEMA: &str = "ashsplat-bench/1";
+
+/// One result file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// [`SCHEMA`].
+    pub schema: String,
+    pub program: Program,
+    pub host: Host,
+    pub device: Device,
+    /// Variables that change what a driver does, where they are set.
+    pub environment: BTreeMap<String, String>,
+    pub settings: Settings,
+    pub copy_bandwidth: Option<CopyBandwidth>,
+    pub runs: Vec<Run>,
+}
+
+/// The program that measured.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Program {
+    pub version: String,
+    /// Commit of the checkout it was built in, with "-dirty" behind it where files differ; null outside of one.
+    pub commit: Option<String>,
+    /// "release" or "debug".
+    pub build: String,
+}
+
+/// The machine around the device.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Host {
+    pub system: String,
+    pub processor: Option<String>,
+    pub threads: usize,
+}
+
+/// The device.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Device {
+    pub name: String,
+    pub kind: String,
+    pub driver: String,
+    pub api_version: String,
+    pub subgroup_size: u32,
+    pub limits: BTreeMap<String, f64>,
+}
+
+/// How it was measured.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// Measured iterations of each run.
+    pub iterations: u32,
+    /// Iterations before them that do not count.
+    pub warmup: u32,
+    pub seed: u64,
+    /// "timestamps": the device's own; "host": kernels have no times.
+    pub clock: String,
+}
+
+/// What the device copies, measured in the same run: the yardstick of every kernel.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CopyBandwidth {
+    /// Size of the buffer that was copied; as many were read as written.
+    pub bytes: u64,
+    /// Bytes read plus bytes written by the median time.
+    pub gigabytes_per_second: f64,
+    pub time_ms: Spread,
+}
+
+/// One workload.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Run {
+    /// "scan", "sort", "render" or "train-step".
+    pub name: String,
+    pub workload: Workload,
+    /// Wall time of an iteration, with every command timed.
+    pub wall_ms: Spread,
+    /// Time of an iteration's submissions on the device.
+    pub device_ms: Option<Spread>,
+    /// Where the wall time of an iteration goes.
+    pub split: Split,
+    /// Host time from the end of a submission to the begin of the next one on the device's queue.
+    pub between_submissions_ms: Option<Spread>,
+    /// Processor time of the whole process per iteration, nothing being timed: on a software device the honest cost.
+    pub cpu_seconds: Option<f64>,
+    /// Wall time with every command timed over wall time without any timestamp, of iterations in turn.
+    pub cost_of_measuring: Option<Spread>,
+    pub kernels: Vec<KernelResult>,
+    /// Device memory by arena.
+    pub memory: Vec<Arena>,
+    /// The same work on the processor.
+    pub cpu: Vec<CpuResult>,
+}
+
+/// Parts of the mean wall time of an iteration; they add up to it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Split {
+    /// Mean wall time.
+    pub wall_ms: f64,
+    /// Sum of all commands on the device; null without timestamps.
+    pub kernels_ms: Option<f64>,
+    /// Recording commands.
+    pub recording_ms: f64,
+    /// Handing them to the driver.
+    pub submitting_ms: f64,
+    /// Waiting for the device beyond its commands: until it begins, and until the host wakes.
+    pub waiting_ms: f64,
+    /// The rest of the host's work: reading back, composing pictures.
+    pub host_ms: f64,
+}
+
+/// What was run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Workload {
+    /// "synthetic", or the files.
+    pub source: String,
+    /// FNV-1a over everything that goes in: Gaussians, camera, keys. Results compare only if it agrees.
+    pub hash: String,
+    /// Values of a scan, pairs of a sort.
+    pub elements: Option<u64>,
+    pub gaussians: Option<u32>,
+    pub sh_degree: Option<u32>,
+    pub width: Option<u32>,
+    pub height: Option<u32>,
+    pub visible: Option<u32>,
+    pub instances: Option<u32>,
+    /// Entries of the fullest tile.
+    pub longest_tile: Option<u32>,
+}
+
+/// A kernel within a stage; all of its dispatches there together.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KernelResult {
+    /// The stage.
+    pub scope: String,
+    /// "sort/sort_count", or "fill", "copy", "update".
+    pub kernel: String,
+    /// Dispatches per iteration.
+    pub calls: u32,
+    /// Workgroups per iteration, indirect dispatches included; null for transfers.
+    pub workgroups: Option<u64>,
+    /// Device time per iteration; null without timestamps.
+    pub time_us: Option<Spread>,
+    /// Bytes that it must read, each element once, from the memory plan and the workload's counts.
+    pub bytes_read: u64,
+    /// Bytes that it must write, likewise.
+    pub bytes_written: u64,
+    /// Both by the median time.
+    pub gigabytes_per_second: Option<f64>,
+    /// That over the device's own copy bandwidth.
+    pub share_of_copy_bandwidth: Option<f64>,
+}
+
+/// Device memory of one arena.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Arena {
+    pub name: String,
+    pub peak_bytes: u64,
+}
+
+/// A sort or scan of the processor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CpuResult {
+    pub name: String,
+    pub threads: usize,
+    pub time_ms: Spread,
+}
+
+/// Least, median and 90th percentile.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Spread {
+    pub min: f64,
+    pub median: f64,
+    pub p90: f64,
+}
+
+impl Spread {
+    /// None without values.
+    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+        values.sort_unstable_by(f64::total_cmp);
+        let last = values.len().checked_sub(1)?;
+        let at = |share: f64| values[(share * last as f64).round() as usize];
+        Some(Self { min: values[0], median: at(0.5), p90: at(0.9) })
+    }
+
+    /// Every value times a factor.
+    pub fn times(self, factor: f64) -> Self {
+        Self { min: self.min * factor, median: self.median * factor, p90: self.p90 * factor }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spread_is_least_median_and_ninetieth() {
+        let values: Vec<f64> = (0..=10).rev().map(f64::from).collect();
+        assert_eq!(Spread::of(values), Some(Spread { min: 0.0, median: 5.0, p90: 9.0 }));
+        assert_eq!(Spread::of(vec![2.0]), Some(Spread { min: 2.0, median: 2.0, p90: 2.0 }));
+        assert_eq!(Spread::of(vec![]), None);
+    }
+}

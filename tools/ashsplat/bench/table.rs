@@ -1,0 +1,192 @@
+//! Results for people and for spreadsheets.
+
+use super::schema::{Report, Run, Spread, Workload};
+use std::fmt::Write;
+
+/// Thousands with commas.
+pub fn grouped(n: u64) -> String {
+    let digits = n.to_string();
+    let mut out = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            out.push(',');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+/// A workload in one line.
+pub fn describe(w: &Workload) -> String {
+    let mut text = String::new();
+    if let Some(elements) = w.elements {
+        let _ = write!(text, "{} elements", grouped(elements));
+    }
+    if let (Some(n), Some(degree)) = (w.gaussians, w.sh_degree) {
+        let _ = write!(text, "{} Gaussians of SH degree {degree}", grouped(n.into()));
+    }
+    if let (Some(width), Some(height)) = (w.width, w.height) {
+        let _ = write!(text, ", {width}x{height}");
+    }
+    if let (Some(visible), Some(instances)) = (w.visible, w.instances) {
+        let _ =
+            write!(text, ", {} visible, {} instances", grouped(visible.into()), grouped(instances.into()));
+    }
+    if let Some(longest) = w.longest_tile {
+        let _ = write!(text, ", longest tile {}", grouped(longest.into()));
+    }
+    format!("{text} ({})", w.source)
+}
+
+/// The whole report, readable in 120 columns.
+pub fn render(report: &Report) -> String {
+    let mut out = String::new();
+    let d = &report.device;
+    let _ = writeln!(
+        out,
+        "{} ({}), {}, Vulkan {}, subgroups of {}",
+        d.name, d.kind, d.driver, d.api_version, d.subgroup_size
+    );
+    let commit = report.program.commit.as_deref().unwrap_or("no checkout");
+    let _ = writeln!(out, "ashsplat {} ({commit}, {})", report.program.version, report.program.build);
+    if let Some(copy) = &report.copy_bandwidth {
+        let _ = writeln!(
+            out,
+            "copy bandwidth {:.2} GB/s (read and write, {} MiB)",
+            copy.gigabytes_per_second,
+            copy.bytes >> 20
+        );
+    }
+    if report.settings.clock == "host" {
+        let _ = writeln!(out, "no timestamps on this device: host times, and none per kernel");
+    }
+    for run in &report.runs {
+        one_run(&mut out, run);
+    }
+    out
+}
+
+fn one_run(out: &mut String, run: &Run) {
+    let _ = writeln!(out, "\n{}: {}", run.name, describe(&run.workload));
+    let milliseconds = |s: &Spread| format!("{:.3} ms (least {:.3}, p90 {:.3})", s.median, s.min, s.p90);
+    let _ = writeln!(out, "  wall       {}", milliseconds(&run.wall_ms));
+    if let Some(device) = &run.device_ms {
+        let _ = writeln!(out, "  device     {}", milliseconds(device));
+    }
+    let s = &run.split;
+    let share = |ms: f64| format!("{ms:.3} ms ({:.1} %)", 100.0 * ms / s.wall_ms.max(1e-9));
+    let kernels = s.kernels_ms.map_or_else(|| "unknown".to_owned(), share);
+    let _ = writeln!(
+        out,
+        "  mean wall  {:.3} ms = kernels {kernels} + recording {}",
+        s.wall_ms,
+        share(s.recording_ms)
+    );
+    let (submitting, waiting) = (share(s.submitting_ms), share(s.waiting_ms));
+    let _ = writeln!(
+        out,
+        "             + submitting {submitting} + waiting {waiting} + host {}",
+        share(s.host_ms)
+    );
+    if let Some(between) = &run.between_submissions_ms {
+        let _ = writeln!(out, "  between submissions {}", milliseconds(between));
+    }
+    if let Some(cpu) = run.cpu_seconds {
+        let _ = writeln!(out, "  processor  {cpu:.4} CPU-seconds per iteration");
+    }
+    if let Some(cost) = &run.cost_of_measuring {
+        let (change, least) = (100.0 * (cost.median - 1.0), 100.0 * (cost.min - 1.0));
+        let most = 100.0 * (cost.p90 - 1.0);
+        let _ = writeln!(out, "  cost of measuring {change:+.1} % (from {least:+.1} to {most:+.1})");
+    }
+    kernels_table(out, run);
+    for cpu in &run.cpu {
+        let threads =
+            if cpu.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", cpu.threads) };
+        let _ = writeln!(out, "  processor: {} ({threads}) {}", cpu.name, milliseconds(&cpu.time_ms));
+    }
+    let arenas = run.memory.iter().map(|a| format!("{} {:.1}", a.name, a.peak_bytes as f64 / 1048576.0));
+    let _ = writeln!(out, "  peak device memory, MiB: {}", arenas.collect::<Vec<_>>().join(", "));
+}
+
+fn kernels_table(out: &mut String, run: &Run) {
+    let sum: f64 = run.kernels.iter().filter_map(|k| Some(k.time_us?.median)).sum();
+    let _ = writeln!(
+        out,
+        "  {:<16} {:<26} {:>5} {:>10} {:>9} {:>9} {:>9} {:>6} {:>8} {:>8} {:>7} {:>6}",
+        "stage",
+        "kernel",
+        "calls",
+        "workgroups",
+        "µs",
+        "least",
+        "p90",
+        "share",
+        "MB read",
+        "written",
+        "GB/s",
+        "copy"
+    );
+    for k in &run.kernels {
+        let number = |value: Option<f64>, digits: usize| {
+            value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
+        };
+        let time = k.time_us;
+        let _ = writeln!(
+            out,
+            "  {:<16} {:<26} {:>5} {:>10} {:>9} {:>9} {:>9} {:>6} {:>8.2} {:>8.2} {:>7} {:>6}",
+            k.scope,
+            k.kernel,
+            k.calls,
+            k.workgroups.map_or_else(|| "-".to_owned(), |n| n.to_string()),
+            number(time.map(|t| t.median), 1),
+            number(time.map(|t| t.min), 1),
+            number(time.map(|t| t.p90), 1),
+            time.map_or_else(|| "-".to_owned(), |t| format!("{:.1}%", 100.0 * t.median / sum.max(1e-9))),
+            k.bytes_read as f64 * 1e-6,
+            k.bytes_written as f64 * 1e-6,
+            number(k.gigabytes_per_second, 2),
+            k.share_of_copy_bandwidth.map_or_else(|| "-".to_owned(), |s| format!("{:.0}%", 100.0 * s)),
+        );
+    }
+}
+
+/// One line per kernel of each run.
+pub fn csv(report: &Report) -> String {
+    let mut out = String::from(
+        "run,stage,kernel,calls,workgroups,time_us_min,time_us_median,time_us_p90,bytes_read,bytes_written,\
+         gigabytes_per_second,share_of_copy_bandwidth\n",
+    );
+    for run in &report.runs {
+        for k in &run.kernels {
+            let time = |of: fn(Spread) -> f64| k.time_us.map_or_else(String::new, |t| of(t).to_string());
+            let optional = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
+            let groups = k.workgroups.map_or_else(String::new, |n| n.to_string());
+            let _ = writeln!(
+                out,
+                "{},{},{},{},{groups},{},{},{},{},{},{},{}",
+                run.name,
+                k.scope,
+                k.kernel,
+                k.calls,
+                time(|t| t.min),
+                time(|t| t.median),
+                time(|t| t.p90),
+                k.bytes_read,
+                k.bytes_written,
+                optional(k.gigabytes_per_second),
+                optional(k.share_of_copy_bandwidth)
+            );
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn thousands_are_grouped() {
+        let texts = [0, 12, 123, 1234, 1_048_576].map(super::grouped);
+        assert_eq!(texts, ["0", "12", "123", "1,234", "1,048,576"]);
+    }
+}

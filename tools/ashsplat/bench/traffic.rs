@@ -1,0 +1,122 @@
+//! The bytes that a kernel must move: every element of its inputs and outputs once ("compulsory traffic").
+//!
+//! The recorder knows the capacity that was bound; how much of it a frame uses follows from the memory plan
+//! (`ashsplat::plan`) at the frame's own counts instead of its capacities. A kernel that reads elements several times,
+//! such as the blending, moves more than this through its caches; one at 100 % of the device's copy bandwidth cannot
+//! become faster but by moving less.
+
+use ashsplat::plan::{Blocks, FrameCapacity, frame_requests, parameter_planes};
+use ashsplat::vk::{Access, BoundBuffer, CommandRecord, Limits};
+use std::collections::HashMap;
+
+/// Bytes of a vec4.
+const VEC4: u64 = 16;
+/// Planes of a Gaussian that culling reads: mean and opacity, rotation, scales.
+const GEOMETRY_PLANES: u64 = 3;
+
+/// What a frame was made of.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Counts {
+    pub gaussians: u32,
+    pub visible: u32,
+    pub instances: u32,
+    pub width: u32,
+    pub height: u32,
+    /// SH degree that is evaluated.
+    pub sh_degree: u32,
+    /// Dispatches that the Gaussians' planes are spread over.
+    pub chunks: u64,
+}
+
+/// Bytes by buffer at a workload's counts. Without counts, everything that is bound is touched.
+pub struct Traffic {
+    counts: Option<Counts>,
+    /// Used bytes of a frame's buffers when all Gaussians count, only the visible, nothing but them, nothing but
+    /// instances.
+    all: HashMap<&'static str, u64>,
+    visible: HashMap<&'static str, u64>,
+    depth_sort: HashMap<&'static str, u64>,
+    tile_sort: HashMap<&'static str, u64>,
+}
+
+impl Traffic {
+    /// For kernels whose buffers are used whole.
+    pub fn bound() -> Self {
+        let none = HashMap::new;
+        Self { counts: None, all: none(), visible: none(), depth_sort: none(), tile_sort: none() }
+    }
+
+    /// For the kernels of a frame.
+    pub fn of_frame(limits: &Limits, counts: Counts) -> Self {
+        let blocks = Blocks::new(limits);
+        let used = |gaussians: u32, instances: u32| {
+            let capacity = FrameCapacity {
+                gaussians,
+                instances,
+                width: counts.width,
+                height: counts.height,
+                blend_passes: 1,
+                backward: true,
+            };
+            frame_requests(&capacity, &blocks).into_iter().collect::<HashMap<_, _>>()
+        };
+        Self {
+            counts: Some(counts),
+            all: used(counts.gaussians, counts.instances),
+            visible: used(counts.visible, counts.instances),
+            depth_sort: used(counts.visible, 0),
+            tile_sort: used(0, counts.instances),
+        }
+    }
+
+    /// (read, written) bytes of a command. `first`: whether it is the first of its kernel in its scope, where a
+    /// sort makes its values up instead of reading them.
+    pub fn of(&self, command: &CommandRecord, first: bool) -> (u64, u64) {
+        let made_up = |b: &BoundBuffer| first && command.name == "sort/sort_scatter" && b.role == "values";
+        // Blending reads its outputs only where a tile takes several passes.
+        let outputs_only = first && command.name == "forward/blend";
+        let (mut read, mut written) = (0, 0);
+        for buffer in command.buffers.iter().filter(|buffer| !made_up(buffer)) {
+            let bytes = self.touched(command, buffer);
+            match buffer.access {
+                Access::Read => read += bytes,
+                Access::Write => written += bytes,
+                Access::ReadWrite if outputs_only => written += bytes,
+                Access::ReadWrite => {
+                    read += bytes;
+                    written += bytes;
+                }
+            }
+        }
+        (read, written)
+    }
+
+    fn touched(&self, command: &CommandRecord, buffer: &BoundBuffer) -> u64 {
+        let Some(counts) = &self.counts else { return buffer.bytes };
+        if matches!(command.name, "fill" | "copy" | "update") {
+            return buffer.bytes;
+        }
+        let used = match (buffer.name, command.scope.as_str()) {
+            ("planes", _) => self.planes(command.name, counts),
+            // Off in what is measured: densification's statistics and the inverse depth.
+            ("statistics" | "inverse_depth", _) => Some(0),
+            ("visible_flags" | "visible_blocks" | "visible_index", _) => self.all.get(buffer.name).copied(),
+            (name, "depth sort") => self.depth_sort.get(name).copied(),
+            (name, "tile sort") => self.tile_sort.get(name).copied(),
+            (name, _) => self.visible.get(name).copied(),
+        };
+        used.map_or(buffer.bytes, |used| used.min(buffer.bytes))
+    }
+
+    /// Bytes of the planes that hold parameters or moments, per dispatch.
+    fn planes(&self, kernel: &str, counts: &Counts) -> Option<u64> {
+        let all = u64::from(parameter_planes(counts.sh_degree));
+        let (gaussians, planes) = match kernel {
+            "forward/cull" => (counts.gaussians, GEOMETRY_PLANES),
+            "forward/project" | "backward/project_backward" => (counts.visible, all),
+            "optimizer/adam" => (counts.gaussians, all),
+            _ => return None,
+        };
+        Some(u64::from(gaussians) * planes * VEC4 / counts.chunks.max(1))
+    }
+}
