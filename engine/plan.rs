@@ -74,7 +74,7 @@ impl Blocks {
             tile: regions * limits.subgroup_size,
             loss: limits.workgroup_size(if limits.is_cpu { 64 } else { STREAM_WORKGROUP }),
             // Wide enough to fill a GPU's workgroup; a processor rather reads less.
-            loss_strip: if limits.is_cpu { 8 } else { 2 },
+            loss_strip: if limits.is_cpu { 4 } else { 2 },
             entries_per_pass: limits.max_loop_iterations.map_or(u32::MAX, |n| n / ENTRIES_PER_LOOP_BUDGET),
         }
     }

@@ -6,6 +6,8 @@ const uint SSIM_BLOCK = 16;
 const uint SSIM_RADIUS = 5;
 const uint SSIM_TAPS = 11;
 const uint SSIM_APRON = SSIM_BLOCK + 2 * SSIM_RADIUS;
+// Power of two above SSIM_APRON.
+const uint SSIM_PITCH = 32;
 const float SSIM_C1 = 1e-4;
 const float SSIM_C2 = 9e-4;
 const float SSIM_WINDOW[SSIM_TAPS] = float[](

@@ -67,18 +67,20 @@ void main() {
     uint channel = gl_WorkGroupID.z;
     ivec2 size = ivec2(image_width, image_height);
     ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);
-    [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_APRON; round += WORKGROUP_SIZE) {
+    // Rows of SSIM_PITCH: no division, for a few idle lanes.
+    [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_PITCH; round += WORKGROUP_SIZE) {
         uint at = round + gl_LocalInvocationID.x;
-        if (at >= SSIM_APRON * SSIM_APRON) {
+        uvec2 place = uvec2(at % SSIM_PITCH, at / SSIM_PITCH);
+        if (place.x >= SSIM_APRON || place.y >= SSIM_APRON) {
             continue;
         }
-        ivec2 pixel = origin + ivec2(at % SSIM_APRON, at / SSIM_APRON) - int(SSIM_RADIUS);
+        ivec2 pixel = origin + ivec2(place) - int(SSIM_RADIUS);
         bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, size));
         uint index = inside ? uint(pixel.y) * image_width + uint(pixel.x) : 0;
         vec4 rendered = accumulated[index];
         float x = rendered[channel] + rendered.w * background[channel];
         float y = photo_value(index, channel);
-        values[at] = inside ? vec2(x, y) : vec2(0.0);
+        values[place.y * SSIM_APRON + place.x] = inside ? vec2(x, y) : vec2(0.0);
     }
     barrier();
     [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_STRIPS; round += WORKGROUP_SIZE) {
