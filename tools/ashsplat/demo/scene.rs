@@ -86,8 +86,8 @@ impl Scene {
 fn terrace() -> Object {
     let stone = Texture::Tiles {
         colors: [vec3(0.36, 0.33, 0.28), vec3(0.55, 0.50, 0.42)],
-        joint: vec3(0.14, 0.13, 0.12),
-        size: 0.55,
+        joint: vec3(0.17, 0.16, 0.14),
+        size: 0.75,
     };
     Object { shape: Shape::Terrace { radius: 5.0 }, material: matt(stone) }
 }
