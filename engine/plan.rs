@@ -176,11 +176,16 @@ pub const fn tile_bits(tiles: u32) -> u32 {
     if tiles <= 2 { 1 } else { 32 - (tiles - 1).leading_zeros() }
 }
 
-/// A first guess at the instances of a frame; a frame that needs more says so and is run again.
-pub fn initial_instances(gaussians: u32, width: u32, height: u32) -> u32 {
+/// Bytes of the widest buffer per instance.
+const INSTANCE_BYTES: u64 = 16;
+
+/// A first guess at the instances of a frame, never more than a binding can hold; a frame that needs more says so and
+/// is run again.
+pub fn initial_instances(limits: &Limits, gaussians: u32, width: u32, height: u32) -> u32 {
     let (columns, rows) = tile_grid(width, height);
     let guess = u64::from(gaussians) * 6 + u64::from(columns) * u64::from(rows) * 16;
-    guess.clamp(1 << 12, u64::from(u32::MAX)) as u32
+    let most = (limits.max_storage_buffer_range.min(limits.max_allocation_bytes) / INSTANCE_BYTES).max(1);
+    guess.max(1 << 12).min(most).min(u64::from(u32::MAX)) as u32
 }
 
 macro_rules! frame_requests {

@@ -72,7 +72,7 @@ impl FrameStore {
             return Ok((frame.clone(), old));
         }
         let guess = match old.instances {
-            0 => initial_instances(gaussians, camera.width, camera.height),
+            0 => initial_instances(self.context.limits(), gaussians, camera.width, camera.height),
             instances => instances,
         };
         let capacity = FrameCapacity {
