@@ -14,4 +14,6 @@ mod invariants;
 mod kernels;
 mod reference;
 mod sort;
+mod subgroup_widths;
+mod training;
 mod vk;
