@@ -38,9 +38,15 @@ void main() {
     uvec2 tiles_x = uvec2(footprint.x & 0xFFFF, footprint.x >> 16);
     uvec2 tiles_y = uvec2(footprint.y & 0xFFFF, footprint.y >> 16);
     uint tiles = 0;
-    for (uint row = tiles_y.x; row < tiles_y.y; ++row) {
+    // A visible Gaussian has at least one row, so the loop can test at its end: see blend.comp.
+    uint row = tiles_y.x;
+    for (;;) {
         uvec2 span = tile_span(row, mean2d, conic, tiles_x);
         tiles += span.y - span.x;
+        row += 1;
+        if (row >= tiles_y.y) {
+            break;
+        }
     }
     tile_counts[rank] = tiles;
     footprints[visible].w = tiles;

@@ -71,11 +71,14 @@ void main() {
         uvec2 tiles_y = uvec2(footprint.y & 0xFFFF, footprint.y >> 16);
         uint left = instance - begin;
         uint row = tiles_y.x;
-        uvec2 span = tile_span(row, mean2d, conic, tiles_x);
-        while (left >= span.y - span.x && row + 1 < tiles_y.y) {
+        uvec2 span;
+        for (;;) {
+            span = tile_span(row, mean2d, conic, tiles_x);
+            if (left < span.y - span.x || row + 1 >= tiles_y.y) {
+                break;
+            }
             left -= span.y - span.x;
             row += 1;
-            span = tile_span(row, mean2d, conic, tiles_x);
         }
         instance_tiles[instance] = row * tiles_per_row + min(span.x + left, tiles_x.y - 1);
         instance_visible[instance] = visible;
