@@ -86,8 +86,11 @@ fn check(gaussians_: &[Gaussian], view: &View) -> u32 {
     actual.stats.longest_tile
 }
 
+/// Name, values of the device, values of the twin.
+type Field = (&'static str, fn(&Gaussian) -> Vec<f64>, fn(&Gradient) -> Vec<f64>);
+
 fn compare_gradients(actual: &[Gaussian], expected: &[Gradient]) {
-    let fields: [(&str, fn(&Gaussian) -> Vec<f64>, fn(&Gradient) -> Vec<f64>); 5] = [
+    let fields: [Field; 5] = [
         ("means", |g| g.mean.to_vec(), |g| g.mean.to_vec()),
         ("quaternions", |g| g.quat.to_vec(), |g| g.quat.to_vec()),
         ("log-scales", |g| g.log_scale.to_vec(), |g| g.log_scale.to_vec()),
@@ -212,4 +215,70 @@ fn hard_case_overflow_then_growth() {
     }
     renderer.set_instance_capacity(roomy.stats.instances);
     assert_eq!(renderer.render(&camera, &settings).expect("a frame").stats.retries, 0);
+}
+
+/// NaN and infinite parameters leave no trace in picture and gradients of the others; opacity logits of ±∞ are valid.
+#[test]
+fn hard_case_non_finite_parameters() {
+    let gpu = Gpu::new();
+    let view = small_view([64, 48]);
+    let mut random = Random::new(9);
+    let mut scene = small_scene(&mut random, 100, 4);
+    scene[10].opacity_logit = f64::INFINITY;
+    scene[20].opacity_logit = f64::NEG_INFINITY;
+    let (camera, settings) = (camera(&view), settings(&view));
+    let target = vec![[0.5, -1.0, 0.25]; 64 * 48];
+    let mut renderer = renderer();
+    renderer.upload(&gaussians(&scene)).expect("upload");
+    let frame = renderer.render(&camera, &settings).expect("a frame");
+    let clean = renderer.gradients(&camera, &settings, &target, None).expect("gradients").parameters;
+
+    let spoil: [fn(&mut Gaussian); 7] = [
+        |g| g.mean[0] = f64::NAN,
+        |g| g.mean[2] = f64::INFINITY,
+        |g| g.quat = [f64::NAN; 4],
+        |g| g.quat[1] = f64::INFINITY,
+        |g| g.log_scale[1] = f64::NAN,
+        |g| g.log_scale = [f64::INFINITY; 3],
+        |g| g.opacity_logit = f64::NAN,
+    ];
+    for (i, spoil) in spoil.iter().enumerate() {
+        let mut spoiled = scene[i].clone();
+        spoil(&mut spoiled);
+        scene.push(spoiled);
+    }
+    renderer.upload(&gaussians(&scene)).expect("upload");
+    let after = renderer.render(&camera, &settings).expect("a frame");
+    assert!(frame.color == after.color && frame.transmittance == after.transmittance);
+    let gradients = renderer.gradients(&camera, &settings, &target, None).expect("gradients").parameters;
+    drop(renderer);
+    let (clean, gradients) = (twins(&clean), twins(&gradients));
+    assert!(clean == gradients[..100]);
+    let finite = |g: &Gaussian| {
+        let all = [&g.mean[..], &g.quat, &g.log_scale, &[g.opacity_logit], g.sh.as_flattened()].concat();
+        all.iter().all(|x| x.is_finite())
+    };
+    assert!(gradients.iter().all(finite));
+    drop(gpu);
+}
+
+/// What cannot be bound is refused before any work, with the number needed.
+#[test]
+fn hard_case_image_beyond_the_limits() {
+    let gpu = Gpu::new();
+    let limits = gpu.context.limits();
+    let side = (limits.max_storage_buffer_range / 16).isqrt() as u32 + 16;
+    if side > 65_535 {
+        return;
+    }
+    let view = small_view([side, side]);
+    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
+    renderer.upload(&gaussians(&small_scene(&mut Random::new(1), 3, 1))).expect("upload");
+    let error =
+        renderer.render(&camera(&view), &settings(&view)).expect_err("a picture larger than a binding");
+    let needed = u64::from(side) * u64::from(side) * 16;
+    assert!(error.to_string().contains(&needed.to_string()), "{error}");
+    // And it goes on with pictures that fit.
+    let view = small_view([33, 18]);
+    renderer.render(&camera(&view), &settings(&view)).expect("a frame");
 }

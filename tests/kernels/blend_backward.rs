@@ -53,10 +53,13 @@ fn actual(lists: &Lists, sums: &SlotSums) -> Vec<SplatGradient> {
     splats.zip(&lists.slots).map(|(splat, &slot)| from_moments(splat, sums.sums[slot as usize])).collect()
 }
 
+/// Name, values.
+type Field = (&'static str, fn(&SplatGradient) -> Vec<f64>);
+
 /// Compares field by field.
 pub fn compare(actual: &[SplatGradient], expected: &[SplatGradient]) {
     let skip = vec![false; expected.len()];
-    let fields: [(&str, fn(&SplatGradient) -> Vec<f64>); 5] = [
+    let fields: [Field; 5] = [
         ("mean2d", |g| g.mean2d_px.to_vec()),
         ("conic", |g| g.conic.to_vec()),
         ("opacity", |g| vec![g.opacity]),

@@ -143,11 +143,11 @@ fn random_numbers_are_normal() {
             }
         }
     }
-    for i in 0..3 {
+    for (i, row) in products.iter().enumerate() {
         assert!((sum[i] / f64::from(count)).abs() < 0.015, "mean {}", sum[i]);
-        for j in 0..3 {
+        for (j, product) in row.iter().enumerate() {
             let expected = if i == j { 1.0 } else { 0.0 };
-            assert!((products[i][j] / f64::from(count) - expected).abs() < 0.02, "covariance {i} {j}");
+            assert!((product / f64::from(count) - expected).abs() < 0.02, "covariance {i} {j}");
         }
     }
 }
