@@ -35,7 +35,7 @@ pub mod trainer;
 pub mod vk;
 
 pub use error::{Error, Result};
-pub use forward::{Extent, JacobianLimit, RenderSettings};
+pub use forward::{Blending, Extent, JacobianLimit, RenderSettings};
 pub use renderer::{Frame, FrameStats, Gradients, PixelReport, Renderer, Sample};
 pub use scene::{Camera, Gaussians};
 pub use trainer::{StepReport, TrainSettings, TrainView, Trainer};

@@ -52,6 +52,8 @@ pub struct Blocks {
     pub scan: u32,
     /// Invocations of a tile's workgroup: one subgroup per region of a tile.
     pub tile: u32,
+    /// Invocations of a tile's workgroup that blends from shared memory: at most one per pixel.
+    pub tile_shared: u32,
     /// Invocations of the loss' workgroups.
     pub loss: u32,
     /// Pixels in a row of one invocation of the loss.
@@ -72,6 +74,8 @@ impl Blocks {
             sort: sort_workgroup * SORT_ITEMS,
             scan: stream * SCAN_ITEMS,
             tile: regions * limits.subgroup_size,
+            // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
+            tile_shared: stream.min(TILE_SIZE * TILE_SIZE),
             loss: limits.workgroup_size(if limits.is_cpu { 64 } else { STREAM_WORKGROUP }),
             // Wide enough to fill a GPU's workgroup; a processor rather reads less.
             loss_strip: if limits.is_cpu { 4 } else { 2 },

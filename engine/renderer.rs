@@ -11,7 +11,7 @@ pub(crate) use runner::{FrameRunner, Ran, Request};
 
 use crate::backward::Backward;
 use crate::error::{Error, Result};
-use crate::forward::{RenderSettings, SceneBuffers};
+use crate::forward::{Blending, RenderSettings, SceneBuffers};
 use crate::planes;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{Context, ScopeTime};
@@ -87,6 +87,11 @@ impl Renderer {
     /// run again with more.
     pub fn set_instance_capacity(&mut self, instances: u32) {
         self.runner.store.set_instances(instances);
+    }
+
+    /// Chooses how tiles are blended.
+    pub fn set_blending(&mut self, blending: Blending) {
+        self.runner.forward.set_blending(blending);
     }
 
     /// Renders the scene.

@@ -55,11 +55,11 @@ layout(push_constant, scalar) uniform Push {
     vec3 background;
 };
 
+#include "blending.glsl"
 #include "dispatch.glsl"
 #include "subgroup.glsl"
 #include "tile_region.glsl"
 
-const float LOG2_E = 1.4426950408889634;
 // Entries whose sums meet in shared memory at a time: a multiple of every subgroup size.
 const uint BATCH = SUBGROUP_SIZE > 32 ? SUBGROUP_SIZE : 32;
 const uint STEPS = BATCH / SUBGROUP_SIZE;
@@ -168,7 +168,7 @@ void main() {
             vec4 mean2d = mean2d_extent[visible];
             vec4 conic = conic_opacity[visible];
             vec4 shade = color_inverse_depth[visible];
-            vec3 form = vec3(-0.5 * LOG2_E, -LOG2_E, -0.5 * LOG2_E) * conic.xyz;
+            vec3 form = quadratic_form(conic.xyz);
             uvec4 hits = subgroupBallot(exists && meets_region(mean2d, form, conic.w, origin));
             [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
                 uint bits = hits[word];

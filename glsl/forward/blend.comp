@@ -27,32 +27,20 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer SortedVisible { uint sorted_visible[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer Mean2dExtent { vec4 mean2d_extent[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer ConicOpacity { vec4 conic_opacity[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer ColorInverseDepth { vec4 color_inverse_depth[]; };
-layout(set = 0, binding = 5, scalar) buffer Accumulated { vec4 accumulated[]; };
-layout(set = 0, binding = 6, scalar) buffer InverseDepth { float inverse_depth[]; };
-layout(set = 0, binding = 7, scalar) buffer LastEntries { uint last_entries[]; };
-layout(set = 0, binding = 8, scalar) buffer State { uint state[]; };
-
-layout(push_constant, scalar) uniform Push {
-    uint image_width;
-    uint image_height;
-    uint tiles_per_row;
-    uint tile_count;
-    uint first_entry;
-    uint max_entries;
-    // No pass follows: a tile with more entries than this one reaches leaves the frame invalid (STATE_OVERFLOW).
-    uint last_pass;
-};
-
+#include "blending.glsl"
+#include "blend_io.glsl"
 #include "dispatch.glsl"
 #include "subgroup.glsl"
 #include "tile_region.glsl"
 
-const float LOG2_E = 1.4426950408889634;
+Splat shuffled(Splat splat, uint lane) {
+    return Splat(
+        vec2(subgroupShuffle(splat.mean.x, lane), subgroupShuffle(splat.mean.y, lane)),
+        vec3(subgroupShuffle(splat.form.x, lane), subgroupShuffle(splat.form.y, lane), subgroupShuffle(splat.form.z, lane)),
+        subgroupShuffle(splat.opacity, lane),
+        vec3(subgroupShuffle(splat.rgb.x, lane), subgroupShuffle(splat.rgb.y, lane), subgroupShuffle(splat.rgb.z, lane)),
+        INVERSE_DEPTH ? subgroupShuffle(splat.inverse_z, lane) : 0.0);
+}
 
 void main() {
     uint tile = linear_workgroup();
@@ -61,46 +49,20 @@ void main() {
     }
     uvec2 range = tile_ranges[tile];
     uint entries = range.y - range.x;
-    if (gl_LocalInvocationID.x == 0 && first_entry == 0) {
-        atomicMax(state[STATE_LONGEST_TILE], entries);
-    }
     if (first_entry > 0 && entries <= first_entry) {
         return;
     }
     uint end = first_entry + min(entries - first_entry, max_entries);
-    if (gl_LocalInvocationID.x == 0 && last_pass != 0 && end < entries) {
-        state[STATE_OVERFLOW] = 1;
+    if (gl_LocalInvocationID.x == 0) {
+        note_tile(entries, end);
     }
     uvec2 origin = region_origin(uvec2(tile % tiles_per_row, tile / tiles_per_row));
     uvec2 corner = origin + lane_offset();
     vec2 corner_px = vec2(corner);
 
-    // T < 0: the pixel has stopped, and -T is its transmittance.
-    float transmittance[PIXELS];
-    vec3 color[PIXELS];
-    float depth[PIXELS];
-    uint last[PIXELS];
+    Pixel pixels[PIXELS];
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-        uvec2 pixel = corner + pixel_step(k);
-        bool inside = pixel.x < image_width && pixel.y < image_height;
-        transmittance[k] = inside ? 1.0 : -1.0;
-        color[k] = vec3(0.0);
-        depth[k] = 0.0;
-        last[k] = 0;
-    }
-    if (first_entry > 0) {
-        [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-            uvec2 pixel = corner + pixel_step(k);
-            bool inside = pixel.x < image_width && pixel.y < image_height;
-            uint index = inside ? pixel.y * image_width + pixel.x : 0;
-            vec4 before = accumulated[index];
-            color[k] = before.xyz;
-            transmittance[k] = inside ? before.w : -1.0;
-            last[k] = last_entries[index];
-            if (INVERSE_DEPTH) {
-                depth[k] = inverse_depth[index];
-            }
-        }
+        pixels[k] = load_pixel(corner + pixel_step(k));
     }
 
     // Both loops test at their end: a loop that tests first costs a driver without branches one more masked iteration.
@@ -112,46 +74,26 @@ void main() {
         vec4 mean2d = mean2d_extent[visible];
         vec4 conic = conic_opacity[visible];
         vec4 shade = color_inverse_depth[visible];
-        vec3 form = vec3(-0.5 * LOG2_E, -LOG2_E, -0.5 * LOG2_E) * conic.xyz;
-        uvec4 hits = subgroupBallot(exists && meets_region(mean2d, form, conic.w, origin));
+        Splat own = Splat(mean2d.xy, quadratic_form(conic.xyz), conic.w, shade.xyz, shade.w);
+        uvec4 hits = subgroupBallot(exists && meets_region(mean2d, own.form, own.opacity, origin));
         [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
             uint bits = hits[word];
             if (bits != 0) for (;;) {
                 uint lane = findLSB(bits) + 32 * word;
                 bits &= bits - 1;
-                vec2 mean = vec2(subgroupShuffle(mean2d.x, lane), subgroupShuffle(mean2d.y, lane));
-                float a = subgroupShuffle(form.x, lane);
-                float b = subgroupShuffle(form.y, lane);
-                float c = subgroupShuffle(form.z, lane);
-                float opacity = subgroupShuffle(conic.w, lane);
-                vec3 rgb = vec3(subgroupShuffle(shade.x, lane), subgroupShuffle(shade.y, lane),
-                    subgroupShuffle(shade.z, lane));
-                float inverse_z = INVERSE_DEPTH ? subgroupShuffle(shade.w, lane) : 0.0;
-                vec2 d0 = mean - corner_px;
-                uint place = batch + lane + 1;
+                Splat splat = shuffled(own, lane);
+                vec2 d0 = splat.mean - corner_px;
                 [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-                    vec2 d = d0 - vec2(pixel_step(k));
-                    float power = a * d.x * d.x + d.y * (c * d.y + b * d.x);
-                    float alpha = min(ALPHA_MAX, opacity * exp2(power));
-                    bool hit = power <= 0.0 && alpha >= ALPHA_MIN;
-                    float next = transmittance[k] * (1.0 - alpha);
-                    bool blends = hit && next >= TRANSMITTANCE_MIN;
-                    float weight = blends ? alpha * transmittance[k] : 0.0;
-                    color[k] += weight * rgb;
-                    if (INVERSE_DEPTH) {
-                        depth[k] += weight * inverse_z;
-                    }
-                    transmittance[k] = blends ? next : hit ? -abs(transmittance[k]) : transmittance[k];
-                    last[k] = blends ? place : last[k];
+                    blend_splat(splat, d0 - vec2(pixel_step(k)), batch + lane + 1, pixels[k]);
                 }
                 if (bits == 0) {
                     break;
                 }
             }
         }
-        float brightest = transmittance[0];
+        float brightest = pixels[0].transmittance;
         [[unroll]] for (uint k = 1; k < PIXELS; ++k) {
-            brightest = max(brightest, transmittance[k]);
+            brightest = max(brightest, pixels[k].transmittance);
         }
         batch += SUBGROUP_SIZE;
         if (batch >= end || !subgroupAny(brightest > 0.0)) {
@@ -159,17 +101,7 @@ void main() {
         }
     }
 
-    // A pass that ends early keeps the sign, so that the next one knows which pixels have stopped.
-    bool more = entries > end;
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-        uvec2 pixel = corner + pixel_step(k);
-        if (pixel.x < image_width && pixel.y < image_height) {
-            uint index = pixel.y * image_width + pixel.x;
-            accumulated[index] = vec4(color[k], more ? transmittance[k] : abs(transmittance[k]));
-            last_entries[index] = last[k];
-            if (INVERSE_DEPTH) {
-                inverse_depth[index] = depth[k];
-            }
-        }
+        store_pixel(corner + pixel_step(k), pixels[k], entries > end);
     }
 }

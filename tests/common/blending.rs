@@ -1,7 +1,7 @@
 //! The two blending kernels over tile lists.
 
 use ashsplat::kernels::backward::blend_backward;
-use ashsplat::kernels::forward::blend;
+use ashsplat::kernels::forward::{blend, blend_shared};
 use ashsplat::vk::Buffer;
 
 use super::gpu::Gpu;
@@ -25,44 +25,58 @@ fn workgroup(gpu: &Gpu) -> u32 {
     gpu.subgroup() * if gpu.subgroup() <= 64 { 4 } else { 2 }
 }
 
-/// Blends lists, at most `entries_per_pass` of each tile at a time.
+/// A blending kernel over lists, at most `$entries_per_pass` of each tile at a time.
+macro_rules! blend_lists {
+    ($gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $entries_per_pass:expr) => {{
+        let (gpu, lists, entries_per_pass) = ($gpu, $lists, $entries_per_pass);
+        let kernel = gpu.kernel::<$kernel::Interface>(&$spec);
+        let pixels = lists.view.pixels();
+        let blended = Blended {
+            accumulated: gpu.untouched::<[f32; 4]>("accumulated", pixels),
+            inverse_depth: gpu.untouched::<f32>("inverse_depth", pixels),
+            last_entries: gpu.untouched::<u32>("last_entries", pixels),
+        };
+        let bind = $kernel::Bind {
+            tile_ranges: &lists.tile_ranges,
+            sorted_visible: &lists.sorted_visible,
+            mean2d_extent: &lists.frame.mean2d_extent,
+            conic_opacity: &lists.frame.conic_opacity,
+            color_inverse_depth: &lists.frame.color_inverse_depth,
+            accumulated: &blended.accumulated,
+            inverse_depth: &blended.inverse_depth,
+            last_entries: &blended.last_entries,
+            state: &lists.state,
+        };
+        let [tiles_per_row, rows] = lists.view.tiles();
+        gpu.run(|recorder| {
+            for pass in 0..passes(lists, entries_per_pass) {
+                recorder.barrier();
+                let push = $kernel::Push {
+                    image_width: lists.view.size_px[0],
+                    image_height: lists.view.size_px[1],
+                    tiles_per_row,
+                    tile_count: tiles_per_row * rows,
+                    first_entry: pass * entries_per_pass,
+                    max_entries: entries_per_pass,
+                    last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
+                };
+                recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
+            }
+        });
+        blended
+    }};
+}
+
+/// Blends lists by `forward/blend`.
 pub fn forward(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) -> Blended {
     let spec = blend::Spec { workgroup_size: workgroup(gpu), subgroup_size: gpu.subgroup(), inverse_depth };
-    let kernel = gpu.kernel::<blend::Interface>(&spec);
-    let pixels = lists.view.pixels();
-    let blended = Blended {
-        accumulated: gpu.untouched::<[f32; 4]>("accumulated", pixels),
-        inverse_depth: gpu.untouched::<f32>("inverse_depth", pixels),
-        last_entries: gpu.untouched::<u32>("last_entries", pixels),
-    };
-    let bind = blend::Bind {
-        tile_ranges: &lists.tile_ranges,
-        sorted_visible: &lists.sorted_visible,
-        mean2d_extent: &lists.frame.mean2d_extent,
-        conic_opacity: &lists.frame.conic_opacity,
-        color_inverse_depth: &lists.frame.color_inverse_depth,
-        accumulated: &blended.accumulated,
-        inverse_depth: &blended.inverse_depth,
-        last_entries: &blended.last_entries,
-        state: &lists.state,
-    };
-    let [tiles_per_row, rows] = lists.view.tiles();
-    gpu.run(|recorder| {
-        for pass in 0..passes(lists, entries_per_pass) {
-            recorder.barrier();
-            let push = blend::Push {
-                image_width: lists.view.size_px[0],
-                image_height: lists.view.size_px[1],
-                tiles_per_row,
-                tile_count: tiles_per_row * rows,
-                first_entry: pass * entries_per_pass,
-                max_entries: entries_per_pass,
-                last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
-            };
-            recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
-        }
-    });
-    blended
+    blend_lists!(gpu, lists, blend, spec, entries_per_pass)
+}
+
+/// Blends lists by `forward/blend_shared`, with this many invocations per tile.
+pub fn forward_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass: u32) -> Blended {
+    let spec = blend_shared::Spec { workgroup_size, inverse_depth: true };
+    blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass)
 }
 
 /// The sums of each slot for a gradient per pixel (r, g, b, inverse depth).

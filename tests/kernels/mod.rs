@@ -3,6 +3,7 @@
 mod adam;
 mod blend;
 mod blend_backward;
+mod blend_shared;
 mod compact;
 mod count;
 mod cull;

@@ -9,6 +9,7 @@
 pub mod adam;
 pub mod blend;
 pub mod blend_backward;
+pub mod blend_shared;
 pub mod compact;
 pub mod count;
 pub mod cull;

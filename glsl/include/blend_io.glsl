@@ -1,0 +1,63 @@
+// Buffers and push constants of the blending kernels, and how a pixel's state is kept between passes.
+// Needs blending.glsl.
+
+layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer SortedVisible { uint sorted_visible[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer Mean2dExtent { vec4 mean2d_extent[]; };
+layout(set = 0, binding = 3, scalar) readonly buffer ConicOpacity { vec4 conic_opacity[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer ColorInverseDepth { vec4 color_inverse_depth[]; };
+layout(set = 0, binding = 5, scalar) buffer Accumulated { vec4 accumulated[]; };
+layout(set = 0, binding = 6, scalar) buffer InverseDepth { float inverse_depth[]; };
+layout(set = 0, binding = 7, scalar) buffer LastEntries { uint last_entries[]; };
+layout(set = 0, binding = 8, scalar) buffer State { uint state[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint image_width;
+    uint image_height;
+    uint tiles_per_row;
+    uint tile_count;
+    // This pass handles entries [first_entry, first_entry + max_entries) of each tile.
+    uint first_entry;
+    uint max_entries;
+    // No pass follows: a tile with more entries than this one reaches leaves the frame invalid (STATE_OVERFLOW).
+    uint last_pass;
+};
+
+// Notes the longest tile, and tiles that the passes do not reach the end of.
+void note_tile(uint entries, uint end) {
+    if (first_entry == 0) {
+        atomicMax(state[STATE_LONGEST_TILE], entries);
+    }
+    if (last_pass != 0 && end < entries) {
+        state[STATE_OVERFLOW] = 1;
+    }
+}
+
+// A pixel as this pass finds it: fresh, or as the pass before left it.
+Pixel load_pixel(uvec2 at) {
+    bool inside = at.x < image_width && at.y < image_height;
+    Pixel pixel = fresh_pixel(inside);
+    if (first_entry > 0) {
+        uint index = inside ? at.y * image_width + at.x : 0;
+        vec4 before = accumulated[index];
+        pixel.color = before.xyz;
+        pixel.transmittance = inside ? before.w : -1.0;
+        pixel.last = last_entries[index];
+        if (INVERSE_DEPTH) {
+            pixel.depth = inverse_depth[index];
+        }
+    }
+    return pixel;
+}
+
+// A pass that others follow keeps the sign, so that the next one knows which pixels have stopped.
+void store_pixel(uvec2 at, Pixel pixel, bool more) {
+    if (at.x < image_width && at.y < image_height) {
+        uint index = at.y * image_width + at.x;
+        accumulated[index] = vec4(pixel.color, more ? pixel.transmittance : abs(pixel.transmittance));
+        last_entries[index] = pixel.last;
+        if (INVERSE_DEPTH) {
+            inverse_depth[index] = pixel.depth;
+        }
+    }
+}

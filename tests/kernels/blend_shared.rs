@@ -1,0 +1,63 @@
+//! `forward/blend_shared` against its twin, and against `forward/blend` to the bit.
+
+use crate::common::blending::{forward, forward_shared};
+use crate::common::gpu::Gpu;
+use crate::common::scenes::small_view;
+use crate::common::tiles::Lists;
+use crate::reference::blend_shared::blend;
+use crate::reference::pipeline::pixels_of;
+
+/// Blends by both kernels and the twin.
+fn check(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass: u32) {
+    let shared = forward_shared(gpu, lists, workgroup_size, entries_per_pass);
+    let regions = forward(gpu, lists, true, u32::MAX);
+    let count = lists.view.pixels();
+    let what = format!("{workgroup_size} invocations, {entries_per_pass} entries per pass");
+    let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
+    assert_eq!(words(&shared.last_entries, count), words(&regions.last_entries, count), "{what}");
+    assert_eq!(words(&shared.accumulated, 4 * count), words(&regions.accumulated, 4 * count), "{what}");
+    assert_eq!(words(&shared.inverse_depth, count), words(&regions.inverse_depth, count), "{what}");
+
+    let accumulated = gpu.read::<[f32; 4]>(&shared.accumulated, count);
+    let unstable = lists.unstable();
+    for (index, pixel) in pixels_of(&lists.view).enumerate().filter(|&(index, _)| !unstable[index]) {
+        let expected = blend(&lists.list_of(pixel), pixel, [0.0; 3]);
+        let [r, g, b, transmittance] = accumulated[index].map(f64::from);
+        let [x, y, z] = expected.color;
+        for (actual, expected) in [(r, x), (g, y), (b, z), (transmittance, expected.transmittance)] {
+            assert!((actual - expected).abs() < 5e-5, "{what}, pixel {index}: {actual}, expected {expected}");
+        }
+    }
+}
+
+#[test]
+fn blend_shared_equals_blend_on_lists_of_all_lengths() {
+    let gpu = Gpu::new();
+    let largest = gpu.context.limits().workgroup_size(256);
+    for entries in [0, 1, 31, 32, 33, 127, 128, 129, 300] {
+        let lists = Lists::long(&gpu, entries, [0.02, 0.6], &small_view([37, 21]));
+        for workgroup_size in [32, 64, largest] {
+            check(&gpu, &lists, workgroup_size, u32::MAX);
+        }
+    }
+}
+
+#[test]
+fn blend_shared_equals_blend_on_images_of_all_sizes_and_opaque_layers() {
+    let gpu = Gpu::new();
+    let largest = gpu.context.limits().workgroup_size(256);
+    for size in [[1, 1], [17, 5], [16, 16], [64, 48]] {
+        check(&gpu, &Lists::long(&gpu, 200, [0.9, 1.0], &small_view(size)), largest, u32::MAX);
+    }
+}
+
+#[test]
+fn blend_shared_in_passes_equals_blend_at_once() {
+    let gpu = Gpu::new();
+    for opacity in [[0.005, 0.03], [0.5, 1.0]] {
+        let lists = Lists::long(&gpu, 301, opacity, &small_view([37, 21]));
+        for entries_per_pass in [64, 100, 301] {
+            check(&gpu, &lists, 64, entries_per_pass);
+        }
+    }
+}
