@@ -4,36 +4,20 @@
 //! of everything that went into them, so that only what changed is compiled again.
 #![allow(clippy::unwrap_used)]
 
+#[path = "engine/kernels/compile.rs"]
+mod compile;
 #[path = "engine/kernels/generate.rs"]
 mod generate;
 #[path = "engine/kernels/reflect.rs"]
 mod reflect;
 
-use glslang::include::{IncludeHandler, IncludeResult, IncludeType};
-use glslang::{
-    Compiler, CompilerOptions, ShaderInput, ShaderMessage, ShaderSource, ShaderStage, SourceLanguage,
-};
-use glslang::{SpirvVersion, Target, VulkanVersion};
-use std::collections::BTreeSet;
+use compile::{EXTENSIONS, compile, files_with_includes};
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-
-/// Extensions that every shader may use without naming them.
-const EXTENSIONS: &str = "\
-#extension GL_GOOGLE_include_directive : enable
-#extension GL_EXT_scalar_block_layout : enable
-#extension GL_EXT_control_flow_attributes : enable
-#extension GL_KHR_shader_subgroup_basic : enable
-#extension GL_KHR_shader_subgroup_vote : enable
-#extension GL_KHR_shader_subgroup_arithmetic : enable
-#extension GL_KHR_shader_subgroup_ballot : enable
-#extension GL_KHR_shader_subgroup_shuffle : enable
-#extension GL_KHR_shader_subgroup_shuffle_relative : enable
-";
 
 fn main() {
     let root = PathBuf::from(std::env::var_os("CARGO_MANIFEST_DIR").unwrap());
@@ -115,7 +99,9 @@ fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) 
     let source = fs::read_to_string(path).map_err(|e| format!("{display}: cannot read: {e}"))?;
     let mut hasher = DefaultHasher::new();
     (EXTENSIONS, validator).hash(&mut hasher);
-    hash_with_includes(glsl, path, &source, &mut BTreeSet::new(), &mut hasher);
+    for file in files_with_includes(glsl, path) {
+        fs::read(file).unwrap_or_default().hash(&mut hasher);
+    }
     let flat = name.replace('/', "__");
     let cached = out.join(format!("{flat}.{:016x}.spv", hasher.finish()));
     let spirv = match fs::read(&cached) {
@@ -138,87 +124,6 @@ fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) 
     }
     let shader = reflect::reflect(&spirv).map_err(|e| format!("{display}: {e}"))?;
     Ok(generate::Kernel { name, source, shader, spirv_file })
-}
-
-fn compile(glsl: &Path, path: &Path, display: &str, source: &str) -> Result<Vec<u32>, String> {
-    let compiler = Compiler::acquire().ok_or("glslang does not start")?;
-    let options = CompilerOptions {
-        source_language: SourceLanguage::GLSL,
-        target: Target::Vulkan { version: VulkanVersion::Vulkan1_3, spirv_version: SpirvVersion::SPIRV1_6 },
-        version_profile: None,
-        messages: ShaderMessage::VULKAN_RULES | ShaderMessage::SPV_RULES | ShaderMessage::ENHANCED,
-    };
-    let mut includer = Includer { glsl, file: path };
-    let source = ShaderSource::from(with_extensions(source));
-    let none: Option<&[(&str, Option<&str>)]> = None;
-    let input = ShaderInput::new(&source, ShaderStage::Compute, &options, none, Some(&mut includer))
-        .map_err(|e| report(&e, display))?;
-    let shader = glslang::Shader::new(compiler, input).parse().map_err(|e| report(&e, display))?;
-    shader.compile().map_err(|e| report(&e, display))
-}
-
-/// The source with [`EXTENSIONS`] after its `#version`, its line numbers kept.
-fn with_extensions(source: &str) -> String {
-    let Some(at) = source.find("#version") else { return source.to_owned() };
-    let end = source[at..].find('\n').map_or(source.len(), |n| at + n + 1);
-    let line = source[..end].lines().count() + 1;
-    format!("{}{EXTENSIONS}#line {line}\n{}", &source[..end], &source[end..])
-}
-
-/// glslang's log as "path:line: message"; it calls the file itself 0 and includes by their name.
-fn report(error: &dyn std::fmt::Display, display: &str) -> String {
-    let log = error.to_string();
-    let lines = log.lines().filter(|l| l.contains("ERROR: ") && !l.contains("compilation errors"));
-    let found: Vec<_> = lines
-        .map(|l| match l.trim().trim_start_matches("ERROR: ") {
-            l if l.starts_with("0:") => format!("error: {display}{}", &l[1..]),
-            l => format!("error: {l} (compiling {display})"),
-        })
-        .collect();
-    if found.is_empty() { format!("error: {display}: {log}") } else { found.join("\n") }
-}
-
-struct Includer<'a> {
-    glsl: &'a Path,
-    file: &'a Path,
-}
-
-/// An include is looked for next to the shader, then in glsl/include, then below glsl.
-fn resolve(glsl: &Path, file: &Path, name: &str) -> Option<PathBuf> {
-    let candidates = [file.parent()?.join(name), glsl.join("include").join(name), glsl.join(name)];
-    candidates.into_iter().find(|p| p.is_file())
-}
-
-impl IncludeHandler for Includer<'_> {
-    fn include(&mut self, _: IncludeType, name: &str, includer: &str, _: usize) -> Option<IncludeResult> {
-        // Includes go by their path from the crate's root, which is what errors then show.
-        let root = self.glsl.parent()?;
-        let from = if includer.is_empty() { self.file.to_owned() } else { root.join(includer) };
-        let path = resolve(self.glsl, &from, name).or_else(|| resolve(self.glsl, self.file, name))?;
-        let shown = path.strip_prefix(root).unwrap_or(&path).display().to_string().replace('\\', "/");
-        Some(IncludeResult { name: shown, data: fs::read_to_string(path).ok()? })
-    }
-}
-
-fn hash_with_includes(
-    glsl: &Path,
-    path: &Path,
-    source: &str,
-    seen: &mut BTreeSet<PathBuf>,
-    hasher: &mut DefaultHasher,
-) {
-    if !seen.insert(path.to_owned()) {
-        return;
-    }
-    source.hash(hasher);
-    for line in source.lines().filter_map(|l| l.trim().strip_prefix("#include")) {
-        let name = line.trim().trim_matches(['"', '<', '>']);
-        if let Some(found) = resolve(glsl, path, name)
-            && let Ok(text) = fs::read_to_string(&found)
-        {
-            hash_with_includes(glsl, &found, &text, seen, hasher);
-        }
-    }
 }
 
 fn validate(spirv: &[u8], scratch: &Path, display: &str) -> Result<(), String> {

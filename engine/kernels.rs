@@ -11,10 +11,14 @@
 
 include!(concat!(env!("OUT_DIR"), "/kernels.rs"));
 
+#[cfg(feature = "hot-reload")]
+pub mod compile;
 #[cfg(test)]
 mod generate;
-#[cfg(test)]
+#[cfg(any(test, feature = "hot-reload"))]
 mod reflect;
+#[cfg(feature = "hot-reload")]
+pub mod reload;
 
 #[cfg(test)]
 mod tests {

@@ -36,6 +36,6 @@ pub mod vk;
 
 pub use error::{Error, Result};
 pub use forward::{Blending, Extent, JacobianLimit, RenderSettings};
-pub use renderer::{Frame, FrameStats, Gradients, PixelReport, Renderer, Sample};
+pub use renderer::{Frame, FrameStats, Gradients, PixelReport, Renderer, Sample, TileReport};
 pub use scene::{Camera, Gaussians};
 pub use trainer::{StepReport, TrainSettings, TrainView, Trainer};

@@ -16,9 +16,9 @@ const STREAM_WORKGROUP: u32 = 256;
 /// Subgroups of a sorting workgroup: each holds its own histogram in shared memory.
 const SORT_SUBGROUPS: u32 = 8;
 /// Keys of one invocation of a sort.
-pub const SORT_ITEMS: u32 = 16;
+const SORT_ITEMS: u32 = 16;
 /// Values of one invocation of a scan.
-pub const SCAN_ITEMS: u32 = 4;
+const SCAN_ITEMS: u32 = 4;
 /// Entries of a tile blended by one pass where the driver bounds the iterations of an invocation: a loop over entries
 /// costs at most 2 iterations per entry at any subgroup size from 4.
 const ENTRIES_PER_LOOP_BUDGET: u32 = 2;
@@ -46,8 +46,12 @@ pub struct Blocks {
     pub stream: u32,
     /// Invocations of a sorting workgroup.
     pub sort_workgroup: u32,
+    /// Keys of one invocation of a sort.
+    pub sort_items: u32,
     /// Keys of a block of a sort.
     pub sort: u32,
+    /// Values of one invocation of a scan.
+    pub scan_items: u32,
     /// Values of a block of a scan.
     pub scan: u32,
     /// Invocations of a tile's workgroup: one subgroup per region of a tile.
@@ -63,22 +67,35 @@ pub struct Blocks {
 }
 
 impl Blocks {
-    /// Block sizes for a device.
+    /// Block sizes for a device, or those that its [`Limits::overrides`] ask for.
     pub fn new(limits: &Limits) -> Self {
-        let stream = limits.workgroup_size(STREAM_WORKGROUP);
-        let sort_workgroup = stream.min(SORT_SUBGROUPS * limits.subgroup_size);
+        let size =
+            |folder: &str, constant: &str, usual: u32| limits.overridden(folder, constant).unwrap_or(usual);
+        let stream =
+            limits.workgroup_size(size("", "WORKGROUP_SIZE", STREAM_WORKGROUP).min(STREAM_WORKGROUP));
+        let sort_workgroup = limits.workgroup_size(
+            size("sort", "WORKGROUP_SIZE", SORT_SUBGROUPS * limits.subgroup_size).min(stream),
+        );
+        let (sort_items, scan_items) =
+            (size("sort", "ITEMS", SORT_ITEMS).max(1), size("scan", "ITEMS", SCAN_ITEMS).max(1));
         let regions = if limits.subgroup_size <= 64 { 4 } else { 2 };
         Self {
             stream,
             sort_workgroup,
-            sort: sort_workgroup * SORT_ITEMS,
-            scan: stream * SCAN_ITEMS,
+            sort_items,
+            sort: sort_workgroup * sort_items,
+            scan_items,
+            scan: stream * scan_items,
             tile: regions * limits.subgroup_size,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
             tile_shared: stream.min(TILE_SIZE * TILE_SIZE),
-            loss: limits.workgroup_size(if limits.is_cpu { 64 } else { STREAM_WORKGROUP }),
+            loss: limits.workgroup_size(size(
+                "loss",
+                "WORKGROUP_SIZE",
+                if limits.is_cpu { 64 } else { STREAM_WORKGROUP },
+            )),
             // Wide enough to fill a GPU's workgroup; a processor rather reads less.
-            loss_strip: if limits.is_cpu { 4 } else { 2 },
+            loss_strip: size("loss", "STRIP", if limits.is_cpu { 4 } else { 2 }).max(1),
             entries_per_pass: limits.max_loop_iterations.map_or(u32::MAX, |n| n / ENTRIES_PER_LOOP_BUDGET),
         }
     }

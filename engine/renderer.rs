@@ -4,10 +4,12 @@ mod frame_store;
 mod gradients;
 mod inspect;
 mod runner;
+mod tiles;
 
 pub use gradients::Gradients;
 pub use inspect::{PixelReport, Sample};
 pub(crate) use runner::{FrameRunner, Ran, Request};
+pub use tiles::TileReport;
 
 use crate::backward::Backward;
 use crate::error::{Error, Result};

@@ -6,7 +6,7 @@
 
 use crate::error::Result;
 use crate::kernels::scan::{scan_apply, scan_reduce, scan_spine};
-use crate::plan::{Blocks, SCAN_ITEMS, blocks};
+use crate::plan::{Blocks, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// The kernels of a prefix sum.
@@ -52,13 +52,13 @@ impl Scan {
         let limits = context.limits();
         let sizes = Blocks::new(limits);
         let subgroup_size = limits.subgroup_size;
-        let spec = scan_reduce::Spec { workgroup_size: sizes.stream, subgroup_size, items: SCAN_ITEMS };
+        let spec = scan_reduce::Spec { workgroup_size: sizes.stream, subgroup_size, items: sizes.scan_items };
         Ok(Self {
             reduce: Kernel::new(context, &spec)?,
             spine: Kernel::new(context, &scan_spine::Spec { workgroup_size: sizes.stream, subgroup_size })?,
             apply: Kernel::new(
                 context,
-                &scan_apply::Spec { workgroup_size: sizes.stream, subgroup_size, items: SCAN_ITEMS },
+                &scan_apply::Spec { workgroup_size: sizes.stream, subgroup_size, items: sizes.scan_items },
             )?,
             block: sizes.scan,
         })

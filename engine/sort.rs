@@ -7,7 +7,7 @@
 use crate::error::Result;
 use crate::kernels::constants::SORT_BINS;
 use crate::kernels::sort::{sort_count, sort_scan, sort_scatter};
-use crate::plan::{Blocks, SORT_ITEMS, blocks};
+use crate::plan::{Blocks, blocks};
 use crate::scan::Workgroups;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -62,10 +62,14 @@ impl RadixSort {
         let sizes = Blocks::new(limits);
         let subgroup_size = limits.subgroup_size;
         let workgroup_size = sizes.sort_workgroup;
-        let scatter =
-            sort_scatter::Spec { workgroup_size, subgroup_size, items: SORT_ITEMS, identity_values: false };
+        let scatter = sort_scatter::Spec {
+            workgroup_size,
+            subgroup_size,
+            items: sizes.sort_items,
+            identity_values: false,
+        };
         Ok(Self {
-            count: Kernel::new(context, &sort_count::Spec { workgroup_size, items: SORT_ITEMS })?,
+            count: Kernel::new(context, &sort_count::Spec { workgroup_size, items: sizes.sort_items })?,
             scan: Kernel::new(context, &sort_scan::Spec { workgroup_size: sizes.stream, subgroup_size })?,
             scatter: Kernel::new(context, &scatter)?,
             scatter_identity: Kernel::new(context, &sort_scatter::Spec { identity_values: true, ..scatter })?,

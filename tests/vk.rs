@@ -4,5 +4,6 @@ mod context;
 mod hazard;
 mod kernels;
 mod memory;
+mod overrides;
 mod profile;
 mod recorder;

@@ -112,7 +112,7 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     );
     let _ = writeln!(
         out,
-        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, KernelInterface, Limits}};"
+        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, ConstantInfo, ConstantKind, KernelInterface, Limits}};"
     );
     out.push_str(&bind(kernel)?);
     out.push_str(&push(kernel)?);
@@ -239,8 +239,19 @@ fn interface(kernel: &Kernel) -> String {
         );
         let _ = write!(buffers, "bind.{}, ", b.name);
     }
-    let mut entries = String::new();
+    let (mut constants, mut entries) = (String::new(), String::new());
     for c in &shader.spec {
+        let kind = match c.rust_type {
+            "f32" => "Float",
+            "i32" => "Int",
+            "bool" => "Bool",
+            _ => "Uint",
+        };
+        let _ = writeln!(
+            constants,
+            "ConstantInfo {{ name: {:?}, id: {}, kind: ConstantKind::{kind} }},",
+            c.name, c.id
+        );
         let field = format!("spec.{}", c.name.to_lowercase());
         let bits = match c.rust_type {
             "f32" => format!("{field}.to_bits()"),
@@ -262,6 +273,7 @@ fn interface(kernel: &Kernel) -> String {
          const NAME: &'static str = {name:?};\n\
          const SPIRV: &'static [u32] = &include!(concat!(env!(\"OUT_DIR\"), \"/\", {file:?}));\n\
          const BINDINGS: &'static [BindingInfo] = &[\n{infos}];\n\
+         const CONSTANTS: &'static [ConstantInfo] = &[\n{constants}];\n\
          const PUSH_BYTES: u32 = {push_size};\n\
          type Bind<'a> = Bind<'a>;\ntype Push = Push;\ntype Spec = Spec;\n\
          fn buffers<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Buffer]> {{ let all: [&'a Buffer; {count}] = [{buffers}]; all }}\n\

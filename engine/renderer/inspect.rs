@@ -102,7 +102,7 @@ impl Renderer {
         Ok(report)
     }
 
-    fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, bytes: u64) -> Result<Vec<T>> {
+    pub(super) fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, bytes: u64) -> Result<Vec<T>> {
         if bytes == 0 {
             return Ok(Vec::new());
         }

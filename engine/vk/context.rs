@@ -4,13 +4,14 @@ use super::clock::Clock;
 use super::debug::Names;
 use super::device::{self, Candidate, DeviceDescription};
 use super::instance::Instance;
-use super::limits::{Limits, LimitsOverride};
+use super::limits::{Limits, LimitsOverride, SpecOverride};
 use super::memory::Registry;
 use super::profile::Log;
 use super::submit::Slot;
 use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
+use std::collections::HashMap;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
@@ -30,6 +31,11 @@ pub struct ContextOptions {
     pub subgroup_size: Option<u32>,
     /// Stricter limits than the device's, for tests.
     pub limits_override: Option<LimitsOverride>,
+    /// Turn on the validation layer for `debugPrintfEXT` in shaders; what they print is in
+    /// [`Context::printed`]. An error where the layer is not installed.
+    pub debug_printf: bool,
+    /// Other values for specialization constants.
+    pub overrides: Vec<SpecOverride>,
     /// For tests: transfer through staging memory, as on a discrete GPU, also where device memory could be mapped.
     pub force_staging: bool,
 }
@@ -43,6 +49,8 @@ impl Default for ContextOptions {
             timestamps: true,
             subgroup_size: None,
             limits_override: None,
+            debug_printf: false,
+            overrides: Vec::new(),
             force_staging: false,
         }
     }
@@ -72,6 +80,8 @@ pub(super) struct Inner {
     pub(super) hazard_check: bool,
     pub(super) description: DeviceDescription,
     pub(super) registry: Registry,
+    /// SPIR-V in place of a kernel's own.
+    pub(super) replaced: Mutex<HashMap<String, Arc<Vec<u32>>>>,
     /// Idle command buffers.
     pub(super) slots: Mutex<Vec<Slot>>,
     // Destroyed after the device: keep it last.
@@ -85,7 +95,7 @@ impl Context {
     /// [`Error::NoLoader`], [`Error::NoDevice`], [`Error::UnknownDevice`], [`Error::MissingFeature`] (also for the
     /// validation layer), [`Error::Argument`] for a subgroup size that the device does not have.
     pub fn new(options: &ContextOptions) -> Result<Self> {
-        let instance = Instance::new(options.validation)?;
+        let instance = Instance::new(options.validation, options.debug_printf)?;
         let from_environment = std::env::var("ASHSPLAT_DEVICE").ok().filter(|d| !d.trim().is_empty());
         let asked = options.device.clone().or(from_environment);
         let candidate = device::choose(&instance, asked.as_deref())?;
@@ -98,7 +108,7 @@ impl Context {
             )
         };
         let family = families.get(candidate.queue_family as usize).copied().unwrap_or_default();
-        let device = create_device(&instance, &candidate)?;
+        let device = create_device(&instance, &candidate, options.debug_printf)?;
         // SAFETY: the device was created with one queue of this family.
         let queue = unsafe { device.get_device_queue(candidate.queue_family, 0) };
         let clock = Clock::new(&instance, &device, candidate.features.calibrated_timestamps);
@@ -124,6 +134,7 @@ impl Context {
             hazard_check: options.hazard_check,
             description: candidate.description,
             registry: Registry::default(),
+            replaced: Mutex::default(),
             slots: Mutex::default(),
             instance,
         })))
@@ -148,6 +159,11 @@ impl Context {
     pub fn validation_messages(&self) -> Vec<String> {
         self.0.instance.messenger.as_ref().map_or_else(Vec::new, |m| m.messages.all())
     }
+
+    /// What shaders printed since the last call. Empty without [`ContextOptions::debug_printf`].
+    pub fn printed(&self) -> Vec<String> {
+        self.0.instance.messenger.as_ref().map_or_else(Vec::new, |m| m.messages.take_printed())
+    }
 }
 
 impl Drop for Inner {
@@ -169,6 +185,7 @@ fn effective_limits(candidate: &Candidate, options: &ContextOptions) -> Result<L
         return Err(Error::MissingFeature { device: device.name.clone(), feature: "Vulkan 1.3".into() });
     };
     let mut limits = limits.lowered(&options.limits_override.unwrap_or_default());
+    limits.overrides.clone_from(&options.overrides);
     if let Some(size) = options.subgroup_size {
         let (min, max) = (limits.min_subgroup_size, limits.max_subgroup_size);
         let selectable = limits.subgroup_size_selectable && (min..=max).contains(&size);
@@ -185,7 +202,7 @@ fn effective_limits(candidate: &Candidate, options: &ContextOptions) -> Result<L
     Ok(limits)
 }
 
-fn create_device(instance: &Instance, candidate: &Candidate) -> Result<ash::Device> {
+fn create_device(instance: &Instance, candidate: &Candidate, printf: bool) -> Result<ash::Device> {
     let optional = &candidate.features;
     let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
         .scalar_block_layout(true)
@@ -209,7 +226,13 @@ fn create_device(instance: &Instance, candidate: &Candidate) -> Result<ash::Devi
     let queues = [vk::DeviceQueueCreateInfo::default()
         .queue_family_index(candidate.queue_family)
         .queue_priorities(&priorities)];
+    // Without them the layer refuses to print.
+    let printing = printf && optional.graphics_stores;
+    let core = vk::PhysicalDeviceFeatures::default()
+        .fragment_stores_and_atomics(printing)
+        .vertex_pipeline_stores_and_atomics(printing);
     let info = vk::DeviceCreateInfo::default()
+        .enabled_features(&core)
         .queue_create_infos(&queues)
         .enabled_extension_names(&extensions)
         .push_next(&mut v12)

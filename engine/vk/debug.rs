@@ -6,16 +6,39 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Everything that the layers said, oldest first.
 #[derive(Default)]
-pub(super) struct Messages(Mutex<Vec<String>>);
+pub(super) struct Messages {
+    validation: Mutex<Vec<String>>,
+    printed: Mutex<Vec<String>>,
+}
+
+/// The layer's name for what a shader prints.
+const PRINTF_ID: &str = "UNASSIGNED-DEBUG-PRINTF";
 
 impl Messages {
-    fn push(&self, message: String) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(message);
+    fn push(&self, severity: vk::DebugUtilsMessageSeverityFlagsEXT, text: &str) {
+        let (list, message) = match printed(text) {
+            Some(printed) => (&self.printed, printed.to_owned()),
+            None if severity > vk::DebugUtilsMessageSeverityFlagsEXT::INFO => {
+                (&self.validation, format!("{severity:?}: {text}"))
+            }
+            None => return,
+        };
+        list.lock().unwrap_or_else(PoisonError::into_inner).push(message);
     }
 
     pub(super) fn all(&self) -> Vec<String> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.validation.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
+
+    pub(super) fn take_printed(&self) -> Vec<String> {
+        std::mem::take(&mut *self.printed.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+/// What a shader printed, if a message is that: the layer puts its own words and a number in front, each with a bar.
+fn printed(message: &str) -> Option<&str> {
+    let own = message.contains(PRINTF_ID) || message.contains("DEBUG-PRINTF");
+    own.then(|| message.splitn(3, " | ").last().unwrap_or(message).trim())
 }
 
 /// A messenger of VK_EXT_debug_utils that collects warnings and errors of the validation layers.
@@ -27,13 +50,18 @@ pub(super) struct Messenger {
 
 impl Messenger {
     /// The instance must have been created with VK_EXT_debug_utils and must outlive the messenger.
-    pub(super) fn new(entry: &ash::Entry, instance: &ash::Instance) -> Result<Self, vk::Result> {
+    /// `printf`: also what shaders print.
+    pub(super) fn new(
+        entry: &ash::Entry,
+        instance: &ash::Instance,
+        printf: bool,
+    ) -> Result<Self, vk::Result> {
         let loader = ash::ext::debug_utils::Instance::new(entry, instance);
         let messages = Arc::<Messages>::default();
+        type Severity = vk::DebugUtilsMessageSeverityFlagsEXT;
+        let information = if printf { Severity::INFO } else { Severity::empty() };
         let info = vk::DebugUtilsMessengerCreateInfoEXT::default()
-            .message_severity(
-                vk::DebugUtilsMessageSeverityFlagsEXT::WARNING | vk::DebugUtilsMessageSeverityFlagsEXT::ERROR,
-            )
+            .message_severity(Severity::WARNING | Severity::ERROR | information)
             .message_type(vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION)
             .pfn_user_callback(Some(collect))
             .user_data(Arc::as_ptr(&messages).cast_mut().cast());
@@ -68,7 +96,7 @@ unsafe extern "system" fn collect(
         (user.cast::<Messages>().as_ref(), text)
     };
     if let (Some(messages), Some(text)) = (messages, text) {
-        messages.push(format!("{severity:?}: {text}"));
+        messages.push(severity, &text);
     }
     vk::FALSE
 }
@@ -110,4 +138,17 @@ impl Names {
 
 fn c_string(text: &str) -> CString {
     CString::new(text.replace('\0', "")).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::printed;
+
+    #[test]
+    fn what_shaders_print_is_told_from_what_the_layer_says() {
+        let message = "Validation Information: [ UNASSIGNED-DEBUG-PRINTF ] Object 0: handle = 0x1, type = \
+                       VK_OBJECT_TYPE_DEVICE; | MessageID = 0x92394c89 | tile 3 | 7 entries";
+        assert_eq!(printed(message), Some("tile 3 | 7 entries"));
+        assert_eq!(printed("Validation Error: [ VUID-1 ] | MessageID = 0x1 | bad"), None);
+    }
 }

@@ -33,7 +33,7 @@ pub struct DeviceDescription {
 /// # Errors
 /// [`Error::NoLoader`] or [`Error::NoDevice`] where there is no loader or no driver at all.
 pub fn devices() -> Result<Vec<DeviceDescription>> {
-    let instance = Instance::new(false)?;
+    let instance = Instance::new(false, false)?;
     Ok(candidates(&instance)?.into_iter().map(|c| c.description).collect())
 }
 
@@ -57,6 +57,8 @@ pub(super) struct OptionalFeatures {
     pub(super) memory_model_device_scope: bool,
     pub(super) portability_subset: bool,
     pub(super) calibrated_timestamps: Option<Calibrated>,
+    /// fragmentStoresAndAtomics and vertexPipelineStoresAndAtomics, which the layer's debugPrintf asks for.
+    pub(super) graphics_stores: bool,
 }
 
 const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
@@ -197,6 +199,7 @@ fn features(instance: &Instance, physical: vk::PhysicalDevice) -> (OptionalFeatu
     let mut all = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
     // SAFETY: the device implements Vulkan 1.3, each struct is chained once.
     unsafe { instance.raw.get_physical_device_features2(physical, &mut all) };
+    let f = all.features;
     let required = [
         (v12.scalar_block_layout, "scalarBlockLayout"),
         (v12.host_query_reset, "hostQueryReset"),
@@ -214,6 +217,7 @@ fn features(instance: &Instance, physical: vk::PhysicalDevice) -> (OptionalFeatu
         memory_model_device_scope: v12.vulkan_memory_model_device_scope != 0,
         portability_subset: false,
         calibrated_timestamps: None,
+        graphics_stores: f.fragment_stores_and_atomics != 0 && f.vertex_pipeline_stores_and_atomics != 0,
     };
     (optional, missing)
 }
@@ -268,6 +272,7 @@ fn limits(
         timestamp_period_ns: if timestamps { f64::from(l.timestamp_period) } else { 0.0 },
         is_cpu: properties.device_type == vk::PhysicalDeviceType::CPU,
         max_loop_iterations: (v12.driver_id == vk::DriverId::MESA_LLVMPIPE).then_some(65_535),
+        overrides: Vec::new(),
     };
     (limits, missing)
 }

@@ -18,13 +18,15 @@ pub(super) struct Instance {
 }
 
 impl Instance {
-    /// With `validation`, turns on the Khronos layer with synchronization validation, and collects what it says.
-    pub(super) fn new(validation: bool) -> Result<Self> {
+    /// With `validation`, turns on the Khronos layer with synchronization validation, and collects what it says; with
+    /// `printf`, the layer for what shaders print.
+    pub(super) fn new(validation: bool, printf: bool) -> Result<Self> {
         // SAFETY: loading the system's Vulkan loader runs its initialisers, which are sound for a proper install.
         let entry = unsafe { ash::Entry::load() }
             .map_err(|e| Error::NoLoader { reason: one_line(&e.to_string()) })?;
-        let layer = validation && has_layer(&entry)?;
-        if validation && !layer {
+        let wanted = validation || printf;
+        let layer = wanted && has_layer(&entry)?;
+        if wanted && !layer {
             return Err(Error::MissingFeature {
                 device: "this machine".into(),
                 feature: "VK_LAYER_KHRONOS_validation (Debian: vulkan-validationlayers)".into(),
@@ -34,8 +36,8 @@ impl Instance {
             has_extension(&entry, None, ash::ext::debug_utils::NAME)?,
             has_extension(&entry, None, ash::khr::portability_enumeration::NAME)?,
         );
-        let raw = create(&entry, layer, has_debug_utils, has_portability)?;
-        let messenger = (layer && has_debug_utils).then(|| Messenger::new(&entry, &raw)).transpose();
+        let raw = create(&entry, &checks(layer, validation, printf), has_debug_utils, has_portability)?;
+        let messenger = (layer && has_debug_utils).then(|| Messenger::new(&entry, &raw, printf)).transpose();
         match messenger {
             Ok(messenger) => Ok(Self { messenger, has_debug_utils, raw, _entry: entry }),
             Err(error) => {
@@ -61,7 +63,21 @@ pub fn validation_available() -> bool {
     unsafe { ash::Entry::load() }.is_ok_and(|entry| has_layer(&entry).unwrap_or(false))
 }
 
-fn create(entry: &ash::Entry, layer: bool, debug_utils: bool, portability: bool) -> Result<ash::Instance> {
+/// What the layer is to do; None without the layer.
+fn checks(layer: bool, validation: bool, printf: bool) -> Option<Vec<vk::ValidationFeatureEnableEXT>> {
+    let wanted = [
+        (validation, vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION),
+        (printf, vk::ValidationFeatureEnableEXT::DEBUG_PRINTF),
+    ];
+    layer.then(|| wanted.into_iter().filter(|(wanted, _)| *wanted).map(|(_, check)| check).collect())
+}
+
+fn create(
+    entry: &ash::Entry,
+    checks: &Option<Vec<vk::ValidationFeatureEnableEXT>>,
+    debug_utils: bool,
+    portability: bool,
+) -> Result<ash::Instance> {
     let application = vk::ApplicationInfo::default()
         .application_name(c"ashsplat")
         .engine_name(c"ashsplat")
@@ -75,15 +91,15 @@ fn create(entry: &ash::Entry, layer: bool, debug_utils: bool, portability: bool)
         extensions.push(ash::khr::portability_enumeration::NAME.as_ptr());
         flags |= vk::InstanceCreateFlags::ENUMERATE_PORTABILITY_KHR;
     }
-    let layers = if layer { vec![VALIDATION_LAYER.as_ptr()] } else { Vec::new() };
-    let checks = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
-    let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&checks);
+    let layers = if checks.is_some() { vec![VALIDATION_LAYER.as_ptr()] } else { Vec::new() };
+    let enabled = checks.as_deref().unwrap_or_default();
+    let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(enabled);
     let mut info = vk::InstanceCreateInfo::default()
         .flags(flags)
         .application_info(&application)
         .enabled_extension_names(&extensions)
         .enabled_layer_names(&layers);
-    if layer {
+    if checks.is_some() {
         info = info.push_next(&mut features);
     }
     // SAFETY: every pointer in `info` outlives the call.

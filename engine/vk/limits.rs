@@ -41,7 +41,24 @@ pub struct Limits {
     /// How often the loops of one invocation run before they stop silently, all loops together. Some(65,535) on
     /// llvmpipe; None where there is no such limit.
     pub max_loop_iterations: Option<u32>,
+    /// Specialization constants that are to have other values than usual, from the context's options.
+    pub overrides: Vec<SpecOverride>,
 }
+
+/// Another value for a specialization constant, to try out what it does to a kernel's speed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SpecOverride {
+    /// The kernel, "backward/project_backward", or a folder of kernels, "sort"; empty: all.
+    pub kernel: String,
+    /// The constant's name in GLSL.
+    pub constant: String,
+    /// Its value's 32 bits.
+    pub bits: u32,
+}
+
+/// Constants that the host counts workgroups with: it chooses them itself (and asks [`Limits::overridden`]), so that
+/// shader and host cannot differ.
+pub(super) const CHOSEN_BY_HOST: [&str; 4] = ["WORKGROUP_SIZE", "SUBGROUP_SIZE", "ITEMS", "STRIP"];
 
 /// Stricter limits than the device's, for tests: `None` keeps the device's.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -67,6 +84,15 @@ impl Limits {
             .min(self.max_workgroup_size[0])
             .min(self.max_workgroup_subgroups.saturating_mul(self.subgroup_size));
         (most / self.subgroup_size * self.subgroup_size).max(self.subgroup_size)
+    }
+
+    /// What [`Limits::overrides`] say of a constant of a kernel or of a folder of kernels; the last one counts.
+    pub fn overridden(&self, kernel: &str, constant: &str) -> Option<u32> {
+        let below = |folder: &str| kernel.strip_prefix(folder).is_some_and(|rest| rest.starts_with('/'));
+        let meant = |o: &&SpecOverride| {
+            o.constant == constant && (o.kernel.is_empty() || o.kernel == kernel || below(&o.kernel))
+        };
+        self.overrides.iter().rev().find(meant).map(|o| o.bits)
     }
 
     /// The limits with each value lowered to the override's. An override never raises a limit.

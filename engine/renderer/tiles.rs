@@ -1,0 +1,45 @@
+//! How full the tiles of a frame are.
+
+use super::Renderer;
+use crate::error::Result;
+use crate::forward::RenderSettings;
+use crate::kernels::constants::TILE_SIZE;
+use crate::plan::tile_grid;
+use crate::scene::Camera;
+
+/// Work of each tile of a frame, row-major.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TileReport {
+    /// Tiles per row.
+    pub columns: u32,
+    /// Rows of tiles.
+    pub rows: u32,
+    /// (tile, Gaussian) instances of each tile.
+    pub entries: Vec<u32>,
+    /// How far into its list each tile's blending went: the last entry that any of its pixels blended.
+    pub blended: Vec<u32>,
+}
+
+impl Renderer {
+    /// Renders a frame and reads back how full its tiles are.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn tiles(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<TileReport> {
+        self.render(camera, settings)?;
+        let frame = self.runner.frame()?;
+        let (columns, rows) = tile_grid(camera.width, camera.height);
+        let tiles = u64::from(columns) * u64::from(rows);
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        let ranges: Vec<[u32; 2]> = self.read(&frame.tile_ranges, 0, tiles * 8)?;
+        let last: Vec<u32> = self.read(&frame.last_entries, 0, pixels * 4)?;
+        let mut blended = vec![0; tiles as usize];
+        for (pixel, &entry) in last.iter().enumerate() {
+            let (x, y) = (pixel as u32 % camera.width, pixel as u32 / camera.width);
+            let tile = &mut blended[(y / TILE_SIZE * columns + x / TILE_SIZE) as usize];
+            *tile = entry.max(*tile);
+        }
+        let entries = ranges.iter().map(|[begin, end]| end - begin).collect();
+        Ok(TileReport { columns, rows, entries, blended })
+    }
+}
