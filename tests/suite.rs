@@ -12,6 +12,7 @@ mod hard_cases;
 mod host;
 mod invariants;
 mod kernels;
+mod profile;
 mod reference;
 mod sort;
 mod subgroup_widths;

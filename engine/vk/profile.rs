@@ -6,7 +6,7 @@ use super::kernel::Access;
 use super::memory::MemoryKind;
 use super::profiler::{Collected, MAX_COMMANDS, ScopeTime};
 use crate::Result;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 /// While it lives, all submissions of its context are recorded command by command. Costs a timestamp per command;
@@ -232,9 +232,15 @@ impl Inner {
 impl Context {
     /// Records every submission from now on, until the profile is dropped. A newer profile takes over from an older.
     pub fn profile(&self) -> Profile {
-        let log = Arc::<Log>::default();
-        *self.0.profile.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(&log);
-        Profile { log }
+        let profile = Profile { log: Arc::default() };
+        self.set_profile(Some(&profile));
+        profile
+    }
+
+    /// Lets a profile rest, or go on: only the one given here records.
+    pub fn set_profile(&self, profile: Option<&Profile>) {
+        let log = profile.map_or_else(Weak::new, |profile| Arc::downgrade(&profile.log));
+        *self.0.profile.lock().unwrap_or_else(PoisonError::into_inner) = log;
     }
 
     /// Turns timestamps off or on again: without, scopes are only labelled.

@@ -103,6 +103,12 @@ fn profile_is_off_before_and_after() {
     run_scans(&gpu);
     assert!(profile.take().is_empty(), "the newer profile has taken over");
     of_scans(newer.take());
+    gpu.context.set_profile(None);
+    run_scans(&gpu);
+    assert!(newer.take().is_empty(), "it rests");
+    gpu.context.set_profile(Some(&newer));
+    run_scans(&gpu);
+    of_scans(newer.take());
     drop(newer);
     run_scans(&gpu);
     assert!(gpu.context.profile().take().is_empty());

@@ -1,6 +1,6 @@
 //! The command line: what all commands share, and how it is read.
 
-use crate::{bench, demo, devices, eval, info, inspect, render, train};
+use crate::{bench, demo, devices, eval, info, inspect, profile, render, train};
 use ashsplat::Result;
 use ashsplat::vk::{Context, ContextOptions};
 use clap::error::ErrorKind;
@@ -37,6 +37,8 @@ pub enum Command {
     Demo(demo::Arguments),
     /// Time of every kernel: scan, sort, render, train-step; comparisons, scaling
     Bench(Box<bench::Arguments>),
+    /// One frame or training step, kernel by kernel: page, trace, other constants, edited shaders
+    Profile(Box<profile::Arguments>),
 }
 
 /// Which device, and how closely it is watched.

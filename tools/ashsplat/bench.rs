@@ -1,6 +1,6 @@
 //! `ashsplat bench`: the time of every kernel, against the device's own copy bandwidth.
 
-mod compare;
+pub mod compare;
 mod cpu_sorts;
 pub mod cpu_time;
 pub mod frames;
@@ -150,10 +150,10 @@ fn measure_all(arguments: &RunArguments, names: &[&str]) -> Result<()> {
         let seed = arguments.scene.seed;
         runs.push(match (*name, &scene) {
             ("render", Some(scene)) => {
-                frames::render(&frames::Job { context, iterations, copy, scene, seed })?
+                frames::render(&frames::Job { context, iterations, copy, scene, seed })?.0
             }
             ("train-step", Some(scene)) => {
-                frames::train_step(&frames::Job { context, iterations, copy, scene, seed })?
+                frames::train_step(&frames::Job { context, iterations, copy, scene, seed })?.0
             }
             (name, _) => {
                 let elements = arguments.elements;
@@ -197,6 +197,16 @@ fn report_of(
     copy: Option<CopyBandwidth>,
     runs: Vec<Run>,
 ) -> Report {
+    assemble(context, arguments.iterations(), arguments.scene.seed, (copy, runs))
+}
+
+/// A report of runs that were measured on a context.
+pub fn assemble(
+    context: &Context,
+    iterations: Iterations,
+    seed: u64,
+    (copy_bandwidth, runs): (Option<CopyBandwidth>, Vec<Run>),
+) -> Report {
     Report {
         schema: schema::SCHEMA.to_owned(),
         program: machine::program(),
@@ -204,12 +214,12 @@ fn report_of(
         device: machine::device(context),
         environment: machine::environment(),
         settings: Settings {
-            iterations: arguments.iterations,
-            warmup: arguments.warmup,
-            seed: arguments.scene.seed,
+            iterations: iterations.measured,
+            warmup: iterations.warmup,
+            seed,
             clock: if context.has_timestamps() { "timestamps" } else { "host" }.to_owned(),
         },
-        copy_bandwidth: copy,
+        copy_bandwidth,
         runs,
     }
 }

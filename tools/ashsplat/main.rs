@@ -23,6 +23,7 @@ mod inspect;
 mod measure;
 mod model;
 mod output;
+mod profile;
 mod progress;
 mod render;
 mod session;
@@ -62,6 +63,7 @@ fn run(command: args::Command) -> Result<()> {
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
+        Command::Profile(arguments) => profile::run(&arguments),
     }
 }
 

@@ -1,6 +1,6 @@
 //! `bench compare`: two result files, kernel by kernel.
 
-use super::schema::{Report, Run, SCHEMA, Spread};
+use super::schema::{KernelResult, Report, Run, SCHEMA, Spread};
 use ashsplat::{Error, Result};
 use serde_json::Value;
 use std::path::Path;
@@ -82,23 +82,30 @@ pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
     for (a, b) in a.runs.iter().zip(&b.runs) {
         check_workloads(a, b)?;
         let whole = |run: &Run| run.device_ms.unwrap_or(run.wall_ms).times(1e3);
-        let line = |scope: &str, kernel: &str, calls, a_us, b_us| Line {
+        lines.push(Line {
             run: a.name.clone(),
-            scope: scope.to_owned(),
-            kernel: kernel.to_owned(),
-            calls,
-            a_us,
-            b_us,
-        };
-        lines.push(line("", "all", 1, whole(a), whole(b)));
-        for kernel in &a.kernels {
-            let twin = b.kernels.iter().find(|k| (&k.scope, &k.kernel) == (&kernel.scope, &kernel.kernel));
-            if let (Some(a_us), Some(b_us)) = (kernel.time_us, twin.and_then(|k| k.time_us)) {
-                lines.push(line(&kernel.scope, &kernel.kernel, kernel.calls, a_us, b_us));
-            }
-        }
+            scope: String::new(),
+            kernel: "all".to_owned(),
+            calls: 1,
+            a_us: whole(a),
+            b_us: whole(b),
+        });
+        lines.extend(kernels(&a.name, &a.kernels, &b.kernels));
     }
     Ok(lines)
+}
+
+/// Pairs up the kernels of two measurements.
+pub fn kernels(run: &str, a: &[KernelResult], b: &[KernelResult]) -> Vec<Line> {
+    let mut lines = Vec::new();
+    for kernel in a {
+        let twin = b.iter().find(|k| (&k.scope, &k.kernel) == (&kernel.scope, &kernel.kernel));
+        if let (Some(a_us), Some(b_us)) = (kernel.time_us, twin.and_then(|k| k.time_us)) {
+            let (scope, name) = (kernel.scope.clone(), kernel.kernel.clone());
+            lines.push(Line { run: run.to_owned(), scope, kernel: name, calls: kernel.calls, a_us, b_us });
+        }
+    }
+    lines
 }
 
 fn check_workloads(a: &Run, b: &Run) -> Result<()> {

@@ -52,8 +52,8 @@ impl Job<'_> {
     }
 }
 
-/// A frame, read back.
-pub fn render(job: &Job) -> Result<Run> {
+/// A frame, read back, and how it was measured.
+pub fn render(job: &Job) -> Result<(Run, Measured)> {
     let mut renderer = Renderer::new(job.context)?;
     renderer.upload(&job.scene.gaussians)?;
     let settings = RenderSettings::default();
@@ -65,7 +65,7 @@ pub fn render(job: &Job) -> Result<Run> {
     let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
     let counts = job.counts(stats.visible, stats.instances, stats.gaussians)?;
     let workload = Workload { longest_tile: Some(stats.longest_tile), ..job.scene.workload(&settings) };
-    Ok(job.run("render", workload, &measured, counts))
+    Ok((job.run("render", workload, &measured, counts), measured))
 }
 
 /// Settings that make every step the same work: full SH degree, no densification.
@@ -104,8 +104,8 @@ pub fn reach_full_degree(trainer: &mut Trainer) -> Result<()> {
     Ok(())
 }
 
-/// A training step: forward, loss, backward, Adam.
-pub fn train_step(job: &Job) -> Result<Run> {
+/// A training step (forward, loss, backward, Adam), and how it was measured.
+pub fn train_step(job: &Job) -> Result<(Run, Measured)> {
     let mut trainer = trainer(job.context, job.scene, job.seed)?;
     reach_full_degree(&mut trainer)?;
     let mut report = StepReport::default();
@@ -118,5 +118,5 @@ pub fn train_step(job: &Job) -> Result<Run> {
     let counts =
         job.counts(report.visible, report.instances, count.saturating_add(count / 2).max(1 << 12))?;
     let workload = job.scene.workload(&trainer.render_settings());
-    Ok(job.run("train-step", workload, &measured, counts))
+    Ok((job.run("train-step", workload, &measured, counts), measured))
 }

@@ -16,6 +16,7 @@ pub struct Iterations {
 
 /// One timed iteration.
 pub struct Iteration {
+    pub begun: Instant,
     pub wall: Duration,
     pub submissions: Vec<Submission>,
 }
@@ -43,7 +44,12 @@ pub fn measure(
     }
     let mut measured = Measured { iterations: Vec::new(), cpu_seconds: None, cost: None };
     let (mut cpu, mut ratios) = (Some(0.0), Vec::new());
+    let profile = context.profile();
+    // Its own memory is not what is measured.
+    prepare()?;
+    iterate()?;
     for _ in 0..iterations.measured.max(1) {
+        context.set_profile(None);
         context.set_timestamps(false);
         prepare()?;
         let (begun, cpu_begun) = (Instant::now(), process_seconds());
@@ -52,12 +58,13 @@ pub fn measure(
         cpu = cpu.zip(cpu_begun).zip(process_seconds()).map(|((sum, before), now)| sum + now - before);
         context.set_timestamps(true);
         prepare()?;
-        let profile = context.profile();
+        context.set_profile(Some(&profile));
+        profile.take();
         let begun = Instant::now();
         iterate()?;
         let wall = begun.elapsed();
         ratios.push(wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
-        measured.iterations.push(Iteration { wall, submissions: profile.take() });
+        measured.iterations.push(Iteration { begun, wall, submissions: profile.take() });
     }
     measured.cpu_seconds = cpu.map(|sum| sum / f64::from(iterations.measured.max(1)));
     measured.cost = Spread::of(ratios);
@@ -159,7 +166,8 @@ impl Measured {
     }
 }
 
-fn commands(iteration: &Iteration) -> impl Iterator<Item = &ashsplat::vk::CommandRecord> {
+/// All commands of an iteration.
+pub fn commands(iteration: &Iteration) -> impl Iterator<Item = &ashsplat::vk::CommandRecord> {
     iteration.submissions.iter().flat_map(|submission| &submission.commands)
 }
 

@@ -48,13 +48,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let measure = |arguments: SceneArguments, iterations: Iterations| -> Result<Run> {
         let scene = arguments.load(false)?;
         let seed = arguments.seed;
-        frames::render(&frames::Job {
-            context: &context,
-            iterations,
-            copy: copy.as_ref(),
-            scene: &scene,
-            seed,
-        })
+        let job = frames::Job { context: &context, iterations, copy: copy.as_ref(), scene: &scene, seed };
+        Ok(frames::render(&job)?.0)
     };
     let (mut by_count, mut by_pixels): (Sweep, Sweep) = (Vec::new(), Vec::new());
     let base = &arguments.run.scene;

@@ -1,0 +1,206 @@
+//! `ashsplat profile`, run as its users run it.
+
+use crate::cli::{refuse, succeed, text};
+use serde_json::Value;
+use tempfile::tempdir;
+
+/// A workload that takes no time.
+const SMALL: [&str; 10] =
+    ["--gaussians", "300", "--width", "80", "--height", "48", "--frames", "3", "--warmup", "1"];
+
+fn profile(arguments: &[&str]) -> String {
+    succeed(&[&["profile"], arguments, &SMALL[..]].concat())
+}
+
+#[test]
+fn profile_prints_a_table_of_one_kernel_or_folder() {
+    let all = profile(&[]);
+    assert!(all.contains("forward/blend") && all.contains("sort/sort_scatter"), "{all}");
+    let sorts = profile(&["--kernel", "sort"]);
+    assert!(!sorts.contains("forward/blend") && sorts.contains("sort/sort_scatter"), "{sorts}");
+    let steps = profile(&["train-step", "--kernel", "optimizer/adam"]);
+    assert!(steps.contains("adam") && !steps.contains("sort/sort_scatter"), "{steps}");
+}
+
+#[test]
+fn profile_page_stands_alone() {
+    let folder = tempdir().expect("a temporary folder");
+    let html = folder.path().join("page.html");
+    profile(&["--html", text(&html)]);
+    let page = std::fs::read_to_string(&html).expect("a page");
+    assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
+    for part in ["Timeline", "Stages", "Kernels", "History", "Memory", "Tiles", "Histograms", "tile sort"] {
+        assert!(page.contains(part), "no '{part}'");
+    }
+    assert_eq!(page.matches("data:image/png;base64,").count(), 3);
+    for outside in ["http://", "https://", "src=\"/", "@import", "url("] {
+        assert!(!page.contains(outside), "the page needs '{outside}'");
+    }
+    assert_eq!(page.matches("<svg").count(), page.matches("</svg>").count());
+    assert!(!page.contains("NaN") && !page.contains("inf"), "numbers are finite");
+}
+
+#[test]
+fn profile_trace_nests_and_keeps_one_clock() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("trace.json");
+    profile(&["--trace", text(&path)]);
+    let trace: Value = serde_json::from_str(&std::fs::read_to_string(&path).expect("a trace")).expect("JSON");
+    assert!(trace["otherData"]["clock"].is_string());
+    let events = trace["traceEvents"].as_array().expect("events");
+    let number = |event: &Value, field: &str| event[field].as_f64().unwrap_or_else(|| panic!("{event}"));
+    for event in events {
+        assert!(event["name"].is_string() && event["pid"].is_u64() && event["tid"].is_u64(), "{event}");
+        assert!(["X", "M", "s", "f"].contains(&event["ph"].as_str().expect("a phase")), "{event}");
+    }
+    for process in [1, 2] {
+        let own = |event: &&Value| event["ph"] == "X" && event["pid"] == process;
+        let mut spans: Vec<(f64, f64)> =
+            events.iter().filter(own).map(|e| (number(e, "ts"), number(e, "dur"))).collect();
+        assert!(spans.len() > 9, "process {process}");
+        assert!(spans.iter().all(|(begin, duration)| *begin >= 0.0 && *duration >= 0.0));
+        spans.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.total_cmp(&a.1)));
+        let mut open: Vec<f64> = Vec::new();
+        for (begin, duration) in spans {
+            open.retain(|end| *end > begin + 0.002);
+            let inside = open.last().is_none_or(|end| begin + duration <= end + 0.01);
+            assert!(inside, "process {process}: a span crosses another's end at {begin} µs");
+            open.push(begin + duration);
+        }
+    }
+    // Three iterations on the host, each with the device's work inside of it.
+    assert_eq!(events.iter().filter(|e| e["cat"] == "iteration").count(), 3);
+    assert_eq!(events.iter().filter(|e| e["name"] == "forward/blend").count(), 3);
+    assert_eq!(
+        events.iter().filter(|e| e["ph"] == "s").count(),
+        events.iter().filter(|e| e["ph"] == "f").count()
+    );
+}
+
+#[test]
+fn profile_compares_two_settings() {
+    let table = profile(&["--ab", "sort.ITEMS=8", "-"]);
+    assert!(table.contains("A: sort.ITEMS=8   B: -"), "{table}");
+    assert!(table.contains("wall") && table.contains("largest difference of the pictures: 0"), "{table}");
+    let other = profile(&["--ab", "-", "forward/project.SH_DEGREE=0"]);
+    let last = other.lines().last().expect("a line");
+    let difference: f32 = last.rsplit(' ').next().and_then(|n| n.parse().ok()).expect("a number");
+    assert!(difference > 0.0, "{last}");
+}
+
+#[test]
+fn profile_dumps_modules_with_their_instructions() {
+    let folder = tempdir().expect("a temporary folder");
+    let table = succeed(&["profile", "--dump", text(folder.path())]);
+    assert!(
+        table.lines().next().is_some_and(|head| head.contains("subgroup") && head.contains("transcend."))
+    );
+    let line = table.lines().find(|line| line.starts_with("sort/sort_scatter")).expect("its line");
+    let numbers: Vec<u32> = line.split_whitespace().skip(1).filter_map(|n| n.parse().ok()).collect();
+    assert!(numbers.len() == 9 && numbers[0] > 100 && numbers[1] > 10, "{line}");
+    let module = std::fs::read(folder.path().join("sort/sort_scatter.spv")).expect("a module");
+    assert_eq!(module[..4], 0x0723_0203u32.to_le_bytes());
+    assert_eq!(module.len(), 4 * numbers[0] as usize);
+    assert!(folder.path().join("instructions.txt").is_file());
+}
+
+#[test]
+fn profile_lists_what_exists_when_a_name_is_wrong() {
+    refuse(&["profile", "--kernel", "sorting"], &["sorting", "sort/sort_scatter"]);
+    refuse(&["profile", "--spec", "sort.WHAT=1"], &["WHAT", "ITEMS", "WORKGROUP_SIZE"]);
+    refuse(&["profile", "--spec", "sorting.ITEMS=1"], &["sorting", "sort/sort_scatter"]);
+    refuse(&["profile", "--spec", "sort.ITEMS=x"], &["'x'"]);
+    refuse(&["profile", "--ab", "-", "sort.WHAT=1"], &["WHAT"]);
+}
+
+#[cfg(not(feature = "hot-reload"))]
+#[test]
+fn profile_says_how_to_get_hot_reload() {
+    refuse(&["profile", "--watch", "--gaussians", "10"], &["--features hot-reload"]);
+}
+
+#[cfg(feature = "hot-reload")]
+mod hot_reload {
+    use super::{SMALL, profile};
+    use crate::cli::{finish, program, text};
+    use std::fs;
+    use std::path::{Path, PathBuf};
+    use std::process::Stdio;
+    use std::time::Duration;
+    use tempfile::tempdir;
+
+    /// A copy of all shaders that may be edited.
+    fn shaders(folder: &Path) -> PathBuf {
+        fn copy(from: &Path, to: &Path) {
+            fs::create_dir_all(to).expect("a folder");
+            for entry in fs::read_dir(from).expect("shaders") {
+                let entry = entry.expect("an entry");
+                let target = to.join(entry.file_name());
+                if entry.path().is_dir() {
+                    copy(&entry.path(), &target)
+                } else {
+                    drop(fs::copy(entry.path(), target))
+                }
+            }
+        }
+        let glsl = folder.join("glsl");
+        copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("glsl"), &glsl);
+        glsl
+    }
+
+    fn edit(file: &Path, from: &str, to: &str) {
+        let text = fs::read_to_string(file).expect("a shader");
+        assert!(text.contains(from), "no '{from}' in {}", file.display());
+        fs::write(file, text.replacen(from, to, 1)).expect("written");
+    }
+
+    #[test]
+    fn profile_watch_shows_an_edit_and_survives_a_broken_one() {
+        let folder = tempdir().expect("a temporary folder");
+        let glsl = shaders(folder.path());
+        let mut command = program();
+        command.args(["profile", "--watch", "--watch-for", "7", "--glsl", text(&glsl)]).args(SMALL);
+        let child =
+            command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
+        let pause = || std::thread::sleep(Duration::from_millis(1800));
+        pause();
+        edit(&glsl.join("include/sh.glsl"), "const float SH_C0 = 0.28", "const float SH_C0 = 0.18");
+        pause();
+        edit(&glsl.join("sort/sort_count.comp"), "void main() {", "void main( {");
+        let output = child.wait_with_output().expect("it ends");
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+        assert!(said.contains("changed: ") && said.contains("forward/project"), "{said}");
+        let difference = said.lines().find_map(|l| l.strip_prefix("largest difference of the pictures: "));
+        assert!(difference.and_then(|d| d.parse().ok()).is_some_and(|d: f32| d > 0.01), "{said}");
+        assert!(
+            said.contains("glsl/sort/sort_count.comp:") && said.contains("the old kernels stay"),
+            "{said}"
+        );
+    }
+
+    #[test]
+    fn profile_takes_edited_shaders_and_what_they_print() {
+        let folder = tempdir().expect("a temporary folder");
+        let glsl = shaders(folder.path());
+        let ranges = glsl.join("forward/ranges.comp");
+        edit(&ranges, "#version 460\n", "#version 460\n#extension GL_EXT_debug_printf : enable\n");
+        let print =
+            "void main() {\n    if (gl_GlobalInvocationID.x == 0u) debugPrintfEXT(\"first of %u\", 7u);";
+        edit(&ranges, "void main() {", print);
+        let mut arguments = vec!["--glsl", text(&glsl), "--kernel", "forward/ranges"];
+        if ashsplat::vk::validation_available() {
+            arguments.push("--printf");
+        }
+        let said = profile(&arguments);
+        assert_eq!(said.contains("printf: first of 7"), ashsplat::vk::validation_available(), "{said}");
+        // Another interface needs another program.
+        edit(&ranges, "void main() {", "layout(constant_id = 9) const uint NEW = 1;\nvoid main() {");
+        let run = finish(program().args(["profile", "--glsl", text(&glsl)]).args(SMALL));
+        assert!(
+            run.code == Some(2) && run.stderr.contains("specialization constants changed"),
+            "{}",
+            run.stderr
+        );
+    }
+}

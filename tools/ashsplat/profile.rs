@@ -1,0 +1,174 @@
+//! `ashsplat profile`: one frame or one training step under the magnifying glass.
+
+mod ab;
+mod dump;
+mod page;
+mod spec;
+mod subject;
+mod trace;
+mod watch;
+
+use crate::args::DeviceArguments;
+use crate::bench::measure::{self, Iterations};
+use crate::bench::workload::SceneArguments;
+use crate::bench::{self, frames, table};
+use crate::output;
+use ashsplat::vk::{Context, SpecOverride};
+use ashsplat::{Error, Result};
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+/// Profile one frame or one training step, kernel by kernel.
+///
+/// Without further options, a table. Settings of shaders are tried with --spec and --ab; with the cargo feature
+/// hot-reload, --watch compiles edited shaders again while it runs.
+#[derive(Args)]
+pub struct Arguments {
+    /// What to profile
+    #[arg(value_enum, default_value = "render")]
+    what: What,
+    #[command(flatten)]
+    scene: SceneArguments,
+    /// Measured iterations
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    frames: u32,
+    /// Iterations before them that do not count
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    warmup: u32,
+    /// Show only this kernel, "sort/sort_scatter", or those of this folder, "sort"
+    #[arg(long, value_name = "NAME")]
+    kernel: Option<String>,
+    /// Write one self-contained page here: timeline, stages, history, memory, tiles, histograms
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    /// Write a trace here that Perfetto (ui.perfetto.dev) and chrome://tracing open
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
+    /// Another value for a specialization constant, for one kernel, a folder of kernels or all; may be repeated
+    #[arg(long, value_name = "[KERNEL.]NAME=VALUE")]
+    spec: Vec<String>,
+    /// Time two settings in turn: each a list of settings as for --spec, separated by commas; "-" is none
+    #[arg(long, num_args = 2, value_names = ["A", "B"], allow_hyphen_values = true, conflicts_with_all = ["html", "trace", "watch"])]
+    ab: Option<Vec<String>>,
+    /// Write each kernel's SPIR-V below this folder, with counts of its instructions by class
+    #[arg(long, value_name = "DIR")]
+    dump: Option<PathBuf>,
+    /// Compile edited shaders again while running, and show what changed (feature hot-reload); Ctrl-C ends it
+    #[arg(long)]
+    watch: bool,
+    /// Folder of the shaders for --watch and for kernels that differ from the program's own (feature hot-reload)
+    #[arg(long, value_name = "DIR")]
+    glsl: Option<PathBuf>,
+    /// End --watch after so many seconds
+    #[arg(long, value_name = "SECONDS", requires = "watch")]
+    watch_for: Option<f64>,
+    /// Pass on what shaders print with debugPrintfEXT (needs the Khronos validation layer)
+    #[arg(long)]
+    printf: bool,
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+/// What is profiled.
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+pub enum What {
+    /// A frame
+    Render,
+    /// A training step
+    TrainStep,
+}
+
+impl What {
+    /// As on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Render => "render",
+            Self::TrainStep => "train-step",
+        }
+    }
+}
+
+impl Arguments {
+    fn overrides(&self) -> Result<Vec<SpecOverride>> {
+        self.spec.iter().map(|text| spec::parse(text)).collect()
+    }
+}
+
+/// Opens the device with other constants, and with edited shaders if a folder of them was given.
+fn open(arguments: &Arguments, overrides: &[SpecOverride]) -> Result<Context> {
+    let context = arguments.device.context_with(|options| {
+        options.debug_printf = arguments.printf;
+        spec::apply(options, overrides);
+    })?;
+    if let Some(glsl) = &arguments.glsl {
+        watch::take_over(&context, glsl)?;
+    }
+    Ok(context)
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let overrides = arguments.overrides()?;
+    check_kernel(arguments.kernel.as_deref())?;
+    if let Some(folder) = &arguments.dump {
+        say!("{}", dump::dump(folder)?.trim_end());
+        return Ok(());
+    }
+    let scene = arguments.scene.load(arguments.what == What::TrainStep)?;
+    if let Some(settings) = &arguments.ab {
+        return ab::run(arguments, settings, &scene);
+    }
+    let context = open(arguments, &overrides)?;
+    if arguments.watch {
+        return watch::run(arguments, &context, &scene);
+    }
+    let copy = measure::copy_bandwidth(&context)?;
+    let iterations = Iterations { measured: arguments.frames, warmup: arguments.warmup };
+    let seed = arguments.scene.seed;
+    let job = frames::Job { context: &context, iterations, copy: copy.as_ref(), scene: &scene, seed };
+    let (mut run, measured) = match arguments.what {
+        What::Render => frames::render(&job)?,
+        What::TrainStep => frames::train_step(&job)?,
+    };
+    if let Some(path) = &arguments.trace {
+        output::write_json(path, &trace::trace(context.device_name(), &measured.iterations))?;
+    }
+    if let Some(path) = &arguments.html {
+        let page = page::page(&context, &scene, &run, &measured)?;
+        output::write_text(path, &page)?;
+    }
+    if let Some(name) = &arguments.kernel {
+        run.kernels.retain(|k| k.kernel == *name || k.kernel.starts_with(&format!("{name}/")));
+    }
+    let report = bench::assemble(&context, iterations, seed, (copy, vec![run]));
+    say!("{}", table::render(&report).trim_end());
+    print_messages(&context);
+    arguments.device.report_validation(&context);
+    Ok(())
+}
+
+/// A kernel or folder that does not exist is refused with those that do.
+fn check_kernel(name: Option<&str>) -> Result<()> {
+    let Some(name) = name else { return Ok(()) };
+    let known = spec::kernels();
+    if known.iter().any(|k| *k == name || k.starts_with(&format!("{name}/"))) {
+        return Ok(());
+    }
+    let problem = format!("there is no such kernel or folder; there are: {}", known.join(", "));
+    Err(Error::argument(format!("--kernel {name}"), problem))
+}
+
+/// What shaders printed; a line that comes again and again is shown once with its number.
+fn print_messages(context: &Context) {
+    let mut counted: Vec<(String, usize)> = Vec::new();
+    for message in context.printed() {
+        match counted.iter_mut().find(|(seen, _)| *seen == message) {
+            Some((_, count)) => *count += 1,
+            None => counted.push((message, 1)),
+        }
+    }
+    for (message, count) in counted {
+        let times = if count == 1 { String::new() } else { format!("   ({count} times)") };
+        say!("printf: {message}{times}");
+    }
+}

@@ -1,0 +1,49 @@
+//! `--ab A B`: two settings of specialization constants in turn, on the same machine at the same time.
+
+use super::Arguments;
+use super::subject::{Subject, largest_difference, measured};
+use super::{open, spec};
+use crate::bench::compare::{self, Line};
+use crate::bench::traffic::Traffic;
+use crate::bench::workload::Scene;
+use ashsplat::Result;
+
+/// Measures both and prints B's times over A's.
+pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<()> {
+    let [a, b] = settings else { return Ok(()) };
+    let with = |more: &str| -> Result<_> {
+        let mut overrides = arguments.overrides()?;
+        overrides.extend(spec::parse_list(more)?);
+        Ok(overrides)
+    };
+    let (with_a, with_b) = (with(a)?, with(b)?);
+    let contexts = [open(arguments, &with_a)?, open(arguments, &with_b)?];
+    let subject = |index: usize| Subject::new(&contexts[index], scene, arguments.what, arguments.scene.seed);
+    let mut subjects = [subject(0)?, subject(1)?];
+    for subject in &mut subjects {
+        subject.warm_up(arguments.warmup)?;
+    }
+    let mut iterations = [Vec::new(), Vec::new()];
+    for _ in 0..arguments.frames {
+        for (subject, iterations) in subjects.iter_mut().zip(&mut iterations) {
+            iterations.push(subject.timed()?);
+        }
+    }
+    let [first, second] = &mut subjects;
+    let difference = largest_difference(&first.picture()?, &second.picture()?);
+    let measured = iterations.map(measured);
+    let kernels = [0, 1].map(|i: usize| measured[i].kernels(&Traffic::bound(), None));
+    let mut lines = vec![Line {
+        run: arguments.what.name().to_owned(),
+        scope: String::new(),
+        kernel: "wall".to_owned(),
+        calls: 1,
+        a_us: measured[0].wall_ms().times(1e3),
+        b_us: measured[1].wall_ms().times(1e3),
+    }];
+    lines.extend(compare::kernels(arguments.what.name(), &kernels[0], &kernels[1]));
+    say!("A: {a}   B: {b}   {} iterations each, in turn", arguments.frames);
+    say!("{}", compare::table(&lines).trim_end());
+    say!("largest difference of the pictures: {difference}");
+    Ok(())
+}

@@ -1,0 +1,147 @@
+//! `--spec [KERNEL.]NAME=VALUE`: other values for specialization constants.
+
+use ashsplat::kernels::visit_all;
+use ashsplat::vk::{ConstantKind, ContextOptions, KernelInterface, KernelVisitor, SpecOverride};
+use ashsplat::{Error, Result};
+
+/// A constant of one kernel.
+struct Constant {
+    kernel: &'static str,
+    name: &'static str,
+    kind: ConstantKind,
+}
+
+/// All constants of all kernels.
+#[derive(Default)]
+struct Constants(Vec<Constant>);
+
+impl KernelVisitor for Constants {
+    fn visit<K: KernelInterface>(&mut self) {
+        let own = K::CONSTANTS.iter().map(|c| Constant { kernel: K::NAME, name: c.name, kind: c.kind });
+        self.0.extend(own);
+    }
+}
+
+/// The names of all kernels.
+pub fn kernels() -> Vec<&'static str> {
+    struct Names(Vec<&'static str>);
+    impl KernelVisitor for Names {
+        fn visit<K: KernelInterface>(&mut self) {
+            self.0.push(K::NAME);
+        }
+    }
+    let mut names = Names(Vec::new());
+    visit_all(&mut names);
+    names.0
+}
+
+/// A list of settings, separated by commas; "-" is none.
+pub fn parse_list(text: &str) -> Result<Vec<SpecOverride>> {
+    match text.trim() {
+        "-" | "" => Ok(Vec::new()),
+        text => text.split(',').map(|setting| parse(setting.trim())).collect(),
+    }
+}
+
+/// One setting, "backward/project_backward.LANE_SLOTS=32", "sort.ITEMS=8" or "WORKGROUP_SIZE=128".
+pub fn parse(text: &str) -> Result<SpecOverride> {
+    let argument = |problem: String| Error::argument(format!("--spec {text}"), problem);
+    let Some((place, value)) = text.split_once('=') else {
+        return Err(argument("expected [KERNEL.]NAME=VALUE".into()));
+    };
+    let (kernel, name) = place.rsplit_once('.').unwrap_or(("", place));
+    let mut all = Constants::default();
+    visit_all(&mut all);
+    let of_kernel = |c: &&Constant| {
+        kernel.is_empty()
+            || c.kernel == kernel
+            || c.kernel.strip_prefix(kernel).is_some_and(|r| r.starts_with('/'))
+    };
+    if !kernels().iter().any(|k| *k == kernel || k.strip_prefix(kernel).is_some_and(|r| r.starts_with('/')))
+        && !kernel.is_empty()
+    {
+        let known = kernels().join(", ");
+        return Err(argument(format!("there is no kernel or folder '{kernel}'; there are: {known}")));
+    }
+    let Some(constant) = all.0.iter().filter(of_kernel).find(|c| c.name == name) else {
+        let mut names: Vec<&str> = all.0.iter().filter(of_kernel).map(|c| c.name).collect();
+        names.sort_unstable();
+        names.dedup();
+        let whose = if kernel.is_empty() { "any kernel".to_owned() } else { kernel.to_owned() };
+        return Err(argument(format!("no constant '{name}' in {whose}; there are: {}", names.join(", "))));
+    };
+    let bits =
+        bits(constant.kind, value).ok_or_else(|| argument(format!("'{value}' is no {:?}", constant.kind)))?;
+    check_place(kernel, name).map_err(argument)?;
+    Ok(SpecOverride { kernel: kernel.to_owned(), constant: name.to_owned(), bits })
+}
+
+fn bits(kind: ConstantKind, value: &str) -> Option<u32> {
+    match kind {
+        ConstantKind::Uint => value.parse().ok(),
+        ConstantKind::Int => value.parse::<i32>().ok().map(|v| v as u32),
+        ConstantKind::Float => value.parse::<f32>().ok().map(f32::to_bits),
+        ConstantKind::Bool => match value {
+            "true" | "1" => Some(1),
+            "false" | "0" => Some(0),
+            _ => None,
+        },
+    }
+}
+
+/// Sizes that the host counts workgroups with hold for all kernels that share them.
+fn check_place(kernel: &str, name: &str) -> Result<(), String> {
+    let shared: &[&str] = match name {
+        "WORKGROUP_SIZE" => &["", "sort", "loss"],
+        "SUBGROUP_SIZE" => &[""],
+        "ITEMS" => &["sort", "scan"],
+        "STRIP" => &["loss"],
+        _ => return Ok(()),
+    };
+    if shared.contains(&kernel) {
+        return Ok(());
+    }
+    let forms: Vec<String> = shared
+        .iter()
+        .map(|folder| if folder.is_empty() { name.to_owned() } else { format!("{folder}.{name}") })
+        .collect();
+    Err(format!("kernels share this size with the host; it can be set as {}", forms.join(", ")))
+}
+
+/// Puts settings into a device's options.
+pub fn apply(options: &mut ContextOptions, overrides: &[SpecOverride]) {
+    for o in overrides {
+        if o.constant == "SUBGROUP_SIZE" {
+            options.subgroup_size = Some(o.bits);
+        }
+    }
+    options.overrides = overrides.to_vec();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_are_read() {
+        let read =
+            |text: &str| parse(text).map(|o| (o.kernel, o.constant, o.bits)).map_err(|e| e.to_string());
+        assert_eq!(read("sort.ITEMS=8"), Ok(("sort".into(), "ITEMS".into(), 8)));
+        assert_eq!(read("WORKGROUP_SIZE=128"), Ok((String::new(), "WORKGROUP_SIZE".into(), 128)));
+        let lanes = read("backward/project_backward.LANE_SLOTS=32").expect("a constant");
+        assert_eq!(lanes, ("backward/project_backward".into(), "LANE_SLOTS".into(), 32));
+        assert_eq!(read("optimizer.SPARSE=true").expect("a constant").2, 1);
+        assert_eq!(parse_list("sort.ITEMS=8, scan.ITEMS=2").map(|list| list.len()).ok(), Some(2));
+        assert_eq!(parse_list("-").map(|list| list.len()).ok(), Some(0));
+    }
+
+    #[test]
+    fn mistakes_list_what_there_is() {
+        let error = |text: &str| parse(text).expect_err("a mistake").to_string();
+        assert!(error("sorting.ITEMS=8").contains("sort/sort_scatter"));
+        assert!(error("sort.ITEM=8").contains("ITEMS, SUBGROUP_SIZE"), "{}", error("sort.ITEM=8"));
+        assert!(error("sort.ITEMS=many").contains("Uint"));
+        assert!(error("sort.ITEMS").contains("=VALUE"));
+        assert!(error("sort/sort_count.ITEMS=8").contains("sort.ITEMS, scan.ITEMS"));
+    }
+}
