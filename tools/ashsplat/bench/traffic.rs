@@ -74,7 +74,7 @@ impl Traffic {
     pub fn of(&self, command: &CommandRecord, first: bool) -> (u64, u64) {
         let made_up = |b: &BoundBuffer| first && command.name == "sort/sort_scatter" && b.role == "values";
         // Blending reads its outputs only where a tile takes several passes.
-        let outputs_only = first && command.name == "forward/blend";
+        let outputs_only = first && command.name.starts_with("forward/blend");
         let (mut read, mut written) = (0, 0);
         for buffer in command.buffers.iter().filter(|buffer| !made_up(buffer)) {
             let bytes = self.touched(command, buffer);
