@@ -2,7 +2,7 @@
 
 use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW, STATE_WORDS};
 
-use crate::common::blending::forward;
+use crate::common::blending::{forward, forward_passes};
 use crate::common::compare::{PixelTolerance, pixels};
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::small_view;
@@ -99,5 +99,21 @@ fn blend_in_passes_equals_blend_at_once() {
             );
             assert!(equal(&at_once.last_entries, &passes.last_entries, count), "{entries_per_pass} per pass");
         }
+    }
+}
+
+/// A tile that no pass finishes makes the frame invalid: said, so that it is run again with more passes.
+#[test]
+fn blend_reports_tiles_that_no_pass_finishes() {
+    let gpu = Gpu::new();
+    let lists = Lists::long(&gpu, 100, [0.02, 0.6], &small_view([37, 21]));
+    // The state is never cleared here, so the sufficient number comes first.
+    for (passes, overflow) in [(4, 0), (3, 1)] {
+        forward_passes(&gpu, &lists, true, [25, passes]);
+        assert_eq!(
+            gpu.read::<u32>(&lists.state, STATE_WORDS as usize)[STATE_OVERFLOW as usize],
+            overflow,
+            "{passes} passes"
+        );
     }
 }
