@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use ashsplat::RenderSettings;
 use libtest_mimic::Trial;
 
 use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
@@ -53,7 +54,10 @@ fn forward(file: &SetFile, extent: Extent) -> Result<(), String> {
     let view = set.view_with(extent);
     let mut renderer = renderer();
     renderer.upload(&gaussians(&set.gaussians)).map_err(|e| e.to_string())?;
-    let frame = renderer.render(&camera(&view), &settings(&view)).map_err(|e| e.to_string())?;
+    // Both variants of the kernel: with the inverse depth where there is one to compare with.
+    let inverse_depth = set.results(extent).has("inv_depth");
+    let settings = RenderSettings { inverse_depth, ..settings(&view) };
+    let frame = renderer.render(&camera(&view), &settings).map_err(|e| e.to_string())?;
     drop(renderer);
     let single = |values: &[f32]| values.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
     let picture = Picture {
@@ -92,8 +96,11 @@ fn gradients(file: &SetFile, extent: Extent) -> Result<(), String> {
     let inverse_depth: Vec<f32> = inverse_depth.iter().map(|&x| x as f32).collect();
     let mut renderer = renderer();
     renderer.upload(&gaussians(&set.gaussians)).map_err(|e| e.to_string())?;
+    // Both variants of the kernels: with the inverse depth where it has a gradient.
+    let inverse_depth = set.results(extent).has("Gd").then_some(inverse_depth);
+    let settings = RenderSettings { inverse_depth: inverse_depth.is_some(), ..settings(&view) };
     let gradients = renderer
-        .gradients(&camera(&view), &settings(&view), &color, Some(&inverse_depth))
+        .gradients(&camera(&view), &settings, &color, inverse_depth.as_deref())
         .map_err(|e| e.to_string())?;
     drop(renderer);
     let parameters = gradients.parameters;
