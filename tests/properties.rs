@@ -67,7 +67,7 @@ fn unstable(case: &Case, scene: &[Gaussian], frame: &Frame) -> Vec<bool> {
 }
 
 fn check(case: &Case) -> Result<(), String> {
-    let gpu = Gpu::new();
+    let _gpu = Gpu::new();
     let view = &case.view;
     let mut random = Random::new(case.seed);
     let scene = mixed_scene(&mut random, case.count, 16);

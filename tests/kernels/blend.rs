@@ -1,8 +1,9 @@
 //! `forward/blend` against its twin.
 
 use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW, STATE_WORDS};
+use ashsplat::kernels::forward::blend::{Bind, Interface, Push, Spec};
 
-use crate::common::blending::{forward, forward_passes};
+use crate::common::blending::forward;
 use crate::common::compare::{PixelTolerance, pixels};
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::small_view;
@@ -106,14 +107,39 @@ fn blend_in_passes_equals_blend_at_once() {
 #[test]
 fn blend_reports_tiles_that_no_pass_finishes() {
     let gpu = Gpu::new();
+    let subgroup_size = gpu.subgroup();
+    let workgroup_size = subgroup_size * if subgroup_size <= 64 { 4 } else { 2 };
+    let kernel = gpu.kernel::<Interface>(&Spec { workgroup_size, subgroup_size, inverse_depth: false });
     let lists = Lists::long(&gpu, 100, [0.02, 0.6], &small_view([37, 21]));
-    // The state is never cleared here, so the sufficient number comes first.
-    for (passes, overflow) in [(4, 0), (3, 1)] {
-        forward_passes(&gpu, &lists, true, [25, passes]);
-        assert_eq!(
-            gpu.read::<u32>(&lists.state, STATE_WORDS as usize)[STATE_OVERFLOW as usize],
-            overflow,
-            "{passes} passes"
-        );
+    let pixels = lists.view.pixels();
+    let accumulated = gpu.zeros::<[f32; 4]>("accumulated", pixels);
+    let inverse_depth = gpu.zeros::<f32>("inverse_depth", pixels);
+    let last_entries = gpu.zeros::<u32>("last_entries", pixels);
+    let bind = Bind {
+        tile_ranges: &lists.tile_ranges,
+        sorted_visible: &lists.sorted_visible,
+        mean2d_extent: &lists.frame.mean2d_extent,
+        conic_opacity: &lists.frame.conic_opacity,
+        color_inverse_depth: &lists.frame.color_inverse_depth,
+        accumulated: &accumulated,
+        inverse_depth: &inverse_depth,
+        last_entries: &last_entries,
+        state: &lists.state,
+    };
+    let [tiles_per_row, rows] = lists.view.tiles();
+    // Whether the last pass ends within the lists, at their end, or another follows.
+    for (max_entries, last_pass, overflow) in [(99, 0, 0), (100, 1, 0), (99, 1, 1)] {
+        let push = Push {
+            image_width: lists.view.size_px[0],
+            image_height: lists.view.size_px[1],
+            tiles_per_row,
+            tile_count: tiles_per_row * rows,
+            first_entry: 0,
+            max_entries,
+            last_pass,
+        };
+        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows)));
+        let state = gpu.read::<u32>(&lists.state, STATE_WORDS as usize);
+        assert_eq!(state[STATE_OVERFLOW as usize], overflow, "{max_entries} entries, last pass {last_pass}");
     }
 }
