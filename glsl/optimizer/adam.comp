@@ -97,7 +97,8 @@ void main() {
     // The direction is that of the forward pass: it needs the mean from before this step.
     vec3 mean = parameters[PLANE_MEAN_OPACITY * stride + index].xyz;
     float basis[16];
-    sh_basis(normalize(mean - camera_position), basis);
+    // Outside the view the colour has no gradient, but a Gaussian at the camera has no direction: NaN times 0 is NaN.
+    sh_basis(seen ? normalize(mean - camera_position) : vec3(0.0), basis);
 
     vec4 bias = vec4(inverse_bias_2);
     update(PLANE_MEAN_OPACITY, index, d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),

@@ -143,3 +143,24 @@ fn adam_changes_nothing_after_an_overflow() {
     assert_eq!(skipped, 0);
     assert!(state.download() == before);
 }
+
+/// Where no direction exists, none is needed: a Gaussian at the camera is never seen.
+#[test]
+fn adam_leaves_a_gaussian_at_the_camera_finite() {
+    let gpu = Gpu::new();
+    let mut random = Random::new(4);
+    for sh_degree in 0..=3 {
+        let mut gaussians = mixed_scene(&mut random, 3, 16);
+        gaussians[1].mean = CAMERA;
+        let state = AdamState::new(&gpu, &gaussians, sh_degree, false);
+        let before = state.download();
+        let mut gradients = random_gradients(&mut random, 3);
+        gradients[1] = None;
+        let skipped =
+            state.step(&gradients, &Step { rates: RATES, count: 1, camera_position: CAMERA }, false);
+        assert_eq!(skipped, 0);
+        let after = state.download();
+        assert!(after.iter().zip(&before).all(|(after, before)| after[1] == before[1]), "degree {sh_degree}");
+        assert!(after[0][0] != before[0][0], "the others take their step");
+    }
+}
