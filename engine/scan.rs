@@ -20,7 +20,8 @@ pub struct Scan {
 /// What a prefix sum works on.
 #[derive(Clone, Copy)]
 pub struct ScanBuffers<'a> {
-    /// Where counts are: the number of values is `counts[count_index]`, the total goes to `counts[total_index]`.
+    /// Where counts are: the number of values is `counts[count_index]`, the total goes to `counts[total_index]`
+    /// (`u32::MAX` where it needs more bits, provided the sum of each block does not).
     pub counts: &'a Buffer,
     /// See `counts`.
     pub count_index: u32,

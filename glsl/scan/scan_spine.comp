@@ -2,7 +2,8 @@
 //
 // invocation: one block sum at a time; workgroup: walks over all of them with a carry
 // in/out: block_sums[first_sum ..][m], m = ceil(n / block_size); n = count, or totals[count] when from_totals is set
-// out: totals[total_index] = the sum of all
+// out: totals[total_index] = the sum of all, or 0xFFFFFFFF where that needs more than 32 bits: a count that wrapped
+//     around would pass for a small one
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -32,17 +33,23 @@ void main() {
     uint n = from_totals != 0 ? totals[count] : count;
     uint blocks = n / block_size + (n % block_size != 0 ? 1 : 0);
     uint carry = 0;
+    bool saturated = false;
     for (uint first = 0; first < blocks; first += WORKGROUP_SIZE) {
         uint index = first + gl_LocalInvocationID.x;
         uint value = index < blocks ? block_sums[first_sum + (index < blocks ? index : 0)] : 0;
-        uint total;
-        uint exclusive = workgroup_exclusive_add(value, total);
+        // In halves, whose sums cannot wrap.
+        uint low_total;
+        uint high_total;
+        uint low = workgroup_exclusive_add(value & 0xFFFF, low_total);
+        uint high = workgroup_exclusive_add(value >> 16, high_total);
         if (index < blocks) {
-            block_sums[first_sum + index] = carry + exclusive;
+            block_sums[first_sum + index] = carry + (high << 16) + low;
         }
-        carry += total;
+        uint next = carry + (high_total << 16) + low_total;
+        saturated = saturated || high_total + (low_total >> 16) > 0xFFFF || next < carry;
+        carry = next;
     }
     if (gl_LocalInvocationID.x == 0) {
-        totals[total_index] = carry;
+        totals[total_index] = saturated ? 0xFFFFFFFF : carry;
     }
 }

@@ -15,7 +15,8 @@ fn scan_spine_equals_its_twin() {
     for size in sizes(spec.workgroup_size as usize) {
         for from_totals in [0, 1] {
             let mut random = Random::new(size as u64);
-            let sums: Vec<u32> = (0..size).map(|_| random.bits() as u32).collect();
+            // With few sums the total fits into 32 bits, with many it saturates.
+            let sums: Vec<u32> = (0..size).map(|_| random.below(1 << 27)).collect();
             // The last block is not full.
             let values = if size == 0 { 0 } else { size as u32 * block_size - 5 };
             // The sums start behind three words of something else.
@@ -37,5 +38,28 @@ fn scan_spine_equals_its_twin() {
             assert_eq!(gpu.read::<u32>(&input, size + 5), expected, "size {size}");
             assert_eq!(gpu.read::<u32>(&totals, 4), [1, total, 3, values], "size {size}");
         }
+    }
+}
+
+/// A total that wraps around must not pass for a small one, wherever the carry happens.
+#[test]
+fn scan_spine_saturates_exactly_beyond_32_bits() {
+    let gpu = Gpu::new();
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    let far = spec.workgroup_size as usize + 1;
+    for (last, place) in [(0, 1), (1, 1), (2, 1), (0, far), (1, far), (2, far), (u32::MAX, far)] {
+        let mut sums = vec![0; far + 1];
+        sums[0] = u32::MAX - 1;
+        sums[place] = last;
+        let (input, totals) = (gpu.buffer("block_sums", &sums), gpu.buffer("totals", &[7_u32]));
+        let count = sums.len() as u32;
+        let push = Push { count, from_totals: 0, block_size: 1, total_index: 0, first_sum: 0 };
+        let bind = Bind { block_sums: &input, totals: &totals };
+        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
+        let total = scan_spine(&mut sums);
+        assert_eq!(total, (u32::MAX - 1).saturating_add(last));
+        assert_eq!(gpu.read::<u32>(&totals, 1), [total], "{last} at {place}");
+        assert_eq!(gpu.read::<u32>(&input, far + 1), sums, "{last} at {place}");
     }
 }

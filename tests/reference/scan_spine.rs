@@ -1,12 +1,12 @@
 //! Exclusive prefix sum of the block sums, the twin of `scan/scan_spine`.
 
-/// In place; returns the sum of all.
+/// In place, modulo 2^32; returns the sum of all, at most `u32::MAX`.
 pub fn scan_spine(sums: &mut [u32]) -> u32 {
-    let mut running = 0_u32;
+    let mut running = 0_u64;
     for sum in sums {
-        let next = running.wrapping_add(*sum);
-        *sum = running;
+        let next = running + u64::from(*sum);
+        *sum = running as u32;
         running = next;
     }
-    running
+    running.min(u32::MAX.into()) as u32
 }
