@@ -109,3 +109,24 @@ fn orbit_of_a_bare_ply_shows_the_scene() {
     };
     assert!((0..4).all(|index| brightest(index) > Some(60)));
 }
+
+/// However small a scene is, an orbit does not come so near that all of it is culled.
+#[test]
+fn orbit_of_a_single_gaussian_shows_it() {
+    let folder = tempdir().expect("a temporary folder");
+    let ply = folder.path().join("scene.ply");
+    for log_scale in [-1.0, -7.0] {
+        let gaussian = ashsplat::scene::Gaussians {
+            sh_degree: 0,
+            means: vec![[3.0, -1.0, 2.0]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]],
+            log_scales: vec![[log_scale; 3]],
+            opacity_logits: vec![4.0],
+            sh: vec![[1.0; 3]],
+        };
+        ashsplat::io::ply::write(&ply, &gaussian).expect("written");
+        let out = folder.path().join("out");
+        let said = succeed(&["render", text(&ply), "--orbit", "3", "--width", "40", "-o", text(&out)]);
+        assert_eq!(said.matches("1 of 1 Gaussians visible").count(), 3, "{said}");
+    }
+}

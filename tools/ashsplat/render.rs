@@ -6,6 +6,7 @@ use crate::model::Model;
 use crate::{output, session};
 use ashsplat::io::cameras_json::{self, NamedCamera};
 use ashsplat::io::ply;
+use ashsplat::kernels::constants::NEAR_PLANE;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, Extent, Frame, RenderSettings, Renderer, Result};
 use clap::{Args, ValueEnum};
@@ -257,16 +258,23 @@ impl Arguments {
 
 /// How much of the middle part's diagonal an orbit shows: corners may be cut.
 const ORBIT_SHARE: f32 = 0.75;
+/// Standard deviations that a Gaussian reaches beyond its mean, in an orbit's sense.
+const ORBIT_REACH: f32 = 2.0;
 
-/// A circle around the middle nine tenths of the Gaussians, far enough to see nearly all of them.
+/// A circle around the middle nine tenths of the Gaussians, far enough to see nearly all of them, and none so near
+/// that it would be culled.
 fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Intrinsics) -> Orbit {
-    let bounds = gaussians.statistics().central_bounds;
+    let statistics = gaussians.statistics();
+    let bounds = statistics.central_bounds;
     let center = bounds.map_or(Vec3::ZERO, |b| b.center());
-    let half_diagonal = bounds.map_or(1.0, |b| 0.5 * b.size().length()).max(1e-3) * ORBIT_SHARE;
+    let median_scale = statistics.scale_percentiles.map_or(0.0, |percentiles| percentiles[3]);
+    let half_diagonal = bounds.map_or(1.0, |b| 0.5 * b.size().length()) + ORBIT_REACH * median_scale;
+    let ball = half_diagonal.max(1e-3) * ORBIT_SHARE;
     let narrow = intrinsics.width.min(intrinsics.height) as f32;
-    // sin of half the narrower field of view: the ball with this radius just fits.
+    // sin of half the narrower field of view: the ball just fits.
     let sine = (0.5 * narrow / intrinsics.fx).atan().sin();
-    Orbit { center, up, radius: half_diagonal / sine, elevation: 20f32.to_radians(), count, intrinsics }
+    let radius = (ball / sine).max(NEAR_PLANE + ball);
+    Orbit { center, up, radius, elevation: 20f32.to_radians(), count, intrinsics }
 }
 
 impl SizeArguments {
