@@ -149,8 +149,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     data.eval |= model.folder.is_none();
     let gaussians = arguments.look.load(&model.ply)?;
     let white = model.settings.train.white_background;
-    let views = chosen_views(session::load(&data, white, arguments.quiet)?, arguments.all, &data)?;
     let context = arguments.device.context()?;
+    let views = chosen_views(session::load(&data, white, arguments.quiet)?, arguments.all, &data)?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&gaussians)?;
     let settings = RenderSettings { inverse_depth: false, ..arguments.look.settings(&model.settings)? };

@@ -51,8 +51,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             return Err(Error::argument(name, "is missing; give it here or in --config FILE"));
         }
     }
-    let dataset = session::load(&settings.data, settings.train.white_background, arguments.quiet)?;
+    // The device first: without one, nobody should wait for the photos.
     let context = arguments.device.context()?;
+    let dataset = session::load(&settings.data, settings.train.white_background, arguments.quiet)?;
     let folder = settings.data.model_path.clone();
     let mut run = Run::prepare(&context, dataset, settings, arguments.quiet)?;
     let interrupted = run.train()?;
