@@ -73,6 +73,9 @@ pub fn parse(text: &str) -> Result<SpecOverride> {
     let bits =
         bits(constant.kind, value).ok_or_else(|| argument(format!("'{value}' is no {:?}", constant.kind)))?;
     check_place(kernel, name).map_err(argument)?;
+    if ["WORKGROUP_SIZE", "SUBGROUP_SIZE"].contains(&name) && !bits.is_power_of_two() {
+        return Err(argument(format!("{value} is no power of two")));
+    }
     Ok(SpecOverride { kernel: kernel.to_owned(), constant: name.to_owned(), bits })
 }
 
@@ -142,6 +145,7 @@ mod tests {
         assert!(error("sort.ITEM=8").contains("ITEMS, SUBGROUP_SIZE"), "{}", error("sort.ITEM=8"));
         assert!(error("sort.ITEMS=many").contains("Uint"));
         assert!(error("sort.ITEMS").contains("=VALUE"));
+        assert!(error("WORKGROUP_SIZE=96").contains("power of two"));
         assert!(error("sort/sort_count.ITEMS=8").contains("sort.ITEMS, scan.ITEMS"));
     }
 }
