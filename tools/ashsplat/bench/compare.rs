@@ -29,6 +29,11 @@ pub enum Verdict {
 }
 
 impl Line {
+    /// A time of a whole iteration.
+    pub fn whole(run: &str, what: &str, a_us: Spread, b_us: Spread) -> Self {
+        Self { run: run.to_owned(), scope: String::new(), kernel: what.to_owned(), calls: 1, a_us, b_us }
+    }
+
     /// B's median over A's.
     pub fn ratio(&self) -> f64 {
         self.b_us.median / self.a_us.median.max(1e-9)
@@ -81,15 +86,11 @@ pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
     let mut lines = Vec::new();
     for (a, b) in a.runs.iter().zip(&b.runs) {
         check_workloads(a, b)?;
-        let whole = |run: &Run| run.device_ms.unwrap_or(run.wall_ms).times(1e3);
-        lines.push(Line {
-            run: a.name.clone(),
-            scope: String::new(),
-            kernel: "all".to_owned(),
-            calls: 1,
-            a_us: whole(a),
-            b_us: whole(b),
-        });
+        let device = |run: &Run| run.device_ms.unwrap_or(run.wall_ms).times(1e3);
+        lines.push(Line::whole(&a.name, "all", device(a), device(b)));
+        if let (Some(cpu_a), Some(cpu_b)) = (a.cpu_seconds, b.cpu_seconds) {
+            lines.push(Line::whole(&a.name, "processor time", cpu_a.times(1e6), cpu_b.times(1e6)));
+        }
         lines.extend(kernels(&a.name, &a.kernels, &b.kernels));
     }
     Ok(lines)

@@ -1,7 +1,7 @@
 //! Runs a workload again and again and sorts out where its time goes.
 
 use super::cpu_time::process_seconds;
-use super::schema::{Arena, CopyBandwidth, KernelResult, Split, Spread};
+use super::schema::{Arena, CopyBandwidth, Cost, KernelResult, Split, Spread};
 use super::traffic::Traffic;
 use ashsplat::Result;
 use ashsplat::vk::{Context, MemoryKind, Submission};
@@ -26,9 +26,9 @@ pub struct Measured {
     /// With every command timed.
     pub iterations: Vec<Iteration>,
     /// Processor seconds per iteration, nothing being timed.
-    pub cpu_seconds: Option<f64>,
-    /// Wall time of timed over untimed iterations in turn.
-    pub cost: Option<Spread>,
+    pub cpu_seconds: Option<Spread>,
+    /// Timed over untimed iterations in turn.
+    pub cost: Option<Cost>,
 }
 
 /// Runs `iterate` with and without timestamps in turn; `prepare` before each, which does not count.
@@ -43,7 +43,7 @@ pub fn measure(
         iterate()?;
     }
     let mut measured = Measured { iterations: Vec::new(), cpu_seconds: None, cost: None };
-    let (mut cpu, mut ratios) = (Some(0.0), Vec::new());
+    let (mut cpu, mut ratios, mut cpu_ratios) = (Some(Vec::new()), Vec::new(), Some(Vec::new()));
     let profile = context.profile();
     // Its own memory is not what is measured.
     prepare()?;
@@ -55,19 +55,28 @@ pub fn measure(
         let (begun, cpu_begun) = (Instant::now(), process_seconds());
         iterate()?;
         let untimed = begun.elapsed();
-        cpu = cpu.zip(cpu_begun).zip(process_seconds()).map(|((sum, before), now)| sum + now - before);
+        let spent = cpu_begun.zip(process_seconds()).map(|(before, now)| now - before);
+        cpu = cpu.zip(spent).map(|(mut all, spent)| {
+            all.push(spent);
+            all
+        });
         context.set_timestamps(true);
         prepare()?;
         context.set_profile(Some(&profile));
         profile.take();
-        let begun = Instant::now();
+        let (begun, cpu_begun) = (Instant::now(), process_seconds());
         iterate()?;
         let wall = begun.elapsed();
+        let timed = cpu_begun.zip(process_seconds()).map(|(before, now)| now - before);
+        cpu_ratios = cpu_ratios.zip(timed.zip(spent)).map(|(mut all, (timed, untimed))| {
+            all.push(timed / untimed.max(1e-9));
+            all
+        });
         ratios.push(wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
         measured.iterations.push(Iteration { begun, wall, submissions: profile.take() });
     }
-    measured.cpu_seconds = cpu.map(|sum| sum / f64::from(iterations.measured.max(1)));
-    measured.cost = Spread::of(ratios);
+    measured.cpu_seconds = cpu.and_then(Spread::of);
+    measured.cost = Spread::of(ratios).map(|wall| Cost { wall, processor: cpu_ratios.and_then(Spread::of) });
     Ok(measured)
 }
 

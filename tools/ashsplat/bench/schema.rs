@@ -90,9 +90,8 @@ pub struct Run {
     /// Host time from the end of a submission to the begin of the next one on the device's queue.
     pub between_submissions_ms: Option<Spread>,
     /// Processor time of the whole process per iteration, nothing being timed: on a software device the honest cost.
-    pub cpu_seconds: Option<f64>,
-    /// Wall time with every command timed over wall time without any timestamp, of iterations in turn.
-    pub cost_of_measuring: Option<Spread>,
+    pub cpu_seconds: Option<Spread>,
+    pub cost_of_measuring: Option<Cost>,
     pub kernels: Vec<KernelResult>,
     /// Device memory by arena.
     pub memory: Vec<Arena>,
@@ -115,6 +114,14 @@ pub struct Split {
     pub waiting_ms: f64,
     /// The rest of the host's work: reading back, composing pictures.
     pub host_ms: f64,
+}
+
+/// Times with every command timed over times without any timestamp, of iterations in turn.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cost {
+    pub wall: Spread,
+    /// Of the process' processor time.
+    pub processor: Option<Spread>,
 }
 
 /// What was run.

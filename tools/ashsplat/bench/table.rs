@@ -91,13 +91,21 @@ fn one_run(out: &mut String, run: &Run) {
     if let Some(between) = &run.between_submissions_ms {
         let _ = writeln!(out, "  between submissions {}", milliseconds(between));
     }
-    if let Some(cpu) = run.cpu_seconds {
-        let _ = writeln!(out, "  processor  {cpu:.4} CPU-seconds per iteration");
+    if let Some(cpu) = &run.cpu_seconds {
+        let _ = writeln!(
+            out,
+            "  processor  {:.4} CPU-seconds per iteration (least {:.4}, p90 {:.4})",
+            cpu.median, cpu.min, cpu.p90
+        );
     }
     if let Some(cost) = &run.cost_of_measuring {
-        let (change, least) = (100.0 * (cost.median - 1.0), 100.0 * (cost.min - 1.0));
-        let most = 100.0 * (cost.p90 - 1.0);
-        let _ = writeln!(out, "  cost of measuring {change:+.1} % (from {least:+.1} to {most:+.1})");
+        let percent = |ratio: &Spread| {
+            let [median, least, most] = [ratio.median, ratio.min, ratio.p90].map(|r| 100.0 * (r - 1.0));
+            format!("{median:+.1} % (from {least:+.1} to {most:+.1})")
+        };
+        let processor =
+            cost.processor.as_ref().map_or_else(String::new, |p| format!(", processor {}", percent(p)));
+        let _ = writeln!(out, "  cost of measuring: wall {}{processor}", percent(&cost.wall));
     }
     kernels_table(out, run);
     for cpu in &run.cpu {

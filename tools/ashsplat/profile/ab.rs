@@ -33,14 +33,12 @@ pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<
     let difference = largest_difference(&first.picture()?, &second.picture()?);
     let measured = iterations.map(measured);
     let kernels = [0, 1].map(|i: usize| measured[i].kernels(&Traffic::bound(), None));
-    let mut lines = vec![Line {
-        run: arguments.what.name().to_owned(),
-        scope: String::new(),
-        kernel: "wall".to_owned(),
-        calls: 1,
-        a_us: measured[0].wall_ms().times(1e3),
-        b_us: measured[1].wall_ms().times(1e3),
-    }];
+    let mut lines = vec![Line::whole(
+        arguments.what.name(),
+        "wall",
+        measured[0].wall_ms().times(1e3),
+        measured[1].wall_ms().times(1e3),
+    )];
     lines.extend(compare::kernels(arguments.what.name(), &kernels[0], &kernels[1]));
     say!("A: {a}   B: {b}   {} iterations each, in turn", arguments.frames);
     say!("{}", compare::table(&lines).trim_end());

@@ -199,14 +199,12 @@ mod reloading {
     }
 
     fn report(arguments: &Arguments, changed: &[&str], old: &State, new: &State) {
-        let mut lines = vec![Line {
-            run: arguments.what.name().to_owned(),
-            scope: String::new(),
-            kernel: "wall".to_owned(),
-            calls: 1,
-            a_us: old.measured.wall_ms().times(1e3),
-            b_us: new.measured.wall_ms().times(1e3),
-        }];
+        let mut lines = vec![Line::whole(
+            arguments.what.name(),
+            "wall",
+            old.measured.wall_ms().times(1e3),
+            new.measured.wall_ms().times(1e3),
+        )];
         let all = compare::kernels(arguments.what.name(), &old.kernels, &new.kernels);
         lines.extend(all.into_iter().filter(|line| changed.contains(&line.kernel.as_str())));
         say!("\nchanged: {}", changed.join(", "));
