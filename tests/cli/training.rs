@@ -171,6 +171,19 @@ fn renders_its_own_cameras_and_those_of_a_data_set() {
 }
 
 #[test]
+fn inspect_takes_the_trainings_cameras() {
+    let model = text(&trained().model);
+    let [own, first, second] = [
+        succeed(&["inspect", model, "--pixel", "24,16"]),
+        succeed(&["inspect", model, "--pixel", "24,16", "--camera", "01.png"]),
+        succeed(&["inspect", model, "--pixel", "24,16", "--camera", "02.png"]),
+    ];
+    assert!(own.contains("final colour"), "{own}");
+    // Held-out views come first in cameras.json.
+    assert!(own == first && own != second, "{own}{first}{second}");
+}
+
+#[test]
 fn demo_leaves_data_set_sheet_metrics_and_scene() {
     let folder = tempdir().expect("a temporary folder");
     let out = folder.path().join("demo");

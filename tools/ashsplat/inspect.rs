@@ -1,6 +1,7 @@
 //! `ashsplat inspect`.
 
 use crate::args::DeviceArguments;
+use crate::config::CAMERAS_FILE;
 use crate::model::Model;
 use crate::render::LookArguments;
 use crate::session;
@@ -14,8 +15,8 @@ use std::path::PathBuf;
 
 /// The Gaussians blended at one pixel, front to back, and the colour that they give.
 ///
-/// The camera is one of a data set (-s), of a camera path or cameras.json (--path), or stands at the origin and
-/// looks along +z (x right, y down) with --fx, --width and --height.
+/// The camera is one of the training's (the default for a model folder), of a data set (-s), of a camera path or
+/// cameras.json (--path), or stands at the origin and looks along +z (x right, y down) with --fx, --width and --height.
 #[derive(Args)]
 pub struct Arguments {
     /// A model folder or a PLY
@@ -30,7 +31,7 @@ pub struct Arguments {
     /// Take the camera from a camera path or cameras.json
     #[arg(long, value_name = "FILE")]
     path: Option<PathBuf>,
-    /// Which camera of the data set or path: its number from 0, or its name
+    /// Which camera of the training, data set or path: its number from 0, or its name
     #[arg(long, alias = "frame", value_name = "N|NAME", default_value = "0")]
     camera: String,
     /// Focal length of a camera at the origin, pixels
@@ -70,7 +71,7 @@ fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let model = Model::locate(&arguments.model, None)?;
     let gaussians = arguments.look.load(&model.ply)?;
-    let camera = arguments.camera()?;
+    let camera = arguments.camera(&model)?;
     let [x, y] = arguments.pixel;
     if x >= camera.width || y >= camera.height {
         let problem =
@@ -92,8 +93,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 impl Arguments {
-    fn camera(&self) -> Result<Camera> {
-        let cameras = match (&self.source_path, &self.path) {
+    fn camera(&self, model: &Model) -> Result<Camera> {
+        let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
+        let own = own.filter(|path| self.fx.is_none() && path.is_file());
+        let cameras = match (&self.source_path, self.path.as_ref().or(own.as_ref())) {
             (Some(dataset), _) => session::cameras(dataset)?,
             (None, Some(path)) => cameras_json::read(path)?,
             (None, None) => return self.camera_at_origin(),
