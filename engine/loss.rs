@@ -21,6 +21,25 @@ pub enum PhotoFormat {
     Float,
 }
 
+/// Derivatives of SSIM by the windowed x, x² and x y, per pixel and channel: scratch between the loss' kernels, of
+/// [`ssim_map_bytes`] each.
+#[derive(Clone, Copy)]
+pub struct SsimMaps<'a> {
+    /// By the windowed x.
+    pub by_mean: &'a Buffer,
+    /// By the windowed x².
+    pub by_square: &'a Buffer,
+    /// By the windowed x y.
+    pub by_product: &'a Buffer,
+}
+
+impl<'a> SsimMaps<'a> {
+    /// The three of a slice, in the fields' order.
+    pub fn new([by_mean, by_square, by_product]: &'a [Buffer; 3]) -> Self {
+        Self { by_mean, by_square, by_product }
+    }
+}
+
 /// What the loss works on.
 #[derive(Clone, Copy)]
 pub struct LossInputs<'a> {
@@ -28,8 +47,8 @@ pub struct LossInputs<'a> {
     pub accumulated: &'a Buffer,
     /// Per pixel: the photograph, in the format that [`Loss::new`] was told.
     pub photo: &'a Buffer,
-    /// Scratch: [`ssim_maps_bytes`].
-    pub ssim_maps: &'a Buffer,
+    /// Scratch.
+    pub ssim_maps: SsimMaps<'a>,
     /// Scratch: [`partials_bytes`].
     pub partials: &'a Buffer,
     /// Out: vec4 (loss, L1, SSIM, 0) per slot.
@@ -48,9 +67,9 @@ pub struct LossInputs<'a> {
     pub lambda_dssim: f32,
 }
 
-/// Bytes of scratch for an image.
-pub fn ssim_maps_bytes(width: u32, height: u32) -> u64 {
-    u64::from(width) * u64::from(height) * 3 * 12
+/// Bytes of one of the three maps for an image.
+pub fn ssim_map_bytes(width: u32, height: u32) -> u64 {
+    u64::from(width) * u64::from(height) * 3 * 4
 }
 
 /// Bytes of scratch for an image.
@@ -90,7 +109,9 @@ impl Loss {
                 &ssim_forward::Bind {
                     accumulated: i.accumulated,
                     photo: i.photo,
-                    ssim_maps: i.ssim_maps,
+                    by_mean: i.ssim_maps.by_mean,
+                    by_square: i.ssim_maps.by_square,
+                    by_product: i.ssim_maps.by_product,
                     loss_partials: i.partials,
                 },
                 &ssim_forward::Push {
@@ -106,7 +127,9 @@ impl Loss {
                 &ssim_backward::Bind {
                     accumulated: i.accumulated,
                     photo: i.photo,
-                    ssim_maps: i.ssim_maps,
+                    by_mean: i.ssim_maps.by_mean,
+                    by_square: i.ssim_maps.by_square,
+                    by_product: i.ssim_maps.by_product,
                     image_gradient: i.image_gradient,
                 },
                 &ssim_backward::Push {

@@ -2,7 +2,7 @@
 
 use ashsplat::backward::{Backward, Statistics};
 use ashsplat::forward::{Forward, FrameInputs, SceneBuffers};
-use ashsplat::loss::{Loss, LossInputs, PhotoFormat, partials_bytes, ssim_maps_bytes};
+use ashsplat::loss::{Loss, LossInputs, PhotoFormat, SsimMaps, partials_bytes, ssim_map_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
 use ashsplat::plan::{Blocks, FrameBuffers, FrameCapacity, frame_requests};
 use ashsplat::planes;
@@ -69,7 +69,9 @@ impl Training {
         let [width, height] = SIZE;
         let others = [
             ("photo", u64::from(width * height) * 4),
-            ("ssim_maps", ssim_maps_bytes(width, height)),
+            ("ssim_by_mean", ssim_map_bytes(width, height)),
+            ("ssim_by_square", ssim_map_bytes(width, height)),
+            ("ssim_by_product", ssim_map_bytes(width, height)),
             ("partials", partials_bytes(width, height)),
             ("losses", 16),
             ("statistics", 1200 * 8),
@@ -106,7 +108,9 @@ impl Training {
             settings: &self.settings,
             sh_degree: SH_DEGREE,
         };
-        let [photo, ssim_maps, partials, losses, statistics, mean2d_gradients] = &self.others[..] else {
+        let [photo, by_mean, by_square, by_product, partials, losses, statistics, mean2d_gradients] =
+            &self.others[..]
+        else {
             unreachable!("as many as were asked for")
         };
         let statistics = Statistics { buffer: statistics, accumulate: true };
@@ -121,7 +125,7 @@ impl Training {
         let loss = LossInputs {
             accumulated: &self.frame.accumulated,
             photo,
-            ssim_maps,
+            ssim_maps: SsimMaps { by_mean, by_square, by_product },
             partials,
             losses,
             slot: 0,

@@ -15,7 +15,7 @@ use crate::densify::Densify;
 use crate::error::{Error, Result};
 use crate::forward::{RenderSettings, SceneBuffers};
 use crate::io::Photo;
-use crate::loss::{Loss, PhotoFormat, partials_bytes, ssim_maps_bytes};
+use crate::loss::{Loss, PhotoFormat, partials_bytes, ssim_map_bytes};
 use crate::optimizer::{Moments, Optimizer};
 use crate::planes;
 use crate::renderer::{Frame, FrameRunner};
@@ -107,7 +107,7 @@ pub struct Trainer {
 }
 
 pub(crate) struct LossScratch {
-    pub ssim_maps: Buffer,
+    pub ssim_maps: [Buffer; 3],
     pub partials: Buffer,
     pub losses: Buffer,
     pub readback: Buffer,
@@ -117,16 +117,19 @@ impl LossScratch {
     fn new(context: &Context, cameras: &[Camera]) -> Result<Self> {
         let largest =
             |f: fn(u32, u32) -> u64| cameras.iter().map(|c| f(c.width, c.height)).max().unwrap_or(0);
+        let map = largest(ssim_map_bytes);
         let requests = [
-            ("ssim_maps", largest(ssim_maps_bytes)),
+            ("ssim_by_mean", map),
+            ("ssim_by_square", map),
+            ("ssim_by_product", map),
             ("loss_partials", largest(partials_bytes)),
             ("losses", 16),
         ];
-        let mut device = context.allocate("loss", &requests, MemoryKind::Device)?;
-        let mut host = context.allocate("readback", &[("loss_readback", 16)], MemoryKind::HostVisible)?;
-        match (device.pop(), device.pop(), device.pop(), host.pop()) {
-            (Some(losses), Some(partials), Some(ssim_maps), Some(readback)) => {
-                Ok(Self { ssim_maps, partials, losses, readback })
+        let device = context.allocate("loss", &requests, MemoryKind::Device)?;
+        let host = context.allocate("readback", &[("loss_readback", 16)], MemoryKind::HostVisible)?;
+        match (<[Buffer; 5]>::try_from(device), <[Buffer; 1]>::try_from(host)) {
+            (Ok([by_mean, by_square, by_product, partials, losses]), Ok([readback])) => {
+                Ok(Self { ssim_maps: [by_mean, by_square, by_product], partials, losses, readback })
             }
             _ => unreachable!("one buffer per request"),
         }

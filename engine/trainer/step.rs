@@ -8,7 +8,7 @@ use super::{Densified, StepReport, Trainer};
 use crate::backward::Statistics;
 use crate::error::Result;
 use crate::forward::{FrameInputs, RenderSettings};
-use crate::loss::LossInputs;
+use crate::loss::{LossInputs, SsimMaps};
 use crate::optimizer::{Rates, Step};
 use crate::renderer::{Ran, Request};
 use crate::vk::Recorder;
@@ -167,7 +167,7 @@ impl Trainer {
                 &LossInputs {
                     accumulated: &f.accumulated,
                     photo: photos.of(view),
-                    ssim_maps: &scratch.ssim_maps,
+                    ssim_maps: SsimMaps::new(&scratch.ssim_maps),
                     partials: &scratch.partials,
                     losses: &scratch.losses,
                     slot: 0,

@@ -198,17 +198,16 @@ void main() {
                         [[unroll]] for (uint row = 0; row < ROWS; ++row) {
                             uint k = column * ROWS + row;
                             float dy = d0.y - float(row * LANES_Y);
-                            float power = a * dx * dx + dy * (c * dy + b * dx);
-                            float unclamped = opacity * exp2(power);
+                            float unclamped = splat_alpha(vec3(a, b, c), opacity, vec2(dx, dy));
+                            unclamped = place <= last[k] ? unclamped : 0.0;
                             float alpha = min(ALPHA_MAX, unclamped);
-                            bool blends = power <= 0.0 && alpha >= ALPHA_MIN && place <= last[k];
-                            alpha = blends ? alpha : 0.0;
                             float weight = alpha * transmittance[k];
                             float shade_gradient = dot(gradient[k], value);
                             rest[k] -= weight * shade_gradient;
                             float d_alpha = transmittance[k] * shade_gradient - rest[k] / (1.0 - alpha);
                             float d_power = unclamped <= ALPHA_MAX ? alpha * d_alpha : 0.0;
-                            transmittance[k] *= 1.0 - alpha;
+                            precise float next = transmittance[k] * (1.0 - alpha);
+                            transmittance[k] = next;
                             sum_value += weight * gradient[k];
                             column_1 += d_power;
                             column_y += d_power * dy;

@@ -24,11 +24,18 @@ struct Pixel {
     uint last;
 };
 
+// Opacity of a splat at an offset d from its mean before the clamp at ALPHA_MAX, or 0 where it does not count. Precise,
+// so that all kernels decide alike: a compiler must not contract the products in one of them only.
+float splat_alpha(vec3 form, float opacity, vec2 d) {
+    precise float power = form.x * d.x * d.x + d.y * (form.z * d.y + form.y * d.x);
+    precise float alpha = opacity * exp2(power);
+    return power <= 0.0 && alpha >= ALPHA_MIN ? alpha : 0.0;
+}
+
 void blend_splat(Splat splat, vec2 d, uint place, inout Pixel pixel) {
-    float power = splat.form.x * d.x * d.x + d.y * (splat.form.z * d.y + splat.form.y * d.x);
-    float alpha = min(ALPHA_MAX, splat.opacity * exp2(power));
-    bool hit = power <= 0.0 && alpha >= ALPHA_MIN;
-    float next = pixel.transmittance * (1.0 - alpha);
+    float alpha = min(ALPHA_MAX, splat_alpha(splat.form, splat.opacity, d));
+    bool hit = alpha > 0.0;
+    precise float next = pixel.transmittance * (1.0 - alpha);
     bool blends = hit && next >= TRANSMITTANCE_MIN;
     float weight = blends ? alpha * pixel.transmittance : 0.0;
     pixel.color += weight * splat.rgb;

@@ -3,7 +3,7 @@
 //   dSSIM/dx = window * by_mean + 2 x (window * by_square) + y (window * by_product)
 //
 // invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable
-// in, PerPixel: accumulated, photo, ssim_maps; out, PerPixel: image_gradient[4 * pixel + channel]
+// in, PerPixel: accumulated, photo, by_mean, by_square, by_product; out, PerPixel: image_gradient[4 * pixel + channel]
 // shared: 3 * (26^2 + 26 * 16) words; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -19,8 +19,10 @@ layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Photo { uint photo[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer SsimMaps { vec3 ssim_maps[]; };
-layout(set = 0, binding = 3, scalar) writeonly buffer ImageGradient { float image_gradient[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer ByMean { float by_mean[]; };
+layout(set = 0, binding = 3, scalar) readonly buffer BySquare { float by_square[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer ByProduct { float by_product[]; };
+layout(set = 0, binding = 5, scalar) writeonly buffer ImageGradient { float image_gradient[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint image_width;
@@ -63,7 +65,8 @@ void main() {
         ivec2 pixel = origin + ivec2(place) - int(SSIM_RADIUS);
         bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, size));
         uint index = inside ? uint(pixel.y) * image_width + uint(pixel.x) : 0;
-        vec3 value = ssim_maps[channel * image_height * image_width + index];
+        uint source = channel * image_height * image_width + index;
+        vec3 value = vec3(by_mean[source], by_square[source], by_product[source]);
         values[place.y * SSIM_APRON + place.x] = inside ? value : vec3(0.0);
     }
     barrier();

@@ -4,7 +4,7 @@
 //   SSIM = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sx^2 + sy^2 + C2)), means and variances under the window
 //
 // invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable
-// in, PerPixel: accumulated (r, g, b, T), photo (RGBA8); out, PerPixel and channel: ssim_maps[channel * pixels + pixel]
+// in, PerPixel: accumulated (r, g, b, T), photo (RGBA8); out, PerPixel and channel (channel * pixels + pixel): by_mean, by_square, by_product
 //     = derivatives of SSIM by the windowed x, x^2 and x y; loss_partials[workgroup] = sums of (|x - y|, SSIM)
 // shared: 2 * 26^2 + 5 * 26 * 16 words and one per subgroup; any subgroup size
 #version 460
@@ -24,8 +24,10 @@ layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Photo { uint photo[]; };
-layout(set = 0, binding = 2, scalar) writeonly buffer SsimMaps { vec3 ssim_maps[]; };
-layout(set = 0, binding = 3, scalar) writeonly buffer LossPartials { vec2 loss_partials[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer ByMean { float by_mean[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer BySquare { float by_square[]; };
+layout(set = 0, binding = 4, scalar) writeonly buffer ByProduct { float by_product[]; };
+layout(set = 0, binding = 5, scalar) writeonly buffer LossPartials { vec2 loss_partials[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint image_width;
@@ -53,12 +55,15 @@ vec2 finish(vec4 moments, float xy, vec2 value, uvec2 pixel, uint channel) {
     float b2 = moments.z - mx * mx + (moments.w - my * my) + SSIM_C2;
     float inverse = 1.0 / (b1 * b2);
     float ssim = a1 * a2 * inverse;
-    float by_square = -ssim / b2;
-    float by_product = 2.0 * a1 * inverse;
-    float by_mean = 2.0 * my * a2 * inverse - 2.0 * mx * ssim / b1 - 2.0 * mx * by_square - my * by_product;
+    float d_square = -ssim / b2;
+    float d_product = 2.0 * a1 * inverse;
+    float d_mean = 2.0 * my * a2 * inverse - 2.0 * mx * ssim / b1 - 2.0 * mx * d_square - my * d_product;
     bool inside = pixel.x < image_width && pixel.y < image_height;
     if (inside) {
-        ssim_maps[(channel * image_height + pixel.y) * image_width + pixel.x] = vec3(by_mean, by_square, by_product);
+        uint at = (channel * image_height + pixel.y) * image_width + pixel.x;
+        by_mean[at] = d_mean;
+        by_square[at] = d_square;
+        by_product[at] = d_product;
     }
     return inside ? vec2(abs(value.x - value.y), ssim) : vec2(0.0);
 }

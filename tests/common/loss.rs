@@ -60,7 +60,7 @@ impl Pictures {
 }
 
 /// Runs the forward kernel; its maps and partial sums.
-pub fn forward(gpu: &Gpu, pictures: &Pictures, strip: u32) -> (Buffer, Buffer) {
+pub fn forward(gpu: &Gpu, pictures: &Pictures, strip: u32) -> ([Buffer; 3], Buffer) {
     let spec = ssim_forward::Spec {
         workgroup_size: gpu.workgroup(64),
         subgroup_size: gpu.subgroup(),
@@ -71,12 +71,15 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, strip: u32) -> (Buffer, Buffer) {
     let accumulated = gpu.buffer("accumulated", &pictures.accumulated);
     let photo = gpu.buffer("photo", &pictures.photo);
     let grid = pictures.grid();
-    let ssim_maps = gpu.untouched::<[f32; 3]>("ssim_maps", 3 * pictures.pixels());
+    let ssim_maps =
+        ["by_mean", "by_square", "by_product"].map(|name| gpu.untouched::<f32>(name, 3 * pictures.pixels()));
     let partials = gpu.untouched::<[f32; 2]>("loss_partials", grid.iter().product::<u32>() as usize);
     let bind = ssim_forward::Bind {
         accumulated: &accumulated,
         photo: &photo,
-        ssim_maps: &ssim_maps,
+        by_mean: &ssim_maps[0],
+        by_square: &ssim_maps[1],
+        by_product: &ssim_maps[2],
         loss_partials: &partials,
     };
     let push = ssim_forward::Push {
@@ -92,7 +95,7 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, strip: u32) -> (Buffer, Buffer) {
 pub fn backward(
     gpu: &Gpu,
     pictures: &Pictures,
-    ssim_maps: &Buffer,
+    ssim_maps: &[Buffer; 3],
     strip: u32,
     lambda_dssim: f32,
 ) -> Vec<[f32; 4]> {
@@ -104,7 +107,9 @@ pub fn backward(
     let bind = ssim_backward::Bind {
         accumulated: &accumulated,
         photo: &photo,
-        ssim_maps,
+        by_mean: &ssim_maps[0],
+        by_square: &ssim_maps[1],
+        by_product: &ssim_maps[2],
         image_gradient: &image_gradient,
     };
     let push = ssim_backward::Push {

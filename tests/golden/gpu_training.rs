@@ -4,7 +4,7 @@ use std::path::Path;
 
 use ashsplat::densify::{Densify, DensifyBuffers, DensifySettings, ExplicitNoise, Gather, RandomKey};
 use ashsplat::forward::SceneBuffers;
-use ashsplat::loss::{Loss, LossInputs, PhotoFormat, partials_bytes, ssim_maps_bytes};
+use ashsplat::loss::{Loss, LossInputs, PhotoFormat, SsimMaps, partials_bytes, ssim_map_bytes};
 use ashsplat::optimizer::Moments;
 use ashsplat::plan::Blocks;
 use ashsplat::{TrainSettings, planes};
@@ -34,7 +34,8 @@ fn device_loss(gpu: &Gpu, image: &[f64], truth: &[f64], [width, height]: [u32; 2
     let truth: Vec<f32> = truth.iter().map(|&x| x as f32).collect();
     let accumulated = gpu.buffer("accumulated", &texels);
     let photo = gpu.buffer("photo", &truth);
-    let ssim_maps = gpu.untouched::<u8>("ssim_maps", ssim_maps_bytes(width, height) as usize);
+    let ssim_maps = ["by_mean", "by_square", "by_product"]
+        .map(|name| gpu.untouched::<u8>(name, ssim_map_bytes(width, height) as usize));
     let partials = gpu.untouched::<u8>("partials", partials_bytes(width, height) as usize);
     let losses = gpu.untouched::<[f32; 4]>("losses", 2);
     let image_gradient = gpu.untouched::<[f32; 4]>("image_gradient", count);
@@ -44,7 +45,7 @@ fn device_loss(gpu: &Gpu, image: &[f64], truth: &[f64], [width, height]: [u32; 2
             &LossInputs {
                 accumulated: &accumulated,
                 photo: &photo,
-                ssim_maps: &ssim_maps,
+                ssim_maps: SsimMaps::new(&ssim_maps),
                 partials: &partials,
                 losses: &losses,
                 slot: 1,

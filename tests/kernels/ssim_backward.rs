@@ -21,11 +21,15 @@ fn ssim_backward_equals_its_twin() {
                 ssim_forward(&x, &y)
             })
             .collect();
-        let maps: Vec<[f32; 3]> = twins
-            .iter()
-            .flat_map(|t| (0..count).map(|i| [t.d_mean[i], t.d_square[i], t.d_product[i]].map(|x| x as f32)))
-            .collect();
-        let maps = gpu.buffer("ssim_maps", &maps);
+        let map = |name, of: fn(&SsimPlane) -> &[f64]| {
+            let values: Vec<f32> = twins.iter().flat_map(|t| of(t).iter().map(|&x| x as f32)).collect();
+            gpu.buffer(name, &values)
+        };
+        let maps = [
+            map("by_mean", |t| &t.d_mean),
+            map("by_square", |t| &t.d_square),
+            map("by_product", |t| &t.d_product),
+        ];
         for lambda in [0.2, 0.0, 1.0] {
             let actual = backward(&gpu, &pictures, &maps, strip, lambda);
             assert!(actual.iter().all(|d| d[3].to_bits() == UNTOUCHED));
