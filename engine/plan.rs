@@ -69,15 +69,17 @@ pub struct Blocks {
 impl Blocks {
     /// Block sizes for a device, or those that its [`Limits::overrides`] ask for.
     pub fn new(limits: &Limits) -> Self {
-        let size =
-            |folder: &str, constant: &str, usual: u32| limits.overridden(folder, constant).unwrap_or(usual);
+        // Blocks nest in each other and in tiles, so that only powers of two will do.
+        let size = |folder: &str, constant: &str, usual: u32| {
+            let asked = limits.overridden(folder, constant).unwrap_or(usual).max(1);
+            1 << asked.ilog2()
+        };
         let stream =
             limits.workgroup_size(size("", "WORKGROUP_SIZE", STREAM_WORKGROUP).min(STREAM_WORKGROUP));
         let sort_workgroup = limits.workgroup_size(
             size("sort", "WORKGROUP_SIZE", SORT_SUBGROUPS * limits.subgroup_size).min(stream),
         );
-        let (sort_items, scan_items) =
-            (size("sort", "ITEMS", SORT_ITEMS).max(1), size("scan", "ITEMS", SCAN_ITEMS).max(1));
+        let (sort_items, scan_items) = (size("sort", "ITEMS", SORT_ITEMS), size("scan", "ITEMS", SCAN_ITEMS));
         let regions = if limits.subgroup_size <= 64 { 4 } else { 2 };
         Self {
             stream,
@@ -95,7 +97,7 @@ impl Blocks {
                 if limits.is_cpu { 64 } else { STREAM_WORKGROUP },
             )),
             // Wide enough to fill a GPU's workgroup; a processor rather reads less.
-            loss_strip: size("loss", "STRIP", if limits.is_cpu { 4 } else { 2 }).max(1),
+            loss_strip: size("loss", "STRIP", if limits.is_cpu { 4 } else { 2 }).min(TILE_SIZE),
             entries_per_pass: limits.max_loop_iterations.map_or(u32::MAX, |n| n / ENTRIES_PER_LOOP_BUDGET),
         }
     }

@@ -158,11 +158,30 @@ impl FrameStore {
         if capacity == self.capacity {
             return Ok(false);
         }
-        if self.allocate(capacity).is_err() && state.instances > self.capacity.instances {
+        if let Err(error) = self.allocate(capacity) {
+            if state.instances <= self.capacity.instances {
+                return Err(error);
+            }
             // Without the reserve, if that is what did not fit.
             capacity.instances = state.instances;
-            self.allocate(capacity)?;
+            self.allocate(capacity).map_err(|error| name_instances(error, state.instances))?;
         }
         Ok(true)
+    }
+}
+
+/// Says what a frame has too much of, rather than which buffer did not fit.
+fn name_instances(error: Error, instances: u32) -> Error {
+    match error {
+        Error::TooLarge { what, needed, unit, limit, limit_name } => Error::TooLarge {
+            what: format!(
+                "a frame of {instances} (tile, Gaussian) instances (a smaller image has fewer): {what}"
+            ),
+            needed,
+            unit,
+            limit,
+            limit_name,
+        },
+        other => other,
     }
 }

@@ -39,8 +39,9 @@ pub struct PixelReport {
 }
 
 impl Renderer {
-    /// Renders a frame and lists what the device blended at one pixel (column, row): its tile's sorted list and the
-    /// projected attributes are read back from the frame, and the pixel is blended again from them.
+    /// Renders a frame and lists what is blended at one pixel (column, row): its tile's sorted list and the projected
+    /// attributes are read back from the frame, and the host blends the pixel again from them, equal to the device's
+    /// result up to rounding.
     ///
     /// # Errors
     /// [`Error::Argument`] when the pixel lies outside the image; as [`Renderer::render`].
@@ -62,12 +63,13 @@ impl Renderer {
         let range: Vec<u32> = self.read(&f.tile_ranges, tile * 8, 8)?;
         let entries: Vec<u32> =
             self.read(&f.sorted_visible, u64::from(range[0]) * 4, u64::from(range[1] - range[0]) * 4)?;
+        let [means, conics, shades] =
+            [self.rows(&f.mean2d_extent)?, self.rows(&f.conic_opacity)?, self.rows(&f.color_inverse_depth)?];
+        let gaussians: Vec<u32> = self.read(&f.visible_list, 0, f.visible_list.bytes())?;
         let mut report = PixelReport { transmittance: 1.0, ..PixelReport::default() };
         for visible in entries {
-            let at = u64::from(visible);
-            let mean: Vec<f32> = self.read(&f.mean2d_extent, at * 16, 16)?;
-            let conic: Vec<f32> = self.read(&f.conic_opacity, at * 16, 16)?;
-            let shade: Vec<f32> = self.read(&f.color_inverse_depth, at * 16, 16)?;
+            let at = visible as usize;
+            let (mean, conic, shade) = (means[at], conics[at], shades[at]);
             let (dx, dy) = (mean[0] - x as f32, mean[1] - y as f32);
             let power = -0.5 * (conic[0] * dx * dx + conic[2] * dy * dy) - conic[1] * dx * dy;
             let alpha = (conic[3] * power.exp()).min(c::ALPHA_MAX);
@@ -79,7 +81,6 @@ impl Renderer {
             if after < c::TRANSMITTANCE_MIN {
                 break;
             }
-            let gaussian: Vec<u32> = self.read(&f.visible_list, at * 4, 4)?;
             let color = [shade[0], shade[1], shade[2]];
             let weight = alpha * before;
             for (sum, channel) in report.color.iter_mut().zip(color) {
@@ -87,7 +88,7 @@ impl Renderer {
             }
             report.transmittance = after;
             report.samples.push(Sample {
-                gaussian: gaussian[0],
+                gaussian: gaussians[at],
                 depth: shade[3].recip(),
                 alpha,
                 transmittance_before: before,
@@ -100,6 +101,10 @@ impl Renderer {
             *sum += report.transmittance * background;
         }
         Ok(report)
+    }
+
+    fn rows(&self, buffer: &Buffer) -> Result<Vec<[f32; 4]>> {
+        self.read(buffer, 0, buffer.bytes() / 16 * 16)
     }
 
     pub(super) fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, bytes: u64) -> Result<Vec<T>> {

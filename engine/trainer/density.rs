@@ -51,12 +51,9 @@ impl Trainer {
         let (plan, fresh) = if rows <= old.scene.plan.capacity {
             (old.scene.plan, None)
         } else {
-            let capacity = rows.saturating_add(rows / 2);
-            let plan = ScenePlan::new(self.context.limits(), capacity, old.scene.plan.sh_degree)?;
-            let mut sets = Vec::new();
-            for arena in ["scene", "moments", "moments"] {
-                sets.push(planes::allocate(&self.context, arena, &plan)?);
-            }
+            // Without room to grow further, if that does not fit beside the old planes.
+            let (plan, sets) =
+                self.allocate_sets(rows.saturating_add(rows / 2)).or_else(|_| self.allocate_sets(rows))?;
             (plan, Some(sets))
         };
         // Without growth the four sets of planes rotate: each is gathered into the one that was freed before it.
@@ -96,6 +93,15 @@ impl Trainer {
             Ok(())
         })?;
         Ok(())
+    }
+
+    /// Planes for parameters and both moments of up to `capacity` Gaussians.
+    fn allocate_sets(&self, capacity: u32) -> Result<(ScenePlan, Vec<Vec<Buffer>>)> {
+        let plan = ScenePlan::new(self.context.limits(), capacity, self.training.scene.plan.sh_degree)?;
+        let arenas = ["scene", "moments", "moments"];
+        let sets: Result<_> =
+            arenas.iter().map(|arena| planes::allocate(&self.context, arena, &plan)).collect();
+        Ok((plan, sets?))
     }
 
     /// Lowers all opacities to 0.01 at most and forgets their moments.
