@@ -5,51 +5,22 @@
 //! remain to be sorted: the order is that of the 64-bit (tile | depth) key. And a tile is touched only if the ellipse
 //! where alpha reaches 1/255 meets it.
 
+mod blending;
 mod settings;
+
+pub use blending::Blending;
 
 pub use settings::{Extent, JacobianLimit, RenderSettings};
 pub(crate) use settings::{camera_push, jacobian_limits};
 
 use crate::error::Result;
 use crate::kernels::constants as c;
-use crate::kernels::forward::{blend, blend_shared, compact, count, cull, expand, prepare, project, ranges};
+use crate::kernels::forward::{compact, count, cull, expand, prepare, project, ranges};
 use crate::plan::{Blocks, FrameBuffers, FrameCapacity, ScenePlan, blocks, tile_bits, tile_grid};
 use crate::scan::{Scan, ScanBuffers, Workgroups};
 use crate::scene::Camera;
 use crate::sort::{RadixSort, SortBuffers, Values};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
-
-/// The buffers of blend_io.glsl, for either kernel.
-macro_rules! blend_bind {
-    ($kernel:ident, $frame:expr) => {
-        $kernel::Bind {
-            tile_ranges: &$frame.tile_ranges,
-            sorted_visible: &$frame.sorted_visible,
-            mean2d_extent: &$frame.mean2d_extent,
-            conic_opacity: &$frame.conic_opacity,
-            color_inverse_depth: &$frame.color_inverse_depth,
-            accumulated: &$frame.accumulated,
-            inverse_depth: &$frame.inverse_depth,
-            last_entries: &$frame.last_entries,
-            state: &$frame.state,
-        }
-    };
-}
-
-/// The push constants of blend_io.glsl as another kernel's.
-macro_rules! blend_push {
-    ($kernel:ident, $push:expr) => {
-        $kernel::Push {
-            image_width: $push.image_width,
-            image_height: $push.image_height,
-            tiles_per_row: $push.tiles_per_row,
-            tile_count: $push.tile_count,
-            first_entry: $push.first_entry,
-            max_entries: $push.max_entries,
-            last_pass: $push.last_pass,
-        }
-    };
-}
 
 /// The parameters of a scene on the device: planes cut into chunks.
 #[derive(Clone)]
@@ -79,16 +50,6 @@ pub struct FrameInputs<'a> {
     pub sh_degree: u32,
 }
 
-/// How a tile is blended: the same picture to the bit, at a cost that depends on the device.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Blending {
-    /// Each subgroup culls against its own region of the tile and passes Gaussians round by shuffles.
-    #[default]
-    Regions,
-    /// The paper's form: batches in shared memory, every invocation walks over all of them.
-    SharedMemory,
-}
-
 /// The kernels of the forward pass.
 pub struct Forward {
     context: Context,
@@ -102,9 +63,7 @@ pub struct Forward {
     count: Kernel<count::Interface>,
     expand: Kernel<expand::Interface>,
     ranges: Kernel<ranges::Interface>,
-    blend: [Option<Kernel<blend::Interface>>; 2],
-    blend_shared: [Option<Kernel<blend_shared::Interface>>; 2],
-    blending: Blending,
+    blend: blending::Blend,
 }
 
 impl Forward {
@@ -128,9 +87,7 @@ impl Forward {
             count: Kernel::new(context, &count::Spec { workgroup_size })?,
             expand: Kernel::new(context, &expand::Spec { workgroup_size })?,
             ranges: Kernel::new(context, &ranges::Spec { workgroup_size })?,
-            blend: Default::default(),
-            blend_shared: Default::default(),
-            blending: Blending::default(),
+            blend: blending::Blend::default(),
         })
     }
 
@@ -144,25 +101,12 @@ impl Forward {
             let spec = project::Spec { workgroup_size: self.sizes.stream, sh_degree };
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
-        let variant = usize::from(inverse_depth);
-        match self.blending {
-            Blending::Regions if self.blend[variant].is_none() => {
-                let subgroup_size = self.context.limits().subgroup_size;
-                let spec = blend::Spec { workgroup_size: self.sizes.tile, subgroup_size, inverse_depth };
-                self.blend[variant] = Some(Kernel::new(&self.context, &spec)?);
-            }
-            Blending::SharedMemory if self.blend_shared[variant].is_none() => {
-                let spec = blend_shared::Spec { workgroup_size: self.sizes.tile_shared, inverse_depth };
-                self.blend_shared[variant] = Some(Kernel::new(&self.context, &spec)?);
-            }
-            _ => {}
-        }
-        Ok(())
+        self.blend.prepare(&self.context, &self.sizes, inverse_depth)
     }
 
     /// Chooses how tiles are blended; before [`Forward::prepare`].
     pub fn set_blending(&mut self, blending: Blending) {
-        self.blending = blending;
+        self.blend.choose(blending);
     }
 
     /// Records a frame; [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
@@ -180,7 +124,7 @@ impl Forward {
         r.scope("expand", |r| self.record_expand(r, inputs));
         let sorted = r.scope("tile sort", |r| self.record_tile_sort(r, inputs));
         r.scope("ranges", |r| self.record_ranges(r, f, sorted));
-        r.scope("blend", |r| self.record_blend(r, inputs));
+        r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
     }
 
     /// Which Gaussians are visible, in their own order.
@@ -370,49 +314,6 @@ impl Forward {
         };
         r.dispatch_indirect(&self.ranges, &bind, &ranges::Push {}, &arguments(f, c::ARGUMENTS_INSTANCES));
         r.barrier();
-    }
-
-    /// Colour and transmittance of each pixel.
-    fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let variant = usize::from(inputs.settings.inverse_depth);
-        match (self.blending, &self.blend[variant], &self.blend_shared[variant]) {
-            (Blending::Regions, Some(kernel), _) => {
-                self.record_blend_with(r, inputs, |r, push, tiles| {
-                    r.dispatch(kernel, &blend_bind!(blend, inputs.frame), &blend_push!(blend, push), tiles);
-                });
-            }
-            (Blending::SharedMemory, _, Some(kernel)) => {
-                self.record_blend_with(r, inputs, |r, push, tiles| {
-                    r.dispatch(kernel, &blend_bind!(blend_shared, inputs.frame), &push, tiles);
-                });
-            }
-            _ => panic!("Forward::prepare was not called for inverse depth"),
-        }
-    }
-
-    /// One pass, or as many as very long tiles need.
-    fn record_blend_with(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs,
-        dispatch: impl Fn(&mut Recorder, blend_shared::Push, u64),
-    ) {
-        let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
-        for pass in 0..inputs.capacity.blend_passes {
-            if pass > 0 {
-                r.barrier();
-            }
-            let push = blend_shared::Push {
-                image_width: inputs.camera.width,
-                image_height: inputs.camera.height,
-                tiles_per_row: columns,
-                tile_count: columns * rows,
-                first_entry: pass.saturating_mul(self.sizes.entries_per_pass),
-                max_entries: self.sizes.entries_per_pass,
-                last_pass: (pass + 1 == inputs.capacity.blend_passes).into(),
-            };
-            dispatch(r, push, u64::from(columns) * u64::from(rows));
-        }
     }
 
     /// Which of the frame's two slot buffers hold the sorted slots for an image of this size.

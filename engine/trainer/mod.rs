@@ -1,7 +1,8 @@
 //! Training: from photographs and a sparse point cloud to Gaussians.
 //!
-//! One step is one submission: forward, loss, backward, Adam. A densification or an opacity reset that an iteration asks
-//! for comes at the start of the next step, so that between steps the scene is what the reference would save. A step whose frame overflowed its buffers changes nothing and is run again with more room.
+//! One step is one submission: forward, loss, backward, Adam. A densification or an opacity reset that an iteration
+//! asks for comes at the start of the next step, so that between steps the scene is what the reference would save.
+//! A step whose frame overflowed its buffers changes nothing and is run again with more room.
 
 mod density;
 mod photos;

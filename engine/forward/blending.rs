@@ -1,0 +1,123 @@
+//! Blending, in two variants.
+
+use super::FrameInputs;
+use crate::error::Result;
+use crate::kernels::forward::{blend, blend_shared};
+use crate::plan::{Blocks, tile_grid};
+use crate::vk::{Context, Kernel, Recorder};
+
+/// How a tile is blended: the same picture to the bit, at a cost that depends on the device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Blending {
+    /// Each subgroup culls against its own region of the tile and passes Gaussians round by shuffles.
+    #[default]
+    Regions,
+    /// The paper's form: batches in shared memory, every invocation walks over all of them.
+    SharedMemory,
+}
+
+/// The blending kernels, without and with inverse depth, built when they are needed.
+#[derive(Default)]
+pub(super) struct Blend {
+    blending: Blending,
+    regions: [Option<Kernel<blend::Interface>>; 2],
+    shared: [Option<Kernel<blend_shared::Interface>>; 2],
+}
+
+/// The buffers of blend_io.glsl, for either kernel.
+macro_rules! blend_bind {
+    ($kernel:ident, $frame:expr) => {
+        $kernel::Bind {
+            tile_ranges: &$frame.tile_ranges,
+            sorted_visible: &$frame.sorted_visible,
+            mean2d_extent: &$frame.mean2d_extent,
+            conic_opacity: &$frame.conic_opacity,
+            color_inverse_depth: &$frame.color_inverse_depth,
+            accumulated: &$frame.accumulated,
+            inverse_depth: &$frame.inverse_depth,
+            last_entries: &$frame.last_entries,
+            state: &$frame.state,
+        }
+    };
+}
+
+/// The push constants of blend_io.glsl as another kernel's.
+macro_rules! blend_push {
+    ($kernel:ident, $push:expr) => {
+        $kernel::Push {
+            image_width: $push.image_width,
+            image_height: $push.image_height,
+            tiles_per_row: $push.tiles_per_row,
+            tile_count: $push.tile_count,
+            first_entry: $push.first_entry,
+            max_entries: $push.max_entries,
+            last_pass: $push.last_pass,
+        }
+    };
+}
+
+impl Blend {
+    pub fn choose(&mut self, blending: Blending) {
+        self.blending = blending;
+    }
+
+    pub fn prepare(&mut self, context: &Context, sizes: &Blocks, inverse_depth: bool) -> Result<()> {
+        let variant = usize::from(inverse_depth);
+        match self.blending {
+            Blending::Regions if self.regions[variant].is_none() => {
+                let subgroup_size = context.limits().subgroup_size;
+                let spec = blend::Spec { workgroup_size: sizes.tile, subgroup_size, inverse_depth };
+                self.regions[variant] = Some(Kernel::new(context, &spec)?);
+            }
+            Blending::SharedMemory if self.shared[variant].is_none() => {
+                let spec = blend_shared::Spec { workgroup_size: sizes.tile_shared, inverse_depth };
+                self.shared[variant] = Some(Kernel::new(context, &spec)?);
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Records the colour and transmittance of each pixel.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &Blocks) {
+        let variant = usize::from(inputs.settings.inverse_depth);
+        match (self.blending, &self.regions[variant], &self.shared[variant]) {
+            (Blending::Regions, Some(kernel), _) => {
+                record_passes(r, inputs, sizes, |r, push, tiles| {
+                    r.dispatch(kernel, &blend_bind!(blend, inputs.frame), &blend_push!(blend, push), tiles);
+                });
+            }
+            (Blending::SharedMemory, _, Some(kernel)) => {
+                record_passes(r, inputs, sizes, |r, push, tiles| {
+                    r.dispatch(kernel, &blend_bind!(blend_shared, inputs.frame), &push, tiles);
+                });
+            }
+            _ => panic!("Forward::prepare was not called for inverse depth"),
+        }
+    }
+}
+
+/// One pass, or as many as very long tiles need.
+fn record_passes(
+    r: &mut Recorder,
+    inputs: &FrameInputs,
+    sizes: &Blocks,
+    dispatch: impl Fn(&mut Recorder, blend_shared::Push, u64),
+) {
+    let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
+    for pass in 0..inputs.capacity.blend_passes {
+        if pass > 0 {
+            r.barrier();
+        }
+        let push = blend_shared::Push {
+            image_width: inputs.camera.width,
+            image_height: inputs.camera.height,
+            tiles_per_row: columns,
+            tile_count: columns * rows,
+            first_entry: pass.saturating_mul(sizes.entries_per_pass),
+            max_entries: sizes.entries_per_pass,
+            last_pass: (pass + 1 == inputs.capacity.blend_passes).into(),
+        };
+        dispatch(r, push, u64::from(columns) * u64::from(rows));
+    }
+}
