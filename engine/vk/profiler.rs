@@ -27,10 +27,23 @@ pub struct ScopeTime {
 /// The scopes of a recording. Scope 0 is the whole recording.
 pub(super) struct Profiler {
     pool: vk::QueryPool,
-    names: Vec<(String, u32)>,
-    open: Vec<Option<u32>>,
+    scopes: Vec<Scope>,
+    open: Vec<Option<usize>>,
+    /// Timestamps written so far: they take the pool's queries in order.
+    written: u32,
+    /// Whether nothing was recorded since the last timestamp, so that it stands for now as well.
+    fresh: bool,
     /// Present while a profile is held.
     pub(super) commands: Option<Commands>,
+    /// The timestamp behind each timed command.
+    command_ends: Vec<u32>,
+}
+
+struct Scope {
+    name: String,
+    depth: u32,
+    begin: u32,
+    end: u32,
 }
 
 /// What a recording took on the device.
@@ -47,16 +60,25 @@ pub(super) struct Collected {
 impl Profiler {
     /// `pool` has [`QUERIES`] queries, all reset, or is null where there are no timestamps.
     pub(super) fn new(pool: vk::QueryPool, commands: Option<Commands>) -> Self {
-        Self { pool, names: Vec::new(), open: Vec::new(), commands }
+        Self {
+            pool,
+            scopes: Vec::new(),
+            open: Vec::new(),
+            written: 0,
+            fresh: false,
+            commands,
+            command_ends: Vec::new(),
+        }
     }
 
     pub(super) fn begin(&mut self, inner: &Inner, commands: vk::CommandBuffer, name: &str) {
         inner.names.begin_label(commands, name);
-        let index = self.names.len() as u32;
-        let timed = index < MAX_SCOPES && (self.pool != vk::QueryPool::null() || self.commands.is_some());
+        let index = self.scopes.len();
+        let timed =
+            index < MAX_SCOPES as usize && (self.pool != vk::QueryPool::null() || self.commands.is_some());
         if timed {
-            self.names.push((name.to_owned(), self.open.len() as u32));
-            self.write(inner, commands, 2 * index);
+            let (depth, begin) = (self.open.len() as u32, self.now(inner, commands));
+            self.scopes.push(Scope { name: name.to_owned(), depth, begin, end: begin });
         }
         self.open.push(timed.then_some(index));
     }
@@ -64,12 +86,12 @@ impl Profiler {
     /// The name of the whole recording.
     pub(super) fn label(&self) -> String {
         let wanted = self.commands.is_some();
-        self.names.first().filter(|_| wanted).map_or_else(String::new, |(name, _)| name.clone())
+        self.scopes.first().filter(|_| wanted).map_or_else(String::new, |scope| scope.name.clone())
     }
 
     pub(super) fn end(&mut self, inner: &Inner, commands: vk::CommandBuffer) {
         if let Some(Some(index)) = self.open.pop() {
-            self.write(inner, commands, 2 * index + 1);
+            self.scopes[index].end = self.now(inner, commands);
         }
         inner.names.end_label(commands);
     }
@@ -81,60 +103,65 @@ impl Profiler {
         raw: vk::CommandBuffer,
         describe: impl FnOnce() -> CommandRecord,
     ) {
+        self.fresh = false;
         let Some(commands) = &mut self.commands else { return };
         let scope = self.open.last().copied().flatten().filter(|&index| index > 0);
-        let scope = scope.map_or_else(String::new, |index| self.names[index as usize].0.clone());
-        let index = commands.push(CommandRecord { scope, ..describe() });
-        if index < MAX_COMMANDS {
-            self.write(inner, raw, 2 * MAX_SCOPES + index);
+        let scope = scope.map_or_else(String::new, |index| self.scopes[index].name.clone());
+        commands.push(CommandRecord { scope, ..describe() });
+        if self.command_ends.len() < MAX_COMMANDS as usize {
+            let end = self.now(inner, raw);
+            self.command_ends.push(end);
         }
     }
 
-    fn write(&self, inner: &Inner, commands: vk::CommandBuffer, query: u32) {
-        if self.pool == vk::QueryPool::null() {
-            return;
+    /// The timestamp of the end of everything recorded so far: a new one only if something came since the last, for
+    /// each costs the device a pause.
+    fn now(&mut self, inner: &Inner, commands: vk::CommandBuffer) -> u32 {
+        if self.fresh {
+            return self.written - 1;
         }
-        // At ALL_COMMANDS: the time at which everything recorded before is done.
-        // SAFETY: `commands` is in the recording state; the query was reset and is written once.
-        unsafe {
-            let stage = vk::PipelineStageFlags2::ALL_COMMANDS;
-            inner.device.cmd_write_timestamp2(commands, stage, self.pool, query);
+        if self.pool != vk::QueryPool::null() {
+            // SAFETY: `commands` is in the recording state; the query was reset and is written once.
+            unsafe {
+                let stage = vk::PipelineStageFlags2::ALL_COMMANDS;
+                inner.device.cmd_write_timestamp2(commands, stage, self.pool, self.written);
+            }
         }
+        self.fresh = true;
+        self.written += 1;
+        self.written - 1
     }
 
     /// The times of the whole recording, of each scope and of each command. The submission must have been waited for.
     pub(super) fn collect(&mut self, inner: &Inner) -> Result<Collected> {
         let mut commands = self.commands.as_mut().map_or_else(Vec::new, Commands::take);
-        if self.names.is_empty() || self.pool == vk::QueryPool::null() {
+        if self.scopes.is_empty() || self.pool == vk::QueryPool::null() {
             return Ok(Collected { commands, ..Collected::default() });
         }
-        let ticks = self.read(inner, 0, 2 * self.names.len())?;
-        let times = ticks.chunks_exact(2).map(|t| inner.nanoseconds_between(t[0], t[1]));
-        let names = std::mem::take(&mut self.names);
-        let mut scopes = names.into_iter().zip(times).map(|((name, depth), nanoseconds)| ScopeTime {
-            name,
-            depth: depth.saturating_sub(1),
-            nanoseconds,
+        let ticks = self.read(inner)?;
+        let between =
+            |begin: u32, end: u32| inner.nanoseconds_between(ticks[begin as usize], ticks[end as usize]);
+        let mut scopes = std::mem::take(&mut self.scopes).into_iter().map(|scope| ScopeTime {
+            depth: scope.depth.saturating_sub(1),
+            nanoseconds: between(scope.begin, scope.end),
+            name: scope.name,
         });
         let whole = scopes.next().map(|s| s.nanoseconds);
-        let timed = commands.len().min(MAX_COMMANDS as usize);
-        let mut before = ticks[0];
-        for (command, end) in commands.iter_mut().zip(self.read(inner, 2 * MAX_SCOPES, timed)?) {
-            command.begin_ns = Some(inner.nanoseconds_between(ticks[0], before));
-            command.nanoseconds = Some(inner.nanoseconds_between(before, end));
+        let mut before = 0;
+        for (command, &end) in commands.iter_mut().zip(&self.command_ends) {
+            command.begin_ns = Some(between(0, before));
+            command.nanoseconds = Some(between(before, end));
             before = end;
         }
         Ok(Collected { nanoseconds: whole, scopes: scopes.collect(), commands, begin_ticks: ticks[0] })
     }
 
-    fn read(&self, inner: &Inner, first: u32, count: usize) -> Result<Vec<u64>> {
-        let mut ticks = vec![0u64; count];
-        if count > 0 {
-            let flags = vk::QueryResultFlags::TYPE_64;
-            // SAFETY: these queries were written by a submission that is over.
-            let read = unsafe { inner.device.get_query_pool_results(self.pool, first, &mut ticks, flags) };
-            read.map_err(vk_error("vkGetQueryPoolResults"))?;
-        }
+    fn read(&self, inner: &Inner) -> Result<Vec<u64>> {
+        let mut ticks = vec![0u64; self.written as usize];
+        let flags = vk::QueryResultFlags::TYPE_64;
+        // SAFETY: these queries were written by a submission that is over.
+        let read = unsafe { inner.device.get_query_pool_results(self.pool, 0, &mut ticks, flags) };
+        read.map_err(vk_error("vkGetQueryPoolResults"))?;
         Ok(ticks)
     }
 }
