@@ -2,7 +2,6 @@
 
 pub mod compare;
 mod cpu_sorts;
-pub mod cpu_time;
 pub mod frames;
 pub mod machine;
 pub mod measure;

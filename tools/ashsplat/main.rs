@@ -15,6 +15,7 @@ macro_rules! tell {
 mod args;
 mod bench;
 mod config;
+mod cpu_time;
 mod demo;
 mod devices;
 mod eval;

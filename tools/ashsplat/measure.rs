@@ -1,9 +1,7 @@
 //! What a run costs: wall-clock and processor time.
 
+use crate::cpu_time::process_seconds;
 use std::time::Instant;
-
-/// Unit of the processor times in /proc: Linux fixes it at 100 per second for user space.
-const TICKS_PER_SECOND: f64 = 100.0;
 
 /// A stopwatch for wall-clock and processor time that can be paused.
 pub struct Stopwatch {
@@ -24,7 +22,7 @@ pub struct Cost {
 
 impl Stopwatch {
     pub fn start() -> Stopwatch {
-        Stopwatch { start: Instant::now(), cpu_start: process_cpu_seconds(), before: (0.0, 0.0) }
+        Stopwatch { start: Instant::now(), cpu_start: process_seconds(), before: (0.0, 0.0) }
     }
 
     /// Does something that does not count.
@@ -38,7 +36,9 @@ impl Stopwatch {
 
     /// What has been spent so far, for a number of iterations.
     pub fn cost(&self, iterations: u32) -> Cost {
-        let cpu = self.cpu_start.zip(process_cpu_seconds()).map(|(start, now)| now - start + self.before.1);
+        // The clock knows living threads only: it goes back when one ends.
+        let since = |start: f64, now: f64| (now - start).max(0.0);
+        let cpu = self.cpu_start.zip(process_seconds()).map(|(start, now)| since(start, now) + self.before.1);
         Cost { iterations, seconds: self.before.0 + self.start.elapsed().as_secs_f64(), cpu_seconds: cpu }
     }
 }
@@ -52,13 +52,4 @@ impl std::fmt::Display for Cost {
             None => Ok(()),
         }
     }
-}
-
-/// User and system time of this process so far, from /proc/self/stat.
-fn process_cpu_seconds() -> Option<f64> {
-    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // The second field is the program's name in parentheses and may hold anything; count from behind it.
-    let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
-    let ticks = |index: usize| fields.get(index)?.parse::<f64>().ok();
-    Some((ticks(11)? + ticks(12)?) / TICKS_PER_SECOND)
 }

@@ -1,8 +1,8 @@
 //! Runs a workload again and again and sorts out where its time goes.
 
-use super::cpu_time::process_seconds;
 use super::schema::{Arena, CopyBandwidth, Cost, KernelResult, Split, Spread};
 use super::traffic::Traffic;
+use crate::cpu_time::process_seconds;
 use ashsplat::Result;
 use ashsplat::vk::{Context, MemoryKind, Submission};
 use std::time::{Duration, Instant};
