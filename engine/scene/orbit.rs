@@ -40,9 +40,20 @@ impl Orbit {
     /// An orbit that repeats the situation of existing cameras: their mean height above the point they look at,
     /// their mean distance to it, their mean up direction. `None` without cameras.
     ///
-    /// The centre is the point nearest to all optical axes (least squares); for parallel axes, the mean of the
-    /// points one mean distance ahead.
+    /// The centre is the point nearest to all optical axes (least squares); parallel axes do not tell where the scene is:
+    /// then one world unit ahead of the cameras, see [`Orbit::around_scene`].
     pub fn around(cameras: &[Camera], count: u32, intrinsics: Intrinsics) -> Option<Self> {
+        Self::around_scene(cameras, None, count, intrinsics)
+    }
+
+    /// As [`Orbit::around`], but around `scene_center` (world units) where the cameras' axes are parallel and it lies in
+    /// front of the cameras.
+    pub fn around_scene(
+        cameras: &[Camera],
+        scene_center: Option<Vec3>,
+        count: u32,
+        intrinsics: Intrinsics,
+    ) -> Option<Self> {
         if cameras.is_empty() {
             return None;
         }
@@ -50,7 +61,10 @@ impl Orbit {
         let mean = |f: &dyn Fn(&Camera) -> Vec3| cameras.iter().map(f).sum::<Vec3>() / n;
         let up = mean(&|c| -c.camera_from_world.row(1)).try_normalize().unwrap_or(Vec3::NEG_Y);
         let middle = mean(&|c| c.position());
-        let center = nearest_to_axes(cameras).unwrap_or_else(|| middle + mean(&|c| c.forward()));
+        let forward = mean(&|c| c.forward());
+        let center = nearest_to_axes(cameras)
+            .or_else(|| scene_center.filter(|center| (*center - middle).dot(forward) > 0.0))
+            .unwrap_or(middle + forward);
         let radius = cameras.iter().map(|c| c.position().distance(center)).sum::<f32>() / n;
         let height = (middle - center).dot(up);
         let elevation = if radius > 0.0 { (height / radius).clamp(-1.0, 1.0).asin() } else { 0.0 };

@@ -130,3 +130,27 @@ fn orbit_of_a_single_gaussian_shows_it() {
         assert_eq!(said.matches("1 of 1 Gaussians visible").count(), 3, "{said}");
     }
 }
+
+/// A row of cameras that all look the same way says nothing about the scene's depth: the Gaussians do.
+#[test]
+fn orbit_of_parallel_cameras_shows_the_scene() {
+    let folder = tempdir().expect("a temporary folder");
+    let (model, out) = (folder.path().join("model"), folder.path().join("out"));
+    let ply = model.join("point_cloud/iteration_1/point_cloud.ply");
+    std::fs::create_dir_all(ply.parent().expect("a folder")).expect("created");
+    let mut gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 0).expect("Gaussians");
+    gaussians.means.iter_mut().for_each(|mean| mean[2] += 40.0);
+    ashsplat::io::ply::write(&ply, &gaussians).expect("written");
+    let named = |index: u32| {
+        let x = index as f32 - 1.0;
+        let intrinsics = Intrinsics::from_fov_x(0.8, SIZE[0], SIZE[1]);
+        let camera = Camera::look_at(vec3(x, 0.0, 0.0), vec3(x, 0.0, 1.0), Vec3::NEG_Y, intrinsics);
+        (format!("{index}.png"), camera)
+    };
+    let cameras: Vec<(String, Camera)> = (0..3).map(named).collect();
+    let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
+    ashsplat::io::cameras_json::write(model.join("cameras.json"), named).expect("written");
+    std::fs::write(model.join("cfg_args"), "Namespace(sh_degree=0)").expect("written");
+    let said = succeed(&["render", text(&model), "--orbit", "4", "--width", "64", "-o", text(&out)]);
+    assert_eq!(said.matches(" 400 of 400 Gaussians visible").count(), 4, "{said}");
+}

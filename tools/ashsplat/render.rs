@@ -246,7 +246,8 @@ impl Arguments {
             Some(path) => cameras_json::read(path)?.iter().map(|named| named.camera).collect(),
             None => Vec::new(),
         };
-        let orbit = Orbit::around(&trained, count, intrinsics);
+        let scene_center = gaussians.statistics().central_bounds.map(|bounds| bounds.center());
+        let orbit = Orbit::around_scene(&trained, scene_center, count, intrinsics);
         let orbit = orbit.unwrap_or_else(|| orbit_around(gaussians, self.up, count, intrinsics));
         let named = |(index, camera): (usize, Camera)| {
             camera.check()?;
