@@ -34,6 +34,29 @@ pub fn remove(path: &Path) -> Result<()> {
     }
 }
 
+/// Removes what an earlier run that was killed while it wrote left in a folder (`.NAME.XXXXXX.tmp`), and so many levels of
+/// folders below it. What cannot be removed stays: it harms nobody.
+pub fn remove_leftovers(folder: &Path, levels: u32) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        match entry.file_type() {
+            Ok(kind) if kind.is_dir() && levels > 0 => remove_leftovers(&entry.path(), levels - 1),
+            Ok(kind) if kind.is_file() && entry.file_name().to_str().is_some_and(is_leftover) => {
+                std::fs::remove_file(entry.path()).ok();
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Whether a file's name is one under which [`atomic::write`] writes.
+fn is_leftover(name: &str) -> bool {
+    let parts = name.strip_prefix('.').and_then(|n| n.strip_suffix(".tmp")).and_then(|n| n.rsplit_once('.'));
+    parts.is_some_and(|(stem, random)| {
+        !stem.is_empty() && random.len() == 6 && random.chars().all(|c| c.is_ascii_alphanumeric())
+    })
+}
+
 /// Text, such as a dump of settings.
 pub fn write_text(path: &Path, text: &str) -> Result<()> {
     write_whole(path, |out| out.write_all(text.as_bytes()))
@@ -102,4 +125,35 @@ fn linear_from_srgb(value: f32) -> f32 {
 /// `folder/00012.png`.
 pub fn numbered(folder: &Path, index: usize, extension: &str) -> PathBuf {
     folder.join(format!("{index:05}.{extension}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn leftovers_are_removed_and_nothing_else() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        // The name that is really used while a file is being written.
+        atomic::write(folder.path().join("settings.toml"), |_| {
+            let names = std::fs::read_dir(folder.path())?.flatten().map(|entry| entry.file_name());
+            let names: Vec<String> = names.filter_map(|name| name.into_string().ok()).collect();
+            assert!(names.len() == 1 && is_leftover(&names[0]), "{names:?}");
+            Ok(())
+        })
+        .expect("written");
+        let deep = folder.path().join("a/b");
+        atomic::create_folder(&deep).expect("created");
+        for name in [".cloud.ply.aB3dE6.tmp", "cloud.ply", ".cloud.ply.aB3dE6", ".x.tmp", "y.aB3dE6.tmp"] {
+            for place in [folder.path(), &deep] {
+                std::fs::write(place.join(name), "").expect("written");
+            }
+        }
+        remove_leftovers(folder.path(), 1);
+        let there = |place: &Path| place.join(".cloud.ply.aB3dE6.tmp").exists();
+        assert!(!there(folder.path()) && there(&deep));
+        remove_leftovers(folder.path(), 2);
+        assert!(!there(&deep));
+        assert_eq!(std::fs::read_dir(&deep).expect("a folder").count(), 4);
+    }
 }

@@ -30,7 +30,7 @@ pub struct Arguments {
     /// The same, under the reference's name
     #[arg(short, long, value_name = "MODEL", conflicts_with = "model")]
     model_path: Option<PathBuf>,
-    /// Iteration of the model folder's PLY [default: the last]
+    /// Iteration of the model folder's PLY [default: what was saved last]
     #[arg(long, value_name = "N")]
     iteration: Option<u32>,
     /// Render all views of this data set
@@ -169,6 +169,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&gaussians)?;
+    output::remove_leftovers(&arguments.out, 0);
     let mut total = 0.0;
     for (index, named) in cameras.iter().enumerate() {
         let start = Instant::now();
