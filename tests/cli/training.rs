@@ -44,6 +44,7 @@ fn leaves_what_the_reference_leaves() {
         "cameras.json",
         "cfg_args",
         "input.ply",
+        "last_iteration",
         "per_view.json",
         "results.json",
         "settings.toml",
@@ -201,6 +202,77 @@ fn demo_leaves_data_set_sheet_metrics_and_scene() {
     assert!(info.contains("35 for training, 5 held out"), "{info}");
     // Three columns with margins.
     assert_eq!(image::image_dimensions(out.join("contact_sheet.png")).expect("a PNG").0, 3 * 256 + 4 * 8);
+}
+
+/// A data set and a model folder of a test's own, and a short training in it.
+struct Short {
+    folder: tempfile::TempDir,
+}
+
+impl Short {
+    fn new() -> Short {
+        let folder = tempdir().expect("a temporary folder");
+        write_dataset(&folder.path().join("data"));
+        Short { folder }
+    }
+
+    fn model(&self) -> PathBuf {
+        self.folder.path().join("model")
+    }
+
+    fn train(&self, more: &[&str]) -> Finished {
+        let (data, model) = (self.folder.path().join("data"), self.model());
+        finish(program().args(["train", "-s", text(&data), "-m", text(&model), "--quiet"]).args(more))
+    }
+
+    fn ply(&self, iteration: u32) -> PathBuf {
+        self.model().join(format!("point_cloud/iteration_{iteration}/point_cloud.ply"))
+    }
+}
+
+/// The point cloud of an earlier, longer training in the same folder is not taken for the new one's.
+#[test]
+fn newest_point_cloud_counts_not_the_highest_number() {
+    let short = Short::new();
+    assert_eq!(short.train(&["--iterations", "5"]).stderr, "");
+    // As a run leaves it that was killed while it saved.
+    let leftover = short.ply(5).with_file_name(".point_cloud.ply.aB3dE6.tmp");
+    std::fs::write(&leftover, "half").expect("written");
+    let again = short.train(&["--iterations", "3"]);
+    assert_eq!(again.code, Some(0), "{}", again.stderr);
+    assert!(
+        again.stderr.starts_with("warning: ") && again.stderr.contains("iteration_5"),
+        "{}",
+        again.stderr
+    );
+    assert!(short.ply(5).is_file() && !leftover.exists());
+    let info: Value =
+        serde_json::from_str(&succeed(&["info", text(&short.model()), "--json"])).expect("JSON");
+    assert_eq!(info["file"].as_str(), short.ply(3).to_str());
+}
+
+#[test]
+fn a_training_that_fails_saves_what_it_has() {
+    let short = Short::new();
+    std::fs::create_dir(short.model()).expect("created");
+    std::fs::write(short.model().join("test"), "no folder").expect("written");
+    let run = short.train(&["--iterations", "9", "--eval", "--test_iterations", "6"]);
+    assert_refused(&run, &["model/test", "cannot create"]);
+    assert!(short.ply(6).is_file(), "{:?}", files_below(&short.model()));
+    succeed(&["info", text(&short.model())]);
+    let log = std::fs::read_to_string(short.model().join("train_log.csv")).expect("the log");
+    assert_eq!(log.lines().count(), 7, "{log}");
+}
+
+/// Every Gaussian has less opacity than is asked for.
+#[test]
+fn training_ends_when_nothing_is_left() {
+    let short = Short::new();
+    let schedule =
+        ["--densify_from_iter", "2", "--densification_interval", "2", "--densify_until_iter", "20"];
+    let run = short.train(&[&["--iterations", "30", "--min_opacity", "1"], schedule.as_slice()].concat());
+    assert_refused(&run, &["no Gaussians", "--min-opacity"]);
+    assert!(!short.model().join("point_cloud").exists(), "{:?}", files_below(&short.model()));
 }
 
 /// Ctrl-C in the middle: the iteration is finished, the scene saved, the exit code that of an interrupted program.

@@ -24,7 +24,7 @@ pub struct Arguments {
     /// The same, under the reference's name
     #[arg(short, long, value_name = "MODEL", conflicts_with = "model")]
     model_path: Option<PathBuf>,
-    /// Iteration of the model folder's PLY [default: the last]
+    /// Iteration of the model folder's PLY [default: what was saved last]
     #[arg(long, value_name = "N")]
     iteration: Option<u32>,
     #[command(flatten)]

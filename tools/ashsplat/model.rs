@@ -1,6 +1,7 @@
 //! Where a trained scene lies: a PLY, or a folder as training leaves it.
 
 use crate::config::Settings;
+use crate::output;
 use ashsplat::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -15,16 +16,15 @@ pub struct Model {
 }
 
 impl Model {
-    /// Finds the PLY of a model folder (of the given iteration, else of the last) or takes a PLY as it is.
+    /// Finds the PLY of a model folder (of the given iteration, else the newest) or takes a PLY as it is.
     pub fn locate(path: &Path, iteration: Option<u32>) -> Result<Model> {
         if !path.is_dir() {
             std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
             return Ok(Model { ply: path.to_owned(), folder: None, settings: Settings::default() });
         }
-        let clouds = path.join("point_cloud");
         let iteration = match iteration {
             Some(iteration) => iteration,
-            None => last_iteration(&clouds).ok_or_else(|| {
+            None => newest_iteration(path).ok_or_else(|| {
                 let remedy = "give a model folder as `ashsplat train -m` writes it, or a PLY";
                 Error::input(path, "has no point_cloud/iteration_N/point_cloud.ply", remedy)
             })?,
@@ -40,9 +40,52 @@ pub fn point_cloud_path(folder: &Path, iteration: u32) -> PathBuf {
     folder.join("point_cloud").join(format!("iteration_{iteration}")).join("point_cloud.ply")
 }
 
-fn last_iteration(clouds: &Path) -> Option<u32> {
-    let entries = std::fs::read_dir(clouds).ok()?.filter_map(|entry| entry.ok());
+/// Which point cloud was saved last: not always the one with the highest number, where an earlier training left its own.
+const LAST_ITERATION_FILE: &str = "last_iteration";
+
+/// Notes the iteration whose point cloud was saved last.
+pub fn note_saved(folder: &Path, iteration: u32) -> Result<()> {
+    output::write_text(&folder.join(LAST_ITERATION_FILE), &format!("{iteration}\n"))
+}
+
+/// The iterations whose point clouds are in a model folder, ascending.
+pub fn saved_iterations(folder: &Path) -> Vec<u32> {
+    let Ok(entries) = std::fs::read_dir(folder.join("point_cloud")) else { return Vec::new() };
     let iteration = |name: &str| name.strip_prefix("iteration_")?.parse::<u32>().ok();
-    let saved = entries.filter(|entry| entry.path().join("point_cloud.ply").is_file());
-    saved.filter_map(|entry| iteration(entry.file_name().to_str()?)).max()
+    let numbers = entries.filter_map(|entry| iteration(entry.ok()?.file_name().to_str()?));
+    let mut saved: Vec<u32> = numbers.filter(|&n| point_cloud_path(folder, n).is_file()).collect();
+    saved.sort_unstable();
+    saved
+}
+
+/// The iteration noted last, if its point cloud is there; else (in a folder that another program wrote) the highest.
+fn newest_iteration(folder: &Path) -> Option<u32> {
+    let note = std::fs::read_to_string(folder.join(LAST_ITERATION_FILE)).ok();
+    let noted = note.and_then(|text| text.trim().parse::<u32>().ok());
+    let noted = noted.filter(|&iteration| point_cloud_path(folder, iteration).is_file());
+    noted.or_else(|| saved_iterations(folder).last().copied())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_note_counts_where_its_point_cloud_is() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let newest = || newest_iteration(folder.path());
+        assert_eq!(newest(), None);
+        for iteration in [5, 3, 30] {
+            output::write_text(&point_cloud_path(folder.path(), iteration), "ply").expect("written");
+        }
+        std::fs::create_dir(folder.path().join("point_cloud/iteration_99")).expect("an empty folder");
+        assert_eq!(saved_iterations(folder.path()), [3, 5, 30]);
+        assert_eq!(newest(), Some(30));
+        note_saved(folder.path(), 3).expect("noted");
+        assert_eq!(newest(), Some(3));
+        note_saved(folder.path(), 99).expect("noted");
+        assert_eq!(newest(), Some(30));
+        std::fs::write(folder.path().join(LAST_ITERATION_FILE), "three").expect("written");
+        assert_eq!(newest(), Some(30));
+    }
 }

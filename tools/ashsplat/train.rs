@@ -1,27 +1,29 @@
 //! `ashsplat train`.
 
+mod log;
+
 use crate::args::DeviceArguments;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, Overrides, SETTINGS_FILE, Settings};
 use crate::eval::{self, Evaluation};
 use crate::measure::{Cost, Stopwatch};
-use crate::model::point_cloud_path;
+use crate::model;
 use crate::progress::{State, TrainProgress, thousands};
 use crate::{output, render, session};
-use ashsplat::io::{self, Dataset, View};
-use ashsplat::scene::Gaussians;
+use ashsplat::io::{self, Dataset, View, cameras_json};
+use ashsplat::scene::{Camera, Gaussians, PointCloud};
 use ashsplat::trainer::{StepReport, TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use clap::Args;
-use std::fmt::Write as _;
-use std::path::PathBuf;
+use log::TrainLog;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Train a scene from a COLMAP data set.
 ///
 /// Names and defaults are those of the reference implementation; hyphens and underscores are both accepted.
-/// Ctrl-C finishes the iteration, saves, and exits with 130.
+/// Ctrl-C finishes the iteration, saves, and exits with 130. When an iteration fails, the scene before it is saved.
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -78,67 +80,79 @@ pub struct Run {
     /// Whether `test` was held out, or is a sample of the training views.
     held_out: bool,
     progress: TrainProgress,
-    log: String,
+    log: TrainLog,
     first: Option<Cost>,
     total: Option<Cost>,
     /// The tests so far.
     pub evaluations: Vec<Tested>,
     gaussians: u32,
     skipped: u64,
+    /// Iteration whose scene was saved last.
+    saved: Option<u32>,
 }
 
 impl Run {
-    /// Creates the trainer and the model folder with everything that is known before training.
+    /// Creates the trainer, and then, when nothing but the disk can fail any more, the model folder with everything that
+    /// is known before training.
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
         let points = dataset.initial_points(u64::from(settings.train.seed));
         let initial = Gaussians::from_points(&points, settings.train.sh_degree)?;
-        let folder = &settings.data.model_path;
-        io::atomic::create_folder(folder)?;
-        // Results of an earlier run in this folder would be taken for this one's.
-        output::remove(&folder.join(eval::RESULTS_FILE))?;
-        output::remove(&folder.join(eval::PER_VIEW_FILE))?;
-        output::write_text(&folder.join(SETTINGS_FILE), &settings.to_toml()?)?;
-        output::write_text(&folder.join(CFG_ARGS_FILE), &settings.to_cfg_args())?;
-        dataset.write_cameras_json(folder.join(CAMERAS_FILE))?;
-        io::ply::write_points(folder.join("input.ply"), &points)?;
         let Dataset { train, test, scene_extent, .. } = dataset;
+        let own = |view: &View| (view.name.clone(), view.original_camera);
+        let cameras: Vec<(String, Camera)> = test.iter().chain(&train).map(own).collect();
         let held_out = !test.is_empty();
         let test = if held_out { test } else { sample(&train) };
         let views =
             train.into_iter().map(|view| TrainView { camera: view.camera, photo: view.photo }).collect();
         let trainer = Trainer::new(context, views, &initial, scene_extent, settings.train.clone())?;
+        write_beginnings(&settings, &cameras, &points)?;
         Ok(Run {
             progress: TrainProgress::new(settings.train.iterations, quiet),
+            log: TrainLog::create(&settings.data.model_path.join("train_log.csv"))?,
             settings,
             trainer,
             test,
             held_out,
-            log: "iteration,loss,psnr,gaussians,ms,skipped\n".into(),
             first: None,
             total: None,
             evaluations: Vec::new(),
             gaussians: initial.len() as u32,
             skipped: 0,
+            saved: None,
         })
     }
 
-    /// Trains to the end, or until Ctrl-C: then the answer is true. The log is written in any case.
+    /// Trains to the end, or until Ctrl-C: then the answer is true. After a failure, too, scene and log are saved.
     pub fn train(&mut self) -> Result<bool> {
         let stop = stop_on_ctrl_c()?;
-        let result = self.iterate(&stop);
+        let mut watch = Stopwatch::start();
+        let result = self.iterate(&stop, &mut watch);
+        let total = watch.cost(self.trainer.iteration());
+        self.total = Some(total);
+        self.first.get_or_insert(total);
         self.progress.finish();
-        output::write_text(&self.settings.data.model_path.join("train_log.csv"), &self.log)?;
-        result
+        if result.is_err() {
+            self.rescue();
+        }
+        let log = self.log.finish();
+        if let (Err(_), Err(error)) = (&result, &log) {
+            tell!("warning: {error}");
+        }
+        let interrupted = result?;
+        log.map(|()| interrupted)
     }
 
-    fn iterate(&mut self, stop: &AtomicBool) -> Result<bool> {
-        let mut watch = Stopwatch::start();
+    fn iterate(&mut self, stop: &AtomicBool, watch: &mut Stopwatch) -> Result<bool> {
         for _ in 0..self.settings.train.iterations {
             let report = self.trainer.step()?;
             let stopping = stop.load(Ordering::Relaxed);
-            self.account(&report, &watch);
-            let psnr = watch.paused(|| self.keep(report.iteration, stopping))?;
-            self.log_line(&report, psnr);
+            self.account(&report);
+            if report.iteration == FIRST_ITERATIONS {
+                self.first = Some(watch.cost(FIRST_ITERATIONS));
+            }
+            let kept = self.check(&report).and_then(|()| self.keep(report.iteration, stopping, watch));
+            self.log.add(&report, *kept.as_ref().unwrap_or(&None));
+            kept?;
             if stopping {
                 return Ok(true);
             }
@@ -146,13 +160,20 @@ impl Run {
         Ok(false)
     }
 
-    /// Counts and shows an iteration.
-    fn account(&mut self, report: &StepReport, watch: &Stopwatch) {
-        let cost = watch.cost(report.iteration);
-        if report.iteration <= FIRST_ITERATIONS {
-            self.first = Some(cost);
+    /// An iteration over nothing is the last.
+    fn check(&self, report: &StepReport) -> Result<()> {
+        if report.gaussians > 0 {
+            return Ok(());
         }
-        self.total = Some(cost);
+        let problem = format!(
+            "pruning left no Gaussians for iteration {}; lower --min-opacity (it is {}) or densify later",
+            report.iteration, self.settings.train.min_opacity
+        );
+        Err(Error::argument("training", problem))
+    }
+
+    /// Counts and shows an iteration.
+    fn account(&mut self, report: &StepReport) {
         self.gaussians = report.gaussians;
         self.skipped += u64::from(report.skipped_non_finite);
         self.progress.step(&State {
@@ -163,21 +184,44 @@ impl Run {
         });
     }
 
-    /// Tests and saves where it is time to; the PSNR where it was tested.
-    fn keep(&mut self, iteration: u32, stopping: bool) -> Result<Option<f64>> {
+    /// Tests and saves where it is time to, off the clock; the PSNR where it was tested.
+    fn keep(&mut self, iteration: u32, stopping: bool, watch: &mut Stopwatch) -> Result<Option<f64>> {
         let last = iteration == self.settings.train.iterations;
         let data = &self.settings.data;
-        if last || stopping || data.save_iterations.contains(&iteration) {
-            let path = point_cloud_path(&data.model_path, iteration);
-            output::make_way(&path)?;
-            io::ply::write(&path, &self.trainer.gaussians()?)?;
-            let reason = if stopping && !last { "interrupted: " } else { "" };
-            self.progress.note(&format!("{reason}saved {}", path.display()));
+        let saves = last || stopping || data.save_iterations.contains(&iteration);
+        let tests = last || data.test_iterations.contains(&iteration);
+        if !saves && !tests {
+            return Ok(None);
         }
-        if last || data.test_iterations.contains(&iteration) {
-            return self.test(iteration).map(Some);
+        watch.paused(|| {
+            if saves {
+                self.save(iteration, if stopping && !last { "interrupted: " } else { "" })?;
+            }
+            if tests { self.test(iteration).map(Some) } else { Ok(None) }
+        })
+    }
+
+    /// Saves the scene as it stands after an iteration, and notes that it is the newest.
+    fn save(&mut self, iteration: u32, reason: &str) -> Result<()> {
+        let folder = &self.settings.data.model_path;
+        let path = model::point_cloud_path(folder, iteration);
+        output::make_way(&path)?;
+        io::ply::write(&path, &self.trainer.gaussians()?)?;
+        model::note_saved(folder, iteration)?;
+        self.saved = Some(iteration);
+        self.progress.note(&format!("{reason}saved {}", path.display()));
+        Ok(())
+    }
+
+    /// After a failure: saves what the iterations before it have made, if there is anything that is not saved.
+    fn rescue(&mut self) {
+        let iteration = self.trainer.iteration();
+        if iteration == 0 || self.gaussians == 0 || self.saved == Some(iteration) {
+            return;
         }
-        Ok(None)
+        if let Err(error) = self.save(iteration, "failed: ") {
+            tell!("warning: the scene is lost: {error}");
+        }
     }
 
     /// Measures the test views; those that were held out are also saved.
@@ -209,14 +253,6 @@ impl Run {
             evaluation.views.len(),
             thousands(u64::from(*gaussians)),
         )
-    }
-
-    fn log_line(&mut self, report: &StepReport, psnr: Option<f64>) {
-        let psnr = psnr.map_or_else(String::new, |psnr| format!("{psnr:.4}"));
-        let StepReport { iteration, loss, gaussians, milliseconds, skipped_non_finite, .. } = report;
-        // Writing to a string cannot fail.
-        writeln!(self.log, "{iteration},{loss},{psnr},{gaussians},{milliseconds:.2},{skipped_non_finite}")
-            .ok();
     }
 
     /// Results and costs, on stdout.
@@ -256,6 +292,36 @@ impl Run {
     }
 }
 
+/// Creates the model folder and writes what is known before training.
+fn write_beginnings(settings: &Settings, cameras: &[(String, Camera)], points: &PointCloud) -> Result<()> {
+    let folder = &settings.data.model_path;
+    io::atomic::create_folder(folder)?;
+    clear_up_after_others(folder)?;
+    output::write_text(&folder.join(SETTINGS_FILE), &settings.to_toml()?)?;
+    output::write_text(&folder.join(CFG_ARGS_FILE), &settings.to_cfg_args())?;
+    let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
+    cameras_json::write(folder.join(CAMERAS_FILE), named)?;
+    io::ply::write_points(folder.join("input.ply"), points)
+}
+
+/// Removes what would be taken for this run's, and warns of the point clouds of earlier ones: they are too dear to remove.
+fn clear_up_after_others(folder: &Path) -> Result<()> {
+    output::remove_leftovers(folder, 0);
+    output::remove_leftovers(&folder.join("point_cloud"), 1);
+    output::remove_leftovers(&folder.join("test"), 2);
+    output::remove(&folder.join(eval::RESULTS_FILE))?;
+    output::remove(&folder.join(eval::PER_VIEW_FILE))?;
+    let older: Vec<String> =
+        model::saved_iterations(folder).iter().map(|n| format!("iteration_{n}")).collect();
+    if !older.is_empty() {
+        let (folder, older) = (folder.display(), older.join(", "));
+        tell!(
+            "warning: {folder}: has point clouds of an earlier training ({older}); --iteration N chooses them"
+        );
+    }
+    Ok(())
+}
+
 /// A few of the training views, evenly spread.
 fn sample(train: &[View]) -> Vec<View> {
     let step = train.len().div_ceil(STAND_IN_VIEWS).max(1);
@@ -273,4 +339,42 @@ fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
     };
     ctrlc::set_handler(handler).map_err(|e| Error::argument("Ctrl-C", format!("cannot be caught: {e}")))?;
     Ok(stop)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ashsplat::io::Photo;
+    use ashsplat::scene::Intrinsics;
+    use ashsplat::vk::ContextOptions;
+    use glam::Vec3;
+
+    /// The trainer refuses a scene without extent; what an earlier run left is as it was.
+    #[test]
+    fn a_training_that_cannot_start_leaves_the_model_alone() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let files = [SETTINGS_FILE, CFG_ARGS_FILE, CAMERAS_FILE, eval::RESULTS_FILE, "input.ply"];
+        files.iter().for_each(|name| std::fs::write(folder.path().join(name), "old").expect("written"));
+        let camera =
+            Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.8, 16, 16));
+        let photo = Photo { width: 16, height: 16, rgb: vec![0; 16 * 16 * 3] };
+        let (name, original_camera) = ("a.png".into(), camera);
+        let dataset = Dataset {
+            train: vec![View { name, image_id: 1, camera, original_camera, photo }],
+            test: Vec::new(),
+            points: PointCloud { positions: vec![[0.0; 3]; 4], colors: vec![[9; 3]; 4] },
+            scene_extent: 0.0,
+            source: PathBuf::new(),
+            warnings: Vec::new(),
+        };
+        let mut settings = Settings::default();
+        settings.data.model_path = folder.path().to_owned();
+        let context = Context::new(&ContextOptions::default()).expect("a device");
+        let refused = Run::prepare(&context, dataset, settings, true).err().expect("refused");
+        assert!(refused.to_string().contains("scene extent"), "{refused}");
+        for name in files {
+            assert_eq!(std::fs::read_to_string(folder.path().join(name)).expect(name), "old");
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).expect("the folder").count(), files.len());
+    }
 }
