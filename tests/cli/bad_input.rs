@@ -130,6 +130,14 @@ fn unknown_device() {
         &["'no such card'", "there are: 0 '"],
     );
     assert!(!out.exists());
+    // Before the photos are looked at.
+    std::fs::write(data.join("images/05.png"), "no photo").expect("written");
+    let ask =
+        |command: &[&str]| refuse(&[command, &["--device", "no such card"]].concat(), &["'no such card'"]);
+    ask(&["train", "-s", text(&data), "-m", text(&out)]);
+    ask(&["bench", "train-step", "--dataset", text(&data)]);
+    ask(&["profile", "train-step", "--dataset", text(&data)]);
+    assert!(!out.exists());
 }
 
 #[test]

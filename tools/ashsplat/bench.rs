@@ -135,13 +135,9 @@ fn compare_files(files: &CompareArguments) -> Result<()> {
 
 fn measure_all(arguments: &RunArguments, names: &[&str]) -> Result<()> {
     let scenes = names.iter().any(|name| ["render", "train-step"].contains(name));
-    let scene = if scenes {
-        // Before the device: bad input is reported at once.
-        Some(arguments.scene.load(names.contains(&"train-step"))?)
-    } else {
-        None
-    };
+    // Before the scene, which may have many photos: a missing device is reported at once.
     let context = arguments.context()?;
+    let scene = if scenes { Some(arguments.scene.load(names.contains(&"train-step"))?) } else { None };
     let copy = measure::copy_bandwidth(&context)?;
     let mut runs = Vec::new();
     for name in names {

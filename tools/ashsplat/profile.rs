@@ -114,11 +114,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         say!("{}", dump::dump(folder)?.trim_end());
         return Ok(());
     }
-    let scene = arguments.scene.load(arguments.what == What::TrainStep)?;
+    let load = || arguments.scene.load(arguments.what == What::TrainStep);
     if let Some(settings) = &arguments.ab {
-        return ab::run(arguments, settings, &scene);
+        return ab::run(arguments, settings, &load()?);
     }
     let context = open(arguments, &overrides)?;
+    let scene = load()?;
     if arguments.watch {
         return watch::run(arguments, &context, &scene);
     }
