@@ -32,7 +32,10 @@ document.querySelectorAll('.zoom').forEach(box => { const svg = box.querySelecto
   box.addEventListener('wheel', event => { if (event.shiftKey) return; event.preventDefault();
     const x = event.clientX - box.getBoundingClientRect().left, at = (box.scrollLeft + x) / scale;
     scale = Math.min(200, Math.max(1, scale * Math.exp(-event.deltaY / 400)));
-    svg.setAttribute('width', width * scale); box.scrollLeft = at * scale - x; }, { passive: false }); });
+    svg.setAttribute('width', width * scale); box.scrollLeft = at * scale - x;
+    svg.querySelectorAll('text').forEach(text => { const place = +text.getAttribute('x');
+      text.setAttribute('transform', `translate(${place * (1 - 1 / scale)} 0) scale(${1 / scale} 1)`); });
+  }, { passive: false }); });
 ";
 
 /// Stages in the order of their first command, with a colour for each.

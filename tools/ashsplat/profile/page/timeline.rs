@@ -97,7 +97,7 @@ impl Rows {
             let x = LEFT + time * self.scale;
             let _ = writeln!(
                 out,
-                "<path d=\"M{x:.2} 16V112\" stroke=\"#8884\"/><text x=\"{x:.2}\" y=\"124\" text-anchor=\"middle\">{time} ms</text>"
+                "<path d=\"M{x:.2} 16V112\" stroke=\"#8884\" vector-effect=\"non-scaling-stroke\"/><text x=\"{x:.2}\" y=\"124\" text-anchor=\"middle\">{time} ms</text>"
             );
         }
     }
