@@ -136,10 +136,6 @@ impl Dataset {
             warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());
             extent = 1.0;
         }
-        if model.points.is_empty() {
-            warnings
-                .push(format!("no points to start from; training starts from {RANDOM_POINTS} random ones"));
-        }
         Self {
             train,
             test,

@@ -71,11 +71,12 @@ fn photo_of_another_size() {
 }
 
 #[test]
-fn zero_points_start_from_random_ones_and_say_so() {
+fn zero_points_are_refused_unless_random_ones_are_wanted() {
     let place = Place::new();
     let images: Vec<_> =
         (1..=VIEWS).map(|id| ColmapImage::posed(id, 1, format!("{id:02}.png"), &view(id - 1))).collect();
     write_model(&place.data(), &images, &PointCloud::default());
+    place.training_refuses(&["no points", "--random-points"]);
     let (data, out) = (place.data(), place.out());
     let run = finish(program().args([
         "train",
@@ -85,6 +86,7 @@ fn zero_points_start_from_random_ones_and_say_so() {
         text(&out),
         "--iterations",
         "1",
+        "--random-points",
         "--quiet",
     ]));
     assert_eq!(run.code, Some(0), "{}", run.stderr);

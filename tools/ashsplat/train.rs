@@ -10,6 +10,7 @@ use crate::model;
 use crate::progress::{State, TrainProgress, thousands};
 use crate::{output, render, session};
 use ashsplat::io::{self, Dataset, View, cameras_json};
+use ashsplat::scene::init::RANDOM_POINTS;
 use ashsplat::scene::{Camera, Gaussians, PointCloud};
 use ashsplat::trainer::{StepReport, TrainView, Trainer};
 use ashsplat::vk::Context;
@@ -31,6 +32,9 @@ pub struct Arguments {
     /// TOML file with any of these settings (as settings.toml in a model folder); the command line wins
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Start from 100,000 random points where the data set has none, instead of refusing it
+    #[arg(long)]
+    random_points: bool,
     #[command(flatten)]
     device: DeviceArguments,
     /// No progress; only results and errors
@@ -56,6 +60,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // The device first: without one, nobody should wait for the photos.
     let context = arguments.device.context()?;
     let dataset = session::load(&settings.data, settings.train.white_background, arguments.quiet)?;
+    if dataset.points.is_empty() && arguments.random_points {
+        tell!("warning: no points to start from; training starts from {RANDOM_POINTS} random ones");
+    } else if dataset.points.is_empty() {
+        let remedy = "register the photos with COLMAP's mapper or point_triangulator, or use --random-points";
+        return Err(Error::input(
+            &settings.data.source_path,
+            "the model has no points to start from",
+            remedy,
+        ));
+    }
     let folder = settings.data.model_path.clone();
     let mut run = Run::prepare(&context, dataset, settings, arguments.quiet)?;
     let interrupted = run.train()?;

@@ -94,7 +94,7 @@ impl DatasetReport {
         self.point_bounds = model.points.bounds();
         self.warnings.clone_from(&model.warnings);
         if model.points.is_empty() {
-            self.warnings.push("no points to start from; training would start from random ones".into());
+            self.warnings.push("no points to start from; training needs --random-points".into());
         }
     }
 
