@@ -136,6 +136,9 @@ impl Dataset {
             warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());
             extent = 1.0;
         }
+        if model.points.is_empty() {
+            warnings.push(format!("no points to start from; {RANDOM_POINTS} random ones stand in for them"));
+        }
         Self {
             train,
             test,

@@ -137,6 +137,7 @@ fn without_points_it_starts_from_random_ones_around_the_cameras() {
     write(folder.path(), 6, 0);
     let dataset = load(folder.path(), &DatasetOptions::default());
     assert!(dataset.points.is_empty());
+    assert!(dataset.warnings[0].contains("100000 random"), "{:?}", dataset.warnings);
     let points = dataset.initial_points(5);
     assert_eq!(points.len(), 100_000);
     assert!(points == dataset.initial_points(5), "the seed gives the points");

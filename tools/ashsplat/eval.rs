@@ -150,7 +150,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gaussians = arguments.look.load(&model.ply)?;
     let white = model.settings.train.white_background;
     let context = arguments.device.context()?;
-    let views = chosen_views(session::load(&data, white, arguments.quiet)?, arguments.all, &data)?;
+    let dataset = session::load(&data, white, arguments.quiet)?;
+    session::warn(&dataset);
+    let views = chosen_views(dataset, arguments.all, &data)?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&gaussians)?;
     let settings = RenderSettings { inverse_depth: false, ..arguments.look.settings(&model.settings)? };

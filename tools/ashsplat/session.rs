@@ -59,7 +59,7 @@ pub fn options(data: &DataSettings, white_background: bool) -> Result<DatasetOpt
     })
 }
 
-/// Loads a data set with progress; its warnings go to stderr.
+/// Loads a data set with progress.
 pub fn load(data: &DataSettings, white_background: bool, quiet: bool) -> Result<Dataset> {
     let options = options(data, white_background)?;
     let bar = counting("reading photos", 0, quiet);
@@ -70,11 +70,14 @@ pub fn load(data: &DataSettings, white_background: bool, quiet: bool) -> Result<
     let progress = Progress { report: Some(&report), interrupted: None };
     let dataset = Dataset::load(&data.source_path, &options, progress);
     bar.finish_and_clear();
-    let dataset = dataset?;
+    dataset
+}
+
+/// What is odd about a data set goes to stderr.
+pub fn warn(dataset: &Dataset) {
     for warning in &dataset.warnings {
         tell!("warning: {warning}");
     }
-    Ok(dataset)
 }
 
 /// The cameras of a data set by name, at the photos' own sizes; the photos are not looked at.

@@ -10,7 +10,6 @@ use crate::model;
 use crate::progress::{State, TrainProgress, thousands};
 use crate::{output, render, session};
 use ashsplat::io::{self, Dataset, View, cameras_json};
-use ashsplat::scene::init::RANDOM_POINTS;
 use ashsplat::scene::{Camera, Gaussians, PointCloud};
 use ashsplat::trainer::{StepReport, TrainView, Trainer};
 use ashsplat::vk::Context;
@@ -60,9 +59,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // The device first: without one, nobody should wait for the photos.
     let context = arguments.device.context()?;
     let dataset = session::load(&settings.data, settings.train.white_background, arguments.quiet)?;
-    if dataset.points.is_empty() && arguments.random_points {
-        tell!("warning: no points to start from; training starts from {RANDOM_POINTS} random ones");
-    } else if dataset.points.is_empty() {
+    if dataset.points.is_empty() && !arguments.random_points {
         let remedy = "register the photos with COLMAP's mapper or point_triangulator, or use --random-points";
         return Err(Error::input(
             &settings.data.source_path,
@@ -70,6 +67,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             remedy,
         ));
     }
+    session::warn(&dataset);
     let folder = settings.data.model_path.clone();
     let mut run = Run::prepare(&context, dataset, settings, arguments.quiet)?;
     let interrupted = run.train()?;
