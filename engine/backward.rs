@@ -5,7 +5,7 @@
 //! same inputs on the same device give the same bits.
 
 use crate::error::Result;
-use crate::forward::{Forward, FrameInputs, camera_push};
+use crate::forward::{Forward, FrameInputs, arguments, camera_push};
 use crate::kernels::backward::{blend_backward, expand_gradients, project_backward};
 use crate::kernels::constants as c;
 use crate::plan::{Blocks, blocks, tile_grid};
@@ -158,7 +158,7 @@ impl Backward {
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
             };
-            let at = f.arguments.range(u64::from(c::ARGUMENTS_VISIBLE) * 16, 12);
+            let at = arguments(f, c::ARGUMENTS_VISIBLE);
             r.dispatch_indirect(kernel, &bind, &push, &at);
         }
     }

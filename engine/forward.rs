@@ -33,6 +33,13 @@ pub struct SceneBuffers {
     pub count: u32,
 }
 
+impl SceneBuffers {
+    /// The SH degree that is evaluated: what the settings ask for, of what is stored.
+    pub fn active_degree(&self, settings: &RenderSettings) -> u32 {
+        settings.sh_degree.unwrap_or(self.plan.sh_degree).min(self.plan.sh_degree)
+    }
+}
+
 /// One frame to record.
 #[derive(Clone, Copy)]
 pub struct FrameInputs<'a> {
@@ -324,6 +331,7 @@ impl Forward {
     }
 }
 
-fn arguments(frame: &FrameBuffers, index: u32) -> Buffer {
+/// The indirect arguments of this name (ARGUMENTS_*).
+pub(crate) fn arguments(frame: &FrameBuffers, index: u32) -> Buffer {
     frame.arguments.range(u64::from(index) * 16, 12)
 }

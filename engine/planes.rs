@@ -1,6 +1,6 @@
 //! Gaussians as the device keeps them: vec4 planes cut into chunks, and back.
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::forward::SceneBuffers;
 use crate::kernels::constants as c;
 use crate::plan::{ScenePlan, to_u32};
@@ -21,7 +21,7 @@ pub fn allocate(context: &Context, arena: &str, plan: &ScenePlan) -> Result<Vec<
 /// (coefficients that the Gaussians lack are zero).
 ///
 /// # Errors
-/// [`Error::TooLarge`] or an allocation's failure; [`Error::Argument`] when the Gaussians' vectors differ in length.
+/// [`TooLarge`](crate::Error::TooLarge) or an allocation's failure; [`Argument`](crate::Error::Argument) when the Gaussians' vectors differ in length.
 pub fn upload(
     context: &Context,
     arena: &str,
@@ -29,7 +29,7 @@ pub fn upload(
     capacity: u32,
     sh_degree: u32,
 ) -> Result<SceneBuffers> {
-    check_lengths(gaussians)?;
+    gaussians.check_shapes()?;
     let count = to_u32(gaussians.len() as u64)?;
     let plan = ScenePlan::new(context.limits(), capacity.max(count), sh_degree)?;
     let chunks = allocate(context, arena, &plan)?;
@@ -60,29 +60,6 @@ pub fn download(context: &Context, scene: &SceneBuffers) -> Result<Gaussians> {
         unpack(words, range.count as usize, &scene.plan, &mut out);
     }
     Ok(out)
-}
-
-fn check_lengths(gaussians: &Gaussians) -> Result<()> {
-    let n = gaussians.len();
-    let k = sh_coefficients(gaussians.sh_degree);
-    if gaussians.quats.len() == n
-        && gaussians.log_scales.len() == n
-        && gaussians.opacity_logits.len() == n
-        && gaussians.sh.len() == n * k
-        && gaussians.sh_degree <= 3
-    {
-        return Ok(());
-    }
-    let problem = format!(
-        "{n} means, but {} quaternions, {} log-scales, {} opacities and {} SH coefficients of degree {}; \
-         all must belong to the same Gaussians",
-        gaussians.quats.len(),
-        gaussians.log_scales.len(),
-        gaussians.opacity_logits.len(),
-        gaussians.sh.len(),
-        gaussians.sh_degree
-    );
-    Err(Error::argument("gaussians", problem))
 }
 
 fn pack(g: &Gaussians, range: std::ops::Range<usize>, plan: &ScenePlan) -> Vec<[f32; 4]> {

@@ -41,7 +41,7 @@ impl Renderer {
             return Err(Error::argument("inverse-depth gradient", "needs settings.inverse_depth"));
         }
         let scene = self.scene.clone().ok_or_else(super::no_scene)?;
-        let sh_degree = settings.sh_degree.unwrap_or(scene.plan.sh_degree).min(scene.plan.sh_degree);
+        let sh_degree = scene.active_degree(settings);
         self.backward.prepare(sh_degree, settings.inverse_depth)?;
         self.backward.prepare_expand(sh_degree)?;
         let count = u64::from(scene.count);

@@ -82,7 +82,7 @@ impl FrameRunner {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<Frame> {
-        let sh_degree = settings.sh_degree.unwrap_or(scene.plan.sh_degree).min(scene.plan.sh_degree);
+        let sh_degree = scene.active_degree(settings);
         let request = Request { scene, camera, settings, sh_degree, backward: false };
         let ran = self.run(&request, |_, _| Ok(()))?;
         let pixels = u64::from(camera.width) * u64::from(camera.height);

@@ -12,7 +12,10 @@ const float SH_C3_YZZ = 0.4570457994644658;
 const float SH_C3_ZZZ = 0.3731763325901154;
 const float SH_C3_ZXX = 1.445305721320277;
 
-const uint SH_COEFFICIENTS = (SH_DEGREE + 1) * (SH_DEGREE + 1);
+// vec4 planes that hold the active coefficients.
+const uint SH_PLANES = SH_DEGREE == 0 ? SH_PLANES_0
+    : SH_DEGREE == 1 ? SH_PLANES_1
+    : SH_DEGREE == 2 ? SH_PLANES_2 : SH_PLANES_3;
 
 // Basis functions at the unit direction d; those above SH_DEGREE are 0.
 void sh_basis(vec3 d, out float basis[16]) {

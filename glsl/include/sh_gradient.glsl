@@ -1,8 +1,6 @@
 // Gradient of the SH planes of one Gaussian: dL/dsh[k] = Y_k(direction) dL/dcolour, so nothing needs to be stored.
 // Needs sh.glsl, constants.glsl.
 
-const uint SH_PLANES = SH_DEGREE == 0 ? SH_PLANES_0 : SH_DEGREE == 1 ? SH_PLANES_1 : SH_DEGREE == 2 ? SH_PLANES_2 : SH_PLANES_3;
-
 // Floats 4 plane to 4 plane + 3 of the coefficients' gradient; `plane` must be known at compile time to be cheap.
 vec4 sh_plane_gradient(uint plane, float basis[16], vec3 d_color) {
     vec4 g;

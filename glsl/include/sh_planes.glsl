@@ -1,8 +1,6 @@
 // Reads the active SH coefficients of one Gaussian from its planes: coefficient k is floats 3 k to 3 k + 2.
 // Needs sh.glsl, `parameters`, `stride`.
 
-const uint SH_PLANES = SH_DEGREE == 0 ? SH_PLANES_0 : SH_DEGREE == 1 ? SH_PLANES_1 : SH_DEGREE == 2 ? SH_PLANES_2 : SH_PLANES_3;
-
 vec4 sh_plane(uint plane, uint index) {
     // Planes above the active degree may not exist: read one that does, and drop it.
     vec4 value = parameters[(PLANE_SH + (plane < SH_PLANES ? plane : 0)) * stride + index];
