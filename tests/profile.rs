@@ -23,6 +23,12 @@ fn profile_prints_a_table_of_one_kernel_or_folder() {
 }
 
 #[test]
+fn profile_marks_one_iteration_for_a_capture() {
+    assert!(profile(&["--capture"]).contains("one render was marked as a capture"));
+    refuse(&["profile", "--capture", "--html", "page.html"], &["--capture", "--html"]);
+}
+
+#[test]
 fn profile_page_stands_alone() {
     let folder = tempdir().expect("a temporary folder");
     let html = folder.path().join("page.html");

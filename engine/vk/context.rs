@@ -38,6 +38,15 @@ pub struct ContextOptions {
     pub overrides: Vec<SpecOverride>,
     /// For tests: transfer through staging memory, as on a discrete GPU, also where device memory could be mapped.
     pub force_staging: bool,
+    /// For a capture by RenderDoc: accept the version 1.2 that its layer reports of every driver without
+    /// bufferDeviceAddressCaptureReplay, llvmpipe among them, although it passes 1.3 on.
+    pub capture: bool,
+}
+
+impl ContextOptions {
+    fn least_version(&self) -> u32 {
+        if self.capture { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_3 }
+    }
 }
 
 impl Default for ContextOptions {
@@ -52,6 +61,7 @@ impl Default for ContextOptions {
             debug_printf: false,
             overrides: Vec::new(),
             force_staging: false,
+            capture: false,
         }
     }
 }
@@ -98,7 +108,7 @@ impl Context {
         let instance = Instance::new(options.validation, options.debug_printf)?;
         let from_environment = std::env::var("ASHSPLAT_DEVICE").ok().filter(|d| !d.trim().is_empty());
         let asked = options.device.clone().or(from_environment);
-        let candidate = device::choose(&instance, asked.as_deref())?;
+        let candidate = device::choose(&instance, asked.as_deref(), options.least_version())?;
         let limits = effective_limits(&candidate, options)?;
         // SAFETY: the physical device is of this instance.
         let (memory, families) = unsafe {

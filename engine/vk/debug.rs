@@ -1,5 +1,7 @@
 //! Names and labels for tools, and what the validation layers say.
 
+use super::context::Context;
+use crate::Error;
 use ash::vk;
 use std::ffi::{CStr, CString, c_void};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -133,6 +135,38 @@ impl Names {
         let Some(loader) = &self.0 else { return };
         // SAFETY: as above, and every end follows its begin (`Recorder::scope`).
         unsafe { loader.cmd_end_debug_utils_label(commands) }
+    }
+
+    /// Puts a label between submissions; false without VK_EXT_debug_utils.
+    fn insert_queue_label(&self, queue: vk::Queue, name: &str) -> bool {
+        let Some(loader) = &self.0 else { return false };
+        let name = c_string(name);
+        let label = vk::DebugUtilsLabelEXT::default().label_name(&name);
+        // SAFETY: the queue belongs to this device, and the caller holds its lock.
+        unsafe { loader.queue_insert_debug_utils_label(queue, &label) }
+        true
+    }
+}
+
+impl Context {
+    /// Runs `work` between the two queue labels by which RenderDoc's layer begins and ends a capture. An engine without
+    /// a window has no frames that the layer could see by itself. Nothing happens where no such layer listens.
+    ///
+    /// # Errors
+    /// [`Error::MissingFeature`] without VK_EXT_debug_utils, before any work; else those of `work`, whose capture ends all the
+    /// same.
+    pub fn capture<T>(&self, work: impl FnOnce() -> crate::Result<T>) -> crate::Result<T> {
+        let insert = |label| {
+            let queue = self.0.queue.lock().unwrap_or_else(PoisonError::into_inner);
+            self.0.names.insert_queue_label(*queue, label)
+        };
+        if !insert("capture-marker,begin_capture") {
+            let device = self.device_name().to_owned();
+            return Err(Error::MissingFeature { device, feature: "VK_EXT_debug_utils".to_owned() });
+        }
+        let result = work();
+        insert("capture-marker,end_capture");
+        result
     }
 }
 

@@ -34,7 +34,7 @@ pub struct DeviceDescription {
 /// [`Error::NoLoader`] or [`Error::NoDevice`] where there is no loader or no driver at all.
 pub fn devices() -> Result<Vec<DeviceDescription>> {
     let instance = Instance::new(false, false)?;
-    Ok(candidates(&instance)?.into_iter().map(|c| c.description).collect())
+    Ok(candidates(&instance, vk::API_VERSION_1_3)?.into_iter().map(|c| c.description).collect())
 }
 
 /// A device and what is needed to open it.
@@ -70,21 +70,22 @@ const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
     (vk::SubgroupFeatureFlags::SHUFFLE_RELATIVE, "shuffle relative"),
 ];
 
-/// All devices, in the loader's order.
-pub(super) fn candidates(instance: &Instance) -> Result<Vec<Candidate>> {
+/// All devices, in the loader's order; those that report an older Vulkan are unusable.
+pub(super) fn candidates(instance: &Instance, least_version: u32) -> Result<Vec<Candidate>> {
     // SAFETY: the instance is alive.
     let physical = unsafe { instance.raw.enumerate_physical_devices() };
     let physical = physical.map_err(vk_error("vkEnumeratePhysicalDevices"))?;
     if physical.is_empty() {
         return Err(Error::NoDevice { reason: "the loader found no device".into() });
     }
-    physical.into_iter().enumerate().map(|(index, physical)| describe(instance, index, physical)).collect()
+    let physical = physical.into_iter().enumerate();
+    physical.map(|(index, physical)| describe(instance, index, physical, least_version)).collect()
 }
 
 /// The device that is asked for by index or by part of its name, or else the best: discrete, integrated, virtual,
 /// processor, in this order.
-pub(super) fn choose(instance: &Instance, asked: Option<&str>) -> Result<Candidate> {
-    let mut all = candidates(instance)?;
+pub(super) fn choose(instance: &Instance, asked: Option<&str>, least_version: u32) -> Result<Candidate> {
+    let mut all = candidates(instance, least_version)?;
     if let Some(asked) = asked {
         let Some(found) = find(all.iter().map(|c| c.description.name.as_str()), asked) else {
             let names = all.iter().map(|c| format!("{} '{}'", c.description.index, c.description.name));
@@ -127,7 +128,12 @@ fn find<'a>(names: impl Iterator<Item = &'a str> + Clone, asked: &str) -> Option
     )
 }
 
-fn describe(instance: &Instance, index: usize, physical: vk::PhysicalDevice) -> Result<Candidate> {
+fn describe(
+    instance: &Instance,
+    index: usize,
+    physical: vk::PhysicalDevice,
+    least_version: u32,
+) -> Result<Candidate> {
     // SAFETY: the physical device is of this instance; so in all queries below.
     let basic = unsafe { instance.raw.get_physical_device_properties(physical) };
     let mut candidate = Candidate {
@@ -152,7 +158,7 @@ fn describe(instance: &Instance, index: usize, physical: vk::PhysicalDevice) -> 
         features: OptionalFeatures::default(),
         missing: None,
     };
-    let missing = if basic.api_version < vk::API_VERSION_1_3 {
+    let missing = if basic.api_version < least_version {
         Some(format!("Vulkan 1.3 (it has {})", candidate.description.api_version))
     } else {
         examine(instance, physical, &mut candidate)?

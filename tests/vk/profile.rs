@@ -143,3 +143,12 @@ fn timestamps_can_be_turned_off_and_on() {
     gpu.context.set_timestamps(true);
     assert_eq!(scopes(), usize::from(gpu.context.has_timestamps()));
 }
+
+#[test]
+fn capture_passes_on_what_its_work_returns() {
+    let gpu = own_gpu(crate::common::options());
+    assert_eq!(gpu.context.capture(|| Ok(7)).expect("VK_EXT_debug_utils"), 7);
+    let failed = gpu.context.capture(|| Err::<(), _>(ashsplat::Error::argument("work", "failed")));
+    assert!(failed.expect_err("an error").to_string().contains("failed"));
+    assert!(gpu.context.validation_messages().is_empty());
+}

@@ -57,7 +57,7 @@ enum What {
 #[derive(Args)]
 pub struct RunArguments {
     /// Values of the scan, pairs of the sort
-    #[arg(long, value_name = "N", default_value_t = 1 << 20)]
+    #[arg(long, value_name = "N", default_value_t = 1 << 22)]
     elements: u32,
     #[command(flatten)]
     pub scene: SceneArguments,

@@ -10,13 +10,14 @@ mod watch;
 
 use crate::args::DeviceArguments;
 use crate::bench::measure::{self, Iterations};
-use crate::bench::workload::SceneArguments;
+use crate::bench::workload::{self, SceneArguments};
 use crate::bench::{self, frames, table};
 use crate::output;
 use ashsplat::vk::{Context, SpecOverride};
 use ashsplat::{Error, Result};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
+use subject::Subject;
 
 /// Profile one frame or one training step, kernel by kernel.
 ///
@@ -65,6 +66,9 @@ pub struct Arguments {
     /// Pass on what shaders print with debugPrintfEXT (needs the Khronos validation layer)
     #[arg(long)]
     printf: bool,
+    /// Mark one iteration as a capture: for `renderdoccmd capture ashsplat profile --capture`
+    #[arg(long, conflicts_with_all = ["html", "trace", "watch", "ab", "dump"])]
+    capture: bool,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -98,6 +102,7 @@ impl Arguments {
 fn open(arguments: &Arguments, overrides: &[SpecOverride]) -> Result<Context> {
     let context = arguments.device.context_with(|options| {
         options.debug_printf = arguments.printf;
+        options.capture = arguments.capture;
         spec::apply(options, overrides);
     })?;
     if let Some(glsl) = &arguments.glsl {
@@ -123,6 +128,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.watch {
         return watch::run(arguments, &context, &scene);
     }
+    if arguments.capture {
+        return capture(arguments, &context, &scene);
+    }
     let copy = measure::copy_bandwidth(&context)?;
     let iterations = Iterations { measured: arguments.frames, warmup: arguments.warmup };
     let seed = arguments.scene.seed;
@@ -145,6 +153,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     say!("{}", table::render(&report).trim_end());
     print_messages(&context);
     arguments.device.report_validation(&context);
+    Ok(())
+}
+
+/// One iteration for RenderDoc, which has no frames of its own to capture where there is no window.
+fn capture(arguments: &Arguments, context: &Context, scene: &workload::Scene) -> Result<()> {
+    let mut subject = Subject::new(context, scene, arguments.what, arguments.scene.seed)?;
+    subject.warm_up(arguments.warmup)?;
+    subject.captured()?;
+    say!("one {} was marked as a capture", arguments.what.name());
     Ok(())
 }
 

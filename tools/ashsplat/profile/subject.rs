@@ -55,6 +55,12 @@ impl<'a> Subject<'a> {
         (0..iterations).try_for_each(|_| self.iterate())
     }
 
+    /// One iteration between the marks of a capture.
+    pub fn captured(&mut self) -> Result<()> {
+        let context = self.context;
+        context.capture(|| self.iterate())
+    }
+
     /// One timed iteration.
     pub fn timed(&mut self) -> Result<Iteration> {
         self.context.set_profile(Some(&self.profile));
