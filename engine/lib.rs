@@ -9,13 +9,14 @@
 //!
 //! - [`Renderer`] and [`Trainer`] own their submissions: they record, submit, wait and read back.
 //! - [`forward`], [`backward`], [`loss`], [`optimizer`], [`densify`] only *record*, into a [`vk::Recorder`].
-//! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`].
+//! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`]; [`arithmetic`] measures a device.
 //! - [`scene`], [`io`] and [`metrics`] know no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
 //!
 //! Sizes are planned in [`plan`] as pure arithmetic. How many Gaussians are visible and how many instances they make is
 //! known only on the device: dispatches over them are indirect, buffers have capacities, and a frame that needs more
 //! says so and is run again. The same inputs on the same device give the same bits, in training too.
 
+pub mod arithmetic;
 pub mod backward;
 pub mod densify;
 pub mod error;

@@ -97,7 +97,8 @@ fn architecture_unsafe_only_under_vk() {
 
 // ---- dependencies between modules ---------------------------------------------------------------------------------
 
-const STAGES: [&str; 8] = ["scan", "sort", "forward", "planes", "backward", "loss", "optimizer", "densify"];
+const STAGES: [&str; 9] =
+    ["scan", "sort", "arithmetic", "forward", "planes", "backward", "loss", "optimizer", "densify"];
 const DOORS: [&str; 2] = ["renderer", "trainer"];
 
 /// The modules that a module may name.

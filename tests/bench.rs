@@ -45,7 +45,7 @@ fn number(value: &Value) -> f64 {
 fn bench_all_follows_its_schema() {
     let folder = tempdir().expect("a temporary folder");
     let (json, csv) = (folder.path().join("a.json"), folder.path().join("a.csv"));
-    let table = measure("all", &["--json", text(&json), "--csv", text(&csv)]);
+    let table = measure("all", &["--json", text(&json), "--csv", text(&csv), "--large", "900"]);
     for word in [
         "copy bandwidth",
         "cost of measuring",
@@ -61,7 +61,8 @@ fn bench_all_follows_its_schema() {
     assert_eq!(report["settings"]["clock"], "timestamps");
     assert!(number(&report["copy_bandwidth"]["gigabytes_per_second"]) > 0.0);
     let names: Vec<&str> = runs(&report).iter().filter_map(|run| run["name"].as_str()).collect();
-    assert_eq!(names, ["scan", "sort", "render", "train-step"]);
+    assert_eq!(names, ["scan", "sort", "sort", "render", "render", "train-step"]);
+    assert_eq!(runs(&report)[4]["workload"]["gaussians"], 900);
     for run in runs(&report) {
         check_run(run);
     }
@@ -90,7 +91,8 @@ fn check_run(run: &Value) {
     assert!(times > 0.0 && times < 3e3 * number(&run["device_ms"]["median"]), "{run}");
     let workload = &run["workload"];
     assert_eq!(workload["hash"].as_str().map(str::len), Some(16));
-    if run["name"] == "render" {
+    assert!(number(&run["untimed_ms"]["mean"]) > 0.0);
+    if run["name"] == "render" && workload["width"] != 1280 {
         assert_eq!((&workload["gaussians"], &workload["width"]), (&Value::from(400), &Value::from(72)));
         assert!(number(&workload["visible"]) > 100.0 && number(&workload["instances"]) > 400.0);
         assert!(number(&workload["longest_tile"]) > 10.0);
@@ -196,4 +198,27 @@ fn bench_measures_files_and_refuses_bad_ones() {
     refuse(&["bench", "render", "--scene", text(&ply), "--camera", &place], &["cameras.json"]);
     refuse(&["bench", "render", "--scene", "missing.ply"], &["missing.ply"]);
     refuse(&["bench", "render", "--gaussians", "0"], &["no Gaussians"]);
+}
+
+#[test]
+fn bench_train_measures_windows_of_real_training() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, json) = (folder.path().join("set"), folder.path().join("a.json"));
+    crate::cli::write_dataset(&data);
+    let arguments =
+        ["bench", "train", "--dataset", text(&data), "--windows", "100,230", "--json", text(&json)];
+    let table = succeed(&arguments);
+    assert!(table.contains("iterations 131 to 230"), "{table}");
+    let report = read(&json);
+    assert_eq!(runs(&report).len(), 2);
+    for run in runs(&report) {
+        assert_eq!(run["name"], "train");
+        let kernels = run["kernels"].as_array().expect("kernels");
+        assert!(
+            kernels.iter().any(|k| k["kernel"] == "optimizer/adam" && number(&k["time_us"]["median"]) > 0.0)
+        );
+        assert!(number(&run["untimed_ms"]["mean"]) > 0.0);
+    }
+    refuse(&["bench", "train"], &["--dataset"]);
+    refuse(&["bench", "train", "--dataset", text(&data), "--windows", "100,150"], &["150", "overlap"]);
 }

@@ -88,7 +88,7 @@ fn files_below(folder: &Path) -> Vec<PathBuf> {
 }
 
 /// A COLMAP data set of a coloured wall, photographed from nine places; every pixel by a formula.
-fn write_dataset(folder: &Path) {
+pub(crate) fn write_dataset(folder: &Path) {
     let views: Vec<Camera> = (0..VIEWS).map(view).collect();
     let mut images = Vec::new();
     std::fs::create_dir_all(folder.join("images")).expect("a folder for the photos");

@@ -67,3 +67,7 @@ const uint KIND_SPLIT_1 = 3;
 
 // Sums of one (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth.
 const uint INSTANCE_SUMS = 10;
+
+// Arithmetic measurement: independent chains of an invocation, and steps of each per round.
+const uint MULTIPLY_ADD_CHAINS = 8;
+const uint MULTIPLY_ADD_STEPS = 4;

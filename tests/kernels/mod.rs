@@ -12,6 +12,7 @@ mod expand;
 mod expand_gradients;
 mod gather;
 mod loss_reduce;
+mod multiply_add;
 mod place;
 mod prepare;
 mod project;

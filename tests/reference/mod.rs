@@ -19,6 +19,7 @@ pub mod expand_gradients;
 pub mod gather;
 pub mod linear;
 pub mod loss_reduce;
+pub mod multiply_add;
 pub mod pipeline;
 pub mod place;
 pub mod prepare;

@@ -11,7 +11,9 @@ mod scaling;
 pub mod schema;
 mod synthetic;
 pub mod table;
+mod tasks;
 pub mod traffic;
+mod training;
 pub mod workload;
 
 use crate::args::DeviceArguments;
@@ -22,6 +24,7 @@ use clap::{Args, Subcommand};
 use measure::Iterations;
 use schema::{CopyBandwidth, Report, Run, Settings};
 use std::path::PathBuf;
+use tasks::Task;
 use workload::SceneArguments;
 
 /// Measure: every kernel's time, workgroups and bytes, beside what this device copies per second.
@@ -45,7 +48,9 @@ enum What {
     Render(RunArguments),
     /// A training step
     TrainStep(RunArguments),
-    /// Scan, sort, render and train-step
+    /// Training of a data set from its points, as `train` does it
+    Train(RunArguments),
+    /// Everything: the primitives at two sizes, two synthetic frames, a step; --scene and --dataset besides
     All(RunArguments),
     /// Two result files, kernel by kernel
     Compare(CompareArguments),
@@ -61,6 +66,12 @@ pub struct RunArguments {
     elements: u32,
     #[command(flatten)]
     pub scene: SceneArguments,
+    /// Training: where its measurements end; each covers a hundred iterations
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [100])]
+    windows: Vec<u32>,
+    /// Gaussians of a larger frame in `all`, 1280x720; 0 for none
+    #[arg(long, value_name = "N", default_value_t = 1_140_000)]
+    large: u32,
     /// Measured iterations of each workload
     #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: u32,
@@ -97,16 +108,16 @@ struct CompareArguments {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let wanted: (&RunArguments, &[&str]) = match &arguments.what {
-        What::Scan(run) => (run, &["scan"]),
-        What::Sort(run) => (run, &["sort"]),
-        What::Render(run) => (run, &["render"]),
-        What::TrainStep(run) => (run, &["train-step"]),
-        What::All(run) => (run, &["scan", "sort", "render", "train-step"]),
-        What::Compare(files) => return compare_files(files),
-        What::Scaling(sweep) => return scaling::run(sweep),
-    };
-    measure_all(wanted.0, wanted.1)
+    match &arguments.what {
+        What::Scan(run) => measure_all(run, |run| Ok(vec![Task::Scan(run.elements)])),
+        What::Sort(run) => measure_all(run, |run| Ok(vec![Task::Sort(run.elements)])),
+        What::Render(run) => measure_all(run, |run| tasks::of_frames(run, false)),
+        What::TrainStep(run) => measure_all(run, |run| tasks::of_frames(run, true)),
+        What::Train(run) => measure_all(run, tasks::of_training),
+        What::All(run) => measure_all(run, tasks::of_all),
+        What::Compare(files) => compare_files(files),
+        What::Scaling(sweep) => scaling::run(sweep),
+    }
 }
 
 fn compare_files(files: &CompareArguments) -> Result<()> {
@@ -133,29 +144,17 @@ fn compare_files(files: &CompareArguments) -> Result<()> {
     files.fail_above.map_or(Ok(()), |limit| compare::check(&lines, limit))
 }
 
-fn measure_all(arguments: &RunArguments, names: &[&str]) -> Result<()> {
-    let scenes = names.iter().any(|name| ["render", "train-step"].contains(name));
-    // Before the scene, which may have many photos: a missing device is reported at once.
+fn measure_all(
+    arguments: &RunArguments,
+    tasks: impl FnOnce(&RunArguments) -> Result<Vec<Task>>,
+) -> Result<()> {
+    // Before the scenes, which may have many photos: a missing device is reported at once.
     let context = arguments.context()?;
-    let scene = if scenes { Some(arguments.scene.load(names.contains(&"train-step"))?) } else { None };
+    let tasks = tasks(arguments)?;
     let copy = measure::copy_bandwidth(&context)?;
     let mut runs = Vec::new();
-    for name in names {
-        let (context, iterations, copy) = (&context, arguments.iterations(), copy.as_ref());
-        let seed = arguments.scene.seed;
-        runs.push(match (*name, &scene) {
-            ("render", Some(scene)) => {
-                frames::render(&frames::Job { context, iterations, copy, scene, seed })?.0
-            }
-            ("train-step", Some(scene)) => {
-                frames::train_step(&frames::Job { context, iterations, copy, scene, seed })?.0
-            }
-            (name, _) => {
-                let elements = arguments.elements;
-                let job = primitives::Job { context, iterations, copy, elements, seed };
-                if name == "scan" { primitives::scan(&job)? } else { primitives::sort(&job)? }
-            }
-        });
+    for task in tasks {
+        runs.extend(task.run(&context, arguments, copy.as_ref())?);
     }
     let report = report_of(&context, arguments, copy, runs);
     arguments.write(&report)?;

@@ -21,34 +21,52 @@ pub struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn counts(&self, visible: u32, instances: u32, capacity: u32) -> Result<Counts> {
-        let gaussians = self.scene.gaussians.len() as u32;
-        let sh_degree = self.scene.gaussians.sh_degree;
-        let plan = ScenePlan::new(self.context.limits(), capacity, sh_degree)?;
-        let chunks = plan.ranges(gaussians).count() as u64;
-        let (width, height) = (self.scene.camera.width, self.scene.camera.height);
-        Ok(Counts { gaussians, visible, instances, width, height, sh_degree, chunks })
+    fn counts(&self, capacity: u32) -> Result<Counts> {
+        let g = &self.scene.gaussians;
+        let size = (self.scene.camera.width, self.scene.camera.height);
+        counts(self.context, (g.len() as u32, capacity), g.sh_degree, size)
     }
 
     fn run(&self, name: &str, workload: Workload, measured: &Measured, counts: Counts) -> Run {
-        let traffic = Traffic::of_frame(self.context.limits(), counts);
-        Run {
-            name: name.to_owned(),
-            workload: Workload {
-                visible: Some(counts.visible),
-                instances: Some(counts.instances),
-                ..workload
-            },
-            wall_ms: measured.wall_ms(),
-            device_ms: measured.device_ms(),
-            split: measured.split(),
-            between_submissions_ms: measured.between_submissions_ms(),
-            cpu_seconds: measured.cpu_seconds,
-            cost_of_measuring: measured.cost,
-            kernels: measured.kernels(&traffic, self.copy),
-            memory: memory(self.context),
-            cpu: Vec::new(),
-        }
+        result(self.context, name, workload, measured, counts, self.copy)
+    }
+}
+
+/// What a frame of this size is made of, but for what is seen. `gaussians`: how many, and room for how many.
+pub fn counts(
+    context: &Context,
+    (gaussians, capacity): (u32, u32),
+    sh_degree: u32,
+    (width, height): (u32, u32),
+) -> Result<Counts> {
+    let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
+    let chunks = plan.ranges(gaussians).count() as u64;
+    Ok(Counts { gaussians, visible: 0, instances: 0, width, height, sh_degree, chunks })
+}
+
+/// A result from what was measured.
+pub fn result(
+    context: &Context,
+    name: &str,
+    workload: Workload,
+    measured: &Measured,
+    counts: Counts,
+    copy: Option<&CopyBandwidth>,
+) -> Run {
+    let traffic = Traffic::of_frame(context.limits(), counts);
+    Run {
+        name: name.to_owned(),
+        workload: Workload { visible: Some(counts.visible), instances: Some(counts.instances), ..workload },
+        wall_ms: measured.wall_ms(),
+        device_ms: measured.device_ms(),
+        split: measured.split(),
+        between_submissions_ms: measured.between_submissions_ms(),
+        untimed_ms: measured.untimed_ms,
+        cpu_seconds: measured.cpu_seconds,
+        cost_of_measuring: measured.cost,
+        kernels: measured.kernels(&traffic, copy),
+        memory: memory(context),
+        cpu: Vec::new(),
     }
 }
 
@@ -63,7 +81,7 @@ pub fn render(job: &Job) -> Result<(Run, Measured)> {
         Ok(())
     };
     let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
-    let counts = job.counts(stats.visible, stats.instances, stats.gaussians)?;
+    let counts = job.counts(stats.gaussians)?.seen(stats.visible, stats.instances);
     let workload = Workload { longest_tile: Some(stats.longest_tile), ..job.scene.workload(&settings) };
     Ok((job.run("render", workload, &measured, counts), measured))
 }
@@ -115,8 +133,8 @@ pub fn train_step(job: &Job) -> Result<(Run, Measured)> {
     };
     let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
     let count = report.gaussians;
-    let counts =
-        job.counts(report.visible, report.instances, count.saturating_add(count / 2).max(1 << 12))?;
+    let capacity = count.saturating_add(count / 2).max(1 << 12);
+    let counts = job.counts(capacity)?.seen(report.visible, report.instances);
     let workload = job.scene.workload(&trainer.render_settings());
     Ok((job.run("train-step", workload, &measured, counts), measured))
 }

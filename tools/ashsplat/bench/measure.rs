@@ -25,6 +25,8 @@ pub struct Iteration {
 pub struct Measured {
     /// With every command timed.
     pub iterations: Vec<Iteration>,
+    /// Wall time per iteration, nothing being timed.
+    pub untimed_ms: Option<Spread>,
     /// Processor seconds per iteration, nothing being timed.
     pub cpu_seconds: Option<Spread>,
     /// Timed over untimed iterations in turn.
@@ -42,7 +44,8 @@ pub fn measure(
         prepare()?;
         iterate()?;
     }
-    let mut measured = Measured { iterations: Vec::new(), cpu_seconds: None, cost: None };
+    let mut measured = Measured { iterations: Vec::new(), untimed_ms: None, cpu_seconds: None, cost: None };
+    let mut all_untimed = Vec::new();
     let (mut cpu, mut ratios, mut cpu_ratios) = (Some(Vec::new()), Vec::new(), Some(Vec::new()));
     let profile = context.profile();
     // Its own memory is not what is measured.
@@ -55,6 +58,7 @@ pub fn measure(
         let (begun, cpu_begun) = (Instant::now(), process_seconds());
         iterate()?;
         let untimed = begun.elapsed();
+        all_untimed.push(untimed.as_secs_f64() * 1e3);
         let spent = cpu_begun.zip(process_seconds()).map(|(before, now)| now - before);
         cpu = cpu.zip(spent).map(|(mut all, spent)| {
             all.push(spent);
@@ -75,6 +79,7 @@ pub fn measure(
         ratios.push(wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
         measured.iterations.push(Iteration { begun, wall, submissions: profile.take() });
     }
+    measured.untimed_ms = Spread::of(all_untimed);
     measured.cpu_seconds = cpu.and_then(Spread::of);
     measured.cost = Spread::of(ratios).map(|wall| Cost { wall, processor: cpu_ratios.and_then(Spread::of) });
     Ok(measured)

@@ -42,6 +42,7 @@ impl Job<'_> {
             device_ms: measured.device_ms(),
             split: measured.split(),
             between_submissions_ms: measured.between_submissions_ms(),
+            untimed_ms: measured.untimed_ms,
             cpu_seconds: measured.cpu_seconds,
             cost_of_measuring: measured.cost,
             kernels: measured.kernels(&Traffic::bound(), self.copy),

@@ -78,7 +78,7 @@ pub struct CopyBandwidth {
 /// One workload.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// "scan", "sort", "render" or "train-step".
+    /// "scan", "sort", "render", "train-step" or "train".
     pub name: String,
     pub workload: Workload,
     /// Wall time of an iteration, with every command timed.
@@ -89,6 +89,9 @@ pub struct Run {
     pub split: Split,
     /// Host time from the end of a submission to the begin of the next one on the device's queue.
     pub between_submissions_ms: Option<Spread>,
+    /// Wall time of an iteration with nothing timed.
+    #[serde(default)]
+    pub untimed_ms: Option<Spread>,
     /// Processor time of the whole process per iteration, nothing being timed: on a software device the honest cost.
     pub cpu_seconds: Option<Spread>,
     pub cost_of_measuring: Option<Cost>,
@@ -181,12 +184,15 @@ pub struct CpuResult {
     pub time_ms: Spread,
 }
 
-/// Least, median and 90th percentile.
+/// Least, median, 90th percentile and mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     pub min: f64,
     pub median: f64,
     pub p90: f64,
+    /// What a sum over many iterations is made of; 0 in files written before it was added.
+    #[serde(default)]
+    pub mean: f64,
 }
 
 impl Spread {
@@ -195,12 +201,18 @@ impl Spread {
         values.sort_unstable_by(f64::total_cmp);
         let last = values.len().checked_sub(1)?;
         let at = |share: f64| values[(share * last as f64).round() as usize];
-        Some(Self { min: values[0], median: at(0.5), p90: at(0.9) })
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        Some(Self { min: values[0], median: at(0.5), p90: at(0.9), mean })
     }
 
     /// Every value times a factor.
     pub fn times(self, factor: f64) -> Self {
-        Self { min: self.min * factor, median: self.median * factor, p90: self.p90 * factor }
+        Self {
+            min: self.min * factor,
+            median: self.median * factor,
+            p90: self.p90 * factor,
+            mean: self.mean * factor,
+        }
     }
 }
 
@@ -211,8 +223,8 @@ mod tests {
     #[test]
     fn spread_is_least_median_and_ninetieth() {
         let values: Vec<f64> = (0..=10).rev().map(f64::from).collect();
-        assert_eq!(Spread::of(values), Some(Spread { min: 0.0, median: 5.0, p90: 9.0 }));
-        assert_eq!(Spread::of(vec![2.0]), Some(Spread { min: 2.0, median: 2.0, p90: 2.0 }));
+        assert_eq!(Spread::of(values), Some(Spread { min: 0.0, median: 5.0, p90: 9.0, mean: 5.0 }));
+        assert_eq!(Spread::of(vec![2.0]), Some(Spread { min: 2.0, median: 2.0, p90: 2.0, mean: 2.0 }));
         assert_eq!(Spread::of(vec![]), None);
     }
 }

@@ -91,11 +91,14 @@ fn one_run(out: &mut String, run: &Run) {
     if let Some(between) = &run.between_submissions_ms {
         let _ = writeln!(out, "  between submissions {}", milliseconds(between));
     }
+    if let Some(untimed) = &run.untimed_ms {
+        let _ = writeln!(out, "  untimed    {}, {}", milliseconds(untimed), rate(run, untimed.mean * 1e-3));
+    }
     if let Some(cpu) = &run.cpu_seconds {
         let _ = writeln!(
             out,
-            "  processor  {:.4} CPU-seconds per iteration (least {:.4}, p90 {:.4})",
-            cpu.median, cpu.min, cpu.p90
+            "  processor  {:.4} CPU-seconds per iteration (least {:.4}, p90 {:.4}, mean {:.4})",
+            cpu.median, cpu.min, cpu.p90, cpu.mean
         );
     }
     if let Some(cost) = &run.cost_of_measuring {
@@ -115,6 +118,14 @@ fn one_run(out: &mut String, run: &Run) {
     }
     let arenas = run.memory.iter().map(|a| format!("{} {:.1}", a.name, a.peak_bytes as f64 / 1048576.0));
     let _ = writeln!(out, "  peak device memory, MiB: {}", arenas.collect::<Vec<_>>().join(", "));
+}
+
+/// What is done per second.
+fn rate(run: &Run, seconds: f64) -> String {
+    match run.workload.elements {
+        Some(elements) => format!("{:.1} million elements/s", elements as f64 / seconds * 1e-6),
+        None => format!("{:.1} /s", 1.0 / seconds),
+    }
 }
 
 fn kernels_table(out: &mut String, run: &Run) {

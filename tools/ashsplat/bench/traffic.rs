@@ -28,6 +28,13 @@ pub struct Counts {
     pub chunks: u64,
 }
 
+impl Counts {
+    /// With what a camera saw.
+    pub fn seen(self, visible: u32, instances: u32) -> Self {
+        Self { visible, instances, ..self }
+    }
+}
+
 /// Bytes by buffer at a workload's counts. Without counts, everything that is bound is touched.
 pub struct Traffic {
     counts: Option<Counts>,

@@ -84,7 +84,7 @@ impl<'a> Subject<'a> {
 
 /// Iterations that were timed elsewhere.
 pub fn measured(iterations: Vec<Iteration>) -> Measured {
-    Measured { iterations, cpu_seconds: None, cost: None }
+    Measured { iterations, untimed_ms: None, cpu_seconds: None, cost: None }
 }
 
 /// Largest difference of any channel of any pixel; a NaN counts as infinite.

@@ -1,0 +1,108 @@
+//! `bench train`: real training of a data set from its points, in windows of its iterations.
+
+use super::frames;
+use super::measure::{Iterations, measure};
+use super::schema::{CopyBandwidth, Run, Workload};
+use super::workload::Fnv;
+use ashsplat::io::{Dataset, DatasetOptions, Progress};
+use ashsplat::vk::Context;
+use ashsplat::{Error, Gaussians, Result, StepReport, TrainSettings, TrainView, Trainer};
+use std::path::Path;
+
+/// Iterations of a window. Every second one is timed kernel by kernel, the others not at all.
+const WINDOW: u32 = 100;
+
+/// A data set that is trained with the reference's settings, every eighth view held out.
+pub struct Training {
+    source: String,
+    views: Vec<TrainView>,
+    initial: Gaussians,
+    scene_extent: f32,
+    /// Iterations at which windows end, ascending.
+    ends: Vec<u32>,
+}
+
+impl Training {
+    /// Reads the photos. `ends`: iterations at which the windows end.
+    pub fn load(dataset: &Path, ends: &[u32], sh_degree: u32) -> Result<Self> {
+        let mut ends = ends.to_vec();
+        ends.sort_unstable();
+        ends.dedup();
+        let mut begin = 0;
+        for &end in &ends {
+            if end < begin + WINDOW {
+                let problem = format!("a window has {WINDOW} iterations, and windows must not overlap");
+                return Err(Error::argument(format!("--windows {end}"), problem));
+            }
+            begin = end;
+        }
+        let options = DatasetOptions { eval: true, ..DatasetOptions::default() };
+        let loaded = Dataset::load(dataset, &options, Progress::default())?;
+        let points = loaded.initial_points(0);
+        if points.is_empty() {
+            return Err(Error::input(
+                dataset,
+                "has no points to start from",
+                "give a data set with points3D",
+            ));
+        }
+        let views = loaded.train.into_iter();
+        Ok(Self {
+            source: dataset.display().to_string(),
+            views: views.map(|view| TrainView { camera: view.camera, photo: view.photo }).collect(),
+            initial: Gaussians::from_points(&points, sh_degree)?,
+            scene_extent: loaded.scene_extent,
+            ends,
+        })
+    }
+
+    /// Trains once through all windows.
+    pub fn measure(&self, context: &Context, copy: Option<&CopyBandwidth>, seed: u64) -> Result<Vec<Run>> {
+        let settings = TrainSettings {
+            sh_degree: self.initial.sh_degree,
+            seed: seed as u32,
+            ..TrainSettings::default()
+        };
+        let mut trainer =
+            Trainer::new(context, self.views.clone(), &self.initial, self.scene_extent, settings)?;
+        let mut runs = Vec::new();
+        for &end in &self.ends {
+            while trainer.iteration() + WINDOW < end {
+                trainer.step()?;
+            }
+            let mut last = StepReport::default();
+            let iterate = || {
+                last = trainer.step()?;
+                Ok(())
+            };
+            // One step goes before them, in which the profile's own memory is made.
+            let iterations = Iterations { measured: (WINDOW - 1) / 2, warmup: 0 };
+            let measured = measure(context, iterations, || Ok(()), iterate)?;
+            let workload = self.workload(end, &last, trainer.settings());
+            let count = last.gaussians;
+            let size = (workload.width.unwrap_or(0), workload.height.unwrap_or(0));
+            let capacity = count.saturating_add(count / 2).max(1 << 12);
+            let counts = frames::counts(context, (count, capacity), trainer.settings().sh_degree, size)?;
+            let counts = counts.seen(last.visible, last.instances);
+            runs.push(frames::result(context, "train", workload, &measured, counts, copy));
+        }
+        Ok(runs)
+    }
+
+    fn workload(&self, end: u32, last: &StepReport, settings: &TrainSettings) -> Workload {
+        let mut hash = Fnv::default();
+        hash.add(bytemuck::cast_slice(&self.initial.means));
+        self.views.iter().for_each(|view| hash.add(&view.photo.rgb));
+        hash.add(format!("{settings:?} {end}").as_bytes());
+        let camera = self.views.first().map(|view| view.camera);
+        Workload {
+            source: format!("{}, iterations {} to {end}", self.source, end - WINDOW + 1),
+            hash: hash.hex(),
+            gaussians: Some(last.gaussians),
+            sh_degree: Some(settings.sh_degree),
+            width: camera.map(|camera| camera.width),
+            height: camera.map(|camera| camera.height),
+            ..Workload::default()
+        }
+    }
+}
