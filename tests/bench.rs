@@ -45,7 +45,7 @@ fn number(value: &Value) -> f64 {
 fn bench_all_follows_its_schema() {
     let folder = tempdir().expect("a temporary folder");
     let (json, csv) = (folder.path().join("a.json"), folder.path().join("a.csv"));
-    let table = measure("all", &["--json", text(&json), "--csv", text(&csv), "--large", "900"]);
+    let table = measure("all", &["--json", text(&json), "--csv", text(&csv), "--frames", "900@64x64"]);
     for word in [
         "copy bandwidth",
         "cost of measuring",
@@ -60,6 +60,7 @@ fn bench_all_follows_its_schema() {
     assert_eq!(report["schema"], "ashsplat-bench/1");
     assert_eq!(report["settings"]["clock"], "timestamps");
     assert!(number(&report["copy_bandwidth"]["gigabytes_per_second"]) > 0.0);
+    assert!(number(&report["arithmetic"]["gigaoperations_per_second"]) > 0.0);
     let names: Vec<&str> = runs(&report).iter().filter_map(|run| run["name"].as_str()).collect();
     assert_eq!(names, ["scan", "sort", "sort", "render", "render", "train-step"]);
     assert_eq!(runs(&report)[4]["workload"]["gaussians"], 900);
@@ -92,7 +93,7 @@ fn check_run(run: &Value) {
     let workload = &run["workload"];
     assert_eq!(workload["hash"].as_str().map(str::len), Some(16));
     assert!(number(&run["untimed_ms"]["mean"]) > 0.0);
-    if run["name"] == "render" && workload["width"] != 1280 {
+    if run["name"] == "render" && workload["width"] != 64 {
         assert_eq!((&workload["gaussians"], &workload["width"]), (&Value::from(400), &Value::from(72)));
         assert!(number(&workload["visible"]) > 100.0 && number(&workload["instances"]) > 400.0);
         assert!(number(&workload["longest_tile"]) > 10.0);

@@ -21,8 +21,8 @@ use crate::output;
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use clap::{Args, Subcommand};
-use measure::Iterations;
-use schema::{CopyBandwidth, Report, Run, Settings};
+use measure::{Iterations, Yardsticks};
+use schema::{Report, Run, Settings};
 use std::path::PathBuf;
 use tasks::Task;
 use workload::SceneArguments;
@@ -69,9 +69,9 @@ pub struct RunArguments {
     /// Training: where its measurements end; each covers a hundred iterations
     #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [100])]
     windows: Vec<u32>,
-    /// Gaussians of a larger frame in `all`, 1280x720; 0 for none
-    #[arg(long, value_name = "N", default_value_t = 1_140_000)]
-    large: u32,
+    /// More synthetic frames in `all`: Gaussians and size of each
+    #[arg(long, value_name = "N@WxH,...", value_delimiter = ',', default_values_t = [tasks::FrameSize::LARGE])]
+    frames: Vec<tasks::FrameSize>,
     /// Measured iterations of each workload
     #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: u32,
@@ -109,12 +109,12 @@ struct CompareArguments {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     match &arguments.what {
-        What::Scan(run) => measure_all(run, |run| Ok(vec![Task::Scan(run.elements)])),
-        What::Sort(run) => measure_all(run, |run| Ok(vec![Task::Sort(run.elements)])),
-        What::Render(run) => measure_all(run, |run| tasks::of_frames(run, false)),
-        What::TrainStep(run) => measure_all(run, |run| tasks::of_frames(run, true)),
-        What::Train(run) => measure_all(run, tasks::of_training),
-        What::All(run) => measure_all(run, tasks::of_all),
+        What::Scan(run) => measure_all(run, |run, _| Ok(vec![Task::Scan(run.elements)])),
+        What::Sort(run) => measure_all(run, |run, _| Ok(vec![Task::Sort(run.elements)])),
+        What::Render(run) => measure_all(run, |run, _| tasks::of_frames(run, false)),
+        What::TrainStep(run) => measure_all(run, |run, _| tasks::of_frames(run, true)),
+        What::Train(run) => measure_all(run, |run, _| tasks::of_training(run)),
+        What::All(run) => measure_all(run, |run, context| tasks::of_all(run, context.limits().is_cpu)),
         What::Compare(files) => compare_files(files),
         What::Scaling(sweep) => scaling::run(sweep),
     }
@@ -146,17 +146,17 @@ fn compare_files(files: &CompareArguments) -> Result<()> {
 
 fn measure_all(
     arguments: &RunArguments,
-    tasks: impl FnOnce(&RunArguments) -> Result<Vec<Task>>,
+    tasks: impl FnOnce(&RunArguments, &Context) -> Result<Vec<Task>>,
 ) -> Result<()> {
     // Before the scenes, which may have many photos: a missing device is reported at once.
     let context = arguments.context()?;
-    let tasks = tasks(arguments)?;
-    let copy = measure::copy_bandwidth(&context)?;
+    let tasks = tasks(arguments, &context)?;
+    let yardsticks = Yardsticks::measure(&context)?;
     let mut runs = Vec::new();
     for task in tasks {
-        runs.extend(task.run(&context, arguments, copy.as_ref())?);
+        runs.extend(task.run(&context, arguments, yardsticks.copy.as_ref())?);
     }
-    let report = report_of(&context, arguments, copy, runs);
+    let report = assemble(&context, arguments.iterations(), arguments.scene.seed, (yardsticks, runs));
     arguments.write(&report)?;
     if !arguments.quiet {
         say!("{}", table::render(&report).trim_end());
@@ -185,21 +185,12 @@ impl RunArguments {
     }
 }
 
-fn report_of(
-    context: &Context,
-    arguments: &RunArguments,
-    copy: Option<CopyBandwidth>,
-    runs: Vec<Run>,
-) -> Report {
-    assemble(context, arguments.iterations(), arguments.scene.seed, (copy, runs))
-}
-
 /// A report of runs that were measured on a context.
 pub fn assemble(
     context: &Context,
     iterations: Iterations,
     seed: u64,
-    (copy_bandwidth, runs): (Option<CopyBandwidth>, Vec<Run>),
+    (yardsticks, runs): (Yardsticks, Vec<Run>),
 ) -> Report {
     Report {
         schema: schema::SCHEMA.to_owned(),
@@ -213,7 +204,8 @@ pub fn assemble(
             seed,
             clock: if context.has_timestamps() { "timestamps" } else { "host" }.to_owned(),
         },
-        copy_bandwidth,
+        copy_bandwidth: yardsticks.copy,
+        arithmetic: yardsticks.arithmetic,
         runs,
     }
 }

@@ -9,7 +9,7 @@ mod trace;
 mod watch;
 
 use crate::args::DeviceArguments;
-use crate::bench::measure::{self, Iterations};
+use crate::bench::measure::{Iterations, Yardsticks};
 use crate::bench::workload::{self, SceneArguments};
 use crate::bench::{self, frames, table};
 use crate::output;
@@ -131,10 +131,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.capture {
         return capture(arguments, &context, &scene);
     }
-    let copy = measure::copy_bandwidth(&context)?;
+    let yardsticks = Yardsticks::measure(&context)?;
     let iterations = Iterations { measured: arguments.frames, warmup: arguments.warmup };
     let seed = arguments.scene.seed;
-    let job = frames::Job { context: &context, iterations, copy: copy.as_ref(), scene: &scene, seed };
+    let job =
+        frames::Job { context: &context, iterations, copy: yardsticks.copy.as_ref(), scene: &scene, seed };
     let (mut run, measured) = match arguments.what {
         What::Render => frames::render(&job)?,
         What::TrainStep => frames::train_step(&job)?,
@@ -149,7 +150,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let Some(name) = &arguments.kernel {
         run.kernels.retain(|k| k.kernel == *name || k.kernel.starts_with(&format!("{name}/")));
     }
-    let report = bench::assemble(&context, iterations, seed, (copy, vec![run]));
+    let report = bench::assemble(&context, iterations, seed, (yardsticks, vec![run]));
     say!("{}", table::render(&report).trim_end());
     print_messages(&context);
     arguments.device.report_validation(&context);

@@ -1,9 +1,10 @@
 //! Runs a workload again and again and sorts out where its time goes.
 
-use super::schema::{Arena, CopyBandwidth, Cost, KernelResult, Split, Spread};
+use super::schema::{Arena, ArithmeticRate, CopyBandwidth, Cost, KernelResult, Split, Spread};
 use super::traffic::Traffic;
 use crate::cpu_time::process_seconds;
 use ashsplat::Result;
+use ashsplat::arithmetic::Arithmetic;
 use ashsplat::vk::{Context, MemoryKind, Submission};
 use std::time::{Duration, Instant};
 
@@ -189,6 +190,19 @@ fn key(command: &ashsplat::vk::CommandRecord) -> (&str, &str) {
     (&command.scope, command.name)
 }
 
+/// What a device reaches at best, measured in the same run.
+pub struct Yardsticks {
+    pub copy: Option<CopyBandwidth>,
+    pub arithmetic: Option<ArithmeticRate>,
+}
+
+impl Yardsticks {
+    /// Measures both.
+    pub fn measure(context: &Context) -> Result<Self> {
+        Ok(Self { copy: copy_bandwidth(context)?, arithmetic: arithmetic_rate(context)? })
+    }
+}
+
 /// Size of the buffers that are copied, where the device allows it: larger than any cache.
 const COPY_BYTES: u64 = 64 << 20;
 const COPIES: u32 = 9;
@@ -223,8 +237,40 @@ pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
     }))
 }
 
+/// Results of the measurement of arithmetic: enough invocations for every lane of a large device.
+const ARITHMETIC_RESULTS: u64 = 1 << 18;
+
+/// Measures multiply-adds on registers; None without timestamps.
+fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
+    let arithmetic = Arithmetic::new(context)?;
+    let results =
+        context.allocate("arithmetic", &[("results", 4 * ARITHMETIC_RESULTS)], MemoryKind::Device)?;
+    let run = || {
+        context.run("arithmetic", |r| {
+            arithmetic.record(r, &results[0]);
+            Ok(())
+        })
+    };
+    run()?;
+    let profile = context.profile();
+    for _ in 0..COPIES {
+        run()?;
+    }
+    let times = profile.take().iter().map(|s| Some(s.commands.first()?.nanoseconds? * 1e-6)).collect();
+    let spread = Option::<Vec<f64>>::and_then(times, Spread::of).filter(|time| time.min > 0.0);
+    let operations = arithmetic.operations(ARITHMETIC_RESULTS);
+    Ok(spread.map(|time_ms| ArithmeticRate {
+        operations,
+        gigaoperations_per_second: operations as f64 / time_ms.min * 1e-6,
+        time_ms,
+    }))
+}
+
 /// The arenas of a context, with the most that each ever held.
 pub fn memory(context: &Context) -> Vec<Arena> {
-    let arenas = context.memory().into_iter().filter(|arena| arena.name != "copy" && arena.name != "profile");
+    let arenas = context
+        .memory()
+        .into_iter()
+        .filter(|arena| !["copy", "arithmetic", "profile"].contains(&arena.name.as_str()));
     arenas.map(|arena| Arena { name: arena.name, peak_bytes: arena.peak_bytes }).collect()
 }

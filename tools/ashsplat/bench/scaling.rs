@@ -1,11 +1,11 @@
 //! `bench scaling`: how each kernel grows with the Gaussians and with the pixels.
 
 use super::frames;
-use super::measure::{Iterations, copy_bandwidth};
+use super::measure::{Iterations, Yardsticks};
 use super::plot::{Panel, Series};
 use super::schema::{Report, Run};
 use super::workload::SceneArguments;
-use super::{RunArguments, plot, report_of, table};
+use super::{RunArguments, assemble, plot, table};
 use crate::output;
 use ashsplat::Result;
 use clap::Args;
@@ -34,7 +34,7 @@ type Sweep = Vec<(f64, Run)>;
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let context = arguments.run.device.context()?;
-    let copy = copy_bandwidth(&context)?;
+    let yardsticks = Yardsticks::measure(&context)?;
     let iterations = arguments.run.iterations();
     let scene = |gaussians: u32, width: u32| SceneArguments {
         gaussians,
@@ -48,7 +48,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let measure = |arguments: SceneArguments, iterations: Iterations| -> Result<Run> {
         let scene = arguments.load(false)?;
         let seed = arguments.seed;
-        let job = frames::Job { context: &context, iterations, copy: copy.as_ref(), scene: &scene, seed };
+        let job = frames::Job {
+            context: &context,
+            iterations,
+            copy: yardsticks.copy.as_ref(),
+            scene: &scene,
+            seed,
+        };
         Ok(frames::render(&job)?.0)
     };
     let (mut by_count, mut by_pixels): (Sweep, Sweep) = (Vec::new(), Vec::new());
@@ -78,7 +84,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         say!("{}", exponents(panel));
     }
     let runs = by_count.into_iter().chain(by_pixels).map(|(_, run)| run).collect();
-    let report: Report = report_of(&context, &arguments.run, copy, runs);
+    let report: Report = assemble(&context, iterations, base.seed, (yardsticks, runs));
     arguments.run.write(&report)?;
     if let Some(path) = &arguments.plot {
         let subtitle = format!("{}, {}", report.device.name, report.device.driver);

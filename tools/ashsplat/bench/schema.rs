@@ -21,6 +21,8 @@ pub struct Report {
     pub environment: BTreeMap<String, String>,
     pub settings: Settings,
     pub copy_bandwidth: Option<CopyBandwidth>,
+    #[serde(default)]
+    pub arithmetic: Option<ArithmeticRate>,
     pub runs: Vec<Run>,
 }
 
@@ -72,6 +74,16 @@ pub struct CopyBandwidth {
     pub bytes: u64,
     /// Bytes read plus bytes written by the median time.
     pub gigabytes_per_second: f64,
+    pub time_ms: Spread,
+}
+
+/// What the device's shaders compute, measured in the same run by multiply-adds on registers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ArithmeticRate {
+    /// Operations of the dispatch, multiplications and additions counted one each.
+    pub operations: u64,
+    /// By the least time: the most that was ever reached.
+    pub gigaoperations_per_second: f64,
     pub time_ms: Spread,
 }
 

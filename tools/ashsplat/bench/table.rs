@@ -57,6 +57,10 @@ pub fn render(report: &Report) -> String {
             copy.bytes >> 20
         );
     }
+    if let Some(arithmetic) = &report.arithmetic {
+        let rate = arithmetic.gigaoperations_per_second;
+        let _ = writeln!(out, "arithmetic {rate:.1} GFLOP/s (multiplications and additions on registers)");
+    }
     if report.settings.clock == "host" {
         let _ = writeln!(out, "no timestamps on this device: host times, and none per kernel");
     }

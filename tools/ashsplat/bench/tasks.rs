@@ -19,10 +19,44 @@ pub enum Task {
     Train(Box<Training>),
 }
 
-/// Picture of `all`'s large frame, pixels.
-const LARGE_SIZE: (u32, u32) = (1280, 720);
-/// Iterations of the large frame at most.
-const LARGE_ITERATIONS: u32 = 5;
+/// Gaussians above which a frame is measured less often.
+const MANY: u32 = 500_000;
+/// Iterations of such a frame at most, on a processor.
+const FEW_ITERATIONS: u32 = 5;
+
+/// A synthetic frame on the command line: "1140000@1280x720".
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameSize {
+    gaussians: u32,
+    width: u32,
+    height: u32,
+}
+
+impl FrameSize {
+    /// More Gaussians than one binding of 128 MiB holds.
+    pub const LARGE: Self = Self { gaussians: 1_140_000, width: 1280, height: 720 };
+}
+
+impl std::fmt::Display for FrameSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        write!(f, "{}@{}x{}", self.gaussians, self.width, self.height)
+    }
+}
+
+impl std::str::FromStr for FrameSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed = text.split_once('@').and_then(|(gaussians, size)| {
+            let (width, height) = size.split_once('x')?;
+            Some((gaussians.parse().ok()?, width.parse().ok()?, height.parse().ok()?))
+        });
+        match parsed {
+            Some((gaussians @ 1.., width @ 1.., height @ 1..)) => Ok(Self { gaussians, width, height }),
+            _ => Err("give Gaussians and size, as in 1140000@1280x720".to_owned()),
+        }
+    }
+}
 
 /// One scene: synthetic, or what the arguments name.
 pub fn of_frames(arguments: &RunArguments, train_step: bool) -> Result<Vec<Task>> {
@@ -39,7 +73,7 @@ pub fn of_training(arguments: &RunArguments) -> Result<Vec<Task>> {
 }
 
 /// The primitives at two sizes, synthetic frames and steps, and the trained scene and the data set where given.
-pub fn of_all(arguments: &RunArguments) -> Result<Vec<Task>> {
+pub fn of_all(arguments: &RunArguments, is_cpu: bool) -> Result<Vec<Task>> {
     let own = SceneArguments { scene: None, camera: None, dataset: None, ..arguments.scene.clone() };
     let synthetic = Rc::new(own.load(false)?);
     let (few, iterations) = (arguments.elements.div_ceil(4), arguments.iterations());
@@ -49,14 +83,14 @@ pub fn of_all(arguments: &RunArguments) -> Result<Vec<Task>> {
         Task::Sort(arguments.elements),
         Task::Render(synthetic.clone(), iterations),
     ];
-    if arguments.large > 0 {
-        let (width, height) = (Some(LARGE_SIZE.0), Some(LARGE_SIZE.1));
-        let large = SceneArguments { gaussians: arguments.large, width, height, ..own.clone() };
-        let iterations = Iterations {
-            measured: iterations.measured.min(LARGE_ITERATIONS),
+    for &FrameSize { gaussians, width, height } in &arguments.frames {
+        let frame = SceneArguments { gaussians, width: Some(width), height: Some(height), ..own.clone() };
+        let few = Iterations {
+            measured: iterations.measured.min(FEW_ITERATIONS),
             warmup: iterations.warmup.min(1),
         };
-        tasks.push(Task::Render(Rc::new(large.load(false)?), iterations));
+        let iterations = if is_cpu && gaussians > MANY { few } else { iterations };
+        tasks.push(Task::Render(Rc::new(frame.load(false)?), iterations));
     }
     if arguments.scene.scene.is_some() {
         let trained = SceneArguments { dataset: None, ..arguments.scene.clone() };
