@@ -169,7 +169,7 @@ mod tests {
     use super::*;
 
     fn line(a: [f64; 3], b: [f64; 3]) -> Line {
-        let spread = |[min, median, p90]: [f64; 3]| Spread { min, median, p90 };
+        let spread = |[min, median, p90]: [f64; 3]| Spread { min, median, p90, mean: median };
         Line {
             run: "sort".into(),
             scope: "sort".into(),
