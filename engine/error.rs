@@ -96,6 +96,19 @@ pub enum Error {
         /// What to do about it; may be empty.
         remedy: String,
     },
+    /// The driver has given the device up. Nothing of its context works any more; a new context may.
+    #[error("{call} failed: the device is lost; the driver has reset it: see the system's log. Open it anew")]
+    DeviceLost {
+        /// The function that said so.
+        call: &'static str,
+    },
+    /// A submission took longer than [`crate::vk::ContextOptions::timeout`] allows. It is still under way: what it writes is
+    /// undefined, and its memory is in use until it is over.
+    #[error("a submission is not over after {seconds:.1} s; raise the timeout, or use a smaller scene or resolution")]
+    Timeout {
+        /// How long was waited for it.
+        seconds: f64,
+    },
     /// The user asked to stop.
     #[error("interrupted")]
     Interrupted,

@@ -39,4 +39,4 @@ pub use error::{Error, Result};
 pub use forward::{Blending, Extent, JacobianLimit, RenderSettings};
 pub use renderer::{Frame, FrameStats, Gradients, PixelReport, Renderer, Sample, TileReport};
 pub use scene::{Camera, Gaussians};
-pub use trainer::{StepReport, TrainSettings, TrainView, Trainer};
+pub use trainer::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

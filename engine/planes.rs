@@ -1,6 +1,6 @@
 //! Gaussians as the device keeps them: vec4 planes cut into chunks, and back.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
 use crate::kernels::constants as c;
 use crate::plan::{ScenePlan, to_u32};
@@ -32,13 +32,27 @@ pub fn upload(
     gaussians.check_shapes()?;
     let count = to_u32(gaussians.len() as u64)?;
     let plan = ScenePlan::new(context.limits(), capacity.max(count), sh_degree)?;
-    let chunks = allocate(context, arena, &plan)?;
-    for range in plan.ranges(count) {
-        let (first, end) = (range.first as usize, (range.first + range.count) as usize);
-        let words = pack(gaussians, first..end, &plan);
-        context.upload(&chunks[range.chunk], bytemuck::cast_slice(&words))?;
+    let scene = SceneBuffers { chunks: allocate(context, arena, &plan)?, plan, count };
+    fill(context, &scene, gaussians)?;
+    Ok(scene)
+}
+
+/// Uploads Gaussians, or anything shaped like them, into the planes of a scene of as many.
+///
+/// # Errors
+/// [`Argument`](crate::Error::Argument) when their number or their vectors' lengths differ; when the device is lost.
+pub fn fill(context: &Context, scene: &SceneBuffers, gaussians: &Gaussians) -> Result<()> {
+    gaussians.check_shapes()?;
+    if gaussians.len() != scene.count as usize {
+        let problem = format!("{} do not fill a scene of {}", gaussians.len(), scene.count);
+        return Err(Error::argument("Gaussians", problem));
     }
-    Ok(SceneBuffers { chunks, plan, count })
+    for range in scene.plan.ranges(scene.count) {
+        let (first, end) = (range.first as usize, (range.first + range.count) as usize);
+        let words = pack(gaussians, first..end, &scene.plan);
+        context.upload(&scene.chunks[range.chunk], bytemuck::cast_slice(&words))?;
+    }
+    Ok(())
 }
 
 /// Downloads the Gaussians of a scene.

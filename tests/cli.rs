@@ -1,6 +1,7 @@
 //! The program `ashsplat`, run as its users run it.
 
 mod bad_input;
+mod checkpoints;
 mod commands;
 mod inspect;
 mod training;

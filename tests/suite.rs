@@ -3,10 +3,12 @@
 mod architecture;
 mod barriers;
 mod bench;
+mod checkpoints;
 mod cli;
 mod common;
 mod comparators;
 mod determinism;
+mod faults;
 mod gradients;
 mod hard_cases;
 mod host;

@@ -12,6 +12,13 @@ use crate::vk::{Buffer, MemoryKind};
 /// Scales above this share of the scene's extent are pruned, once opacities have been reset (reference).
 const LARGE_SCALE_SHARE: f64 = 0.1;
 
+/// Planes and statistics for a set that has outgrown its own.
+struct Fresh {
+    plan: ScenePlan,
+    sets: Vec<Vec<Buffer>>,
+    statistics: Buffer,
+}
+
 impl Trainer {
     /// Decides, makes room, and gathers the new set.
     pub(super) fn run_densification(&mut self, iteration: u32) -> Result<Densified> {
@@ -52,17 +59,23 @@ impl Trainer {
             (old.scene.plan, None)
         } else {
             // Without room to grow further, if that does not fit beside the old planes.
-            let (plan, sets) =
-                self.allocate_sets(rows.saturating_add(rows / 2)).or_else(|_| self.allocate_sets(rows))?;
-            (plan, Some(sets))
+            let fresh =
+                self.allocate_fresh(rows.saturating_add(rows / 2)).or_else(|_| self.allocate_fresh(rows))?;
+            (fresh.plan, Some(fresh))
         };
         // Without growth the four sets of planes rotate: each is gathered into the one that was freed before it.
         let sources = [&old.scene.chunks, &old.moments.first, &old.moments.second];
         let targets: [&Vec<Buffer>; 3] = match &fresh {
-            Some(sets) => [&sets[0], &sets[1], &sets[2]],
+            Some(fresh) => [&fresh.sets[0], &fresh.sets[1], &fresh.sets[2]],
             None => [&old.spare, &old.scene.chunks, &old.moments.first],
         };
+        let (spare, statistics) = match &fresh {
+            Some(fresh) => (&fresh.sets[3], &fresh.statistics),
+            None => (&old.moments.second, &old.statistics),
+        };
+        // One submission: either all of it comes to pass or the old set stays.
         self.context.run("densify: gather", |r| {
+            r.fill(statistics, 0);
             self.densify.record_place(r, old.scene.count, rows, buffers);
             r.barrier();
             for (set, (from, to)) in sources.iter().zip(targets).enumerate() {
@@ -79,29 +92,19 @@ impl Trainer {
             Ok(())
         })?;
         let [parameters, first, second] = targets.map(Clone::clone);
-        let grown = fresh.is_some();
-        let (spare, statistics) = if grown {
-            let spare = planes::allocate(&self.context, "spare", &plan)?;
-            (spare, allocate_statistics(&self.context, plan.capacity)?)
-        } else {
-            (old.moments.second.clone(), old.statistics.clone())
-        };
+        let (spare, statistics) = (spare.clone(), statistics.clone());
         let scene = SceneBuffers { chunks: parameters, plan, count: rows };
         self.training = Training { scene, moments: Moments { first, second }, spare, statistics };
-        self.context.run("clear statistics", |r| {
-            r.fill(&self.training.statistics, 0);
-            Ok(())
-        })?;
         Ok(())
     }
 
-    /// Planes for parameters and both moments of up to `capacity` Gaussians.
-    fn allocate_sets(&self, capacity: u32) -> Result<(ScenePlan, Vec<Vec<Buffer>>)> {
+    /// Planes for parameters, both moments and the spare set of up to `capacity` Gaussians, and their statistics.
+    fn allocate_fresh(&self, capacity: u32) -> Result<Fresh> {
         let plan = ScenePlan::new(self.context.limits(), capacity, self.training.scene.plan.sh_degree)?;
-        let arenas = ["scene", "moments", "moments"];
+        let arenas = ["scene", "moments", "moments", "spare"];
         let sets: Result<_> =
             arenas.iter().map(|arena| planes::allocate(&self.context, arena, &plan)).collect();
-        Ok((plan, sets?))
+        Ok(Fresh { plan, sets: sets?, statistics: allocate_statistics(&self.context, capacity)? })
     }
 
     /// Lowers all opacities to 0.01 at most and forgets their moments.

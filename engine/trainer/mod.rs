@@ -4,11 +4,14 @@
 //! asks for comes at the start of the next step, so that between steps the scene is what the reference would save.
 //! A step whose frame overflowed its buffers changes nothing and is run again with more room.
 
+pub mod checkpoint;
 mod density;
+mod fingerprint;
 mod photos;
 pub mod settings;
 mod step;
 
+pub use checkpoint::Checkpoint;
 pub use settings::{OptimizerType, TrainSettings};
 
 use crate::backward::Backward;
@@ -91,6 +94,7 @@ pub struct Trainer {
     settings: TrainSettings,
     scene_extent: f32,
     cameras: Vec<Camera>,
+    views_fingerprint: u64,
     photos: Photos,
     runner: FrameRunner,
     loss: Loss,
@@ -105,6 +109,8 @@ pub struct Trainer {
     /// Steps of the optimiser: iterations that densify have none.
     steps: u64,
     opacity_steps: u64,
+    /// Whether a submission that changes the scene may or may not have come to pass.
+    broken: bool,
 }
 
 pub(crate) struct LossScratch {
@@ -165,6 +171,7 @@ impl Trainer {
         }
         let photos = Photos::upload(context, &views)?;
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+        let views_fingerprint = fingerprint::of_views(&views);
         drop(views);
         let count = crate::plan::to_u32(initial.len() as u64)?;
         // Room to grow: densification allocates anew when it does not suffice.
@@ -184,12 +191,14 @@ impl Trainer {
             settings,
             scene_extent,
             cameras,
+            views_fingerprint,
             photos,
             training,
             iteration: 0,
             due: step::Due::default(),
             steps: 0,
             opacity_steps: 0,
+            broken: false,
         })
     }
 

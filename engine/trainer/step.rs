@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{Densified, StepReport, Trainer};
 use crate::backward::Statistics;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, RenderSettings};
 use crate::loss::{LossInputs, SsimMaps};
 use crate::optimizer::{Rates, Step};
@@ -55,8 +55,8 @@ fn generator(seed: u32, stream: u64, counter: u64) -> ChaCha8Rng {
 /// What an iteration leaves to be done before the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Due {
-    densifies: bool,
-    resets: bool,
+    pub densifies: bool,
+    pub resets: bool,
 }
 
 /// What an iteration does behind the backward pass.
@@ -72,8 +72,25 @@ impl Trainer {
     /// Runs one iteration.
     ///
     /// # Errors
-    /// When memory does not suffice or the device is lost; the Gaussians are then as before the iteration.
+    /// When memory does not suffice: the Gaussians are then as before the iteration, and it may be tried again. When the
+    /// device is lost or too slow ([`Error::DeviceLost`], [`Error::Timeout`]): what has become of them is unknown, and
+    /// every later step is refused; go on from a checkpoint.
     pub fn step(&mut self) -> Result<StepReport> {
+        if self.broken {
+            let problem = "an earlier step was not finished; go on from a checkpoint, or anew";
+            return Err(Error::argument("trainer", problem));
+        }
+        let result = self.run_iteration();
+        // What went wrong while waiting may or may not have been done.
+        self.broken = match &result {
+            Err(Error::DeviceLost { .. } | Error::Timeout { .. }) => true,
+            Err(Error::Vulkan { call, .. }) => *call == "vkWaitForFences",
+            _ => false,
+        };
+        result
+    }
+
+    fn run_iteration(&mut self) -> Result<StepReport> {
         let start = std::time::Instant::now();
         let densified = self.catch_up()?;
         let iteration = self.iteration + 1;

@@ -3,6 +3,7 @@
 use super::clock::Clock;
 use super::debug::Names;
 use super::device::{self, Candidate, DeviceDescription};
+use super::faults::{self, Faults};
 use super::instance::Instance;
 use super::limits::{Limits, LimitsOverride, SpecOverride};
 use super::memory::Registry;
@@ -12,8 +13,9 @@ use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::time::Duration;
 
 /// How to open a device.
 #[derive(Clone, Debug)]
@@ -41,6 +43,11 @@ pub struct ContextOptions {
     /// For a capture by RenderDoc: accept the version 1.2 that its layer reports of every driver without
     /// bufferDeviceAddressCaptureReplay, llvmpipe among them, although it passes 1.3 on.
     pub capture: bool,
+    /// How long to wait for a submission before it is an error. None: until it is over, however long that takes; a
+    /// device that hangs is reset and reported by its driver.
+    pub timeout: Option<Duration>,
+    /// For tests: Vulkan calls that fail on demand.
+    pub faults: Option<Faults>,
 }
 
 impl ContextOptions {
@@ -62,6 +69,8 @@ impl Default for ContextOptions {
             overrides: Vec::new(),
             force_staging: false,
             capture: false,
+            timeout: None,
+            faults: None,
         }
     }
 }
@@ -88,6 +97,9 @@ pub(super) struct Inner {
     /// Who records every command, if anybody does.
     pub(super) profile: Mutex<Weak<Log>>,
     pub(super) hazard_check: bool,
+    pub(super) timeout: Option<Duration>,
+    /// Whether the driver has given the device up.
+    pub(super) lost: AtomicBool,
     pub(super) description: DeviceDescription,
     pub(super) registry: Registry,
     /// SPIR-V in place of a kernel's own.
@@ -121,6 +133,10 @@ impl Context {
         let device = create_device(&instance, &candidate, options.debug_printf)?;
         // SAFETY: the device was created with one queue of this family.
         let queue = unsafe { device.get_device_queue(candidate.queue_family, 0) };
+        let device = match &options.faults {
+            Some(faults) => faults::install(&device, queue, faults),
+            None => device,
+        };
         let clock = Clock::new(&instance, &device, candidate.features.calibrated_timestamps);
         let names = Names::new(&instance.raw, &device, instance.has_debug_utils);
         names.name(queue, "ashsplat queue");
@@ -142,6 +158,8 @@ impl Context {
             clock,
             profile: Mutex::default(),
             hazard_check: options.hazard_check,
+            timeout: options.timeout,
+            lost: AtomicBool::new(false),
             description: candidate.description,
             registry: Registry::default(),
             replaced: Mutex::default(),
@@ -170,6 +188,19 @@ impl Context {
         self.0.instance.messenger.as_ref().map_or_else(Vec::new, |m| m.messages.all())
     }
 
+    /// Whether the driver has given the device up: then nothing of this context works any more.
+    pub fn is_lost(&self) -> bool {
+        self.0.lost.load(Ordering::Relaxed)
+    }
+
+    /// Gives up this handle. Where it was the last holder of the device, the device is destroyed; the answer is
+    /// everything that the validation layers have said until then, with what has leaked.
+    pub fn close(self) -> Option<Vec<String>> {
+        let messages = self.0.instance.messenger.as_ref().map(|m| m.messages.clone());
+        drop(Arc::into_inner(self.0)?);
+        Some(messages.map_or_else(Vec::new, |messages| messages.all()))
+    }
+
     /// What shaders printed since the last call. Empty without [`ContextOptions::debug_printf`].
     pub fn printed(&self) -> Vec<String> {
         self.0.instance.messenger.as_ref().map_or_else(Vec::new, |m| m.messages.take_printed())
@@ -179,6 +210,8 @@ impl Context {
 impl Drop for Inner {
     fn drop(&mut self) {
         let slots = std::mem::take(&mut *self.slots.lock().unwrap_or_else(PoisonError::into_inner));
+        let queue = *self.queue.get_mut().unwrap_or_else(PoisonError::into_inner);
+        faults::remove(self.device.handle(), queue);
         // SAFETY: nothing refers to the device any more: all that does holds this struct. The wait is for devices
         // that were lost.
         unsafe {

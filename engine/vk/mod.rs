@@ -10,6 +10,7 @@
 //! | `hazard` | finds missing barriers while recording |
 //! | `submit` | [`Context::submit`], [`Pending`], [`RunReport`] |
 //! | `transfer` | [`Context::upload`], [`Context::download`] |
+//! | `faults` | for tests: calls that fail on demand |
 //! | `profiler`, `debug` | time of each scope; names, labels and validation messages |
 //! | `profile`, `clock` | [`Context::profile`]: every command with its grid, buffers and time, on the host's clock |
 //!
@@ -40,6 +41,7 @@ mod clock;
 mod context;
 mod debug;
 mod device;
+mod faults;
 pub mod hazard;
 mod instance;
 mod kernel;
@@ -54,6 +56,7 @@ mod transfer;
 pub use buffer::Buffer;
 pub use context::{Context, ContextOptions};
 pub use device::{DeviceDescription, devices};
+pub use faults::{Fault, Faults};
 pub use instance::validation_available;
 pub use kernel::{Access, BindingInfo, ConstantInfo, ConstantKind, Kernel, KernelInterface, KernelVisitor};
 pub use limits::{Limits, LimitsOverride, SpecOverride};
@@ -68,9 +71,9 @@ fn vk_error(call: &'static str) -> impl Fn(ash::vk::Result) -> crate::Error {
     use ash::vk::Result as R;
     move |result| {
         let remedy = match result {
+            R::ERROR_DEVICE_LOST => return crate::Error::DeviceLost { call },
             R::ERROR_OUT_OF_DEVICE_MEMORY => "free device memory, or use a smaller scene or resolution",
             R::ERROR_OUT_OF_HOST_MEMORY => "free memory, or use a smaller scene or resolution",
-            R::ERROR_DEVICE_LOST => "the driver has reset the device: see the system's log",
             _ => "",
         };
         crate::Error::Vulkan { call, result: format!("{result:?} ({result})"), remedy: remedy.to_owned() }

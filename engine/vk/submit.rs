@@ -7,11 +7,11 @@ use super::profile::{self, HostTimes};
 use super::profiler::{MAX_SCOPES, Profiler, QUERIES, ScopeTime};
 use super::recorder::Recorder;
 use super::vk_error;
-use crate::Result;
+use crate::{Error, Result};
 use ash::vk;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// What a submission took.
 #[derive(Clone, Debug, Default)]
@@ -159,35 +159,53 @@ impl Commands {
             let ended = device.end_command_buffer(self.slot.commands);
             ended.map_err(vk_error("vkEndCommandBuffer"))?;
             let submitted = device.queue_submit2(*queue, &submits, self.slot.fence);
-            submitted.map_err(vk_error("vkQueueSubmit2"))?;
+            submitted.map_err(|error| self.inner.failed("vkQueueSubmit2", error))?;
         }
         self.submitted = true;
         Ok(())
     }
 
-    /// Sleeps until the submission is over. However long that takes: a processor may need minutes, and a device that
-    /// hangs is reset and reported by its driver.
-    fn wait(&mut self) -> Result<()> {
-        const TIMEOUT_NS: u64 = 5_000_000_000;
+    /// Sleeps until the submission is over, or for as long as a timeout says.
+    fn wait(&mut self, timeout: Option<Duration>) -> Result<()> {
+        const ROUND: Duration = Duration::from_secs(5);
+        let mut waited = Duration::ZERO;
         while self.submitted {
+            let round = timeout.map_or(ROUND, |timeout| timeout.saturating_sub(waited).min(ROUND));
+            let fences = [self.slot.fence];
             // SAFETY: the fence is alive and was submitted.
-            match unsafe { self.inner.device.wait_for_fences(&[self.slot.fence], true, TIMEOUT_NS) } {
+            let over = unsafe { self.inner.device.wait_for_fences(&fences, true, round.as_nanos() as u64) };
+            match over {
                 Ok(()) => self.submitted = false,
-                Err(vk::Result::TIMEOUT) => {}
+                Err(vk::Result::TIMEOUT) => {
+                    waited += round;
+                    if timeout.is_some_and(|timeout| waited >= timeout) {
+                        return Err(Error::Timeout { seconds: waited.as_secs_f64() });
+                    }
+                }
                 Err(error) => {
-                    // The device is lost, so nothing runs any more.
-                    self.submitted = false;
-                    return Err(vk_error("vkWaitForFences")(error));
+                    // Of a lost device, nothing runs any more; otherwise that is not known.
+                    self.submitted = error != vk::Result::ERROR_DEVICE_LOST;
+                    return Err(self.inner.failed("vkWaitForFences", error));
                 }
             }
         }
         Ok(())
     }
+
+    /// Whatever happens, nothing runs any more afterwards.
+    fn settle(&mut self) {
+        if self.wait(None).is_err() && self.submitted {
+            // SAFETY: the lock keeps others from submitting meanwhile. When this fails, the device is lost.
+            let _queue = self.inner.queue.lock().unwrap_or_else(PoisonError::into_inner);
+            let _ = unsafe { self.inner.device.device_wait_idle() };
+            self.submitted = false;
+        }
+    }
 }
 
 impl Drop for Commands {
     fn drop(&mut self) {
-        let _ = self.wait();
+        self.settle();
         let device = &self.inner.device;
         // SAFETY: nothing of the slot is in use: it was never submitted, or has been waited for.
         let reset = unsafe {
@@ -199,6 +217,14 @@ impl Drop for Commands {
             Ok(()) => self.inner.slots.lock().unwrap_or_else(PoisonError::into_inner).push(self.slot),
             Err(_) => self.slot.destroy(&self.inner),
         }
+    }
+}
+
+impl Inner {
+    /// The error of a failed call; remembers when it says that the device is lost.
+    fn failed(&self, call: &'static str, result: vk::Result) -> Error {
+        self.lost.fetch_or(result == vk::Result::ERROR_DEVICE_LOST, Ordering::Relaxed);
+        vk_error(call)(result)
     }
 }
 
@@ -239,13 +265,21 @@ impl Pending {
     /// Sleeps until the device is done; then its results may be read.
     ///
     /// # Errors
-    /// [`crate::Error::Vulkan`] when the device is lost.
+    /// [`Error::DeviceLost`]; [`Error::Timeout`] after [`super::ContextOptions::timeout`]: the submission is waited for by
+    /// a thread of its own then, and what it uses remains in use until it is over.
     pub fn wait(mut self) -> Result<RunReport> {
-        self.commands.wait()?;
+        let timeout = self.commands.inner.timeout;
+        if let Err(error) = self.commands.wait(timeout) {
+            if self.commands.submitted {
+                std::thread::spawn(move || drop(self));
+            }
+            return Err(error);
+        }
         let done = Instant::now();
         let Some(mut profiler) = self.profiler.take() else { return Ok(RunReport::default()) };
         let inner = &self.commands.inner;
-        let collected = profiler.collect(inner)?;
+        // What has been computed is there, whether or not anybody knows how long it took.
+        let collected = profiler.collect(inner).unwrap_or_default();
         let report = RunReport {
             scopes: collected.scopes.clone(),
             nanoseconds: collected.nanoseconds.unwrap_or_default(),
@@ -260,7 +294,7 @@ impl Pending {
 
 impl Drop for Pending {
     fn drop(&mut self) {
-        let _ = self.commands.wait();
+        self.commands.settle();
         for block in &self.kept.blocks {
             block.in_flight.fetch_sub(1, Ordering::Release);
         }
@@ -271,8 +305,11 @@ impl Context {
     /// Starts a recording under a label. Dropping the recorder discards it.
     ///
     /// # Errors
-    /// [`crate::Error::Vulkan`] when the driver has no memory left.
+    /// [`Error::Vulkan`] when the driver has no memory left, [`Error::DeviceLost`].
     pub fn begin(&self, label: &str) -> Result<Recorder> {
+        if self.is_lost() {
+            return Err(Error::DeviceLost { call: "an earlier call" });
+        }
         let profiled = profile::Commands::begin(&self.0)?;
         Ok(Recorder::new(Commands::begin(&self.0, label, profiled.is_some())?, label, profiled))
     }
@@ -280,7 +317,7 @@ impl Context {
     /// Submits a recording; whoever needs its results waits for the [`Pending`].
     ///
     /// # Errors
-    /// [`crate::Error::Vulkan`] when the device is lost or out of memory.
+    /// [`Error::DeviceLost`], [`Error::Vulkan`] when out of memory.
     ///
     /// # Panics
     /// When the recorder records into a foreign command buffer.

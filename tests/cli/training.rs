@@ -297,4 +297,12 @@ fn ctrl_c_saves() {
     let last = log.lines().last().and_then(|line| line.split(',').next()).expect("a line");
     let saved = out.join(format!("point_cloud/iteration_{last}/point_cloud.ply"));
     assert!(saved.is_file(), "{:?}", files_below(&out));
+    assert!(out.join(format!("chkpnt{last}.safetensors")).is_file(), "{:?}", files_below(&out));
+    let advice = rest.iter().find(|line| line.starts_with("interrupted: to go on, ")).expect("how to go on");
+    // What it says works: up to a Ctrl-C of its own.
+    let typed: Vec<&str> = advice.split(", ashsplat ").nth(1).expect("a command").split(' ').collect();
+    let next = last.parse::<u32>().expect("a number") + 3;
+    let more = ["--iterations", &next.to_string(), "--quiet"];
+    succeed(&[typed.as_slice(), &more].concat());
+    assert!(out.join(format!("point_cloud/iteration_{next}/point_cloud.ply")).is_file());
 }

@@ -39,6 +39,9 @@ pub struct Overrides {
     /// Save a PLY after these iterations, and after the last; -1 for the last only [default: 7000 30000]
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     save_iterations: Option<Vec<u32>>,
+    /// Write a checkpoint, from which training can go on, after these iterations
+    #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
+    checkpoint_iterations: Option<Vec<u32>>,
     /// Number of iterations, one view each [default: 30000]
     #[arg(long, value_name = "N")]
     iterations: Option<u32>,
@@ -136,6 +139,8 @@ pub struct DataSettings {
     pub test_iterations: Vec<u32>,
     /// Iterations after which to save; the last is always one.
     pub save_iterations: Vec<u32>,
+    /// Iterations after which to write a checkpoint.
+    pub checkpoint_iterations: Vec<u32>,
 }
 
 impl Default for DataSettings {
@@ -148,6 +153,7 @@ impl Default for DataSettings {
             eval: false,
             test_iterations: vec![7000, 30_000],
             save_iterations: vec![7000, 30_000],
+            checkpoint_iterations: Vec::new(),
         }
     }
 }

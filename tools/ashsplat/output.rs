@@ -13,17 +13,28 @@ pub fn say(stream: &mut dyn Write, text: std::fmt::Arguments<'_>) {
 }
 
 /// Creates the folder that a file is to lie in.
-pub fn make_way(path: &Path) -> Result<()> {
+fn make_way(path: &Path) -> Result<()> {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => atomic::create_folder(folder),
         _ => Ok(()),
     }
 }
 
+/// Creates the folders above a file and writes it; when that fails, the new folders go again.
+pub fn in_folder<T>(path: &Path, write: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
+    let above = path.ancestors().skip(1).filter(|folder| !folder.as_os_str().is_empty());
+    let new: Vec<&Path> = above.take_while(|folder| !folder.exists()).collect();
+    let result = make_way(path).and_then(|()| write(path));
+    if result.is_err() {
+        // Innermost first; one that somebody else has put something into stays.
+        new.iter().all(|folder| std::fs::remove_dir(folder).is_ok());
+    }
+    result
+}
+
 /// Writes a file and the folders above it.
 fn write_whole(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
-    make_way(path)?;
-    atomic::write(path, fill)
+    in_folder(path, |path| atomic::write(path, fill))
 }
 
 /// Removes a file, if it is there.
@@ -72,8 +83,7 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
 
 /// An 8-bit PNG.
 pub fn write_png(path: &Path, picture: &Photo) -> Result<()> {
-    make_way(path)?;
-    picture.write_png(path)
+    in_folder(path, |path| picture.write_png(path))
 }
 
 /// A frame's colour as 8 bits per channel.

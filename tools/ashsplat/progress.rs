@@ -21,6 +21,8 @@ pub struct State {
 pub struct TrainProgress {
     bar: Option<ProgressBar>,
     lines: bool,
+    /// Done before the start.
+    first: u32,
     iterations: u32,
     start: Instant,
     /// When and at which iteration the present speed's measurement began.
@@ -31,15 +33,17 @@ pub struct TrainProgress {
 }
 
 impl TrainProgress {
-    pub fn new(iterations: u32, quiet: bool) -> TrainProgress {
+    /// Of a run from iteration `first` on, 0 for a new one.
+    pub fn new(first: u32, iterations: u32, quiet: bool) -> TrainProgress {
         let terminal = std::io::stderr().is_terminal();
         let bar = (terminal && !quiet).then(|| bar(u64::from(iterations), "{wide_bar} {pos}/{len}  {msg}"));
         TrainProgress {
             bar,
             lines: !terminal && !quiet,
+            first,
             iterations,
             start: Instant::now(),
-            window: (Instant::now(), 0),
+            window: (Instant::now(), first),
             iterations_per_second: 0.0,
             mean_loss: None,
             psnr: None,
@@ -101,7 +105,7 @@ impl TrainProgress {
     }
 
     fn overall_rate(&self, iteration: u32) -> f64 {
-        f64::from(iteration) / self.start.elapsed().as_secs_f64().max(1e-9)
+        f64::from(iteration - self.first) / self.start.elapsed().as_secs_f64().max(1e-9)
     }
 }
 

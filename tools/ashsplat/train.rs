@@ -1,29 +1,33 @@
 //! `ashsplat train`.
 
+mod checkpoints;
+mod folder;
 mod log;
 
 use crate::args::DeviceArguments;
-use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, Overrides, SETTINGS_FILE, Settings};
+use crate::config::{Overrides, Settings};
 use crate::eval::{self, Evaluation};
 use crate::measure::{Cost, Stopwatch};
 use crate::model;
 use crate::progress::{State, TrainProgress, thousands};
 use crate::{output, render, session};
-use ashsplat::io::{self, Dataset, View, cameras_json};
-use ashsplat::scene::{Camera, Gaussians, PointCloud};
+use ashsplat::io::{self, Dataset, View};
+use ashsplat::scene::{Camera, Gaussians};
 use ashsplat::trainer::{StepReport, TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
+use checkpoints::Start;
 use clap::Args;
 use log::TrainLog;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Train a scene from a COLMAP data set.
 ///
 /// Names and defaults are those of the reference implementation; hyphens and underscores are both accepted.
-/// Ctrl-C finishes the iteration, saves, and exits with 130. When an iteration fails, the scene before it is saved.
+/// Ctrl-C finishes the iteration, saves, writes a checkpoint, and exits with 130. When an iteration fails, the scene
+/// before it is saved. A run that goes on from a checkpoint ends with the same bits as one that was never stopped.
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -34,6 +38,9 @@ pub struct Arguments {
     /// Start from 100,000 random points where the data set has none, instead of refusing it
     #[arg(long)]
     random_points: bool,
+    /// Go on from this checkpoint, or from the newest of the model folder; all else must be as it was
+    #[arg(long, value_name = "FILE|latest")]
+    start_checkpoint: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArguments,
     /// No progress; only results and errors
@@ -45,6 +52,7 @@ pub struct Arguments {
 const STAND_IN_VIEWS: usize = 5;
 /// After so many iterations the cost is taken once, for comparison with other trainers.
 const FIRST_ITERATIONS: u32 = 100;
+const LOG_FILE: &str = "train_log.csv";
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -58,8 +66,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     // The device first: without one, nobody should wait for the photos.
     let context = arguments.device.context()?;
+    let start = arguments.start_checkpoint.as_ref();
+    let start = start.map(|asked| Start::read(asked, &settings.data.model_path)).transpose()?;
     let dataset = session::load(&settings.data, settings.train.white_background, arguments.quiet)?;
-    if dataset.points.is_empty() && !arguments.random_points {
+    if dataset.points.is_empty() && !arguments.random_points && start.is_none() {
         let remedy = "register the photos with COLMAP's mapper or point_triangulator, or use --random-points";
         return Err(Error::input(
             &settings.data.source_path,
@@ -69,7 +79,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     session::warn(&dataset);
     let folder = settings.data.model_path.clone();
-    let mut run = Run::prepare(&context, dataset, settings, arguments.quiet)?;
+    let mut run = match start {
+        None => Run::prepare(&context, dataset, settings, arguments.quiet)?,
+        Some(start) => Run::resume(&context, dataset, settings, &start, arguments.quiet)?,
+    };
     let interrupted = run.train()?;
     run.report();
     say!("written to {}", folder.display());
@@ -99,6 +112,8 @@ pub struct Run {
     pub evaluations: Vec<Tested>,
     gaussians: u32,
     skipped: u64,
+    /// Iteration of the checkpoint that the run began with.
+    started: u32,
     /// Iteration whose scene was saved last.
     saved: Option<u32>,
 }
@@ -109,18 +124,40 @@ impl Run {
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
         let points = dataset.initial_points(u64::from(settings.train.seed));
         let initial = Gaussians::from_points(&points, settings.train.sh_degree)?;
-        let Dataset { train, test, scene_extent, .. } = dataset;
-        let own = |view: &View| (view.name.clone(), view.original_camera);
-        let cameras: Vec<(String, Camera)> = test.iter().chain(&train).map(own).collect();
-        let held_out = !test.is_empty();
-        let test = if held_out { test } else { sample(&train) };
-        let views =
-            train.into_iter().map(|view| TrainView { camera: view.camera, photo: view.photo }).collect();
-        let trainer = Trainer::new(context, views, &initial, scene_extent, settings.train.clone())?;
-        write_beginnings(&settings, &cameras, &points)?;
-        Ok(Run {
-            progress: TrainProgress::new(settings.train.iterations, quiet),
-            log: TrainLog::create(&settings.data.model_path.join("train_log.csv"))?,
+        let data = Prepared::new(dataset);
+        let (views, extent) = (data.train, data.scene_extent);
+        let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
+        folder::begin(&settings, &data.cameras, Some(&points))?;
+        let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
+        Ok(Run::new(settings, trainer, log, (data.test, data.held_out), quiet))
+    }
+
+    /// As [`Run::prepare`], from a checkpoint.
+    fn resume(
+        context: &Context,
+        dataset: Dataset,
+        settings: Settings,
+        start: &Start,
+        quiet: bool,
+    ) -> Result<Run> {
+        let data = Prepared::new(dataset);
+        let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
+        folder::begin(&settings, &data.cameras, None)?;
+        let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
+        Ok(Run::new(settings, trainer, log, (data.test, data.held_out), quiet))
+    }
+
+    fn new(
+        settings: Settings,
+        trainer: Trainer,
+        log: TrainLog,
+        (test, held_out): (Vec<View>, bool),
+        quiet: bool,
+    ) -> Run {
+        Run {
+            progress: TrainProgress::new(trainer.iteration(), settings.train.iterations, quiet),
+            started: trainer.iteration(),
+            log,
             settings,
             trainer,
             test,
@@ -128,10 +165,10 @@ impl Run {
             first: None,
             total: None,
             evaluations: Vec::new(),
-            gaussians: initial.len() as u32,
+            gaussians: 0,
             skipped: 0,
             saved: None,
-        })
+        }
     }
 
     /// Trains to the end, or until Ctrl-C: then the answer is true. After a failure, too, scene and log are saved.
@@ -139,7 +176,7 @@ impl Run {
         let stop = stop_on_ctrl_c()?;
         let mut watch = Stopwatch::start();
         let result = self.iterate(&stop, &mut watch);
-        let total = watch.cost(self.trainer.iteration());
+        let total = watch.cost(self.trainer.iteration() - self.started);
         self.total = Some(total);
         self.first.get_or_insert(total);
         self.progress.finish();
@@ -155,21 +192,34 @@ impl Run {
     }
 
     fn iterate(&mut self, stop: &AtomicBool, watch: &mut Stopwatch) -> Result<bool> {
-        for _ in 0..self.settings.train.iterations {
+        for _ in self.started..self.settings.train.iterations {
             let report = self.trainer.step()?;
             let stopping = stop.load(Ordering::Relaxed);
             self.account(&report);
-            if report.iteration == FIRST_ITERATIONS {
+            if report.iteration - self.started == FIRST_ITERATIONS {
                 self.first = Some(watch.cost(FIRST_ITERATIONS));
             }
             let kept = self.check(&report).and_then(|()| self.keep(report.iteration, stopping, watch));
             self.log.add(&report, *kept.as_ref().unwrap_or(&None));
             kept?;
+            if stopping || self.settings.data.checkpoint_iterations.contains(&report.iteration) {
+                watch.paused(|| self.write_checkpoint())?;
+            }
             if stopping {
+                let command = checkpoints::command(&self.settings.data.model_path);
+                self.progress.note(&format!("interrupted: to go on, {command}"));
                 return Ok(true);
             }
         }
         Ok(false)
+    }
+
+    /// The log first: with the checkpoint, all its iterations are on disk.
+    fn write_checkpoint(&mut self) -> Result<()> {
+        self.log.flush();
+        let path = checkpoints::write(&self.settings.data.model_path, &self.trainer.checkpoint()?)?;
+        self.progress.note(&format!("checkpoint {}", path.display()));
+        Ok(())
     }
 
     /// An iteration over nothing is the last.
@@ -217,8 +267,8 @@ impl Run {
     fn save(&mut self, iteration: u32, reason: &str) -> Result<()> {
         let folder = &self.settings.data.model_path;
         let path = model::point_cloud_path(folder, iteration);
-        output::make_way(&path)?;
-        io::ply::write(&path, &self.trainer.gaussians()?)?;
+        let gaussians = self.trainer.gaussians()?;
+        output::in_folder(&path, |path| io::ply::write(path, &gaussians))?;
         model::note_saved(folder, iteration)?;
         self.saved = Some(iteration);
         self.progress.note(&format!("{reason}saved {}", path.display()));
@@ -233,6 +283,8 @@ impl Run {
         }
         if let Err(error) = self.save(iteration, "failed: ") {
             tell!("warning: the scene is lost: {error}");
+        } else if let Err(error) = self.write_checkpoint() {
+            tell!("warning: no checkpoint: {error}");
         }
     }
 
@@ -304,34 +356,26 @@ impl Run {
     }
 }
 
-/// Creates the model folder and writes what is known before training.
-fn write_beginnings(settings: &Settings, cameras: &[(String, Camera)], points: &PointCloud) -> Result<()> {
-    let folder = &settings.data.model_path;
-    io::atomic::create_folder(folder)?;
-    clear_up_after_others(folder)?;
-    output::write_text(&folder.join(SETTINGS_FILE), &settings.to_toml()?)?;
-    output::write_text(&folder.join(CFG_ARGS_FILE), &settings.to_cfg_args())?;
-    let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
-    cameras_json::write(folder.join(CAMERAS_FILE), named)?;
-    io::ply::write_points(folder.join("input.ply"), points)
+/// A data set taken apart.
+struct Prepared {
+    /// Held-out ones first.
+    cameras: Vec<(String, Camera)>,
+    train: Vec<TrainView>,
+    test: Vec<View>,
+    held_out: bool,
+    scene_extent: f32,
 }
 
-/// Removes what would be taken for this run's, and warns of the point clouds of earlier ones: they are too dear to remove.
-fn clear_up_after_others(folder: &Path) -> Result<()> {
-    output::remove_leftovers(folder, 0);
-    output::remove_leftovers(&folder.join("point_cloud"), 1);
-    output::remove_leftovers(&folder.join("test"), 2);
-    output::remove(&folder.join(eval::RESULTS_FILE))?;
-    output::remove(&folder.join(eval::PER_VIEW_FILE))?;
-    let older: Vec<String> =
-        model::saved_iterations(folder).iter().map(|n| format!("iteration_{n}")).collect();
-    if !older.is_empty() {
-        let (folder, older) = (folder.display(), older.join(", "));
-        tell!(
-            "warning: {folder}: has point clouds of an earlier training ({older}); --iteration N chooses them"
-        );
+impl Prepared {
+    fn new(dataset: Dataset) -> Prepared {
+        let Dataset { train, test, scene_extent, .. } = dataset;
+        let own = |view: &View| (view.name.clone(), view.original_camera);
+        let cameras = test.iter().chain(&train).map(own).collect();
+        let held_out = !test.is_empty();
+        let test = if held_out { test } else { sample(&train) };
+        let train = train.into_iter().map(|view| TrainView { camera: view.camera, photo: view.photo });
+        Prepared { cameras, train: train.collect(), test, held_out, scene_extent }
     }
-    Ok(())
 }
 
 /// A few of the training views, evenly spread.
@@ -356,8 +400,9 @@ fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
     use ashsplat::io::Photo;
-    use ashsplat::scene::Intrinsics;
+    use ashsplat::scene::{Intrinsics, PointCloud};
     use ashsplat::vk::ContextOptions;
     use glam::Vec3;
 

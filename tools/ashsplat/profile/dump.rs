@@ -82,9 +82,8 @@ pub fn dump(folder: &Path) -> Result<String> {
     table.push('\n');
     for (name, spirv) in modules.0 {
         let path = folder.join(format!("{name}.spv"));
-        output::make_way(&path)?;
         let bytes: Vec<u8> = spirv.iter().flat_map(|word| word.to_le_bytes()).collect();
-        atomic::write(&path, |out| out.write_all(&bytes))?;
+        output::in_folder(&path, |path| atomic::write(path, |out| out.write_all(&bytes)))?;
         table += &format!("{name:<30} {:>7}", spirv.len());
         count(spirv).all().iter().for_each(|count| table += &format!(" {count:>10}"));
         table.push('\n');

@@ -1,5 +1,6 @@
 //! The log of a training run: a line of CSV per iteration, written while training runs.
 
+use crate::output;
 use ashsplat::trainer::StepReport;
 use ashsplat::{Error, Result};
 use std::fs::File;
@@ -27,6 +28,21 @@ impl TrainLog {
         Ok(log)
     }
 
+    /// Goes on with the log of a run from a checkpoint: the lines after its iteration go.
+    pub fn go_on(path: &Path, iteration: u32) -> Result<TrainLog> {
+        let Ok(text) = std::fs::read_to_string(path) else { return TrainLog::create(path) };
+        let mut lines = text.split_inclusive('\n');
+        let Some(header) = lines.next() else { return TrainLog::create(path) };
+        let done = |line: &&str| {
+            let number = line.split(',').next().and_then(|number| number.parse::<u32>().ok());
+            line.ends_with('\n') && number.is_some_and(|number| number <= iteration)
+        };
+        let kept: String = std::iter::once(header).chain(lines.filter(done)).collect();
+        output::write_text(path, &kept)?;
+        let file = File::options().append(true).open(path).map_err(|e| Error::io(path, "write", e))?;
+        Ok(TrainLog { path: path.to_owned(), file: BufWriter::new(file), failure: None })
+    }
+
     /// Adds an iteration, with its PSNR where it was tested, dB.
     pub fn add(&mut self, report: &StepReport, psnr: Option<f64>) {
         let tested = psnr.is_some();
@@ -38,9 +54,14 @@ impl TrainLog {
         });
     }
 
+    /// Writes what still waits.
+    pub fn flush(&mut self) {
+        self.attempt(|file| file.flush());
+    }
+
     /// Writes what still waits; the first thing that went wrong since the start is told now.
     pub fn finish(&mut self) -> Result<()> {
-        self.attempt(|file| file.flush());
+        self.flush();
         self.failure.take().map_or(Ok(()), |e| Err(Error::io(&self.path, "write", e)))
     }
 
@@ -77,6 +98,25 @@ mod tests {
         log.finish().expect("written");
         let text = std::fs::read_to_string(&path).expect("the log");
         assert!(text.ends_with("101,0.5,20.0000,7,1.25,0\n102,0.5,,7,1.25,0\n"), "{text}");
+    }
+
+    #[test]
+    fn a_resumed_log_has_no_line_twice() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("log.csv");
+        let mut log = TrainLog::create(&path).expect("created");
+        (1..=9).for_each(|iteration| log.add(&report(iteration), None));
+        log.finish().expect("written");
+        // As a killed run may leave it.
+        let mut text = std::fs::read_to_string(&path).expect("the log");
+        text.push_str("10,0.");
+        std::fs::write(&path, text).expect("written");
+        let mut log = TrainLog::go_on(&path, 6).expect("opened");
+        (7..=8).for_each(|iteration| log.add(&report(iteration), None));
+        log.finish().expect("written");
+        let text = std::fs::read_to_string(&path).expect("the log");
+        let numbers: Vec<&str> = text.lines().skip(1).filter_map(|line| line.split(',').next()).collect();
+        assert_eq!(numbers, ["1", "2", "3", "4", "5", "6", "7", "8"]);
     }
 
     /// The device that is always full.

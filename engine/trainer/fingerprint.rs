@@ -1,0 +1,79 @@
+//! 64 bits that tell one run's data from another's. No protection against forgery.
+
+use super::TrainView;
+use crate::scene::Camera;
+use rayon::prelude::*;
+
+/// An odd number: multiplying by it loses nothing, so that no single changed word goes unnoticed.
+const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
+
+/// A hash of bytes in the order in which they are added.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Fingerprint(u64);
+
+impl Fingerprint {
+    pub fn new() -> Self {
+        Self(FACTOR)
+    }
+
+    fn word(&mut self, word: u64) {
+        self.0 = (self.0.rotate_left(23) ^ word).wrapping_mul(FACTOR);
+    }
+
+    /// Adds bytes and their number.
+    pub fn add(&mut self, bytes: &[u8]) {
+        let (words, rest) = bytes.as_chunks::<8>();
+        for word in words {
+            self.word(u64::from_le_bytes(*word));
+        }
+        let mut last = [0; 8];
+        last[..rest.len()].copy_from_slice(rest);
+        self.word(u64::from_le_bytes(last));
+        self.word(bytes.len() as u64);
+    }
+
+    pub fn finish(self) -> u64 {
+        self.0 ^ (self.0 >> 32)
+    }
+}
+
+/// Cameras and photographs, in their order.
+pub(super) fn of_views(views: &[TrainView]) -> u64 {
+    let each: Vec<u64> = views.par_iter().map(of_view).collect();
+    let mut all = Fingerprint::new();
+    all.add(bytemuck::cast_slice(&each));
+    all.finish()
+}
+
+fn of_view(view: &TrainView) -> u64 {
+    let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height } = view.camera;
+    let mut print = Fingerprint::new();
+    print.add(bytemuck::cast_slice(&camera_from_world.to_cols_array()));
+    print.add(bytemuck::cast_slice(&translation.to_array()));
+    print.add(bytemuck::cast_slice(&[fx, fy, cx, cy]));
+    print.add(bytemuck::cast_slice(&[width, height]));
+    print.add(&view.photo.rgb);
+    print.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_bit_counts() {
+        let of = |bytes: &[u8]| {
+            let mut print = Fingerprint::new();
+            print.add(bytes);
+            print.finish()
+        };
+        let bytes: Vec<u8> = (0..37).collect();
+        let whole = of(&bytes);
+        for bit in 0..bytes.len() * 8 {
+            let mut other = bytes.clone();
+            other[bit / 8] ^= 1 << (bit % 8);
+            assert_ne!(of(&other), whole, "bit {bit}");
+        }
+        assert_ne!(of(&bytes[..36]), of(&[&bytes[..36], &[0]].concat()), "the length counts");
+    }
+}

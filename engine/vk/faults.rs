@@ -1,0 +1,225 @@
+//! For tests: Vulkan calls that fail on demand.
+//!
+//! With [`super::ContextOptions::faults`], the device's function table has wrappers in place of the functions that may
+//! fail. A wrapper counts its call and either passes it on or answers with an error, as a driver would: nothing above
+//! the table can tell the difference. The validation layer lies below it and sees a program that handles the error.
+
+use ash::vk::{self, Handle};
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// What fails, and with which result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Fault {
+    /// vkAllocateMemory: out of device memory.
+    Allocation,
+    /// vkQueueSubmit2: the device is lost, and stays so.
+    SubmitLost,
+    /// vkWaitForFences: the device is lost, and stays so.
+    WaitLost,
+    /// vkWaitForFences: not over in time.
+    Timeout,
+    /// Creation, binding, mapping or resetting of anything else: out of host memory.
+    Object,
+}
+
+/// How often a kind of call was made, and which of them is to fail.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counter {
+    calls: u64,
+    fails: Option<u64>,
+}
+
+#[derive(Default)]
+struct State {
+    counters: HashMap<Fault, Counter>,
+    injected: u64,
+    lost: bool,
+}
+
+/// Which calls of a device fail. Clones share their state.
+#[derive(Clone, Default)]
+pub struct Faults(Arc<Mutex<State>>);
+
+impl std::fmt::Debug for Faults {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Faults({} injected)", self.injected())
+    }
+}
+
+impl Faults {
+    /// Nothing fails yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    fn with<T>(&self, f: impl FnOnce(&mut State) -> T) -> T {
+        f(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Lets the `index`-th call from now on fail (from 0), that one alone; calls are counted from here.
+    pub fn arm(&self, fault: Fault, index: u64) {
+        self.with(|state| state.counters.insert(fault, Counter { calls: 0, fails: Some(index) }));
+    }
+
+    /// Lets nothing fail any more, and counts from here.
+    pub fn disarm(&self) {
+        self.with(|state| state.counters.clear());
+    }
+
+    /// Calls of a kind since [`Faults::arm`] or [`Faults::disarm`].
+    pub fn calls(&self, fault: Fault) -> u64 {
+        self.with(|state| state.counters.get(&fault).map_or(0, |counter| counter.calls))
+    }
+
+    /// How many calls were made to fail, those on a lost device aside.
+    pub fn injected(&self) -> u64 {
+        self.with(|state| state.injected)
+    }
+
+    /// Counts a call; whether it is to fail.
+    fn strikes(&self, fault: Fault) -> bool {
+        self.with(|state| {
+            let counter = state.counters.entry(fault).or_default();
+            let strikes = counter.fails == Some(counter.calls);
+            counter.calls += 1;
+            state.injected += u64::from(strikes);
+            state.lost |= strikes && matches!(fault, Fault::SubmitLost | Fault::WaitLost);
+            strikes
+        })
+    }
+
+    fn lost(&self) -> bool {
+        self.with(|state| state.lost)
+    }
+}
+
+/// A device's faults and its real functions.
+struct Installed {
+    faults: Faults,
+    v1_0: ash::DeviceFnV1_0,
+    v1_3: ash::DeviceFnV1_3,
+}
+
+/// By device and queue. Function pointers carry nothing: where their state lies must be known to all.
+static INSTALLED: Mutex<Vec<(u64, Arc<Installed>)>> = Mutex::new(Vec::new());
+
+fn installed(handle: u64) -> Option<Arc<Installed>> {
+    let all = INSTALLED.lock().unwrap_or_else(PoisonError::into_inner);
+    all.iter().rev().find(|(key, _)| *key == handle).map(|(_, installed)| installed.clone())
+}
+
+/// Forgets a device, before its handle may mean another.
+pub(super) fn remove(device: vk::Device, queue: vk::Queue) {
+    let keys = [device.as_raw(), queue.as_raw()];
+    INSTALLED.lock().unwrap_or_else(PoisonError::into_inner).retain(|(key, _)| !keys.contains(key));
+}
+
+/// The device with wrappers in its function table.
+pub(super) fn install(device: &ash::Device, queue: vk::Queue, faults: &Faults) -> ash::Device {
+    let (mut v1_0, mut v1_3) = (device.fp_v1_0().clone(), device.fp_v1_3().clone());
+    let state = Arc::new(Installed { faults: faults.clone(), v1_0: v1_0.clone(), v1_3: v1_3.clone() });
+    let mut all = INSTALLED.lock().unwrap_or_else(PoisonError::into_inner);
+    for key in [device.handle().as_raw(), queue.as_raw()] {
+        all.retain(|(other, _)| *other != key);
+        all.push((key, state.clone()));
+    }
+    wrap_objects(&mut v1_0);
+    v1_0.allocate_memory = allocate_memory;
+    v1_0.wait_for_fences = wait_for_fences;
+    v1_3.queue_submit2 = queue_submit2;
+    let (v1_1, v1_2) = (device.fp_v1_1().clone(), device.fp_v1_2().clone());
+    ash::Device::from_parts_1_3(device.handle(), v1_0, v1_1, v1_2, v1_3)
+}
+
+/// Wrappers of functions that take a device and answer with a result, for [`Fault::Object`].
+macro_rules! objects {
+    ($($function:ident($($argument:ident: $type:ty),*);)*) => {
+        $(
+            /// # Safety
+            /// As the function that it stands for.
+            unsafe extern "system" fn $function(device: vk::Device, $($argument: $type),*) -> vk::Result {
+                match installed(device.as_raw()) {
+                    Some(i) if i.faults.strikes(Fault::Object) => vk::Result::ERROR_OUT_OF_HOST_MEMORY,
+                    // SAFETY: the caller's arguments, passed on as they are.
+                    Some(i) => unsafe { (i.v1_0.$function)(device, $($argument),*) },
+                    None => vk::Result::ERROR_UNKNOWN,
+                }
+            }
+        )*
+
+        fn wrap_objects(table: &mut ash::DeviceFnV1_0) {
+            $(table.$function = $function;)*
+        }
+    };
+}
+
+objects! {
+    create_buffer(info: *const vk::BufferCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::Buffer);
+    bind_buffer_memory(buffer: vk::Buffer, memory: vk::DeviceMemory, offset: vk::DeviceSize);
+    map_memory(memory: vk::DeviceMemory, offset: vk::DeviceSize, size: vk::DeviceSize, flags: vk::MemoryMapFlags, out: *mut *mut std::ffi::c_void);
+    create_command_pool(info: *const vk::CommandPoolCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::CommandPool);
+    reset_command_pool(pool: vk::CommandPool, flags: vk::CommandPoolResetFlags);
+    allocate_command_buffers(info: *const vk::CommandBufferAllocateInfo<'_>, out: *mut vk::CommandBuffer);
+    create_fence(info: *const vk::FenceCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::Fence);
+    reset_fences(count: u32, fences: *const vk::Fence);
+    create_query_pool(info: *const vk::QueryPoolCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::QueryPool);
+    get_query_pool_results(pool: vk::QueryPool, first: u32, count: u32, bytes: usize, data: *mut std::ffi::c_void, stride: vk::DeviceSize, flags: vk::QueryResultFlags);
+    create_shader_module(info: *const vk::ShaderModuleCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::ShaderModule);
+    create_descriptor_set_layout(info: *const vk::DescriptorSetLayoutCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::DescriptorSetLayout);
+    create_pipeline_layout(info: *const vk::PipelineLayoutCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::PipelineLayout);
+    create_compute_pipelines(cache: vk::PipelineCache, count: u32, infos: *const vk::ComputePipelineCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::Pipeline);
+}
+
+/// # Safety
+/// As vkAllocateMemory.
+unsafe extern "system" fn allocate_memory(
+    device: vk::Device,
+    info: *const vk::MemoryAllocateInfo<'_>,
+    callbacks: *const vk::AllocationCallbacks<'_>,
+    out: *mut vk::DeviceMemory,
+) -> vk::Result {
+    match installed(device.as_raw()) {
+        Some(i) if i.faults.strikes(Fault::Allocation) => vk::Result::ERROR_OUT_OF_DEVICE_MEMORY,
+        // SAFETY: the caller's arguments, passed on as they are.
+        Some(i) => unsafe { (i.v1_0.allocate_memory)(device, info, callbacks, out) },
+        None => vk::Result::ERROR_UNKNOWN,
+    }
+}
+
+/// # Safety
+/// As vkQueueSubmit2.
+unsafe extern "system" fn queue_submit2(
+    queue: vk::Queue,
+    count: u32,
+    submits: *const vk::SubmitInfo2<'_>,
+    fence: vk::Fence,
+) -> vk::Result {
+    match installed(queue.as_raw()) {
+        Some(i) if i.faults.strikes(Fault::SubmitLost) || i.faults.lost() => vk::Result::ERROR_DEVICE_LOST,
+        // SAFETY: the caller's arguments, passed on as they are.
+        Some(i) => unsafe { (i.v1_3.queue_submit2)(queue, count, submits, fence) },
+        None => vk::Result::ERROR_UNKNOWN,
+    }
+}
+
+/// # Safety
+/// As vkWaitForFences.
+unsafe extern "system" fn wait_for_fences(
+    device: vk::Device,
+    count: u32,
+    fences: *const vk::Fence,
+    all: vk::Bool32,
+    timeout: u64,
+) -> vk::Result {
+    let Some(i) = installed(device.as_raw()) else { return vk::Result::ERROR_UNKNOWN };
+    if i.faults.strikes(Fault::Timeout) {
+        return vk::Result::TIMEOUT;
+    }
+    let lost = i.faults.strikes(Fault::WaitLost) || i.faults.lost();
+    // On a device that is lost nothing runs any more; on this one it does.
+    let timeout = if lost { u64::MAX } else { timeout };
+    // SAFETY: the caller's arguments, passed on as they are, but for the timeout.
+    let result = unsafe { (i.v1_0.wait_for_fences)(device, count, fences, all, timeout) };
+    if lost { vk::Result::ERROR_DEVICE_LOST } else { result }
+}

@@ -1,0 +1,167 @@
+//! A run that goes on from a checkpoint ends with the same bits as one that was never interrupted.
+
+use ashsplat::io::Photo;
+use ashsplat::trainer::{Checkpoint, OptimizerType, TrainView, Trainer};
+use ashsplat::{Gaussians, TrainSettings};
+use std::path::Path;
+use tempfile::tempdir;
+
+use crate::common::engine::{camera, gaussians};
+use crate::common::gpu::Gpu;
+use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
+use crate::reference::types::View;
+
+const EXTENT: f32 = 5.0;
+
+/// Densifies after 15 and 30, resets opacities after 20.
+fn settings() -> TrainSettings {
+    TrainSettings {
+        iterations: 40,
+        sh_degree: 2,
+        sh_degree_interval: 12,
+        densify_from_iter: 10,
+        densification_interval: 15,
+        densify_until_iter: 38,
+        opacity_reset_interval: 20,
+        densify_grad_threshold: 2e-5,
+        random_background: true,
+        seed: 6,
+        ..TrainSettings::default()
+    }
+}
+
+/// Views of a few grey levels: what is learnt does not matter.
+pub fn views(count: u32, gray: u8) -> Vec<TrainView> {
+    (0..count)
+        .map(|i| {
+            let turned = View { camera_from_world: rotation_about_y(f64::from(i)), ..small_view([40, 30]) };
+            let rgb = (0..40 * 30 * 3).map(|k| gray.wrapping_add((k * (i + 3)) as u8)).collect();
+            TrainView { camera: camera(&turned), photo: Photo { width: 40, height: 30, rgb } }
+        })
+        .collect()
+}
+
+pub fn start() -> Gaussians {
+    gaussians(&small_scene(&mut Random::new(31), 150, 9))
+}
+
+fn steps(trainer: &mut Trainer, until: u32) -> Vec<f32> {
+    (trainer.iteration()..until).map(|_| trainer.step().expect("a step").loss).collect()
+}
+
+/// From a trainer to disk and back to another trainer.
+fn through_a_file(trainer: Trainer, gpu: &Gpu, settings: &TrainSettings) -> Trainer {
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("a.safetensors");
+    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    drop(trainer);
+    checkpoint.write(&path).expect("written");
+    let read = Checkpoint::read(&path).expect("read back");
+    assert!(read == checkpoint, "a checkpoint changes on disk");
+    Trainer::resume(gpu.context, views(5, 40), EXTENT, settings.clone(), &read).expect("resumed")
+}
+
+fn check_resumed(settings: &TrainSettings, stops: &[u32]) {
+    let gpu = Gpu::new();
+    let new =
+        || Trainer::new(gpu.context, views(5, 40), &start(), EXTENT, settings.clone()).expect("a trainer");
+    let mut whole = new();
+    let losses = steps(&mut whole, settings.iterations);
+    let end = whole.checkpoint().expect("the end");
+    assert_ne!(end.gaussians.len(), 150, "nothing was densified");
+    for &stop in stops {
+        let mut trainer = new();
+        let mut parts = steps(&mut trainer, stop);
+        let mut trainer = through_a_file(trainer, &gpu, settings);
+        assert_eq!(trainer.iteration(), stop);
+        parts.extend(steps(&mut trainer, settings.iterations));
+        assert_eq!(parts, losses, "interrupted after {stop}");
+        assert!(trainer.checkpoint().expect("the end") == end, "interrupted after {stop}: other bits");
+    }
+}
+
+/// Also right where a densification (15) or a reset (20) is due, and in the middle of an epoch.
+#[test]
+fn checkpoints_lose_no_bit() {
+    check_resumed(&settings(), &[0, 1, 15, 20, 27, 39]);
+}
+
+#[test]
+fn checkpoints_lose_no_bit_of_sparse_adam() {
+    check_resumed(&TrainSettings { optimizer_type: OptimizerType::SparseAdam, ..settings() }, &[18]);
+}
+
+#[test]
+fn checkpoints_of_something_else_are_refused() {
+    let gpu = Gpu::new();
+    let settings = settings();
+    let new = |settings: &TrainSettings| {
+        Trainer::new(gpu.context, views(5, 40), &start(), EXTENT, settings.clone()).expect("a trainer")
+    };
+    let mut trainer = new(&settings);
+    steps(&mut trainer, 3);
+    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    let refuse = |views, extent, settings: &TrainSettings, words: &[&str]| {
+        let refused = Trainer::resume(gpu.context, views, extent, settings.clone(), &checkpoint);
+        let message = refused.err().expect("refused").to_string();
+        words.iter().for_each(|word| assert!(message.contains(word), "no '{word}' in {message}"));
+    };
+    let other = TrainSettings { seed: 7, lambda_dssim: 0.5, ..settings.clone() };
+    refuse(views(5, 40), EXTENT, &other, &["seed was 6, is 7", "lambda_dssim was 0.2, is 0.5"]);
+    let over = TrainSettings { iterations: 3, ..settings.clone() };
+    refuse(views(5, 40), EXTENT, &over, &["iteration 3", "raise"]);
+    refuse(views(4, 40), EXTENT, &settings, &["5 training views, here are 4"]);
+    refuse(views(5, 41), EXTENT, &settings, &["other photographs"]);
+    refuse(views(5, 40), 6.0, &settings, &["extent of 5, here it is 6"]);
+    // More iterations than were planned are no other training.
+    let longer = TrainSettings { iterations: 50, ..settings };
+    let resumed = Trainer::resume(gpu.context, views(5, 40), EXTENT, longer.clone(), &checkpoint);
+    let mut resumed = resumed.expect("resumed");
+    let mut whole = new(&longer);
+    steps(&mut whole, 12);
+    steps(&mut resumed, 12);
+    assert!(whole.checkpoint().expect("one") == resumed.checkpoint().expect("one"));
+}
+
+fn refuse_file(path: &Path, bytes: &[u8], words: &[&str]) {
+    std::fs::write(path, bytes).expect("written");
+    let message = Checkpoint::read(path).err().expect("refused").to_string();
+    for word in words.iter().chain(&[path.to_str().expect("UTF-8")]) {
+        assert!(message.contains(word), "no '{word}' in {message}");
+    }
+    assert!(!message.contains('\n'), "{message}");
+}
+
+#[test]
+fn damaged_checkpoints_are_refused() {
+    let gpu = Gpu::new();
+    let trainer = Trainer::new(gpu.context, views(2, 9), &start(), EXTENT, settings()).expect("a trainer");
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("c.safetensors");
+    trainer.checkpoint().expect("a checkpoint").write(&path).expect("written");
+    let whole = std::fs::read(&path).expect("read");
+    Checkpoint::read(&path).expect("sound");
+    for length in (0..whole.len()).step_by(whole.len() / 40).chain([7, 8, 9, whole.len() - 1]) {
+        refuse_file(&path, &whole[..length], &["truncated"]);
+    }
+    refuse_file(&path, &[whole.as_slice(), b"more"].concat(), &["truncated"]);
+    // One bit of the last statistic.
+    let mut flipped = whole.clone();
+    *flipped.last_mut().expect("not empty") ^= 1;
+    refuse_file(&path, &flipped, &["damaged"]);
+    let text = |from: &[u8], to: &[u8]| {
+        let at = whole.windows(from.len()).position(|bytes| bytes == from).expect("in the header");
+        [&whole[..at], to, &whole[at + from.len()..]].concat()
+    };
+    refuse_file(&path, &text(b"ashsplat-checkpoint/1", b"ashsplat-checkpoint/2"), &["checkpoint/2", "reads"]);
+    refuse_file(&path, &text(b"\"format\"", b"\"former\""), &["no checkpoint of ashsplat"]);
+    refuse_file(&path, &text(b"\"statistics\"", b"\"statistiks\""), &["lacks the tensor 'statistics'"]);
+    refuse_file(&path, &text(b"densify_from_iter", b"densify_from_itre"), &["settings"]);
+    refuse_file(&path, b"ply\nformat ascii 1.0\n", &["truncated or no safetensors"]);
+    // A header that claims to be as long as memory.
+    refuse_file(
+        &path,
+        &[&u64::MAX.to_le_bytes(), whole.as_slice()].concat(),
+        &["truncated or no safetensors"],
+    );
+}

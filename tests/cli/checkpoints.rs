@@ -1,0 +1,185 @@
+//! Checkpoints: written when asked for and on Ctrl-C, gone on from, refused with the reason, whole whatever happens.
+
+use super::*;
+use ashsplat::io::ply;
+use std::process::{Child, Stdio};
+use std::time::Duration;
+use tempfile::{TempDir, tempdir};
+
+const SCHEDULE: [&str; 10] = [
+    "--sh_degree",
+    "1",
+    "--densify_from_iter",
+    "5",
+    "--densification_interval",
+    "10",
+    "--densify_until_iter",
+    "35",
+    "--opacity_reset_interval",
+    "22",
+];
+
+struct Place {
+    folder: TempDir,
+}
+
+impl Place {
+    fn new() -> Place {
+        let folder = tempdir().expect("a temporary folder");
+        write_dataset(&folder.path().join("data"));
+        Place { folder }
+    }
+
+    fn model(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn command(&self, model: &str, more: &[&str]) -> Command {
+        let (data, model) = (self.folder.path().join("data"), self.model(model));
+        let mut command = program();
+        command.args(["train", "-s", text(&data), "-m", text(&model), "--quiet"]).args(SCHEDULE).args(more);
+        command
+    }
+
+    fn train(&self, model: &str, more: &[&str]) -> Finished {
+        finish(&mut self.command(model, more))
+    }
+
+    fn ply(&self, model: &str, iteration: u32) -> Vec<u8> {
+        let path = format!("point_cloud/iteration_{iteration}/point_cloud.ply");
+        std::fs::read(self.model(model).join(&path)).expect("a PLY")
+    }
+}
+
+fn assert_trained(run: &Finished) {
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+}
+
+#[test]
+fn a_resumed_training_equals_one_that_was_never_stopped() {
+    let place = Place::new();
+    assert_trained(&place.train("whole", &["--iterations", "40"]));
+    // Stopped right before a densification and after an opacity reset.
+    assert_trained(&place.train("parts", &["--iterations", "30", "--checkpoint_iterations", "20", "23"]));
+    for (number, kept) in [("20", 1 + 20), ("23", 1 + 23)] {
+        let file = place.model("parts").join(format!("chkpnt{number}.safetensors"));
+        let log = || std::fs::read_to_string(place.model("parts").join("train_log.csv")).expect("the log");
+        let before: Vec<String> = log().lines().take(kept).map(str::to_owned).collect();
+        assert_trained(&place.train("parts", &["--iterations", "40", "--start_checkpoint", text(&file)]));
+        assert!(place.ply("parts", 40) == place.ply("whole", 40), "other bits from {number} on");
+        assert_eq!(log().lines().count(), 41);
+        assert!(log().lines().take(kept).eq(before), "the log's beginning has changed");
+    }
+    let latest = place.train("parts", &["--iterations", "40", "--start_checkpoint", "latest", "--seed", "1"]);
+    assert_refused(&latest, &["chkpnt23.safetensors", "seed was 0, is 1"]);
+    let over = place.train("parts", &["--iterations", "23", "--start_checkpoint", "latest"]);
+    assert_refused(&over, &["iteration 23 already"]);
+    let file = place.model("parts").join("chkpnt23.safetensors");
+    let bytes = std::fs::read(&file).expect("the checkpoint");
+    std::fs::write(&file, &bytes[..bytes.len() / 2]).expect("written");
+    let cut = place.train("parts", &["--iterations", "40", "--start_checkpoint", "latest"]);
+    assert_refused(&cut, &["chkpnt23.safetensors", "truncated"]);
+    let none = place.train("none", &["--iterations", "40", "--start_checkpoint", "latest"]);
+    assert_refused(&none, &["no checkpoint", "--checkpoint-iterations"]);
+    assert!(!place.model("none").exists());
+}
+
+/// Ends a run in whatever it is doing; whatever is on disk then must do.
+fn kill(mut child: Child, after: Duration) {
+    std::thread::sleep(after);
+    child.kill().ok();
+    child.wait().expect("it ends");
+}
+
+/// A few moments; `ASHSPLAT_KILLS` asks for more.
+#[cfg(unix)]
+#[test]
+fn killed_at_any_moment_training_goes_on() {
+    let kills: u64 = std::env::var("ASHSPLAT_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(4);
+    let place = Place::new();
+    let every: Vec<String> = (1..120).map(|n| n.to_string()).collect();
+    let mut arguments = vec!["--iterations", "120", "--checkpoint_iterations"];
+    arguments.extend(every.iter().map(String::as_str));
+    let start = std::time::Instant::now();
+    assert_trained(&place.train("whole", &arguments));
+    let whole = start.elapsed();
+    // A low-discrepancy sequence over the time that a run takes.
+    let mut started = 0;
+    for moment in 0..kills {
+        let share = (0.5 + moment as f64 * 0.618_033_988_75) % 1.0;
+        let checkpointed = place.model("killed").read_dir().is_ok_and(|entries| {
+            entries.flatten().any(|e| e.file_name().to_string_lossy().ends_with(".safetensors"))
+        });
+        let mut command = if checkpointed {
+            let resume = [arguments.as_slice(), &["--start_checkpoint", "latest"]].concat();
+            place.command("killed", &resume)
+        } else {
+            place.command("killed", &arguments)
+        };
+        let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("it starts");
+        kill(child, whole.mul_f64(share));
+        for file in files_below(&place.model("killed")) {
+            let name = file.to_string_lossy().into_owned();
+            let path = place.model("killed").join(&file);
+            if name.ends_with(".safetensors") {
+                ashsplat::trainer::Checkpoint::read(&path).expect("whole");
+                started += 1;
+            } else if name.ends_with(".ply") {
+                let points = name == "input.ply";
+                let whole = if points {
+                    ply::read_points(&path).is_ok()
+                } else {
+                    ply::read(&path, &ply::PlyOptions::default()).is_ok()
+                };
+                assert!(whole, "{name}");
+            }
+        }
+        // Once it has reached the end, a new run begins.
+        if place.model("killed").join("point_cloud/iteration_120").exists() {
+            assert!(place.ply("killed", 120) == place.ply("whole", 120), "other bits");
+            std::fs::remove_dir_all(place.model("killed")).expect("removed");
+        }
+    }
+    eprintln!("{kills} kills, {started} checkpoints found whole");
+    assert_trained(&place.train("killed", &arguments));
+    let resume = [arguments.as_slice(), &["--start_checkpoint", "latest"]].concat();
+    assert_trained(&place.train("killed", &resume));
+    assert!(place.ply("killed", 120) == place.ply("whole", 120), "other bits");
+}
+
+/// No file may grow beyond a few KiB: what a full disk looks like.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_leaves_the_older_checkpoint_and_no_empty_folder() {
+    let place = Place::new();
+    assert_trained(&place.train("model", &["--iterations", "12", "--checkpoint_iterations", "5"]));
+    let checkpoint = place.model("model").join("chkpnt5.safetensors");
+    let before = std::fs::read(&checkpoint).expect("the checkpoint");
+    let files = files_below(&place.model("model"));
+    let full = |more: &[&str]| {
+        let command = place.command("model", more);
+        let mut limited = Command::new("sh");
+        // 24 blocks of 512 bytes: enough for text, too few for Gaussians. The signal is ignored, so that writing fails.
+        limited.args(["-c", "trap '' XFSZ; ulimit -f 24; exec \"$0\" \"$@\""]);
+        limited.env("MESA_SHADER_CACHE_DISABLE", "true").env_remove("ASHSPLAT_DEVICE");
+        finish(limited.arg(command.get_program()).args(command.get_args()))
+    };
+    let resumed = ["--start_checkpoint", "latest", "--checkpoint_iterations", "5", "7", "--save_iterations"];
+    let run = full(&[resumed.as_slice(), &["40", "--iterations", "30"]].concat());
+    assert_refused_with_warnings(&run, &["chkpnt7.safetensors", "cannot write"]);
+    let run = full(&[resumed.as_slice(), &["6", "--iterations", "30"]].concat());
+    assert_refused_with_warnings(&run, &["iteration_6/point_cloud.ply", "cannot write"]);
+    assert_eq!(std::fs::read(&checkpoint).expect("the checkpoint"), before);
+    assert_eq!(files_below(&place.model("model")), files, "nothing new, nothing lost");
+    let left = place.model("model").join("point_cloud/iteration_6");
+    assert!(!left.exists(), "an empty folder is left");
+    // And with room again it goes on.
+    assert_trained(&place.train("model", &["--iterations", "12", "--start_checkpoint", "latest"]));
+}
+
+fn assert_refused_with_warnings(run: &Finished, words: &[&str]) {
+    assert_eq!(run.code, Some(2), "{}{}", run.stdout, run.stderr);
+    let last = run.stderr.lines().last().unwrap_or_default();
+    assert!(last.starts_with("error: "), "{}", run.stderr);
+    words.iter().for_each(|word| assert!(last.contains(word), "no '{word}' in {}", run.stderr));
+}

@@ -1,0 +1,113 @@
+//! Checkpoints of a run: where they lie, which is the newest, and what to go on from.
+
+use crate::config::SETTINGS_FILE;
+use crate::output;
+use ashsplat::trainer::{Checkpoint, TrainSettings, TrainView, Trainer};
+use ashsplat::vk::Context;
+use ashsplat::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// Instead of a file: the newest of the model folder.
+pub const LATEST: &str = "latest";
+/// The iteration whose checkpoint was written last: not always the highest, where an earlier training left its own.
+const LAST_FILE: &str = "last_checkpoint";
+const EXTENSION: &str = "safetensors";
+
+/// A checkpoint to go on from.
+pub struct Start {
+    path: PathBuf,
+    checkpoint: Checkpoint,
+}
+
+impl Start {
+    /// Reads the file, or the newest of the model folder for "latest".
+    pub fn read(asked: &Path, folder: &Path) -> Result<Start> {
+        let path = if asked.as_os_str() == LATEST { newest(folder)? } else { asked.to_owned() };
+        let checkpoint = Checkpoint::read(&path)?;
+        Ok(Start { path, checkpoint })
+    }
+
+    /// The trainer as it was.
+    pub fn trainer(
+        &self,
+        context: &Context,
+        views: Vec<TrainView>,
+        scene_extent: f32,
+        settings: &TrainSettings,
+    ) -> Result<Trainer> {
+        if self.checkpoint.device != context.device_name() {
+            let (path, device) = (self.path.display(), &self.checkpoint.device);
+            tell!("warning: {path}: was made on {device}; on another device the bits differ");
+        }
+        let trainer = Trainer::resume(context, views, scene_extent, settings.clone(), &self.checkpoint);
+        trainer.map_err(|error| match error {
+            Error::Argument { problem, .. } => {
+                Error::input(&self.path, problem, "or start anew without --start-checkpoint")
+            }
+            other => other,
+        })
+    }
+}
+
+/// `chkpntN.safetensors` of a model folder, after the reference's chkpntN.pth.
+pub fn path(folder: &Path, iteration: u32) -> PathBuf {
+    folder.join(format!("chkpnt{iteration}.{EXTENSION}"))
+}
+
+/// Writes a checkpoint, and notes that it is the newest.
+pub fn write(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf> {
+    let path = path(folder, checkpoint.iteration);
+    checkpoint.write(&path)?;
+    output::write_text(&folder.join(LAST_FILE), &format!("{}\n", checkpoint.iteration))?;
+    Ok(path)
+}
+
+/// What to type to go on with the training of a model folder.
+pub fn command(folder: &Path) -> String {
+    let settings = folder.join(SETTINGS_FILE);
+    format!("ashsplat train --config {} --start-checkpoint {LATEST}", settings.display())
+}
+
+/// Forgets which checkpoint is the newest: those that are there are of an earlier training.
+pub fn forget_newest(folder: &Path) -> Result<()> {
+    output::remove(&folder.join(LAST_FILE))
+}
+
+/// The checkpoint noted last, if it is there; else the one with the highest iteration.
+fn newest(folder: &Path) -> Result<PathBuf> {
+    let note = std::fs::read_to_string(folder.join(LAST_FILE)).ok();
+    let noted = note.and_then(|text| text.trim().parse().ok()).map(|iteration| path(folder, iteration));
+    if let Some(noted) = noted.filter(|path| path.is_file()) {
+        return Ok(noted);
+    }
+    let iterations = std::fs::read_dir(folder).into_iter().flatten().filter_map(|entry| {
+        let name = entry.ok()?.file_name();
+        name.to_str()?.strip_prefix("chkpnt")?.strip_suffix(EXTENSION)?.strip_suffix('.')?.parse().ok()
+    });
+    let highest: Option<u32> = iterations.max();
+    highest.map(|iteration| path(folder, iteration)).ok_or_else(|| {
+        let remedy = "checkpoints are written where --checkpoint-iterations asks for them, and on Ctrl-C";
+        Error::input(folder, "has no checkpoint (chkpntN.safetensors) to go on from", remedy)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_note_counts_and_else_the_highest() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let folder = folder.path();
+        assert!(newest(folder).is_err());
+        for iteration in [7, 20, 100] {
+            std::fs::write(path(folder, iteration), "").expect("written");
+        }
+        assert_eq!(newest(folder).expect("one"), path(folder, 100));
+        std::fs::write(folder.join(LAST_FILE), "20\n").expect("written");
+        assert_eq!(newest(folder).expect("one"), path(folder, 20));
+        std::fs::remove_file(path(folder, 20)).expect("removed");
+        assert_eq!(newest(folder).expect("one"), path(folder, 100));
+        forget_newest(folder).expect("forgotten");
+    }
+}

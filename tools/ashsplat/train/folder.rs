@@ -1,0 +1,48 @@
+//! What a run leaves in its model folder before the first iteration.
+
+use super::checkpoints;
+use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
+use crate::{eval, model, output};
+use ashsplat::Result;
+use ashsplat::io::{self, cameras_json};
+use ashsplat::scene::{Camera, PointCloud};
+use std::path::Path;
+
+/// Creates the model folder and writes what is known before training; without points, what was written before a
+/// checkpoint stays.
+pub fn begin(settings: &Settings, cameras: &[(String, Camera)], points: Option<&PointCloud>) -> Result<()> {
+    let folder = &settings.data.model_path;
+    io::atomic::create_folder(folder)?;
+    remove_leftovers(folder);
+    if points.is_some() {
+        clear_up_after_others(folder)?;
+    }
+    output::write_text(&folder.join(SETTINGS_FILE), &settings.to_toml()?)?;
+    output::write_text(&folder.join(CFG_ARGS_FILE), &settings.to_cfg_args())?;
+    let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
+    cameras_json::write(folder.join(CAMERAS_FILE), named)?;
+    points.map_or(Ok(()), |points| io::ply::write_points(folder.join("input.ply"), points))
+}
+
+/// Of a run that was killed.
+fn remove_leftovers(folder: &Path) {
+    output::remove_leftovers(folder, 0);
+    output::remove_leftovers(&folder.join("point_cloud"), 1);
+    output::remove_leftovers(&folder.join("test"), 2);
+}
+
+/// Removes what would be taken for this run's, and warns of the point clouds of earlier ones: they are too dear to remove.
+fn clear_up_after_others(folder: &Path) -> Result<()> {
+    output::remove(&folder.join(eval::RESULTS_FILE))?;
+    output::remove(&folder.join(eval::PER_VIEW_FILE))?;
+    checkpoints::forget_newest(folder)?;
+    let older: Vec<String> =
+        model::saved_iterations(folder).iter().map(|n| format!("iteration_{n}")).collect();
+    if !older.is_empty() {
+        let (folder, older) = (folder.display(), older.join(", "));
+        tell!(
+            "warning: {folder}: has point clouds of an earlier training ({older}); --iteration N chooses them"
+        );
+    }
+    Ok(())
+}
