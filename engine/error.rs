@@ -104,7 +104,9 @@ pub enum Error {
     },
     /// A submission took longer than [`crate::vk::ContextOptions::timeout`] allows. It is still under way: what it writes is
     /// undefined, and its memory is in use until it is over.
-    #[error("a submission is not over after {seconds:.1} s; raise the timeout, or use a smaller scene or resolution")]
+    #[error(
+        "a submission is not over after {seconds:.1} s; raise the timeout, or use a smaller scene or resolution"
+    )]
     Timeout {
         /// How long was waited for it.
         seconds: f64,

@@ -20,6 +20,7 @@ pub mod arithmetic;
 pub mod backward;
 pub mod densify;
 pub mod error;
+mod fingerprint;
 pub mod forward;
 pub mod io;
 pub mod kernels;

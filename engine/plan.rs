@@ -23,6 +23,11 @@ const SCAN_ITEMS: u32 = 4;
 /// costs at most 2 iterations per entry at any subgroup size from 4.
 const ENTRIES_PER_LOOP_BUDGET: u32 = 2;
 
+/// Entries of a tile blended by one dispatch at most, on any device. It bounds the work of a dispatch, so that no
+/// desktop's watchdog takes it for a hang: an invocation blends so many entries, and all dispatches but these touch each
+/// Gaussian, instance or pixel a constant number of times.
+const MAX_ENTRIES_PER_PASS: u32 = 1 << 18;
+
 /// `ceil(n / d)`.
 pub const fn blocks(n: u64, d: u64) -> u64 {
     n.div_ceil(d)
@@ -98,7 +103,10 @@ impl Blocks {
             )),
             // Wide enough to fill a GPU's workgroup; a processor rather reads less.
             loss_strip: size("loss", "STRIP", if limits.is_cpu { 4 } else { 2 }).min(TILE_SIZE),
-            entries_per_pass: limits.max_loop_iterations.map_or(u32::MAX, |n| n / ENTRIES_PER_LOOP_BUDGET),
+            entries_per_pass: limits
+                .max_loop_iterations
+                .map_or(MAX_ENTRIES_PER_PASS, |n| n / ENTRIES_PER_LOOP_BUDGET)
+                .min(MAX_ENTRIES_PER_PASS),
         }
     }
 }
@@ -344,6 +352,42 @@ frame_requests! {
     sums_c: |s| s.backward * s.instances * 8;
     /// Per visible, planes named GRADIENT_*.
     gradients: |s| s.backward * s.gaussians * 16 * u64::from(GRADIENT_PLANES);
+}
+
+/// Checks that every dispatch of a frame of this capacity fits a grid of workgroups: indirect ones are not checked by
+/// anybody else.
+///
+/// # Errors
+/// [`Error::TooLarge`] with the number of workgroups.
+pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &Blocks) -> Result<()> {
+    let smallest = block.stream.min(block.sort).min(block.scan);
+    let (columns, rows) = tile_grid(capacity.width, capacity.height);
+    let axis = u64::from(limits.max_workgroups_per_axis);
+    let elements = u64::from(capacity.gaussians.max(capacity.instances));
+    let checks = [
+        (blocks(elements, smallest.into()), axis * axis),
+        (u64::from(columns) * u64::from(rows), axis * axis),
+        // The loss has a grid of tiles.
+        (u64::from(columns.max(rows).max(3)) * u64::from(capacity.backward), axis),
+    ];
+    match checks.iter().find(|(needed, limit)| needed > limit) {
+        None => Ok(()),
+        Some(&(needed, limit)) => Err(Error::TooLarge {
+            what: format!(
+                "a frame of {}x{} pixels, {} Gaussians and {} instances",
+                capacity.width, capacity.height, capacity.gaussians, capacity.instances
+            ),
+            needed,
+            unit: "workgroups",
+            limit,
+            limit_name: "maxComputeWorkGroupCount",
+        }),
+    }
+}
+
+/// Bytes of all buffers of a frame.
+pub fn frame_bytes(capacity: &FrameCapacity, block: &Blocks) -> u64 {
+    frame_requests(capacity, block).iter().map(|(_, bytes)| bytes).sum()
 }
 
 /// `n` as u32.

@@ -103,7 +103,7 @@ const DOORS: [&str; 2] = ["renderer", "trainer"];
 
 /// The modules that a module may name.
 fn allowed(module: &str) -> Vec<&'static str> {
-    let mut allowed = vec!["error"];
+    let mut allowed = vec!["error", "fingerprint"];
     match module {
         "error" => {}
         "scene" | "metrics" => allowed.extend(["scene"]),

@@ -1,9 +1,12 @@
 //! The same inputs on the same device give the same bits, in training too.
 
 use ashsplat::io::Photo;
+use ashsplat::trainer::verify::{Verdict, verify_determinism};
 use ashsplat::trainer::{TrainView, Trainer};
+use ashsplat::vk::{Context, ContextOptions, SpecOverride};
 use ashsplat::{Gaussians, TrainSettings};
 
+use crate::checkpoints;
 use crate::common::engine::{camera, gaussians, renderer, settings};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
@@ -75,4 +78,54 @@ fn determinism_of_gradients() {
         || renderer.gradients(&camera(&view), &settings(&view), &target, None).expect("gradients");
     assert!(gradients() == gradients());
     drop(gpu);
+}
+
+fn short_trainer(context: &Context) -> ashsplat::Result<Trainer> {
+    let settings =
+        TrainSettings { densify_from_iter: 2, densification_interval: 2, ..TrainSettings::default() };
+    Trainer::new(context, checkpoints::views(3, 60), &checkpoints::start(), 5.0, settings)
+}
+
+#[test]
+fn determinism_is_verified() {
+    let gpu = Gpu::new();
+    let mut hashes = Vec::new();
+    let verdict = verify_determinism(
+        || Ok(gpu.context.clone()),
+        short_trainer,
+        6,
+        |run, iteration, hash| hashes.push((run, iteration, hash)),
+    );
+    assert_eq!(verdict.expect("two runs"), Verdict::Same);
+    assert_eq!(hashes.len(), 12);
+    assert!(hashes.windows(2).all(|pair| pair[0].2 != pair[1].2), "{hashes:?}");
+}
+
+/// Every second run on a device whose kernel of one name does something else.
+fn first_difference(kernel: &str, constant: &str) -> (u32, &'static str) {
+    let spoilt = SpecOverride { kernel: kernel.into(), constant: constant.into(), bits: 0 };
+    let mut runs = 0;
+    let context = || {
+        runs += 1;
+        let overrides = if runs % 2 == 0 { vec![spoilt.clone()] } else { Vec::new() };
+        Context::new(&ContextOptions { overrides, ..crate::common::options() })
+    };
+    // SH degree 1 is in use from the third iteration on.
+    let trainer = |context: &Context| {
+        let settings = TrainSettings { sh_degree_interval: 3, ..TrainSettings::default() };
+        Trainer::new(context, checkpoints::views(3, 60), &checkpoints::start(), 5.0, settings)
+    };
+    match verify_determinism(context, trainer, 5, |_, _, _| ()).expect("two runs") {
+        Verdict::Differs { iteration, first: Some(first) } => {
+            assert_eq!(first.iteration, iteration);
+            (iteration, first.record.kernel)
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn determinism_verification_names_the_first_kernel_that_differs() {
+    assert_eq!(first_difference("forward/project", "SH_DEGREE"), (3, "forward/project"));
+    assert_eq!(first_difference("optimizer/adam", "SH_DEGREE"), (3, "optimizer/adam"));
 }

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
-use crate::plan::{Blocks, FrameBuffers, FrameCapacity, frame_requests, initial_instances};
+use crate::plan::{Blocks, FrameBuffers, FrameCapacity, check_grids, frame_requests, initial_instances};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
 
@@ -83,11 +83,17 @@ impl FrameStore {
             blend_passes: old.blend_passes,
             backward: backward || old.backward,
         };
-        let frame = self.allocate(capacity)?;
+        let frame = self.allocate(capacity).map_err(|error| name_image(error, camera))?;
         Ok((frame, capacity))
     }
 
+    /// What the frame's buffers can hold.
+    pub fn capacity(&self) -> FrameCapacity {
+        self.capacity
+    }
+
     fn allocate(&mut self, capacity: FrameCapacity) -> Result<FrameBuffers> {
+        check_grids(self.context.limits(), &capacity, &self.sizes)?;
         // The old buffers go first: both at once might not fit.
         self.frame = None;
         let requests = frame_requests(&capacity, &self.sizes);
@@ -167,6 +173,17 @@ impl FrameStore {
             self.allocate(capacity).map_err(|error| name_instances(error, state.instances))?;
         }
         Ok(true)
+    }
+}
+
+/// Says which image a buffer was for.
+fn name_image(error: Error, camera: &Camera) -> Error {
+    match error {
+        Error::TooLarge { what, needed, unit, limit, limit_name } => {
+            let what = format!("an image of {}x{} pixels: {what}", camera.width, camera.height);
+            Error::TooLarge { what, needed, unit, limit, limit_name }
+        }
+        other => other,
     }
 }
 

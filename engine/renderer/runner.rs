@@ -4,7 +4,7 @@ use super::frame_store::{FrameStore, State};
 use super::{Frame, FrameStats};
 use crate::error::Result;
 use crate::forward::{Forward, FrameInputs, RenderSettings, SceneBuffers};
-use crate::plan::FrameBuffers;
+use crate::plan::{FrameBuffers, FrameCapacity};
 use crate::scene::Camera;
 use crate::vk::{Context, Recorder, RunReport};
 
@@ -68,6 +68,11 @@ impl FrameRunner {
             }
             retries += 1;
         }
+    }
+
+    /// What the frame's buffers can hold.
+    pub fn frame_capacity(&self) -> FrameCapacity {
+        self.store.capacity()
     }
 
     /// The buffers of the last frame.

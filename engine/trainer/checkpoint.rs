@@ -8,12 +8,14 @@ mod file;
 
 use super::settings::TrainSettings;
 use super::step::Due;
-use super::{TrainView, Trainer, fingerprint};
+use super::{TrainView, Trainer};
 use crate::error::{Error, Result};
+use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
 use crate::planes;
-use crate::scene::Gaussians;
+use crate::scene::{Camera, Gaussians};
 use crate::vk::Buffer;
+use rayon::prelude::*;
 
 /// The state of a training run after an iteration.
 #[derive(Clone, Debug, PartialEq)]
@@ -114,7 +116,7 @@ impl Trainer {
         from.check_fits(&Wanted {
             settings: &settings,
             views: views.len() as u64,
-            views_fingerprint: fingerprint::of_views(&views),
+            views_fingerprint: fingerprint_of(&views),
             scene_extent,
         })?;
         let mut trainer = Trainer::new(context, views, &from.gaussians, scene_extent, settings)?;
@@ -200,4 +202,22 @@ fn difference(there: &TrainSettings, here: &TrainSettings) -> Result<Option<Stri
     let list: Vec<String> =
         differing.map(|(name, value)| format!("{name} was {value}, is {}", here[name.as_str()])).collect();
     Ok((!list.is_empty()).then(|| list.join("; ")))
+}
+
+/// Tells views, cameras and photographs in their order, from others.
+pub(super) fn fingerprint_of(views: &[TrainView]) -> u64 {
+    let of_view = |view: &TrainView| {
+        let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height } = view.camera;
+        let mut print = Fingerprint::new();
+        print.add(bytemuck::cast_slice(&camera_from_world.to_cols_array()));
+        print.add(bytemuck::cast_slice(&translation.to_array()));
+        print.add(bytemuck::cast_slice(&[fx, fy, cx, cy]));
+        print.add(bytemuck::cast_slice(&[width, height]));
+        print.add(&view.photo.rgb);
+        print.finish()
+    };
+    let each: Vec<u64> = views.par_iter().map(of_view).collect();
+    let mut all = Fingerprint::new();
+    all.add(bytemuck::cast_slice(&each));
+    all.finish()
 }

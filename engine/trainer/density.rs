@@ -1,8 +1,8 @@
 //! Densification and the opacity reset of a training run.
 
-use super::{Densified, Trainer, Training, allocate_statistics};
+use super::{Densified, Trainer, Training, allocate_statistics, budget};
 use crate::densify::{DensifyBuffers, DensifySettings, Gather, RandomKey};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
 use crate::optimizer::Moments;
 use crate::plan::{Blocks, ScenePlan};
@@ -34,35 +34,66 @@ impl Trainer {
         let before = self.training.scene.count;
         // At most two rows per Gaussian: one stays and one is cloned, or it is split into two.
         let requests = DensifyBuffers::requests(&sizes, before, before.saturating_mul(2));
-        let allocated = self.context.allocate("densify", &requests, MemoryKind::Device)?;
+        let allocated = match self.context.allocate("densify", &requests, MemoryKind::Device) {
+            // Without memory to decide in, all stay as they are.
+            Err(Error::TooLarge { .. }) => {
+                return Ok(Densified { before, kept: before, limited: true, ..Densified::default() });
+            }
+            allocated => allocated?,
+        };
         let Ok([decisions, blocks, totals, sources]) = <[Buffer; 4]>::try_from(allocated) else {
             unreachable!("one buffer per request")
         };
         let buffers = DensifyBuffers { decisions, blocks, totals, sources };
+        let densified = self.decide(&buffers, &settings)?;
+        let rows = densified.kept + densified.cloned + 2 * densified.split;
+        if rows <= self.training.scene.plan.capacity {
+            self.gather(rows, None, &buffers, iteration)?;
+            return Ok(densified);
+        }
+        // Without room to grow further, if that does not fit beside the old planes.
+        let fresh = match self.allocate_fresh(rows.saturating_add(rows / 2)) {
+            Ok(fresh) => Ok(fresh),
+            Err(_) => self.allocate_fresh(rows),
+        };
+        match fresh {
+            Ok(fresh) => {
+                self.gather(rows, Some(fresh), &buffers, iteration)?;
+                Ok(densified)
+            }
+            Err(Error::DeviceLost { call }) => Err(Error::DeviceLost { call }),
+            // Those that are there go on without new ones.
+            Err(_) => {
+                let none = DensifySettings { gradient_threshold: f32::INFINITY, ..settings };
+                let densified = self.decide(&buffers, &none)?;
+                self.gather(densified.kept, None, &buffers, iteration)?;
+                Ok(Densified { limited: true, ..densified })
+            }
+        }
+    }
+
+    fn decide(&self, buffers: &DensifyBuffers, settings: &DensifySettings) -> Result<Densified> {
         self.context.run("densify: decide", |r| {
             let Training { scene, statistics, .. } = &self.training;
-            self.densify.record_decide(r, scene, statistics, &buffers, &settings);
+            self.densify.record_decide(r, scene, statistics, buffers, settings);
             Ok(())
         })?;
         let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&self.context.download(&buffers.totals)?);
-        let densified = Densified { before, kept: totals[0], cloned: totals[1], split: totals[2] };
-        let rows = densified.kept + densified.cloned + 2 * densified.split;
-        self.gather(rows, &buffers, iteration)?;
-        Ok(densified)
+        let before = self.training.scene.count;
+        Ok(Densified { before, kept: totals[0], cloned: totals[1], split: totals[2], limited: false })
     }
 
-    /// Fills new planes with `rows` Gaussians and their moments.
-    fn gather(&mut self, rows: u32, buffers: &DensifyBuffers, iteration: u32) -> Result<()> {
+    /// Fills new planes with `rows` Gaussians and their moments: fresh ones, or those at hand.
+    fn gather(
+        &mut self,
+        rows: u32,
+        fresh: Option<Fresh>,
+        buffers: &DensifyBuffers,
+        iteration: u32,
+    ) -> Result<()> {
         let old = &self.training;
         let key = RandomKey { seed: self.settings.seed, iteration, explicit: None };
-        let (plan, fresh) = if rows <= old.scene.plan.capacity {
-            (old.scene.plan, None)
-        } else {
-            // Without room to grow further, if that does not fit beside the old planes.
-            let fresh =
-                self.allocate_fresh(rows.saturating_add(rows / 2)).or_else(|_| self.allocate_fresh(rows))?;
-            (fresh.plan, Some(fresh))
-        };
+        let plan = fresh.as_ref().map_or(old.scene.plan, |fresh| fresh.plan);
         // Without growth the four sets of planes rotate: each is gathered into the one that was freed before it.
         let sources = [&old.scene.chunks, &old.moments.first, &old.moments.second];
         let targets: [&Vec<Buffer>; 3] = match &fresh {
@@ -98,9 +129,14 @@ impl Trainer {
         Ok(())
     }
 
-    /// Planes for parameters, both moments and the spare set of up to `capacity` Gaussians, and their statistics.
+    /// Planes for parameters, both moments and the spare set of up to `capacity` Gaussians, and their statistics; an
+    /// error where they, or a frame of as many Gaussians, do not fit the memory.
     fn allocate_fresh(&self, capacity: u32) -> Result<Fresh> {
-        let plan = ScenePlan::new(self.context.limits(), capacity, self.training.scene.plan.sh_degree)?;
+        let old = &self.training.scene.plan;
+        let plan = ScenePlan::new(self.context.limits(), capacity, old.sh_degree)?;
+        if !budget::has_room(&self.context, &plan, old, &self.runner.frame_capacity()) {
+            return Err(Error::argument("densification", "the memory does not suffice"));
+        }
         let arenas = ["scene", "moments", "moments", "spare"];
         let sets: Result<_> =
             arenas.iter().map(|arena| planes::allocate(&self.context, arena, &plan)).collect();

@@ -4,12 +4,13 @@
 //! asks for comes at the start of the next step, so that between steps the scene is what the reference would save.
 //! A step whose frame overflowed its buffers changes nothing and is run again with more room.
 
+mod budget;
 pub mod checkpoint;
 mod density;
-mod fingerprint;
 mod photos;
 pub mod settings;
 mod step;
+pub mod verify;
 
 pub use checkpoint::Checkpoint;
 pub use settings::{OptimizerType, TrainSettings};
@@ -24,7 +25,7 @@ use crate::optimizer::{Moments, Optimizer};
 use crate::planes;
 use crate::renderer::{Frame, FrameRunner};
 use crate::scene::{Camera, Gaussians};
-use crate::vk::{Buffer, Context, MemoryKind, ScopeTime};
+use crate::vk::{ArenaMemory, Buffer, Context, MemoryKind, ScopeTime};
 use photos::Photos;
 
 /// A photograph and where it was taken from.
@@ -76,6 +77,8 @@ pub struct Densified {
     pub cloned: u32,
     /// Gaussians that were replaced by two each.
     pub split: u32,
+    /// Whether more would not have fitted the memory, so that Gaussians were only removed.
+    pub limited: bool,
 }
 
 /// The optimiser's state and the scene on the device.
@@ -169,13 +172,12 @@ impl Trainer {
             let problem = format!("is {scene_extent}, must be positive; do all cameras stand at one place?");
             return Err(Error::argument("scene extent", problem));
         }
-        let photos = Photos::upload(context, &views)?;
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-        let views_fingerprint = fingerprint::of_views(&views);
-        drop(views);
         let count = crate::plan::to_u32(initial.len() as u64)?;
-        // Room to grow: densification allocates anew when it does not suffice.
-        let capacity = count.saturating_add(count / 2).max(1 << 12);
+        let capacity = budget::initial_capacity(context, &cameras, count, settings.sh_degree)?;
+        let photos = Photos::upload(context, &views)?;
+        let views_fingerprint = checkpoint::fingerprint_of(&views);
+        drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, settings.sh_degree)?;
         let training = Training::new(context, scene)?;
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
@@ -241,7 +243,14 @@ impl Trainer {
 
     /// Bytes of device memory in use, all arenas of the context together.
     pub fn memory_bytes(&self) -> u64 {
-        self.context.memory().iter().map(|arena| arena.bytes).sum()
+        self.context.memory_total().bytes
+    }
+
+    /// What is allocated in each arena of the context and the most that ever was, at the end the same of all together.
+    pub fn memory(&self) -> Vec<ArenaMemory> {
+        let mut all = self.context.memory();
+        all.push(self.context.memory_total());
+        all
     }
 }
 

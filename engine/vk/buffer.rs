@@ -92,6 +92,11 @@ impl Buffer {
         &self.block
     }
 
+    /// The bands of so many bytes in front of it and behind it.
+    pub(super) fn guards(&self, bytes: u64) -> [Buffer; 2] {
+        [self.offset - bytes, self.offset + self.bytes].map(|offset| Buffer { offset, bytes, ..self.clone() })
+    }
+
     pub(super) fn raw(&self) -> vk::Buffer {
         self.block.raw
     }

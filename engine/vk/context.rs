@@ -1,12 +1,13 @@
 //! The device that everything runs on.
 
+use super::audit;
 use super::clock::Clock;
 use super::debug::Names;
 use super::device::{self, Candidate, DeviceDescription};
 use super::faults::{self, Faults};
 use super::instance::Instance;
 use super::limits::{Limits, LimitsOverride, SpecOverride};
-use super::memory::Registry;
+use super::memory::{Guarded, Registry};
 use super::profile::Log;
 use super::submit::Slot;
 use super::vk_error;
@@ -46,6 +47,11 @@ pub struct ContextOptions {
     /// How long to wait for a submission before it is an error. None: until it is over, however long that takes; a
     /// device that hangs is reset and reported by its driver.
     pub timeout: Option<Duration>,
+    /// Most bytes of device and staging memory to allocate, all arenas together. None: what the device has.
+    pub max_memory: Option<u64>,
+    /// For tests: bands around every buffer that show what was written outside of it; see
+    /// [`Context::breached_guards`].
+    pub guard_bands: bool,
     /// For tests: Vulkan calls that fail on demand.
     pub faults: Option<Faults>,
 }
@@ -70,6 +76,8 @@ impl Default for ContextOptions {
             force_staging: false,
             capture: false,
             timeout: None,
+            max_memory: None,
+            guard_bands: false,
             faults: None,
         }
     }
@@ -96,8 +104,16 @@ pub(super) struct Inner {
     pub(super) clock: Option<Clock>,
     /// Who records every command, if anybody does.
     pub(super) profile: Mutex<Weak<Log>>,
+    /// Who hashes what every command writes, if anybody does.
+    pub(super) audit: Mutex<Weak<audit::Log>>,
     pub(super) hazard_check: bool,
     pub(super) timeout: Option<Duration>,
+    pub(super) max_memory: Option<u64>,
+    pub(super) guard_bands: bool,
+    /// Buffers that have bands around them.
+    pub(super) guarded: Mutex<Vec<Guarded>>,
+    /// Where the driver can be asked how much memory it would give: VK_EXT_memory_budget.
+    pub(super) budget: Option<vk::PhysicalDevice>,
     /// Whether the driver has given the device up.
     pub(super) lost: AtomicBool,
     pub(super) description: DeviceDescription,
@@ -107,7 +123,7 @@ pub(super) struct Inner {
     /// Idle command buffers.
     pub(super) slots: Mutex<Vec<Slot>>,
     // Destroyed after the device: keep it last.
-    instance: Instance,
+    pub(super) instance: Instance,
 }
 
 impl Context {
@@ -157,8 +173,13 @@ impl Context {
             timestamps: AtomicBool::new(true),
             clock,
             profile: Mutex::default(),
+            audit: Mutex::default(),
             hazard_check: options.hazard_check,
             timeout: options.timeout,
+            max_memory: options.max_memory,
+            guard_bands: options.guard_bands,
+            guarded: Mutex::default(),
+            budget: candidate.features.memory_budget.then_some(candidate.physical),
             lost: AtomicBool::new(false),
             description: candidate.description,
             registry: Registry::default(),
@@ -263,6 +284,9 @@ fn create_device(instance: &Instance, candidate: &Candidate, printf: bool) -> Re
     let mut extensions = vec![ash::khr::push_descriptor::NAME.as_ptr()];
     if optional.portability_subset {
         extensions.push(c"VK_KHR_portability_subset".as_ptr());
+    }
+    if optional.memory_budget {
+        extensions.push(ash::ext::memory_budget::NAME.as_ptr());
     }
     extensions.extend(optional.calibrated_timestamps.map(|kind| kind.extension().as_ptr()));
     let priorities = [1.0];

@@ -57,6 +57,7 @@ pub(super) struct OptionalFeatures {
     pub(super) memory_model_device_scope: bool,
     pub(super) portability_subset: bool,
     pub(super) calibrated_timestamps: Option<Calibrated>,
+    pub(super) memory_budget: bool,
     /// fragmentStoresAndAtomics and vertexPipelineStoresAndAtomics, which the layer's debugPrintf asks for.
     pub(super) graphics_stores: bool,
 }
@@ -196,6 +197,7 @@ fn examine(
     candidate.features = optional;
     candidate.features.portability_subset = has(c"VK_KHR_portability_subset");
     candidate.features.calibrated_timestamps = Calibrated::find(has);
+    candidate.features.memory_budget = has(ash::ext::memory_budget::NAME);
     Ok(missing.or(missing_operations))
 }
 
@@ -223,6 +225,7 @@ fn features(instance: &Instance, physical: vk::PhysicalDevice) -> (OptionalFeatu
         memory_model_device_scope: v12.vulkan_memory_model_device_scope != 0,
         portability_subset: false,
         calibrated_timestamps: None,
+        memory_budget: false,
         graphics_stores: f.fragment_stores_and_atomics != 0 && f.vertex_pipeline_stores_and_atomics != 0,
     };
     (optional, missing)

@@ -10,6 +10,7 @@
 //! | `hazard` | finds missing barriers while recording |
 //! | `submit` | [`Context::submit`], [`Pending`], [`RunReport`] |
 //! | `transfer` | [`Context::upload`], [`Context::download`] |
+//! | `audit` | [`Context::audit`]: what every command wrote, as a hash |
 //! | `faults` | for tests: calls that fail on demand |
 //! | `profiler`, `debug` | time of each scope; names, labels and validation messages |
 //! | `profile`, `clock` | [`Context::profile`]: every command with its grid, buffers and time, on the host's clock |
@@ -36,6 +37,7 @@
 
 #![allow(unsafe_code)]
 
+mod audit;
 mod buffer;
 mod clock;
 mod context;
@@ -53,6 +55,7 @@ mod recorder;
 mod submit;
 mod transfer;
 
+pub use audit::{Audit, AuditRecord};
 pub use buffer::Buffer;
 pub use context::{Context, ContextOptions};
 pub use device::{DeviceDescription, devices};

@@ -1,5 +1,6 @@
 //! Records commands: dispatches, fills, copies, and the barriers between them.
 
+use super::audit;
 use super::buffer::Buffer;
 use super::context::Inner;
 use super::hazard::{HazardTracker, Use};
@@ -27,6 +28,8 @@ pub struct Recorder {
     hazards: Option<Hazards>,
     barriers: u32,
     omitted: Vec<u32>,
+    /// Present while somebody audits.
+    pub(super) audit: Option<audit::Commands>,
 }
 
 enum Target {
@@ -92,15 +95,16 @@ impl Recorder {
             hazards: inner.hazard_check.then(|| Hazards::new(false)),
             barriers: 0,
             omitted: Vec::new(),
+            audit: None,
             inner,
         }
     }
 
-    pub(super) fn finish(mut self) -> (Commands, Profiler, Kept) {
+    pub(super) fn finish(mut self) -> (Commands, Profiler, Kept, Option<audit::Commands>) {
         self.profiler.end(&self.inner, self.raw());
         self.copy_indirect_arguments();
         match self.commands {
-            Target::Owned(commands) => (commands, self.profiler, self.kept),
+            Target::Owned(commands) => (commands, self.profiler, self.kept, self.audit),
             Target::Foreign(_) => panic!("a foreign command buffer is submitted by its owner"),
         }
     }
@@ -177,7 +181,28 @@ impl Recorder {
         }
     }
 
+    /// Keeps what a command wrote, where somebody audits.
+    fn audit<'a>(&mut self, command: &'static str, uses: impl Iterator<Item = (&'a Buffer, Access)>) {
+        let Some(mut audit) = self.audit.take() else { return };
+        let written = uses.filter(|(_, access)| access.writes()).map(|(buffer, _)| buffer);
+        let copies = audit.snapshot(&self.inner, command, written);
+        self.record_barrier();
+        for (from, to) in copies {
+            self.kept.block(to.block());
+            let region = vk::BufferCopy::default()
+                .src_offset(from.offset())
+                .dst_offset(to.offset())
+                .size(from.bytes());
+            // SAFETY: recording state; ranges of equal size in buffers that are kept, with transfer usage.
+            unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }
+        }
+        self.record_barrier();
+        self.audit = Some(audit);
+    }
+
     fn profile_dispatch(&mut self, pipeline: &Pipeline, buffers: &[&Buffer], grid: Option<[u32; 3]>) {
+        let accesses = pipeline.bindings.iter().map(|info| info.access);
+        self.audit(pipeline.name, buffers.iter().copied().zip(accesses));
         let raw = self.raw();
         self.profiler.command(&self.inner, raw, || {
             let bound = pipeline.bindings.iter().zip(buffers);
@@ -187,6 +212,7 @@ impl Recorder {
     }
 
     fn profile_transfer(&mut self, command: &'static str, uses: &[(&Buffer, &'static str, Access)]) {
+        self.audit(command, uses.iter().map(|&(buffer, _, access)| (buffer, access)));
         let raw = self.raw();
         self.profiler.command(&self.inner, raw, || {
             let bound = uses.iter().map(|&(buffer, role, access)| BoundBuffer::new(role, buffer, access));
@@ -351,6 +377,10 @@ impl Recorder {
         if omitted && !collects {
             return;
         }
+        self.record_barrier();
+    }
+
+    fn record_barrier(&self) {
         type Stage = vk::PipelineStageFlags2;
         type Flags = vk::AccessFlags2;
         // All stages on both sides: a write must also wait for reads before it.

@@ -1,5 +1,6 @@
 //! Command buffers, submission and waiting.
 
+use super::audit;
 use super::context::{Context, Inner};
 use super::kernel::Pipeline;
 use super::memory::Block;
@@ -255,6 +256,7 @@ pub struct Pending {
     // Dropped in this order: the wait comes before the memory goes.
     commands: Commands,
     profiler: Option<Profiler>,
+    audit: Option<audit::Commands>,
     label: String,
     submitting: Instant,
     submitted: Instant,
@@ -276,6 +278,9 @@ impl Pending {
             return Err(error);
         }
         let done = Instant::now();
+        if let Some(audit) = self.audit.take() {
+            audit.log()?;
+        }
         let Some(mut profiler) = self.profiler.take() else { return Ok(RunReport::default()) };
         let inner = &self.commands.inner;
         // What has been computed is there, whether or not anybody knows how long it took.
@@ -311,7 +316,10 @@ impl Context {
             return Err(Error::DeviceLost { call: "an earlier call" });
         }
         let profiled = profile::Commands::begin(&self.0)?;
-        Ok(Recorder::new(Commands::begin(&self.0, label, profiled.is_some())?, label, profiled))
+        let commands = Commands::begin(&self.0, label, profiled.is_some())?;
+        let mut recorder = Recorder::new(commands, label, profiled);
+        recorder.audit = audit::Commands::begin(&self.0, label);
+        Ok(recorder)
     }
 
     /// Submits a recording; whoever needs its results waits for the [`Pending`].
@@ -323,10 +331,17 @@ impl Context {
     /// When the recorder records into a foreign command buffer.
     pub fn submit(&self, recorder: Recorder) -> Result<Pending> {
         let submitting = Instant::now();
-        let (commands, profiler, kept) = recorder.finish();
+        let (commands, profiler, kept, audit) = recorder.finish();
         let label = profiler.label();
-        let mut pending =
-            Pending { commands, profiler: Some(profiler), label, submitting, submitted: submitting, kept };
+        let mut pending = Pending {
+            commands,
+            profiler: Some(profiler),
+            audit,
+            label,
+            submitting,
+            submitted: submitting,
+            kept,
+        };
         for block in &pending.kept.blocks {
             block.in_flight.fetch_add(1, Ordering::Release);
         }

@@ -87,7 +87,16 @@ fn log_has_a_line_for_each_iteration() {
     let log = std::fs::read_to_string(trained().model.join("train_log.csv")).expect("the log");
     let rows: Vec<Vec<&str>> = log.lines().map(|line| line.split(',').collect()).collect();
     assert_eq!(rows.len(), 31);
-    assert_eq!(rows[0], ["iteration", "loss", "psnr", "gaussians", "ms", "skipped"]);
+    assert_eq!(rows[0][..6], ["iteration", "loss", "psnr", "gaussians", "ms", "skipped"]);
+    // Resident and peak bytes of each arena.
+    let arenas: Vec<&str> = rows[0][6..].iter().step_by(2).filter_map(|n| n.strip_suffix("_bytes")).collect();
+    assert_eq!(arenas[..3], ["total", "scene", "moments"]);
+    for row in &rows[1..] {
+        let bytes: Vec<u64> = row[6..].iter().map(|n| n.parse().expect("bytes")).collect();
+        assert!(bytes.as_chunks::<2>().0.iter().all(|[now, peak]| now <= peak), "{row:?}");
+        let parts: u64 = bytes.iter().skip(2).step_by(2).sum();
+        assert!(parts <= bytes[0] && bytes[2] > 0 && bytes[4] > 0, "{row:?}");
+    }
     let loss = |row: usize| rows[row][1].parse::<f64>().expect("a loss");
     assert!(loss(30) < loss(1), "{log}");
     let tested: Vec<usize> = (1..31).filter(|&row| !rows[row][2].is_empty()).collect();

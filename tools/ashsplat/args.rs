@@ -50,6 +50,24 @@ pub struct DeviceArguments {
     /// Run under the Khronos validation layer, with synchronisation validation; its messages go to stderr
     #[arg(long)]
     pub validation: bool,
+    /// Most device memory to use, with a unit: 800M, 6G; densification stops growing there [default: what the device has]
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    pub max_memory: Option<u64>,
+}
+
+/// Bytes of a number with a unit: K, M or G, powers of 1024.
+fn bytes(text: &str) -> Result<u64, String> {
+    let units = [('K', 10), ('M', 20), ('G', 30)];
+    let upper = text.trim().to_uppercase();
+    let unit = units.iter().find(|(unit, _)| upper.ends_with(*unit));
+    let number: f64 =
+        upper.trim_end_matches(['K', 'M', 'G']).parse().map_err(|_| "give a size such as 6G")?;
+    let scale = f64::from(unit.map_or(1, |(_, bits)| 1u32 << bits));
+    if number.is_finite() && number > 0.0 {
+        Ok((number * scale) as u64)
+    } else {
+        Err("must be positive".into())
+    }
 }
 
 impl DeviceArguments {
@@ -60,8 +78,12 @@ impl DeviceArguments {
 
     /// Opens the device with other options than usual.
     pub fn context_with(&self, change: impl FnOnce(&mut ContextOptions)) -> Result<Context> {
-        let mut options =
-            ContextOptions { device: self.device.clone(), validation: self.validation, ..Default::default() };
+        let mut options = ContextOptions {
+            device: self.device.clone(),
+            validation: self.validation,
+            max_memory: self.max_memory,
+            ..Default::default()
+        };
         change(&mut options);
         Context::new(&options)
     }

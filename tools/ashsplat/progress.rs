@@ -84,6 +84,14 @@ impl TrainProgress {
         }
     }
 
+    /// A line on stderr, also with `--quiet`.
+    pub fn warn(&self, text: &str) {
+        match &self.bar {
+            Some(bar) => bar.suspend(|| tell!("{text}")),
+            None => tell!("{text}"),
+        }
+    }
+
     /// Leaves the bar where it is.
     pub fn finish(&self) {
         if let Some(bar) = &self.bar {

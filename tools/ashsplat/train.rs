@@ -3,6 +3,7 @@
 mod checkpoints;
 mod folder;
 mod log;
+mod verify;
 
 use crate::args::DeviceArguments;
 use crate::config::{Overrides, Settings};
@@ -41,6 +42,10 @@ pub struct Arguments {
     /// Go on from this checkpoint, or from the newest of the model folder; all else must be as it was
     #[arg(long, value_name = "FILE|latest")]
     start_checkpoint: Option<PathBuf>,
+    /// Instead of training: run so many iterations twice, compare hashes after each, and name the first kernel whose
+    /// output differs
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    verify_determinism: Option<u32>,
     #[command(flatten)]
     device: DeviceArguments,
     /// No progress; only results and errors
@@ -78,6 +83,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ));
     }
     session::warn(&dataset);
+    if let Some(iterations) = arguments.verify_determinism {
+        return verify::run(&context, dataset, &settings, iterations, arguments.quiet);
+    }
     let folder = settings.data.model_path.clone();
     let mut run = match start {
         None => Run::prepare(&context, dataset, settings, arguments.quiet)?,
@@ -112,6 +120,8 @@ pub struct Run {
     pub evaluations: Vec<Tested>,
     gaussians: u32,
     skipped: u64,
+    /// Whether it was said that the memory is full.
+    limited: bool,
     /// Iteration of the checkpoint that the run began with.
     started: u32,
     /// Iteration whose scene was saved last.
@@ -167,6 +177,7 @@ impl Run {
             evaluations: Vec::new(),
             gaussians: 0,
             skipped: 0,
+            limited: false,
             saved: None,
         }
     }
@@ -200,7 +211,7 @@ impl Run {
                 self.first = Some(watch.cost(FIRST_ITERATIONS));
             }
             let kept = self.check(&report).and_then(|()| self.keep(report.iteration, stopping, watch));
-            self.log.add(&report, *kept.as_ref().unwrap_or(&None));
+            self.log.add(&report, *kept.as_ref().unwrap_or(&None), &self.trainer.memory());
             kept?;
             if stopping || self.settings.data.checkpoint_iterations.contains(&report.iteration) {
                 watch.paused(|| self.write_checkpoint())?;
@@ -238,6 +249,15 @@ impl Run {
     fn account(&mut self, report: &StepReport) {
         self.gaussians = report.gaussians;
         self.skipped += u64::from(report.skipped_non_finite);
+        if report.densified.is_some_and(|densified| densified.limited) && !self.limited {
+            self.limited = true;
+            let (count, used) = (thousands(u64::from(report.gaussians)), self.trainer.memory_bytes() >> 20);
+            self.progress.warn(&format!(
+                "warning: iteration {}: no memory for more than {count} Gaussians ({used} MiB in use); from here on, \
+                 densification only removes",
+                report.iteration
+            ));
+        }
         self.progress.step(&State {
             iteration: report.iteration,
             loss: report.loss,

@@ -2,10 +2,10 @@
 
 use super::Checkpoint;
 use crate::error::{Error, Result};
+use crate::fingerprint::Fingerprint;
 use crate::io::atomic;
 use crate::scene::Gaussians;
 use crate::scene::gaussians::sh_coefficients;
-use crate::trainer::fingerprint::Fingerprint;
 use bytemuck::Pod;
 use safetensors::{Dtype, SafeTensors};
 use serde_json::{Map, Value, json};
@@ -32,10 +32,8 @@ impl Checkpoint {
     /// [`Error::Io`]; an older file of that name stays as it was.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
         let tensors = self.tensors();
-        let mut fingerprint = Fingerprint::new();
-        tensors.iter().for_each(|tensor| fingerprint.add(tensor.bytes));
         let mut header = Map::new();
-        header.insert("__metadata__".into(), self.metadata(fingerprint.finish())?);
+        header.insert("__metadata__".into(), self.metadata(self.fingerprint())?);
         let mut end = 0;
         for Tensor { name, shape, bytes } in &tensors {
             let begin = end;
@@ -63,6 +61,13 @@ impl Checkpoint {
             let remedy = "start from another checkpoint, or anew";
             Error::input(path, problem, remedy)
         })
+    }
+
+    /// A hash of all tensors: two states of a run are the same to the bit where these are.
+    pub fn fingerprint(&self) -> u64 {
+        let mut fingerprint = Fingerprint::new();
+        self.tensors().iter().for_each(|tensor| fingerprint.add(tensor.bytes));
+        fingerprint.finish()
     }
 
     fn tensors(&self) -> Vec<Tensor<'_>> {
@@ -141,9 +146,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         second_moments: gaussians(&tensors, SETS[2])?,
         statistics: values(&tensors, "statistics", &[2])?,
     };
-    let mut fingerprint = Fingerprint::new();
-    checkpoint.tensors().iter().for_each(|tensor| fingerprint.add(tensor.bytes));
-    if fingerprint.finish() != metadata.hexadecimal("data_fingerprint")? {
+    if checkpoint.fingerprint() != metadata.hexadecimal("data_fingerprint")? {
         return Err("is damaged: its contents do not have the fingerprint that they were written with".into());
     }
     checkpoint.check_shapes().map_err(|e| e.to_string())?;

@@ -2,11 +2,15 @@
 
 use crate::output;
 use ashsplat::trainer::StepReport;
+use ashsplat::vk::ArenaMemory;
 use ashsplat::{Error, Result};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+/// The arenas of a training, with bytes that are resident and the most that ever were.
+const ARENAS: [&str; 9] =
+    ["total", "scene", "moments", "spare", "statistics", "frame", "loss", "photos", "densify"];
 /// At most so many lines wait in memory.
 const FLUSH_INTERVAL: u32 = 100;
 
@@ -23,7 +27,10 @@ impl TrainLog {
         let file = File::create(path).map_err(|e| Error::io(path, "create", e))?;
         let mut log = TrainLog { path: path.to_owned(), file: BufWriter::new(file), failure: None };
         log.attempt(|file| {
-            writeln!(file, "iteration,loss,psnr,gaussians,ms,skipped").and_then(|()| file.flush())
+            write!(file, "iteration,loss,psnr,gaussians,ms,skipped")?;
+            ARENAS.iter().try_for_each(|arena| write!(file, ",{arena}_bytes,{arena}_peak_bytes"))?;
+            writeln!(file)?;
+            file.flush()
         });
         Ok(log)
     }
@@ -43,13 +50,19 @@ impl TrainLog {
         Ok(TrainLog { path: path.to_owned(), file: BufWriter::new(file), failure: None })
     }
 
-    /// Adds an iteration, with its PSNR where it was tested, dB.
-    pub fn add(&mut self, report: &StepReport, psnr: Option<f64>) {
+    /// Adds an iteration, with its PSNR where it was tested, dB, and the memory of the arenas.
+    pub fn add(&mut self, report: &StepReport, psnr: Option<f64>, memory: &[ArenaMemory]) {
         let tested = psnr.is_some();
         let psnr = psnr.map_or_else(String::new, |psnr| format!("{psnr:.4}"));
         let StepReport { iteration, loss, gaussians, milliseconds, skipped_non_finite, .. } = report;
         self.attempt(|file| {
-            writeln!(file, "{iteration},{loss},{psnr},{gaussians},{milliseconds:.2},{skipped_non_finite}")?;
+            write!(file, "{iteration},{loss},{psnr},{gaussians},{milliseconds:.2},{skipped_non_finite}")?;
+            for arena in ARENAS {
+                let arena = memory.iter().find(|m| m.name == arena);
+                let (now, peak) = arena.map_or((0, 0), |arena| (arena.bytes, arena.peak_bytes));
+                write!(file, ",{now},{peak}")?;
+            }
+            writeln!(file)?;
             if tested || iteration.is_multiple_of(FLUSH_INTERVAL) { file.flush() } else { Ok(()) }
         });
     }
@@ -89,15 +102,19 @@ mod tests {
         let mut log = TrainLog::create(&path).expect("created");
         assert_eq!(lines(), 1);
         for iteration in 1..=FLUSH_INTERVAL {
-            log.add(&report(iteration), None);
+            log.add(&report(iteration), None, &[]);
         }
         assert_eq!(lines(), 1 + FLUSH_INTERVAL);
-        log.add(&report(FLUSH_INTERVAL + 1), Some(20.0));
+        log.add(&report(FLUSH_INTERVAL + 1), Some(20.0), &[]);
         assert_eq!(lines(), 2 + FLUSH_INTERVAL);
-        log.add(&report(FLUSH_INTERVAL + 2), None);
+        let memory = [ArenaMemory { name: "frame".into(), bytes: 77, peak_bytes: 88 }];
+        log.add(&report(FLUSH_INTERVAL + 2), None, &memory);
         log.finish().expect("written");
         let text = std::fs::read_to_string(&path).expect("the log");
-        assert!(text.ends_with("101,0.5,20.0000,7,1.25,0\n102,0.5,,7,1.25,0\n"), "{text}");
+        let own = |line: &str| line.split(',').take(6).map(str::to_owned).collect::<Vec<_>>().join(",");
+        let last: Vec<String> = text.lines().skip(101).map(own).collect();
+        assert!(text.ends_with(",77,88,0,0,0,0,0,0\n"), "{text}");
+        assert_eq!(last, ["101,0.5,20.0000,7,1.25,0", "102,0.5,,7,1.25,0"]);
     }
 
     #[test]
@@ -105,14 +122,14 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("log.csv");
         let mut log = TrainLog::create(&path).expect("created");
-        (1..=9).for_each(|iteration| log.add(&report(iteration), None));
+        (1..=9).for_each(|iteration| log.add(&report(iteration), None, &[]));
         log.finish().expect("written");
         // As a killed run may leave it.
         let mut text = std::fs::read_to_string(&path).expect("the log");
         text.push_str("10,0.");
         std::fs::write(&path, text).expect("written");
         let mut log = TrainLog::go_on(&path, 6).expect("opened");
-        (7..=8).for_each(|iteration| log.add(&report(iteration), None));
+        (7..=8).for_each(|iteration| log.add(&report(iteration), None, &[]));
         log.finish().expect("written");
         let text = std::fs::read_to_string(&path).expect("the log");
         let numbers: Vec<&str> = text.lines().skip(1).filter_map(|line| line.split(',').next()).collect();
@@ -124,7 +141,7 @@ mod tests {
     #[test]
     fn a_failure_is_told_at_the_end() {
         let mut log = TrainLog::create(Path::new("/dev/full")).expect("opened");
-        log.add(&report(1), Some(20.0));
+        log.add(&report(1), Some(20.0), &[]);
         let error = log.finish().expect_err("nothing can be written").to_string();
         assert!(error.contains("/dev/full: cannot write"), "{error}");
     }

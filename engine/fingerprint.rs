@@ -1,15 +1,11 @@
-//! 64 bits that tell one run's data from another's. No protection against forgery.
-
-use super::TrainView;
-use crate::scene::Camera;
-use rayon::prelude::*;
+//! 64 bits that tell data from other data. No protection against forgery.
 
 /// An odd number: multiplying by it loses nothing, so that no single changed word goes unnoticed.
 const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// A hash of bytes in the order in which they are added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Fingerprint(u64);
+pub(crate) struct Fingerprint(u64);
 
 impl Fingerprint {
     pub fn new() -> Self {
@@ -35,25 +31,6 @@ impl Fingerprint {
     pub fn finish(self) -> u64 {
         self.0 ^ (self.0 >> 32)
     }
-}
-
-/// Cameras and photographs, in their order.
-pub(super) fn of_views(views: &[TrainView]) -> u64 {
-    let each: Vec<u64> = views.par_iter().map(of_view).collect();
-    let mut all = Fingerprint::new();
-    all.add(bytemuck::cast_slice(&each));
-    all.finish()
-}
-
-fn of_view(view: &TrainView) -> u64 {
-    let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height } = view.camera;
-    let mut print = Fingerprint::new();
-    print.add(bytemuck::cast_slice(&camera_from_world.to_cols_array()));
-    print.add(bytemuck::cast_slice(&translation.to_array()));
-    print.add(bytemuck::cast_slice(&[fx, fy, cx, cy]));
-    print.add(bytemuck::cast_slice(&[width, height]));
-    print.add(&view.photo.rgb);
-    print.finish()
 }
 
 #[cfg(test)]

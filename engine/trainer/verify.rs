@@ -1,0 +1,77 @@
+//! Whether a device keeps the promise: the same inputs give the same bits.
+
+use super::Trainer;
+use crate::error::Result;
+use crate::vk::{AuditRecord, Context};
+
+/// What came of training twice.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// The same bits after every iteration.
+    Same,
+    /// Other bits.
+    Differs {
+        /// The first iteration after which parameters, moments, statistics or the loss differ.
+        iteration: u32,
+        /// The first command that wrote something else, where both runs, repeated command by command, differ again.
+        /// None: they do not; then commands race with each other, or the driver errs now and then.
+        first: Option<Difference>,
+    },
+}
+
+/// A command that wrote something else in the second run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// The iteration that it belongs to.
+    pub iteration: u32,
+    /// What it wrote in the first run.
+    pub record: AuditRecord,
+}
+
+/// Trains twice for some iterations, each run with a context and a trainer of its own, and compares hashes of the state
+/// after every iteration. Where they differ, both runs are repeated with an [audit](Context::audit) up to there, to find
+/// the first command with another output. `report` is told (run from 0, iteration, hash).
+///
+/// # Errors
+/// What the closures or a step return.
+pub fn verify_determinism(
+    mut context: impl FnMut() -> Result<Context>,
+    mut trainer: impl FnMut(&Context) -> Result<Trainer>,
+    iterations: u32,
+    mut report: impl FnMut(u32, u32, u64),
+) -> Result<Verdict> {
+    let mut runs: [Vec<(u64, u32)>; 2] = Default::default();
+    for (number, run) in (0..).zip(&mut runs) {
+        let mut trainer = trainer(&context()?)?;
+        for _ in 0..iterations {
+            let step = trainer.step()?;
+            let hash = trainer.checkpoint()?.fingerprint();
+            report(number, step.iteration, hash);
+            run.push((hash, step.loss.to_bits()));
+        }
+    }
+    let [first, second] = &runs;
+    let Some(place) = first.iter().zip(second).position(|(a, b)| a != b) else { return Ok(Verdict::Same) };
+    let iteration = place as u32 + 1;
+    let mut audited = || audited_run(&context()?, &mut trainer, iteration);
+    let (first, second) = (audited()?, audited()?);
+    let differing = first.into_iter().zip(second).find(|((_, a), (_, b))| a != b);
+    let first = differing.map(|((iteration, record), _)| Difference { iteration, record });
+    Ok(Verdict::Differs { iteration, first })
+}
+
+/// Everything that was written, with the iteration (0: before the first).
+fn audited_run(
+    context: &Context,
+    trainer: &mut impl FnMut(&Context) -> Result<Trainer>,
+    iterations: u32,
+) -> Result<Vec<(u32, AuditRecord)>> {
+    let audit = context.audit();
+    let mut trainer = trainer(context)?;
+    let mut all: Vec<(u32, AuditRecord)> = audit.take().into_iter().map(|record| (0, record)).collect();
+    for _ in 0..iterations {
+        let step = trainer.step()?;
+        all.extend(audit.take().into_iter().map(|record| (step.iteration, record)));
+    }
+    Ok(all)
+}

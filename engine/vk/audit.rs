@@ -1,0 +1,127 @@
+//! The opt-in audit of a context: what every command wrote, as a hash. Two audited runs of the same work that should have
+//! the same bits show which command first had others.
+//!
+//! Behind each command stand barriers and a copy of what it wrote, so that an audited recording is slow, needs the memory,
+//! and hides races between commands. New device memory is cleared, so that what a command leaves alone is the same too.
+
+use super::buffer::Buffer;
+use super::context::{Context, Inner};
+use super::memory::MemoryKind;
+use crate::fingerprint::Fingerprint;
+use crate::{Error, Result};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// While it lives, everything that the commands of its context write is hashed.
+pub struct Audit {
+    log: Arc<Log>,
+}
+
+/// A buffer that a command wrote.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct AuditRecord {
+    /// The label of the submission.
+    pub submission: String,
+    /// Place of the command in the submission, from 0.
+    pub command: u32,
+    /// The kernel's name, or "fill", "copy" or "update".
+    pub kernel: &'static str,
+    /// The buffer's name.
+    pub buffer: &'static str,
+    /// Hash of the whole buffer after the command.
+    pub hash: u64,
+}
+
+#[derive(Default)]
+pub(super) struct Log(Mutex<Vec<AuditRecord>>);
+
+/// What the commands of a recording wrote.
+pub(super) struct Commands {
+    log: Arc<Log>,
+    submission: String,
+    commands: u32,
+    snapshots: Vec<(AuditRecord, Buffer)>,
+    failure: Option<Error>,
+}
+
+impl Commands {
+    /// None where nobody audits.
+    pub(super) fn begin(inner: &Arc<Inner>, submission: &str) -> Option<Self> {
+        let log = inner.audit.lock().unwrap_or_else(PoisonError::into_inner).upgrade()?;
+        let submission = submission.to_owned();
+        Some(Self { log, submission, commands: 0, snapshots: Vec::new(), failure: None })
+    }
+
+    /// Where to copy what a command wrote: (from, to), of equal sizes.
+    pub(super) fn snapshot<'a>(
+        &mut self,
+        inner: &Arc<Inner>,
+        kernel: &'static str,
+        written: impl Iterator<Item = &'a Buffer>,
+    ) -> Vec<(&'a Buffer, Buffer)> {
+        let command = self.commands;
+        self.commands += 1;
+        let context = Context(inner.clone());
+        let mut copies = Vec::new();
+        for from in written {
+            let request = [("snapshot", from.bytes())];
+            match context.allocate("audit", &request, MemoryKind::HostVisible) {
+                Err(error) => self.failure = self.failure.take().or(Some(error)),
+                Ok(mut allocated) => {
+                    let to = allocated.swap_remove(0).range(0, from.bytes());
+                    let (submission, buffer) = (self.submission.clone(), from.static_name());
+                    let record = AuditRecord { submission, command, kernel, buffer, hash: 0 };
+                    self.snapshots.push((record, to.clone()));
+                    copies.push((from, to));
+                }
+            }
+        }
+        copies
+    }
+
+    /// After the submission: hashes what was copied.
+    pub(super) fn log(self) -> Result<()> {
+        if let Some(error) = self.failure {
+            return Err(error);
+        }
+        let hashed = self.snapshots.into_iter().map(|(record, buffer)| {
+            let mut bytes = vec![0; buffer.bytes() as usize];
+            buffer.block().read_mapped(buffer.offset(), &mut bytes);
+            let mut print = Fingerprint::new();
+            print.add(&bytes);
+            AuditRecord { hash: print.finish(), ..record }
+        });
+        let hashed: Vec<AuditRecord> = hashed.collect();
+        self.log.0.lock().unwrap_or_else(PoisonError::into_inner).extend(hashed);
+        Ok(())
+    }
+}
+
+impl Context {
+    /// Hashes what every command writes from now on, until the audit is dropped.
+    pub fn audit(&self) -> Audit {
+        let log = Arc::<Log>::default();
+        *self.0.audit.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(&log);
+        Audit { log }
+    }
+
+    /// Clears new memory where somebody audits.
+    pub(super) fn clear_if_audited(&self, buffers: &[Buffer], kind: MemoryKind) -> Result<()> {
+        let audited = self.0.audit.lock().unwrap_or_else(PoisonError::into_inner).strong_count() > 0;
+        if !audited || kind != MemoryKind::Device {
+            return Ok(());
+        }
+        self.run("clear", |recorder| {
+            buffers.iter().for_each(|buffer| recorder.fill(buffer, 0));
+            Ok(())
+        })?;
+        Ok(())
+    }
+}
+
+impl Audit {
+    /// What was written since the last call, oldest first.
+    pub fn take(&self) -> Vec<AuditRecord> {
+        std::mem::take(&mut *self.log.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}

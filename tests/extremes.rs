@@ -1,0 +1,131 @@
+//! Parameters that no training should make: nothing hangs, nothing is written out of bounds, no NaN spreads.
+
+use std::sync::OnceLock;
+
+use ashsplat::trainer::Trainer;
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{Gaussians, RenderSettings, Renderer, TrainSettings};
+use proptest::prelude::*;
+
+use crate::checkpoints::{start, views};
+use crate::common::engine::camera;
+use crate::common::scenes::{Random, small_view};
+use crate::common::{assert_silent, options};
+
+const EXTREMES: [f32; 12] = [
+    f32::NAN,
+    f32::INFINITY,
+    f32::NEG_INFINITY,
+    1e30,
+    -1e30,
+    1e-30,
+    f32::MAX,
+    f32::MIN_POSITIVE,
+    1e-45,
+    0.0,
+    88.0,
+    -100.0,
+];
+
+/// A device of its own with bands around every buffer.
+fn guarded() -> &'static Context {
+    static CONTEXT: OnceLock<Context> = OnceLock::new();
+    CONTEXT.get_or_init(|| {
+        Context::new(&ContextOptions { guard_bands: true, ..options() }).expect("a device with guards")
+    })
+}
+
+/// The first of [`start`] as they are, the rest with some parameters replaced; some at one place.
+fn spoilt(seed: u64, sound: usize) -> Gaussians {
+    let mut scene = start();
+    let mut random = Random::new(seed);
+    for i in sound..scene.len() {
+        // How much of it: one parameter, or all.
+        let often = [60, 3, 1][random.below(3) as usize];
+        let mut spoil = |value: &mut f32| {
+            if random.below(often) == 0 {
+                *value = EXTREMES[random.below(EXTREMES.len() as u32) as usize];
+            }
+        };
+        scene.means[i].iter_mut().for_each(&mut spoil);
+        scene.quats[i].iter_mut().for_each(&mut spoil);
+        scene.log_scales[i].iter_mut().for_each(&mut spoil);
+        spoil(&mut scene.opacity_logits[i]);
+        scene.sh[i * 9..(i + 1) * 9].iter_mut().flatten().for_each(&mut spoil);
+        match random.below(4) {
+            0 => scene.quats[i] = [0.0; 4],
+            1 => scene.means[i] = scene.means[0],
+            _ => {}
+        }
+    }
+    scene
+}
+
+fn is_finite(scene: &Gaussians, i: usize) -> bool {
+    let sh = scene.sh_of(i).iter().flatten();
+    let geometry = scene.means[i].iter().chain(&scene.quats[i]).chain(&scene.log_scales[i]);
+    geometry.chain([&scene.opacity_logits[i]]).chain(sh).all(|x| x.is_finite())
+}
+
+fn check(seed: u64, sound: usize) {
+    let context = guarded();
+    let scene = spoilt(seed, sound);
+    let mut renderer = Renderer::new(context).expect("a renderer");
+    renderer.upload(&scene).expect("upload");
+    let settings = RenderSettings { inverse_depth: true, ..RenderSettings::default() };
+    for antialias in [false, true] {
+        let settings = RenderSettings { antialias, ..settings };
+        let frame = renderer.render(&camera(&small_view([70, 50])), &settings).expect("a frame");
+        let nan = frame.color.iter().flatten().chain(&frame.transmittance).filter(|x| x.is_nan()).count();
+        assert_eq!(nan, 0, "seed {seed}: NaN in the picture");
+    }
+    assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new(), "seed {seed}");
+    let settings = TrainSettings {
+        sh_degree: 2,
+        sh_degree_interval: 1,
+        densify_from_iter: 1,
+        densification_interval: 3,
+        densify_grad_threshold: 1.0,
+        min_opacity: 0.0,
+        ..TrainSettings::default()
+    };
+    let mut trainer = Trainer::new(context, views(2, 50), &scene, 5.0, settings).expect("a trainer");
+    for _ in 0..2 {
+        trainer.step().expect("a step");
+    }
+    assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new(), "seed {seed}");
+    let after = trainer.gaussians().expect("Gaussians");
+    for i in 0..after.len() {
+        assert!(!is_finite(&scene, i) || is_finite(&after, i), "seed {seed}: Gaussian {i} was sound");
+    }
+    // Densification, too.
+    for _ in 0..3 {
+        trainer.step().expect("a step");
+    }
+    assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new(), "seed {seed}");
+    assert_silent(context);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 6, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn extremes_neither_hang_nor_spread(seed in any::<u64>(), sound in 0..150_usize) {
+        check(seed, sound);
+    }
+}
+
+/// The bands would show a write outside: here one of the host's.
+#[test]
+fn extremes_would_be_seen_by_the_guards() {
+    use ashsplat::vk::MemoryKind;
+    let context = Context::new(&ContextOptions { guard_bands: true, ..options() }).expect("a device");
+    let requests = [("first", 100), ("second", 5000)];
+    let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
+    for buffer in &buffers {
+        context.upload(buffer, &vec![1; buffer.bytes() as usize]).expect("written");
+    }
+    assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new());
+    context.breach_guard(&buffers[1]).expect("written");
+    assert_eq!(context.breached_guards().expect("read"), ["second"]);
+}

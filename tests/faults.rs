@@ -1,0 +1,264 @@
+//! Every Vulkan call that may fail does so once in its turn: a typed error each time, no panic, nothing leaked, and what
+//! met with it works again or says that it does not.
+
+use std::time::Duration;
+
+use ashsplat::trainer::Trainer;
+use ashsplat::vk::{Context, ContextOptions, Fault, Faults};
+use ashsplat::{Error, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
+
+use crate::checkpoints::{start, views};
+use crate::common::engine::camera;
+use crate::common::options;
+use crate::common::scenes::small_view;
+
+/// Of the calls of a long list, each so many-th fails; `ASHSPLAT_ALL_FAULTS=1` lets each of them.
+const STRIDE: u64 = 11;
+
+fn stride(usual: u64) -> usize {
+    if std::env::var_os("ASHSPLAT_ALL_FAULTS").is_some() { 1 } else { usual as usize }
+}
+
+/// A device whose calls can be made to fail. Transfers are staged, so that there are more of them.
+fn device() -> (Context, Faults) {
+    let faults = Faults::new();
+    let timeout = Some(Duration::from_secs(5));
+    let own = ContextOptions { faults: Some(faults.clone()), force_staging: true, timeout, ..options() };
+    (Context::new(&own).expect("a device"), faults)
+}
+
+/// Nothing is allocated any more, and the validation layer has nothing to say, of leaks neither.
+fn close(context: Context) {
+    // A submission that timed out is waited for by a thread.
+    for _ in 0..500 {
+        if context.memory().iter().all(|arena| arena.bytes == 0) {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert_nothing_allocated(&context);
+    std::thread::sleep(Duration::from_millis(50));
+    let messages = context.close().expect("the last holder");
+    assert!(messages.is_empty(), "validation messages:\n{}", messages.join("\n"));
+}
+
+fn assert_nothing_allocated(context: &Context) {
+    for arena in context.memory() {
+        assert_eq!(arena.bytes, 0, "arena {} leaks", arena.name);
+    }
+}
+
+/// A picture, by way of a frame that has to grow.
+fn render(context: &Context) -> Result<Vec<[f32; 3]>> {
+    let mut renderer = Renderer::new(context)?;
+    renderer.upload(&start())?;
+    picture(&mut renderer)
+}
+
+fn picture(renderer: &mut Renderer) -> Result<Vec<[f32; 3]>> {
+    renderer.set_instance_capacity(3);
+    Ok(renderer.render(&camera(&small_view([40, 30])), &RenderSettings::default())?.color)
+}
+
+/// Densifies after the second iteration, resets opacities after the third.
+fn settings() -> TrainSettings {
+    TrainSettings {
+        iterations: 100,
+        densify_from_iter: 1,
+        densification_interval: 2,
+        densify_until_iter: 4,
+        opacity_reset_interval: 3,
+        densify_grad_threshold: 1e-6,
+        ..TrainSettings::default()
+    }
+}
+
+const STEPS: u32 = 4;
+
+fn trainer(context: &Context) -> Result<Trainer> {
+    Trainer::new(context, views(2, 5), &start(), 5.0, settings())
+}
+
+fn train(context: &Context) -> Result<Gaussians> {
+    let mut trainer = trainer(context)?;
+    for _ in 0..STEPS {
+        trainer.step()?;
+    }
+    trainer.gaussians()
+}
+
+fn is_of(fault: Fault, error: &Error) -> bool {
+    let text = error.to_string();
+    assert!(
+        !text.contains('\n') && text.contains("failed") || matches!(error, Error::Timeout { .. }),
+        "{text}"
+    );
+    match fault {
+        Fault::Allocation => text.contains("OUT_OF_DEVICE_MEMORY") && text.contains("of arena"),
+        Fault::Object => text.contains("OUT_OF_HOST_MEMORY"),
+        Fault::SubmitLost | Fault::WaitLost => matches!(error, Error::DeviceLost { .. }),
+        Fault::Timeout => matches!(error, Error::Timeout { .. }),
+    }
+}
+
+/// What came of the calls of a run, one failing after the other.
+#[derive(Debug, Default)]
+struct Matrix {
+    calls: u64,
+    injected: u64,
+    refused: u64,
+    survived: u64,
+}
+
+/// Each failing call on the same device: what failed is dropped, and the next run works as if nothing had been.
+fn check_again_and_again<T: PartialEq>(
+    name: &str,
+    fault: Fault,
+    stride: usize,
+    run: fn(&Context) -> Result<T>,
+) {
+    let (context, faults) = device();
+    let whole = run(&context).expect("no fault yet");
+    faults.disarm();
+    run(&context).expect("no fault yet");
+    let mut matrix = Matrix { calls: faults.calls(fault), ..Matrix::default() };
+    assert!(matrix.calls > 2, "{matrix:?}");
+    for index in (0..matrix.calls).step_by(stride) {
+        faults.arm(fault, index);
+        match run(&context) {
+            Ok(result) => {
+                assert!(result == whole, "{name}: a wrong result after {fault:?} {index}");
+                matrix.survived += 1;
+            }
+            Err(error) => {
+                assert!(is_of(fault, &error), "{name}, {fault:?} {index}: {error}");
+                matrix.refused += 1;
+            }
+        }
+        matrix.injected += 1;
+        assert_eq!(faults.injected(), matrix.injected, "{name}: {fault:?} {index} was not reached");
+        assert_nothing_allocated(&context);
+        assert!(!context.is_lost());
+    }
+    faults.disarm();
+    assert!(run(&context).expect("works again") == whole, "{name}: another result afterwards");
+    eprintln!("{name}, {fault:?}: {matrix:?}");
+    close(context);
+}
+
+#[test]
+fn faults_of_allocations() {
+    check_again_and_again("render", Fault::Allocation, 1, render);
+    check_again_and_again("train", Fault::Allocation, stride(3), train);
+}
+
+#[test]
+fn faults_of_other_objects() {
+    check_again_and_again("render", Fault::Object, stride(STRIDE), render);
+    check_again_and_again("train", Fault::Object, stride(3 * STRIDE), train);
+}
+
+/// A lost device stays lost: everything that is left says so, and all of it can be dropped.
+fn check_lost<T>(name: &str, fault: Fault, stride: usize, run: fn(&Context) -> Result<T>) {
+    let (context, faults) = device();
+    run(&context).map(drop).expect("no fault yet");
+    let mut matrix = Matrix { calls: faults.calls(fault), ..Matrix::default() };
+    close(context);
+    for index in (0..matrix.calls).step_by(stride) {
+        let (context, faults) = device();
+        faults.arm(fault, index);
+        let error = run(&context).map(drop).expect_err("lost");
+        assert!(is_of(fault, &error), "{name}, {fault:?} {index}: {error}");
+        assert!(context.is_lost());
+        let error = run(&context).map(drop).expect_err("lost for good");
+        assert!(matches!(error, Error::DeviceLost { .. }), "{error}");
+        matrix.refused += 1;
+        close(context);
+    }
+    matrix.injected = matrix.refused;
+    eprintln!("{name}, {fault:?}: {matrix:?}");
+}
+
+#[test]
+fn faults_of_lost_devices() {
+    check_lost("render", Fault::SubmitLost, stride(2), render);
+    check_lost("render", Fault::WaitLost, stride(3), render);
+    check_lost("train", Fault::SubmitLost, stride(7), train);
+    check_lost("train", Fault::WaitLost, stride(9), train);
+}
+
+/// What is tried again until it succeeds; the number of failures.
+fn insist<T>(mut attempt: impl FnMut() -> Result<T>) -> (T, u32) {
+    for failures in 0..1000 {
+        if let Ok(result) = attempt() {
+            return (result, failures);
+        }
+        // The thread that waits for what timed out may need a moment.
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    panic!("does not work again")
+}
+
+/// The renderer and the trainer that met with the failure go on, with the same bits as without it.
+#[test]
+fn faults_leave_renderer_and_trainer_usable() {
+    let (context, faults) = device();
+    let mut renderer = Renderer::new(&context).expect("a renderer");
+    renderer.upload(&start()).expect("upload");
+    faults.disarm();
+    let whole = picture(&mut renderer).expect("no fault yet");
+    for fault in [Fault::Allocation, Fault::Object, Fault::Timeout] {
+        renderer.set_instance_capacity(3);
+        faults.disarm();
+        picture(&mut renderer).expect("no fault yet");
+        for index in 0..faults.calls(fault) {
+            faults.arm(fault, index);
+            let (color, failures) = insist(|| picture(&mut renderer));
+            assert!(color == whole, "{fault:?} {index}: another picture");
+            assert!(failures > 0 || fault != Fault::Timeout, "{fault:?} {index} went unnoticed");
+        }
+    }
+    drop(renderer);
+    let whole = train(&context).expect("no fault");
+    for fault in [Fault::Allocation, Fault::Object] {
+        let mut first = trainer(&context).expect("a trainer");
+        faults.disarm();
+        insist(|| if first.step()?.iteration == STEPS { Ok(()) } else { Err(Error::Interrupted) });
+        let calls = faults.calls(fault);
+        drop(first);
+        for index in (0..calls).step_by(stride(5)) {
+            faults.disarm();
+            let mut trainer = trainer(&context).expect("a trainer");
+            faults.arm(fault, index);
+            insist(|| if trainer.step()?.iteration == STEPS { Ok(()) } else { Err(Error::Interrupted) });
+            assert!(trainer.gaussians().expect("there") == whole, "{fault:?} {index}: other bits");
+        }
+    }
+    faults.disarm();
+    close(context);
+}
+
+/// A step that timed out may or may not have moved the Gaussians: the trainer says so, and the device goes on.
+#[test]
+fn faults_of_timeouts_in_training() {
+    let (context, faults) = device();
+    let whole = train(&context).expect("no fault");
+    let calls = faults.calls(Fault::Timeout);
+    for index in (0..calls).step_by(stride(9)) {
+        faults.disarm();
+        let Ok(mut trainer) = ({
+            faults.arm(Fault::Timeout, index);
+            trainer(&context)
+        }) else {
+            continue;
+        };
+        let failed = (0..STEPS).find_map(|_| trainer.step().err());
+        let Some(error) = failed else { continue };
+        assert!(is_of(Fault::Timeout, &error), "{error}");
+        let error = trainer.step().expect_err("unknown state").to_string();
+        assert!(error.contains("checkpoint"), "{error}");
+    }
+    faults.disarm();
+    assert!(insist(|| train(&context)).0 == whole, "other bits");
+    close(context);
+}

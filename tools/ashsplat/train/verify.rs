@@ -1,0 +1,59 @@
+//! `ashsplat train --verify-determinism N`.
+
+use super::Prepared;
+use crate::config::Settings;
+use ashsplat::io::Dataset;
+use ashsplat::scene::Gaussians;
+use ashsplat::trainer::Trainer;
+use ashsplat::trainer::verify::{Verdict, verify_determinism};
+use ashsplat::vk::Context;
+use ashsplat::{Error, Result};
+
+/// Trains twice for some iterations without writing anything; an error where the two differ.
+pub fn run(
+    context: &Context,
+    dataset: Dataset,
+    settings: &Settings,
+    iterations: u32,
+    quiet: bool,
+) -> Result<()> {
+    let points = dataset.initial_points(u64::from(settings.train.seed));
+    let initial = Gaussians::from_points(&points, settings.train.sh_degree)?;
+    let data = Prepared::new(dataset);
+    let new = |context: &Context| {
+        Trainer::new(context, data.train.clone(), &initial, data.scene_extent, settings.train.clone())
+    };
+    let iterations = iterations.min(settings.train.iterations);
+    let mut last = 0;
+    let report = |run: u32, iteration: u32, hash: u64| {
+        last = hash;
+        if !quiet {
+            tell!("run {} iteration {iteration}: {hash:016x}", run + 1);
+        }
+    };
+    match verify_determinism(|| Ok(context.clone()), new, iterations, report)? {
+        Verdict::Same => {
+            let device = context.device_name();
+            say!(
+                "{iterations} iterations twice on {device}: the same bits after each; hash of the last {last:016x}"
+            );
+            Ok(())
+        }
+        Verdict::Differs { iteration, first } => {
+            let place = match first {
+                Some(first) => format!(
+                    "the first other output is of kernel {} (command {} of '{}', iteration {}): buffer '{}'",
+                    first.record.kernel,
+                    first.record.command,
+                    first.record.submission,
+                    first.iteration,
+                    first.record.buffer
+                ),
+                None => "command by command they do not: commands race with each other, or the device errs at times"
+                    .into(),
+            };
+            let problem = format!("two runs differ after iteration {iteration}; {place}");
+            Err(Error::argument(format!("device '{}'", context.device_name()), problem))
+        }
+    }
+}
