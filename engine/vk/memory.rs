@@ -1,14 +1,16 @@
 //! Device memory: requests are packed into blocks, one VkBuffer and one allocation each.
 
+use super::budget::MAX_MEMORY;
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
+use super::guards::GUARD_BYTES;
 use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
 use std::collections::BTreeMap;
 use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Where memory lives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,16 +62,6 @@ pub fn pack(sizes: &[u64], largest_block: u64) -> Result<Packing, usize> {
     }
     Ok(packing)
 }
-
-/// Bytes in front of and behind each buffer that nobody may write; a multiple of the alignment of buffers.
-const GUARD_BYTES: u64 = PLACEMENT_ALIGNMENT;
-/// What stands in them.
-const GUARD_PATTERN: u8 = 0xA5;
-/// A block, and a buffer's offset, size and name in it.
-pub(super) type Guarded = (Weak<Block>, u64, u64, &'static str);
-
-/// The name of [`super::ContextOptions::max_memory`] to users.
-const MAX_MEMORY: &str = "--max-memory";
 
 /// Memory of one arena.
 #[derive(Clone, Debug, PartialEq)]
@@ -368,49 +360,6 @@ impl Context {
         Ok(buffers)
     }
 
-    /// Fills the bands around buffers with their pattern.
-    fn raise_guards(&self, buffers: &[Buffer]) -> Result<()> {
-        for buffer in buffers {
-            for band in buffer.guards(GUARD_BYTES) {
-                self.upload(&band, &[GUARD_PATTERN; GUARD_BYTES as usize])?;
-            }
-        }
-        let mut guarded = self.0.guarded.lock().unwrap_or_else(PoisonError::into_inner);
-        guarded.retain(|(block, ..)| block.strong_count() > 0);
-        let places =
-            buffers.iter().map(|b| (Arc::downgrade(b.block()), b.offset(), b.bytes(), b.static_name()));
-        guarded.extend(places);
-        Ok(())
-    }
-
-    /// For tests of the guards: writes right behind a buffer.
-    ///
-    /// # Errors
-    /// When the band cannot be written.
-    pub fn breach_guard(&self, buffer: &Buffer) -> Result<()> {
-        let [_, behind] = buffer.guards(if self.0.guard_bands { GUARD_BYTES } else { 0 });
-        self.upload(&behind, &vec![0; behind.bytes().min(4) as usize])
-    }
-
-    /// The names of living buffers outside of which something was written; see
-    /// [`super::ContextOptions::guard_bands`].
-    ///
-    /// # Errors
-    /// When a band cannot be read.
-    pub fn breached_guards(&self) -> Result<Vec<&'static str>> {
-        let guarded = self.0.guarded.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let mut breached = Vec::new();
-        for (block, offset, bytes, name) in guarded {
-            let Some(block) = block.upgrade() else { continue };
-            for band in Buffer::new(block, offset, bytes, name).guards(GUARD_BYTES) {
-                if self.download(&band)?.iter().any(|&byte| byte != GUARD_PATTERN) {
-                    breached.push(name);
-                }
-            }
-        }
-        Ok(breached)
-    }
-
     /// What is allocated in each arena, and the most that ever was.
     pub fn memory(&self) -> Vec<ArenaMemory> {
         self.0.registry.all()
@@ -419,28 +368,5 @@ impl Context {
     /// What is allocated in all arenas together, and the most that ever was at a time.
     pub fn memory_total(&self) -> ArenaMemory {
         self.0.registry.total()
-    }
-
-    /// How many bytes may be allocated at a time, all arenas together, and the limit's name: the least of
-    /// [`super::ContextOptions::max_memory`], of what the driver would give now (VK_EXT_memory_budget) and of a GPU's
-    /// largest device-local heap. None: not known.
-    pub fn memory_limit(&self) -> Option<(u64, &'static str)> {
-        let heap = (!self.limits().is_cpu).then_some((self.limits().heap_bytes, "device-local heap"));
-        let asked = self.0.max_memory.map(|bytes| (bytes, MAX_MEMORY));
-        let driver = self.driver_budget().map(|bytes| (bytes, "VK_EXT_memory_budget"));
-        [asked, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)
-    }
-
-    /// What the driver would let this process have of the largest device-local heap, with what it has already.
-    fn driver_budget(&self) -> Option<u64> {
-        let physical = self.0.budget?;
-        let mut budget = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
-        let mut properties = vk::PhysicalDeviceMemoryProperties2::default().push_next(&mut budget);
-        // SAFETY: a query on a physical device of this instance, which has the extension.
-        unsafe { self.0.instance.raw.get_physical_device_memory_properties2(physical, &mut properties) }
-        let heaps = self.0.memory.memory_heaps_as_slice().iter().enumerate();
-        let local = heaps.filter(|(_, heap)| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
-        let (largest, _) = local.max_by_key(|(_, heap)| heap.size)?;
-        Some(budget.heap_budget[largest])
     }
 }

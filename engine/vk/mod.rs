@@ -10,6 +10,7 @@
 //! | `hazard` | finds missing barriers while recording |
 //! | `submit` | [`Context::submit`], [`Pending`], [`RunReport`] |
 //! | `transfer` | [`Context::upload`], [`Context::download`] |
+//! | `budget`, `guards` | how much memory there may be; bands around buffers, for tests |
 //! | `audit` | [`Context::audit`]: what every command wrote, as a hash |
 //! | `faults` | for tests: calls that fail on demand |
 //! | `profiler`, `debug` | time of each scope; names, labels and validation messages |
@@ -38,12 +39,14 @@
 #![allow(unsafe_code)]
 
 mod audit;
+mod budget;
 mod buffer;
 mod clock;
 mod context;
 mod debug;
 mod device;
 mod faults;
+mod guards;
 pub mod hazard;
 mod instance;
 mod kernel;

@@ -3,6 +3,7 @@
 mod checkpoints;
 mod folder;
 mod log;
+mod prepared;
 mod verify;
 
 use crate::args::DeviceArguments;
@@ -13,13 +14,14 @@ use crate::model;
 use crate::progress::{State, TrainProgress, thousands};
 use crate::{output, render, session};
 use ashsplat::io::{self, Dataset, View};
-use ashsplat::scene::{Camera, Gaussians};
-use ashsplat::trainer::{StepReport, TrainView, Trainer};
+use ashsplat::scene::Gaussians;
+use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use checkpoints::Start;
 use clap::Args;
 use log::TrainLog;
+use prepared::Prepared;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -53,8 +55,6 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// Views of the training set that stand in for a test set where none is held out.
-const STAND_IN_VIEWS: usize = 5;
 /// After so many iterations the cost is taken once, for comparison with other trainers.
 const FIRST_ITERATIONS: u32 = 100;
 const LOG_FILE: &str = "train_log.csv";
@@ -376,34 +376,6 @@ impl Run {
     }
 }
 
-/// A data set taken apart.
-struct Prepared {
-    /// Held-out ones first.
-    cameras: Vec<(String, Camera)>,
-    train: Vec<TrainView>,
-    test: Vec<View>,
-    held_out: bool,
-    scene_extent: f32,
-}
-
-impl Prepared {
-    fn new(dataset: Dataset) -> Prepared {
-        let Dataset { train, test, scene_extent, .. } = dataset;
-        let own = |view: &View| (view.name.clone(), view.original_camera);
-        let cameras = test.iter().chain(&train).map(own).collect();
-        let held_out = !test.is_empty();
-        let test = if held_out { test } else { sample(&train) };
-        let train = train.into_iter().map(|view| TrainView { camera: view.camera, photo: view.photo });
-        Prepared { cameras, train: train.collect(), test, held_out, scene_extent }
-    }
-}
-
-/// A few of the training views, evenly spread.
-fn sample(train: &[View]) -> Vec<View> {
-    let step = train.len().div_ceil(STAND_IN_VIEWS).max(1);
-    train.iter().step_by(step).cloned().collect()
-}
-
 /// A flag that Ctrl-C raises; a second Ctrl-C ends the program at once.
 fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
@@ -422,7 +394,7 @@ mod tests {
     use super::*;
     use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
     use ashsplat::io::Photo;
-    use ashsplat::scene::{Intrinsics, PointCloud};
+    use ashsplat::scene::{Camera, Intrinsics, PointCloud};
     use ashsplat::vk::ContextOptions;
     use glam::Vec3;
 

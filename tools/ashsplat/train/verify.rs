@@ -1,6 +1,6 @@
 //! `ashsplat train --verify-determinism N`.
 
-use super::Prepared;
+use super::prepared::Prepared;
 use crate::config::Settings;
 use ashsplat::io::Dataset;
 use ashsplat::scene::Gaussians;

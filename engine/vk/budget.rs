@@ -1,0 +1,32 @@
+//! How much memory there may be.
+
+use super::context::Context;
+use ash::vk;
+
+/// The name of [`super::ContextOptions::max_memory`] to users.
+pub(super) const MAX_MEMORY: &str = "--max-memory";
+
+impl Context {
+    /// How many bytes may be allocated at a time, all arenas together, and the limit's name: the least of
+    /// [`super::ContextOptions::max_memory`], of what the driver would give now (VK_EXT_memory_budget) and of a GPU's
+    /// largest device-local heap. None: not known.
+    pub fn memory_limit(&self) -> Option<(u64, &'static str)> {
+        let heap = (!self.limits().is_cpu).then_some((self.limits().heap_bytes, "device-local heap"));
+        let asked = self.0.max_memory.map(|bytes| (bytes, MAX_MEMORY));
+        let driver = self.driver_budget().map(|bytes| (bytes, "VK_EXT_memory_budget"));
+        [asked, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)
+    }
+
+    /// What the driver would let this process have of the largest device-local heap, with what it has already.
+    fn driver_budget(&self) -> Option<u64> {
+        let physical = self.0.budget?;
+        let mut budget = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
+        let mut properties = vk::PhysicalDeviceMemoryProperties2::default().push_next(&mut budget);
+        // SAFETY: a query on a physical device of this instance, which has the extension.
+        unsafe { self.0.instance.raw.get_physical_device_memory_properties2(physical, &mut properties) }
+        let heaps = self.0.memory.memory_heaps_as_slice().iter().enumerate();
+        let local = heaps.filter(|(_, heap)| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
+        let (largest, _) = local.max_by_key(|(_, heap)| heap.size)?;
+        Some(budget.heap_budget[largest])
+    }
+}

@@ -1,0 +1,59 @@
+//! For tests: bands around every buffer, which show what was written outside of it.
+
+use super::buffer::Buffer;
+use super::context::Context;
+use super::memory::{Block, PLACEMENT_ALIGNMENT};
+use crate::Result;
+use std::sync::{Arc, PoisonError, Weak};
+
+/// Bytes in front of and behind each buffer that nobody may write; a multiple of the alignment of buffers.
+pub(super) const GUARD_BYTES: u64 = PLACEMENT_ALIGNMENT;
+/// What stands in them.
+const GUARD_PATTERN: u8 = 0xA5;
+/// A block, and a buffer's offset, size and name in it.
+pub(super) type Guarded = (Weak<Block>, u64, u64, &'static str);
+
+impl Context {
+    /// Fills the bands around buffers with their pattern.
+    pub(super) fn raise_guards(&self, buffers: &[Buffer]) -> Result<()> {
+        for buffer in buffers {
+            for band in buffer.guards(GUARD_BYTES) {
+                self.upload(&band, &[GUARD_PATTERN; GUARD_BYTES as usize])?;
+            }
+        }
+        let mut guarded = self.0.guarded.lock().unwrap_or_else(PoisonError::into_inner);
+        guarded.retain(|(block, ..)| block.strong_count() > 0);
+        let places =
+            buffers.iter().map(|b| (Arc::downgrade(b.block()), b.offset(), b.bytes(), b.static_name()));
+        guarded.extend(places);
+        Ok(())
+    }
+
+    /// For tests of the guards: writes right behind a buffer.
+    ///
+    /// # Errors
+    /// When the band cannot be written.
+    pub fn breach_guard(&self, buffer: &Buffer) -> Result<()> {
+        let [_, behind] = buffer.guards(if self.0.guard_bands { GUARD_BYTES } else { 0 });
+        self.upload(&behind, &vec![0; behind.bytes().min(4) as usize])
+    }
+
+    /// The names of living buffers outside of which something was written; see
+    /// [`super::ContextOptions::guard_bands`].
+    ///
+    /// # Errors
+    /// When a band cannot be read.
+    pub fn breached_guards(&self) -> Result<Vec<&'static str>> {
+        let guarded = self.0.guarded.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let mut breached = Vec::new();
+        for (block, offset, bytes, name) in guarded {
+            let Some(block) = block.upgrade() else { continue };
+            for band in Buffer::new(block, offset, bytes, name).guards(GUARD_BYTES) {
+                if self.download(&band)?.iter().any(|&byte| byte != GUARD_PATTERN) {
+                    breached.push(name);
+                }
+            }
+        }
+        Ok(breached)
+    }
+}

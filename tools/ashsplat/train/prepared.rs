@@ -1,0 +1,36 @@
+//! A data set as a run uses it.
+
+use ashsplat::io::{Dataset, View};
+use ashsplat::scene::Camera;
+use ashsplat::trainer::TrainView;
+
+/// Views of the training set that stand in for a test set where none is held out.
+const STAND_IN_VIEWS: usize = 5;
+
+/// A data set taken apart.
+pub struct Prepared {
+    /// Held-out ones first.
+    pub cameras: Vec<(String, Camera)>,
+    pub train: Vec<TrainView>,
+    pub test: Vec<View>,
+    pub held_out: bool,
+    pub scene_extent: f32,
+}
+
+impl Prepared {
+    pub fn new(dataset: Dataset) -> Prepared {
+        let Dataset { train, test, scene_extent, .. } = dataset;
+        let own = |view: &View| (view.name.clone(), view.original_camera);
+        let cameras = test.iter().chain(&train).map(own).collect();
+        let held_out = !test.is_empty();
+        let test = if held_out { test } else { sample(&train) };
+        let train = train.into_iter().map(|view| TrainView { camera: view.camera, photo: view.photo });
+        Prepared { cameras, train: train.collect(), test, held_out, scene_extent }
+    }
+}
+
+/// A few of the training views, evenly spread.
+fn sample(train: &[View]) -> Vec<View> {
+    let step = train.len().div_ceil(STAND_IN_VIEWS).max(1);
+    train.iter().step_by(step).cloned().collect()
+}
