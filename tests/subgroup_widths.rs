@@ -3,11 +3,15 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use ashsplat::RenderSettings;
+
 use crate::common::context;
+use crate::common::engine::{camera, gaussians, renderer};
+use crate::common::scenes::{Random, mixed_scene, small_view};
 
 /// What the child processes run: sort and scan (integers, equal to the twins to the bit), blending, its backward, the
 /// projection's backward (floats, within the tolerances), the loss, and whole frames with gradients.
-const SELECTION: [&str; 9] = [
+const SELECTION: [&str; 10] = [
     "subgroup_size_is_the_one_asked_for",
     "kernels::scan_apply::scan_apply_equals_its_twin",
     "kernels::scan_spine",
@@ -17,10 +21,13 @@ const SELECTION: [&str; 9] = [
     "kernels::blend_backward::blend_backward_equals_its_twin_on_images_of_all_sizes",
     "kernels::project_backward::project_backward_equals_its_twin_in_every_mode",
     "hard_cases::hard_case_images_of_odd_sizes",
+    "subgroup_width_picture_in_a_child",
 ];
 
 /// Set in the child processes.
 const EXPECTED: &str = "ASHSPLAT_EXPECTED_SUBGROUP_SIZE";
+/// Where a child process leaves its picture.
+const PICTURE: &str = "ASHSPLAT_PICTURE";
 
 /// The driver's shader cache ignores the width, so each width has a folder of its own.
 fn run_with_width(bits: u32, cache: &Path) {
@@ -31,6 +38,7 @@ fn run_with_width(bits: u32, cache: &Path) {
         .env("LP_NATIVE_VECTOR_WIDTH", bits.to_string())
         .env("MESA_SHADER_CACHE_DIR", cache)
         .env(EXPECTED, (bits / 32).to_string())
+        .env(PICTURE, cache.join("picture"))
         .stdin(Stdio::null())
         .output()
         .expect("the test binary runs");
@@ -47,6 +55,42 @@ fn check_width(bits: u32) {
     }
     let cache = tempfile::tempdir().expect("a folder for the shader cache");
     run_with_width(bits, cache.path());
+    let bytes = std::fs::read(cache.path().join("picture")).expect("the child's picture");
+    compare(bits / 32, &bytemuck::pod_collect_to_vec(&bytes));
+}
+
+/// A scene of 3000 Gaussians with SH of degree 3.
+fn picture() -> Vec<f32> {
+    let scene = gaussians(&mixed_scene(&mut Random::new(91), 3000, 16));
+    let mut renderer = renderer();
+    renderer.upload(&scene).expect("upload");
+    let frame = renderer.render(&camera(&small_view([320, 200])), &RenderSettings::default());
+    frame.expect("a picture").color.into_flattened()
+}
+
+/// Across widths equal bits are not promised: the driver's code differs. This is how much.
+fn compare(lanes: u32, other: &[f32]) {
+    let own = picture();
+    assert_eq!(own.len(), other.len());
+    let differences: Vec<f32> = own.iter().zip(other).map(|(a, b)| (a - b).abs()).collect();
+    let differing = differences.iter().filter(|d| **d > 0.0).count() as f64 / own.len() as f64;
+    let largest = differences.iter().copied().fold(0.0, f32::max);
+    let mean = differences.iter().map(|&d| f64::from(d)).sum::<f64>() / own.len() as f64;
+    let here = context().limits().subgroup_size;
+    eprintln!(
+        "{lanes} lanes against {here}: {:.3} % differ, mean {mean:.2e}, most {largest:.2e}",
+        100.0 * differing
+    );
+    // A decision that hangs on rounding may fall the other way at a pixel: a Gaussian of alpha 1/255 more or less.
+    assert!(mean < 1e-6 && largest < 1.0 / 128.0, "{lanes} lanes: mean {mean:e}, most {largest:e}");
+}
+
+/// In a child process: the picture for the parent.
+#[test]
+fn subgroup_width_picture_in_a_child() {
+    if let Some(path) = std::env::var_os(PICTURE) {
+        std::fs::write(path, bytemuck::cast_slice::<f32, u8>(&picture())).expect("written");
+    }
 }
 
 #[test]

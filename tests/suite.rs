@@ -20,6 +20,7 @@ mod profile;
 mod properties;
 mod reference;
 mod scan;
+mod soak;
 mod sort;
 mod subgroup_widths;
 mod training;

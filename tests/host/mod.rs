@@ -11,5 +11,6 @@ mod files;
 mod images;
 mod init;
 mod metrics;
+mod mutations;
 mod ply;
 mod sh;

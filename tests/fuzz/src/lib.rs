@@ -1,0 +1,25 @@
+//! The readers alone: the modules that know no Vulkan, compiled from their own place, and inputs as files for them.
+
+// A part of the crate is here, and not all of that part is used.
+#![allow(dead_code, rustdoc::broken_intra_doc_links)]
+
+#[path = "../../../engine/error.rs"]
+pub mod error;
+#[path = "../../../engine/io/mod.rs"]
+pub mod io;
+#[path = "../../../engine/metrics.rs"]
+pub mod metrics;
+#[path = "../../../engine/scene/mod.rs"]
+pub mod scene;
+
+pub use error::{Error, Result};
+use std::path::PathBuf;
+
+/// A folder in memory, where there is such a thing, for this process' files.
+pub fn folder(name: &str) -> PathBuf {
+    let memory = PathBuf::from("/dev/shm");
+    let base = if memory.is_dir() { memory } else { std::env::temp_dir() };
+    let folder = base.join(format!("ashsplat-fuzz-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder for the inputs");
+    folder
+}

@@ -1,0 +1,88 @@
+//! Many small steps and frames: neither memory nor results drift. Not part of CI:
+//! `cargo test --release --test suite -- --ignored soak --nocapture`.
+
+use std::time::Instant;
+
+use ashsplat::trainer::Trainer;
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{RenderSettings, Renderer, TrainSettings};
+
+use crate::checkpoints::{start, views};
+use crate::common::engine::camera;
+use crate::common::scenes::small_view;
+
+/// The validation layer keeps records of its own: it would hide what grows.
+fn context() -> Context {
+    Context::new(&ContextOptions::default()).expect("a device")
+}
+
+/// Resident memory of the process, KiB; 0 where the system does not tell.
+fn resident_kib() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    line.and_then(|rest| rest.split_whitespace().next()?.parse().ok()).unwrap_or(0)
+}
+
+fn number(name: &str, usual: u32) -> u32 {
+    std::env::var(name).ok().and_then(|n| n.parse().ok()).unwrap_or(usual)
+}
+
+/// Opacity resets go on all the way, densification ends early: after that, nothing should grow.
+#[test]
+#[ignore = "takes minutes"]
+fn soak_training() {
+    let steps = number("ASHSPLAT_SOAK_STEPS", 20_000);
+    let settings = TrainSettings {
+        iterations: steps + 1,
+        densify_from_iter: 50,
+        densify_until_iter: steps / 20,
+        densify_grad_threshold: 1e-5,
+        sh_degree_interval: 100,
+        ..TrainSettings::default()
+    };
+    let context = context();
+    let mut trainer = Trainer::new(&context, views(5, 90), &start(), 5.0, settings).expect("a trainer");
+    let (begin, mut settled) = (Instant::now(), (0, 0));
+    for step in 1..=steps {
+        let report = trainer.step().expect("a step");
+        assert!(report.loss.is_finite() && report.skipped_non_finite == 0, "{report:?}");
+        if step == steps / 10 {
+            settled = (context.memory_total().bytes, resident_kib());
+        }
+        if step % (steps / 10) == 0 {
+            eprintln!(
+                "{step} steps, {:.0} s: loss {:.5}, {} Gaussians, {} KiB of device memory, {} KiB resident",
+                begin.elapsed().as_secs_f64(),
+                report.loss,
+                report.gaussians,
+                context.memory_total().bytes >> 10,
+                resident_kib()
+            );
+        }
+    }
+    assert_eq!(context.memory_total().bytes, settled.0, "device memory grows");
+    assert!(resident_kib() < settled.1 + 16_384, "memory grows from {} to {} KiB", settled.1, resident_kib());
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn soak_rendering() {
+    let frames = number("ASHSPLAT_SOAK_FRAMES", 5000);
+    let context = context();
+    let mut renderer = Renderer::new(&context).expect("a renderer");
+    renderer.upload(&start()).expect("upload");
+    let sizes = [[70, 50], [33, 90], [128, 8]];
+    let mut render = |size: [u32; 2]| {
+        let frame = renderer.render(&camera(&small_view(size)), &RenderSettings::default());
+        frame.expect("a frame").color
+    };
+    let first = sizes.map(&mut render);
+    let settled = (context.memory_total().bytes, resident_kib());
+    for frame in 0..frames as usize {
+        let which = frame % sizes.len();
+        assert!(render(sizes[which]) == first[which], "frame {frame} differs from the first of its size");
+    }
+    eprintln!("{frames} frames: {} KiB resident at first, {} at the end", settled.1, resident_kib());
+    assert_eq!(context.memory_total().bytes, settled.0, "device memory grows");
+    assert!(resident_kib() < settled.1 + 16_384, "memory grows from {} to {} KiB", settled.1, resident_kib());
+}
