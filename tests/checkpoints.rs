@@ -125,7 +125,7 @@ fn checkpoints_of_something_else_are_refused() {
 
 fn refuse_file(path: &Path, bytes: &[u8], words: &[&str]) {
     std::fs::write(path, bytes).expect("written");
-    let message = Checkpoint::read(path).err().expect("refused").to_string();
+    let message = Checkpoint::read(path).expect_err("refused").to_string();
     for word in words.iter().chain(&[path.to_str().expect("UTF-8")]) {
         assert!(message.contains(word), "no '{word}' in {message}");
     }

@@ -196,8 +196,8 @@ impl Commands {
     /// Whatever happens, nothing runs any more afterwards.
     fn settle(&mut self) {
         if self.wait(None).is_err() && self.submitted {
-            // SAFETY: the lock keeps others from submitting meanwhile. When this fails, the device is lost.
             let _queue = self.inner.queue.lock().unwrap_or_else(PoisonError::into_inner);
+            // SAFETY: the lock keeps others from submitting meanwhile. When this fails, the device is lost.
             let _ = unsafe { self.inner.device.device_wait_idle() };
             self.submitted = false;
         }

@@ -94,7 +94,7 @@ fn damaged_safetensors_are_refused() {
     let bytes = [&(header.len() as u64).to_le_bytes(), header.as_slice(), &[0; 12]].concat();
     std::fs::write(&path, bytes).expect("written");
     mutate(&path, 20, 400, |path| {
-        let message = Checkpoint::read(path).err().expect("no checkpoint").to_string();
+        let message = Checkpoint::read(path).expect_err("no checkpoint").to_string();
         assert!(!message.contains('\n'), "{message}");
     });
 }
