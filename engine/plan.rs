@@ -111,6 +111,13 @@ impl Blocks {
     }
 }
 
+impl Blocks {
+    /// Elements of the smallest block over which there are dispatches.
+    fn smallest(&self) -> u32 {
+        self.stream.min(self.sort).min(self.scan)
+    }
+}
+
 /// A range of Gaussians whose parameter planes lie in one buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GaussianRange {
@@ -210,12 +217,15 @@ pub const fn tile_bits(tiles: u32) -> u32 {
 /// Bytes of the widest buffer per instance.
 const INSTANCE_BYTES: u64 = 16;
 
-/// A first guess at the instances of a frame, never more than a binding can hold; a frame that needs more says so and
+/// A first guess at the instances of a frame, never more than a binding or a grid can hold; a frame that needs more says so and
 /// is run again.
 pub fn initial_instances(limits: &Limits, gaussians: u32, width: u32, height: u32) -> u32 {
     let (columns, rows) = tile_grid(width, height);
     let guess = u64::from(gaussians) * 6 + u64::from(columns) * u64::from(rows) * 16;
-    let most = (limits.max_storage_buffer_range.min(limits.max_allocation_bytes) / INSTANCE_BYTES).max(1);
+    let axis = u64::from(limits.max_workgroups_per_axis);
+    let most = (limits.max_storage_buffer_range.min(limits.max_allocation_bytes) / INSTANCE_BYTES)
+        .min(axis * axis * u64::from(Blocks::new(limits).smallest()))
+        .max(1);
     guess.max(1 << 12).min(most).min(u64::from(u32::MAX)) as u32
 }
 
@@ -360,7 +370,7 @@ frame_requests! {
 /// # Errors
 /// [`Error::TooLarge`] with the number of workgroups.
 pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &Blocks) -> Result<()> {
-    let smallest = block.stream.min(block.sort).min(block.scan);
+    let smallest = block.smallest();
     let (columns, rows) = tile_grid(capacity.width, capacity.height);
     let axis = u64::from(limits.max_workgroups_per_axis);
     let elements = u64::from(capacity.gaussians.max(capacity.instances));

@@ -60,13 +60,13 @@ fn limits_that_are_lowered_change_no_bit_or_are_named() {
         (render(gpu.context).expect("a picture"), train(gpu.context).expect("Gaussians"));
     let none = LimitsOverride::default();
     let mut lowered = Vec::new();
-    for bytes in [1_000_000, 384_000, 61_440, 4096] {
-        lowered.push(LimitsOverride { max_storage_buffer_range: Some(bytes), ..none });
-        lowered.push(LimitsOverride { max_allocation_bytes: Some(bytes), ..none });
-    }
-    lowered.extend([100, 8, 2, 1].map(|n| LimitsOverride { max_workgroups_per_axis: Some(n), ..none }));
-    lowered.extend([128, 32, 8].map(|n| LimitsOverride { max_workgroup_invocations: Some(n), ..none }));
-    lowered.extend([16 << 10, 4 << 10, 64].map(|n| LimitsOverride { shared_memory_bytes: Some(n), ..none }));
+    lowered.extend(
+        [384_000, 61_440, 4096].map(|n| LimitsOverride { max_storage_buffer_range: Some(n), ..none }),
+    );
+    lowered.extend([384_000, 4096].map(|n| LimitsOverride { max_allocation_bytes: Some(n), ..none }));
+    lowered.extend([100, 8, 1].map(|n| LimitsOverride { max_workgroups_per_axis: Some(n), ..none }));
+    lowered.extend([128, 8].map(|n| LimitsOverride { max_workgroup_invocations: Some(n), ..none }));
+    lowered.extend([16 << 10, 64].map(|n| LimitsOverride { shared_memory_bytes: Some(n), ..none }));
     let (mut equal, mut refused) = (0, 0);
     for limits in lowered {
         let context = context(limits);
@@ -79,7 +79,7 @@ fn limits_that_are_lowered_change_no_bit_or_are_named() {
         eprintln!("{limits:?}: render, train: {results:?}");
         assert_silent(&context);
     }
-    assert!(equal >= 10 && refused >= 8, "{equal} equal, {refused} refused");
+    assert!(equal >= 7 && refused >= 7, "{equal} equal, {refused} refused");
 }
 
 /// 8K frames do not fit bindings of 128 MiB.
