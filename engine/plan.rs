@@ -17,6 +17,8 @@ const STREAM_WORKGROUP: u32 = 256;
 const SORT_SUBGROUPS: u32 = 8;
 /// Keys of one invocation of a sort.
 const SORT_ITEMS: u32 = 16;
+/// Columns that one invocation of the loss goes down: what it keeps of them just fits into the fastest cache.
+const LOSS_SWEEP_STRIP: u32 = 8;
 /// Values of one invocation of a scan.
 const SCAN_ITEMS: u32 = 4;
 /// Entries of a tile blended by one pass where the driver bounds the iterations of an invocation: a loop over entries
@@ -67,6 +69,10 @@ pub struct Blocks {
     pub loss: u32,
     /// Pixels in a row of one invocation of the loss.
     pub loss_strip: u32,
+    /// Invocations of the loss' workgroups where they share nothing.
+    pub loss_sweep: u32,
+    /// Columns of one invocation of the loss there.
+    pub loss_sweep_strip: u32,
     /// Entries of a tile that one blending pass may handle.
     pub entries_per_pass: u32,
 }
@@ -103,6 +109,9 @@ impl Blocks {
             )),
             // Wide enough to fill a GPU's workgroup; a processor rather reads less.
             loss_strip: size("loss", "STRIP", if limits.is_cpu { 4 } else { 2 }).min(TILE_SIZE),
+            // Few and long invocations: small workgroups spread them evenly.
+            loss_sweep: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
+            loss_sweep_strip: size("loss", "STRIP", LOSS_SWEEP_STRIP),
             entries_per_pass: limits
                 .max_loop_iterations
                 .map_or(MAX_ENTRIES_PER_PASS, |n| n / ENTRIES_PER_LOOP_BUDGET)

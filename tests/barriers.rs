@@ -2,7 +2,7 @@
 
 use ashsplat::backward::{Backward, Statistics};
 use ashsplat::forward::{Forward, FrameInputs, SceneBuffers};
-use ashsplat::loss::{Loss, LossInputs, PhotoFormat, SsimMaps, partials_bytes, ssim_map_bytes};
+use ashsplat::loss::{Loss, LossInputs, PhotoFormat};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
 use ashsplat::plan::{Blocks, FrameBuffers, FrameCapacity, frame_requests};
 use ashsplat::planes;
@@ -39,7 +39,7 @@ struct Training {
     gradients: Vec<Buffer>,
     frame: FrameBuffers,
     capacity: FrameCapacity,
-    /// Photo, SSIM maps, partial sums, losses, statistics, 2-D gradients.
+    /// Photo, partial sums, losses, statistics, 2-D gradients, derivatives of SSIM.
     others: Vec<Buffer>,
     camera: Camera,
     settings: RenderSettings,
@@ -67,19 +67,18 @@ impl Training {
         let requests = frame_requests(&capacity, &Blocks::new(context.limits()));
         let frame = context.allocate("frame", &requests, MemoryKind::Device).expect("a frame");
         let [width, height] = SIZE;
-        let others = [
+        let loss = Loss::new(&context, PhotoFormat::Rgba8).expect("kernels");
+        let mut others = vec![
             ("photo", u64::from(width * height) * 4),
-            ("ssim_by_mean", ssim_map_bytes(width, height)),
-            ("ssim_by_square", ssim_map_bytes(width, height)),
-            ("ssim_by_product", ssim_map_bytes(width, height)),
-            ("partials", partials_bytes(width, height)),
+            ("partials", loss.partials_bytes(width, height)),
             ("losses", 16),
             ("statistics", 1200 * 8),
             ("mean2d_gradients", 1200 * 8),
         ];
+        others.extend(loss.derivative_requests(width, height));
         let mut training = Training {
             forward: Forward::new(&context).expect("kernels"),
-            loss: Loss::new(&context, PhotoFormat::Rgba8).expect("kernels"),
+            loss,
             backward: Backward::new(&context),
             optimizer: Optimizer::new(&context, false),
             moments: Moments { first: planes_of("moments"), second: planes_of("moments") },
@@ -108,8 +107,7 @@ impl Training {
             settings: &self.settings,
             sh_degree: SH_DEGREE,
         };
-        let [photo, by_mean, by_square, by_product, partials, losses, statistics, mean2d_gradients] =
-            &self.others[..]
+        let [photo, partials, losses, statistics, mean2d_gradients, derivatives @ ..] = &self.others[..]
         else {
             unreachable!("as many as were asked for")
         };
@@ -125,7 +123,7 @@ impl Training {
         let loss = LossInputs {
             accumulated: &self.frame.accumulated,
             photo,
-            ssim_maps: SsimMaps { by_mean, by_square, by_product },
+            derivatives,
             partials,
             losses,
             slot: 0,

@@ -20,7 +20,7 @@ use crate::densify::Densify;
 use crate::error::{Error, Result};
 use crate::forward::{RenderSettings, SceneBuffers};
 use crate::io::Photo;
-use crate::loss::{Loss, PhotoFormat, partials_bytes, ssim_map_bytes};
+use crate::loss::{Loss, PhotoFormat};
 use crate::optimizer::{Moments, Optimizer};
 use crate::planes;
 use crate::renderer::{Frame, FrameRunner};
@@ -117,29 +117,25 @@ pub struct Trainer {
 }
 
 pub(crate) struct LossScratch {
-    pub ssim_maps: [Buffer; 3],
+    pub derivatives: Vec<Buffer>,
     pub partials: Buffer,
     pub losses: Buffer,
     pub readback: Buffer,
 }
 
 impl LossScratch {
-    fn new(context: &Context, cameras: &[Camera]) -> Result<Self> {
-        let largest =
-            |f: fn(u32, u32) -> u64| cameras.iter().map(|c| f(c.width, c.height)).max().unwrap_or(0);
-        let map = largest(ssim_map_bytes);
-        let requests = [
-            ("ssim_by_mean", map),
-            ("ssim_by_square", map),
-            ("ssim_by_product", map),
-            ("loss_partials", largest(partials_bytes)),
-            ("losses", 16),
-        ];
-        let device = context.allocate("loss", &requests, MemoryKind::Device)?;
+    fn new(context: &Context, loss: &Loss, cameras: &[Camera]) -> Result<Self> {
+        let sizes = || cameras.iter().map(|c| (c.width, c.height));
+        let (width, height) = sizes().max_by_key(|&(w, h)| u64::from(w) * u64::from(h)).unwrap_or_default();
+        let partials = sizes().map(|(w, h)| loss.partials_bytes(w, h)).max().unwrap_or_default();
+        let mut requests = loss.derivative_requests(width, height);
+        requests.extend([("loss_partials", partials), ("losses", 16)]);
+        let mut device = context.allocate("loss", &requests, MemoryKind::Device)?;
         let host = context.allocate("readback", &[("loss_readback", 16)], MemoryKind::HostVisible)?;
-        match (<[Buffer; 5]>::try_from(device), <[Buffer; 1]>::try_from(host)) {
-            (Ok([by_mean, by_square, by_product, partials, losses]), Ok([readback])) => {
-                Ok(Self { ssim_maps: [by_mean, by_square, by_product], partials, losses, readback })
+        let (losses, partials) = (device.pop(), device.pop());
+        match (losses, partials, <[Buffer; 1]>::try_from(host)) {
+            (Some(losses), Some(partials), Ok([readback])) => {
+                Ok(Self { derivatives: device, partials, losses, readback })
             }
             _ => unreachable!("one buffer per request"),
         }
@@ -181,11 +177,12 @@ impl Trainer {
         let scene = planes::upload(context, "scene", initial, capacity, settings.sh_degree)?;
         let training = Training::new(context, scene)?;
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
+        let loss = Loss::new(context, PhotoFormat::Rgba8)?;
         Ok(Self {
-            scratch: LossScratch::new(context, &cameras)?,
+            scratch: LossScratch::new(context, &loss, &cameras)?,
             order: step::ViewOrder::new(settings.seed, cameras.len()),
             runner: FrameRunner::new(context)?,
-            loss: Loss::new(context, PhotoFormat::Rgba8)?,
+            loss,
             backward: Backward::new(context),
             optimizer: Optimizer::new(context, sparse),
             densify: Densify::new(context)?,

@@ -8,7 +8,7 @@ use super::{Densified, StepReport, Trainer};
 use crate::backward::Statistics;
 use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, RenderSettings};
-use crate::loss::{LossInputs, SsimMaps};
+use crate::loss::LossInputs;
 use crate::optimizer::{Rates, Step};
 use crate::renderer::{Ran, Request};
 use crate::vk::Recorder;
@@ -184,7 +184,7 @@ impl Trainer {
                 &LossInputs {
                     accumulated: &f.accumulated,
                     photo: photos.of(view),
-                    ssim_maps: SsimMaps::new(&scratch.ssim_maps),
+                    derivatives: &scratch.derivatives,
                     partials: &scratch.partials,
                     losses: &scratch.losses,
                     slot: 0,

@@ -3,7 +3,8 @@
 //   dSSIM/dx = window * by_mean + 2 x (window * by_square) + y (window * by_product)
 //
 // invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable
-// in, PerPixel: accumulated, photo, by_mean, by_square, by_product; out, PerPixel: image_gradient[4 * pixel + channel]
+// in, PerPixel: accumulated, photo; PerPixel and channel: derivatives as ssim_forward.comp leaves them;
+// out, PerPixel: image_gradient[4 * pixel + channel]
 // shared: 3 * (26^2 + 26 * 16) words; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -19,23 +20,19 @@ layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Photo { uint photo[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer ByMean { float by_mean[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer BySquare { float by_square[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer ByProduct { float by_product[]; };
-layout(set = 0, binding = 5, scalar) writeonly buffer ImageGradient { float image_gradient[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer Derivatives { vec3 derivatives[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer ImageGradient { float image_gradient[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
     vec3 background;
+    uint first_channel;
     float lambda_dssim;
 };
 
 #include "ssim.glsl"
-
-float photo_value(uint index, uint channel) {
-    return FLOAT_PHOTO ? uintBitsToFloat(photo[3 * index + channel]) : float(photo[index] >> (8 * channel) & 0xFF) / 255.0;
-}
+#include "ssim_block.glsl"
 
 shared vec3 values[SSIM_APRON * SSIM_APRON];
 shared vec3 rows[SSIM_APRON * SSIM_BLOCK];
@@ -44,15 +41,13 @@ void finish(vec3 windowed, uvec2 pixel, uint channel) {
     if (pixel.x < image_width && pixel.y < image_height) {
         float scale = 1.0 / (3.0 * float(image_width) * float(image_height));
         uint index = pixel.y * image_width + pixel.x;
-        float x = accumulated[index][channel] + accumulated[index].w * background[channel];
-        float y = photo_value(index, channel);
-        float d_ssim = windowed.x + 2.0 * x * windowed.y + y * windowed.z;
-        image_gradient[4 * index + channel] = scale * ((1.0 - lambda_dssim) * sign(x - y) - lambda_dssim * d_ssim);
+        vec2 value = rendered_and_photo(index, channel);
+        image_gradient[4 * index + channel] = loss_gradient(windowed, value, scale, lambda_dssim);
     }
 }
 
 void main() {
-    uint channel = gl_WorkGroupID.z;
+    uint channel = first_channel + gl_WorkGroupID.z;
     ivec2 size = ivec2(image_width, image_height);
     ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);
     // Rows of SSIM_PITCH: no division, for a few idle lanes.
@@ -65,8 +60,7 @@ void main() {
         ivec2 pixel = origin + ivec2(place) - int(SSIM_RADIUS);
         bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, size));
         uint index = inside ? uint(pixel.y) * image_width + uint(pixel.x) : 0;
-        uint source = channel * image_height * image_width + index;
-        vec3 value = vec3(by_mean[source], by_square[source], by_product[source]);
+        vec3 value = derivatives[gl_WorkGroupID.z * image_height * image_width + index];
         values[place.y * SSIM_APRON + place.x] = inside ? value : vec3(0.0);
     }
     barrier();

@@ -4,9 +4,10 @@
 //   SSIM = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sx^2 + sy^2 + C2)), means and variances under the window
 //
 // invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable
-// in, PerPixel: accumulated (r, g, b, T), photo (RGBA8); out, PerPixel and channel (channel * pixels + pixel): by_mean, by_square, by_product
-//     = derivatives of SSIM by the windowed x, x^2 and x y; loss_partials[workgroup] = sums of (|x - y|, SSIM)
-// shared: 2 * 26^2 + 5 * 26 * 16 words and one per subgroup; any subgroup size
+// in, PerPixel: accumulated (r, g, b, T), photo (RGBA8); out, PerPixel and channel (channel * pixels + pixel, from the
+//     first channel of the dispatch): derivatives of SSIM by the windowed x, x^2 and x y;
+//     loss_partials[workgroup] = sums of (|x - y|, SSIM)
+// shared: 2 * 26^2 + 4 * 26 * 16 words and two per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -24,52 +25,36 @@ layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Photo { uint photo[]; };
-layout(set = 0, binding = 2, scalar) writeonly buffer ByMean { float by_mean[]; };
-layout(set = 0, binding = 3, scalar) writeonly buffer BySquare { float by_square[]; };
-layout(set = 0, binding = 4, scalar) writeonly buffer ByProduct { float by_product[]; };
-layout(set = 0, binding = 5, scalar) writeonly buffer LossPartials { vec2 loss_partials[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer Derivatives { vec3 derivatives[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer LossPartials { vec2 loss_partials[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
     vec3 background;
+    uint first_channel;
 };
 
 #include "ssim.glsl"
-
-float photo_value(uint index, uint channel) {
-    return FLOAT_PHOTO ? uintBitsToFloat(photo[3 * index + channel]) : float(photo[index] >> (8 * channel) & 0xFF) / 255.0;
-}
+#include "ssim_block.glsl"
 
 shared vec2 values[SSIM_APRON * SSIM_APRON];
-shared vec4 rows_a[SSIM_APRON * SSIM_BLOCK];
-shared float rows_b[SSIM_APRON * SSIM_BLOCK];
+shared vec4 rows[SSIM_APRON * SSIM_BLOCK];
 shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
 
-// Derivatives of SSIM at a pixel, from the windowed x, y, x^2, y^2 and x y. Returns (|x - y|, SSIM).
-vec2 finish(vec4 moments, float xy, vec2 value, uvec2 pixel, uint channel) {
-    float mx = moments.x, my = moments.y;
-    float a1 = 2.0 * mx * my + SSIM_C1;
-    float a2 = 2.0 * (xy - mx * my) + SSIM_C2;
-    float b1 = mx * mx + my * my + SSIM_C1;
-    float b2 = moments.z - mx * mx + (moments.w - my * my) + SSIM_C2;
-    float inverse = 1.0 / (b1 * b2);
-    float ssim = a1 * a2 * inverse;
-    float d_square = -ssim / b2;
-    float d_product = 2.0 * a1 * inverse;
-    float d_mean = 2.0 * my * a2 * inverse - 2.0 * mx * ssim / b1 - 2.0 * mx * d_square - my * d_product;
+// Writes the derivatives at a pixel. Returns (|x - y|, SSIM).
+vec2 finish(vec4 moments, vec2 value, uvec2 pixel) {
+    vec3 d;
+    float ssim = ssim_and_derivatives(moments, d);
     bool inside = pixel.x < image_width && pixel.y < image_height;
     if (inside) {
-        uint at = (channel * image_height + pixel.y) * image_width + pixel.x;
-        by_mean[at] = d_mean;
-        by_square[at] = d_square;
-        by_product[at] = d_product;
+        derivatives[(gl_WorkGroupID.z * image_height + pixel.y) * image_width + pixel.x] = d;
     }
     return inside ? vec2(abs(value.x - value.y), ssim) : vec2(0.0);
 }
 
 void main() {
-    uint channel = gl_WorkGroupID.z;
+    uint channel = first_channel + gl_WorkGroupID.z;
     ivec2 size = ivec2(image_width, image_height);
     ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);
     // Rows of SSIM_PITCH: no division, for a few idle lanes.
@@ -82,10 +67,7 @@ void main() {
         ivec2 pixel = origin + ivec2(place) - int(SSIM_RADIUS);
         bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, size));
         uint index = inside ? uint(pixel.y) * image_width + uint(pixel.x) : 0;
-        vec4 rendered = accumulated[index];
-        float x = rendered[channel] + rendered.w * background[channel];
-        float y = photo_value(index, channel);
-        values[place.y * SSIM_APRON + place.x] = inside ? vec2(x, y) : vec2(0.0);
+        values[place.y * SSIM_APRON + place.x] = inside ? rendered_and_photo(index, channel) : vec2(0.0);
     }
     barrier();
     [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_STRIPS; round += WORKGROUP_SIZE) {
@@ -95,22 +77,16 @@ void main() {
         }
         uint row = at / SSIM_STRIPS;
         uint column = at % SSIM_STRIPS * STRIP;
-        vec2 window[SSIM_WINDOW_OF_STRIP];
+        vec4 window[SSIM_WINDOW_OF_STRIP];
         [[unroll]] for (uint k = 0; k < SSIM_WINDOW_OF_STRIP; ++k) {
-            window[k] = values[row * SSIM_APRON + column + k];
+            window[k] = ssim_moments(values[row * SSIM_APRON + column + k]);
         }
         [[unroll]] for (uint k = 0; k < STRIP; ++k) {
-            vec2 mean = vec2(0.0);
-            vec2 square = vec2(0.0);
-            float product = 0.0;
+            vec4 moments = vec4(0.0);
             [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
-                vec2 weighted = SSIM_WINDOW[tap] * window[k + tap];
-                mean += weighted;
-                square += weighted * window[k + tap];
-                product += weighted.x * window[k + tap].y;
+                moments += SSIM_WINDOW[tap] * window[k + tap];
             }
-            rows_a[row * SSIM_BLOCK + column + k] = vec4(mean, square);
-            rows_b[row * SSIM_BLOCK + column + k] = product;
+            rows[row * SSIM_BLOCK + column + k] = moments;
         }
     }
     barrier();
@@ -122,21 +98,17 @@ void main() {
         }
         uint column = at % SSIM_BLOCK;
         uint row = at / SSIM_BLOCK * STRIP;
-        vec4 window_a[SSIM_WINDOW_OF_STRIP];
-        float window_b[SSIM_WINDOW_OF_STRIP];
+        vec4 window[SSIM_WINDOW_OF_STRIP];
         [[unroll]] for (uint k = 0; k < SSIM_WINDOW_OF_STRIP; ++k) {
-            window_a[k] = rows_a[(row + k) * SSIM_BLOCK + column];
-            window_b[k] = rows_b[(row + k) * SSIM_BLOCK + column];
+            window[k] = rows[(row + k) * SSIM_BLOCK + column];
         }
         [[unroll]] for (uint k = 0; k < STRIP; ++k) {
             vec4 moments = vec4(0.0);
-            float xy = 0.0;
             [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
-                moments += SSIM_WINDOW[tap] * window_a[k + tap];
-                xy += SSIM_WINDOW[tap] * window_b[k + tap];
+                moments += SSIM_WINDOW[tap] * window[k + tap];
             }
             vec2 value = values[(row + k + SSIM_RADIUS) * SSIM_APRON + column + SSIM_RADIUS];
-            sum += finish(moments, xy, value, uvec2(origin) + uvec2(column, row + k), channel);
+            sum += finish(moments, value, uvec2(origin) + uvec2(column, row + k));
         }
     }
     sum = subgroupAdd(sum);

@@ -1,6 +1,6 @@
 //! The kernels of the loss with their inputs on the device.
 
-use ashsplat::kernels::loss::{ssim_backward, ssim_forward};
+use ashsplat::kernels::loss::{ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep};
 use ashsplat::vk::Buffer;
 
 use super::gpu::Gpu;
@@ -59,68 +59,125 @@ impl Pictures {
     }
 }
 
-/// Runs the forward kernel; its maps and partial sums.
-pub fn forward(gpu: &Gpu, pictures: &Pictures, strip: u32) -> ([Buffer; 3], Buffer) {
-    let spec = ssim_forward::Spec {
-        workgroup_size: gpu.workgroup(64),
-        subgroup_size: gpu.subgroup(),
-        strip,
-        float_photo: false,
-    };
-    let kernel = gpu.kernel::<ssim_forward::Interface>(&spec);
-    let accumulated = gpu.buffer("accumulated", &pictures.accumulated);
-    let photo = gpu.buffer("photo", &pictures.photo);
-    let grid = pictures.grid();
-    let ssim_maps =
-        ["by_mean", "by_square", "by_product"].map(|name| gpu.untouched::<f32>(name, 3 * pictures.pixels()));
-    let partials = gpu.untouched::<[f32; 2]>("loss_partials", grid.iter().product::<u32>() as usize);
-    let bind = ssim_forward::Bind {
-        accumulated: &accumulated,
-        photo: &photo,
-        by_mean: &ssim_maps[0],
-        by_square: &ssim_maps[1],
-        by_product: &ssim_maps[2],
-        loss_partials: &partials,
-    };
-    let push = ssim_forward::Push {
-        image_width: pictures.size[0],
-        image_height: pictures.size[1],
-        background: BACKGROUND.map(|x| x as f32),
-    };
-    gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, grid));
-    (ssim_maps, partials)
+/// Which kernels compute the window, and how much one invocation does.
+#[derive(Clone, Copy, Debug)]
+pub enum Window {
+    Block { strip: u32 },
+    Sweep { strip: u32, rows: u32 },
+}
+
+impl Window {
+    /// Partial sums of a channel.
+    pub fn partials(self, pictures: &Pictures) -> usize {
+        let [width, height] = pictures.size;
+        match self {
+            Self::Block { .. } => (pictures.grid()[0] * pictures.grid()[1]) as usize,
+            Self::Sweep { strip, rows } => (width.div_ceil(strip) * height.div_ceil(rows)) as usize,
+        }
+    }
+}
+
+/// Runs the forward kernel: derivatives of SSIM per channel and pixel, and partial sums.
+pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffer) {
+    let accumulated = &gpu.buffer("accumulated", &pictures.accumulated);
+    let photo = &gpu.buffer("photo", &pictures.photo);
+    let count = 3 * window.partials(pictures);
+    let derivatives = gpu.untouched::<[f32; 3]>("derivatives", 3 * pictures.pixels());
+    let loss_partials = gpu.untouched::<[f32; 2]>("loss_partials", count);
+    let [image_width, image_height] = pictures.size;
+    let background = BACKGROUND.map(|x| x as f32);
+    let (workgroup_size, float_photo) = (gpu.workgroup(64), false);
+    match window {
+        Window::Block { strip } => {
+            let subgroup_size = gpu.subgroup();
+            let spec = ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo };
+            let kernel = gpu.kernel::<ssim_forward::Interface>(&spec);
+            let bind = ssim_forward::Bind {
+                accumulated,
+                photo,
+                derivatives: &derivatives,
+                loss_partials: &loss_partials,
+            };
+            let push = ssim_forward::Push { image_width, image_height, background, first_channel: 0 };
+            gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
+        }
+        Window::Sweep { strip, rows } => {
+            let spec = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo };
+            let kernel = gpu.kernel::<ssim_forward_sweep::Interface>(&spec);
+            let bind = ssim_forward_sweep::Bind {
+                accumulated,
+                photo,
+                derivatives: &derivatives,
+                loss_partials: &loss_partials,
+            };
+            let push = ssim_forward_sweep::Push {
+                image_width,
+                image_height,
+                background,
+                first_channel: 0,
+                invocations: count as u32,
+                rows,
+                first_partial: 0,
+            };
+            let workgroups = (count as u64).div_ceil(workgroup_size.into());
+            gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
+        }
+    }
+    (derivatives, loss_partials)
 }
 
 /// Runs the backward kernel; dL/d(r, g, b) and a fourth component that it does not write.
 pub fn backward(
     gpu: &Gpu,
     pictures: &Pictures,
-    ssim_maps: &[Buffer; 3],
-    strip: u32,
+    derivatives: &Buffer,
+    window: Window,
     lambda_dssim: f32,
 ) -> Vec<[f32; 4]> {
-    let spec = ssim_backward::Spec { workgroup_size: gpu.workgroup(64), strip, float_photo: false };
-    let kernel = gpu.kernel::<ssim_backward::Interface>(&spec);
-    let accumulated = gpu.buffer("accumulated", &pictures.accumulated);
-    let photo = gpu.buffer("photo", &pictures.photo);
+    let accumulated = &gpu.buffer("accumulated", &pictures.accumulated);
+    let photo = &gpu.buffer("photo", &pictures.photo);
     let image_gradient = gpu.untouched::<[f32; 4]>("image_gradient", pictures.pixels());
-    let bind = ssim_backward::Bind {
-        accumulated: &accumulated,
-        photo: &photo,
-        by_mean: &ssim_maps[0],
-        by_square: &ssim_maps[1],
-        by_product: &ssim_maps[2],
-        image_gradient: &image_gradient,
-    };
-    let push = ssim_backward::Push {
-        image_width: pictures.size[0],
-        image_height: pictures.size[1],
-        background: BACKGROUND.map(|x| x as f32),
-        lambda_dssim,
-    };
-    gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
+    let [image_width, image_height] = pictures.size;
+    let background = BACKGROUND.map(|x| x as f32);
+    let (workgroup_size, float_photo, first_channel) = (gpu.workgroup(64), false, 0);
+    match window {
+        Window::Block { strip } => {
+            let spec = ssim_backward::Spec { workgroup_size, strip, float_photo };
+            let kernel = gpu.kernel::<ssim_backward::Interface>(&spec);
+            let bind =
+                ssim_backward::Bind { accumulated, photo, derivatives, image_gradient: &image_gradient };
+            let push =
+                ssim_backward::Push { image_width, image_height, background, first_channel, lambda_dssim };
+            gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
+        }
+        Window::Sweep { strip, rows } => {
+            let spec = ssim_backward_sweep::Spec { workgroup_size, strip, float_photo };
+            let kernel = gpu.kernel::<ssim_backward_sweep::Interface>(&spec);
+            let bind = ssim_backward_sweep::Bind {
+                accumulated,
+                photo,
+                derivatives,
+                image_gradient: &image_gradient,
+            };
+            let invocations = 3 * window.partials(pictures) as u32;
+            let push = ssim_backward_sweep::Push {
+                image_width,
+                image_height,
+                background,
+                first_channel,
+                invocations,
+                rows,
+                lambda_dssim,
+            };
+            let workgroups = u64::from(invocations.div_ceil(workgroup_size));
+            gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
+        }
+    }
     gpu.read(&image_gradient, pictures.pixels())
 }
 
 /// Image sizes at which blocks and apron may go wrong.
 pub const SIZES: [[u32; 2]; 8] = [[1, 1], [5, 3], [16, 16], [17, 5], [15, 33], [31, 48], [64, 10], [90, 70]];
+
+/// Columns and rows of one invocation that sweeps.
+pub const SWEEPS: [(u32, u32); 3] = [(2, 3), (8, 7), (8, 48)];

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use ashsplat::densify::{Densify, DensifyBuffers, DensifySettings, ExplicitNoise, Gather, RandomKey};
 use ashsplat::forward::SceneBuffers;
-use ashsplat::loss::{Loss, LossInputs, PhotoFormat, SsimMaps, partials_bytes, ssim_map_bytes};
+use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing};
 use ashsplat::optimizer::Moments;
 use ashsplat::plan::Blocks;
 use ashsplat::{TrainSettings, planes};
@@ -26,17 +26,21 @@ use crate::reference::{schedule, sh};
 const ROUNDING: f64 = 1e-6;
 
 /// Loss, L1, SSIM and gradient of a picture against float ground truth.
-fn device_loss(gpu: &Gpu, image: &[f64], truth: &[f64], [width, height]: [u32; 2]) -> ([f64; 3], Vec<f64>) {
-    let loss = Loss::new(gpu.context, PhotoFormat::Float).expect("the kernels of the loss");
+fn device_loss(gpu: &Gpu, windowing: Windowing, npz: &Npz) -> ([f64; 3], Vec<f64>) {
+    let loss = Loss::with_windowing(gpu.context, PhotoFormat::Float, windowing).expect("kernels");
+    let (image, truth) = (npz.values("img"), npz.values("gt"));
+    let shape = &npz.array("img").shape;
+    let (width, height) = (shape[1] as u32, shape[0] as u32);
     let count = (width * height) as usize;
     let texels: Vec<[f32; 4]> =
         rows::<3>(image).iter().map(|[r, g, b]| [*r as f32, *g as f32, *b as f32, 0.0]).collect();
     let truth: Vec<f32> = truth.iter().map(|&x| x as f32).collect();
     let accumulated = gpu.buffer("accumulated", &texels);
     let photo = gpu.buffer("photo", &truth);
-    let ssim_maps = ["by_mean", "by_square", "by_product"]
-        .map(|name| gpu.untouched::<u8>(name, ssim_map_bytes(width, height) as usize));
-    let partials = gpu.untouched::<u8>("partials", partials_bytes(width, height) as usize);
+    let derivatives: Vec<_> = (loss.derivative_requests(width, height).into_iter())
+        .map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize))
+        .collect();
+    let partials = gpu.untouched::<u8>("partials", loss.partials_bytes(width, height) as usize);
     let losses = gpu.untouched::<[f32; 4]>("losses", 2);
     let image_gradient = gpu.untouched::<[f32; 4]>("image_gradient", count);
     gpu.run(|recorder| {
@@ -45,7 +49,7 @@ fn device_loss(gpu: &Gpu, image: &[f64], truth: &[f64], [width, height]: [u32; 2
             &LossInputs {
                 accumulated: &accumulated,
                 photo: &photo,
-                ssim_maps: SsimMaps::new(&ssim_maps),
+                derivatives: &derivatives,
                 partials: &partials,
                 losses: &losses,
                 slot: 1,
@@ -65,18 +69,19 @@ fn device_loss(gpu: &Gpu, image: &[f64], truth: &[f64], [width, height]: [u32; 2
 
 pub fn loss(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
-    let shape = &npz.array("img").shape;
-    let size = [shape[1] as u32, shape[0] as u32];
     let gpu = Gpu::new();
-    let ([loss, l1, ssim], d_img) = device_loss(&gpu, npz.values("img"), npz.values("gt"), size);
-    elementwise("loss", &[loss], npz.values("loss"), 0.0, ROUNDING)?;
-    elementwise("l1", &[l1], npz.values("l1"), 0.0, ROUNDING)?;
-    elementwise("ssim", &[ssim], npz.values("ssim"), ROUNDING, ROUNDING)?;
-    let skip = vec![false; shape[0] * shape[1]];
-    let errors = gradient("d_img", &d_img, npz.values("d_img"), &skip, SINGLE.gradient)?;
-    report(|| {
-        format!("| {} | d_img {:.1e} ({:.1e}) |", path.display(), errors.relative_l2, errors.max_over_max)
-    });
+    for windowing in [Windowing::Blocks, Windowing::Sweeps] {
+        let ([loss, l1, ssim], d_img) = device_loss(&gpu, windowing, &npz);
+        elementwise("loss", &[loss], npz.values("loss"), 0.0, ROUNDING)?;
+        elementwise("l1", &[l1], npz.values("l1"), 0.0, ROUNDING)?;
+        elementwise("ssim", &[ssim], npz.values("ssim"), ROUNDING, ROUNDING)?;
+        let skip = vec![false; d_img.len() / 3];
+        let errors = gradient("d_img", &d_img, npz.values("d_img"), &skip, SINGLE.gradient)?;
+        report(|| {
+            let (l2, max) = (errors.relative_l2, errors.max_over_max);
+            format!("| {} | {windowing:?} | d_img {l2:.1e} ({max:.1e}) |", path.display())
+        });
+    }
     Ok(())
 }
 

@@ -4,7 +4,7 @@ use ashsplat::kernels::loss::loss_reduce::{Bind, Interface, Push, Spec};
 
 use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::loss::{BACKGROUND, Pictures, forward};
+use crate::common::loss::{BACKGROUND, Pictures, Window, forward};
 use crate::common::scenes::Random;
 use crate::reference::loss_reduce::{LAMBDA_DSSIM, loss};
 
@@ -43,8 +43,9 @@ fn loss_reduce_equals_its_twin() {
 fn loss_of_two_pictures() {
     let gpu = Gpu::new();
     let pictures = Pictures::random([67, 41]);
-    let (_, partials) = forward(&gpu, &pictures, 4);
-    let count = pictures.grid().iter().product::<u32>() as usize;
+    let window = Window::Block { strip: 4 };
+    let (_, partials) = forward(&gpu, &pictures, window);
+    let count = 3 * window.partials(&pictures);
     let actual = reduced(&gpu, &partials, count, 1.0 / (3.0 * pictures.pixels() as f64));
     let interleaved = |which: usize| -> Vec<f64> {
         let planes = [0, 1, 2].map(|channel| pictures.planes(channel)[which].values.clone());

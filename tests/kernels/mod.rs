@@ -26,4 +26,6 @@ mod sort_count;
 mod sort_scan;
 mod sort_scatter;
 mod ssim_backward;
+mod ssim_backward_sweep;
 mod ssim_forward;
+mod ssim_forward_sweep;

@@ -37,6 +37,8 @@ pub mod sort_count;
 pub mod sort_scan;
 pub mod sort_scatter;
 pub mod ssim_backward;
+pub mod ssim_backward_sweep;
 pub mod ssim_forward;
+pub mod ssim_forward_sweep;
 pub mod tiles;
 pub mod types;

@@ -1,0 +1,92 @@
+//! `loss/ssim_backward_sweep` against its twin, and the loss as a whole in all its forms.
+
+use super::ssim_backward::check;
+use crate::common::gpu::Gpu;
+use crate::common::loss::{BACKGROUND, Pictures, SIZES, SWEEPS, Window};
+use crate::common::options;
+use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing};
+use ashsplat::vk::{Context, ContextOptions, LimitsOverride, MemoryKind};
+
+#[test]
+fn ssim_backward_sweep_equals_its_twin() {
+    let gpu = Gpu::new();
+    for size in SIZES {
+        for (strip, rows) in SWEEPS {
+            check(&gpu, size, Window::Sweep { strip, rows });
+        }
+    }
+}
+
+/// Loss and gradient by the engine, on a device whose buffers hold that many bytes at most.
+fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) -> (Vec<u8>, Vec<f32>) {
+    let limits = LimitsOverride { max_storage_buffer_range: largest, ..LimitsOverride::default() };
+    let options = ContextOptions { limits_override: Some(limits), ..options() };
+    let context = Context::new(&options).expect("a device");
+    let loss = Loss::with_windowing(&context, PhotoFormat::Rgba8, windowing).expect("kernels");
+    let [width, height] = pictures.size;
+    let pixels = pictures.pixels() as u64;
+    let mut requests = loss.derivative_requests(width, height);
+    let parts = requests.len();
+    assert_eq!(parts, if largest.is_some() { 3 } else { 1 });
+    requests.extend([
+        ("partials", loss.partials_bytes(width, height)),
+        ("losses", 16),
+        ("accumulated", pixels * 16),
+        ("photo", pixels * 4),
+        ("image_gradient", pixels * 16),
+    ]);
+    let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("buffers");
+    let (derivatives, others) = buffers.split_at(parts);
+    let [partials, losses, accumulated, photo, image_gradient] = others else { unreachable!("five") };
+    context.upload(accumulated, bytemuck::cast_slice(&pictures.accumulated)).expect("an upload");
+    context.upload(photo, bytemuck::cast_slice(&pictures.photo)).expect("an upload");
+    let inputs = LossInputs {
+        accumulated,
+        photo,
+        derivatives,
+        partials,
+        losses,
+        slot: 0,
+        image_gradient,
+        width,
+        height,
+        background: BACKGROUND.map(|x| x as f32),
+        lambda_dssim: 0.2,
+    };
+    let run = context.run("loss", |recorder| {
+        recorder.fill(image_gradient, 0);
+        recorder.barrier();
+        loss.record(recorder, &inputs);
+        Ok(())
+    });
+    run.expect("a run");
+    crate::common::assert_silent(&context);
+    let gradient = bytemuck::pod_collect_to_vec(&context.download(image_gradient).expect("a gradient"));
+    (context.download(losses).expect("losses"), gradient)
+}
+
+/// Where the derivatives of all channels do not fit into one buffer, they are computed one by one: the same bits.
+#[test]
+fn loss_in_one_buffer_or_three() {
+    let pictures = Pictures::random([67, 41]);
+    for windowing in [Windowing::Blocks, Windowing::Sweeps] {
+        let (losses, gradient) = engine_loss(&pictures, windowing, None);
+        let (losses_3, gradient_3) = engine_loss(&pictures, windowing, Some(50_000));
+        assert!(losses == losses_3 && gradient == gradient_3, "{windowing:?}");
+    }
+}
+
+/// Both forms give one loss.
+#[test]
+fn loss_by_blocks_and_by_sweeps() {
+    let pictures = Pictures::random([90, 70]);
+    let [blocks, sweeps] =
+        [Windowing::Blocks, Windowing::Sweeps].map(|windowing| engine_loss(&pictures, windowing, None));
+    let numbers = |bytes: &[u8]| bytemuck::pod_collect_to_vec::<u8, f32>(bytes);
+    for (a, b) in numbers(&blocks.0).iter().zip(&numbers(&sweeps.0)) {
+        assert!((a - b).abs() <= 1e-6, "{a} {b}");
+    }
+    let largest = blocks.1.iter().fold(0.0_f32, |largest, x| largest.max(x.abs()));
+    let difference = blocks.1.iter().zip(&sweeps.1).fold(0.0_f32, |worst, (a, b)| worst.max((a - b).abs()));
+    assert!(difference <= 2e-5 * largest && largest > 0.0, "{difference} of {largest}");
+}

@@ -1,0 +1,15 @@
+//! `loss/ssim_forward_sweep` against its twin.
+
+use super::ssim_forward::check;
+use crate::common::gpu::Gpu;
+use crate::common::loss::{SIZES, SWEEPS, Window};
+
+#[test]
+fn ssim_forward_sweep_equals_its_twin() {
+    let gpu = Gpu::new();
+    for size in SIZES {
+        for (strip, rows) in SWEEPS {
+            check(&gpu, size, Window::Sweep { strip, rows });
+        }
+    }
+}
