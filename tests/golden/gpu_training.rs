@@ -26,11 +26,13 @@ use crate::reference::{schedule, sh};
 const ROUNDING: f64 = 1e-6;
 
 /// Loss, L1, SSIM and gradient of a picture against float ground truth.
-fn device_loss(gpu: &Gpu, windowing: Windowing, npz: &Npz) -> ([f64; 3], Vec<f64>) {
+fn device_loss(
+    gpu: &Gpu,
+    windowing: Windowing,
+    [image, truth]: [&[f64]; 2],
+    [width, height]: [u32; 2],
+) -> ([f64; 3], Vec<f64>) {
     let loss = Loss::with_windowing(gpu.context, PhotoFormat::Float, windowing).expect("kernels");
-    let (image, truth) = (npz.values("img"), npz.values("gt"));
-    let shape = &npz.array("img").shape;
-    let (width, height) = (shape[1] as u32, shape[0] as u32);
     let count = (width * height) as usize;
     let texels: Vec<[f32; 4]> =
         rows::<3>(image).iter().map(|[r, g, b]| [*r as f32, *g as f32, *b as f32, 0.0]).collect();
@@ -69,9 +71,12 @@ fn device_loss(gpu: &Gpu, windowing: Windowing, npz: &Npz) -> ([f64; 3], Vec<f64
 
 pub fn loss(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
+    let shape = &npz.array("img").shape;
+    let size = [shape[1] as u32, shape[0] as u32];
     let gpu = Gpu::new();
     for windowing in [Windowing::Blocks, Windowing::Sweeps] {
-        let ([loss, l1, ssim], d_img) = device_loss(&gpu, windowing, &npz);
+        let ([loss, l1, ssim], d_img) =
+            device_loss(&gpu, windowing, [npz.values("img"), npz.values("gt")], size);
         elementwise("loss", &[loss], npz.values("loss"), 0.0, ROUNDING)?;
         elementwise("l1", &[l1], npz.values("l1"), 0.0, ROUNDING)?;
         elementwise("ssim", &[ssim], npz.values("ssim"), ROUNDING, ROUNDING)?;
@@ -339,7 +344,12 @@ pub fn train(path: &Path) -> Result<(), String> {
         let image = engine::widen(&renderer.render(&camera, &settings).map_err(fail)?.color);
         let unstable = npz.flags(&field("pix_unstable"));
         pixels("image", &image, npz.values(&field("image")), &unstable, SINGLE.image)?;
-        let ([loss, ..], d_img) = device_loss(&gpu, &image, npz.values("gt"), view.size_px);
+        let ([loss, ..], d_img) = device_loss(
+            &gpu,
+            Windowing::for_device(gpu.context.limits()),
+            [&image, npz.values("gt")],
+            view.size_px,
+        );
         elementwise("loss", &[loss], npz.values(&field("loss")), 0.0, ROUNDING)?;
         let bound = PixelTolerance { max: 1e-7, mean: 1e-9, unstable: 1e-3 };
         pixels("d_img", &d_img, npz.values(&field("d_img")), &unstable, bound)?;
