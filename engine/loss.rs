@@ -9,8 +9,6 @@ use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
 
 /// Most rows of one invocation of [`Windowing::Sweeps`]: it reads ten more.
 const SWEEP_ROWS: u32 = 48;
-/// Bytes of SSIM's derivatives at a pixel in one channel.
-const DERIVATIVES_BYTES: u64 = 12;
 
 /// How SSIM's window is computed: the same numbers but for rounding, at a cost that depends on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,6 +37,15 @@ pub struct Loss {
 enum Windows {
     Blocks(Kernel<ssim_forward::Interface>, Kernel<ssim_backward::Interface>),
     Sweeps(Kernel<ssim_forward_sweep::Interface>, Kernel<ssim_backward_sweep::Interface>),
+}
+
+impl Windows {
+    fn windowing(&self) -> Windowing {
+        match self {
+            Self::Blocks(..) => Windowing::Blocks,
+            Self::Sweeps(..) => Windowing::Sweeps,
+        }
+    }
 }
 
 /// How a photograph lies in memory.
@@ -99,6 +106,31 @@ impl Sweeps {
     }
 }
 
+/// Bytes of scratch of [`Loss::new`] on a device for an image, all buffers together.
+pub fn scratch_bytes(limits: &Limits, width: u32, height: u32) -> u64 {
+    let windowing = Windowing::for_device(limits);
+    let partials = partials(windowing, &Blocks::new(limits), width, height);
+    3 * channel_bytes(width, height) + u64::from(partials) * 8
+}
+
+/// Bytes of SSIM's derivatives in one channel.
+fn channel_bytes(width: u32, height: u32) -> u64 {
+    u64::from(width) * u64::from(height) * 12
+}
+
+/// Partial sums of an image.
+fn partials(windowing: Windowing, sizes: &Blocks, width: u32, height: u32) -> u32 {
+    let per_channel = match windowing {
+        // Blocks of the window are as large as tiles.
+        Windowing::Blocks => {
+            let (columns, rows) = tile_grid(width, height);
+            columns * rows
+        }
+        Windowing::Sweeps => Sweeps::new(sizes.loss_sweep_strip, width, height).per_channel,
+    };
+    3 * per_channel
+}
+
 impl Loss {
     /// Builds the kernels that suit the device.
     ///
@@ -138,7 +170,7 @@ impl Loss {
     /// The scratch buffers for the derivatives of SSIM in an image: one for all channels, or one for each where that
     /// would be more than a kernel may be given.
     pub fn derivative_requests(&self, width: u32, height: u32) -> Vec<(&'static str, u64)> {
-        let channel = u64::from(width) * u64::from(height) * DERIVATIVES_BYTES;
+        let channel = channel_bytes(width, height);
         if 3 * channel <= self.limits.max_storage_buffer_range {
             vec![("ssim_derivatives", 3 * channel)]
         } else {
@@ -152,15 +184,7 @@ impl Loss {
     }
 
     fn partials(&self, width: u32, height: u32) -> u32 {
-        let per_channel = match self.windows {
-            // Blocks of the window are as large as tiles.
-            Windows::Blocks(..) => {
-                let (columns, rows) = tile_grid(width, height);
-                columns * rows
-            }
-            Windows::Sweeps(..) => Sweeps::new(self.sizes.loss_sweep_strip, width, height).per_channel,
-        };
-        3 * per_channel
+        partials(self.windows.windowing(), &self.sizes, width, height)
     }
 
     /// Records loss and gradient. The caller places barriers before and after.

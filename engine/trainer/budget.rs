@@ -1,7 +1,7 @@
 //! What a training run needs of memory, before it is asked for.
 
 use crate::error::{Error, Result};
-use crate::loss::{partials_bytes, ssim_map_bytes};
+use crate::loss;
 use crate::plan::{Blocks, FrameCapacity, ScenePlan, frame_bytes, initial_instances};
 use crate::scene::Camera;
 use crate::vk::Context;
@@ -30,7 +30,7 @@ fn other_bytes(context: &Context, cameras: &[Camera], gaussians: u32) -> u64 {
         backward: true,
     };
     cameras.iter().map(|camera| pixels(camera) * 4).sum::<u64>()
-        + largest(&|c| 3 * ssim_map_bytes(c.width, c.height) + partials_bytes(c.width, c.height))
+        + largest(&|c| loss::scratch_bytes(context.limits(), c.width, c.height))
         + frame_bytes(&capacity, &Blocks::new(context.limits()))
 }
 
