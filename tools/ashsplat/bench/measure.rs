@@ -237,14 +237,18 @@ pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
     }))
 }
 
-/// Results of the measurement of arithmetic: enough invocations for every lane of a large device.
-const ARITHMETIC_RESULTS: u64 = 1 << 18;
+/// Invocations of the measurement of arithmetic: a large device's lanes many times over, a processor's for some 30 ms.
+fn arithmetic_results(context: &Context) -> u64 {
+    if context.limits().is_cpu { 1 << 15 } else { 1 << 20 }
+}
+
+const ARITHMETIC_RUNS: u32 = 3;
 
 /// Measures multiply-adds on registers; None without timestamps.
 fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
     let arithmetic = Arithmetic::new(context)?;
-    let results =
-        context.allocate("arithmetic", &[("results", 4 * ARITHMETIC_RESULTS)], MemoryKind::Device)?;
+    let count = arithmetic_results(context);
+    let results = context.allocate("arithmetic", &[("results", 4 * count)], MemoryKind::Device)?;
     let run = || {
         context.run("arithmetic", |r| {
             arithmetic.record(r, &results[0]);
@@ -253,12 +257,12 @@ fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
     };
     run()?;
     let profile = context.profile();
-    for _ in 0..COPIES {
+    for _ in 0..ARITHMETIC_RUNS {
         run()?;
     }
     let times = profile.take().iter().map(|s| Some(s.commands.first()?.nanoseconds? * 1e-6)).collect();
     let spread = Option::<Vec<f64>>::and_then(times, Spread::of).filter(|time| time.min > 0.0);
-    let operations = arithmetic.operations(ARITHMETIC_RESULTS);
+    let operations = arithmetic.operations(count);
     Ok(spread.map(|time_ms| ArithmeticRate {
         operations,
         gigaoperations_per_second: operations as f64 / time_ms.min * 1e-6,
