@@ -98,7 +98,7 @@ impl Backward {
         let bind = blend_backward::Bind {
             tile_ranges: &f.tile_ranges,
             sorted_visible: &f.sorted_visible,
-            sorted_slots: Forward::sorted_slots(f, inputs.camera),
+            sorted_slots: Forward::sorted_slots(&self.sizes, f, inputs.camera),
             mean2d_extent: &f.mean2d_extent,
             conic_opacity: &f.conic_opacity,
             color_inverse_depth: &f.color_inverse_depth,

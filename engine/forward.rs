@@ -324,9 +324,9 @@ impl Forward {
     }
 
     /// Which of the frame's two slot buffers hold the sorted slots for an image of this size.
-    pub fn sorted_slots<'a>(frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
+    pub fn sorted_slots<'a>(sizes: &Blocks, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
         let (columns, rows) = tile_grid(camera.width, camera.height);
-        let passes = RadixSort::passes(tile_bits(columns * rows));
+        let passes = sizes.sort_passes(tile_bits(columns * rows));
         if passes.is_multiple_of(2) { &frame.slots_a } else { &frame.slots_b }
     }
 }

@@ -4,10 +4,14 @@
 //! (one (tile, Gaussian) pair), per tile, per pixel. How many Gaussians are visible, and how many instances a frame has,
 //! is known only on the device: here are capacities.
 
+mod sorting;
+
+pub use sorting::SortMethod;
+
 use crate::error::{Error, Result};
 use crate::kernels::constants::{
     ARGUMENTS_COUNT, GRADIENT_PLANES, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2, SH_PLANES_3,
-    SORT_BINS, STATE_WORDS, TILE_SIZE,
+    STATE_WORDS, TILE_SIZE,
 };
 use crate::vk::Limits;
 
@@ -15,12 +19,15 @@ use crate::vk::Limits;
 const STREAM_WORKGROUP: u32 = 256;
 /// Subgroups of a sorting workgroup: each holds its own histogram in shared memory.
 const SORT_SUBGROUPS: u32 = 8;
-/// Keys of one invocation of a sort.
+/// Keys of one invocation of a sort by matching.
 const SORT_ITEMS: u32 = 16;
+/// Keys of one invocation of a sort by runs: many enough that the run's own histogram costs little beside them, few
+/// enough that the cache holds what a subgroup writes.
+const SORT_RUN: u32 = 1024;
 /// Columns that one invocation of the loss goes down: what it keeps of them just fits into the fastest cache.
 const LOSS_SWEEP_STRIP: u32 = 8;
-/// Values of one invocation of a scan.
-const SCAN_ITEMS: u32 = 4;
+/// Values of one invocation of a scan: read in fours. A processor rather has fewer invocations without barriers.
+const SCAN_ITEMS: [u32; 2] = [4, 256];
 /// Entries of a tile blended by one pass where the driver bounds the iterations of an invocation: a loop over entries
 /// costs at most 2 iterations per entry at any subgroup size from 4.
 const ENTRIES_PER_LOOP_BUDGET: u32 = 2;
@@ -51,12 +58,18 @@ pub const fn parameter_planes(sh_degree: u32) -> u32 {
 pub struct Blocks {
     /// Invocations of a streaming workgroup, which is also a block of culling and densification.
     pub stream: u32,
+    /// How keys are sorted.
+    pub sort_method: SortMethod,
     /// Invocations of a sorting workgroup.
     pub sort_workgroup: u32,
     /// Keys of one invocation of a sort.
     pub sort_items: u32,
     /// Keys of a block of a sort.
     pub sort: u32,
+    /// Whether a single workgroup sorts what [`Blocks::sorts_alone`] says.
+    pub sort_alone: bool,
+    /// Invocations of a scan's workgroup.
+    pub scan_workgroup: u32,
     /// Values of one invocation of a scan.
     pub scan_items: u32,
     /// Values of a block of a scan.
@@ -80,6 +93,12 @@ pub struct Blocks {
 impl Blocks {
     /// Block sizes for a device, or those that its [`Limits::overrides`] ask for.
     pub fn new(limits: &Limits) -> Self {
+        let method = if limits.is_cpu { SortMethod::Runs } else { SortMethod::Matching };
+        Self::with_sort_method(limits, method)
+    }
+
+    /// The same with a given kind of sort.
+    pub fn with_sort_method(limits: &Limits, sort_method: SortMethod) -> Self {
         // Blocks nest in each other and in tiles, so that only powers of two will do.
         let size = |folder: &str, constant: &str, usual: u32| {
             let asked = limits.overridden(folder, constant).unwrap_or(usual).max(1);
@@ -87,18 +106,33 @@ impl Blocks {
         };
         let stream =
             limits.workgroup_size(size("", "WORKGROUP_SIZE", STREAM_WORKGROUP).min(STREAM_WORKGROUP));
-        let sort_workgroup = limits.workgroup_size(
-            size("sort", "WORKGROUP_SIZE", SORT_SUBGROUPS * limits.subgroup_size).min(stream),
-        );
-        let (sort_items, scan_items) = (size("sort", "ITEMS", SORT_ITEMS), size("scan", "ITEMS", SCAN_ITEMS));
+        let (sort_workgroup, sort_items) = match sort_method {
+            SortMethod::Matching => (
+                limits.workgroup_size(
+                    size("sort", "WORKGROUP_SIZE", SORT_SUBGROUPS * limits.subgroup_size).min(stream),
+                ),
+                size("sort", "ITEMS", SORT_ITEMS),
+            ),
+            // Keys are read in fours.
+            SortMethod::Runs => (limits.subgroup_size, size("sort", "ITEMS", SORT_RUN).max(4)),
+        };
+        let scan_items = size("scan", "ITEMS", SCAN_ITEMS[usize::from(limits.is_cpu)]).max(4);
+        let scan_workgroup = limits.workgroup_size(size(
+            "scan",
+            "WORKGROUP_SIZE",
+            if limits.is_cpu { limits.subgroup_size } else { stream },
+        ));
         let regions = if limits.subgroup_size <= 64 { 4 } else { 2 };
         Self {
             stream,
+            sort_method,
             sort_workgroup,
             sort_items,
             sort: sort_workgroup * sort_items,
+            sort_alone: sort_method == SortMethod::Runs,
+            scan_workgroup,
             scan_items,
-            scan: stream * scan_items,
+            scan: scan_workgroup * scan_items,
             tile: regions * limits.subgroup_size,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
             tile_shared: stream.min(TILE_SIZE * TILE_SIZE),
@@ -270,6 +304,7 @@ struct FrameSizes {
     scan_blocks: u64,
     instances: u64,
     histogram: u64,
+    digits: u64,
     tiles: u64,
     pixels: u64,
     /// 1 with backward, 0 without.
@@ -284,12 +319,17 @@ impl FrameSizes {
         let instances = u64::from(capacity.instances);
         let (columns, rows) = tile_grid(capacity.width, capacity.height);
         let backward = u64::from(capacity.backward);
+        let tile_bits = tile_bits(columns.saturating_mul(rows));
+        let depth_sort = block.sort_histogram_words(gaussians, u32::BITS);
+        // A smaller image may have longer digits, in fewer passes.
+        let tile_sort = (1..=tile_bits).map(|bits| block.sort_histogram_words(instances, bits)).max();
         Self {
             gaussians,
             gaussian_blocks: blocks(gaussians, block.stream.into()),
             scan_blocks: blocks(gaussians, block.scan.into()),
             instances,
-            histogram: u64::from(SORT_BINS) * blocks(gaussians.max(instances), block.sort.into()),
+            histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)),
+            digits: 1 << block.sort_digit_bits(),
             tiles: u64::from(columns) * u64::from(rows),
             pixels: u64::from(capacity.width) * u64::from(capacity.height),
             backward,
@@ -333,10 +373,10 @@ frame_requests! {
     instance_offsets: |s| s.gaussians * 4;
     /// Sums and offsets of the scan's blocks.
     scan_blocks: |s| s.scan_blocks * 4;
-    /// Sorting scratch: digit by block.
+    /// Sorting scratch: digit by block, and by run.
     histogram: |s| s.histogram * 4;
     /// Sorting scratch: keys per digit.
-    digit_totals: |_| u64::from(SORT_BINS) * 4;
+    digit_totals: |s| s.digits * 4;
     /// Per instance: tile; sorting scratch.
     tiles_a: |s| s.instances * 4;
     /// Sorting scratch.

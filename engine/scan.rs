@@ -53,14 +53,13 @@ impl Scan {
         let limits = context.limits();
         let sizes = Blocks::new(limits);
         let subgroup_size = limits.subgroup_size;
-        let spec = scan_reduce::Spec { workgroup_size: sizes.stream, subgroup_size, items: sizes.scan_items };
+        let (workgroup_size, items) = (sizes.scan_workgroup, sizes.scan_items);
+        let reduce = scan_reduce::Spec { workgroup_size, subgroup_size, items };
+        let apply = scan_apply::Spec { workgroup_size, subgroup_size, items };
         Ok(Self {
-            reduce: Kernel::new(context, &spec)?,
-            spine: Kernel::new(context, &scan_spine::Spec { workgroup_size: sizes.stream, subgroup_size })?,
-            apply: Kernel::new(
-                context,
-                &scan_apply::Spec { workgroup_size: sizes.stream, subgroup_size, items: sizes.scan_items },
-            )?,
+            reduce: Kernel::new(context, &reduce)?,
+            spine: Kernel::new(context, &scan_spine::Spec { workgroup_size, subgroup_size })?,
+            apply: Kernel::new(context, &apply)?,
             block: sizes.scan,
         })
     }

@@ -1,28 +1,33 @@
 //! Stable radix sort of (u32 key, u32 value) pairs on the device, usable alone.
 //!
-//! Least significant digit first, 8 bits at most per pass, three dispatches each: a histogram per block, the scan of
-//! each digit's row, a stable scatter. Reduce-then-scan, so no forward progress between workgroups is assumed, and any
-//! subgroup size from 4 to 128 does. Only as many bits as the keys have are sorted.
+//! Least significant digit first, three dispatches for each: a histogram per block, the scan of each digit's row, a
+//! stable scatter. Reduce-then-scan, so no forward progress between workgroups is assumed, and any subgroup size from 4
+//! to 128 does. Only as many bits as the keys have are sorted. Counting and scattering exist in two forms, see
+//! [`SortMethod`]; few pairs are sorted by a single workgroup in one dispatch where [`Blocks::sorts_alone`] says so.
 
 use crate::error::Result;
-use crate::kernels::constants::SORT_BINS;
-use crate::kernels::sort::{sort_count, sort_scan, sort_scatter};
-use crate::plan::{Blocks, blocks};
+use crate::kernels::sort::{
+    sort_alone, sort_count, sort_count_runs, sort_scan, sort_scatter, sort_scatter_runs,
+};
+use crate::plan::{Blocks, SortMethod, blocks};
 use crate::scan::Workgroups;
-use crate::vk::{Buffer, Context, Kernel, Recorder};
-
-/// Bits of a digit at most.
-const DIGIT_BITS: u32 = SORT_BINS.ilog2();
+use crate::vk::{Buffer, Context, Kernel, KernelInterface, Recorder};
 
 /// The kernels of a sort.
 pub struct RadixSort {
-    count: Kernel<sort_count::Interface>,
+    sizes: Blocks,
+    kernels: Kernels,
     scan: Kernel<sort_scan::Interface>,
-    scatter: Kernel<sort_scatter::Interface>,
-    scatter_identity: Kernel<sort_scatter::Interface>,
-    block: u32,
+    /// With given values, or the keys' positions.
+    alone: Option<[Kernel<sort_alone::Interface>; 2]>,
     /// Digits of one workgroup of the histogram's scan.
     rows: u32,
+}
+
+/// Counting, and scattering with given values or the keys' positions.
+enum Kernels {
+    Matching { count: Kernel<sort_count::Interface>, scatter: [Kernel<sort_scatter::Interface>; 2] },
+    Runs { count: Kernel<sort_count_runs::Interface>, scatter: [Kernel<sort_scatter_runs::Interface>; 2] },
 }
 
 /// What a sort works on. Keys start in `keys[0]`; where they end depends on the number of passes, see
@@ -39,8 +44,15 @@ pub struct SortBuffers<'a> {
     pub values: [&'a Buffer; 2],
     /// Scratch: [`RadixSort::histogram_words`] words.
     pub histogram: &'a Buffer,
-    /// Scratch: 256 words.
+    /// Scratch: [`RadixSort::digit_total_words`] words.
     pub digit_totals: &'a Buffer,
+}
+
+impl SortBuffers<'_> {
+    /// Pairs that fit.
+    fn capacity(&self) -> u64 {
+        self.keys[0].bytes() / 4
+    }
 }
 
 /// Where the values come from.
@@ -53,44 +65,59 @@ pub enum Values {
 }
 
 impl RadixSort {
-    /// Builds the kernels.
+    /// Builds the kernels of the method that suits the device.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
-        let limits = context.limits();
-        let sizes = Blocks::new(limits);
-        let subgroup_size = limits.subgroup_size;
-        let workgroup_size = sizes.sort_workgroup;
-        let scatter = sort_scatter::Spec {
-            workgroup_size,
-            subgroup_size,
-            items: sizes.sort_items,
-            identity_values: false,
+        Self::with_sizes(context, Blocks::new(context.limits()))
+    }
+
+    /// Builds the kernels of these sizes, which are those of [`Blocks::with_sort_method`].
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn with_sizes(context: &Context, sizes: Blocks) -> Result<Self> {
+        let subgroup_size = context.limits().subgroup_size;
+        let scan = sort_scan::Spec { workgroup_size: sizes.stream, subgroup_size };
+        let alone = |identity_values| {
+            let spec = sort_alone::Spec { workgroup_size: subgroup_size, subgroup_size, identity_values };
+            Kernel::new(context, &spec)
         };
         Ok(Self {
-            count: Kernel::new(context, &sort_count::Spec { workgroup_size, items: sizes.sort_items })?,
-            scan: Kernel::new(context, &sort_scan::Spec { workgroup_size: sizes.stream, subgroup_size })?,
-            scatter: Kernel::new(context, &scatter)?,
-            scatter_identity: Kernel::new(context, &sort_scatter::Spec { identity_values: true, ..scatter })?,
-            block: sizes.sort,
+            kernels: match sizes.sort_method {
+                SortMethod::Matching => Kernels::matching(context, &sizes)?,
+                SortMethod::Runs => Kernels::runs(context, &sizes)?,
+            },
+            scan: Kernel::new(context, &scan)?,
+            alone: if sizes.sort_alone { Some([alone(false)?, alone(true)?]) } else { None },
             rows: sizes.stream / subgroup_size,
+            sizes,
         })
     }
 
-    /// Words of scratch for `n` pairs.
-    pub fn histogram_words(&self, n: u64) -> u64 {
-        u64::from(SORT_BINS) * blocks(n, self.block.into()).max(1)
+    /// Words of scratch for buffers of `n` pairs with keys below 2^`key_bits`.
+    pub fn histogram_words(&self, n: u64, key_bits: u32) -> u64 {
+        self.sizes.sort_histogram_words(n, key_bits)
+    }
+
+    /// Words of scratch for any number of pairs.
+    pub fn digit_total_words(&self) -> u64 {
+        1 << self.sizes.sort_digit_bits()
     }
 
     /// Pairs of one block.
     pub fn block(&self) -> u32 {
-        self.block
+        self.sizes.sort
+    }
+
+    fn blocks(&self, n: u64) -> u64 {
+        blocks(n, self.sizes.sort.into())
     }
 
     /// Passes for keys below 2^`key_bits`: the result lies in buffers `passes % 2`.
-    pub const fn passes(key_bits: u32) -> u32 {
-        key_bits.div_ceil(DIGIT_BITS)
+    pub fn passes(&self, key_bits: u32) -> u32 {
+        self.sizes.sort_passes(key_bits)
     }
 
     /// Records the sort of keys below 2^`key_bits`; the caller places a barrier before and after. Returns which of the
@@ -103,70 +130,173 @@ impl RadixSort {
         key_bits: u32,
         workgroups: Workgroups,
     ) -> usize {
-        let passes = Self::passes(key_bits);
+        let passes = self.passes(key_bits);
         let digit_bits = key_bits.div_ceil(passes);
+        let alone = self.alone.as_ref().filter(|_| self.sizes.sorts_alone(buffers.capacity(), key_bits));
+        if let Some(alone) = alone {
+            let kernel = &alone[usize::from(values == Values::Positions)];
+            let bytes = u64::from(self.sizes.sort_workgroup) * self.sizes.sort_digits(key_bits) * 4;
+            let bind = sort_alone::Bind {
+                counts: buffers.counts,
+                keys_a: buffers.keys[0],
+                values_a: buffers.values[0],
+                keys_b: buffers.keys[1],
+                values_b: buffers.values[1],
+                run_counts: &buffers.histogram.range(0, bytes),
+            };
+            let push = sort_alone::Push { count_index: buffers.count_index, digit_bits, passes };
+            recorder.dispatch(kernel, &bind, &push, 1);
+            return (passes % 2) as usize;
+        }
         for pass in 0..passes {
             if pass > 0 {
                 recorder.barrier();
             }
             let shift = pass * digit_bits;
-            let digit = Digit { shift, bits: digit_bits.min(key_bits - shift), from: (pass % 2) as usize };
-            let identity = pass == 0 && values == Values::Positions;
-            self.record_pass(recorder, buffers, digit, identity, workgroups);
+            let digit = Digit {
+                shift,
+                bits: digit_bits.min(key_bits - shift),
+                from: (pass % 2) as usize,
+                identity: pass == 0 && values == Values::Positions,
+            };
+            match &self.kernels {
+                Kernels::Matching { count, scatter } => {
+                    self.record_matching(recorder, buffers, digit, workgroups, (count, scatter));
+                }
+                Kernels::Runs { count, scatter } => {
+                    self.record_runs(recorder, buffers, digit, workgroups, (count, scatter));
+                }
+            }
         }
         (passes % 2) as usize
     }
 
-    fn record_pass(
+    fn record_matching(
         &self,
         recorder: &mut Recorder,
         b: &SortBuffers,
         digit: Digit,
-        identity: bool,
         workgroups: Workgroups,
+        (count, scatter): (&Kernel<sort_count::Interface>, &[Kernel<sort_scatter::Interface>; 2]),
     ) {
-        let Digit { shift, bits, from } = digit;
-        let count_index = b.count_index;
-        let count = sort_count::Bind { counts: b.counts, keys: b.keys[from], histogram: b.histogram };
-        let push = sort_count::Push { count_index, shift, bits };
-        match workgroups {
-            Workgroups::Elements(n) => {
-                recorder.dispatch(&self.count, &count, &push, blocks(n, self.block.into()))
-            }
-            Workgroups::Indirect(at) => recorder.dispatch_indirect(&self.count, &count, &push, at),
-        }
+        let Digit { shift, bits, from, identity } = digit;
+        let (counts, count_index, histogram) = (b.counts, b.count_index, b.histogram);
+        let bind = sort_count::Bind { counts, keys: b.keys[from], histogram };
+        self.dispatch(recorder, count, &bind, &sort_count::Push { count_index, shift, bits }, workgroups);
         recorder.barrier();
-        let digits = 1 << bits;
-        recorder.dispatch(
-            &self.scan,
-            &sort_scan::Bind { counts: b.counts, histogram: b.histogram, digit_totals: b.digit_totals },
-            &sort_scan::Push { count_index, block_size: self.block, digits },
-            blocks(digits.into(), self.rows.into()),
-        );
+        self.record_scan(recorder, b, histogram, digit);
         recorder.barrier();
-        let scatter = sort_scatter::Bind {
-            counts: b.counts,
+        let bind = sort_scatter::Bind {
+            counts,
             keys: b.keys[from],
             values: b.values[from],
-            histogram: b.histogram,
+            histogram,
             digit_totals: b.digit_totals,
             sorted_keys: b.keys[1 - from],
             sorted_values: b.values[1 - from],
         };
-        let kernel = if identity { &self.scatter_identity } else { &self.scatter };
         let push = sort_scatter::Push { count_index, shift, bits };
+        self.dispatch(recorder, &scatter[usize::from(identity)], &bind, &push, workgroups);
+    }
+
+    fn record_runs(
+        &self,
+        recorder: &mut Recorder,
+        b: &SortBuffers,
+        digit: Digit,
+        workgroups: Workgroups,
+        (count, scatter): (&Kernel<sort_count_runs::Interface>, &[Kernel<sort_scatter_runs::Interface>; 2]),
+    ) {
+        let Digit { shift, bits, from, identity } = digit;
+        let (counts, count_index) = (b.counts, b.count_index);
+        // The blocks' histograms first, then those of their runs.
+        let blocks = self.blocks(b.capacity()).max(1);
+        let of_blocks = (blocks << bits) * 4;
+        let of_runs = blocks * u64::from(self.sizes.sort_workgroup) * (1 << bits).max(4) * 4;
+        let histogram = &b.histogram.range(0, of_blocks);
+        let run_counts = &b.histogram.range(Blocks::sort_runs_offset(of_blocks), of_runs);
+        let bind = sort_count_runs::Bind { counts, keys: b.keys[from], histogram, run_counts };
+        self.dispatch(
+            recorder,
+            count,
+            &bind,
+            &sort_count_runs::Push { count_index, shift, bits },
+            workgroups,
+        );
+        recorder.barrier();
+        self.record_scan(recorder, b, histogram, digit);
+        recorder.barrier();
+        let bind = sort_scatter_runs::Bind {
+            counts,
+            keys: b.keys[from],
+            values: b.values[from],
+            histogram,
+            digit_totals: b.digit_totals,
+            run_counts,
+            sorted_keys: b.keys[1 - from],
+            sorted_values: b.values[1 - from],
+        };
+        let push = sort_scatter_runs::Push { count_index, shift, bits };
+        self.dispatch(recorder, &scatter[usize::from(identity)], &bind, &push, workgroups);
+    }
+
+    fn record_scan(&self, recorder: &mut Recorder, b: &SortBuffers, histogram: &Buffer, digit: Digit) {
+        let digits = 1 << digit.bits;
+        recorder.dispatch(
+            &self.scan,
+            &sort_scan::Bind { counts: b.counts, histogram, digit_totals: b.digit_totals },
+            &sort_scan::Push { count_index: b.count_index, block_size: self.sizes.sort, digits },
+            blocks(digits.into(), self.rows.into()),
+        );
+    }
+
+    /// One workgroup per block.
+    fn dispatch<K: KernelInterface>(
+        &self,
+        recorder: &mut Recorder,
+        kernel: &Kernel<K>,
+        bind: &K::Bind<'_>,
+        push: &K::Push,
+        workgroups: Workgroups,
+    ) {
         match workgroups {
-            Workgroups::Elements(n) => {
-                recorder.dispatch(kernel, &scatter, &push, blocks(n, self.block.into()))
-            }
-            Workgroups::Indirect(at) => recorder.dispatch_indirect(kernel, &scatter, &push, at),
+            Workgroups::Elements(n) => recorder.dispatch(kernel, bind, push, self.blocks(n)),
+            Workgroups::Indirect(at) => recorder.dispatch_indirect(kernel, bind, push, at),
         }
     }
 }
 
+impl Kernels {
+    fn matching(context: &Context, sizes: &Blocks) -> Result<Self> {
+        let (workgroup_size, items) = (sizes.sort_workgroup, sizes.sort_items);
+        let subgroup_size = context.limits().subgroup_size;
+        let scatter = |identity_values| {
+            let spec = sort_scatter::Spec { workgroup_size, subgroup_size, items, identity_values };
+            Kernel::new(context, &spec)
+        };
+        Ok(Self::Matching {
+            count: Kernel::new(context, &sort_count::Spec { workgroup_size, items })?,
+            scatter: [scatter(false)?, scatter(true)?],
+        })
+    }
+
+    fn runs(context: &Context, sizes: &Blocks) -> Result<Self> {
+        let (workgroup_size, items) = (sizes.sort_workgroup, sizes.sort_items);
+        let subgroup_size = context.limits().subgroup_size;
+        let scatter = |identity_values| {
+            let spec = sort_scatter_runs::Spec { workgroup_size, subgroup_size, items, identity_values };
+            Kernel::new(context, &spec)
+        };
+        let count = sort_count_runs::Spec { workgroup_size, subgroup_size, items };
+        Ok(Self::Runs { count: Kernel::new(context, &count)?, scatter: [scatter(false)?, scatter(true)?] })
+    }
+}
+
+/// One pass.
 #[derive(Clone, Copy)]
 struct Digit {
     shift: u32,
     bits: u32,
     from: usize,
+    identity: bool,
 }

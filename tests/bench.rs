@@ -112,21 +112,18 @@ fn bench_compare_names_what_became_slower() {
 
     let mut report = read(&a);
     let kernel = &mut report["runs"][0]["kernels"][2];
-    assert_eq!(kernel["kernel"], "sort/sort_scatter");
+    let name = kernel["kernel"].as_str().expect("a name").to_owned();
+    assert!(name.starts_with("sort/sort_scatter"), "{name}");
     for part in ["min", "median", "p90"] {
         kernel["time_us"][part] = Value::from(50.0 * number(&kernel["time_us"][part]) + 1e4);
     }
     write(&b, &report);
     let slower = succeed(&["bench", "compare", text(&a), text(&b)]);
     let marked: Vec<&str> = slower.lines().filter(|line| line.ends_with("SLOWER")).collect();
-    assert!(marked.len() == 1 && marked[0].contains("sort/sort_scatter"), "{slower}");
+    assert!(marked.len() == 1 && marked[0].contains(&name), "{slower}");
     let run = finish(program().args(["bench", "compare", text(&a), text(&b), "--fail-above", "1.15"]));
     assert_eq!(run.code, Some(2));
-    assert!(
-        run.stderr.contains("slower than 1.15 times: sort sort/sort_scatter in 'sort'"),
-        "{}",
-        run.stderr
-    );
+    assert!(run.stderr.contains(&format!("slower than 1.15 times: sort {name} in 'sort'")), "{}", run.stderr);
     // The other way round nothing is slower.
     succeed(&["bench", "compare", text(&b), text(&a), "--fail-above", "1.15"]);
 }

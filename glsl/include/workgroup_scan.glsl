@@ -7,6 +7,11 @@ shared uint scan_subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE + 1];
 uint workgroup_exclusive_add(uint value, out uint total) {
     const uint subgroups = WORKGROUP_SIZE / SUBGROUP_SIZE;
     uint before = subgroupExclusiveAdd(value);
+    // Known when the kernel is compiled: without a barrier it is cheaper on a processor.
+    if (subgroups == 1) {
+        total = subgroupAdd(value);
+        return before;
+    }
     if (gl_SubgroupInvocationID == SUBGROUP_SIZE - 1) {
         scan_subgroup_sums[gl_SubgroupID] = before + value;
     }

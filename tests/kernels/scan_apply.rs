@@ -9,8 +9,18 @@ use crate::reference::scan_apply::{exclusive_scan, scan_apply};
 #[test]
 fn scan_apply_equals_its_twin() {
     let gpu = Gpu::new();
-    let spec =
-        scan_apply::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items: 4 };
+    check(
+        &gpu,
+        scan_apply::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items: 4 },
+    );
+    // A single subgroup needs no barrier.
+    check(
+        &gpu,
+        scan_apply::Spec { workgroup_size: gpu.subgroup(), subgroup_size: gpu.subgroup(), items: 12 },
+    );
+}
+
+fn check(gpu: &Gpu, spec: scan_apply::Spec) {
     let kernel = gpu.kernel::<scan_apply::Interface>(&spec);
     let block = (spec.workgroup_size * spec.items) as usize;
     for size in sizes(block) {
@@ -40,18 +50,19 @@ fn scan_apply_equals_its_twin() {
 fn scan_of_more_than_65535_workgroups() {
     let gpu = Gpu::new();
     let (workgroup_size, subgroup_size) = (gpu.subgroup(), gpu.subgroup());
-    let reduce = gpu.kernel(&scan_reduce::Spec { workgroup_size, subgroup_size, items: 1 });
+    let reduce = gpu.kernel(&scan_reduce::Spec { workgroup_size, subgroup_size, items: 4 });
     let reduce: &ashsplat::vk::Kernel<scan_reduce::Interface> = &reduce;
     let spine = gpu.kernel::<scan_spine::Interface>(&scan_spine::Spec {
         workgroup_size: gpu.workgroup(256),
         subgroup_size,
     });
     let apply =
-        gpu.kernel::<scan_apply::Interface>(&scan_apply::Spec { workgroup_size, subgroup_size, items: 1 });
-    let size = 65_540 * workgroup_size - 3;
-    let blocks = u64::from(size.div_ceil(workgroup_size));
+        gpu.kernel::<scan_apply::Interface>(&scan_apply::Spec { workgroup_size, subgroup_size, items: 4 });
+    let block = workgroup_size * 4;
+    let size = 65_540 * block - 3;
+    let blocks = u64::from(size.div_ceil(block));
     let mut random = Random::new(1);
-    let values: Vec<u32> = (0..size).map(|_| random.below(1 << 12)).collect();
+    let values: Vec<u32> = (0..size).map(|_| random.below(1 << 10)).collect();
     let counts = gpu.buffer("counts", &[size]);
     let totals = gpu.buffer("totals", &[0]);
     let input = gpu.buffer("values", &values);
@@ -62,13 +73,8 @@ fn scan_of_more_than_65535_workgroups() {
         recorder.dispatch(reduce, &bind, &scan_reduce::Push { count_index: 0 }, blocks);
         recorder.barrier();
         let bind = scan_spine::Bind { block_sums: &sums, totals: &totals };
-        let push = scan_spine::Push {
-            count: size,
-            from_totals: 0,
-            block_size: workgroup_size,
-            total_index: 0,
-            first_sum: 0,
-        };
+        let push =
+            scan_spine::Push { count: size, from_totals: 0, block_size: block, total_index: 0, first_sum: 0 };
         recorder.dispatch(&spine, &bind, &push, 1);
         recorder.barrier();
         let bind =

@@ -9,7 +9,12 @@ use crate::reference::scan_reduce::scan_reduce;
 #[test]
 fn scan_reduce_equals_its_twin() {
     let gpu = Gpu::new();
-    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items: 4 };
+    check(&gpu, Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items: 4 });
+    // A single subgroup needs no barrier.
+    check(&gpu, Spec { workgroup_size: gpu.subgroup(), subgroup_size: gpu.subgroup(), items: 12 });
+}
+
+fn check(gpu: &Gpu, spec: Spec) {
     let kernel = gpu.kernel::<Interface>(&spec);
     let block = (spec.workgroup_size * spec.items) as usize;
     for size in sizes(block) {

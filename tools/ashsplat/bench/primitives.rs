@@ -90,7 +90,8 @@ pub fn scan(job: &Job) -> Result<Run> {
 pub fn sort(job: &Job) -> Result<Run> {
     let sort = RadixSort::new(job.context)?;
     let keys = synthetic::keys(job.seed, job.elements as usize);
-    let (words, histogram) = (u64::from(job.elements) * 4, sort.histogram_words(job.elements.into()) * 4);
+    let words = u64::from(job.elements) * 4;
+    let histogram = sort.histogram_words(job.elements.into(), u32::BITS) * 4;
     let requests = [
         ("counts", 16),
         ("keys_a", words),
@@ -98,7 +99,7 @@ pub fn sort(job: &Job) -> Result<Run> {
         ("values_a", words),
         ("values_b", words),
         ("histogram", histogram),
-        ("digit_totals", 1024),
+        ("digit_totals", sort.digit_total_words() * 4),
         ("unsorted", words),
     ];
     let b = job.buffers(&requests)?;

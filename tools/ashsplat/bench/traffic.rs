@@ -79,7 +79,8 @@ impl Traffic {
     /// (read, written) bytes of a command. `first`: whether it is the first of its kernel in its scope, where a
     /// sort makes its values up instead of reading them.
     pub fn of(&self, command: &CommandRecord, first: bool) -> (u64, u64) {
-        let made_up = |b: &BoundBuffer| first && command.name == "sort/sort_scatter" && b.role == "values";
+        let made_up =
+            |b: &BoundBuffer| first && command.name.starts_with("sort/sort_scatter") && b.role == "values";
         // Blending reads its outputs only where a tile takes several passes.
         let outputs_only = first && command.name.starts_with("forward/blend");
         let (mut read, mut written) = (0, 0);

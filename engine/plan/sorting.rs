@@ -1,0 +1,66 @@
+//! What a radix sort needs: digits, passes, scratch.
+
+use super::{Blocks, blocks};
+use crate::kernels::constants::SORT_BINS;
+
+/// Bits of a digit of a sort by runs: with ten, the tiles of a small image need one pass.
+const SORT_RUN_DIGIT_BITS: u32 = 10;
+/// Pairs times passes that a single workgroup sorts on a processor: beyond, a second core gains more than dispatches
+/// cost. (An invocation's loops stay within what [`Limits::max_loop_iterations`] allows, at four lanes as well.)
+const SORT_ALONE: u64 = 1 << 18;
+/// And pairs, in however few passes.
+const SORT_ALONE_PAIRS: u64 = 1 << 17;
+/// No device asks for more between the beginnings of two buffers in one allocation, bytes.
+const BUFFER_ALIGNMENT: u64 = 256;
+
+/// How a radix sort ranks keys of equal digits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SortMethod {
+    /// A subgroup takes consecutive keys side by side and matches their digits: coalesced, histograms in shared memory.
+    Matching,
+    /// Each invocation takes a run of keys one after the other, with a histogram of its own in device memory: for
+    /// processors, where neither coalescing nor many invocations count, but every memory access and every barrier.
+    Runs,
+}
+
+impl Blocks {
+    /// Whether a single workgroup sorts up to `capacity` keys below 2^`key_bits`.
+    pub fn sorts_alone(&self, capacity: u64, key_bits: u32) -> bool {
+        let passes = u64::from(self.sort_passes(key_bits));
+        self.sort_alone && capacity <= SORT_ALONE_PAIRS && capacity * passes <= SORT_ALONE
+    }
+
+    /// Bits of a sort's digit at most.
+    pub const fn sort_digit_bits(&self) -> u32 {
+        match self.sort_method {
+            SortMethod::Matching => SORT_BINS.ilog2(),
+            SortMethod::Runs => SORT_RUN_DIGIT_BITS,
+        }
+    }
+
+    /// Passes of a sort of keys below 2^`key_bits`.
+    pub const fn sort_passes(&self, key_bits: u32) -> u32 {
+        key_bits.div_ceil(self.sort_digit_bits())
+    }
+
+    /// Words of a sort's histograms, for `n` keys below 2^`key_bits`: of the blocks, and of their runs.
+    pub fn sort_histogram_words(&self, n: u64, key_bits: u32) -> u64 {
+        let histograms = match self.sort_method {
+            SortMethod::Matching => 1,
+            SortMethod::Runs => 1 + u64::from(self.sort_workgroup),
+        };
+        let padding = BUFFER_ALIGNMENT / 4;
+        blocks(n, self.sort.into()).max(1) * histograms * self.sort_digits(key_bits) + padding
+    }
+
+    /// Digits of a sort of keys below 2^`key_bits`. Never less than four, as runs count in fours.
+    pub const fn sort_digits(&self, key_bits: u32) -> u64 {
+        let digits = 1 << key_bits.div_ceil(self.sort_passes(key_bits));
+        if digits < 4 { 4 } else { digits }
+    }
+
+    /// Where, in a sort's histograms, those of runs begin, bytes: after `bytes` bytes of blocks' histograms.
+    pub(crate) const fn sort_runs_offset(bytes: u64) -> u64 {
+        bytes.next_multiple_of(BUFFER_ALIGNMENT)
+    }
+}

@@ -1,0 +1,10 @@
+//! A stable sort digit by digit, the twin of `sort/sort_alone`.
+
+use super::sort_scatter::sort_scatter;
+
+/// The pairs after `passes` passes over digits of `digit_bits` bits, from the lowest one up.
+pub fn sort_alone(keys: &[u32], values: &[u32], digit_bits: u32, passes: u32) -> (Vec<u32>, Vec<u32>) {
+    (0..passes).fold((keys.to_vec(), values.to_vec()), |(keys, values), pass| {
+        sort_scatter(&keys, &values, pass * digit_bits, digit_bits)
+    })
+}
