@@ -15,11 +15,11 @@ fn profile(arguments: &[&str]) -> String {
 #[test]
 fn profile_prints_a_table_of_one_kernel_or_folder() {
     let all = profile(&[]);
-    assert!(all.contains("forward/blend") && all.contains("sort/sort_scatter"), "{all}");
+    assert!(all.contains("forward/blend") && all.contains("sort/sort_"), "{all}");
     let sorts = profile(&["--kernel", "sort"]);
-    assert!(!sorts.contains("forward/blend") && sorts.contains("sort/sort_scatter"), "{sorts}");
+    assert!(!sorts.contains("forward/blend") && sorts.contains("sort/sort_"), "{sorts}");
     let steps = profile(&["train-step", "--kernel", "optimizer/adam"]);
-    assert!(steps.contains("adam") && !steps.contains("sort/sort_scatter"), "{steps}");
+    assert!(steps.contains("adam") && !steps.contains("sort/sort_"), "{steps}");
 }
 
 #[test]
