@@ -17,13 +17,6 @@ use crate::vk::Limits;
 
 /// Invocations of a streaming workgroup, where the device allows it.
 const STREAM_WORKGROUP: u32 = 256;
-/// Subgroups of a sorting workgroup: each holds its own histogram in shared memory.
-const SORT_SUBGROUPS: u32 = 8;
-/// Keys of one invocation of a sort by matching.
-const SORT_ITEMS: u32 = 16;
-/// Keys of one invocation of a sort by runs: many enough that the run's own histogram costs little beside them, few
-/// enough that the cache holds what a subgroup writes.
-const SORT_RUN: u32 = 1024;
 /// Columns that one invocation of the loss goes down: what it keeps of them just fits into the fastest cache.
 const LOSS_SWEEP_STRIP: u32 = 8;
 /// Values of one invocation of a scan: read in fours. A processor rather has fewer invocations without barriers.
@@ -106,16 +99,7 @@ impl Blocks {
         };
         let stream =
             limits.workgroup_size(size("", "WORKGROUP_SIZE", STREAM_WORKGROUP).min(STREAM_WORKGROUP));
-        let (sort_workgroup, sort_items) = match sort_method {
-            SortMethod::Matching => (
-                limits.workgroup_size(
-                    size("sort", "WORKGROUP_SIZE", SORT_SUBGROUPS * limits.subgroup_size).min(stream),
-                ),
-                size("sort", "ITEMS", SORT_ITEMS),
-            ),
-            // Keys are read in fours.
-            SortMethod::Runs => (limits.subgroup_size, size("sort", "ITEMS", SORT_RUN).max(4)),
-        };
+        let (sort_workgroup, sort_items) = sorting::shape(limits, sort_method, stream, size);
         let scan_items = size("scan", "ITEMS", SCAN_ITEMS[usize::from(limits.is_cpu)]).max(4);
         let scan_workgroup = limits.workgroup_size(size(
             "scan",

@@ -46,14 +46,9 @@ fn bench_all_follows_its_schema() {
     let folder = tempdir().expect("a temporary folder");
     let (json, csv) = (folder.path().join("a.json"), folder.path().join("a.csv"));
     let table = measure("all", &["--json", text(&json), "--csv", text(&csv), "--frames", "900@64x64"]);
-    for word in [
-        "copy bandwidth",
-        "cost of measuring",
-        "sort/sort_",
-        "optimizer/adam",
-        "workgroups",
-        "std stable",
-    ] {
+    for word in
+        ["copy bandwidth", "cost of measuring", "sort/sort_", "optimizer/adam", "workgroups", "std stable"]
+    {
         assert!(table.contains(word), "no '{word}' in {table}");
     }
     let report = read(&json);

@@ -2,7 +2,15 @@
 
 use super::{Blocks, blocks};
 use crate::kernels::constants::SORT_BINS;
+use crate::vk::Limits;
 
+/// Subgroups of a sorting workgroup: each holds its own histogram in shared memory.
+const SORT_SUBGROUPS: u32 = 8;
+/// Keys of one invocation of a sort by matching.
+const SORT_ITEMS: u32 = 16;
+/// Keys of one invocation of a sort by runs: many enough that the run's own histogram costs little beside them, few
+/// enough that the cache holds what a subgroup writes.
+const SORT_RUN: u32 = 1024;
 /// Bits of a digit of a sort by runs: with ten, the tiles of a small image need one pass.
 const SORT_RUN_DIGIT_BITS: u32 = 10;
 /// Pairs times passes that a single workgroup sorts on a processor: beyond, a second core gains more than dispatches
@@ -21,6 +29,24 @@ pub enum SortMethod {
     /// Each invocation takes a run of keys one after the other, with a histogram of its own in device memory: for
     /// processors, where neither coalescing nor many invocations count, but every memory access and every barrier.
     Runs,
+}
+
+/// Invocations of a sorting workgroup, and keys of each. `size` is the usual value of a constant, or another one that was
+/// asked for.
+pub(super) fn shape(
+    limits: &Limits,
+    method: SortMethod,
+    stream: u32,
+    size: impl Fn(&str, &str, u32) -> u32,
+) -> (u32, u32) {
+    match method {
+        SortMethod::Matching => {
+            let preferred = size("sort", "WORKGROUP_SIZE", SORT_SUBGROUPS * limits.subgroup_size);
+            (limits.workgroup_size(preferred.min(stream)), size("sort", "ITEMS", SORT_ITEMS))
+        }
+        // Keys are read in fours.
+        SortMethod::Runs => (limits.subgroup_size, size("sort", "ITEMS", SORT_RUN).max(4)),
+    }
 }
 
 impl Blocks {
