@@ -35,6 +35,7 @@ fn main() {
 
     let results = compile_all(&root, &glsl, &out, &shaders);
     let (kernels, mut errors): (Vec<_>, Vec<_>) = results.into_iter().partition(Result::is_ok);
+    errors.extend(embed(&root, &glsl, &out).err().map(Err));
     let kernels: Vec<_> = kernels.into_iter().filter_map(Result::ok).collect();
     let constants = fs::read_to_string(glsl.join("include/constants.glsl")).unwrap_or_default();
     let generated = generate::constants(&constants).and_then(|c| generate::kernels(&kernels, &c));
@@ -50,6 +51,22 @@ fn main() {
         eprintln!("{} shader(s) failed", errors.len());
         std::process::exit(1);
     }
+}
+
+/// The graphics shaders of the example that embeds ashsplat, as `embed_NAME.spv`.
+fn embed(root: &Path, glsl: &Path, out: &Path) -> Result<(), String> {
+    for name in ["cube.vert", "cube.frag"] {
+        println!("cargo:rerun-if-changed=tools/embed/{name}");
+    }
+    for name in ["cube.vert", "cube.frag"] {
+        let path = root.join("tools/embed").join(name);
+        let display = format!("tools/embed/{name}");
+        let source = fs::read_to_string(&path).map_err(|e| format!("{display}: cannot read: {e}"))?;
+        let spirv = compile(glsl, &path, &display, &source)?;
+        let bytes: Vec<u8> = spirv.iter().flat_map(|w| w.to_le_bytes()).collect();
+        fs::write(out.join(format!("embed_{name}.spv")), bytes).unwrap();
+    }
+    Ok(())
 }
 
 /// Finds `*.comp` and `*.glsl` below a folder, sorted.

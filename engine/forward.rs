@@ -8,7 +8,7 @@
 mod blending;
 mod settings;
 
-pub use blending::Blending;
+pub use blending::{BlendVariant, Blending};
 
 pub use settings::{Extent, JacobianLimit, RenderSettings};
 pub(crate) use settings::{camera_push, jacobian_limits};
@@ -16,7 +16,9 @@ pub(crate) use settings::{camera_push, jacobian_limits};
 use crate::error::Result;
 use crate::kernels::constants as c;
 use crate::kernels::forward::{compact, count, cull, expand, prepare, project, ranges};
-use crate::plan::{Blocks, FrameBuffers, FrameCapacity, ScenePlan, blocks, tile_bits, tile_grid};
+use crate::plan::{
+    Blocks, FrameBuffers, FrameCapacity, GaussianRange, ScenePlan, blocks, tile_bits, tile_grid,
+};
 use crate::scan::{Scan, ScanBuffers, Workgroups};
 use crate::scene::Camera;
 use crate::sort::{RadixSort, SortBuffers, Values};
@@ -55,6 +57,93 @@ pub struct FrameInputs<'a> {
     pub settings: &'a RenderSettings,
     /// SH degree that is evaluated.
     pub sh_degree: u32,
+    /// Scenes that are rendered together with `scene`, each with its own place.
+    pub others: &'a [PlacedScene<'a>],
+    /// Per pixel of the image: 1/z of what hides the splats behind it, 0 for nothing.
+    pub depth_limits: Option<&'a Buffer>,
+    /// Sum weights * z in place of weights / z.
+    pub linear_depth: bool,
+}
+
+impl FrameInputs<'_> {
+    /// Which blending the frame needs.
+    pub fn blend_variant(&self) -> BlendVariant {
+        BlendVariant {
+            inverse_depth: self.settings.inverse_depth,
+            linear_depth: self.linear_depth,
+            depth_limit: self.depth_limits.is_some(),
+        }
+    }
+}
+
+/// A scene beside the first of a frame.
+#[derive(Clone, Copy)]
+pub struct PlacedScene<'a> {
+    /// The scene.
+    pub scene: &'a SceneBuffers,
+    /// The frame's camera in the scene's own coordinates: same image, same scale.
+    pub camera: Camera,
+    /// SH degree that is evaluated.
+    pub sh_degree: u32,
+    /// Index of its first Gaussian among all of the frame: behind the scene before, a multiple of [`Blocks::stream`],
+    /// so that a block of culling belongs to one scene.
+    pub first: u32,
+}
+
+/// The part of a frame that one dispatch over a scene's parameters needs.
+#[derive(Clone, Copy)]
+struct Part<'a> {
+    scene: &'a SceneBuffers,
+    camera: &'a Camera,
+    settings: &'a RenderSettings,
+    sh_degree: u32,
+    range: GaussianRange,
+    /// Index of the range's first Gaussian among all of the frame.
+    first: u32,
+}
+
+impl<'a> FrameInputs<'a> {
+    /// The dispatches over parameters: chunk by chunk, scene by scene.
+    fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
+        let settings = self.settings;
+        let first =
+            PlacedPart { scene: self.scene, camera: self.camera, sh_degree: self.sh_degree, first: 0 };
+        let others = self.others.iter().map(|o| PlacedPart {
+            scene: o.scene,
+            camera: &o.camera,
+            sh_degree: o.sh_degree,
+            first: o.first,
+        });
+        std::iter::once(first).chain(others).flat_map(move |placed| {
+            let PlacedPart { scene, camera, sh_degree, first } = placed;
+            let ranges = scene.plan.ranges(scene.count);
+            ranges.map(move |range| {
+                let first = first + range.first;
+                Part { scene, camera, settings, sh_degree, range, first }
+            })
+        })
+    }
+
+    /// Indices of all scenes together, with the gaps between them.
+    fn index_count(&self) -> u32 {
+        self.others.last().map_or(self.scene.count, |o| o.first + o.scene.count)
+    }
+
+    /// The gaps between scenes: (first, count).
+    fn gaps(&self) -> impl Iterator<Item = (u32, u32)> {
+        let ends =
+            std::iter::once(self.scene.count).chain(self.others.iter().map(|o| o.first + o.scene.count));
+        let gaps = ends.zip(self.others).map(|(end, next)| (end, next.first - end));
+        gaps.filter(|(_, count)| *count > 0)
+    }
+}
+
+#[derive(Clone, Copy)]
+struct PlacedPart<'a> {
+    scene: &'a SceneBuffers,
+    camera: &'a Camera,
+    sh_degree: u32,
+    first: u32,
 }
 
 /// The kernels of the forward pass.
@@ -103,12 +192,20 @@ impl Forward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
+        self.prepare_variant(sh_degree, BlendVariant { inverse_depth, ..BlendVariant::default() })
+    }
+
+    /// Builds the variants for an SH degree and a way to blend, unless they exist.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
         let slot = &mut self.project[sh_degree as usize];
         if slot.is_none() {
             let spec = project::Spec { workgroup_size: self.sizes.stream, sh_degree };
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
-        self.blend.prepare(&self.context, &self.sizes, inverse_depth)
+        self.blend.prepare(&self.context, &self.sizes, variant)
     }
 
     /// Chooses how tiles are blended; before [`Forward::prepare`].
@@ -137,20 +234,26 @@ impl Forward {
     /// Which Gaussians are visible, in their own order.
     fn record_visibility(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        for range in inputs.scene.plan.ranges(inputs.scene.count) {
-            let push = camera_push!(cull::Push, inputs, range);
+        let mut fresh = true;
+        for (first, count) in inputs.gaps() {
+            r.fill(&f.visible_flags.range(u64::from(first) * 4, u64::from(count) * 4), 0);
+            fresh = false;
+        }
+        for part in inputs.parts() {
+            let range = GaussianRange { first: part.first, ..part.range };
+            let push = camera_push!(cull::Push, &part, range);
             let bind = cull::Bind {
-                parameters: &inputs.scene.chunks[range.chunk],
+                parameters: &part.scene.chunks[range.chunk],
                 visible_flags: &f.visible_flags,
                 block_counts: &f.visible_blocks,
             };
-            if range.chunk > 0 {
+            if !std::mem::take(&mut fresh) {
                 r.barrier();
             }
             r.dispatch(&self.cull, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
         }
         r.barrier();
-        let count = inputs.scene.count;
+        let count = inputs.index_count();
         let culled_blocks = count.div_ceil(self.sizes.stream);
         self.scan.record_block_sums(
             r,
@@ -202,13 +305,14 @@ impl Forward {
     /// Screen-space attributes of the visible.
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        let Some(kernel) = &self.project[inputs.sh_degree as usize] else {
-            panic!("Forward::prepare was not called for SH degree {}", inputs.sh_degree);
-        };
-        for range in inputs.scene.plan.ranges(inputs.scene.count) {
-            let push = camera_push!(project::Push, inputs, range);
+        for (index, part) in inputs.parts().enumerate() {
+            let Some(kernel) = &self.project[part.sh_degree as usize] else {
+                panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
+            };
+            let range = GaussianRange { first: part.first, ..part.range };
+            let push = camera_push!(project::Push, &part, range);
             let bind = project::Bind {
-                parameters: &inputs.scene.chunks[range.chunk],
+                parameters: &part.scene.chunks[range.chunk],
                 state: &f.state,
                 visible_list: &f.visible_list,
                 mean2d_extent: &f.mean2d_extent,
@@ -217,7 +321,7 @@ impl Forward {
                 depth_keys: &f.depth_keys_a,
                 footprints: &f.footprints,
             };
-            if range.chunk > 0 {
+            if index > 0 {
                 r.barrier();
             }
             r.dispatch_indirect(kernel, &bind, &push, &arguments(f, c::ARGUMENTS_VISIBLE));

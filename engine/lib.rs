@@ -8,6 +8,7 @@
 //! ```
 //!
 //! - [`Renderer`] and [`Trainer`] own their submissions: they record, submit, wait and read back.
+//! - [`Renderer::record`] is the door for a host engine: its device, its command buffer, its images.
 //! - [`forward`], [`backward`], [`loss`], [`optimizer`], [`densify`] only *record*, into a [`vk::Recorder`].
 //! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`]; [`arithmetic`] measures a device.
 //! - [`scene`], [`io`] and [`metrics`] know no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
@@ -18,6 +19,7 @@
 
 pub mod arithmetic;
 pub mod backward;
+pub mod compose;
 pub mod densify;
 pub mod error;
 mod fingerprint;
@@ -36,8 +38,14 @@ pub mod sort;
 pub mod trainer;
 pub mod vk;
 
+/// The Vulkan bindings whose types the API shows.
+pub use ash;
+pub use compose::Behind;
 pub use error::{Error, Result};
 pub use forward::{Blending, Extent, JacobianLimit, RenderSettings};
-pub use renderer::{Frame, FrameStats, Gradients, PixelReport, Renderer, Sample, TileReport};
+pub use renderer::{
+    DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, Occluder, PixelReport, Placed,
+    RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport, Target, TileReport, Update,
+};
 pub use scene::{Camera, Gaussians};
 pub use trainer::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

@@ -76,7 +76,7 @@ pub fn download(context: &Context, scene: &SceneBuffers) -> Result<Gaussians> {
     Ok(out)
 }
 
-fn pack(g: &Gaussians, range: std::ops::Range<usize>, plan: &ScenePlan) -> Vec<[f32; 4]> {
+pub(crate) fn pack(g: &Gaussians, range: std::ops::Range<usize>, plan: &ScenePlan) -> Vec<[f32; 4]> {
     let stride = plan.stride as usize;
     let mut planes = vec![[0.0f32; 4]; stride * plan.planes as usize];
     let plane = |p: u32, i: usize| p as usize * stride + i;

@@ -1,17 +1,26 @@
-//! Rendering on a device of our own: `Renderer::render` records a frame, submits, waits and reads it back.
+//! Rendering: `Renderer::render` records a frame, submits, waits and reads it back; `Renderer::record` only records, into
+//! a host's command buffer.
 
+mod check;
+mod device_scene;
 mod frame_store;
 mod gradients;
 mod inspect;
+mod record;
 mod runner;
+mod slots;
 mod tiles;
 
+pub use device_scene::DeviceScene;
 pub use gradients::Gradients;
 pub use inspect::{PixelReport, Sample};
+pub use record::{DepthTarget, HostImage, Occluder, Placed, RecordedFrame, Release, Target, Update};
 pub(crate) use runner::{FrameRunner, Ran, Request};
+pub use slots::{Reservation, SlotReport};
 pub use tiles::TileReport;
 
 use crate::backward::Backward;
+use crate::compose::Compose;
 use crate::error::{Error, Result};
 use crate::forward::{Blending, RenderSettings, SceneBuffers};
 use crate::planes;
@@ -24,6 +33,9 @@ pub struct Renderer {
     runner: FrameRunner,
     backward: Backward,
     scene: Option<SceneBuffers>,
+    /// Built with the first reservation.
+    compose: Option<Compose>,
+    slots: slots::Slots,
 }
 
 /// A rendered frame.
@@ -71,7 +83,14 @@ impl Renderer {
             runner: FrameRunner::new(context)?,
             backward: Backward::new(context),
             scene: None,
+            compose: None,
+            slots: slots::Slots::default(),
         })
+    }
+
+    /// The device that it renders on.
+    pub fn context(&self) -> &Context {
+        &self.context
     }
 
     /// Loads a scene in place of the one before.
@@ -103,6 +122,22 @@ impl Renderer {
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
         let scene = self.scene.as_ref().ok_or_else(no_scene)?;
         self.runner.render(scene, camera, settings)
+    }
+
+    /// Renders a scene that lies on the device.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a scene of another device or a camera that makes no sense; memory or device failures.
+    pub fn render_scene(
+        &mut self,
+        scene: &DeviceScene,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<Frame> {
+        if !scene.belongs_to(&self.context) {
+            return Err(Error::argument("scene", "it belongs to another device"));
+        }
+        self.runner.render(&scene.buffers, camera, settings)
     }
 }
 

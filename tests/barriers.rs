@@ -106,6 +106,9 @@ impl Training {
             camera: &self.camera,
             settings: &self.settings,
             sh_degree: SH_DEGREE,
+            others: &[],
+            depth_limits: None,
+            linear_depth: false,
         };
         let [photo, partials, losses, statistics, mean2d_gradients, derivatives @ ..] = &self.others[..]
         else {

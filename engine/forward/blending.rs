@@ -16,17 +16,36 @@ pub enum Blending {
     SharedMemory,
 }
 
-/// The blending kernels, without and with inverse depth, built when they are needed.
+/// What is blended besides colours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BlendVariant {
+    /// The sum of weights / z, or of weights * z with `linear_depth`.
+    pub inverse_depth: bool,
+    /// See `inverse_depth`.
+    pub linear_depth: bool,
+    /// Splats behind the frame's depth limits do not count.
+    pub depth_limit: bool,
+}
+
+impl BlendVariant {
+    fn index(self) -> usize {
+        usize::from(self.inverse_depth)
+            | usize::from(self.linear_depth) << 1
+            | usize::from(self.depth_limit) << 2
+    }
+}
+
+/// The blending kernels by variant, built when they are needed.
 #[derive(Default)]
 pub(super) struct Blend {
     blending: Blending,
-    regions: [Option<Kernel<blend::Interface>>; 2],
-    shared: [Option<Kernel<blend_shared::Interface>>; 2],
+    regions: [Option<Kernel<blend::Interface>>; 8],
+    shared: [Option<Kernel<blend_shared::Interface>>; 8],
 }
 
 /// The buffers of blend_io.glsl, for either kernel.
 macro_rules! blend_bind {
-    ($kernel:ident, $frame:expr) => {
+    ($kernel:ident, $frame:expr, $depth_limits:expr) => {
         $kernel::Bind {
             tile_ranges: &$frame.tile_ranges,
             sorted_visible: &$frame.sorted_visible,
@@ -37,6 +56,8 @@ macro_rules! blend_bind {
             inverse_depth: &$frame.inverse_depth,
             last_entries: &$frame.last_entries,
             state: &$frame.state,
+            // Not read without a limit, but bound.
+            depth_limits: $depth_limits.unwrap_or(&$frame.tile_ranges),
         }
     };
 }
@@ -61,16 +82,20 @@ impl Blend {
         self.blending = blending;
     }
 
-    pub fn prepare(&mut self, context: &Context, sizes: &Blocks, inverse_depth: bool) -> Result<()> {
-        let variant = usize::from(inverse_depth);
+    pub fn prepare(&mut self, context: &Context, sizes: &Blocks, wanted: BlendVariant) -> Result<()> {
+        let BlendVariant { inverse_depth, linear_depth, depth_limit } = wanted;
+        let variant = wanted.index();
         match self.blending {
             Blending::Regions if self.regions[variant].is_none() => {
                 let subgroup_size = context.limits().subgroup_size;
-                let spec = blend::Spec { workgroup_size: sizes.tile, subgroup_size, inverse_depth };
+                let workgroup_size = sizes.tile;
+                let spec =
+                    blend::Spec { workgroup_size, subgroup_size, inverse_depth, depth_limit, linear_depth };
                 self.regions[variant] = Some(Kernel::new(context, &spec)?);
             }
             Blending::SharedMemory if self.shared[variant].is_none() => {
-                let spec = blend_shared::Spec { workgroup_size: sizes.tile_shared, inverse_depth };
+                let workgroup_size = sizes.tile_shared;
+                let spec = blend_shared::Spec { workgroup_size, inverse_depth, depth_limit, linear_depth };
                 self.shared[variant] = Some(Kernel::new(context, &spec)?);
             }
             _ => {}
@@ -80,19 +105,25 @@ impl Blend {
 
     /// Records the colour and transmittance of each pixel.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &Blocks) {
-        let variant = usize::from(inputs.settings.inverse_depth);
+        let variant = inputs.blend_variant().index();
+        let limits = inputs.depth_limits;
         match (self.blending, &self.regions[variant], &self.shared[variant]) {
             (Blending::Regions, Some(kernel), _) => {
                 record_passes(r, inputs, sizes, |r, push, tiles| {
-                    r.dispatch(kernel, &blend_bind!(blend, inputs.frame), &blend_push!(blend, push), tiles);
+                    r.dispatch(
+                        kernel,
+                        &blend_bind!(blend, inputs.frame, limits),
+                        &blend_push!(blend, push),
+                        tiles,
+                    );
                 });
             }
             (Blending::SharedMemory, _, Some(kernel)) => {
                 record_passes(r, inputs, sizes, |r, push, tiles| {
-                    r.dispatch(kernel, &blend_bind!(blend_shared, inputs.frame), &push, tiles);
+                    r.dispatch(kernel, &blend_bind!(blend_shared, inputs.frame, limits), &push, tiles);
                 });
             }
-            _ => panic!("Forward::prepare was not called for inverse depth"),
+            _ => panic!("Forward::prepare was not called for {:?}", inputs.blend_variant()),
         }
     }
 }

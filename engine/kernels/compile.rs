@@ -22,7 +22,7 @@ pub const EXTENSIONS: &str = "\
 #extension GL_KHR_shader_subgroup_shuffle_relative : enable
 ";
 
-/// Compiles a shader for Vulkan 1.3; `display` is what errors call it. The error holds one line
+/// Compiles a shader for Vulkan 1.3, its stage by its extension; `display` is what errors call it. The error holds one line
 /// "error: path:line: message" for each mistake.
 pub fn compile(glsl: &Path, path: &Path, display: &str, source: &str) -> Result<Vec<u32>, String> {
     let compiler = Compiler::acquire().ok_or("glslang does not start")?;
@@ -35,10 +35,19 @@ pub fn compile(glsl: &Path, path: &Path, display: &str, source: &str) -> Result<
     let mut includer = Includer { glsl, file: path };
     let source = ShaderSource::from(with_extensions(source));
     let none: Option<&[(&str, Option<&str>)]> = None;
-    let input = ShaderInput::new(&source, ShaderStage::Compute, &options, none, Some(&mut includer))
+    let input = ShaderInput::new(&source, stage_of(path), &options, none, Some(&mut includer))
         .map_err(|e| report(&e, display))?;
     let shader = glslang::Shader::new(compiler, input).parse().map_err(|e| report(&e, display))?;
     shader.compile().map_err(|e| report(&e, display))
+}
+
+/// Compute, but for the stages of the example's own graphics pass.
+fn stage_of(path: &Path) -> ShaderStage {
+    match path.extension().and_then(|e| e.to_str()) {
+        Some("vert") => ShaderStage::Vertex,
+        Some("frag") => ShaderStage::Fragment,
+        _ => ShaderStage::Compute,
+    }
 }
 
 /// The source with [`EXTENSIONS`] after its `#version`, its line numbers kept.

@@ -112,7 +112,7 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     );
     let _ = writeln!(
         out,
-        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, ConstantInfo, ConstantKind, KernelInterface, Limits}};"
+        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, ConstantInfo, ConstantKind, Image, ImageInfo, ImageUse, KernelInterface, Limits}};"
     );
     out.push_str(&bind(kernel)?);
     out.push_str(&push(kernel)?);
@@ -143,12 +143,18 @@ fn bind(kernel: &Kernel) -> Result<String, String> {
         let about = format!("Binding {}, {access}.{}", b.binding, comment_of(&kernel.source, &b.name));
         let _ = writeln!(fields, "#[doc = {about:?}]\npub {}: &'a Buffer,", b.name);
     }
+    for b in shader.images.iter().map(|i| &i.binding) {
+        check_identifier(&b.name)?;
+        if !names.insert(&b.name) {
+            return Err(format!("two bindings are named '{}': rename one", b.name));
+        }
+        let about = format!("Binding {}, an image.{}", b.binding, comment_of(&kernel.source, &b.name));
+        let _ = writeln!(fields, "#[doc = {about:?}]\npub {}: &'a Image,", b.name);
+    }
     if fields.is_empty() {
         fields.push_str("#[doc(hidden)] pub none: std::marker::PhantomData<&'a Buffer>,\n");
     }
-    Ok(format!(
-        "/// The buffers that the kernel works on.\n#[derive(Clone, Copy)]\npub struct Bind<'a> {{\n{fields}}}\n"
-    ))
+    Ok(format!("/// What the kernel works on.\n#[derive(Clone, Copy)]\npub struct Bind<'a> {{\n{fields}}}\n"))
 }
 
 fn push(kernel: &Kernel) -> Result<String, String> {
@@ -227,17 +233,24 @@ fn interface(kernel: &Kernel) -> String {
     let mut infos = String::new();
     let mut buffers = String::new();
     for b in &shader.bindings {
-        let access = match (b.reads, b.writes) {
-            (true, false) => "Read",
-            (false, true) => "Write",
-            _ => "ReadWrite",
-        };
+        let access = access_of(b.reads, b.writes);
         let _ = writeln!(
             infos,
             "BindingInfo {{ name: {:?}, binding: {}, access: Access::{access} }},",
             b.name, b.binding
         );
         let _ = write!(buffers, "bind.{}, ", b.name);
+    }
+    let (mut image_infos, mut images) = (String::new(), String::new());
+    for i in &shader.images {
+        let (b, purpose) = (&i.binding, if i.storage { "Storage" } else { "Sampled" });
+        let access = access_of(b.reads, b.writes);
+        let _ = writeln!(
+            image_infos,
+            "ImageInfo {{ name: {:?}, binding: {}, access: Access::{access}, purpose: ImageUse::{purpose} }},",
+            b.name, b.binding
+        );
+        let _ = write!(images, "bind.{}, ", b.name);
     }
     let (mut constants, mut entries) = (String::new(), String::new());
     for c in &shader.spec {
@@ -273,10 +286,12 @@ fn interface(kernel: &Kernel) -> String {
          const NAME: &'static str = {name:?};\n\
          const SPIRV: &'static [u32] = &include!(concat!(env!(\"OUT_DIR\"), \"/\", {file:?}));\n\
          const BINDINGS: &'static [BindingInfo] = &[\n{infos}];\n\
+         const IMAGES: &'static [ImageInfo] = &[\n{image_infos}];\n\
          const CONSTANTS: &'static [ConstantInfo] = &[\n{constants}];\n\
          const PUSH_BYTES: u32 = {push_size};\n\
          type Bind<'a> = Bind<'a>;\ntype Push = Push;\ntype Spec = Spec;\n\
          fn buffers<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Buffer]> {{ let all: [&'a Buffer; {count}] = [{buffers}]; all }}\n\
+         fn images<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Image]> {{ let all: [&'a Image; {image_count}] = [{images}]; all }}\n\
          fn push_bytes(push: &Push) -> &[u8] {{ {push_bytes} }}\n\
          fn spec_entries(spec: &Spec) -> Vec<(u32, u32)> {{ vec![{entries}] }}\n\
          fn subgroup_size(spec: &Spec) -> Option<u32> {{ {subgroup} }}\n\
@@ -287,8 +302,17 @@ fn interface(kernel: &Kernel) -> String {
         file = kernel.spirv_file,
         push_size = shader.push.last().map_or(0, |f| f.offset + f.bytes),
         count = shader.bindings.len(),
+        image_count = shader.images.len(),
         shared = shader.shared_bytes,
     )
+}
+
+fn access_of(reads: bool, writes: bool) -> &'static str {
+    match (reads, writes) {
+        (true, false) => "Read",
+        (false, true) => "Write",
+        _ => "ReadWrite",
+    }
 }
 
 /// The first block of `//` lines, before or after `#version` and extensions.

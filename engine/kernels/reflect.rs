@@ -11,6 +11,8 @@ use std::collections::BTreeMap;
 pub struct Shader {
     /// Storage buffers by binding.
     pub bindings: Vec<Binding>,
+    /// Images by binding.
+    pub images: Vec<ImageBinding>,
     /// Members of the push constant block, in order.
     pub push: Vec<PushField>,
     /// Specialization constants by id.
@@ -24,7 +26,7 @@ pub struct Shader {
 /// A storage buffer.
 #[derive(Debug, PartialEq)]
 pub struct Binding {
-    /// Name of the block's first member.
+    /// Name of the block's first member, or of the image.
     pub name: String,
     /// Number of the binding in set 0.
     pub binding: u32,
@@ -32,6 +34,15 @@ pub struct Binding {
     pub reads: bool,
     /// Whether the shader may write it.
     pub writes: bool,
+}
+
+/// A storage image or a sampled image without sampler.
+#[derive(Debug, PartialEq)]
+pub struct ImageBinding {
+    /// Its name, number and use.
+    pub binding: Binding,
+    /// Whether it is a storage image.
+    pub storage: bool,
 }
 
 /// A member of the push constant block.
@@ -63,14 +74,34 @@ pub struct SpecConstant {
 #[derive(Clone, Debug)]
 enum Type {
     Bool,
-    Int { bits: u32, signed: bool },
-    Float { bits: u32 },
-    Vector { of: u32, count: u32 },
-    Matrix { column: u32, columns: u32 },
-    Array { of: u32, length: u32 },
+    Int {
+        bits: u32,
+        signed: bool,
+    },
+    Float {
+        bits: u32,
+    },
+    Vector {
+        of: u32,
+        count: u32,
+    },
+    Matrix {
+        column: u32,
+        columns: u32,
+    },
+    Array {
+        of: u32,
+        length: u32,
+    },
     RuntimeArray,
     Struct(Vec<u32>),
-    Pointer { of: u32 },
+    Pointer {
+        of: u32,
+    },
+    /// Two-dimensional, one sample, no array.
+    Image {
+        storage: bool,
+    },
 }
 
 #[derive(Clone, Debug)]
@@ -89,6 +120,10 @@ const NON_READABLE: u32 = 25;
 const BINDING: u32 = 33;
 const DESCRIPTOR_SET: u32 = 34;
 const OFFSET: u32 = 35;
+
+/// Where images are bound, behind all buffers: one layout then serves every kernel where push descriptors are missing.
+const STORAGE_IMAGE_BINDING: u32 = 16;
+const SAMPLED_IMAGE_BINDING: u32 = 17;
 
 #[derive(Default)]
 struct Module {
@@ -121,11 +156,20 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
             12 => shader.bindings.push(module.storage_buffer(id, *of)?),
             9 => shader.push = module.push_block(*of)?,
             4 => shared.push(module.size_expression(*of, &shader.spec)?),
-            0 | 2 => return Err(format!("'{}': only storage buffers can be bound", module.name(id))),
+            0 if matches!(module.types.get(of), Some(Type::Image { .. })) => {
+                shader.images.push(module.image(id, *of)?);
+            }
+            0 | 2 => {
+                return Err(format!(
+                    "'{}': only storage buffers and plain 2D images can be bound",
+                    module.name(id)
+                ));
+            }
             _ => {}
         }
     }
     shader.bindings.sort_by_key(|b| b.binding);
+    shader.images.sort_by_key(|i| i.binding.binding);
     shader.shared_bytes = if shared.is_empty() { "0".into() } else { shared.join(" + ") };
     shader.workgroup_size = module.workgroup_size(&shader.spec)?;
     Ok(shader)
@@ -163,6 +207,10 @@ impl Module {
             28 => drop(self.types.insert(o[0], Type::Array { of: o[1], length: o[2] })),
             29 => drop(self.types.insert(o[0], Type::RuntimeArray)),
             30 => drop(self.types.insert(o[0], Type::Struct(o[1..].to_vec()))),
+            // Dimension 2D, not arrayed, not multisampled; sampled 1: by texel, 2: storage.
+            25 if o[2] == 1 && o[4] == 0 && o[5] == 0 => {
+                self.types.insert(o[0], Type::Image { storage: o[6] == 2 });
+            }
             32 => drop(self.types.insert(o[0], Type::Pointer { of: o[2] })),
             41 | 48 => drop(self.constants.insert(o[1], Constant::Value { ty: o[0], bits: 1 })),
             42 | 49 => drop(self.constants.insert(o[1], Constant::Value { ty: o[0], bits: 0 })),
@@ -213,8 +261,23 @@ impl Module {
                 || (0..members.len() as u32)
                     .all(|m| self.member_decorations.contains_key(&(block, m, decoration)))
         };
+        if binding >= STORAGE_IMAGE_BINDING {
+            return Err(format!("buffer '{block_name}': its binding is not below {STORAGE_IMAGE_BINDING}"));
+        }
         let (reads, writes) = (!everywhere(NON_READABLE), !everywhere(NON_WRITABLE));
         Ok(Binding { name: self.member_name(block, 0)?, binding, reads, writes })
+    }
+
+    fn image(&self, variable: u32, ty: u32) -> Result<ImageBinding, String> {
+        let name = self.name(variable).to_owned();
+        let storage = matches!(self.types.get(&ty), Some(Type::Image { storage: true }));
+        let wanted = if storage { STORAGE_IMAGE_BINDING } else { SAMPLED_IMAGE_BINDING };
+        let at = |decoration| self.decorations.get(&(variable, decoration)).copied();
+        if at(DESCRIPTOR_SET) != Some(0) || at(BINDING) != Some(wanted) {
+            return Err(format!("image '{name}': write set = 0, binding = {wanted}"));
+        }
+        let (reads, writes) = (at(NON_READABLE).is_none(), storage && at(NON_WRITABLE).is_none());
+        Ok(ImageBinding { binding: Binding { name, binding: wanted, reads, writes }, storage })
     }
 
     fn push_block(&self, block: u32) -> Result<Vec<PushField>, String> {

@@ -57,6 +57,7 @@ impl KernelVisitor for Built<'_> {
 fn difference(old: &Shader, new: &Shader) -> Option<&'static str> {
     let parts = [
         (old.bindings != new.bindings, "buffers"),
+        (old.images != new.images, "images"),
         (old.push != new.push, "push constants"),
         (old.spec != new.spec, "specialization constants"),
         (old.workgroup_size != new.workgroup_size, "workgroup"),

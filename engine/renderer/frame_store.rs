@@ -30,6 +30,21 @@ pub struct State {
     pub overflow: bool,
 }
 
+impl State {
+    /// From the device's words.
+    pub fn of(bytes: &[u8; c::STATE_WORDS as usize * 4]) -> Self {
+        let words: Vec<u32> = bytemuck::pod_collect_to_vec(bytes);
+        let word = |index: u32| words[index as usize];
+        Self {
+            visible: word(c::STATE_VISIBLE),
+            instances: word(c::STATE_INSTANCES_NEEDED),
+            longest_tile: word(c::STATE_LONGEST_TILE),
+            non_finite: word(c::STATE_NON_FINITE),
+            overflow: word(c::STATE_OVERFLOW) != 0,
+        }
+    }
+}
+
 impl FrameStore {
     /// No buffers yet but the one for reading counts back.
     ///
@@ -138,15 +153,7 @@ impl FrameStore {
     pub fn state(&self) -> Result<State> {
         let mut bytes = [0u8; c::STATE_WORDS as usize * 4];
         self.readback.read(0, &mut bytes)?;
-        let words: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
-        let word = |index: u32| words[index as usize];
-        Ok(State {
-            visible: word(c::STATE_VISIBLE),
-            instances: word(c::STATE_INSTANCES_NEEDED),
-            longest_tile: word(c::STATE_LONGEST_TILE),
-            non_finite: word(c::STATE_NON_FINITE),
-            overflow: word(c::STATE_OVERFLOW) != 0,
-        })
+        Ok(State::of(&bytes))
     }
 
     /// Makes room if the frame overflowed: then it has to be run again, and the answer is true.

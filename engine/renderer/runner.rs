@@ -54,8 +54,17 @@ impl FrameRunner {
         let mut retries = 0;
         loop {
             let (frame, capacity) = self.store.ensure(scene.plan.capacity, camera, backward)?;
-            let inputs =
-                FrameInputs { scene, frame: &frame, capacity: &capacity, camera, settings, sh_degree };
+            let inputs = FrameInputs {
+                scene,
+                frame: &frame,
+                capacity: &capacity,
+                camera,
+                settings,
+                sh_degree,
+                others: &[],
+                depth_limits: None,
+                linear_depth: false,
+            };
             let report = self.context.run("frame", |r| {
                 self.forward.record(r, &inputs);
                 record_more(r, &inputs)?;

@@ -6,8 +6,10 @@ pub mod init;
 pub mod orbit;
 pub mod points;
 pub mod sh;
+pub mod view;
 
 pub use camera::{Camera, Intrinsics, scene_extent};
 pub use gaussians::{GaussianStatistics, Gaussians};
 pub use orbit::Orbit;
 pub use points::{Bounds, PointCloud};
+pub use view::{ClipY, DepthMapping, HostView, Pose};

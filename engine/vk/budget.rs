@@ -23,7 +23,10 @@ impl Context {
         let mut budget = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
         let mut properties = vk::PhysicalDeviceMemoryProperties2::default().push_next(&mut budget);
         // SAFETY: a query on a physical device of this instance, which has the extension.
-        unsafe { self.0.instance.raw.get_physical_device_memory_properties2(physical, &mut properties) }
+        unsafe {
+            let instance = self.0.owner.instance();
+            instance.get_physical_device_memory_properties2(physical, &mut properties);
+        }
         let heaps = self.0.memory.memory_heaps_as_slice().iter().enumerate();
         let local = heaps.filter(|(_, heap)| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
         let (largest, _) = local.max_by_key(|(_, heap)| heap.size)?;

@@ -1,6 +1,7 @@
 //! A named range of device memory.
 
-use super::memory::{Block, MemoryKind};
+use super::context::Context;
+use super::memory::{Block, MemoryKind, PLACEMENT_ALIGNMENT};
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
@@ -18,6 +19,45 @@ pub struct Buffer {
 impl Buffer {
     pub(super) fn new(block: Arc<Block>, offset: u64, bytes: u64, name: &'static str) -> Self {
         Self { block, offset, bytes, name }
+    }
+
+    /// A range of a host's buffer.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a null handle, no bytes, or an offset or size that is no multiple of 256 or 4.
+    ///
+    /// # Safety
+    /// - `raw` is of the context's device, bound to memory, has `offset + bytes` bytes at least and the usages
+    ///   STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST;
+    /// - it lives until the execution of the last recording that uses it is over and the buffer and its clones are
+    ///   gone;
+    /// - no two adopted buffers overlap.
+    pub unsafe fn adopt(
+        context: &Context,
+        name: &'static str,
+        raw: vk::Buffer,
+        offset: u64,
+        bytes: u64,
+    ) -> Result<Self> {
+        let bad = |problem: String| Err(Error::argument(format!("buffer '{name}'"), problem));
+        if raw == vk::Buffer::null() {
+            return bad("the handle is null".into());
+        }
+        if bytes == 0 || !bytes.is_multiple_of(4) || !offset.is_multiple_of(PLACEMENT_ALIGNMENT) {
+            return bad(format!("{bytes} bytes at {offset} are no range of words at a multiple of 256"));
+        }
+        let end = offset.saturating_add(bytes);
+        Ok(Self::new(Arc::new(Block::foreign(&context.0, raw, end)), offset, bytes, name))
+    }
+
+    /// Whether it is of this context's device.
+    pub fn belongs_to(&self, context: &Context) -> bool {
+        self.block.is_of(&context.0)
+    }
+
+    /// The Vulkan buffer behind it, and the bytes in front of it there.
+    pub fn handle(&self) -> (vk::Buffer, u64) {
+        (self.raw(), self.offset)
     }
 
     /// Its size.

@@ -1,6 +1,5 @@
 //! The device's clock, read at a known time of the host's.
 
-use super::instance::Instance;
 use ash::vk;
 use std::ffi::CStr;
 
@@ -32,10 +31,14 @@ pub(super) enum Clock {
 }
 
 impl Clock {
-    pub(super) fn new(instance: &Instance, device: &ash::Device, kind: Option<Calibrated>) -> Option<Self> {
+    pub(super) fn new(
+        instance: &ash::Instance,
+        device: &ash::Device,
+        kind: Option<Calibrated>,
+    ) -> Option<Self> {
         Some(match kind? {
-            Calibrated::Khr => Self::Khr(ash::khr::calibrated_timestamps::Device::new(&instance.raw, device)),
-            Calibrated::Ext => Self::Ext(ash::ext::calibrated_timestamps::Device::new(&instance.raw, device)),
+            Calibrated::Khr => Self::Khr(ash::khr::calibrated_timestamps::Device::new(instance, device)),
+            Calibrated::Ext => Self::Ext(ash::ext::calibrated_timestamps::Device::new(instance, device)),
         })
     }
 

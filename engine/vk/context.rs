@@ -1,8 +1,10 @@
 //! The device that everything runs on.
 
+use super::allocator::HostAllocator;
 use super::audit;
 use super::clock::Clock;
-use super::debug::Names;
+use super::debug::{Messages, Names};
+use super::descriptors::{self, DescriptorSets};
 use super::device::{self, Candidate, DeviceDescription};
 use super::faults::{self, Faults};
 use super::guards::Guarded;
@@ -10,13 +12,14 @@ use super::instance::Instance;
 use super::limits::{Limits, LimitsOverride, SpecOverride};
 use super::memory::Registry;
 use super::profile::Log;
+use super::requirements::Features;
 use super::submit::Slot;
 use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
 /// How to open a device.
@@ -55,6 +58,8 @@ pub struct ContextOptions {
     pub guard_bands: bool,
     /// For tests: Vulkan calls that fail on demand.
     pub faults: Option<Faults>,
+    /// Use VK_KHR_push_descriptor where the device has it. Default: yes.
+    pub push_descriptors: bool,
 }
 
 impl ContextOptions {
@@ -80,6 +85,7 @@ impl Default for ContextOptions {
             max_memory: None,
             guard_bands: false,
             faults: None,
+            push_descriptors: true,
         }
     }
 }
@@ -90,10 +96,15 @@ pub struct Context(pub(super) Arc<Inner>);
 
 pub(super) struct Inner {
     pub(super) device: ash::Device,
-    pub(super) push_descriptor: ash::khr::push_descriptor::Device,
+    /// None: descriptor sets of `shared_layout` are bound instead.
+    pub(super) push_descriptor: Option<ash::khr::push_descriptor::Device>,
+    /// Present where push descriptors are not.
+    pub(super) shared_layout: Option<vk::DescriptorSetLayout>,
     pub(super) names: Names,
-    pub(super) queue: Mutex<vk::Queue>,
+    /// None on a device of somebody else's who keeps the queue to himself.
+    pub(super) queue: Option<Mutex<vk::Queue>>,
     pub(super) queue_family: u32,
+    pub(super) physical: vk::PhysicalDevice,
     pub(super) limits: Limits,
     pub(super) memory: vk::PhysicalDeviceMemoryProperties,
     /// Whether device memory is the host's memory, so that mapping it is the fastest way in and out.
@@ -123,8 +134,47 @@ pub(super) struct Inner {
     pub(super) replaced: Mutex<HashMap<String, Arc<Vec<u32>>>>,
     /// Idle command buffers.
     pub(super) slots: Mutex<Vec<Slot>>,
+    /// Idle descriptor sets, where there are no push descriptors.
+    pub(super) descriptors: Mutex<Vec<DescriptorSets>>,
+    /// Where buffers get their memory from; None: from the device.
+    pub(super) allocator: Option<Arc<dyn HostAllocator>>,
     // Destroyed after the device: keep it last.
-    pub(super) instance: Instance,
+    pub(super) owner: Owner,
+}
+
+/// Whose the instance and the device are.
+pub(super) enum Owner {
+    /// Ours: destroyed by us.
+    Us(Instance),
+    /// A host's: neither destroyed nor waited for.
+    Host(ash::Instance),
+}
+
+impl Owner {
+    pub(super) fn instance(&self) -> &ash::Instance {
+        match self {
+            Self::Us(instance) => &instance.raw,
+            Self::Host(instance) => instance,
+        }
+    }
+
+    fn messages(&self) -> Option<&Messages> {
+        match self {
+            Self::Us(instance) => instance.messenger.as_ref().map(|m| &*m.messages),
+            Self::Host(_) => None,
+        }
+    }
+}
+
+/// What an open device is made from: see [`Context::assemble`].
+pub(super) struct Parts<'a> {
+    pub(super) owner: Owner,
+    pub(super) candidate: Candidate,
+    pub(super) device: ash::Device,
+    pub(super) queue: Option<vk::Queue>,
+    pub(super) debug_utils: bool,
+    pub(super) allocator: Option<Arc<dyn HostAllocator>>,
+    pub(super) options: &'a ContextOptions,
 }
 
 impl Context {
@@ -137,32 +187,65 @@ impl Context {
         let instance = Instance::new(options.validation, options.debug_printf)?;
         let from_environment = std::env::var("ASHSPLAT_DEVICE").ok().filter(|d| !d.trim().is_empty());
         let asked = options.device.clone().or(from_environment);
-        let candidate = device::choose(&instance, asked.as_deref(), options.least_version())?;
-        let limits = effective_limits(&candidate, options)?;
-        // SAFETY: the physical device is of this instance.
-        let (memory, families) = unsafe {
-            (
-                instance.raw.get_physical_device_memory_properties(candidate.physical),
-                instance.raw.get_physical_device_queue_family_properties(candidate.physical),
-            )
-        };
-        let family = families.get(candidate.queue_family as usize).copied().unwrap_or_default();
-        let device = create_device(&instance, &candidate, options.debug_printf)?;
+        let mut candidate = device::choose(&instance.raw, asked.as_deref(), options.least_version())?;
+        candidate.features.push_descriptor &= options.push_descriptors;
+        let device = create_device(&instance.raw, &candidate, options.debug_printf)?;
         // SAFETY: the device was created with one queue of this family.
         let queue = unsafe { device.get_device_queue(candidate.queue_family, 0) };
         let device = match &options.faults {
             Some(faults) => faults::install(&device, queue, faults),
             None => device,
         };
-        let clock = Clock::new(&instance, &device, candidate.features.calibrated_timestamps);
-        let names = Names::new(&instance.raw, &device, instance.has_debug_utils);
-        names.name(queue, "ashsplat queue");
-        Ok(Self(Arc::new(Inner {
-            push_descriptor: ash::khr::push_descriptor::Device::new(&instance.raw, &device),
+        let debug_utils = instance.has_debug_utils;
+        let context = Self::assemble(Parts {
+            owner: Owner::Us(instance),
+            candidate,
             device,
-            names,
-            queue: Mutex::new(queue),
+            queue: Some(queue),
+            debug_utils,
+            allocator: None,
+            options,
+        })?;
+        context.0.names.name(queue, "ashsplat queue");
+        Ok(context)
+    }
+
+    /// A context from a device that fulfils the requirements. On failure an own device is destroyed again.
+    pub(super) fn assemble(parts: Parts<'_>) -> Result<Self> {
+        let Parts { owner, candidate, device, queue, debug_utils, allocator, options } = parts;
+        let instance = owner.instance();
+        // SAFETY: the physical device is of this instance.
+        let (memory, families) = unsafe {
+            (
+                instance.get_physical_device_memory_properties(candidate.physical),
+                instance.get_physical_device_queue_family_properties(candidate.physical),
+            )
+        };
+        let family = families.get(candidate.queue_family as usize).copied().unwrap_or_default();
+        let push = candidate.features.push_descriptor;
+        let opened = effective_limits(&candidate, options).and_then(|mut limits| {
+            if push {
+                return Ok((limits, None));
+            }
+            limits.max_push_descriptors = descriptors::BUFFERS;
+            Ok((limits, Some(descriptors::shared_layout(&device)?)))
+        });
+        let (limits, shared_layout) = opened.inspect_err(|_| {
+            if let Owner::Us(_) = owner {
+                // SAFETY: nothing was made from it yet.
+                unsafe { device.destroy_device(None) }
+                faults::remove(device.handle(), queue.unwrap_or_default());
+            }
+        })?;
+        Ok(Self(Arc::new(Inner {
+            push_descriptor: push.then(|| ash::khr::push_descriptor::Device::new(instance, &device)),
+            shared_layout,
+            clock: Clock::new(instance, &device, candidate.features.calibrated_timestamps),
+            names: Names::new(instance, &device, debug_utils),
+            device,
+            queue: queue.map(Mutex::new),
             queue_family: candidate.queue_family,
+            physical: candidate.physical,
             limits,
             memory,
             unified_memory: !options.force_staging
@@ -172,7 +255,6 @@ impl Context {
                 ),
             timestamp_bits: if options.timestamps { family.timestamp_valid_bits } else { 0 },
             timestamps: AtomicBool::new(true),
-            clock,
             profile: Mutex::default(),
             audit: Mutex::default(),
             hazard_check: options.hazard_check,
@@ -186,7 +268,9 @@ impl Context {
             registry: Registry::default(),
             replaced: Mutex::default(),
             slots: Mutex::default(),
-            instance,
+            descriptors: Mutex::default(),
+            allocator,
+            owner,
         })))
     }
 
@@ -207,7 +291,7 @@ impl Context {
 
     /// All warnings and errors of the validation layers so far. Empty without [`ContextOptions::validation`].
     pub fn validation_messages(&self) -> Vec<String> {
-        self.0.instance.messenger.as_ref().map_or_else(Vec::new, |m| m.messages.all())
+        self.0.owner.messages().map_or_else(Vec::new, Messages::all)
     }
 
     /// Whether the driver has given the device up: then nothing of this context works any more.
@@ -218,28 +302,54 @@ impl Context {
     /// Gives up this handle. Where it was the last holder of the device, the device is destroyed; the answer is
     /// everything that the validation layers have said until then, with what has leaked.
     pub fn close(self) -> Option<Vec<String>> {
-        let messages = self.0.instance.messenger.as_ref().map(|m| m.messages.clone());
+        let messages = match &self.0.owner {
+            Owner::Us(instance) => instance.messenger.as_ref().map(|m| m.messages.clone()),
+            Owner::Host(_) => None,
+        };
         drop(Arc::into_inner(self.0)?);
         Some(messages.map_or_else(Vec::new, |messages| messages.all()))
     }
 
     /// What shaders printed since the last call. Empty without [`ContextOptions::debug_printf`].
     pub fn printed(&self) -> Vec<String> {
-        self.0.instance.messenger.as_ref().map_or_else(Vec::new, |m| m.messages.take_printed())
+        self.0.owner.messages().map_or_else(Vec::new, Messages::take_printed)
+    }
+}
+
+impl Inner {
+    /// The queue, for this thread alone.
+    pub(super) fn lock_queue(&self) -> Result<MutexGuard<'_, vk::Queue>> {
+        let Some(queue) = &self.queue else {
+            let problem = "the host keeps its queue: only recording into its command buffers is possible";
+            return Err(Error::argument("queue", problem));
+        };
+        Ok(queue.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
 impl Drop for Inner {
     fn drop(&mut self) {
         let slots = std::mem::take(&mut *self.slots.lock().unwrap_or_else(PoisonError::into_inner));
-        let queue = *self.queue.get_mut().unwrap_or_else(PoisonError::into_inner);
-        faults::remove(self.device.handle(), queue);
-        // SAFETY: nothing refers to the device any more: all that does holds this struct. The wait is for devices
-        // that were lost.
+        if let Some(queue) = &mut self.queue {
+            let queue = *queue.get_mut().unwrap_or_else(PoisonError::into_inner);
+            faults::remove(self.device.handle(), queue);
+        }
+        let mut sets = std::mem::take(&mut *self.descriptors.lock().unwrap_or_else(PoisonError::into_inner));
+        let ours = matches!(self.owner, Owner::Us(_));
+        // SAFETY: nothing refers to the device any more: all that does holds this struct, and every submission of ours
+        // was waited for. The wait is for own devices that were lost; a host's device is the host's to wait for.
         unsafe {
-            let _ = self.device.device_wait_idle();
+            if ours {
+                let _ = self.device.device_wait_idle();
+            }
             slots.iter().for_each(|slot| slot.destroy(self));
-            self.device.destroy_device(None);
+            sets.iter_mut().for_each(|sets| sets.destroy(self));
+            if let Some(layout) = self.shared_layout {
+                self.device.destroy_descriptor_set_layout(layout, None);
+            }
+            if ours {
+                self.device.destroy_device(None);
+            }
         }
     }
 }
@@ -267,22 +377,20 @@ fn effective_limits(candidate: &Candidate, options: &ContextOptions) -> Result<L
     Ok(limits)
 }
 
-fn create_device(instance: &Instance, candidate: &Candidate, printf: bool) -> Result<ash::Device> {
+fn create_device(instance: &ash::Instance, candidate: &Candidate, printf: bool) -> Result<ash::Device> {
     let optional = &candidate.features;
     let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
-        .scalar_block_layout(true)
-        .host_query_reset(true)
         .shader_int8(optional.int8)
         .storage_buffer8_bit_access(optional.storage8)
         .uniform_and_storage_buffer8_bit_access(optional.uniform_storage8)
         .vulkan_memory_model(optional.memory_model)
         .vulkan_memory_model_device_scope(optional.memory_model_device_scope);
-    let mut v13 = vk::PhysicalDeviceVulkan13Features::default()
-        .synchronization2(true)
-        .maintenance4(true)
-        .subgroup_size_control(true)
-        .compute_full_subgroups(true);
-    let mut extensions = vec![ash::khr::push_descriptor::NAME.as_ptr()];
+    let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
+    Features::REQUIRED.merge_into(&mut v12, &mut v13);
+    let mut extensions = Vec::new();
+    if optional.push_descriptor {
+        extensions.push(ash::khr::push_descriptor::NAME.as_ptr());
+    }
     if optional.portability_subset {
         extensions.push(c"VK_KHR_portability_subset".as_ptr());
     }
@@ -306,5 +414,5 @@ fn create_device(instance: &Instance, candidate: &Candidate, printf: bool) -> Re
         .push_next(&mut v12)
         .push_next(&mut v13);
     // SAFETY: all features and extensions were found present; each struct is chained once and outlives the call.
-    unsafe { instance.raw.create_device(candidate.physical, &info, None) }.map_err(vk_error("vkCreateDevice"))
+    unsafe { instance.create_device(candidate.physical, &info, None) }.map_err(vk_error("vkCreateDevice"))
 }

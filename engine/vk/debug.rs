@@ -153,19 +153,19 @@ impl Context {
     /// a window has no frames that the layer could see by itself. Nothing happens where no such layer listens.
     ///
     /// # Errors
-    /// [`Error::MissingFeature`] without VK_EXT_debug_utils, before any work; else those of `work`, whose capture ends all the
+    /// [`Error::MissingFeature`] without VK_EXT_debug_utils, [`Error::Argument`] without a queue, before any work; else those of `work`, whose capture ends all the
     /// same.
     pub fn capture<T>(&self, work: impl FnOnce() -> crate::Result<T>) -> crate::Result<T> {
         let insert = |label| {
-            let queue = self.0.queue.lock().unwrap_or_else(PoisonError::into_inner);
-            self.0.names.insert_queue_label(*queue, label)
+            let queue = self.0.lock_queue()?;
+            Ok(self.0.names.insert_queue_label(*queue, label))
         };
-        if !insert("capture-marker,begin_capture") {
+        if !insert("capture-marker,begin_capture")? {
             let device = self.device_name().to_owned();
             return Err(Error::MissingFeature { device, feature: "VK_EXT_debug_utils".to_owned() });
         }
         let result = work();
-        insert("capture-marker,end_capture");
+        insert("capture-marker,end_capture")?;
         result
     }
 }

@@ -3,6 +3,7 @@
 use super::clock::Calibrated;
 use super::instance::Instance;
 use super::limits::Limits;
+use super::requirements::{Features, SUBGROUP_OPERATIONS, low_limit};
 use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
@@ -34,7 +35,7 @@ pub struct DeviceDescription {
 /// [`Error::NoLoader`] or [`Error::NoDevice`] where there is no loader or no driver at all.
 pub fn devices() -> Result<Vec<DeviceDescription>> {
     let instance = Instance::new(false, false)?;
-    Ok(candidates(&instance, vk::API_VERSION_1_3)?.into_iter().map(|c| c.description).collect())
+    Ok(candidates(&instance.raw, vk::API_VERSION_1_3)?.into_iter().map(|c| c.description).collect())
 }
 
 /// A device and what is needed to open it.
@@ -44,7 +45,7 @@ pub(super) struct Candidate {
     pub(super) device_type: vk::PhysicalDeviceType,
     pub(super) queue_family: u32,
     pub(super) features: OptionalFeatures,
-    missing: Option<String>,
+    pub(super) missing: Option<String>,
 }
 
 /// Features that are turned on where they exist.
@@ -55,6 +56,7 @@ pub(super) struct OptionalFeatures {
     pub(super) uniform_storage8: bool,
     pub(super) memory_model: bool,
     pub(super) memory_model_device_scope: bool,
+    pub(super) push_descriptor: bool,
     pub(super) portability_subset: bool,
     pub(super) calibrated_timestamps: Option<Calibrated>,
     pub(super) memory_budget: bool,
@@ -62,19 +64,10 @@ pub(super) struct OptionalFeatures {
     pub(super) graphics_stores: bool,
 }
 
-const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
-    (vk::SubgroupFeatureFlags::BASIC, "basic"),
-    (vk::SubgroupFeatureFlags::VOTE, "vote"),
-    (vk::SubgroupFeatureFlags::ARITHMETIC, "arithmetic"),
-    (vk::SubgroupFeatureFlags::BALLOT, "ballot"),
-    (vk::SubgroupFeatureFlags::SHUFFLE, "shuffle"),
-    (vk::SubgroupFeatureFlags::SHUFFLE_RELATIVE, "shuffle relative"),
-];
-
 /// All devices, in the loader's order; those that report an older Vulkan are unusable.
-pub(super) fn candidates(instance: &Instance, least_version: u32) -> Result<Vec<Candidate>> {
+fn candidates(instance: &ash::Instance, least_version: u32) -> Result<Vec<Candidate>> {
     // SAFETY: the instance is alive.
-    let physical = unsafe { instance.raw.enumerate_physical_devices() };
+    let physical = unsafe { instance.enumerate_physical_devices() };
     let physical = physical.map_err(vk_error("vkEnumeratePhysicalDevices"))?;
     if physical.is_empty() {
         return Err(Error::NoDevice { reason: "the loader found no device".into() });
@@ -85,7 +78,7 @@ pub(super) fn candidates(instance: &Instance, least_version: u32) -> Result<Vec<
 
 /// The device that is asked for by index or by part of its name, or else the best: discrete, integrated, virtual,
 /// processor, in this order.
-pub(super) fn choose(instance: &Instance, asked: Option<&str>, least_version: u32) -> Result<Candidate> {
+pub(super) fn choose(instance: &ash::Instance, asked: Option<&str>, least_version: u32) -> Result<Candidate> {
     let mut all = candidates(instance, least_version)?;
     if let Some(asked) = asked {
         let Some(found) = find(all.iter().map(|c| c.description.name.as_str()), asked) else {
@@ -129,14 +122,14 @@ fn find<'a>(names: impl Iterator<Item = &'a str> + Clone, asked: &str) -> Option
     )
 }
 
-fn describe(
-    instance: &Instance,
+pub(super) fn describe(
+    instance: &ash::Instance,
     index: usize,
     physical: vk::PhysicalDevice,
     least_version: u32,
 ) -> Result<Candidate> {
     // SAFETY: the physical device is of this instance; so in all queries below.
-    let basic = unsafe { instance.raw.get_physical_device_properties(physical) };
+    let basic = unsafe { instance.get_physical_device_properties(physical) };
     let mut candidate = Candidate {
         physical,
         description: DeviceDescription {
@@ -171,16 +164,16 @@ fn describe(
 
 /// Fills in limits, queue and features; returns what the device lacks.
 fn examine(
-    instance: &Instance,
+    instance: &ash::Instance,
     physical: vk::PhysicalDevice,
     candidate: &mut Candidate,
 ) -> Result<Option<String>> {
     // SAFETY: a plain query.
-    let extensions = unsafe { instance.raw.enumerate_device_extension_properties(physical) };
+    let extensions = unsafe { instance.enumerate_device_extension_properties(physical) };
     let extensions = extensions.map_err(vk_error("vkEnumerateDeviceExtensionProperties"))?;
     let has = |name: &CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
     // SAFETY: a plain query.
-    let families = unsafe { instance.raw.get_physical_device_queue_family_properties(physical) };
+    let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
     let compute = |f: &&vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
     let timed = families.iter().position(|f| compute(&f) && f.timestamp_valid_bits > 0);
     let Some(family) = timed.or_else(|| families.iter().position(|f| compute(&f))) else {
@@ -190,39 +183,30 @@ fn examine(
     let (limits, missing_operations) =
         limits(instance, physical, timed.is_some(), &mut candidate.description);
     candidate.description.limits = Some(limits);
-    if !has(ash::khr::push_descriptor::NAME) {
-        return Ok(Some("VK_KHR_push_descriptor".into()));
-    }
     let (optional, missing) = features(instance, physical);
     candidate.features = optional;
+    candidate.features.push_descriptor = has(ash::khr::push_descriptor::NAME);
     candidate.features.portability_subset = has(c"VK_KHR_portability_subset");
     candidate.features.calibrated_timestamps = Calibrated::find(has);
     candidate.features.memory_budget = has(ash::ext::memory_budget::NAME);
     Ok(missing.or(missing_operations))
 }
 
-fn features(instance: &Instance, physical: vk::PhysicalDevice) -> (OptionalFeatures, Option<String>) {
+fn features(instance: &ash::Instance, physical: vk::PhysicalDevice) -> (OptionalFeatures, Option<String>) {
     let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
     let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
     let mut all = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
     // SAFETY: the device implements Vulkan 1.3, each struct is chained once.
-    unsafe { instance.raw.get_physical_device_features2(physical, &mut all) };
+    unsafe { instance.get_physical_device_features2(physical, &mut all) };
     let f = all.features;
-    let required = [
-        (v12.scalar_block_layout, "scalarBlockLayout"),
-        (v12.host_query_reset, "hostQueryReset"),
-        (v13.synchronization2, "synchronization2"),
-        (v13.maintenance4, "maintenance4"),
-        (v13.subgroup_size_control, "subgroupSizeControl"),
-        (v13.compute_full_subgroups, "computeFullSubgroups"),
-    ];
-    let missing = required.iter().find(|(has, _)| *has == vk::FALSE).map(|(_, name)| (*name).to_owned());
+    let missing = Features::of(&v12, &v13).missing().map(str::to_owned);
     let optional = OptionalFeatures {
         int8: v12.shader_int8 != 0,
         storage8: v12.storage_buffer8_bit_access != 0,
         uniform_storage8: v12.uniform_and_storage_buffer8_bit_access != 0,
         memory_model: v12.vulkan_memory_model != 0,
         memory_model_device_scope: v12.vulkan_memory_model_device_scope != 0,
+        push_descriptor: false,
         portability_subset: false,
         calibrated_timestamps: None,
         memory_budget: false,
@@ -232,7 +216,7 @@ fn features(instance: &Instance, physical: vk::PhysicalDevice) -> (OptionalFeatu
 }
 
 fn limits(
-    instance: &Instance,
+    instance: &ash::Instance,
     physical: vk::PhysicalDevice,
     timestamps: bool,
     description: &mut DeviceDescription,
@@ -247,11 +231,11 @@ fn limits(
         .push_next(&mut v13)
         .push_next(&mut push);
     // SAFETY: the device implements Vulkan 1.3, each struct is chained once.
-    unsafe { instance.raw.get_physical_device_properties2(physical, &mut all) };
+    unsafe { instance.get_physical_device_properties2(physical, &mut all) };
     let properties = all.properties;
     let l = properties.limits;
     // SAFETY: a plain query.
-    let memory = unsafe { instance.raw.get_physical_device_memory_properties(physical) };
+    let memory = unsafe { instance.get_physical_device_memory_properties(physical) };
     let local = memory.memory_heaps_as_slice().iter();
     let local = local.filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL)).map(|h| h.size).max();
     description.driver = format!("{} {}", text(v12.driver_name_as_c_str()), text(v12.driver_info_as_c_str()));
@@ -262,6 +246,7 @@ fn limits(
     } else {
         Some("subgroup operations in compute shaders".into())
     };
+    let missing = missing.or_else(|| low_limit(&l));
     let limits = Limits {
         subgroup_size: v11.subgroup_size,
         min_subgroup_size: v13.min_subgroup_size,

@@ -2,6 +2,7 @@
 
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
+use super::image::{Image, ImageUse};
 use super::limits::{CHOSEN_BY_HOST, Limits};
 use super::vk_error;
 use crate::{Error, Result};
@@ -38,6 +39,19 @@ pub struct BindingInfo {
     pub access: Access,
 }
 
+/// An image of a shader.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImageInfo {
+    /// Its name, also that of the field in `Bind`.
+    pub name: &'static str,
+    /// Its number in set 0.
+    pub binding: u32,
+    /// What the shader does with it.
+    pub access: Access,
+    /// How it is bound.
+    pub purpose: ImageUse,
+}
+
 /// A specialization constant of a shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ConstantInfo {
@@ -70,11 +84,13 @@ pub trait KernelInterface {
     const SPIRV: &'static [u32];
     /// Its buffers.
     const BINDINGS: &'static [BindingInfo];
+    /// Its images.
+    const IMAGES: &'static [ImageInfo];
     /// Its specialization constants.
     const CONSTANTS: &'static [ConstantInfo];
     /// Size of `Push`.
     const PUSH_BYTES: u32;
-    /// The buffers that a dispatch works on.
+    /// The buffers and images that a dispatch works on.
     type Bind<'a>;
     /// The push constants of a dispatch.
     type Push: Copy;
@@ -82,6 +98,8 @@ pub trait KernelInterface {
     type Spec: Clone;
     /// The buffers in the order of `BINDINGS`.
     fn buffers<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Buffer]>;
+    /// The images in the order of `IMAGES`.
+    fn images<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Image]>;
     /// The push constants as bytes.
     fn push_bytes(push: &Self::Push) -> &[u8];
     /// (constant_id, bits) of each specialization constant.
@@ -123,6 +141,7 @@ struct Demands {
     shared_bytes: u32,
     push_bytes: u32,
     bindings: u32,
+    images: &'static [ImageInfo],
 }
 
 impl<K: KernelInterface> Kernel<K> {
@@ -141,6 +160,7 @@ impl<K: KernelInterface> Kernel<K> {
             shared_bytes: K::shared_bytes(spec),
             push_bytes: K::PUSH_BYTES,
             bindings: K::BINDINGS.len() as u32,
+            images: K::IMAGES,
         };
         check(&demands, context.limits())?;
         let constants = overridden::<K>(context.limits(), K::spec_entries(spec));
@@ -244,8 +264,10 @@ pub(super) struct Pipeline {
     inner: Arc<Inner>,
     pub(super) name: &'static str,
     pub(super) bindings: &'static [BindingInfo],
+    pub(super) images: &'static [ImageInfo],
     pub(super) raw: vk::Pipeline,
     pub(super) layout: vk::PipelineLayout,
+    /// Null where all kernels share one.
     set_layout: vk::DescriptorSetLayout,
     workgroup_size: [u32; 3],
 }
@@ -262,6 +284,7 @@ impl Pipeline {
             inner: inner.clone(),
             name: demands.name,
             bindings,
+            images: demands.images,
             raw: vk::Pipeline::null(),
             layout: vk::PipelineLayout::null(),
             set_layout: vk::DescriptorSetLayout::null(),
@@ -269,7 +292,9 @@ impl Pipeline {
         };
         pipeline.create_layout(demands.push_bytes)?;
         pipeline.create_pipeline(spirv, constants, demands.subgroup_size)?;
-        inner.names.name(pipeline.set_layout, &format!("{} set layout", demands.name));
+        if pipeline.set_layout != vk::DescriptorSetLayout::null() {
+            inner.names.name(pipeline.set_layout, &format!("{} set layout", demands.name));
+        }
         inner.names.name(pipeline.layout, &format!("{} layout", demands.name));
         inner.names.name(pipeline.raw, demands.name);
         Ok(pipeline)
@@ -277,24 +302,27 @@ impl Pipeline {
 
     fn create_layout(&mut self, push_bytes: u32) -> Result<()> {
         let device = &self.inner.device;
-        let slots: Vec<_> = (self.bindings.iter())
-            .map(|b| {
-                vk::DescriptorSetLayoutBinding::default()
-                    .binding(b.binding)
-                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
-                    .descriptor_count(1)
-                    .stage_flags(vk::ShaderStageFlags::COMPUTE)
-            })
-            .collect();
+        let slot = |binding, kind| {
+            vk::DescriptorSetLayoutBinding::default()
+                .binding(binding)
+                .descriptor_type(kind)
+                .descriptor_count(1)
+                .stage_flags(vk::ShaderStageFlags::COMPUTE)
+        };
+        let buffers = self.bindings.iter().map(|b| slot(b.binding, vk::DescriptorType::STORAGE_BUFFER));
+        let images = self.images.iter().map(|i| slot(i.binding, i.purpose.descriptor_type()));
+        let slots: Vec<_> = buffers.chain(images).collect();
         let set = vk::DescriptorSetLayoutCreateInfo::default()
             .flags(vk::DescriptorSetLayoutCreateFlags::PUSH_DESCRIPTOR_KHR)
             .bindings(&slots);
         // SAFETY: valid create infos; the number of bindings and push bytes was checked against the limits.
         unsafe {
-            self.set_layout = device
-                .create_descriptor_set_layout(&set, None)
-                .map_err(vk_error("vkCreateDescriptorSetLayout"))?;
-            let sets = [self.set_layout];
+            if self.inner.shared_layout.is_none() {
+                self.set_layout = device
+                    .create_descriptor_set_layout(&set, None)
+                    .map_err(vk_error("vkCreateDescriptorSetLayout"))?;
+            }
+            let sets = [self.inner.shared_layout.unwrap_or(self.set_layout)];
             let ranges = [vk::PushConstantRange::default()
                 .stage_flags(vk::ShaderStageFlags::COMPUTE)
                 .size(push_bytes)];

@@ -32,7 +32,7 @@ pub struct Limits {
     pub storage_alignment: u64,
     /// maxPushConstantsSize.
     pub push_constant_bytes: u32,
-    /// maxPushDescriptors.
+    /// maxPushDescriptors; without VK_KHR_push_descriptor, what a set of ours holds.
     pub max_push_descriptors: u32,
     /// Nanoseconds of a timestamp tick; 0 where the queue has no timestamps.
     pub timestamp_period_ns: f64,

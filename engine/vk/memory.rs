@@ -1,5 +1,6 @@
 //! Device memory: requests are packed into blocks, one VkBuffer and one allocation each.
 
+use super::allocator::{HostAllocator, HostMemory, MemoryRequest};
 use super::budget::MAX_MEMORY;
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
@@ -123,18 +124,24 @@ unsafe impl Send for Mapping {}
 pub(super) struct Block {
     inner: Arc<Inner>,
     pub(super) raw: vk::Buffer,
+    /// Null where the memory is a host's.
     memory: vk::DeviceMemory,
+    /// What the host's allocator gave.
+    hosted: Option<HostMemory>,
     mapping: Option<Mutex<Mapping>>,
     bytes: u64,
     arena: Arc<str>,
     pub(super) kind: MemoryKind,
     /// Identifies the block in the hazard checker.
     pub(super) id: u64,
+    /// Whether buffer and memory are ours.
+    owned: bool,
     /// Submissions that use the block and have not been waited for.
     pub(super) in_flight: AtomicU32,
 }
 
-static NEXT_ID: AtomicU64 = AtomicU64::new(1);
+/// Identifies blocks and images in the hazard checker.
+pub(super) static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
 impl Block {
     fn new(
@@ -155,30 +162,54 @@ impl Block {
             inner: inner.clone(),
             raw,
             memory: vk::DeviceMemory::null(),
+            hosted: None,
             mapping: None,
             bytes,
             arena: arena.clone(),
             kind,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
+            owned: true,
             in_flight: AtomicU32::new(0),
         };
         inner.registry.add(arena, bytes);
         block.bind_memory(kind)?;
         inner.names.name(block.raw, &format!("{arena}#{number}"));
-        inner.names.name(block.memory, &format!("{arena}#{number} memory"));
+        if block.hosted.is_none() {
+            inner.names.name(block.memory, &format!("{arena}#{number} memory"));
+        }
         Ok(block)
+    }
+
+    /// A buffer of a host's.
+    pub(super) fn foreign(inner: &Arc<Inner>, raw: vk::Buffer, bytes: u64) -> Self {
+        Self {
+            inner: inner.clone(),
+            raw,
+            memory: vk::DeviceMemory::null(),
+            hosted: None,
+            mapping: None,
+            bytes,
+            arena: "host".into(),
+            kind: MemoryKind::Device,
+            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
+            owned: false,
+            in_flight: AtomicU32::new(0),
+        }
+    }
+
+    pub(super) fn is_of(&self, inner: &Arc<Inner>) -> bool {
+        Arc::ptr_eq(&self.inner, inner)
     }
 
     fn bind_memory(&mut self, kind: MemoryKind) -> Result<()> {
         let device = &self.inner.device;
         // SAFETY: `raw` was created from this device.
         let needs = unsafe { device.get_buffer_memory_requirements(self.raw) };
+        if let Some(allocator) = self.inner.allocator.clone() {
+            return self.bind_hosted(&*allocator, needs, kind);
+        }
         let types = self.inner.memory.memory_types_as_slice();
-        let index =
-            memory_type(types, needs.memory_type_bits, kind, self.inner.unified_memory).ok_or_else(|| {
-                let device = self.inner.description.name.clone();
-                Error::MissingFeature { device, feature: format!("a memory type for {kind:?} buffers") }
-            })?;
+        let index = self.inner.memory_type(needs.memory_type_bits, kind)?;
         let info = vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(index);
         // SAFETY: the type index is valid, and the buffer is bound once, at offset 0, to memory of its own.
         unsafe {
@@ -195,6 +226,32 @@ impl Block {
                 unsafe { device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
             let address = NonNull::new(address.map_err(vk_error("vkMapMemory"))?.cast());
             self.mapping = address.map(|a| Mutex::new(Mapping(a)));
+        }
+        Ok(())
+    }
+
+    /// Binds memory from the host's allocator.
+    fn bind_hosted(
+        &mut self,
+        allocator: &dyn HostAllocator,
+        requirements: vk::MemoryRequirements,
+        kind: MemoryKind,
+    ) -> Result<()> {
+        let request = MemoryRequest { name: &self.arena, requirements, kind };
+        let failed = |result: String| {
+            let result = format!("{result}, for {} bytes of arena '{}'", self.bytes, self.arena);
+            Error::Vulkan { call: "the host's allocator", result, remedy: String::new() }
+        };
+        let piece = allocator.allocate(&request).map_err(failed)?;
+        self.hosted = Some(piece);
+        if kind == MemoryKind::HostVisible && piece.mapped.is_none() {
+            return Err(failed("it has not mapped host-visible memory".into()));
+        }
+        // SAFETY: the piece is as requested, says its allocator; the buffer is bound once.
+        let bound = unsafe { self.inner.device.bind_buffer_memory(self.raw, piece.memory, piece.offset) };
+        bound.map_err(vk_error("vkBindBufferMemory"))?;
+        if kind == MemoryKind::HostVisible || self.inner.unified_memory {
+            self.mapping = piece.mapped.map(|address| Mutex::new(Mapping(address)));
         }
         Ok(())
     }
@@ -250,6 +307,9 @@ impl Block {
 
 impl Drop for Block {
     fn drop(&mut self) {
+        if !self.owned {
+            return;
+        }
         self.inner.registry.remove(&self.arena, self.bytes);
         // SAFETY: recordings and submissions hold the block until they are done with it, so it is idle; null handles
         // are allowed.
@@ -257,6 +317,20 @@ impl Drop for Block {
             self.inner.device.destroy_buffer(self.raw, None);
             self.inner.device.free_memory(self.memory, None);
         }
+        if let (Some(allocator), Some(piece)) = (&self.inner.allocator, self.hosted.take()) {
+            allocator.free(piece);
+        }
+    }
+}
+
+impl Inner {
+    /// The best of the allowed memory types.
+    pub(super) fn memory_type(&self, allowed: u32, kind: MemoryKind) -> Result<u32> {
+        let types = self.memory.memory_types_as_slice();
+        memory_type(types, allowed, kind, self.unified_memory).ok_or_else(|| {
+            let device = self.description.name.clone();
+            Error::MissingFeature { device, feature: format!("a memory type for {kind:?} memory") }
+        })
     }
 }
 

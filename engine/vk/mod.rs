@@ -6,6 +6,10 @@
 //! | `limits` | [`Limits`], read once; stricter ones for tests |
 //! | `memory`, `buffer` | [`Context::allocate`]: requests packed into blocks; a [`Buffer`] is a named range of one |
 //! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
+//! | `allocator` | [`HostAllocator`]: memory from a host |
+//! | `image` | [`Image`]: a host's or our own |
+//! | `requirements`, `foreign` | what a host enables; [`Context::from_foreign`], [`RecordSlot`] |
+//! | `bind`, `descriptors` | binding for a dispatch; descriptor sets where push descriptors are missing |
 //! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
 //! | `hazard` | finds missing barriers while recording |
 //! | `submit` | [`Context::submit`], [`Pending`], [`RunReport`] |
@@ -38,16 +42,21 @@
 
 #![allow(unsafe_code)]
 
+mod allocator;
 mod audit;
+mod bind;
 mod budget;
 mod buffer;
 mod clock;
 mod context;
 mod debug;
+mod descriptors;
 mod device;
 mod faults;
+mod foreign;
 mod guards;
 pub mod hazard;
+mod image;
 mod instance;
 mod kernel;
 mod limits;
@@ -55,21 +64,28 @@ mod memory;
 mod profile;
 mod profiler;
 mod recorder;
+mod requirements;
 mod submit;
 mod transfer;
 
+pub use allocator::{HostAllocator, HostMemory, MemoryRequest};
 pub use audit::{Audit, AuditRecord};
 pub use buffer::Buffer;
 pub use context::{Context, ContextOptions};
 pub use device::{DeviceDescription, devices};
 pub use faults::{Fault, Faults};
+pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
+pub use image::{ForeignImage, Image, ImageState, ImageUse};
 pub use instance::validation_available;
-pub use kernel::{Access, BindingInfo, ConstantInfo, ConstantKind, Kernel, KernelInterface, KernelVisitor};
+pub use kernel::{
+    Access, BindingInfo, ConstantInfo, ConstantKind, ImageInfo, Kernel, KernelInterface, KernelVisitor,
+};
 pub use limits::{Limits, LimitsOverride, SpecOverride};
 pub use memory::{ArenaMemory, MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use profile::{BoundBuffer, CommandRecord, Profile, Submission};
 pub use profiler::ScopeTime;
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
+pub use requirements::{Features, OptionalExtension, Requirements};
 pub use submit::{Pending, RunReport};
 
 /// The error for a failed Vulkan call.

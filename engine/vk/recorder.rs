@@ -1,10 +1,13 @@
 //! Records commands: dispatches, fills, copies, and the barriers between them.
 
 use super::audit;
+use super::bind::Bound;
 use super::buffer::Buffer;
 use super::context::Inner;
+use super::descriptors::DescriptorSets;
 use super::hazard::{HazardTracker, Use};
-use super::kernel::{Access, Kernel, KernelInterface, MAX_BINDINGS, Pipeline};
+use super::image::Image;
+use super::kernel::{Access, Kernel, KernelInterface, Pipeline};
 use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled};
 use super::profiler::Profiler;
 use super::submit::{Commands, Kept};
@@ -20,11 +23,11 @@ pub const MAX_UPDATE_BYTES: usize = 65_536;
 /// [`super::ContextOptions::hazard_check`] is set, a missing barrier panics with the names of both commands.
 pub struct Recorder {
     // Kept memory must go after the commands that use it: fields drop in this order.
-    commands: Target,
-    inner: Arc<Inner>,
+    pub(super) commands: Target,
+    pub(super) inner: Arc<Inner>,
     profiler: Profiler,
-    kept: Kept,
-    bound: vk::Pipeline,
+    pub(super) kept: Kept,
+    pub(super) bound: vk::Pipeline,
     hazards: Option<Hazards>,
     barriers: u32,
     omitted: Vec<u32>,
@@ -32,9 +35,25 @@ pub struct Recorder {
     pub(super) audit: Option<audit::Commands>,
 }
 
-enum Target {
+pub(super) enum Target {
     Owned(Commands),
-    Foreign(vk::CommandBuffer),
+    Foreign(ForeignTarget),
+}
+
+/// A host's command buffer, and what a [`super::RecordSlot`] lends for the recording.
+pub(super) struct ForeignTarget {
+    pub(super) raw: vk::CommandBuffer,
+    pub(super) queries: vk::QueryPool,
+    pub(super) descriptors: Option<DescriptorSets>,
+}
+
+impl Target {
+    pub(super) fn descriptors(&mut self) -> Option<&mut DescriptorSets> {
+        match self {
+            Self::Owned(commands) => commands.descriptors.as_mut(),
+            Self::Foreign(target) => target.descriptors.as_mut(),
+        }
+    }
 }
 
 struct Hazards {
@@ -53,6 +72,10 @@ impl Hazards {
     fn add(&mut self, buffer: &Buffer, role: &'static str, access: Access) {
         let bytes = buffer.offset()..buffer.offset() + buffer.bytes();
         self.uses.push(Use { block: buffer.block().id, bytes, buffer: buffer.static_name(), role, access });
+    }
+
+    fn add_image(&mut self, image: &Image, role: &'static str, access: Access) {
+        self.uses.push(Use { block: image.id(), bytes: 0..1, buffer: image.name(), role, access });
     }
 
     fn commit(&mut self, command: &'static str) {
@@ -75,15 +98,22 @@ impl Recorder {
         recorder
     }
 
-    /// Records into a command buffer of somebody else, who submits it. Scopes are labelled, not timed.
-    ///
-    /// # Safety
-    /// - `commands` belongs to the context's device and is in the recording state, outside of a render pass, until
-    ///   the recorder is gone, and nobody else records into it meanwhile;
-    /// - the kernels and buffers that are recorded live until its execution is over.
-    #[allow(dead_code)] // The door for embedding: stages record into it exactly as into an own command buffer.
-    pub(crate) unsafe fn foreign(context: &super::Context, commands: vk::CommandBuffer) -> Self {
-        Self::with_target(Target::Foreign(commands), context.0.clone(), vk::QueryPool::null())
+    /// Records into a command buffer of somebody else, who submits it: see [`super::RecordSlot::begin`].
+    pub(super) fn foreign(inner: &Arc<Inner>, target: ForeignTarget, kept: Kept, label: &str) -> Self {
+        let queries = target.queries;
+        let mut recorder = Self::with_target(Target::Foreign(target), inner.clone(), queries);
+        recorder.kept = kept;
+        recorder.profiler.begin(inner, recorder.raw(), label);
+        recorder
+    }
+
+    /// Ends a recording into a command buffer of somebody else.
+    pub(super) fn finish_foreign(mut self) -> (ForeignTarget, Profiler, Kept) {
+        self.profiler.end(&self.inner, self.raw());
+        match self.commands {
+            Target::Foreign(target) => (target, self.profiler, self.kept),
+            Target::Owned(_) => panic!("an own command buffer is submitted by the context"),
+        }
     }
 
     fn with_target(commands: Target, inner: Arc<Inner>, queries: vk::QueryPool) -> Self {
@@ -109,10 +139,10 @@ impl Recorder {
         }
     }
 
-    fn raw(&self) -> vk::CommandBuffer {
+    pub(super) fn raw(&self) -> vk::CommandBuffer {
         match &self.commands {
             Target::Owned(commands) => commands.raw(),
-            Target::Foreign(raw) => *raw,
+            Target::Foreign(target) => target.raw,
         }
     }
 
@@ -145,14 +175,16 @@ impl Recorder {
     ) {
         let limit = self.inner.limits.max_workgroups_per_axis;
         assert!(x.max(y).max(z) <= limit, "{}: grid {x}x{y}x{z} exceeds {limit}", K::NAME);
-        self.check(&kernel.pipeline, K::buffers(bind).as_ref(), None);
+        let (buffers, images) = (K::buffers(bind), K::images(bind));
+        let bound = Bound { buffers: buffers.as_ref(), images: images.as_ref() };
+        self.check(&kernel.pipeline, &bound, None);
         if x == 0 || y == 0 || z == 0 {
             return;
         }
-        self.prepare(&kernel.pipeline, K::buffers(bind).as_ref(), K::push_bytes(push));
+        self.prepare(&kernel.pipeline, &bound, K::push_bytes(push));
         // SAFETY: the pipeline and everything that it uses are bound, the counts are within the limits.
         unsafe { self.inner.device.cmd_dispatch(self.raw(), x, y, z) }
-        self.profile_dispatch(&kernel.pipeline, K::buffers(bind).as_ref(), Some([x, y, z]));
+        self.profile_dispatch(&kernel.pipeline, bound.buffers, Some([x, y, z]));
     }
 
     /// Dispatches the grid that `arguments` holds when the command runs: x, y, z as u32, in its first 12 bytes.
@@ -168,14 +200,16 @@ impl Recorder {
     ) {
         assert!(arguments.bytes() >= 12, "{}: '{}' holds no grid", K::NAME, arguments.name());
         assert!(arguments.offset().is_multiple_of(4), "{}: '{}' is misaligned", K::NAME, arguments.name());
-        self.check(&kernel.pipeline, K::buffers(bind).as_ref(), Some(arguments));
-        self.prepare(&kernel.pipeline, K::buffers(bind).as_ref(), K::push_bytes(push));
+        let (buffers, images) = (K::buffers(bind), K::images(bind));
+        let bound = Bound { buffers: buffers.as_ref(), images: images.as_ref() };
+        self.check(&kernel.pipeline, &bound, Some(arguments));
+        self.prepare(&kernel.pipeline, &bound, K::push_bytes(push));
         self.kept.block(arguments.block());
         // SAFETY: as above; the buffer has the INDIRECT usage and twelve bytes at an offset divisible by four.
         unsafe {
             self.inner.device.cmd_dispatch_indirect(self.raw(), arguments.raw(), arguments.offset());
         }
-        self.profile_dispatch(&kernel.pipeline, K::buffers(bind).as_ref(), None);
+        self.profile_dispatch(&kernel.pipeline, bound.buffers, None);
         if let Some(profiled) = &mut self.profiler.commands {
             profiled.is_indirect(arguments);
         }
@@ -238,65 +272,19 @@ impl Recorder {
     }
 
     /// Declares the accesses of a dispatch to the hazard checker.
-    fn check(&mut self, pipeline: &Pipeline, buffers: &[&Buffer], arguments: Option<&Buffer>) {
+    fn check(&mut self, pipeline: &Pipeline, bound: &Bound<'_>, arguments: Option<&Buffer>) {
         let Some(hazards) = &mut self.hazards else { return };
-        for (info, buffer) in pipeline.bindings.iter().zip(buffers) {
+        for (info, buffer) in pipeline.bindings.iter().zip(bound.buffers) {
             hazards.add(buffer, info.name, info.access);
+        }
+        for (info, image) in pipeline.images.iter().zip(bound.images) {
+            hazards.add_image(image, info.name, info.access);
         }
         if let Some(arguments) = arguments {
             // Only the first three words are read.
             hazards.add(&arguments.range(0, 12), "indirect arguments", Access::Read);
         }
         hazards.commit(pipeline.name);
-    }
-
-    /// Binds the pipeline, its buffers and push constants.
-    fn prepare(&mut self, pipeline: &Arc<Pipeline>, buffers: &[&Buffer], push: &[u8]) {
-        let limits = &self.inner.limits;
-        let mut infos = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
-        for ((slot, info), buffer) in infos.iter_mut().zip(pipeline.bindings).zip(buffers) {
-            let (kernel, name, bytes) = (pipeline.name, buffer.name(), buffer.bytes());
-            assert!(
-                bytes <= limits.max_storage_buffer_range && bytes > 0,
-                "{kernel}: '{name}' bound as '{}' has {bytes} bytes, the limit is {}",
-                info.name,
-                limits.max_storage_buffer_range
-            );
-            assert!(
-                buffer.offset().is_multiple_of(limits.storage_alignment),
-                "{kernel}: '{name}' bound as '{}' begins at {}, no multiple of {}",
-                info.name,
-                buffer.offset(),
-                limits.storage_alignment
-            );
-            self.kept.block(buffer.block());
-            *slot =
-                vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(buffer.offset()).range(bytes);
-        }
-        let mut writes = [vk::WriteDescriptorSet::default(); MAX_BINDINGS];
-        for ((write, info), slot) in writes.iter_mut().zip(pipeline.bindings).zip(&infos) {
-            *write = vk::WriteDescriptorSet::default()
-                .dst_binding(info.binding)
-                .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
-                .buffer_info(std::slice::from_ref(slot));
-        }
-        self.kept.pipeline(pipeline);
-        let (raw, device, point) = (self.raw(), &self.inner.device, vk::PipelineBindPoint::COMPUTE);
-        // SAFETY: recording state; pipeline, layout and descriptors belong together, and the recorder keeps all of
-        // them until the execution is over. `push` has the size that the layout was made with.
-        unsafe {
-            if self.bound != pipeline.raw {
-                device.cmd_bind_pipeline(raw, point, pipeline.raw);
-                self.bound = pipeline.raw;
-            }
-            if !buffers.is_empty() {
-                let writes = &writes[..buffers.len()];
-                self.inner.push_descriptor.cmd_push_descriptor_set(raw, point, pipeline.layout, 0, writes);
-            }
-            if !push.is_empty() {
-                device.cmd_push_constants(raw, pipeline.layout, vk::ShaderStageFlags::COMPUTE, 0, push);
-            }
-        }
     }
 
     /// Sets every word of a buffer.
@@ -348,7 +336,7 @@ impl Recorder {
         self.profile_transfer("update", &[(&range, "destination", Access::Write)]);
     }
 
-    fn transfer(&mut self, command: &'static str, uses: &[(&Buffer, &'static str, Access)]) {
+    pub(super) fn transfer(&mut self, command: &'static str, uses: &[(&Buffer, &'static str, Access)]) {
         for (buffer, role, access) in uses {
             let aligned = buffer.offset().is_multiple_of(4) && buffer.bytes().is_multiple_of(4);
             assert!(aligned, "{command}: '{}' is no range of whole words", buffer.name());

@@ -2,6 +2,8 @@
 
 use super::audit;
 use super::context::{Context, Inner};
+use super::descriptors::DescriptorSets;
+use super::image::Image;
 use super::kernel::Pipeline;
 use super::memory::Block;
 use super::profile::{self, HostTimes};
@@ -92,6 +94,7 @@ pub(super) struct Commands {
     pub(super) inner: Arc<Inner>,
     slot: Slot,
     submitted: bool,
+    pub(super) descriptors: Option<DescriptorSets>,
 }
 
 impl Commands {
@@ -102,18 +105,20 @@ impl Commands {
             Some(slot) => slot,
             None => Slot::new(inner)?,
         };
-        let commands = Self { inner: inner.clone(), slot, submitted: false };
+        let sets = inner.descriptors.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let descriptors = sets.or_else(|| DescriptorSets::new(inner));
+        let commands = Self { inner: inner.clone(), slot, submitted: false, descriptors };
         inner.names.name(slot.commands, label);
         let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
         // SAFETY: the command buffer is in the initial state (new, or its pool was reset) and this thread's alone; the
         // queries are not in use.
         unsafe {
-            if slot.queries != vk::QueryPool::null() {
-                let count = if every_command { QUERIES } else { 2 * MAX_SCOPES };
-                inner.device.reset_query_pool(slot.queries, 0, count);
-            }
             let begun = inner.device.begin_command_buffer(slot.commands, &info);
             begun.map_err(vk_error("vkBeginCommandBuffer"))?;
+            if slot.queries != vk::QueryPool::null() {
+                let count = if every_command { QUERIES } else { 2 * MAX_SCOPES };
+                inner.device.cmd_reset_query_pool(slot.commands, slot.queries, 0, count);
+            }
         }
         // Makes whatever earlier submissions wrote visible, also where nobody has waited for them.
         let earlier = vk::MemoryBarrier2::default()
@@ -153,7 +158,7 @@ impl Commands {
         let device = &self.inner.device;
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.slot.commands)];
         let submits = [vk::SubmitInfo2::default().command_buffer_infos(&buffers)];
-        let queue = self.inner.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        let queue = self.inner.lock_queue()?;
         // SAFETY: the command buffer was recorded on this device and everything that it refers to is kept by the
         // caller until the fence has signalled; the lock gives the queue to this thread.
         unsafe {
@@ -196,7 +201,7 @@ impl Commands {
     /// Whatever happens, nothing runs any more afterwards.
     fn settle(&mut self) {
         if self.wait(None).is_err() && self.submitted {
-            let _queue = self.inner.queue.lock().unwrap_or_else(PoisonError::into_inner);
+            let _queue = self.inner.lock_queue();
             // SAFETY: the lock keeps others from submitting meanwhile. When this fails, the device is lost.
             let _ = unsafe { self.inner.device.device_wait_idle() };
             self.submitted = false;
@@ -207,6 +212,10 @@ impl Commands {
 impl Drop for Commands {
     fn drop(&mut self) {
         self.settle();
+        if let Some(mut sets) = self.descriptors.take() {
+            sets.reset();
+            self.inner.descriptors.lock().unwrap_or_else(PoisonError::into_inner).push(sets);
+        }
         let device = &self.inner.device;
         // SAFETY: nothing of the slot is in use: it was never submitted, or has been waited for.
         let reset = unsafe {
@@ -234,6 +243,7 @@ impl Inner {
 pub(super) struct Kept {
     blocks: Vec<Arc<Block>>,
     pipelines: Vec<Arc<Pipeline>>,
+    images: Vec<Image>,
 }
 
 impl Kept {
@@ -241,6 +251,19 @@ impl Kept {
         if !self.blocks.iter().rev().any(|b| Arc::ptr_eq(b, block)) {
             self.blocks.push(block.clone());
         }
+    }
+
+    pub(super) fn image(&mut self, image: &Image) {
+        if !self.images.iter().rev().any(|i| i.id() == image.id()) {
+            self.images.push(image.clone());
+        }
+    }
+
+    /// Lets go of everything, and keeps the lists' own memory.
+    pub(super) fn clear(&mut self) {
+        self.blocks.clear();
+        self.pipelines.clear();
+        self.images.clear();
     }
 
     pub(super) fn pipeline(&mut self, pipeline: &Arc<Pipeline>) {

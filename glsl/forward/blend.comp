@@ -5,7 +5,7 @@
 //
 // invocation: COLUMNS x ROWS pixels; subgroup: a region of the tile (tile_region.glsl): each lane tests one Gaussian's
 // exact reach against the region, then all lanes blend the hits, passed round by shuffles; workgroup: one tile
-// in: tile_ranges, sorted_visible, PerVisible attributes
+// in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
 // out, PerPixel: accumulated (r, g, b without background, T), inverse_depth, last_entries (1 + place of the last
 //     blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
 // Entries [first_entry, first_entry + max_entries) of each tile; with first_entry > 0 it goes on where the pass
@@ -25,6 +25,10 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
+// Splats behind depth_limits do not count.
+layout(constant_id = 3) const bool DEPTH_LIMIT = false;
+// With INVERSE_DEPTH: the sum of weights * z in place of weights / z.
+layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 layout(local_size_x_id = 0) in;
 
 #include "blending.glsl"
@@ -39,7 +43,7 @@ Splat shuffled(Splat splat, uint lane) {
         vec3(subgroupShuffle(splat.form.x, lane), subgroupShuffle(splat.form.y, lane), subgroupShuffle(splat.form.z, lane)),
         subgroupShuffle(splat.opacity, lane),
         vec3(subgroupShuffle(splat.rgb.x, lane), subgroupShuffle(splat.rgb.y, lane), subgroupShuffle(splat.rgb.z, lane)),
-        INVERSE_DEPTH ? subgroupShuffle(splat.inverse_z, lane) : 0.0);
+        INVERSE_DEPTH || DEPTH_LIMIT ? subgroupShuffle(splat.inverse_z, lane) : 0.0);
 }
 
 void main() {

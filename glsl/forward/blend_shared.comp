@@ -8,7 +8,7 @@
 // depends on the device.
 //
 // invocation: PIXELS pixels, and one Gaussian of each batch to fetch; workgroup: one tile, batches of WORKGROUP_SIZE
-// in: tile_ranges, sorted_visible, PerVisible attributes
+// in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
 // out, PerPixel: accumulated (r, g, b without background, T), inverse_depth, last_entries (1 + place of the last
 //     blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
 // Entries [first_entry, first_entry + max_entries) of each tile; with first_entry > 0 it goes on where the pass
@@ -24,6 +24,10 @@
 // A divisor of 256, the pixels of a tile.
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
+// Splats behind depth_limits do not count.
+layout(constant_id = 3) const bool DEPTH_LIMIT = false;
+// With INVERSE_DEPTH: the sum of weights * z in place of weights / z.
+layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 layout(local_size_x_id = 0) in;
 
 #include "blending.glsl"

@@ -10,6 +10,8 @@ layout(set = 0, binding = 5, scalar) buffer Accumulated { vec4 accumulated[]; };
 layout(set = 0, binding = 6, scalar) buffer InverseDepth { float inverse_depth[]; };
 layout(set = 0, binding = 7, scalar) buffer LastEntries { uint last_entries[]; };
 layout(set = 0, binding = 8, scalar) buffer State { uint state[]; };
+// Per pixel: 1/z of what else is in the picture, 0 for nothing. Only read with DEPTH_LIMIT.
+layout(set = 0, binding = 9, scalar) readonly buffer DepthLimits { float depth_limits[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint image_width;
@@ -37,8 +39,11 @@ void note_tile(uint entries, uint end) {
 Pixel load_pixel(uvec2 at) {
     bool inside = at.x < image_width && at.y < image_height;
     Pixel pixel = fresh_pixel(inside);
+    uint index = inside ? at.y * image_width + at.x : 0;
+    if (DEPTH_LIMIT) {
+        pixel.least_inverse_z = depth_limits[index];
+    }
     if (first_entry > 0) {
-        uint index = inside ? at.y * image_width + at.x : 0;
         vec4 before = accumulated[index];
         pixel.color = before.xyz;
         pixel.transmittance = inside ? before.w : -1.0;

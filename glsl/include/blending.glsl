@@ -1,5 +1,5 @@
 // One Gaussian blended over one pixel, front to back: the same arithmetic in every variant of the kernel.
-// Needs constants.glsl and INVERSE_DEPTH.
+// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT and LINEAR_DEPTH.
 
 const float LOG2_E = 1.4426950408889634;
 
@@ -21,6 +21,8 @@ struct Pixel {
     float transmittance;
     vec3 color;
     float depth;
+    // Nothing whose 1/z is smaller counts: it lies behind what else is in the picture.
+    float least_inverse_z;
     uint last;
 };
 
@@ -34,18 +36,20 @@ float splat_alpha(vec3 form, float opacity, vec2 d) {
 
 void blend_splat(Splat splat, vec2 d, uint place, inout Pixel pixel) {
     float alpha = min(ALPHA_MAX, splat_alpha(splat.form, splat.opacity, d));
-    bool hit = alpha > 0.0;
+    bool behind = DEPTH_LIMIT && splat.inverse_z < pixel.least_inverse_z;
+    // Splats come front to back, so what follows lies behind as well: the pixel stops.
+    bool hit = alpha > 0.0 || behind;
     precise float next = pixel.transmittance * (1.0 - alpha);
-    bool blends = hit && next >= TRANSMITTANCE_MIN;
+    bool blends = hit && next >= TRANSMITTANCE_MIN && !behind;
     float weight = blends ? alpha * pixel.transmittance : 0.0;
     pixel.color += weight * splat.rgb;
     if (INVERSE_DEPTH) {
-        pixel.depth += weight * splat.inverse_z;
+        pixel.depth += weight * (LINEAR_DEPTH ? 1.0 / splat.inverse_z : splat.inverse_z);
     }
     pixel.transmittance = blends ? next : hit ? -abs(pixel.transmittance) : pixel.transmittance;
     pixel.last = blends ? place : pixel.last;
 }
 
 Pixel fresh_pixel(bool inside) {
-    return Pixel(inside ? 1.0 : -1.0, vec3(0.0), 0.0, 0);
+    return Pixel(inside ? 1.0 : -1.0, vec3(0.0), 0.0, 0.0, 0);
 }

@@ -71,3 +71,8 @@ const uint INSTANCE_SUMS = 10;
 // Arithmetic measurement: independent chains of an invocation, and steps of each per round.
 const uint MULTIPLY_ADD_CHAINS = 8;
 const uint MULTIPLY_ADD_STEPS = 4;
+
+// What lies behind the splats in a host's image: a background, nothing (premultiplied colour), or the image itself.
+const uint COMPOSE_BACKGROUND = 0;
+const uint COMPOSE_PREMULTIPLIED = 1;
+const uint COMPOSE_OVER = 2;

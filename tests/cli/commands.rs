@@ -14,6 +14,14 @@ fn help_names_every_command() {
 }
 
 #[test]
+fn what_a_host_has_to_enable_is_printed() {
+    let list = succeed(&["devices", "--requirements"]);
+    for part in ["Vulkan               1.3", "maintenance4", "optional", "VK_KHR_push_descriptor"] {
+        assert!(list.contains(part), "{part} is missing:\n{list}");
+    }
+}
+
+#[test]
 fn devices_are_listed_with_their_limits() {
     let list = succeed(&["devices"]);
     assert!(list.starts_with("0: "), "{list}");

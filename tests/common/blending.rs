@@ -27,7 +27,7 @@ fn workgroup(gpu: &Gpu) -> u32 {
 
 /// A blending kernel over lists, at most `$entries_per_pass` of each tile at a time.
 macro_rules! blend_lists {
-    ($gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $entries_per_pass:expr) => {{
+    ($gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $entries_per_pass:expr, $limits:expr) => {{
         let (gpu, lists, entries_per_pass) = ($gpu, $lists, $entries_per_pass);
         let kernel = gpu.kernel::<$kernel::Interface>(&$spec);
         let pixels = lists.view.pixels();
@@ -46,6 +46,7 @@ macro_rules! blend_lists {
             inverse_depth: &blended.inverse_depth,
             last_entries: &blended.last_entries,
             state: &lists.state,
+            depth_limits: $limits.unwrap_or(&lists.tile_ranges),
         };
         let [tiles_per_row, rows] = lists.view.tiles();
         gpu.run(|recorder| {
@@ -69,14 +70,39 @@ macro_rules! blend_lists {
 
 /// Blends lists by `forward/blend`.
 pub fn forward(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) -> Blended {
-    let spec = blend::Spec { workgroup_size: workgroup(gpu), subgroup_size: gpu.subgroup(), inverse_depth };
-    blend_lists!(gpu, lists, blend, spec, entries_per_pass)
+    forward_limited(gpu, lists, [inverse_depth, false], entries_per_pass, None)
+}
+
+/// The same with depth limits (1/z per pixel), and with the sum of weights * z (`depth[1]`) in place of weights / z.
+pub fn forward_limited(
+    gpu: &Gpu,
+    lists: &Lists,
+    [inverse_depth, linear_depth]: [bool; 2],
+    entries_per_pass: u32,
+    limits: Option<&Buffer>,
+) -> Blended {
+    let (workgroup_size, subgroup_size) = (workgroup(gpu), gpu.subgroup());
+    let depth_limit = limits.is_some();
+    let spec = blend::Spec { workgroup_size, subgroup_size, inverse_depth, depth_limit, linear_depth };
+    blend_lists!(gpu, lists, blend, spec, entries_per_pass, limits)
 }
 
 /// Blends lists by `forward/blend_shared`, with this many invocations per tile.
 pub fn forward_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass: u32) -> Blended {
-    let spec = blend_shared::Spec { workgroup_size, inverse_depth: true };
-    blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass)
+    forward_shared_limited(gpu, lists, workgroup_size, entries_per_pass, None)
+}
+
+/// The same with depth limits (1/z per pixel).
+pub fn forward_shared_limited(
+    gpu: &Gpu,
+    lists: &Lists,
+    workgroup_size: u32,
+    entries_per_pass: u32,
+    limits: Option<&Buffer>,
+) -> Blended {
+    let depth_limit = limits.is_some();
+    let spec = blend_shared::Spec { workgroup_size, inverse_depth: true, depth_limit, linear_depth: false };
+    blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass, limits)
 }
 
 /// The sums of each slot for a gradient per pixel (r, g, b, inverse depth).

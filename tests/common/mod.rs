@@ -6,6 +6,7 @@
 pub mod adam;
 pub mod blending;
 pub mod compare;
+pub mod compose;
 pub mod device;
 pub mod engine;
 pub mod frame;

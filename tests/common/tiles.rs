@@ -63,6 +63,15 @@ impl Lists {
         Lists::new(gpu, splats, lists, view)
     }
 
+    /// The same with every list in order of depth, as frames have them.
+    pub fn sorted(gpu: &Gpu, entries: usize, opacity: [f64; 2], view: &View) -> Lists {
+        let Lists { frame, mut lists, view, .. } = Lists::long(gpu, entries, opacity, view);
+        for list in &mut lists {
+            list.sort_by(|&a, &b| frame.splats[a as usize].depth.total_cmp(&frame.splats[b as usize].depth));
+        }
+        Lists::new(gpu, frame.splats, lists, &view)
+    }
+
     /// The splats of the list of a pixel's tile.
     pub fn list_of(&self, pixel: [u32; 2]) -> Vec<&Splat> {
         self.lists[tile_of(&self.view, pixel)].iter().map(|&i| &self.frame.splats[i as usize]).collect()

@@ -14,3 +14,4 @@ mod metrics;
 mod mutations;
 mod ply;
 mod sh;
+mod view;

@@ -3,12 +3,12 @@
 use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::kernels::forward::blend::{Bind, Interface, Push, Spec};
 
-use crate::common::blending::forward;
+use crate::common::blending::{forward, forward_limited};
 use crate::common::compare::{PixelTolerance, pixels};
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::small_view;
 use crate::common::tiles::Lists;
-use crate::reference::blend::{Pixel, blend};
+use crate::reference::blend::{Pixel, before, blend, samples};
 use crate::reference::pipeline::pixels_of;
 
 const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 };
@@ -109,7 +109,7 @@ fn blend_reports_tiles_that_no_pass_finishes() {
     let gpu = Gpu::new();
     let subgroup_size = gpu.subgroup();
     let workgroup_size = subgroup_size * if subgroup_size <= 64 { 4 } else { 2 };
-    let kernel = gpu.kernel::<Interface>(&Spec { workgroup_size, subgroup_size, inverse_depth: false });
+    let kernel = gpu.kernel::<Interface>(&Spec { workgroup_size, subgroup_size, ..Spec::default() });
     let lists = Lists::long(&gpu, 100, [0.02, 0.6], &small_view([37, 21]));
     let pixels = lists.view.pixels();
     let accumulated = gpu.zeros::<[f32; 4]>("accumulated", pixels);
@@ -125,6 +125,7 @@ fn blend_reports_tiles_that_no_pass_finishes() {
         inverse_depth: &inverse_depth,
         last_entries: &last_entries,
         state: &lists.state,
+        depth_limits: &lists.tile_ranges,
     };
     let [tiles_per_row, rows] = lists.view.tiles();
     // Whether the last pass ends within the lists, at their end, or another follows.
@@ -141,5 +142,41 @@ fn blend_reports_tiles_that_no_pass_finishes() {
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows)));
         let state = gpu.read::<u32>(&lists.state, STATE_WORDS as usize);
         assert_eq!(state[STATE_OVERFLOW as usize], overflow, "{max_entries} entries, last pass {last_pass}");
+    }
+}
+
+/// Splats behind a limit do not count, nor does anything that follows them; and the sum of weights * z.
+#[test]
+fn blend_stops_at_the_depth_limit() {
+    let gpu = Gpu::new();
+    let lists = Lists::sorted(&gpu, 70, [0.02, 0.6], &small_view([37, 21]));
+    let count = lists.view.pixels();
+    let unstable = lists.unstable();
+    // Nothing, everything hidden, and depths in between: the splats lie between 0.5 and 9.
+    let limits: Vec<f32> =
+        (0..count).map(|i| [0.0, 1.0 / 0.4, 1.0 / 8.9, 1.0 / 4.0][i % 4] * (1.0 + i as f32 * 1e-5)).collect();
+    let buffer = gpu.buffer("depth_limits", &limits);
+    for linear_depth in [false, true] {
+        let blended = forward_limited(&gpu, &lists, [true, linear_depth], 32, Some(&buffer));
+        let accumulated = gpu.read::<[f32; 4]>(&blended.accumulated, count);
+        let depths = gpu.read::<f32>(&blended.inverse_depth, count);
+        for (index, at) in pixels_of(&lists.view).enumerate().filter(|&(index, _)| !unstable[index]) {
+            let list = lists.list_of(at);
+            let list = before(&list, limits[index].into());
+            let expected = blend(list, at, [0.0; 3]);
+            let [x, y, z] = expected.color;
+            let actual = accumulated[index].map(f64::from);
+            for (actual, expected) in actual.into_iter().zip([x, y, z, expected.transmittance]) {
+                assert!((actual - expected).abs() < 5e-5, "pixel {index}: {actual}, expected {expected}");
+            }
+            let depth = match linear_depth {
+                false => expected.inverse_depth,
+                true => {
+                    samples(list, at).0.iter().map(|s| s.alpha * s.transmittance * list[s.entry].depth).sum()
+                }
+            };
+            let actual = f64::from(depths[index]);
+            assert!((actual - depth).abs() < 1e-3, "depth of pixel {index}: {actual}, expected {depth}");
+        }
     }
 }

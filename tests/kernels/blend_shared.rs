@@ -1,6 +1,6 @@
 //! `forward/blend_shared` against its twin, and against `forward/blend` to the bit.
 
-use crate::common::blending::{forward, forward_shared};
+use crate::common::blending::{forward, forward_limited, forward_shared, forward_shared_limited};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::small_view;
 use crate::common::tiles::Lists;
@@ -60,4 +60,18 @@ fn blend_shared_in_passes_equals_blend_at_once() {
             check(&gpu, &lists, 64, entries_per_pass);
         }
     }
+}
+
+#[test]
+fn blend_shared_equals_blend_with_depth_limits() {
+    let gpu = Gpu::new();
+    let lists = Lists::sorted(&gpu, 90, [0.02, 0.6], &small_view([37, 21]));
+    let count = lists.view.pixels();
+    let limits: Vec<f32> = (0..count).map(|i| (i % 9) as f32 / 5.0).collect();
+    let buffer = gpu.buffer("depth_limits", &limits);
+    let shared = forward_shared_limited(&gpu, &lists, 64, 32, Some(&buffer));
+    let regions = forward_limited(&gpu, &lists, [true, false], u32::MAX, Some(&buffer));
+    let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
+    assert!(words(&shared.accumulated, 4 * count) == words(&regions.accumulated, 4 * count));
+    assert!(words(&shared.inverse_depth, count) == words(&regions.inverse_depth, count));
 }

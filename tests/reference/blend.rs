@@ -69,3 +69,9 @@ pub fn blend(list: &[&Splat], pixel: [u32; 2], background: [f64; 3]) -> Pixel {
     }
     result
 }
+
+/// The part of a list that lies in front of a limit, 1/z: the blending stops at the first splat behind it.
+pub fn before<'a, 'b>(list: &'a [&'b Splat], least_inverse_z: f64) -> &'a [&'b Splat] {
+    let end = list.iter().position(|splat| 1.0 / splat.depth < least_inverse_z);
+    &list[..end.unwrap_or(list.len())]
+}

@@ -6,10 +6,18 @@ use clap::Args;
 
 /// The Vulkan devices of this machine, with the limits that matter. Choose one with --device or ASHSPLAT_DEVICE.
 #[derive(Args)]
-pub struct Arguments {}
+pub struct Arguments {
+    /// Print instead what a host engine has to enable on its own device to embed ashsplat
+    #[arg(long)]
+    requirements: bool,
+}
 
 /// Runs the command.
-pub fn run(_: &Arguments) -> Result<()> {
+pub fn run(arguments: &Arguments) -> Result<()> {
+    if arguments.requirements {
+        vk::Context::requirements().to_string().lines().for_each(|line| say!("{line}"));
+        return Ok(());
+    }
     for device in vk::devices()? {
         print(&device);
     }

@@ -1,0 +1,127 @@
+//! What can be wrong with a frame that is to be recorded: all of it is said before the first command.
+
+use super::Renderer;
+use super::record::{HostImage, RecordedFrame, Target, Update};
+use super::slots::Reservation;
+use crate::compose::Compose;
+use crate::error::{Error, Result};
+use crate::forward::BlendVariant;
+use crate::plan::{FrameCapacity, tile_grid};
+use crate::scene::Camera;
+use crate::vk::{Context, ImageUse};
+
+impl Renderer {
+    /// Everything that can be wrong with a frame, before anything is recorded.
+    pub(super) fn check_frame(&self, frame: &RecordedFrame<'_>, reserved: &Reservation) -> Result<()> {
+        frame.camera.check()?;
+        let context = &self.context;
+        if frame.scenes.is_empty() {
+            return Err(Error::argument("scenes", "there are none"));
+        }
+        for placed in frame.scenes {
+            if !placed.scene.belongs_to(context) {
+                return Err(Error::argument("scene", "it belongs to another device"));
+            }
+            placed.pose.camera_in_object(frame.camera).check().map_err(|_| {
+                Error::argument("pose", "is not a rotation and a translation of finite numbers")
+            })?;
+            let degree = placed.scene.buffers.active_degree(frame.settings);
+            if degree > reserved.sh_degree {
+                let problem = format!("{degree}, reserved is {}", reserved.sh_degree);
+                return Err(Error::argument("SH degree", problem));
+            }
+        }
+        let size = [frame.camera.width, frame.camera.height];
+        let check = |host: &HostImage<'_>, purpose: ImageUse| {
+            let bad = |problem: &str| {
+                Err(Error::argument(format!("image '{}'", host.image.name()), problem.to_owned()))
+            };
+            let [[x, y], [width, height]] = [host.offset, host.image.size()];
+            if !host.image.belongs_to(context) {
+                return bad("it belongs to another device");
+            }
+            if host.image.purpose() != purpose {
+                return bad(&format!("it was not adopted for {purpose:?}"));
+            }
+            if x.saturating_add(size[0]) > width || y.saturating_add(size[1]) > height {
+                let [w, h] = size;
+                return bad(&format!("{w} x {h} pixels at ({x}, {y}) exceed its {width} x {height}"));
+            }
+            Ok(())
+        };
+        if let Target::Image { to, .. } = &frame.target {
+            check(to, ImageUse::Storage)?;
+            Compose::check_color(to.image)?;
+        }
+        if let Some(depth) = &frame.depth {
+            check(&depth.to, ImageUse::Storage)?;
+            if depth.to.image.format() != Compose::DEPTH_FORMAT {
+                let problem = format!("format {:?} is not R32_SFLOAT", depth.to.image.format());
+                return Err(Error::argument(format!("image '{}'", depth.to.image.name()), problem));
+            }
+        }
+        if let Some(occluder) = &frame.occluder {
+            check(&occluder.depth, ImageUse::Sampled)?;
+        }
+        let variant = BlendVariant {
+            inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
+            linear_depth: frame.depth.is_some(),
+            depth_limit: frame.occluder.is_some(),
+        };
+        if !reserved.variants().contains(&variant) {
+            let problem = format!("{variant:?} was not reserved: see Reservation");
+            return Err(Error::argument("kind of frame", problem));
+        }
+        check_updates(frame.updates, context, reserved)
+    }
+}
+
+fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservation) -> Result<()> {
+    let mut bytes = 0;
+    for update in updates {
+        let plan = update.scene.plan();
+        update.gaussians.check_shapes()?;
+        if !update.scene.belongs_to(context) {
+            return Err(Error::argument("update", "its scene belongs to another device"));
+        }
+        let count = update.gaussians.len() as u64;
+        if u64::from(update.first) + count > u64::from(plan.capacity) {
+            let problem =
+                format!("{count} Gaussians at {} exceed the scene's {}", update.first, plan.capacity);
+            return Err(Error::argument("update", problem));
+        }
+        bytes += count * u64::from(plan.planes) * 16;
+    }
+    if bytes > reserved.staging_bytes {
+        let (what, limit_name) = ("the frame's updates".into(), "reserved staging_bytes");
+        let limit = reserved.staging_bytes;
+        return Err(Error::TooLarge { what, needed: bytes, unit: "bytes", limit, limit_name });
+    }
+    Ok(())
+}
+
+pub(super) fn check_capacity(
+    frame: &RecordedFrame<'_>,
+    capacity: &FrameCapacity,
+    alignment: u32,
+) -> Result<()> {
+    let Camera { width, height, .. } = *frame.camera;
+    let (columns, rows) = tile_grid(width, height);
+    let (most_columns, most_rows) = tile_grid(capacity.width, capacity.height);
+    let area = |w: u32, h: u32| u64::from(w) * u64::from(h);
+    let counts = frame.scenes.iter().map(|s| u64::from(s.scene.count().next_multiple_of(alignment)));
+    let last = frame.scenes.last().map_or(0, |s| u64::from(s.scene.count()));
+    let gaussians = counts.take(frame.scenes.len() - 1).sum::<u64>() + last;
+    let bounds = [
+        ("picture", area(width, height), "pixels", area(capacity.width, capacity.height)),
+        ("picture", area(columns, rows), "tiles", area(most_columns, most_rows)),
+        ("scenes", gaussians, "Gaussians", capacity.gaussians.into()),
+    ];
+    for (what, needed, unit, limit) in bounds {
+        if needed > limit {
+            let what = format!("the frame's {what}");
+            return Err(Error::TooLarge { what, needed, unit, limit, limit_name: "reserved" });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,118 @@
+//! A scene on the device that a host owns, changes and places.
+
+use crate::error::{Error, Result};
+use crate::forward::SceneBuffers;
+use crate::plan::{ScenePlan, to_u32};
+use crate::planes;
+use crate::scene::Gaussians;
+use crate::vk::{Buffer, Context};
+
+/// Gaussians on the device, for [`super::Renderer::record`]: any number of them make up a frame.
+///
+/// The parameters lie in chunks, one buffer each, as vec4 planes (`PLANE_*` in `glsl/include/constants.glsl`): plane p of
+/// Gaussian i of a chunk lies at `p * stride + i`; [`ScenePlan`] says how many chunks, planes and Gaussians.
+#[derive(Clone)]
+pub struct DeviceScene {
+    context: Context,
+    pub(super) buffers: SceneBuffers,
+}
+
+impl DeviceScene {
+    /// Uploads a scene with room for `capacity` Gaussians, if that is more. Submits and waits where the memory cannot
+    /// be mapped.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the vectors differ in length; allocation failures.
+    pub fn upload(context: &Context, gaussians: &Gaussians, capacity: u32) -> Result<Self> {
+        let buffers = planes::upload(context, "scene", gaussians, capacity, gaussians.sh_degree)?;
+        Ok(Self { context: context.clone(), buffers })
+    }
+
+    /// An empty scene with room for `capacity` Gaussians with SH up to `sh_degree`; [`super::Update`]s fill it.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] or an allocation's failure.
+    pub fn empty(context: &Context, capacity: u32, sh_degree: u32) -> Result<Self> {
+        let plan = ScenePlan::new(context.limits(), capacity, check_degree(sh_degree)?)?;
+        let chunks = planes::allocate(context, "scene", &plan)?;
+        Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, plan, count: 0 } })
+    }
+
+    /// A scene in buffers of the host's own ([`Buffer::adopt`]), one for each chunk of [`DeviceScene::plan_for`], which
+    /// hold `count` Gaussians. Who writes them waits and signals as for any buffer that compute shaders read.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when number or sizes of the buffers differ from the plan's, or they are of another device.
+    pub fn from_buffers(context: &Context, plan: ScenePlan, chunks: Vec<Buffer>, count: u32) -> Result<Self> {
+        let bad = |problem: String| Err(Error::argument("scene's buffers", problem));
+        if chunks.len() != plan.chunks as usize {
+            return bad(format!("{} of them, the plan has {} chunks", chunks.len(), plan.chunks));
+        }
+        if let Some(small) = chunks.iter().find(|b| b.bytes() < plan.chunk_bytes()) {
+            return bad(format!(
+                "'{}' has {} bytes, not {}",
+                small.name(),
+                small.bytes(),
+                plan.chunk_bytes()
+            ));
+        }
+        if chunks.iter().any(|b| !b.belongs_to(context)) {
+            return bad("belong to another device".into());
+        }
+        if count > plan.capacity {
+            return bad(format!("{count} Gaussians, the plan has room for {}", plan.capacity));
+        }
+        Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, plan, count } })
+    }
+
+    /// How the parameters of `capacity` Gaussians are laid out on this device.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] for more than indices can name, [`Error::Argument`] for an SH degree above 3.
+    pub fn plan_for(context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
+        ScenePlan::new(context.limits(), capacity, check_degree(sh_degree)?)
+    }
+
+    /// How the parameters are laid out.
+    pub fn plan(&self) -> &ScenePlan {
+        &self.buffers.plan
+    }
+
+    /// Gaussians in it.
+    pub fn count(&self) -> u32 {
+        self.buffers.count
+    }
+
+    /// Renders only the first `count` from the next recording on.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] above the capacity.
+    pub fn set_count(&mut self, count: u32) -> Result<()> {
+        if count > self.buffers.plan.capacity {
+            let problem = format!("{count}, there is room for {}", self.buffers.plan.capacity);
+            return Err(Error::argument("number of Gaussians", problem));
+        }
+        self.buffers.count = count;
+        Ok(())
+    }
+
+    /// Reads the Gaussians back; submits and waits where the memory cannot be mapped. Nothing may be writing them.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn download(&self) -> Result<Gaussians> {
+        planes::download(&self.context, &self.buffers)
+    }
+
+    /// Whether it is of this context's device.
+    pub fn belongs_to(&self, context: &Context) -> bool {
+        self.context.is(context)
+    }
+}
+
+fn check_degree(sh_degree: u32) -> Result<u32> {
+    if sh_degree > 3 {
+        return Err(Error::argument("SH degree", format!("{sh_degree} is above 3")));
+    }
+    to_u32(sh_degree.into())
+}

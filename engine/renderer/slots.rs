@@ -1,0 +1,240 @@
+//! Frames in flight: the memory of each, planned and allocated ahead.
+
+use super::frame_store::State;
+use crate::error::{Error, Result};
+use crate::forward::BlendVariant;
+use crate::kernels::constants as c;
+use crate::plan::{Blocks, FrameBuffers, FrameCapacity, ScenePlan, frame_requests, initial_instances};
+use crate::vk::{Buffer, Context, MemoryKind, RecordSlot, ScopeTime};
+
+/// What is to be allocated ahead for recording: see [`super::Renderer::reserve`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reservation {
+    /// Frames in flight.
+    pub slots: u32,
+    /// Gaussians of all scenes of a frame together.
+    pub gaussians: u32,
+    /// Scenes of a frame.
+    pub scenes: u32,
+    /// Highest SH degree of the scenes.
+    pub sh_degree: u32,
+    /// (tile, Gaussian) instances of a frame; 0 for a guess. [`SlotReport`] says how many a frame needs.
+    pub instances: u32,
+    /// Width of the largest picture, pixels.
+    pub width: u32,
+    /// Height of the largest picture, pixels.
+    pub height: u32,
+    /// Passes of blending: more than one only for tiles so full that a driver's limit on loops cuts them off.
+    pub blend_passes: u32,
+    /// Whether frames will render the sum of weights / z.
+    pub inverse_depth: bool,
+    /// Whether frames will render expected depth.
+    pub expected_depth: bool,
+    /// Whether frames will be hidden behind a host's depth image.
+    pub occlusion: bool,
+    /// Bytes of staging memory for the [`super::Update`]s of a frame: see [`Reservation::update_bytes`].
+    pub staging_bytes: u64,
+}
+
+impl Reservation {
+    /// One frame in flight of one scene, with everything that can be asked of it switched off.
+    pub fn new(gaussians: u32, sh_degree: u32, width: u32, height: u32) -> Self {
+        Self {
+            slots: 1,
+            gaussians,
+            scenes: 1,
+            sh_degree,
+            instances: 0,
+            width,
+            height,
+            blend_passes: 1,
+            inverse_depth: false,
+            expected_depth: false,
+            occlusion: false,
+            staging_bytes: 0,
+        }
+    }
+
+    /// Staging memory that an update of `gaussians` Gaussians of a scene of this degree takes.
+    pub fn update_bytes(gaussians: u32, sh_degree: u32) -> u64 {
+        u64::from(gaussians) * u64::from(crate::plan::parameter_planes(sh_degree)) * 16
+    }
+
+    /// The reservation with room for what a frame turned out to need; unchanged if it had enough.
+    pub fn grown(&self, report: &SlotReport) -> Self {
+        let mut grown = *self;
+        if report.instances_needed > report.instance_capacity {
+            // Half as much again: the next frames will not need exactly this many.
+            grown.instances = report.instances_needed.saturating_add(report.instances_needed / 2);
+        }
+        grown.blend_passes = self.blend_passes.max(report.blend_passes_needed);
+        grown
+    }
+
+    fn check(&self) -> Result<()> {
+        let sides = 1..=crate::scene::camera::MAX_IMAGE_SIDE;
+        if !sides.contains(&self.width) || !sides.contains(&self.height) {
+            let problem = format!("a picture of {} x {} pixels", self.width, self.height);
+            return Err(Error::argument("reservation", problem));
+        }
+        if self.slots == 0 || self.scenes == 0 || self.blend_passes == 0 {
+            return Err(Error::argument("reservation", "no slots, scenes or blending passes"));
+        }
+        if self.sh_degree > 3 {
+            return Err(Error::argument("reservation", format!("SH degree {} is above 3", self.sh_degree)));
+        }
+        Ok(())
+    }
+
+    /// The ways to blend that frames may ask for.
+    pub(super) fn variants(&self) -> Vec<BlendVariant> {
+        let mut variants = vec![BlendVariant::default()];
+        if self.inverse_depth {
+            variants.push(BlendVariant { inverse_depth: true, ..BlendVariant::default() });
+        }
+        if self.expected_depth {
+            variants.push(BlendVariant { inverse_depth: true, linear_depth: true, depth_limit: false });
+        }
+        if self.occlusion {
+            let hidden = variants.clone().into_iter();
+            variants.extend(hidden.map(|v| BlendVariant { depth_limit: true, ..v }));
+        }
+        variants
+    }
+
+    /// Dispatches of a frame, at most.
+    pub(super) fn dispatches(&self, context: &Context) -> Result<usize> {
+        const PER_FRAME: u32 = 48;
+        let plan = ScenePlan::new(context.limits(), self.gaussians, self.sh_degree)?;
+        Ok((PER_FRAME + self.blend_passes + 2 * (plan.chunks + self.scenes)) as usize)
+    }
+}
+
+/// What a recorded frame was made of, once it has finished.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct SlotReport {
+    /// Gaussians in the frame's scenes.
+    pub gaussians: u32,
+    /// Visible ones.
+    pub visible: u32,
+    /// (tile, Gaussian) instances that the picture needs.
+    pub instances_needed: u32,
+    /// Instances that there was room for.
+    pub instance_capacity: u32,
+    /// Entries of the fullest tile.
+    pub longest_tile: u32,
+    /// Passes of blending that the fullest tile needs.
+    pub blend_passes_needed: u32,
+    /// Whether something did not fit: the picture lacks what lies farthest back. [`Reservation::grown`] helps.
+    pub overflow: bool,
+    /// Device time per stage.
+    pub scopes: Vec<ScopeTime>,
+}
+
+/// The memory of one frame in flight.
+pub(super) struct Slot {
+    pub record: RecordSlot,
+    pub frame: FrameBuffers,
+    pub capacity: FrameCapacity,
+    /// 1/z per pixel.
+    pub depth_limits: Option<Buffer>,
+    pub staging: Option<Buffer>,
+    readback: Buffer,
+    /// Gaussians of the last recording, and whether its counts can be there.
+    pub last: Option<u32>,
+}
+
+/// All frames in flight.
+#[derive(Default)]
+pub(super) struct Slots {
+    pub reserved: Option<Reservation>,
+    pub slots: Vec<Slot>,
+}
+
+impl Slots {
+    /// Allocates what a reservation asks for in place of what there is.
+    pub fn reserve(&mut self, context: &Context, sizes: &Blocks, wanted: &Reservation) -> Result<()> {
+        wanted.check()?;
+        for slot in &self.slots {
+            if !slot.record.finished()? {
+                return Err(Error::argument("frame slots", "one is still in flight: wait for it first"));
+            }
+        }
+        let dispatches = wanted.dispatches(context)?;
+        // The old memory goes first: both at once might not fit.
+        self.slots.clear();
+        self.reserved = None;
+        for _ in 0..wanted.slots {
+            self.slots.push(Slot::new(context, sizes, wanted, dispatches)?);
+        }
+        self.reserved = Some(*wanted);
+        Ok(())
+    }
+
+    /// The slot of an index.
+    pub fn get(&mut self, index: u32) -> Result<&mut Slot> {
+        let count = self.slots.len();
+        self.slots.get_mut(index as usize).ok_or_else(|| {
+            Error::argument("frame slot", format!("{index}: {count} are reserved; call Renderer::reserve"))
+        })
+    }
+}
+
+impl Slot {
+    fn new(context: &Context, sizes: &Blocks, wanted: &Reservation, dispatches: usize) -> Result<Self> {
+        // Between scenes lie gaps of less than a block.
+        let gaussians = wanted.gaussians.saturating_add((wanted.scenes - 1).saturating_mul(sizes.stream));
+        let Reservation { width, height, .. } = *wanted;
+        let instances = match wanted.instances {
+            0 => initial_instances(context.limits(), gaussians, width, height),
+            instances => instances,
+        };
+        let capacity = FrameCapacity {
+            gaussians,
+            instances,
+            width,
+            height,
+            blend_passes: wanted.blend_passes,
+            backward: false,
+        };
+        let frame = context.allocate("frame slot", &frame_requests(&capacity, sizes), MemoryKind::Device)?;
+        let pixels = u64::from(width) * u64::from(height);
+        let limits = wanted.occlusion.then_some(("depth_limits", pixels * 4));
+        let limits: Vec<_> = limits.into_iter().collect();
+        let mut host = vec![("state_readback", u64::from(c::STATE_WORDS) * 4)];
+        host.extend((wanted.staging_bytes > 0).then_some(("scene_updates", wanted.staging_bytes)));
+        let depth_limits = context.allocate("frame slot", &limits, MemoryKind::Device)?.pop();
+        let mut host = context.allocate("frame slot host", &host, MemoryKind::HostVisible)?.into_iter();
+        let Some(readback) = host.next() else { unreachable!("one buffer per request") };
+        let frame = FrameBuffers::from_allocated(frame);
+        let (record, staging) = (RecordSlot::new(context, dispatches)?, host.next());
+        Ok(Self { record, frame, capacity, depth_limits, staging, readback, last: None })
+    }
+
+    /// Records the copy of the frame's counts to where the host reads them.
+    pub fn record_readback(&self, r: &mut crate::vk::Recorder) {
+        r.copy(&self.frame.state, &self.readback);
+    }
+
+    /// What the last recording needed; None while it is in flight, and where there was none.
+    pub fn report(&mut self, sizes: &Blocks) -> Result<Option<SlotReport>> {
+        let Some(gaussians) = self.last else { return Ok(None) };
+        if !self.record.finished()? {
+            return Ok(None);
+        }
+        let mut bytes = [0u8; c::STATE_WORDS as usize * 4];
+        self.readback.read(0, &mut bytes)?;
+        let state = State::of(&bytes);
+        Ok(Some(SlotReport {
+            gaussians,
+            visible: state.visible,
+            instances_needed: state.instances,
+            instance_capacity: self.capacity.instances,
+            longest_tile: state.longest_tile,
+            blend_passes_needed: state.longest_tile.div_ceil(sizes.entries_per_pass).max(1),
+            overflow: state.overflow,
+            scopes: self.record.times()?,
+        }))
+    }
+}

@@ -1,0 +1,148 @@
+//! A host engine's matrices in terms of [`Camera`]: the one place where conventions meet.
+//!
+//! A view and a projection matrix say everything that differs between engines: which axes of view space point where,
+//! whether clip space points up or down, whether depth is reversed and where the far plane is. So nothing has to be
+//! told but the matrices themselves, and which way the viewport flips.
+
+use glam::{Mat3, Mat4, Vec3};
+
+use super::{Camera, Intrinsics};
+use crate::{Error, Result};
+
+/// Where clip space's +y lies in the image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ClipY {
+    /// At the bottom: Vulkan with a viewport of positive height.
+    #[default]
+    Down,
+    /// At the top: a viewport of negative height, or OpenGL's and Direct3D's clip space.
+    Up,
+}
+
+/// How a host sees: column vectors, `clip = projection * view * world`, depth from 0 to 1 in the viewport's whole
+/// range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HostView {
+    /// View space from the scene's world: a rotation, perhaps a mirroring of axes, and a translation. A scene's world is
+    /// right-handed; for a host with a left-handed one, multiply by what takes the scene there: `view * diag(1, 1, -1, 1)`.
+    pub view_from_world: Mat4,
+    /// Perspective projection: any signs, off-centre or not, standard or reversed depth, finite or infinite far plane.
+    pub clip_from_view: Mat4,
+    /// Where clip space's +y lies in the image.
+    pub clip_y: ClipY,
+    /// Width of the image, pixels.
+    pub width: u32,
+    /// Height of the image, pixels.
+    pub height: u32,
+}
+
+/// How 1/z follows from the value `d` of a host's depth buffer: `1/z = scale * d + offset`, exact for every perspective
+/// projection; z is the distance along the optical axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthMapping {
+    /// See above. Positive for reversed depth.
+    pub scale: f32,
+    /// See above.
+    pub offset: f32,
+    /// The depth that means that nothing is there: 1, or 0 for reversed depth.
+    pub clear_value: f32,
+}
+
+impl DepthMapping {
+    /// The z of a depth value, infinite for the far plane at infinity.
+    pub fn z(&self, depth: f32) -> f32 {
+        (self.scale * depth + self.offset).max(0.0).recip()
+    }
+}
+
+impl HostView {
+    /// The camera, and how to read the depth buffer that is rendered with it.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for numbers that are not finite, a projection that is no perspective or is skewed, a view
+    /// that scales, and matrices that together mirror the picture.
+    pub fn camera(&self) -> Result<(Camera, DepthMapping)> {
+        let bad = |what: &str, problem: &str| Err(Error::argument(what, problem));
+        let (view, projection) = (self.view_from_world, self.clip_from_view);
+        if !view.is_finite() || !projection.is_finite() {
+            return bad("host's matrices", "hold numbers that are not finite");
+        }
+        if self.width == 0 || self.height == 0 {
+            return bad("host's view", "the image has no size");
+        }
+        let p = |row: usize, column: usize| projection.col(column)[row];
+        // w = sign z_view, up to a common factor of the whole matrix.
+        let w = p(3, 2);
+        if w == 0.0 || p(3, 0) != 0.0 || p(3, 1) != 0.0 || p(3, 3) != 0.0 {
+            return bad("projection", "is no perspective: its last row must be (0, 0, ±1, 0)");
+        }
+        let skewed = [p(0, 1), p(1, 0), p(2, 0), p(2, 1), p(0, 3), p(1, 3)].into_iter().any(|x| x != 0.0);
+        if skewed || p(0, 0) == 0.0 || p(1, 1) == 0.0 || p(2, 3) == 0.0 {
+            return bad("projection", "is skewed or degenerate: only off-centre perspectives are possible");
+        }
+        let up = if self.clip_y == ClipY::Up { -1.0 } else { 1.0 };
+        let (scale_x, scale_y) = (p(0, 0) / w.abs(), up * p(1, 1) / w.abs());
+        // Which way the camera's axes (x right, y down, z forward) lie in view space.
+        let axes = Vec3::new(scale_x.signum(), scale_y.signum(), w.signum());
+        let view_rotation = Mat3::from_mat4(view);
+        let camera_from_world = Mat3::from_diagonal(axes) * view_rotation;
+        if camera_from_world.determinant() < 0.0 {
+            let problem = "mirror the picture: check clip_y; for a left-handed world, multiply view_from_world by what \
+                           takes the scene there, for example diag(1, 1, -1, 1)";
+            return bad("host's matrices", problem);
+        }
+        let (width, height) = (self.width as f32, self.height as f32);
+        let intrinsics = Intrinsics {
+            fx: 0.5 * width * scale_x.abs(),
+            fy: 0.5 * height * scale_y.abs(),
+            cx: 0.5 * width * (1.0 + p(0, 2) / w),
+            cy: 0.5 * height * (1.0 + up * p(1, 2) / w),
+            width: self.width,
+            height: self.height,
+        };
+        let translation = axes * view.w_axis.truncate();
+        let camera = Camera::with_pose(camera_from_world, translation, intrinsics);
+        camera.check()?;
+        // d = (p22 z_view + p23) / (w z_view), and z_view = sign(w) z.
+        let scale = w.abs() / p(2, 3);
+        let mapping = DepthMapping {
+            scale,
+            offset: -p(2, 2) * w.signum() / p(2, 3),
+            clear_value: if scale > 0.0 { 0.0 } else { 1.0 },
+        };
+        Ok((camera, mapping))
+    }
+}
+
+/// Where an object stands in the world: `x_world = rotation * x_object + translation`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Rotation from object to world.
+    pub world_from_object: Mat3,
+    /// Position of the object's origin, world units.
+    pub translation: Vec3,
+}
+
+impl Pose {
+    /// Object and world are the same.
+    pub const IDENTITY: Self = Self { world_from_object: Mat3::IDENTITY, translation: Vec3::ZERO };
+
+    /// The camera in the object's coordinates: seen from there, the object itself has not moved, and neither have its
+    /// spherical harmonics.
+    pub fn camera_in_object(&self, camera: &Camera) -> Camera {
+        if *self == Self::IDENTITY {
+            return *camera;
+        }
+        Camera {
+            camera_from_world: camera.camera_from_world * self.world_from_object,
+            translation: camera.camera_from_world * self.translation + camera.translation,
+            ..*camera
+        }
+    }
+}
+
+impl Default for Pose {
+    fn default() -> Self {
+        Self::IDENTITY
+    }
+}

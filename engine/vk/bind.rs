@@ -1,0 +1,105 @@
+//! Binds what a dispatch works on: by push descriptors, or by a set that was allocated ahead.
+
+use super::buffer::Buffer;
+use super::image::Image;
+use super::kernel::{MAX_BINDINGS, Pipeline};
+use super::recorder::Recorder;
+use ash::vk;
+use std::sync::Arc;
+
+/// What a dispatch works on.
+pub(super) struct Bound<'a> {
+    pub(super) buffers: &'a [&'a Buffer],
+    pub(super) images: &'a [&'a Image],
+}
+
+/// Most images of one kernel.
+const MAX_IMAGES: usize = 2;
+
+impl Recorder {
+    /// Binds the pipeline, its buffers, images and push constants.
+    pub(super) fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) {
+        let mut buffers = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
+        for ((slot, info), buffer) in buffers.iter_mut().zip(pipeline.bindings).zip(bound.buffers) {
+            self.check_binding(pipeline, info.name, buffer);
+            self.kept.block(buffer.block());
+            let (offset, bytes) = (buffer.offset(), buffer.bytes());
+            *slot = vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(offset).range(bytes);
+        }
+        let mut images = [vk::DescriptorImageInfo::default(); MAX_IMAGES];
+        for ((slot, info), image) in images.iter_mut().zip(pipeline.images).zip(bound.images) {
+            let (kernel, name) = (pipeline.name, image.name());
+            assert!(image.purpose() == info.purpose, "{kernel}: image '{name}' is no {:?}", info.purpose);
+            self.kept.image(image);
+            *slot = image.descriptor();
+        }
+        let mut writes = [vk::WriteDescriptorSet::default(); MAX_BINDINGS + MAX_IMAGES];
+        let (first, rest) = writes.split_at_mut(bound.buffers.len());
+        for ((write, info), slot) in first.iter_mut().zip(pipeline.bindings).zip(&buffers) {
+            *write = vk::WriteDescriptorSet::default()
+                .dst_binding(info.binding)
+                .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                .buffer_info(std::slice::from_ref(slot));
+        }
+        for ((write, info), slot) in rest.iter_mut().zip(pipeline.images).zip(&images) {
+            *write = vk::WriteDescriptorSet::default()
+                .dst_binding(info.binding)
+                .descriptor_type(info.purpose.descriptor_type())
+                .image_info(std::slice::from_ref(slot));
+        }
+        let count = bound.buffers.len() + bound.images.len();
+        self.kept.pipeline(pipeline);
+        self.bind(pipeline, &mut writes[..count], push);
+    }
+
+    /// Fails for a buffer that cannot be bound.
+    fn check_binding(&self, pipeline: &Pipeline, role: &str, buffer: &Buffer) {
+        let limits = &self.inner.limits;
+        let (kernel, name, bytes) = (pipeline.name, buffer.name(), buffer.bytes());
+        assert!(
+            bytes <= limits.max_storage_buffer_range && bytes > 0,
+            "{kernel}: '{name}' bound as '{role}' has {bytes} bytes, the limit is {}",
+            limits.max_storage_buffer_range
+        );
+        assert!(
+            buffer.offset().is_multiple_of(limits.storage_alignment),
+            "{kernel}: '{name}' bound as '{role}' begins at {}, no multiple of {}",
+            buffer.offset(),
+            limits.storage_alignment
+        );
+    }
+
+    fn bind(&mut self, pipeline: &Pipeline, writes: &mut [vk::WriteDescriptorSet<'_>], push: &[u8]) {
+        let set = match self.commands.descriptors() {
+            Some(sets) if !writes.is_empty() => match sets.next(&self.inner) {
+                Ok(set) => Some(set),
+                Err(error) => panic!("{}: {error}", pipeline.name),
+            },
+            _ => None,
+        };
+        let (raw, device, point) = (self.raw(), &self.inner.device, vk::PipelineBindPoint::COMPUTE);
+        // SAFETY: recording state; pipeline, layout and descriptors belong together, and the recorder keeps all of
+        // them until the execution is over; a set is written once in a recording, before it is bound. `push` has the
+        // size that the layout was made with.
+        unsafe {
+            if self.bound != pipeline.raw {
+                device.cmd_bind_pipeline(raw, point, pipeline.raw);
+                self.bound = pipeline.raw;
+            }
+            match (&self.inner.push_descriptor, set) {
+                (Some(extension), _) if !writes.is_empty() => {
+                    extension.cmd_push_descriptor_set(raw, point, pipeline.layout, 0, writes);
+                }
+                (None, Some(set)) => {
+                    writes.iter_mut().for_each(|write| write.dst_set = set);
+                    device.update_descriptor_sets(writes, &[]);
+                    device.cmd_bind_descriptor_sets(raw, point, pipeline.layout, 0, &[set], &[]);
+                }
+                _ => {}
+            }
+            if !push.is_empty() {
+                device.cmd_push_constants(raw, pipeline.layout, vk::ShaderStageFlags::COMPUTE, 0, push);
+            }
+        }
+    }
+}

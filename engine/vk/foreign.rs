@@ -1,0 +1,312 @@
+//! A guest on somebody else's device: the context that is made from a host's handles, and recording into a host's
+//! command buffers.
+
+use super::allocator::HostAllocator;
+use super::context::{Context, ContextOptions, Inner, Owner, Parts};
+use super::descriptors::DescriptorSets;
+use super::device;
+use super::profiler::{MAX_SCOPES, Profiler, ScopeTime};
+use super::recorder::{ForeignTarget, Recorder};
+use super::requirements::Features;
+use super::submit::Kept;
+use super::vk_error;
+use crate::{Error, Result};
+use ash::vk;
+use std::ffi::CStr;
+use std::sync::Arc;
+
+/// A host's device, and what was enabled when it was created.
+#[derive(Clone)]
+pub struct ForeignDevice<'a> {
+    /// The instance with its functions.
+    pub instance: &'a ash::Instance,
+    /// The physical device.
+    pub physical_device: vk::PhysicalDevice,
+    /// The device with its functions.
+    pub device: &'a ash::Device,
+    /// The family of the queues that recordings are submitted to.
+    pub queue_family: u32,
+    /// A queue of that family for what submits and waits by itself: [`Context::run`], [`Context::upload`],
+    /// [`crate::Renderer::render`]. None: those are refused, and only recording works.
+    pub queue: Option<vk::Queue>,
+    /// The features that the device was created with: see [`Features::of`].
+    pub features: Features,
+    /// The device extensions that it was created with.
+    pub extensions: &'a [&'a CStr],
+    /// Whether the instance was created with VK_EXT_debug_utils.
+    pub debug_utils: bool,
+    /// Where buffers get their memory from; None: from the device itself.
+    pub allocator: Option<Arc<dyn HostAllocator>>,
+}
+
+impl Context {
+    /// A context on a host's device. Nothing of the host's is ever destroyed or waited for: dropping the context
+    /// destroys only what it made.
+    ///
+    /// `options` says what it says for [`Context::new`], but for the choice of the device and the layers, which are
+    /// the host's.
+    ///
+    /// # Errors
+    /// [`Error::MissingFeature`] for the first of [`Context::requirements`] that the device lacks or that was not
+    /// enabled, [`Error::Argument`] for a null handle or a queue family without compute.
+    ///
+    /// # Safety
+    /// - `instance` and `device` are alive, were created for Vulkan 1.3 or later, and outlive the context and
+    ///   everything that is made from it;
+    /// - `physical_device` is the one that `device` was created from, `queue_family` one that it was created with;
+    /// - `features` and `extensions` were enabled at its creation, and VK_EXT_debug_utils if `debug_utils` says so;
+    /// - while `queue` is given, nobody else uses that queue during a call that submits.
+    pub unsafe fn from_foreign(host: &ForeignDevice<'_>, options: &ContextOptions) -> Result<Self> {
+        let null = [
+            ("instance", host.instance.handle() == vk::Instance::null()),
+            ("physical device", host.physical_device == vk::PhysicalDevice::null()),
+            ("device", host.device.handle() == vk::Device::null()),
+            ("queue", host.queue == Some(vk::Queue::null())),
+        ];
+        if let Some((what, _)) = null.into_iter().find(|(_, null)| *null) {
+            return Err(Error::argument(what, "the handle is null"));
+        }
+        let mut candidate = device::describe(host.instance, 0, host.physical_device, vk::API_VERSION_1_3)?;
+        let lacks = |feature: String| {
+            Err(Error::MissingFeature { device: candidate.description.name.clone(), feature })
+        };
+        if let Some(feature) = &candidate.missing {
+            return lacks(feature.clone());
+        }
+        if let Some(feature) = host.features.missing() {
+            return lacks(format!("{feature} (the device has it, the host has not enabled it)"));
+        }
+        // SAFETY: the physical device is of this instance.
+        let families =
+            unsafe { host.instance.get_physical_device_queue_family_properties(host.physical_device) };
+        let family = families.get(host.queue_family as usize).copied().unwrap_or_default();
+        if !family.queue_flags.contains(vk::QueueFlags::COMPUTE) {
+            let problem = format!("family {} has no compute", host.queue_family);
+            return Err(Error::argument("queue family", problem));
+        }
+        candidate.queue_family = host.queue_family;
+        candidate.features.push_descriptor &=
+            options.push_descriptors && host.extensions.contains(&ash::khr::push_descriptor::NAME);
+        candidate.features.calibrated_timestamps = None;
+        Self::assemble(Parts {
+            owner: Owner::Host(host.instance.clone()),
+            candidate,
+            device: host.device.clone(),
+            queue: host.queue,
+            debug_utils: host.debug_utils,
+            allocator: host.allocator.clone(),
+            options,
+        })
+    }
+
+    /// A host's command buffer, to record into.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a null handle.
+    ///
+    /// # Safety
+    /// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass, and
+    ///   nobody else records into it until the recording that is begun with it has ended;
+    /// - it is submitted at most once before it is recorded again, and to a queue of the context's queue family;
+    /// - the slot that it is recorded through lives until its execution is over.
+    ///
+    /// Pipeline, descriptors and push constants of the compute bind point are not what they were afterwards.
+    pub unsafe fn adopt_commands(&self, commands: vk::CommandBuffer) -> Result<ForeignCommands> {
+        if commands == vk::CommandBuffer::null() {
+            return Err(Error::argument("command buffer", "the handle is null"));
+        }
+        Ok(ForeignCommands { inner: self.0.clone(), raw: commands })
+    }
+
+    /// Whether the instance and the device are a host's.
+    pub fn is_foreign(&self) -> bool {
+        matches!(self.0.owner, Owner::Host(_))
+    }
+
+    /// Whether two contexts are the same.
+    pub fn is(&self, other: &Context) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+
+    /// The Vulkan objects behind the context, for a host that wants to share a device of ours.
+    pub fn handles(&self) -> (ash::Instance, vk::PhysicalDevice, ash::Device, u32) {
+        let inner = &self.0;
+        (inner.owner.instance().clone(), inner.physical, inner.device.clone(), inner.queue_family)
+    }
+}
+
+/// A host's command buffer in the recording state: [`Context::adopt_commands`].
+pub struct ForeignCommands {
+    inner: Arc<Inner>,
+    raw: vk::CommandBuffer,
+}
+
+impl ForeignCommands {
+    /// Whether it is of this context.
+    pub fn belongs_to(&self, context: &Context) -> bool {
+        Arc::ptr_eq(&self.inner, &context.0)
+    }
+}
+
+/// What recording into a host's command buffer needs, made ahead: one for each frame in flight. Between
+/// [`RecordSlot::begin`] and [`RecordSlot::end`] nothing is created, allocated, mapped, submitted or waited for.
+///
+/// The device signals an event at the end of the recording, so that the host can ask whether it is over.
+pub struct RecordSlot {
+    inner: Arc<Inner>,
+    event: vk::Event,
+    queries: vk::QueryPool,
+    descriptors: Option<DescriptorSets>,
+    kept: Kept,
+    profiler: Option<Profiler>,
+    recorded: bool,
+}
+
+impl RecordSlot {
+    /// A slot for recordings of up to `dispatches` dispatches.
+    ///
+    /// # Errors
+    /// [`Error::Vulkan`] when the driver has no memory left.
+    pub fn new(context: &Context, dispatches: usize) -> Result<Self> {
+        let inner = context.0.clone();
+        let mut slot = Self {
+            event: vk::Event::null(),
+            queries: vk::QueryPool::null(),
+            descriptors: DescriptorSets::new(&inner),
+            kept: Kept::default(),
+            profiler: None,
+            recorded: false,
+            inner,
+        };
+        slot.create(dispatches)?;
+        Ok(slot)
+    }
+
+    fn create(&mut self, dispatches: usize) -> Result<()> {
+        let inner = &self.inner;
+        // SAFETY: valid create infos for this device.
+        unsafe {
+            let event = inner.device.create_event(&vk::EventCreateInfo::default(), None);
+            self.event = event.map_err(vk_error("vkCreateEvent"))?;
+            if inner.timestamp_bits > 0 {
+                let queries = vk::QueryPoolCreateInfo::default()
+                    .query_type(vk::QueryType::TIMESTAMP)
+                    .query_count(2 * MAX_SCOPES);
+                let queries = inner.device.create_query_pool(&queries, None);
+                self.queries = queries.map_err(vk_error("vkCreateQueryPool"))?;
+                inner.names.name(self.queries, "slot timestamps");
+            }
+        }
+        inner.names.name(self.event, "slot event");
+        match &mut self.descriptors {
+            Some(sets) => sets.reserve(inner, dispatches),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether nothing that was recorded through the slot can still be running: true also for one never used, false
+    /// while the command buffer has not been submitted yet.
+    ///
+    /// # Errors
+    /// [`Error::Vulkan`] when the device is lost.
+    pub fn finished(&self) -> Result<bool> {
+        if !self.recorded {
+            return Ok(true);
+        }
+        // SAFETY: the event is alive.
+        let status = unsafe { self.inner.device.get_event_status(self.event) };
+        status.map_err(vk_error("vkGetEventStatus"))
+    }
+
+    /// Forgets a recording that will never be executed.
+    ///
+    /// # Safety
+    /// The command buffer was not submitted, and is not going to be.
+    pub unsafe fn discard(&mut self) {
+        self.recorded = false;
+        self.profiler = None;
+        self.kept.clear();
+    }
+
+    /// Starts recording. Waits, on the device, for what compute shaders and transfers before it in the queue wrote.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the recording before is not over, or when the commands are of another context: nothing
+    /// is recorded then.
+    pub fn begin(&mut self, commands: ForeignCommands, label: &str) -> Result<Recorder> {
+        if !Arc::ptr_eq(&commands.inner, &self.inner) {
+            return Err(Error::argument("command buffer", "it belongs to another device"));
+        }
+        if !self.finished()? {
+            return Err(Error::argument("frame slot", "its last recording is still in flight"));
+        }
+        let inner = &self.inner;
+        // SAFETY: the event is not used by any submission: the last one has signalled it.
+        let reset = unsafe { inner.device.reset_event(self.event) };
+        reset.map_err(vk_error("vkResetEvent"))?;
+        self.kept.clear();
+        self.profiler = None;
+        let timed = inner.timestamps.load(std::sync::atomic::Ordering::Relaxed);
+        let queries = if timed { self.queries } else { vk::QueryPool::null() };
+        if queries != vk::QueryPool::null() {
+            // SAFETY: recording state outside of a render pass, as the adopter has promised; the pool is idle.
+            unsafe { inner.device.cmd_reset_query_pool(commands.raw, queries, 0, 2 * MAX_SCOPES) }
+        }
+        let mut descriptors = self.descriptors.take();
+        if let Some(sets) = &mut descriptors {
+            sets.reset();
+        }
+        let target = ForeignTarget { raw: commands.raw, queries, descriptors };
+        let mut recorder = Recorder::foreign(inner, target, std::mem::take(&mut self.kept), label);
+        recorder.barrier();
+        Ok(recorder)
+    }
+
+    /// Ends a recording: everything that it wrote is made visible to the host, and the event is signalled behind it.
+    pub fn end(&mut self, recorder: Recorder) {
+        let (target, profiler, kept) = recorder.finish_foreign();
+        type Stage = vk::PipelineStageFlags2;
+        let barriers = [vk::MemoryBarrier2::default()
+            .src_stage_mask(Stage::COMPUTE_SHADER | Stage::ALL_TRANSFER)
+            .src_access_mask(vk::AccessFlags2::SHADER_WRITE | vk::AccessFlags2::TRANSFER_WRITE)
+            .dst_stage_mask(Stage::HOST)
+            .dst_access_mask(vk::AccessFlags2::HOST_READ)];
+        let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
+        // SAFETY: recording state outside of a render pass; the event is this slot's and was reset.
+        unsafe {
+            self.inner.device.cmd_pipeline_barrier2(target.raw, &dependency);
+            self.inner.device.cmd_set_event2(target.raw, self.event, &dependency);
+        }
+        self.descriptors = target.descriptors;
+        self.profiler = Some(profiler);
+        self.kept = kept;
+        self.recorded = true;
+    }
+
+    /// The time of each scope of the last recording, once it has finished; empty before that, where there are no
+    /// timestamps, and when asked a second time.
+    ///
+    /// # Errors
+    /// [`Error::Vulkan`] when the device is lost.
+    pub fn times(&mut self) -> Result<Vec<ScopeTime>> {
+        if !self.finished()? {
+            return Ok(Vec::new());
+        }
+        let profiler = self.profiler.take();
+        profiler.map_or(Ok(Vec::new()), |mut profiler| Ok(profiler.collect(&self.inner)?.scopes))
+    }
+}
+
+impl Drop for RecordSlot {
+    fn drop(&mut self) {
+        if let Some(sets) = &mut self.descriptors {
+            sets.destroy(&self.inner);
+        }
+        // SAFETY: whoever adopted the command buffer has promised that its execution is over; null handles are
+        // allowed.
+        unsafe {
+            self.inner.device.destroy_query_pool(self.queries, None);
+            self.inner.device.destroy_event(self.event, None);
+        }
+    }
+}

@@ -1,0 +1,419 @@
+//! Two-dimensional images: a host's, or our own.
+
+use super::context::{Context, Inner};
+use super::kernel::Access;
+use super::memory::{MemoryKind, NEXT_ID};
+use super::recorder::Recorder;
+use super::vk_error;
+use crate::{Error, Result};
+use ash::vk;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+/// What kernels do with an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageUse {
+    /// Read and written as a storage image, in the layout GENERAL.
+    Storage,
+    /// Read by texel, in the layout DEPTH_STENCIL_READ_ONLY_OPTIMAL where it is a depth attachment as well, else in
+    /// SHADER_READ_ONLY_OPTIMAL.
+    Sampled,
+}
+
+impl ImageUse {
+    fn usage(self) -> vk::ImageUsageFlags {
+        match self {
+            Self::Storage => vk::ImageUsageFlags::STORAGE,
+            Self::Sampled => vk::ImageUsageFlags::SAMPLED,
+        }
+    }
+
+    pub(super) fn descriptor_type(self) -> vk::DescriptorType {
+        match self {
+            Self::Storage => vk::DescriptorType::STORAGE_IMAGE,
+            Self::Sampled => vk::DescriptorType::SAMPLED_IMAGE,
+        }
+    }
+
+    fn feature(self) -> vk::FormatFeatureFlags {
+        match self {
+            Self::Storage => vk::FormatFeatureFlags::STORAGE_IMAGE,
+            Self::Sampled => vk::FormatFeatureFlags::SAMPLED_IMAGE,
+        }
+    }
+}
+
+/// An image of somebody else's, as it was created.
+#[derive(Clone, Copy, Debug)]
+pub struct ForeignImage {
+    /// The image: two-dimensional, one sample per pixel, optimal tiling.
+    pub image: vk::Image,
+    /// Its format.
+    pub format: vk::Format,
+    /// Its usage.
+    pub usage: vk::ImageUsageFlags,
+    /// Width and height of the mip level, pixels.
+    pub size: [u32; 2],
+    /// Which mip level.
+    pub mip_level: u32,
+    /// Which layer.
+    pub layer: u32,
+}
+
+/// How an image is being used at a point in a command buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageState {
+    /// Its layout.
+    pub layout: vk::ImageLayout,
+    /// The stages that use it.
+    pub stages: vk::PipelineStageFlags2,
+    /// What they do with it.
+    pub accesses: vk::AccessFlags2,
+}
+
+impl ImageState {
+    /// Its contents are not wanted any more, and nothing before uses it.
+    pub const UNDEFINED: Self = Self {
+        layout: vk::ImageLayout::UNDEFINED,
+        stages: vk::PipelineStageFlags2::NONE,
+        accesses: vk::AccessFlags2::NONE,
+    };
+}
+
+/// A view of one level and layer of an image. Clones share it.
+#[derive(Clone)]
+pub struct Image(Arc<View>);
+
+struct View {
+    inner: Arc<Inner>,
+    image: vk::Image,
+    view: vk::ImageView,
+    /// Null where the image is a host's.
+    memory: vk::DeviceMemory,
+    format: vk::Format,
+    size: [u32; 2],
+    range: vk::ImageSubresourceRange,
+    purpose: ImageUse,
+    is_attachment: bool,
+    name: &'static str,
+    id: u64,
+}
+
+impl Image {
+    /// A view of a host's image, for kernels.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a null handle, no size, a usage that lacks what `purpose` needs, or a format that the
+    /// device cannot use so.
+    ///
+    /// # Safety
+    /// - the image is of the context's device, was created as `foreign` says and is bound to memory;
+    /// - it lives until the execution of the last recording that uses it is over and this view and its clones are
+    ///   gone.
+    pub unsafe fn adopt(
+        context: &Context,
+        name: &'static str,
+        foreign: &ForeignImage,
+        purpose: ImageUse,
+    ) -> Result<Self> {
+        let bad = |problem: String| Err(Error::argument(format!("image '{name}'"), problem));
+        if foreign.image == vk::Image::null() {
+            return bad("the handle is null".into());
+        }
+        if foreign.size.contains(&0) {
+            return bad(format!("its size is {} x {}", foreign.size[0], foreign.size[1]));
+        }
+        if !foreign.usage.contains(purpose.usage()) {
+            return bad(format!("its usage {:?} lacks {:?}", foreign.usage, purpose.usage()));
+        }
+        if !context.supports(foreign.format, purpose) {
+            return bad(format!("the device cannot use format {:?} as {purpose:?}", foreign.format));
+        }
+        Self::view(context, name, foreign, vk::DeviceMemory::null(), purpose)
+    }
+
+    /// An image of our own.
+    ///
+    /// # Errors
+    /// As [`Image::adopt`]; [`Error::Vulkan`] when the memory does not suffice.
+    pub fn new(
+        context: &Context,
+        name: &'static str,
+        format: vk::Format,
+        size: [u32; 2],
+        purpose: ImageUse,
+    ) -> Result<Self> {
+        if size.contains(&0) || !context.supports(format, purpose) {
+            let problem = format!("{format:?} of {} x {} is not possible as {purpose:?}", size[0], size[1]);
+            return Err(Error::argument(format!("image '{name}'"), problem));
+        }
+        let transfer = vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
+        let usage = purpose.usage() | transfer;
+        let info = vk::ImageCreateInfo::default()
+            .image_type(vk::ImageType::TYPE_2D)
+            .format(format)
+            .extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 })
+            .mip_levels(1)
+            .array_layers(1)
+            .samples(vk::SampleCountFlags::TYPE_1)
+            .usage(usage);
+        let device = &context.0.device;
+        // SAFETY: a valid create info; the image is bound once to memory of its own, and both are given to the view,
+        // or destroyed where that fails.
+        unsafe {
+            let image = device.create_image(&info, None).map_err(vk_error("vkCreateImage"))?;
+            let memory = context.image_memory(image).inspect_err(|_| device.destroy_image(image, None))?;
+            let foreign = ForeignImage { image, format, usage, size, mip_level: 0, layer: 0 };
+            Self::view(context, name, &foreign, memory, purpose).inspect_err(|_| {
+                device.destroy_image(image, None);
+                device.free_memory(memory, None);
+            })
+        }
+    }
+
+    fn view(
+        context: &Context,
+        name: &'static str,
+        foreign: &ForeignImage,
+        memory: vk::DeviceMemory,
+        purpose: ImageUse,
+    ) -> Result<Self> {
+        let range = vk::ImageSubresourceRange {
+            aspect_mask: aspect(foreign.format),
+            base_mip_level: foreign.mip_level,
+            level_count: 1,
+            base_array_layer: foreign.layer,
+            layer_count: 1,
+        };
+        let mut usage = vk::ImageViewUsageCreateInfo::default().usage(purpose.usage());
+        let info = vk::ImageViewCreateInfo::default()
+            .image(foreign.image)
+            .view_type(vk::ImageViewType::TYPE_2D)
+            .format(foreign.format)
+            .subresource_range(range)
+            .push_next(&mut usage);
+        let inner = context.0.clone();
+        // SAFETY: the image is alive and of this device, with this format and usage.
+        let view = unsafe { inner.device.create_image_view(&info, None) };
+        let view = view.map_err(vk_error("vkCreateImageView"))?;
+        inner.names.name(view, name);
+        let id = NEXT_ID.fetch_add(1, Ordering::Relaxed);
+        Ok(Self(Arc::new(View {
+            inner,
+            image: foreign.image,
+            view,
+            memory,
+            format: foreign.format,
+            size: foreign.size,
+            range,
+            purpose,
+            is_attachment: foreign.usage.contains(vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT),
+            name,
+            id,
+        })))
+    }
+
+    /// Its name in messages.
+    pub fn name(&self) -> &'static str {
+        self.0.name
+    }
+
+    /// Width and height, pixels.
+    pub fn size(&self) -> [u32; 2] {
+        self.0.size
+    }
+
+    /// Its format.
+    pub fn format(&self) -> vk::Format {
+        self.0.format
+    }
+
+    /// What it can be used for.
+    pub fn purpose(&self) -> ImageUse {
+        self.0.purpose
+    }
+
+    /// The layout that kernels need it in.
+    pub fn layout(&self) -> vk::ImageLayout {
+        match self.0.purpose {
+            ImageUse::Storage => vk::ImageLayout::GENERAL,
+            // A host may go on testing against it.
+            ImageUse::Sampled if self.0.is_attachment => vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL,
+            ImageUse::Sampled => vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
+        }
+    }
+
+    /// Whether it is of this context's device.
+    pub fn belongs_to(&self, context: &Context) -> bool {
+        Arc::ptr_eq(&self.0.inner, &context.0)
+    }
+
+    pub(super) fn id(&self) -> u64 {
+        self.0.id
+    }
+
+    pub(super) fn descriptor(&self) -> vk::DescriptorImageInfo {
+        vk::DescriptorImageInfo::default().image_view(self.0.view).image_layout(self.layout())
+    }
+}
+
+impl std::fmt::Debug for Image {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [width, height] = self.0.size;
+        write!(f, "Image('{}', {:?}, {width} x {height})", self.0.name, self.0.format)
+    }
+}
+
+impl Drop for View {
+    fn drop(&mut self) {
+        let device = &self.inner.device;
+        // SAFETY: recordings and slots hold the view until they are done with it; the image itself is destroyed only
+        // where it is ours.
+        unsafe {
+            device.destroy_image_view(self.view, None);
+            if self.memory != vk::DeviceMemory::null() {
+                device.destroy_image(self.image, None);
+                device.free_memory(self.memory, None);
+            }
+        }
+    }
+}
+
+/// The aspect that kernels see.
+fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
+    use vk::Format as F;
+    match format {
+        F::D16_UNORM
+        | F::X8_D24_UNORM_PACK32
+        | F::D32_SFLOAT
+        | F::D24_UNORM_S8_UINT
+        | F::D32_SFLOAT_S8_UINT => vk::ImageAspectFlags::DEPTH,
+        _ => vk::ImageAspectFlags::COLOR,
+    }
+}
+
+impl Context {
+    fn supports(&self, format: vk::Format, purpose: ImageUse) -> bool {
+        let (instance, physical) = (self.0.owner.instance(), self.0.physical);
+        // SAFETY: a plain query.
+        let has = unsafe { instance.get_physical_device_format_properties(physical, format) };
+        has.optimal_tiling_features.contains(purpose.feature())
+    }
+
+    /// Memory for an image, bound to it.
+    fn image_memory(&self, image: vk::Image) -> Result<vk::DeviceMemory> {
+        let device = &self.0.device;
+        // SAFETY: the image is of this device and not bound yet; memory that cannot be bound is freed.
+        unsafe {
+            let needs = device.get_image_memory_requirements(image);
+            let memory_type_index = self.0.memory_type(needs.memory_type_bits, MemoryKind::Device)?;
+            let info = vk::MemoryAllocateInfo::default()
+                .allocation_size(needs.size)
+                .memory_type_index(memory_type_index);
+            let memory = device.allocate_memory(&info, None).map_err(vk_error("vkAllocateMemory"))?;
+            device.bind_image_memory(image, memory, 0).map_err(|error| {
+                device.free_memory(memory, None);
+                vk_error("vkBindImageMemory")(error)
+            })?;
+            Ok(memory)
+        }
+    }
+}
+
+impl Recorder {
+    /// Makes an image ready for kernels: waits for what `from` says and changes the layout to [`Image::layout`].
+    /// Returns how kernels then use it.
+    pub fn acquire_image(&mut self, image: &Image, from: ImageState) -> ImageState {
+        let accesses = match image.0.purpose {
+            ImageUse::Storage => {
+                vk::AccessFlags2::SHADER_STORAGE_READ | vk::AccessFlags2::SHADER_STORAGE_WRITE
+            }
+            ImageUse::Sampled => vk::AccessFlags2::SHADER_SAMPLED_READ,
+        };
+        let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
+        let to = ImageState { layout: image.layout(), stages, accesses };
+        self.image_barrier(image, from, to);
+        to
+    }
+
+    /// Copies a buffer of tightly packed texels into an image of our own, and leaves it ready for kernels.
+    pub fn copy_to_image(&mut self, from: &super::Buffer, image: &Image) {
+        let transfer = ImageState {
+            layout: vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+            stages: vk::PipelineStageFlags2::ALL_TRANSFER,
+            accesses: vk::AccessFlags2::TRANSFER_WRITE,
+        };
+        self.image_barrier(image, ImageState::UNDEFINED, transfer);
+        self.transfer("copy to image", &[(from, "source", Access::Read)]);
+        let region = image.copy_region(from.offset());
+        // SAFETY: recording state; the layout is as the barrier says, the region is the whole level of the image.
+        unsafe {
+            let (raw, layout) = (self.raw(), transfer.layout);
+            self.inner.device.cmd_copy_buffer_to_image(raw, from.raw(), image.0.image, layout, &[region]);
+        }
+        self.acquire_image(image, transfer);
+    }
+
+    /// Copies an image that kernels have written into a buffer of tightly packed texels.
+    pub fn copy_from_image(&mut self, image: &Image, to: &super::Buffer) {
+        let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
+        let accesses = vk::AccessFlags2::SHADER_STORAGE_WRITE;
+        let written = ImageState { layout: image.layout(), stages, accesses };
+        let transfer = ImageState {
+            layout: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+            stages: vk::PipelineStageFlags2::ALL_TRANSFER,
+            accesses: vk::AccessFlags2::TRANSFER_READ,
+        };
+        self.image_barrier(image, written, transfer);
+        self.transfer("copy from image", &[(to, "destination", Access::Write)]);
+        let region = image.copy_region(to.offset());
+        // SAFETY: as in `copy_to_image`.
+        unsafe {
+            let (raw, layout) = (self.raw(), transfer.layout);
+            self.inner.device.cmd_copy_image_to_buffer(raw, image.0.image, layout, to.raw(), &[region]);
+        }
+    }
+
+    fn image_barrier(&mut self, image: &Image, from: ImageState, to: ImageState) {
+        self.kept.image(image);
+        let barriers = [vk::ImageMemoryBarrier2::default()
+            .src_stage_mask(from.stages)
+            .src_access_mask(from.accesses)
+            .dst_stage_mask(to.stages)
+            .dst_access_mask(to.accesses)
+            .old_layout(from.layout)
+            .new_layout(to.layout)
+            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .image(image.0.image)
+            .subresource_range(image.whole_range())];
+        let dependency = vk::DependencyInfo::default().image_memory_barriers(&barriers);
+        // SAFETY: recording state, outside of a render pass; the view's owner says that the image is alive.
+        unsafe { self.inner.device.cmd_pipeline_barrier2(self.raw(), &dependency) }
+    }
+}
+
+impl Image {
+    /// With the stencil, which changes its layout together with the depth.
+    fn whole_range(&self) -> vk::ImageSubresourceRange {
+        let mut range = self.0.range;
+        if matches!(self.0.format, vk::Format::D24_UNORM_S8_UINT | vk::Format::D32_SFLOAT_S8_UINT) {
+            range.aspect_mask |= vk::ImageAspectFlags::STENCIL;
+        }
+        range
+    }
+
+    fn copy_region(&self, buffer_offset: u64) -> vk::BufferImageCopy {
+        let [width, height] = self.0.size;
+        let range = self.0.range;
+        vk::BufferImageCopy::default()
+            .buffer_offset(buffer_offset)
+            .image_subresource(vk::ImageSubresourceLayers {
+                aspect_mask: range.aspect_mask,
+                mip_level: range.base_mip_level,
+                base_array_layer: range.base_array_layer,
+                layer_count: 1,
+            })
+            .image_extent(vk::Extent3D { width, height, depth: 1 })
+    }
+}

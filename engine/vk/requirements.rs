@@ -1,0 +1,219 @@
+//! What a device has to offer, and what a host has to enable, as values: the one list that choosing a device of our
+//! own, opening it, and judging a device of somebody else's go by.
+
+use super::context::Context;
+use ash::vk;
+use std::ffi::CStr;
+use std::fmt;
+
+/// Device features that matter here, each by its Vulkan name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Features {
+    /// scalarBlockLayout, Vulkan 1.2.
+    pub scalar_block_layout: bool,
+    /// synchronization2, Vulkan 1.3.
+    pub synchronization2: bool,
+    /// maintenance4, Vulkan 1.3: the workgroup sizes are specialization constants.
+    pub maintenance4: bool,
+    /// subgroupSizeControl, Vulkan 1.3.
+    pub subgroup_size_control: bool,
+    /// computeFullSubgroups, Vulkan 1.3.
+    pub compute_full_subgroups: bool,
+}
+
+impl Features {
+    /// What every device has to have.
+    pub const REQUIRED: Self = Self {
+        scalar_block_layout: true,
+        synchronization2: true,
+        maintenance4: true,
+        subgroup_size_control: true,
+        compute_full_subgroups: true,
+    };
+
+    /// What the features' structs of a device (or of its creation) say.
+    pub fn of(
+        v12: &vk::PhysicalDeviceVulkan12Features<'_>,
+        v13: &vk::PhysicalDeviceVulkan13Features<'_>,
+    ) -> Self {
+        Self {
+            scalar_block_layout: v12.scalar_block_layout != 0,
+            synchronization2: v13.synchronization2 != 0,
+            maintenance4: v13.maintenance4 != 0,
+            subgroup_size_control: v13.subgroup_size_control != 0,
+            compute_full_subgroups: v13.compute_full_subgroups != 0,
+        }
+    }
+
+    /// Turns on what is set here in the structs that a device is going to be created with, and leaves the rest alone.
+    ///
+    /// A host that chains the structs of single features instead sets the fields of the same names there.
+    pub fn merge_into(
+        &self,
+        v12: &mut vk::PhysicalDeviceVulkan12Features<'_>,
+        v13: &mut vk::PhysicalDeviceVulkan13Features<'_>,
+    ) {
+        let add = |to: &mut vk::Bool32, wanted: bool| *to |= vk::Bool32::from(wanted);
+        add(&mut v12.scalar_block_layout, self.scalar_block_layout);
+        add(&mut v13.synchronization2, self.synchronization2);
+        add(&mut v13.maintenance4, self.maintenance4);
+        add(&mut v13.subgroup_size_control, self.subgroup_size_control);
+        add(&mut v13.compute_full_subgroups, self.compute_full_subgroups);
+    }
+
+    /// Names and values.
+    pub fn all(&self) -> [(&'static str, bool); 5] {
+        [
+            ("scalarBlockLayout", self.scalar_block_layout),
+            ("synchronization2", self.synchronization2),
+            ("maintenance4", self.maintenance4),
+            ("subgroupSizeControl", self.subgroup_size_control),
+            ("computeFullSubgroups", self.compute_full_subgroups),
+        ]
+    }
+
+    /// The first feature of [`Features::REQUIRED`] that is not set here.
+    pub fn missing(&self) -> Option<&'static str> {
+        let required = Self::REQUIRED.all().into_iter().zip(self.all());
+        required.into_iter().find(|((_, required), (_, has))| *required && !has).map(|(_, (name, _))| name)
+    }
+}
+
+/// Subgroup operations that the kernels use.
+pub(super) const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
+    (vk::SubgroupFeatureFlags::BASIC, "basic"),
+    (vk::SubgroupFeatureFlags::VOTE, "vote"),
+    (vk::SubgroupFeatureFlags::ARITHMETIC, "arithmetic"),
+    (vk::SubgroupFeatureFlags::BALLOT, "ballot"),
+    (vk::SubgroupFeatureFlags::SHUFFLE, "shuffle"),
+    (vk::SubgroupFeatureFlags::SHUFFLE_RELATIVE, "shuffle relative"),
+];
+
+/// Limits that must be at least so high.
+pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
+    ("maxComputeWorkGroupInvocations", 128),
+    ("maxComputeSharedMemorySize", 16_384),
+    ("maxPushConstantsSize", 128),
+    ("maxPerStageDescriptorStorageBuffers", super::descriptors::BUFFERS as u64),
+];
+
+/// The first of [`LEAST_LIMITS`] that a device does not reach.
+pub(super) fn low_limit(l: &vk::PhysicalDeviceLimits) -> Option<String> {
+    let has = [
+        l.max_compute_work_group_invocations,
+        l.max_compute_shared_memory_size,
+        l.max_push_constants_size,
+        l.max_per_stage_descriptor_storage_buffers,
+    ];
+    let mut pairs = LEAST_LIMITS.iter().zip(has);
+    let low = pairs.find(|((_, least), has)| u64::from(*has) < *least);
+    low.map(|((name, least), has)| format!("{name} of {least} (it has {has})"))
+}
+
+/// An extension that is used where it is enabled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OptionalExtension {
+    /// Its name.
+    pub name: &'static CStr,
+    /// What is done without it.
+    pub without: &'static str,
+}
+
+/// What a host has to enable, and what it may. The `Display` is the list for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Requirements {
+    /// Of instance and device, as in `vk::API_VERSION_1_3`.
+    pub api_version: u32,
+    /// The queue that frames are submitted to.
+    pub queue: vk::QueueFlags,
+    /// Features to enable: see [`Features::merge_into`].
+    pub features: Features,
+    /// Device extensions to enable: there are none at present.
+    pub extensions: Vec<&'static CStr>,
+    /// Device extensions that are made use of.
+    pub optional_extensions: Vec<OptionalExtension>,
+    /// Instance extensions that are made use of.
+    pub optional_instance_extensions: Vec<OptionalExtension>,
+    /// Subgroup operations in compute shaders.
+    pub subgroup_operations: vk::SubgroupFeatureFlags,
+    /// Limits that must be at least so high, by their Vulkan names.
+    pub limits: Vec<(&'static str, u64)>,
+}
+
+impl Context {
+    /// What a host has to enable for [`Context::from_foreign`].
+    pub fn requirements() -> Requirements {
+        let operations = SUBGROUP_OPERATIONS.iter().map(|(flag, _)| *flag);
+        Requirements {
+            api_version: vk::API_VERSION_1_3,
+            queue: vk::QueueFlags::COMPUTE,
+            features: Features::REQUIRED,
+            extensions: Vec::new(),
+            optional_extensions: vec![OptionalExtension {
+                name: ash::khr::push_descriptor::NAME,
+                without: "descriptor sets from pools, allocated ahead",
+            }],
+            optional_instance_extensions: vec![OptionalExtension {
+                name: ash::ext::debug_utils::NAME,
+                without: "no names and labels in debuggers",
+            }],
+            subgroup_operations: operations.fold(vk::SubgroupFeatureFlags::empty(), |all, flag| all | flag),
+            limits: LEAST_LIMITS.to_vec(),
+        }
+    }
+}
+
+impl fmt::Display for Requirements {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let version = self.api_version;
+        let (major, minor) = (vk::api_version_major(version), vk::api_version_minor(version));
+        writeln!(f, "Vulkan               {major}.{minor}, instance and device")?;
+        writeln!(f, "queue                compute (graphics is not needed)")?;
+        let extensions: Vec<_> = self.extensions.iter().map(|name| name.to_string_lossy()).collect();
+        let extensions = if extensions.is_empty() { "none".into() } else { extensions.join(", ") };
+        writeln!(f, "device extensions    {extensions}")?;
+        let mut head = "features";
+        for (name, required) in self.features.all() {
+            if required {
+                writeln!(f, "{head:20} {name}")?;
+                head = "";
+            }
+        }
+        let names: Vec<_> = SUBGROUP_OPERATIONS.iter().map(|(_, name)| *name).collect();
+        writeln!(f, "subgroup operations  {} (compute)", names.join(", "))?;
+        let mut head = "limits";
+        for (name, least) in &self.limits {
+            writeln!(f, "{head:20} {name} >= {least}")?;
+            head = "";
+        }
+        let mut head = "optional";
+        for optional in self.optional_extensions.iter().chain(&self.optional_instance_extensions) {
+            writeln!(f, "{head:20} {} (without: {})", optional.name.to_string_lossy(), optional.without)?;
+            head = "";
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_missing_feature_is_named() {
+        assert_eq!(Features::REQUIRED.missing(), None);
+        let lacking = Features { maintenance4: false, ..Features::REQUIRED };
+        assert_eq!(lacking.missing(), Some("maintenance4"));
+        assert_eq!(Features::default().missing(), Some("scalarBlockLayout"));
+    }
+
+    #[test]
+    fn features_are_added_to_a_hosts_own() {
+        let mut v12 = vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true);
+        let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
+        Features::REQUIRED.merge_into(&mut v12, &mut v13);
+        assert_eq!(Features::of(&v12, &v13), Features::REQUIRED);
+        assert_eq!(v12.timeline_semaphore, vk::TRUE);
+    }
+}

@@ -1,0 +1,42 @@
+// What a host's depth image says of each pixel, as the blending wants it: 1/z of the nearest opaque thing.
+//
+//   1/z = scale * d + offset is exact for every perspective projection: standard, reversed or with an infinite far plane
+//   (engine/scene/view.rs derives scale and offset from the projection matrix).
+//
+// invocation: one pixel
+// in: depth, a host's depth image; out, PerPixel: depth_limits (1/z; 0 where the image holds its clear value)
+// shared: none; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_samplerless_texture_functions : require
+#extension GL_GOOGLE_include_directive : require
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) writeonly buffer DepthLimits { float depth_limits[]; };
+layout(set = 0, binding = 17) uniform texture2D depth;
+
+layout(push_constant, scalar) uniform Push {
+    uint image_width;
+    uint image_height;
+    // The image's texel that is pixel (0, 0).
+    uint offset_x;
+    uint offset_y;
+    float scale;
+    float offset;
+    // What the image is cleared to: nothing is there.
+    float clear_value;
+};
+
+#include "dispatch.glsl"
+
+void main() {
+    uint index = linear_invocation();
+    if (index >= image_width * image_height) {
+        return;
+    }
+    uvec2 at = uvec2(index % image_width, index / image_width);
+    float d = texelFetch(depth, ivec2(at + uvec2(offset_x, offset_y)), 0).x;
+    depth_limits[index] = d == clear_value ? 0.0 : max(scale * d + offset, 0.0);
+}

@@ -1,0 +1,38 @@
+// Writes a blended picture into a host's storage image: alone, or over what is there. A kernel of its own for each
+// format, since the format is part of the image's type. Needs constants.glsl and COMPOSE_FORMAT.
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
+layout(set = 0, binding = 16, COMPOSE_FORMAT) uniform image2D target;
+
+layout(push_constant, scalar) uniform Push {
+    uint image_width;
+    uint image_height;
+    // The target's texel that is pixel (0, 0).
+    uint offset_x;
+    uint offset_y;
+    // COMPOSE_BACKGROUND, COMPOSE_PREMULTIPLIED or COMPOSE_OVER.
+    uint mode;
+    vec3 background;
+};
+
+#include "dispatch.glsl"
+
+void main() {
+    uint index = linear_invocation();
+    if (index >= image_width * image_height) {
+        return;
+    }
+    ivec2 at = ivec2(uvec2(index % image_width, index / image_width) + uvec2(offset_x, offset_y));
+    vec4 splats = accumulated[index];
+    float transmittance = splats.w;
+    vec4 behind = vec4(0.0);
+    if (mode == COMPOSE_BACKGROUND) {
+        behind = vec4(background, 1.0);
+    } else if (mode == COMPOSE_OVER) {
+        behind = imageLoad(target, at);
+    }
+    imageStore(target, at, vec4(splats.xyz, 1.0 - transmittance) + transmittance * behind);
+}

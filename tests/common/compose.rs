@@ -1,0 +1,82 @@
+//! The kernels that write a host's images, over random pixels.
+
+use ashsplat::ash::vk;
+use ashsplat::compose::{Behind, Compose, Region};
+use ashsplat::vk::{Image, ImageUse};
+
+use super::gpu::Gpu;
+use super::scenes::Random;
+
+/// The frame, smaller than the image that it goes into.
+pub const SIZE: [u32; 2] = [21, 13];
+/// Where in the image.
+pub const OFFSET: [u32; 2] = [5, 2];
+/// The image.
+pub const IMAGE: [u32; 2] = [32, 17];
+
+/// Pixels as blending leaves them: premultiplied colour, transmittance.
+pub fn pixels() -> Vec<[f32; 4]> {
+    let mut random = Random::new(5);
+    (0..SIZE[0] * SIZE[1])
+        .map(|i| {
+            let transmittance = match i % 5 {
+                0 => 1.0,
+                1 => 1e-4,
+                _ => random.unit() as f32,
+            };
+            let covered = f64::from(1.0 - transmittance);
+            let [r, g, b] = [0; 3].map(|_| (covered * random.unit()) as f32);
+            [r, g, b, transmittance]
+        })
+        .collect()
+}
+
+/// Composes [`pixels`] over an image of texels; returns what the image holds then.
+pub fn composed(gpu: &Gpu, format: vk::Format, texels: &[u8], behind: Behind) -> Vec<u8> {
+    let compose = Compose::new(gpu.context).expect("kernels");
+    let image = Image::new(gpu.context, "target", format, IMAGE, ImageUse::Storage).expect("an image");
+    Compose::check_color(&image).expect("a possible format");
+    let accumulated = gpu.buffer("accumulated", &pixels());
+    let (from, to) = (gpu.buffer("texels", texels), gpu.untouched::<u8>("texels", texels.len()));
+    gpu.run(|r| {
+        r.copy_to_image(&from.range(0, texels.len() as u64), &image);
+        compose.record_color(r, &accumulated, SIZE, Region { image: &image, offset: OFFSET }, behind);
+        r.copy_from_image(&image, &to.range(0, texels.len() as u64));
+    });
+    gpu.read(&to, texels.len())
+}
+
+/// Checks every texel: inside of the frame against `expected`, outside it must be as it was.
+pub fn check(
+    before: &[[f64; 4]],
+    after: &[[f64; 4]],
+    behind: Behind,
+    tolerance: f64,
+    twin: impl Fn([f32; 4], [f64; 4]) -> [f64; 4],
+) {
+    let pixels = pixels();
+    for y in 0..IMAGE[1] {
+        for x in 0..IMAGE[0] {
+            let texel = (y * IMAGE[0] + x) as usize;
+            let inside = |at: u32, k: usize| (OFFSET[k]..OFFSET[k] + SIZE[k]).contains(&at);
+            if !(inside(x, 0) && inside(y, 1)) {
+                assert_eq!(after[texel], before[texel], "texel ({x}, {y}) lies outside");
+                continue;
+            }
+            let pixel = pixels[((y - OFFSET[1]) * SIZE[0] + x - OFFSET[0]) as usize];
+            let below = match behind {
+                Behind::Color([r, g, b]) => [r, g, b, 1.0].map(f64::from),
+                Behind::Nothing => [0.0; 4],
+                Behind::Image => before[texel],
+            };
+            let expected = twin(pixel, below);
+            for (actual, expected) in after[texel].iter().zip(expected) {
+                let close = (actual - expected).abs() <= tolerance;
+                assert!(close, "({x}, {y}) {behind:?}: {:?}, expected {expected:?}", after[texel]);
+            }
+        }
+    }
+}
+
+/// What lies behind, in all its forms.
+pub const BEHIND: [Behind; 3] = [Behind::Color([0.2, 0.4, 0.7]), Behind::Nothing, Behind::Image];

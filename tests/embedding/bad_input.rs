@@ -1,0 +1,228 @@
+//! What is wrong is said in a typed error before anything is recorded.
+
+use crate::host::{Host, HostOptions, InFlight};
+use crate::memory::{HostBuffer, HostTexture};
+use crate::stage::{adopt, camera, cloud, guest, options, rendered, with_host};
+use ashsplat::ash::vk;
+use ashsplat::scene::Pose;
+use ashsplat::vk::{Buffer, Context, ContextOptions, Features, ForeignDevice, Image, ImageState, ImageUse};
+use ashsplat::{
+    Behind, DeviceScene, Error, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Renderer,
+    Reservation, Target, Update,
+};
+use glam::{Mat3, Vec3};
+
+/// The error of a context that a host describes like this.
+fn refused(host: &Host, change: impl FnOnce(&mut ForeignDevice<'_>)) -> Error {
+    let mut foreign = host.foreign();
+    change(&mut foreign);
+    // SAFETY: refused before anything is made from it.
+    unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.err().expect("refused")
+}
+
+#[test]
+fn a_host_that_has_not_enabled_a_feature_is_told_which() {
+    // The device itself was created without it.
+    with_host(&HostOptions { without: Some("maintenance4"), ..options() }, |host| {
+        let error = refused(host, |_| ());
+        assert!(matches!(&error, Error::MissingFeature { feature, .. } if feature.contains("maintenance4")));
+    });
+    with_host(&options(), |host| {
+        let error = refused(host, |h| h.features = Features { synchronization2: false, ..h.features });
+        assert!(
+            error.to_string().contains("synchronization2") && !error.to_string().contains('\n'),
+            "{error}"
+        );
+        let error = refused(host, |h| h.physical_device = vk::PhysicalDevice::null());
+        assert!(matches!(&error, Error::Argument { what, .. } if what == "physical device"), "{error}");
+        let error = refused(host, |h| h.queue = Some(vk::Queue::null()));
+        assert!(matches!(&error, Error::Argument { what, .. } if what == "queue"), "{error}");
+        let error = refused(host, |h| h.queue_family = 77);
+        assert!(matches!(&error, Error::Argument { what, .. } if what == "queue family"), "{error}");
+    });
+}
+
+/// Without a queue nothing is submitted, and everything can still be recorded.
+#[test]
+fn a_host_may_keep_its_queue() {
+    with_host(&options(), |host| {
+        let foreign = ForeignDevice { queue: None, ..host.foreign() };
+        // SAFETY: as in `guest`.
+        let context =
+            unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let (gaussians, camera) = (cloud(50, 1), camera(0.2, 32, 32));
+        let staging_bytes = Reservation::update_bytes(50, 1);
+        renderer.reserve(&Reservation { staging_bytes, ..Reservation::new(50, 1, 32, 32) }).expect("memory");
+        let mut scene = DeviceScene::empty(&context, 50, 1).expect("a scene");
+        scene.set_count(50).expect("room");
+        let (settings, placed) = (RenderSettings::default(), [Placed::from(&scene)]);
+        let updates = [Update { scene: &scene, first: 0, gaussians: &gaussians }];
+        let frame = RecordedFrame { updates: &updates, ..RecordedFrame::new(&placed, &camera, &settings) };
+        rendered(host, &mut renderer, &frame);
+        assert!(renderer.slot_report(0).expect("a report").expect("finished").visible > 10);
+        let error = context.run("nothing", |_| Ok(())).expect_err("no queue");
+        assert!(error.to_string().contains("queue"), "{error}");
+    });
+}
+
+#[test]
+fn null_handles_and_wrong_images_are_refused() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        // SAFETY: refused before anything is done with the handles.
+        unsafe {
+            assert!(matches!(context.adopt_commands(vk::CommandBuffer::null()), Err(Error::Argument { .. })));
+            let buffer = Buffer::adopt(&context, "none", vk::Buffer::null(), 0, 16);
+            assert!(matches!(buffer, Err(Error::Argument { .. })));
+        }
+        let own = HostBuffer::new(host, 1024).expect("memory");
+        for (offset, bytes) in [(0, 0), (4, 16), (0, 15)] {
+            // SAFETY: as above.
+            let buffer = unsafe { Buffer::adopt(&context, "odd", own.raw, offset, bytes) };
+            assert!(matches!(buffer, Err(Error::Argument { .. })), "{bytes} bytes at {offset}");
+        }
+        own.destroy(host);
+        let storage = vk::ImageUsageFlags::STORAGE;
+        let texture = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, storage, [8, 8]).expect("an image");
+        let good = texture.foreign();
+        let adopt = |change: &dyn Fn(&mut ashsplat::vk::ForeignImage), purpose| {
+            let mut foreign = good;
+            change(&mut foreign);
+            // SAFETY: as above; a view that is made is of the image as it is.
+            unsafe { Image::adopt(&context, "target", &foreign, purpose) }
+        };
+        assert!(adopt(&|_| (), ImageUse::Storage).is_ok());
+        type Change<'a> = &'a dyn Fn(&mut ashsplat::vk::ForeignImage);
+        let refused: [(Change, ImageUse, &str); 5] = [
+            (&|f| f.image = vk::Image::null(), ImageUse::Storage, "null"),
+            (&|f| f.size = [0, 8], ImageUse::Storage, "0 x 8"),
+            (&|f| f.usage = vk::ImageUsageFlags::SAMPLED, ImageUse::Storage, "lacks STORAGE"),
+            (&|_| (), ImageUse::Sampled, "lacks SAMPLED"),
+            (&|f| f.format = vk::Format::D32_SFLOAT, ImageUse::Storage, "D32_SFLOAT"),
+        ];
+        for (change, purpose, expected) in refused {
+            let error = adopt(change, purpose).expect_err(expected);
+            assert!(error.to_string().contains(expected), "{error}");
+        }
+        texture.destroy(host);
+    });
+}
+
+/// Everything that a frame can have wrong leaves the command buffer and the slot as they were.
+#[test]
+fn bad_frames_are_refused_before_anything_is_recorded() {
+    with_host(&options(), |host| {
+        let (context, other) = (guest(host), guest(host));
+        let good_camera = camera(0.3, 64, 48);
+        let scene = DeviceScene::upload(&context, &cloud(200, 1), 0).expect("a scene");
+        let foreign = DeviceScene::upload(&other, &cloud(200, 1), 0).expect("a scene");
+        let large = DeviceScene::upload(&context, &cloud(201, 1), 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let settings = RenderSettings::default();
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        in_flight.begin(host).expect("recording");
+        let placed = [Placed::from(&scene)];
+        let good = RecordedFrame::new(&placed, &good_camera, &settings);
+        let error = renderer.record(adopt(&context, &in_flight), 0, &good).expect_err("nothing reserved");
+        assert!(error.to_string().contains("reserve"), "{error}");
+        renderer.reserve(&Reservation::new(200, 1, 64, 48)).expect("memory");
+
+        let usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::SAMPLED;
+        let small = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, usage, [40, 48]).expect("an image");
+        let single = HostTexture::new(host, vk::Format::R32_SFLOAT, usage, [64, 48]).expect("an image");
+        // SAFETY: the images are as they say, and outlive the views.
+        let view = |c: &Context, t: &HostTexture, purpose| unsafe {
+            Image::adopt(c, "target", &t.foreign(), purpose).expect("adopted")
+        };
+        let images = [
+            view(&context, &small, ImageUse::Storage),
+            view(&context, &single, ImageUse::Storage),
+            view(&other, &small, ImageUse::Storage),
+            view(&context, &single, ImageUse::Sampled),
+        ];
+        let into = |image| Target::Image {
+            to: HostImage { image, from: ImageState::UNDEFINED, offset: [0; 2] },
+            behind: Behind::Nothing,
+        };
+        let nan = { ashsplat::Camera { fx: f32::NAN, ..good_camera } };
+        let nothing = { ashsplat::Camera { width: 0, ..good_camera } };
+        let wide = { ashsplat::Camera { width: 65, ..good_camera } };
+        let sheared =
+            Pose { world_from_object: Mat3::from_diagonal(Vec3::new(1.0, 2.0, 1.0)), ..Pose::IDENTITY };
+        let lost = Pose { translation: Vec3::NAN, ..Pose::IDENTITY };
+        let depth = HostImage { image: &images[3], from: ImageState::UNDEFINED, offset: [0; 2] };
+        let mapping = ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0 };
+        let new = cloud(10, 2);
+        let update = [Update { scene: &scene, first: 0, gaussians: &new }];
+        let beyond = [Update { scene: &scene, first: 100_000, gaussians: &new }];
+        let two = [Placed::from(&scene), Placed::from(&scene)];
+        let (of_other, too_large) = ([Placed::from(&foreign)], [Placed::from(&large)]);
+        let (stretched, nowhere) =
+            ([Placed { pose: sheared, ..placed[0] }], [Placed { pose: lost, ..placed[0] }]);
+        let depth_settings = RenderSettings { inverse_depth: true, ..settings };
+        let bad = [
+            (RecordedFrame { camera: &nan, ..good }, "focal length"),
+            (RecordedFrame { camera: &nothing, ..good }, "image size 0x48"),
+            (RecordedFrame { camera: &wide, ..good }, "more than 3072 (reserved)"),
+            (RecordedFrame { scenes: &[], ..good }, "there are none"),
+            (RecordedFrame { scenes: &of_other, ..good }, "another device"),
+            (RecordedFrame { scenes: &too_large, ..good }, "201 Gaussians"),
+            (RecordedFrame { scenes: &two, ..good }, "Gaussians, more than 200 (reserved)"),
+            (RecordedFrame { scenes: &stretched, ..good }, "pose"),
+            (RecordedFrame { scenes: &nowhere, ..good }, "pose"),
+            (RecordedFrame { settings: &depth_settings, ..good }, "not reserved"),
+            (RecordedFrame { target: into(&images[0]), ..good }, "exceed its 40 x 48"),
+            (RecordedFrame { target: into(&images[1]), ..good }, "R32_SFLOAT is not one of"),
+            (RecordedFrame { target: into(&images[2]), ..good }, "another device"),
+            (RecordedFrame { target: into(&images[3]), ..good }, "not adopted for Storage"),
+            (RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..good }, "not reserved"),
+            (RecordedFrame { updates: &update, ..good }, "staging_bytes"),
+            (RecordedFrame { updates: &beyond, ..good }, "exceed the scene's"),
+        ];
+        for (frame, expected) in &bad {
+            let error = renderer.record(adopt(&context, &in_flight), 0, frame).expect_err(expected);
+            let text = error.to_string();
+            assert!(text.contains(expected) && !text.contains('\n'), "{text} (expected {expected})");
+            assert!(matches!(error, Error::Argument { .. } | Error::TooLarge { .. }), "{error:?}");
+        }
+        let error = renderer.record(adopt(&context, &in_flight), 1, &good).expect_err("one slot");
+        assert!(error.to_string().contains("1 are reserved"), "{error}");
+        let error = renderer.record(adopt(&other, &in_flight), 0, &good).expect_err("of another device");
+        assert!(error.to_string().contains("another device"), "{error}");
+
+        // Still usable; then in flight until it has been executed.
+        renderer.record(adopt(&context, &in_flight), 0, &good).expect("a recording");
+        let error = renderer.record(adopt(&context, &in_flight), 0, &good).expect_err("in flight");
+        assert!(error.to_string().contains("in flight"), "{error}");
+        let error = renderer.reserve(&Reservation::new(200, 1, 64, 48)).expect_err("in flight");
+        assert!(error.to_string().contains("in flight"), "{error}");
+        in_flight.submit(host).expect("a submission");
+        in_flight.wait(host).expect("done");
+        assert!(renderer.slot_report(0).expect("a report").expect("finished").visible > 50);
+        in_flight.destroy(host);
+        drop((renderer, images));
+        small.destroy(host);
+        single.destroy(host);
+    });
+}
+
+#[test]
+fn reservations_that_make_no_sense_are_refused() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let good = Reservation::new(10, 0, 16, 16);
+        for bad in [
+            Reservation { width: 0, ..good },
+            Reservation { height: 70_000, ..good },
+            Reservation { slots: 0, ..good },
+            Reservation { sh_degree: 4, ..good },
+            Reservation { gaussians: u32::MAX, ..good },
+        ] {
+            let error = renderer.reserve(&bad).expect_err("refused");
+            assert!(matches!(error, Error::Argument { .. } | Error::TooLarge { .. }), "{error}");
+        }
+        renderer.reserve(&good).expect("memory");
+    });
+}

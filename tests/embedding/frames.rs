@@ -1,0 +1,185 @@
+//! Frames in flight, sizes and cameras that change, several renderers, room that does not suffice.
+
+use crate::host::{HostOptions, InFlight};
+use crate::memory::HostBuffer;
+use crate::stage::{
+    adopt, assert_same, camera, cloud, copy_pixels, guest, options, owned, rendered, with_host,
+};
+use ashsplat::vk::Context;
+use ashsplat::{DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation};
+
+#[test]
+fn a_recorded_frame_is_the_owned_paths_to_the_bit() {
+    let (gaussians, camera) = (cloud(1500, 3), camera(0.4, 150, 100));
+    let settings = RenderSettings { inverse_depth: true, ..RenderSettings::default() };
+    let expected = owned(&gaussians, &camera, &settings);
+    for push_descriptors in [true, false] {
+        with_host(&HostOptions { push_descriptors, ..options() }, |host| {
+            let context = guest(host);
+            let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+            let mut renderer = Renderer::new(&context).expect("kernels");
+            let reservation = Reservation { inverse_depth: true, ..Reservation::new(1500, 1, 150, 100) };
+            renderer.reserve(&reservation).expect("memory");
+            let scenes = [(&scene).into()];
+            let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&scenes, &camera, &settings));
+            assert_same(&pixels, &expected, settings.background);
+            let report = renderer.slot_report(0).expect("a report").expect("finished");
+            assert_eq!(report.visible, expected.stats.visible);
+            assert_eq!(report.instances_needed, expected.stats.instances);
+            assert!(!report.overflow && report.gaussians == 1500, "{report:?}");
+            if context.limits().timestamp_period_ns > 0.0 {
+                assert!(report.scopes.iter().any(|s| s.name == "blend" && s.nanoseconds > 0.0), "{report:?}");
+            }
+            // The path that submits by itself works on the host's queue as well.
+            renderer.upload(&gaussians).expect("a scene");
+            let frame = renderer.render(&camera, &settings).expect("a frame");
+            assert_eq!(frame.color, expected.color);
+        });
+    }
+}
+
+#[test]
+fn three_frames_in_flight_do_not_disturb_each_other() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let gaussians = cloud(1200, 4);
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&Reservation { slots: 3, ..Reservation::new(1200, 1, 120, 90) }).expect("memory");
+        let settings = RenderSettings::default();
+        let scenes = [(&scene).into()];
+        let cameras = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0].map(|turn| camera(turn, 120, 90));
+        let frames = [0; 3].map(|_| InFlight::new(host).expect("a command buffer"));
+        let staging = [0; 6].map(|_| HostBuffer::new(host, 16 * 120 * 90).expect("memory"));
+        for round in 0..2 {
+            for (slot, frame) in frames.iter().enumerate() {
+                let number = 3 * round + slot;
+                frame.begin(host).expect("recording");
+                let recorded = RecordedFrame::new(&scenes, &cameras[number], &settings);
+                renderer.record(adopt(&context, frame), slot as u32, &recorded).expect("a recording");
+                copy_pixels(host, &mut renderer, slot as u32, frame, &staging[number], 120 * 90);
+                // Recorded, not submitted: in flight, and its statistics are not there yet.
+                assert!(!renderer.slot_finished(slot as u32).expect("a status"));
+                assert_eq!(renderer.slot_report(slot as u32).expect("no report"), None);
+                frame.submit(host).expect("a submission");
+            }
+            for (slot, frame) in frames.iter().enumerate() {
+                frame.wait(host).expect("done");
+                assert!(renderer.slot_finished(slot as u32).expect("a status"));
+                assert!(renderer.slot_report(slot as u32).expect("a report").is_some());
+            }
+        }
+        for (number, staging) in staging.into_iter().enumerate() {
+            let bytes = staging.read(host, 16 * 120 * 90).expect("bytes");
+            let pixels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+            assert_same(&pixels, &owned(&gaussians, &cameras[number], &settings), [0.0; 3]);
+            staging.destroy(host);
+        }
+        frames.into_iter().for_each(|frame| frame.destroy(host));
+    });
+}
+
+#[test]
+fn two_renderers_share_a_device() {
+    with_host(&options(), |host| {
+        let settings = RenderSettings::default();
+        // One context for both, and one each.
+        let first = guest(host);
+        let contexts: [Context; 3] = [first.clone(), first, guest(host)];
+        let mut renderers = Vec::new();
+        for (number, context) in contexts.iter().enumerate() {
+            let gaussians = cloud(300 + 100 * number, number as u32);
+            let scene = DeviceScene::upload(context, &gaussians, 0).expect("a scene");
+            let mut renderer = Renderer::new(context).expect("kernels");
+            renderer.reserve(&Reservation::new(600, 1, 64, 48)).expect("memory");
+            renderers.push((renderer, scene, gaussians));
+        }
+        for turn in [0.5, 1.5] {
+            let camera = camera(turn, 64, 48);
+            for (renderer, scene, gaussians) in &mut renderers {
+                let scenes = [(&*scene).into()];
+                let frame = RecordedFrame::new(&scenes, &camera, &settings);
+                let pixels = rendered(host, renderer, &frame);
+                assert_same(&pixels, &owned(gaussians, &camera, &settings), [0.0; 3]);
+            }
+        }
+    });
+}
+
+/// Changing sizes and cameras cost no memory: what is reserved is all there ever is.
+#[test]
+fn a_thousand_frames_of_changing_size_take_no_memory() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let gaussians = cloud(150, 7);
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&Reservation { slots: 3, ..Reservation::new(150, 1, 64, 48) }).expect("memory");
+        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
+        let frames = [0; 3].map(|_| InFlight::new(host).expect("a command buffer"));
+        let reserved = context.memory();
+        for number in 0..1000u32 {
+            let (slot, frame) = (number % 3, &frames[(number % 3) as usize]);
+            if number >= 3 {
+                frame.wait(host).expect("done");
+                let report = renderer.slot_report(slot).expect("a report").expect("finished");
+                assert!(!report.overflow, "frame {number}: {report:?}");
+            }
+            let camera = camera(number as f32 * 0.1, 1 + number * 7 % 64, 1 + number * 5 % 48);
+            frame.begin(host).expect("recording");
+            let recorded = RecordedFrame::new(&scenes, &camera, &settings);
+            renderer.record(adopt(&context, frame), slot, &recorded).expect("a recording");
+            frame.submit(host).expect("a submission");
+        }
+        frames.iter().for_each(|frame| frame.wait(host).expect("done"));
+        assert_eq!(context.memory(), reserved);
+        frames.into_iter().for_each(|frame| frame.destroy(host));
+    });
+}
+
+#[test]
+fn a_frame_without_room_says_what_it_needs() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (gaussians, camera) = (cloud(800, 9), camera(0.2, 96, 96));
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let small = Reservation { instances: 100, ..Reservation::new(800, 1, 96, 96) };
+        renderer.reserve(&small).expect("memory");
+        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
+        let frame = RecordedFrame::new(&scenes, &camera, &settings);
+        rendered(host, &mut renderer, &frame);
+        let report = renderer.slot_report(0).expect("a report").expect("finished");
+        assert!(report.overflow && report.instances_needed > report.instance_capacity, "{report:?}");
+        let grown = small.grown(&report);
+        assert!(grown.instances >= report.instances_needed);
+        renderer.reserve(&grown).expect("memory");
+        let pixels = rendered(host, &mut renderer, &frame);
+        assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+        let report = renderer.slot_report(0).expect("a report").expect("finished");
+        assert!(!report.overflow, "{report:?}");
+        assert_eq!(grown.grown(&report), grown);
+    });
+}
+
+#[test]
+fn a_recording_that_is_thrown_away_frees_its_slot() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (gaussians, camera) = (cloud(100, 9), camera(0.2, 32, 32));
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&Reservation::new(100, 1, 32, 32)).expect("memory");
+        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
+        let recorded = RecordedFrame::new(&scenes, &camera, &settings);
+        let frame = InFlight::new(host).expect("a command buffer");
+        frame.begin(host).expect("recording");
+        renderer.record(adopt(&context, &frame), 0, &recorded).expect("a recording");
+        frame.destroy(host);
+        assert!(!renderer.slot_finished(0).expect("a status"));
+        // SAFETY: the command buffer was freed without ever being submitted.
+        unsafe { renderer.slot_recording(0).expect("a slot").discard() };
+        let pixels = rendered(host, &mut renderer, &recorded);
+        assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+    });
+}

@@ -1,0 +1,310 @@
+//! Scenes that change, that stand somewhere, that are the host's own memory, and several in one frame.
+
+use crate::host::Host;
+use crate::memory::{HostBuffer, HostTexture};
+use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
+use ashsplat::ash::vk;
+use ashsplat::scene::{Gaussians, Pose};
+use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse};
+use ashsplat::{
+    DepthTarget, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, Update,
+};
+use glam::{Mat3, Quat, Vec3};
+
+fn appended(a: &Gaussians, b: &Gaussians) -> Gaussians {
+    let mut both = a.clone();
+    both.means.extend(&b.means);
+    both.quats.extend(&b.quats);
+    both.log_scales.extend(&b.log_scales);
+    both.opacity_logits.extend(&b.opacity_logits);
+    both.sh.extend(&b.sh);
+    both
+}
+
+fn renderer(context: &Context, gaussians: u32, staging_bytes: u64) -> Renderer {
+    let mut renderer = Renderer::new(context).expect("kernels");
+    let reservation = Reservation { scenes: 3, staging_bytes, ..Reservation::new(gaussians, 1, 110, 70) };
+    renderer.reserve(&reservation).expect("memory");
+    renderer
+}
+
+/// Sorted together: the picture is that of one scene which holds all Gaussians, to the bit.
+#[test]
+fn several_scenes_are_one_picture() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let parts = [cloud(300, 1), cloud(0, 2), cloud(257, 3)];
+        let scenes: Vec<_> =
+            parts.iter().map(|p| DeviceScene::upload(&context, p, 0).expect("a scene")).collect();
+        let mut renderer = renderer(&context, 557, 0);
+        let settings = RenderSettings::default();
+        let all = appended(&appended(&parts[0], &parts[1]), &parts[2]);
+        for turn in [0.3, 2.0] {
+            let camera = camera(turn, 110, 70);
+            let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
+            let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
+            assert_same(&pixels, &owned(&all, &camera, &settings), [0.0; 3]);
+        }
+        let report = renderer.slot_report(0).expect("a report").expect("finished");
+        assert_eq!(report.gaussians, 557);
+    });
+}
+
+/// A pose moves a scene as if its Gaussians had been moved, and turns its spherical harmonics with it.
+#[test]
+fn a_pose_moves_a_scene() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let turn = Quat::from_euler(glam::EulerRot::XYZ, 0.4, -0.8, 1.9);
+        let shift = Vec3::new(0.2, -0.3, 0.4);
+        // Without view-dependent colour, the moved Gaussians can be made on the host.
+        let mut object = cloud(400, 5);
+        for sh in object.sh.chunks_mut(4) {
+            sh[1..].fill([0.0; 3]);
+        }
+        let mut moved = object.clone();
+        for (mean, quat) in moved.means.iter_mut().zip(&mut moved.quats) {
+            *mean = (turn * Vec3::from(*mean) + shift).to_array();
+            let [w, x, y, z] = *quat;
+            let rotated = turn * Quat::from_xyzw(x, y, z, w).normalize();
+            *quat = [rotated.w, rotated.x, rotated.y, rotated.z];
+        }
+        let scene = DeviceScene::upload(&context, &object, 0).expect("a scene");
+        let mut renderer = renderer(&context, 400, 0);
+        let (settings, camera) = (RenderSettings::default(), camera(0.7, 110, 70));
+        let pose = Pose { world_from_object: Mat3::from_quat(turn), translation: shift };
+        let placed = [Placed { scene: &scene, pose }];
+        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
+        let expected = owned(&moved, &camera, &settings);
+        let differences = pixels
+            .iter()
+            .zip(&expected.color)
+            .map(|(p, c)| (0..3).map(|k| (p[k] - c[k]).abs()).fold(0.0, f32::max));
+        let far = differences.filter(|d| *d > 2e-3).count();
+        assert!(far <= pixels.len() / 500, "{far} pixels differ");
+
+        // With view-dependent colour: object and camera turned together show the same as neither turned.
+        let object = cloud(400, 6);
+        let scene = DeviceScene::upload(&context, &object, 0).expect("a scene");
+        let rotation = Mat3::from_quat(turn);
+        let turned = ashsplat::Camera {
+            camera_from_world: camera.camera_from_world * rotation.transpose(),
+            translation: camera.translation - camera.camera_from_world * rotation.transpose() * shift,
+            ..camera
+        };
+        let placed = [Placed { scene: &scene, pose }];
+        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &turned, &settings));
+        let expected = owned(&object, &camera, &settings);
+        let differences = pixels
+            .iter()
+            .zip(&expected.color)
+            .map(|(p, c)| (0..3).map(|k| (p[k] - c[k]).abs()).fold(0.0, f32::max));
+        let far = differences.filter(|d| *d > 2e-3).count();
+        assert!(far <= pixels.len() / 500, "{far} pixels differ");
+    });
+}
+
+#[test]
+fn updates_replace_a_part_of_a_scene() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (start, new) = (cloud(500, 1), cloud(120, 2));
+        let mut expected = start.clone();
+        expected.means[200..320].copy_from_slice(&new.means);
+        expected.quats[200..320].copy_from_slice(&new.quats);
+        expected.log_scales[200..320].copy_from_slice(&new.log_scales);
+        expected.opacity_logits[200..320].copy_from_slice(&new.opacity_logits);
+        expected.sh[800..1280].copy_from_slice(&new.sh);
+        let scene = DeviceScene::upload(&context, &start, 0).expect("a scene");
+        let mut renderer = renderer(&context, 500, Reservation::update_bytes(500, 1));
+        let (settings, camera) = (RenderSettings::default(), camera(0.1, 110, 70));
+        let placed = [Placed::from(&scene)];
+        let before = RecordedFrame::new(&placed, &camera, &settings);
+        let update = [Update { scene: &scene, first: 200, gaussians: &new }];
+        assert_same(&rendered(host, &mut renderer, &before), &owned(&start, &camera, &settings), [0.0; 3]);
+        let frame = RecordedFrame { updates: &update, ..before };
+        let after = owned(&expected, &camera, &settings);
+        assert_same(&rendered(host, &mut renderer, &frame), &after, [0.0; 3]);
+        assert_same(&rendered(host, &mut renderer, &before), &after, [0.0; 3]);
+        assert_eq!(scene.download().expect("Gaussians"), expected);
+
+        // A scene that was empty.
+        let mut empty = DeviceScene::empty(&context, 500, 1).expect("a scene");
+        let update = [Update { scene: &empty, first: 0, gaussians: &start }];
+        let frame = RecordedFrame { updates: &update, ..before };
+        rendered(host, &mut renderer, &frame);
+        empty.set_count(500).expect("room");
+        let placed = [Placed::from(&empty)];
+        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
+        assert_same(&pixels, &owned(&start, &camera, &settings), [0.0; 3]);
+        assert!(empty.set_count(501).is_err());
+    });
+}
+
+#[test]
+fn a_scene_may_lie_in_the_hosts_buffers() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let gaussians = cloud(300, 8);
+        let plan = DeviceScene::plan_for(&context, 300, 1).expect("a plan");
+        assert_eq!(plan.chunks, 1);
+        let own = HostBuffer::new(host, plan.chunk_bytes()).expect("memory");
+        own.write(host, &planes(&gaussians, plan.stride as usize)).expect("written");
+        // SAFETY: the buffer is the host's, of this size, and outlives the scene.
+        let adopted = unsafe { Buffer::adopt(&context, "host's scene", own.raw, 0, plan.chunk_bytes()) };
+        let adopted = adopted.expect("adopted");
+        let scene = DeviceScene::from_buffers(&context, plan, vec![adopted.clone()], 300).expect("a scene");
+        let mut renderer = renderer(&context, 300, 0);
+        let (settings, camera) = (RenderSettings::default(), camera(0.1, 110, 70));
+        let placed = [Placed::from(&scene)];
+        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
+        assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+        assert!(DeviceScene::from_buffers(&context, plan, vec![], 300).is_err());
+        let short = adopted.range(0, 64);
+        assert!(DeviceScene::from_buffers(&context, plan, vec![short], 300).is_err());
+        drop((scene, adopted, renderer));
+        own.destroy(host);
+    });
+}
+
+/// The layout that [`DeviceScene`] documents, at SH degree 1.
+fn planes(g: &Gaussians, stride: usize) -> Vec<u8> {
+    let mut planes = vec![[0.0f32; 4]; 6 * stride];
+    for i in 0..g.len() {
+        let ([x, y, z], [a, b, c]) = (g.means[i], g.log_scales[i]);
+        planes[i] = [x, y, z, g.opacity_logits[i]];
+        planes[stride + i] = g.quats[i];
+        planes[2 * stride + i] = [a, b, c, 0.0];
+        let sh = g.sh[4 * i..4 * i + 4].as_flattened();
+        for (plane, values) in sh.chunks(4).enumerate() {
+            planes[(3 + plane) * stride + i].copy_from_slice(values);
+        }
+    }
+    bytemuck::cast_slice(&planes).to_vec()
+}
+
+/// A wall of Gaussians at one depth: the expected depth is that depth.
+#[test]
+fn expected_depth_is_the_depth_of_a_wall() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let camera = camera(0.0, 64, 48);
+        let mut wall = Gaussians { sh_degree: 0, ..Gaussians::default() };
+        for i in 0..400 {
+            let at = Vec3::new((i % 20) as f32 * 0.1 - 0.95, (i / 20) as f32 * 0.1 - 0.95, 3.5);
+            let world = camera.camera_from_world.transpose() * (at - camera.translation);
+            wall.means.push(world.to_array());
+            wall.quats.push([1.0, 0.0, 0.0, 0.0]);
+            wall.log_scales.push([-2.5; 3]);
+            wall.opacity_logits.push(3.0);
+            wall.sh.push([1.0; 3]);
+        }
+        let scene = DeviceScene::upload(&context, &wall, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let reservation = Reservation { expected_depth: true, ..Reservation::new(400, 0, 64, 48) };
+        renderer.reserve(&reservation).expect("memory");
+        let usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC;
+        let texture = HostTexture::new(host, vk::Format::R32_SFLOAT, usage, [64, 48]).expect("an image");
+        // SAFETY: the image is as it says, and outlives the renderer.
+        let image = unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Storage) }
+            .expect("adopted");
+        let to = HostImage { image: &image, from: ImageState::UNDEFINED, offset: [0; 2] };
+        let (settings, placed) = (RenderSettings::default(), [Placed::from(&scene)]);
+        let frame = RecordedFrame {
+            depth: Some(DepthTarget { to, min_weight: 0.5, empty: -1.0 }),
+            ..RecordedFrame::new(&placed, &camera, &settings)
+        };
+        let pixels = rendered(host, &mut renderer, &frame);
+        let written = (
+            vk::ImageLayout::GENERAL,
+            vk::PipelineStageFlags2::COMPUTE_SHADER,
+            vk::AccessFlags2::SHADER_STORAGE_WRITE,
+        );
+        let depths = texture.read(host, written, 4).expect("texels");
+        let depths: Vec<f32> = bytemuck::pod_collect_to_vec(&depths);
+        let mut covered = 0;
+        for (depth, [_, _, _, transmittance]) in depths.into_iter().zip(pixels) {
+            if transmittance > 0.5 {
+                assert_eq!(depth, -1.0);
+            } else {
+                covered += 1;
+                assert!((depth - 3.5).abs() < 1e-4, "{depth}");
+            }
+        }
+        assert!(covered > 64 * 48 / 4, "{covered}");
+        drop((renderer, image));
+        texture.destroy(host);
+    });
+}
+
+/// Gaussians in front of what the host has drawn are seen, those behind are not.
+#[test]
+fn a_hosts_depth_hides_what_lies_behind_it() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (gaussians, camera) = (cloud(600, 11), camera(0.0, 110, 70));
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer
+            .reserve(&Reservation { occlusion: true, ..Reservation::new(600, 1, 110, 70) })
+            .expect("memory");
+        let settings = RenderSettings::default();
+        let depth = |g: usize| camera.project(Vec3::from(gaussians.means[g])).2;
+        // A wall between the Gaussians, in reversed depth with an infinite far plane: d = near / z.
+        let (near, wall) = (0.1, 4.2);
+        let front: Vec<usize> = (0..gaussians.len()).filter(|&g| depth(g) < wall).collect();
+        assert!((100..500).contains(&front.len()));
+        let mut kept = Gaussians { sh_degree: 1, ..Gaussians::default() };
+        for &g in &front {
+            kept.means.push(gaussians.means[g]);
+            kept.quats.push(gaussians.quats[g]);
+            kept.log_scales.push(gaussians.log_scales[g]);
+            kept.opacity_logits.push(gaussians.opacity_logits[g]);
+            kept.sh.extend(&gaussians.sh[4 * g..4 * g + 4]);
+        }
+        let placed = [Placed::from(&scene)];
+        let plain = RecordedFrame::new(&placed, &camera, &settings);
+        let mapping = ashsplat::scene::DepthMapping { scale: 1.0 / near, offset: 0.0, clear_value: 0.0 };
+        for (value, expected) in [(near / wall, &kept), (0.0, &gaussians)] {
+            let (texture, state) = depth_image(host, [110, 70], value);
+            // SAFETY: the image is as it says, and outlives the frame.
+            let image = unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Sampled) };
+            let image = image.expect("adopted");
+            let depth = HostImage { image: &image, from: state, offset: [0; 2] };
+            let occluder = Some(ashsplat::Occluder { depth, mapping });
+            let pixels = rendered(host, &mut renderer, &RecordedFrame { occluder, ..plain });
+            assert_same(&pixels, &owned(expected, &camera, &settings), [0.0; 3]);
+            // The slot lets go of the image with its next recording.
+            rendered(host, &mut renderer, &plain);
+            drop(image);
+            texture.destroy(host);
+        }
+    });
+}
+
+/// A depth image of one value.
+fn depth_image(host: &Host, size: [u32; 2], value: f32) -> (HostTexture, ImageState) {
+    let usage = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST;
+    let texture = HostTexture::new(host, vk::Format::D32_SFLOAT, usage, size).expect("an image");
+    let texels = vec![value; (size[0] * size[1]) as usize];
+    let staging = HostBuffer::new(host, 4 * texels.len() as u64).expect("memory");
+    staging.write(host, bytemuck::cast_slice(&texels)).expect("written");
+    let fresh = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
+    let written = (
+        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+        vk::PipelineStageFlags2::ALL_TRANSFER,
+        vk::AccessFlags2::TRANSFER_WRITE,
+    );
+    let copied = host.run(|commands| {
+        texture.barrier(host, commands, fresh, written);
+        // SAFETY: recording state; the staging buffer holds the whole image.
+        unsafe {
+            let regions = [texture.region()];
+            host.device.cmd_copy_buffer_to_image(commands, staging.raw, texture.image, written.0, &regions);
+        }
+        Ok(())
+    });
+    copied.expect("a copy");
+    staging.destroy(host);
+    (texture, ImageState { layout: written.0, stages: written.1, accesses: written.2 })
+}

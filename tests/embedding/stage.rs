@@ -1,0 +1,124 @@
+//! A host with a guest, and the checks at the end: validation silent, nothing of the guest's left on the device.
+
+use crate::host::{Host, HostOptions, InFlight};
+use crate::memory::HostBuffer;
+use ashsplat::ash::vk;
+use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::vk::{Context, ContextOptions, ForeignCommands, validation_available};
+use ashsplat::{Frame, RecordedFrame, RenderSettings, Renderer};
+use glam::Vec3;
+
+/// A host with validation wherever it is installed.
+pub fn options() -> HostOptions {
+    let validation = validation_available();
+    let required = std::env::var_os("ASHSPLAT_REQUIRE_VALIDATION").is_some();
+    assert!(validation || !required, "no Khronos validation layer here; run tools/setup");
+    HostOptions { validation, ..HostOptions::default() }
+}
+
+/// Runs a test on a host's device. The device is destroyed at the end, which validation answers with a message for
+/// everything that was left behind.
+pub fn with_host(options: &HostOptions, test: impl FnOnce(&Host)) {
+    let host = Host::new(options).expect("a host");
+    test(&host);
+    let messages = host.messages();
+    host.destroy();
+    assert!(messages.is_empty(), "validation:\n{}", messages.join("\n"));
+}
+
+/// The guest's context on a host's device.
+pub fn guest(host: &Host) -> Context {
+    let options = ContextOptions { hazard_check: true, ..ContextOptions::default() };
+    // SAFETY: the host outlives the context in all tests, which use the queue from one thread; what was enabled is what
+    // the host says.
+    unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context")
+}
+
+/// A host's command buffer for the guest.
+pub fn adopt(context: &Context, frame: &InFlight) -> ForeignCommands {
+    // SAFETY: the tests begin it before, record it from one thread, submit it once and wait before it is used again.
+    unsafe { context.adopt_commands(frame.commands) }.expect("a command buffer")
+}
+
+/// Gaussians in front of the cameras of these tests.
+pub fn cloud(count: usize, seed: u32) -> Gaussians {
+    let mut state = seed.wrapping_mul(747_796_405).wrapping_add(1);
+    let mut random = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / 16_777_216.0
+    };
+    let mut cloud = Gaussians { sh_degree: 1, ..Gaussians::default() };
+    for _ in 0..count {
+        cloud.means.push([2.0 * random() - 1.0, 2.0 * random() - 1.0, 2.0 * random() - 1.0]);
+        cloud.quats.push([random() + 0.1, random(), random(), random()]);
+        cloud.log_scales.push([0; 3].map(|_| -3.5 + random()));
+        cloud.opacity_logits.push(4.0 * random() - 1.0);
+        cloud.sh.extend((0..4).map(|k| [0; 3].map(|_| (random() - 0.4) / (1 + k) as f32)));
+    }
+    cloud
+}
+
+/// A camera that looks at the cloud from some side.
+pub fn camera(turn: f32, width: u32, height: u32) -> Camera {
+    let eye = Vec3::new(4.0 * turn.sin(), -1.0, -4.0 * turn.cos());
+    Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.7, width, height))
+}
+
+/// What a device of our own renders.
+pub fn owned(gaussians: &Gaussians, camera: &Camera, settings: &RenderSettings) -> Frame {
+    let context = Context::new(&ContextOptions::default()).expect("a device");
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    renderer.upload(gaussians).expect("a scene");
+    renderer.render(camera, settings).expect("a frame")
+}
+
+/// Records, submits and waits for a frame in slot 0; its pixels (r, g, b, transmittance).
+pub fn rendered(host: &Host, renderer: &mut Renderer, frame: &RecordedFrame<'_>) -> Vec<[f32; 4]> {
+    let in_flight = InFlight::new(host).expect("a command buffer");
+    in_flight.begin(host).expect("recording");
+    renderer.record(adopt(renderer.context(), &in_flight), 0, frame).expect("a recording");
+    let pixels = (frame.camera.width * frame.camera.height) as usize;
+    let staging = HostBuffer::new(host, 16 * pixels as u64).expect("memory");
+    copy_pixels(host, renderer, 0, &in_flight, &staging, pixels);
+    in_flight.submit(host).expect("a submission");
+    in_flight.wait(host).expect("done");
+    let bytes = staging.read(host, 16 * pixels).expect("bytes");
+    staging.destroy(host);
+    in_flight.destroy(host);
+    bytemuck::pod_collect_to_vec(&bytes)
+}
+
+/// Records the copy of a slot's pixels, as a host would that waits for what the release says.
+pub fn copy_pixels(
+    host: &Host,
+    renderer: &mut Renderer,
+    slot: u32,
+    in_flight: &InFlight,
+    to: &HostBuffer,
+    pixels: usize,
+) {
+    let (from, offset) = renderer.slot_pixels(slot).expect("a slot").handle();
+    let barriers = [vk::MemoryBarrier2::default()
+        .src_stage_mask(vk::PipelineStageFlags2::COMPUTE_SHADER)
+        .src_access_mask(vk::AccessFlags2::SHADER_STORAGE_WRITE)
+        .dst_stage_mask(vk::PipelineStageFlags2::ALL_TRANSFER)
+        .dst_access_mask(vk::AccessFlags2::TRANSFER_READ)];
+    let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
+    let region = vk::BufferCopy::default().src_offset(offset).size(16 * pixels as u64);
+    // SAFETY: recording state; both buffers hold the pixels.
+    unsafe {
+        host.device.cmd_pipeline_barrier2(in_flight.commands, &dependency);
+        host.device.cmd_copy_buffer(in_flight.commands, from, to.raw, &[region]);
+    }
+    to.to_host(host, in_flight.commands);
+}
+
+/// Whether recorded pixels are those of a frame, to the bit.
+pub fn assert_same(recorded: &[[f32; 4]], frame: &Frame, background: [f32; 3]) {
+    assert_eq!(recorded.len(), frame.color.len());
+    for (index, &[r, g, b, t]) in recorded.iter().enumerate() {
+        let [x, y, z] = background;
+        assert_eq!([r + t * x, g + t * y, b + t * z], frame.color[index], "colour of pixel {index}");
+        assert_eq!(t, frame.transmittance[index], "transmittance of pixel {index}");
+    }
+}

@@ -1,0 +1,263 @@
+//! A device table that counts: `record` calls nothing that submits, waits, allocates or maps.
+//!
+//! The guest gets a table in which each function is one of three things: a `vkCmd*` (or one of four others that only
+//! touch the guest's own descriptors and events), passed through; one that is counted; or absent, so that a call panics.
+
+use crate::host::{Host, HostOptions, InFlight};
+use crate::stage::{adopt, camera, cloud, guest, options, with_host};
+use ashsplat::ash::{self, vk};
+use ashsplat::scene::Gaussians;
+use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageUse};
+use ashsplat::{
+    Behind, DeviceScene, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
+    Target, Update,
+};
+use std::collections::BTreeSet;
+use std::ffi::{CStr, c_void};
+use std::mem::transmute;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Calls of each counted function.
+static CALLS: Mutex<Vec<(&str, usize)>> = Mutex::new(Vec::new());
+
+fn count(name: &'static str) {
+    let mut calls = CALLS.lock().expect("no panic while held");
+    match calls.iter_mut().find(|(n, _)| *n == name) {
+        Some((_, calls)) => *calls += 1,
+        None => calls.push((name, 1)),
+    }
+}
+
+fn take_calls() -> Vec<(&'static str, usize)> {
+    std::mem::take(&mut CALLS.lock().expect("no panic while held"))
+}
+
+/// A wrapper for each counted function: a static with the real one, a function that counts and passes on.
+macro_rules! counted {
+    ($($name:literal $wrapper:ident($($arg:ident: $ty:ty),*) -> $ret:ty;)*) => {
+        mod real {
+            use super::AtomicUsize;
+            $(#[allow(non_upper_case_globals)] pub static $wrapper: AtomicUsize = AtomicUsize::new(0);)*
+        }
+        $(unsafe extern "system" fn $wrapper($($arg: $ty),*) -> $ret {
+            count($name);
+            // SAFETY: the address is that of the device's function of this type.
+            unsafe {
+                let f: unsafe extern "system" fn($($ty),*) -> $ret = transmute(real::$wrapper.load(Ordering::Relaxed));
+                f($($arg),*)
+            }
+        })*
+        /// The wrapper of a function, with its real address noted.
+        fn wrapped(name: &str, address: usize) -> Option<*const c_void> {
+            match name {
+                $($name => {
+                    real::$wrapper.store(address, Ordering::Relaxed);
+                    Some($wrapper as *const c_void)
+                })*
+                _ => None,
+            }
+        }
+    };
+}
+
+type Callbacks = *const c_void;
+type Device = vk::Device;
+
+counted! {
+    "vkAllocateMemory" allocate_memory(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkFreeMemory" free_memory(d: Device, m: u64, c: Callbacks) -> ();
+    "vkMapMemory" map_memory(d: Device, m: u64, o: u64, s: u64, f: u32, p: *mut *mut c_void) -> i32;
+    "vkUnmapMemory" unmap_memory(d: Device, m: u64) -> ();
+    "vkCreateBuffer" create_buffer(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyBuffer" destroy_buffer(d: Device, b: u64, c: Callbacks) -> ();
+    "vkGetBufferMemoryRequirements" buffer_needs(d: Device, b: u64, o: *mut c_void) -> ();
+    "vkBindBufferMemory" bind_buffer(d: Device, b: u64, m: u64, o: u64) -> i32;
+    "vkCreateImageView" create_view(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyImageView" destroy_view(d: Device, v: u64, c: Callbacks) -> ();
+    "vkCreateShaderModule" create_module(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyShaderModule" destroy_module(d: Device, m: u64, c: Callbacks) -> ();
+    "vkCreateDescriptorSetLayout" create_set_layout(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyDescriptorSetLayout" destroy_set_layout(d: Device, l: u64, c: Callbacks) -> ();
+    "vkCreateDescriptorPool" create_pool(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyDescriptorPool" destroy_pool(d: Device, p: u64, c: Callbacks) -> ();
+    "vkAllocateDescriptorSets" allocate_sets(d: Device, i: *const c_void, o: *mut u64) -> i32;
+    "vkCreatePipelineLayout" create_layout(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyPipelineLayout" destroy_layout(d: Device, l: u64, c: Callbacks) -> ();
+    "vkCreateComputePipelines" create_pipelines(d: Device, p: u64, n: u32, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyPipeline" destroy_pipeline(d: Device, p: u64, c: Callbacks) -> ();
+    "vkCreateEvent" create_event(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyEvent" destroy_event(d: Device, e: u64, c: Callbacks) -> ();
+    "vkCreateQueryPool" create_queries(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyQueryPool" destroy_queries(d: Device, q: u64, c: Callbacks) -> ();
+    "vkGetQueryPoolResults" query_results(d: Device, q: u64, f: u32, n: u32, s: usize, o: *mut c_void, t: u64, l: u32) -> i32;
+    "vkCreateFence" create_fence(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyFence" destroy_fence(d: Device, f: u64, c: Callbacks) -> ();
+    "vkWaitForFences" wait_fences(d: Device, n: u32, f: *const u64, a: u32, t: u64) -> i32;
+    "vkResetFences" reset_fences(d: Device, n: u32, f: *const u64) -> i32;
+    "vkCreateCommandPool" create_commands(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyCommandPool" destroy_commands(d: Device, p: u64, c: Callbacks) -> ();
+    "vkResetCommandPool" reset_commands(d: Device, p: u64, f: u32) -> i32;
+    "vkAllocateCommandBuffers" allocate_commands(d: Device, i: *const c_void, o: *mut u64) -> i32;
+    "vkBeginCommandBuffer" begin_commands(b: vk::CommandBuffer, i: *const c_void) -> i32;
+    "vkEndCommandBuffer" end_commands(b: vk::CommandBuffer) -> i32;
+    "vkQueueSubmit" submit(q: vk::Queue, n: u32, s: *const c_void, f: u64) -> i32;
+    "vkQueueSubmit2" submit2(q: vk::Queue, n: u32, s: *const c_void, f: u64) -> i32;
+    "vkQueueWaitIdle" wait_queue(q: vk::Queue) -> i32;
+    "vkDeviceWaitIdle" wait_device(d: Device) -> i32;
+}
+
+/// What recording may call besides `vkCmd*`.
+const ALLOWED: [&str; 3] = ["vkGetEventStatus", "vkResetEvent", "vkUpdateDescriptorSets"];
+
+/// The host's device with the instrumented table, and the names that the guest cannot call at all.
+fn instrumented(host: &Host) -> (ash::Device, BTreeSet<String>) {
+    let mut absent = BTreeSet::new();
+    let load = |name: &CStr| -> *const c_void {
+        let text = name.to_string_lossy().into_owned();
+        // SAFETY: the device is alive.
+        let address = unsafe {
+            let f = host.instance.get_device_proc_addr(host.device.handle(), name.as_ptr());
+            f.map_or(std::ptr::null(), |f| f as *const c_void)
+        };
+        if address.is_null() || text.starts_with("vkCmd") || ALLOWED.contains(&text.as_str()) {
+            return address;
+        }
+        wrapped(&text, address as usize).unwrap_or_else(|| {
+            absent.insert(text);
+            std::ptr::null()
+        })
+    };
+    // SAFETY: every address is null, the device's own function, or a wrapper of its type.
+    let device = unsafe { ash::Device::load_with(load, host.device.handle()) };
+    (device, absent)
+}
+
+fn record_and_count(host_options: &HostOptions) {
+    with_host(host_options, |host| {
+        let (device, absent) = instrumented(host);
+        assert!(absent.contains("vkFlushMappedMemoryRanges") && absent.contains("vkWaitSemaphores"));
+        let foreign = ForeignDevice { device: &device, ..host.foreign() };
+        // SAFETY: as in `guest`.
+        let context =
+            unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
+        let gaussians = cloud(600, 1);
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let camera = camera(0.3, 96, 64);
+        let reservation = Reservation {
+            slots: 2,
+            occlusion: true,
+            staging_bytes: Reservation::update_bytes(600, 1),
+            ..Reservation::new(600, 1, 96, 64)
+        };
+        renderer.reserve(&reservation).expect("memory");
+        let images = Images::new(host, &context);
+        assert!(take_calls().iter().any(|(name, _)| *name == "vkAllocateMemory"), "the table counts");
+
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        for number in 0..4 {
+            let slot = number % 2;
+            in_flight.begin(host).expect("recording");
+            let commands = adopt(&context, &in_flight);
+            let frame = images.frame(&scene, &gaussians, &camera);
+            take_calls();
+            renderer.record(commands, slot, &frame.recorded()).expect("a recording");
+            assert_eq!(take_calls(), [], "frame {number}: record only records");
+            in_flight.submit(host).expect("a submission");
+            in_flight.wait(host).expect("done");
+            let report = renderer.slot_report(slot).expect("a report").expect("finished");
+            assert!(report.visible > 100 && !report.overflow, "{report:?}");
+            let asked = take_calls();
+            let allowed = |name: &str| name == "vkGetQueryPoolResults";
+            assert!(asked.iter().all(|(name, _)| allowed(name)), "asking for statistics: {asked:?}");
+        }
+        in_flight.destroy(host);
+        drop(renderer);
+        images.destroy(host);
+    });
+}
+
+/// The most that a frame can ask for: updates, a host's depth, a host's image.
+struct Images {
+    color: crate::memory::HostTexture,
+    depth: crate::memory::HostTexture,
+    adopted: [Image; 2],
+}
+
+struct Everything<'a> {
+    scenes: [Placed<'a>; 1],
+    camera: &'a ashsplat::Camera,
+    settings: RenderSettings,
+    updates: [Update<'a>; 1],
+    adopted: &'a [Image; 2],
+}
+
+impl Images {
+    fn new(host: &Host, context: &Context) -> Self {
+        let texture = |format, usage| crate::memory::HostTexture::new(host, format, usage, [96, 64]);
+        let color = texture(vk::Format::R16G16B16A16_SFLOAT, vk::ImageUsageFlags::STORAGE).expect("an image");
+        let depth = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
+        let depth = texture(vk::Format::D32_SFLOAT, depth).expect("an image");
+        // SAFETY: the images are as they say, and outlive the renderer.
+        let adopted = unsafe {
+            [
+                Image::adopt(context, "color", &color.foreign(), ImageUse::Storage).expect("adopted"),
+                Image::adopt(context, "depth", &depth.foreign(), ImageUse::Sampled).expect("adopted"),
+            ]
+        };
+        Self { color, depth, adopted }
+    }
+
+    fn frame<'a>(
+        &'a self,
+        scene: &'a DeviceScene,
+        gaussians: &'a Gaussians,
+        camera: &'a ashsplat::Camera,
+    ) -> Everything<'a> {
+        Everything {
+            scenes: [scene.into()],
+            camera,
+            settings: RenderSettings::default(),
+            updates: [Update { scene, first: 0, gaussians }],
+            adopted: &self.adopted,
+        }
+    }
+
+    fn destroy(self, host: &Host) {
+        drop(self.adopted);
+        self.color.destroy(host);
+        self.depth.destroy(host);
+    }
+}
+
+impl<'a> Everything<'a> {
+    fn recorded(&'a self) -> RecordedFrame<'a> {
+        let fresh = |image| HostImage { image, from: ashsplat::vk::ImageState::UNDEFINED, offset: [0; 2] };
+        // Nothing is ever drawn into the depth image: what it holds does not matter here.
+        let mapping = ashsplat::scene::DepthMapping { scale: 0.0, offset: 0.0, clear_value: f32::INFINITY };
+        RecordedFrame {
+            target: Target::Image { to: fresh(&self.adopted[0]), behind: Behind::Nothing },
+            occluder: Some(Occluder { depth: fresh(&self.adopted[1]), mapping }),
+            updates: &self.updates,
+            ..RecordedFrame::new(&self.scenes, self.camera, &self.settings)
+        }
+    }
+}
+
+/// Both kinds of descriptors, one after the other: the counters are shared.
+#[test]
+fn record_calls_nothing_that_submits_waits_allocates_or_maps() {
+    record_and_count(&options());
+    record_and_count(&HostOptions { push_descriptors: false, ..options() });
+}
+
+/// And the counters see it when somebody does.
+#[test]
+fn the_untouched_table_is_the_hosts() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        assert!(context.is_foreign());
+        assert_eq!(context.handles().2.handle(), host.device.handle());
+    });
+}

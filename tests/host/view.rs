@@ -1,0 +1,137 @@
+//! A host's matrices as a camera and a depth mapping, for all conventions.
+
+use ashsplat::scene::{ClipY, HostView};
+use glam::camera::{lh, rh};
+use glam::{Mat4, Vec3, Vec4};
+
+const SIZE: (u32, u32) = (640, 360);
+const EYE: Vec3 = Vec3::new(1.0, 2.0, 5.0);
+const NEAR: f32 = 0.25;
+const FAR: f32 = 40.0;
+
+/// Where the host itself draws a point: pixels and depth.
+fn drawn(view: &HostView, world: Vec3) -> (Vec3, f32) {
+    let clip = view.clip_from_view * view.view_from_world * world.extend(1.0);
+    let ndc = clip / clip.w;
+    let y = if view.clip_y == ClipY::Up { -ndc.y } else { ndc.y };
+    let (width, height) = (view.width as f32, view.height as f32);
+    (Vec3::new((ndc.x * 0.5 + 0.5) * width, (y * 0.5 + 0.5) * height, ndc.z), clip.w)
+}
+
+/// (name, view, projection, clip y, whether depth is reversed)
+fn conventions() -> Vec<(&'static str, HostView, bool)> {
+    let (fov, aspect) = (0.8, SIZE.0 as f32 / SIZE.1 as f32);
+    let right = rh::view::look_at_mat4(EYE, Vec3::ZERO, Vec3::Y);
+    // A left-handed world, into which the scene is mirrored.
+    let mirror = Mat4::from_scale(Vec3::new(1.0, 1.0, -1.0));
+    let left = lh::view::look_at_mat4(mirror.transform_point3(EYE), Vec3::ZERO, Vec3::Y) * mirror;
+    let down = rh::view::look_at_mat4(EYE, Vec3::ZERO, Vec3::NEG_Y);
+    let host = |view_from_world, clip_from_view, clip_y| HostView {
+        view_from_world,
+        clip_from_view,
+        clip_y,
+        width: SIZE.0,
+        height: SIZE.1,
+    };
+    let mut off_centre = rh::proj::vulkan::perspective(fov, aspect, NEAR, FAR);
+    off_centre.z_axis.x = 0.3;
+    off_centre.z_axis.y = -0.2;
+    let reversed = |m: Mat4| {
+        // z' = w - z.
+        Mat4::from_cols(Vec4::X, Vec4::Y, Vec4::new(0.0, 0.0, -1.0, 0.0), Vec4::new(0.0, 0.0, 1.0, 1.0)) * m
+    };
+    let doubled = rh::proj::vulkan::perspective(fov, aspect, NEAR, FAR) * 2.0;
+    vec![
+        ("Vulkan", host(right, rh::proj::vulkan::perspective(fov, aspect, NEAR, FAR), ClipY::Down), false),
+        (
+            "Vulkan, infinite",
+            host(right, rh::proj::vulkan::perspective_infinite(fov, aspect, NEAR), ClipY::Down),
+            false,
+        ),
+        (
+            "Vulkan, reversed and infinite",
+            host(right, rh::proj::vulkan::perspective_infinite_reverse(fov, aspect, NEAR), ClipY::Down),
+            true,
+        ),
+        (
+            "Vulkan, reversed",
+            host(right, reversed(rh::proj::vulkan::perspective(fov, aspect, NEAR, FAR)), ClipY::Down),
+            true,
+        ),
+        (
+            "Direct3D, left-handed",
+            host(left, lh::proj::directx::perspective(fov, aspect, NEAR, FAR), ClipY::Up),
+            false,
+        ),
+        (
+            "Direct3D, left-handed, reversed",
+            host(left, lh::proj::directx::perspective_infinite_reverse(fov, aspect, NEAR), ClipY::Up),
+            true,
+        ),
+        (
+            "flipped viewport",
+            host(right, rh::proj::directx::perspective(fov, aspect, NEAR, FAR), ClipY::Up),
+            false,
+        ),
+        (
+            "y down in the world",
+            host(down, rh::proj::vulkan::perspective(fov, aspect, NEAR, FAR), ClipY::Down),
+            false,
+        ),
+        ("off-centre", host(right, off_centre, ClipY::Down), false),
+        ("scaled matrix", host(right, doubled, ClipY::Down), false),
+    ]
+}
+
+#[test]
+fn host_views_put_points_where_the_host_does() {
+    for (name, view, reversed) in conventions() {
+        let (camera, mapping) = view.camera().unwrap_or_else(|e| panic!("{name}: {e}"));
+        camera.check().expect(name);
+        assert!((camera.position() - EYE).length() < 1e-4, "{name}: {}", camera.position());
+        assert_eq!(mapping.clear_value, if reversed { 0.0 } else { 1.0 }, "{name}");
+        for point in
+            [Vec3::ZERO, Vec3::new(0.7, -0.4, 0.9), Vec3::new(-1.0, 1.2, -3.0), Vec3::new(2.0, 0.5, -20.0)]
+        {
+            let (expected, w) = drawn(&view, point);
+            let (x, y, z) = camera.project(point);
+            let close = (x - expected.x).abs() < 2e-2 && (y - expected.y).abs() < 2e-2;
+            assert!(close, "{name}: {point} at ({x}, {y}), the host draws it at {expected}");
+            assert!(w > 0.0 && z > 0.0);
+            let from_depth = mapping.z(expected.z);
+            assert!(
+                (from_depth / z - 1.0).abs() < 1e-2,
+                "{name}: depth {} is {from_depth}, not {z}",
+                expected.z
+            );
+        }
+        // The near plane, and what is infinitely far or on the far plane.
+        let near_value = if reversed { 1.0 } else { 0.0 };
+        assert!((mapping.z(near_value) / NEAR - 1.0).abs() < 1e-3, "{name}: {}", mapping.z(near_value));
+        let far = mapping.z(mapping.clear_value);
+        assert!(far > 1e5 || (far / FAR - 1.0).abs() < 1e-2, "{name}: {far}");
+    }
+}
+
+#[test]
+fn host_views_that_cannot_be_are_refused() {
+    let good = conventions()[0].1;
+    good.camera().expect("good");
+    let mut bad = vec![
+        ("mirror the picture", HostView { clip_y: ClipY::Up, ..good }),
+        ("not finite", HostView { view_from_world: Mat4::NAN, ..good }),
+        ("no size", HostView { width: 0, ..good }),
+        ("no perspective", HostView { clip_from_view: Mat4::IDENTITY, ..good }),
+        (
+            "not a rotation",
+            HostView { view_from_world: Mat4::from_scale(Vec3::splat(2.0)) * good.view_from_world, ..good },
+        ),
+    ];
+    let mut skewed = good;
+    skewed.clip_from_view.y_axis.x = 0.1;
+    bad.push(("skewed", skewed));
+    for (expected, view) in bad {
+        let error = view.camera().expect_err(expected).to_string();
+        assert!(error.contains(expected) && !error.contains('\n'), "{error} (expected {expected})");
+    }
+}

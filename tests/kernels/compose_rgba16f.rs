@@ -1,0 +1,33 @@
+//! `compose/compose_rgba16f` against its twin.
+
+use ashsplat::ash::vk;
+
+use crate::common::compose::{BEHIND, IMAGE, check, composed};
+use crate::common::gpu::Gpu;
+use crate::reference::compose_rgba16f::compose;
+
+/// A half float without infinities.
+fn from_half(bits: u16) -> f64 {
+    let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
+    let size = match exponent {
+        0 => mantissa * 2f64.powi(-24),
+        _ => (1024.0 + mantissa) * 2f64.powi(exponent - 25),
+    };
+    if bits >> 15 == 1 { -size } else { size }
+}
+
+#[test]
+fn compose_rgba16f_equals_its_twin() {
+    let gpu = Gpu::new();
+    // From 0.5 to just below 2.
+    let texels: Vec<u16> = (0..IMAGE[0] * IMAGE[1] * 4).map(|i| 0x3800 + (i % 2048) as u16).collect();
+    let wide = |texels: &[u16]| -> Vec<[f64; 4]> {
+        texels.as_chunks::<4>().0.iter().map(|t| t.map(from_half)).collect()
+    };
+    for behind in BEHIND {
+        let after = composed(&gpu, vk::Format::R16G16B16A16_SFLOAT, bytemuck::cast_slice(&texels), behind);
+        let after: Vec<u16> = bytemuck::pod_collect_to_vec(&after);
+        // Half a unit in the last place below 4.
+        check(&wide(&texels), &wide(&after), behind, 1.1e-3, compose);
+    }
+}

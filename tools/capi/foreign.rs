@@ -1,0 +1,340 @@
+//! A host's device, images and command buffers in C.
+
+use super::{
+    AshsplatBehind, AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatFrame, AshsplatHost,
+    AshsplatHostImage, AshsplatImageState, AshsplatRelease, AshsplatRenderer, AshsplatReport,
+    AshsplatReservation, AshsplatStatus, borrowed, borrowed_mut, give, guarded, slice, take,
+};
+use ashsplat::ash::{self, vk, vk::Handle};
+use ashsplat::scene::{ClipY, HostView, Pose};
+use ashsplat::vk::{
+    Context, ContextOptions, Features, ForeignDevice, ForeignImage, Image, ImageState, ImageUse,
+};
+use ashsplat::{
+    Behind, Error, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Reservation, Result, Target,
+};
+use glam::{Mat3, Mat4, Vec3};
+use std::ffi::{CStr, c_char, c_void};
+
+/// A view of a host's image.
+pub struct AshsplatImage(Image);
+
+/// What a host has to enable, as text for people.
+#[unsafe(no_mangle)]
+pub extern "C" fn ashsplat_requirements() -> *const c_char {
+    static TEXT: std::sync::OnceLock<std::ffi::CString> = std::sync::OnceLock::new();
+    let text =
+        TEXT.get_or_init(|| std::ffi::CString::new(Context::requirements().to_string()).unwrap_or_default());
+    text.as_ptr()
+}
+
+/// Turns on what is required in the structs that a host is going to create its device with, and leaves the rest alone:
+/// VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features.
+///
+/// # Safety
+/// Both pointers are valid for such structs.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_merge_features(
+    vulkan12: *mut c_void,
+    vulkan13: *mut c_void,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let v12 = borrowed_mut(vulkan12.cast(), "vulkan12")?;
+        let v13 = borrowed_mut(vulkan13.cast(), "vulkan13")?;
+        Context::requirements().features.merge_into(v12, v13);
+        Ok(())
+    })
+}
+
+/// A context on a host's device, of which nothing is ever destroyed or waited for.
+///
+/// # Safety
+/// - the instance and the device are alive, were created for Vulkan 1.3 or later, and outlive the context and all that
+///   is made from it;
+/// - the device was created from the physical device, with the queue family, the features and the extensions;
+/// - while a queue is given, nobody else uses it during a call that submits;
+/// - `context` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_context_from_host(
+    host: *const AshsplatHost,
+    context: *mut *mut AshsplatContext,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let host = borrowed(host, "host")?;
+        give(context, "context", || from_host(host).map(AshsplatContext))
+    })
+}
+
+/// # Safety
+/// As [`ashsplat_context_from_host`].
+unsafe fn from_host(host: &AshsplatHost) -> Result<Context> {
+    let null = |what: &str| Error::argument(what, "the handle is null");
+    let handle = |pointer: *mut c_void| pointer as u64;
+    if host.get_instance_proc_addr.is_null() {
+        return Err(null("vkGetInstanceProcAddr"));
+    }
+    let (instance, device) =
+        (vk::Instance::from_raw(handle(host.instance)), vk::Device::from_raw(handle(host.device)));
+    if instance == vk::Instance::null() || device == vk::Device::null() {
+        return Err(null("instance or device"));
+    }
+    // SAFETY: the function and both handles are the host's, as promised; the structs are of their types.
+    unsafe {
+        let load: vk::PFN_vkGetInstanceProcAddr = std::mem::transmute(host.get_instance_proc_addr);
+        let entry = ash::StaticFn { get_instance_proc_addr: load };
+        let instance = ash::Instance::load(&entry, instance);
+        let device = ash::Device::load(instance.fp_v1_0(), device);
+        let features = Features::of(
+            borrowed(host.vulkan12_features.cast(), "vulkan12_features")?,
+            borrowed(host.vulkan13_features.cast(), "vulkan13_features")?,
+        );
+        let names = slice(host.extensions, host.extension_count as usize, "extensions")?;
+        let extensions: Vec<&CStr> =
+            names.iter().filter(|name| !name.is_null()).map(|&name| CStr::from_ptr(name)).collect();
+        let foreign = ForeignDevice {
+            instance: &instance,
+            physical_device: vk::PhysicalDevice::from_raw(handle(host.physical_device)),
+            device: &device,
+            queue_family: host.queue_family,
+            queue: (!host.queue.is_null()).then(|| vk::Queue::from_raw(handle(host.queue))),
+            features,
+            extensions: &extensions,
+            debug_utils: host.debug_utils,
+            allocator: None,
+        };
+        Context::from_foreign(&foreign, &ContextOptions::default())
+    }
+}
+
+/// A view of a host's image: as a target that kernels write (`sampled` false), or as a depth image that they read.
+///
+/// # Safety
+/// The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and the
+/// execution of all recordings that use it; `image` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_image_adopt(
+    context: *const AshsplatContext,
+    host: *const AshsplatHostImage,
+    sampled: bool,
+    image: *mut *mut AshsplatImage,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (context, host) = (borrowed(context, "context")?, borrowed(host, "host")?);
+        let foreign = ForeignImage {
+            image: vk::Image::from_raw(host.image),
+            format: vk::Format::from_raw(host.format),
+            usage: vk::ImageUsageFlags::from_raw(host.usage),
+            size: [host.width, host.height],
+            mip_level: host.mip_level,
+            layer: host.layer,
+        };
+        let (name, purpose) =
+            if sampled { ("depth", ImageUse::Sampled) } else { ("target", ImageUse::Storage) };
+        give(image, "image", || Image::adopt(&context.0, name, &foreign, purpose).map(AshsplatImage))
+    })
+}
+
+/// Frees a view. No recording that uses it may still be executed; the image itself stays.
+///
+/// # Safety
+/// `image` is NULL or of this library and not used afterwards.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_image_free(image: *mut AshsplatImage) {
+    // SAFETY: as promised.
+    unsafe { take(image) }
+}
+
+/// A host's matrices as a camera, and how its depth is to be read: both column by column, clip = projection * view *
+/// world, depth from 0 to 1, standard or reversed. `clip_y_up`: clip space's +y is at the top of the picture.
+///
+/// # Safety
+/// Both matrices have 16 floats; `camera` and `mapping` are valid for a write, or `mapping` is NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_camera_from_matrices(
+    view_from_world: *const f32,
+    clip_from_view: *const f32,
+    clip_y_up: bool,
+    width: u32,
+    height: u32,
+    camera: *mut AshsplatCamera,
+    mapping: *mut AshsplatDepthMapping,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let host = HostView {
+            view_from_world: Mat4::from_cols_slice(slice(view_from_world, 16, "view_from_world")?),
+            clip_from_view: Mat4::from_cols_slice(slice(clip_from_view, 16, "clip_from_view")?),
+            clip_y: if clip_y_up { ClipY::Up } else { ClipY::Down },
+            width,
+            height,
+        };
+        let (found, depth) = host.camera()?;
+        *borrowed_mut(camera, "camera")? = found.into();
+        if let Some(mapping) = mapping.as_mut() {
+            *mapping = depth.into();
+        }
+        Ok(())
+    })
+}
+
+/// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before.
+///
+/// # Safety
+/// `renderer` and `wanted` are alive.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_reserve(
+    renderer: *mut AshsplatRenderer,
+    wanted: *const AshsplatReservation,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (renderer, w) = (borrowed_mut(renderer, "renderer")?, borrowed(wanted, "reservation")?);
+        renderer.0.reserve(&Reservation {
+            slots: w.slots,
+            scenes: w.scenes,
+            instances: w.instances,
+            occlusion: w.occlusion,
+            ..Reservation::new(w.gaussians, w.sh_degree, w.width, w.height)
+        })
+    })
+}
+
+/// Records a frame into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is wrong
+/// with the frame is said before anything is recorded. The slot is in flight until the device has executed it.
+///
+/// # Safety
+/// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
+///   submitted at most once before it is recorded again;
+/// - renderer, scenes and images live until its execution is over;
+/// - `frame` is valid with all that it points to, `release` for a write, or NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_record(
+    renderer: *mut AshsplatRenderer,
+    commands: *mut c_void,
+    slot: u32,
+    frame: *const AshsplatFrame,
+    release: *mut AshsplatRelease,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (renderer, f) = (borrowed_mut(renderer, "renderer")?, borrowed(frame, "frame")?);
+        let scenes: Result<Vec<Placed<'_>>> = slice(f.scenes, f.scene_count as usize, "scenes")?
+            .iter()
+            .map(|placed| {
+                let world_from_object = Mat3::from_cols_array(&placed.world_from_object).transpose();
+                let pose = Pose { world_from_object, translation: Vec3::from(placed.translation) };
+                Ok(Placed { scene: &borrowed(placed.scene, "scene")?.scene, pose })
+            })
+            .collect();
+        let scenes = scenes?;
+        let (camera, settings) = ((&f.camera).into(), RenderSettings::default());
+        let mut recorded = RecordedFrame::new(&scenes, &camera, &settings);
+        let used = |image, s: AshsplatImageState| HostImage { image, from: state(s), offset: [0; 2] };
+        if let Some(image) = f.target.as_ref() {
+            let behind = match f.behind {
+                AshsplatBehind::Color => Behind::Color(f.background),
+                AshsplatBehind::Nothing => Behind::Nothing,
+                AshsplatBehind::Image => Behind::Image,
+            };
+            recorded.target = Target::Image { to: used(&image.0, f.target_from), behind };
+        }
+        if let Some(image) = f.depth.as_ref() {
+            let depth = used(&image.0, f.depth_from);
+            recorded.occluder = Some(Occluder { depth, mapping: f.depth_mapping.into() });
+        }
+        let commands = vk::CommandBuffer::from_raw(commands as u64);
+        let commands = renderer.0.context().adopt_commands(commands)?;
+        let left = renderer.0.record(commands, slot, &recorded)?;
+        if let Some(release) = release.as_mut() {
+            *release = AshsplatRelease {
+                stages: left.stages.as_raw(),
+                accesses: left.accesses.as_raw(),
+                target: left.color.map(from_state).unwrap_or_default(),
+                depth: left.occluder.map(from_state).unwrap_or_default(),
+            };
+        }
+        Ok(())
+    })
+}
+
+fn state(s: AshsplatImageState) -> ImageState {
+    ImageState {
+        layout: vk::ImageLayout::from_raw(s.layout),
+        stages: vk::PipelineStageFlags2::from_raw(s.stages),
+        accesses: vk::AccessFlags2::from_raw(s.accesses),
+    }
+}
+
+fn from_state(s: ImageState) -> AshsplatImageState {
+    AshsplatImageState { layout: s.layout.as_raw(), stages: s.stages.as_raw(), accesses: s.accesses.as_raw() }
+}
+
+/// What the last frame of a slot was made of, once it has finished. Never waits.
+///
+/// # Safety
+/// `renderer` is alive, `report` valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_slot_report(
+    renderer: *mut AshsplatRenderer,
+    slot: u32,
+    report: *mut AshsplatReport,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let made = borrowed_mut(renderer, "renderer")?.0.slot_report(slot)?;
+        *borrowed_mut(report, "report")? = made.map(AshsplatReport::from).unwrap_or_default();
+        Ok(())
+    })
+}
+
+/// The VkBuffer that a frame without target fills, and the bytes in front of it there: premultiplied red, green, blue
+/// and transmittance of each pixel, row by row, as floats.
+///
+/// # Safety
+/// `renderer` is alive, `buffer` and `offset` are valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_slot_pixels(
+    renderer: *mut AshsplatRenderer,
+    slot: u32,
+    buffer: *mut u64,
+    offset: *mut u64,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (raw, bytes) = borrowed_mut(renderer, "renderer")?.0.slot_pixels(slot)?.handle();
+        *borrowed_mut(buffer, "buffer")? = raw.as_raw();
+        *borrowed_mut(offset, "offset")? = bytes;
+        Ok(())
+    })
+}
+
+/// The device of a context, for a host that lets this library open one: each pointer may be NULL.
+///
+/// # Safety
+/// `context` is alive; the pointers are NULL or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_context_handles(
+    context: *const AshsplatContext,
+    instance: *mut *mut c_void,
+    physical_device: *mut *mut c_void,
+    device: *mut *mut c_void,
+    queue_family: *mut u32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (i, p, d, family) = borrowed(context, "context")?.0.handles();
+        let raw = [i.handle().as_raw(), p.as_raw(), d.handle().as_raw()];
+        for (to, handle) in [instance, physical_device, device].into_iter().zip(raw) {
+            if let Some(to) = to.as_mut() {
+                *to = handle as *mut c_void;
+            }
+        }
+        if let Some(to) = queue_family.as_mut() {
+            *to = family;
+        }
+        Ok(())
+    })
+}

@@ -1,0 +1,323 @@
+//! The C interface: thin functions over the public Rust API, which say what they would in Rust.
+//!
+//! `ashsplat.h` is generated from this file; a test compares it. Every function that can fail returns a status, and
+//! [`ashsplat_last_error`] has the message; no panic crosses the boundary. Vulkan's handles are passed as they are in
+//! C on 64-bit machines: dispatchable ones as pointers, the others as 64-bit numbers.
+
+mod foreign;
+mod types;
+
+pub use foreign::*;
+pub use types::*;
+
+use ashsplat::io::{Photo, ply};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{DeviceScene, Error, RenderSettings, Renderer, Result};
+use std::cell::RefCell;
+use std::ffi::{CStr, CString, c_char};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// A device that everything runs on.
+pub struct AshsplatContext(Context);
+
+/// Gaussians on a device.
+pub struct AshsplatScene {
+    scene: DeviceScene,
+}
+
+/// Renders scenes.
+pub struct AshsplatRenderer(Renderer);
+
+thread_local! {
+    static LAST_ERROR: RefCell<CString> = RefCell::default();
+}
+
+/// Runs a function; notes its error.
+fn guarded(f: impl FnOnce() -> Result<()>) -> AshsplatStatus {
+    let (status, message) = match catch_unwind(AssertUnwindSafe(f)) {
+        Ok(Ok(())) => return AshsplatStatus::Ok,
+        Ok(Err(error)) => (status_of(&error), error.to_string()),
+        Err(panic) => {
+            let text = panic.downcast_ref::<String>().cloned();
+            let text = text.or_else(|| panic.downcast_ref::<&str>().map(|s| (*s).to_owned()));
+            (AshsplatStatus::Internal, format!("internal error: {}", text.unwrap_or_default()))
+        }
+    };
+    let message = CString::new(message.replace('\0', " ")).unwrap_or_default();
+    LAST_ERROR.with(|last| *last.borrow_mut() = message);
+    status
+}
+
+fn status_of(error: &Error) -> AshsplatStatus {
+    match error {
+        Error::Input { .. } | Error::Io { .. } => AshsplatStatus::File,
+        Error::Argument { .. } => AshsplatStatus::Argument,
+        Error::NoLoader { .. } | Error::NoDevice { .. } | Error::UnknownDevice { .. } => {
+            AshsplatStatus::NoDevice
+        }
+        Error::MissingFeature { .. } => AshsplatStatus::MissingFeature,
+        Error::TooLarge { .. } => AshsplatStatus::TooLarge,
+        Error::Vulkan { .. } => AshsplatStatus::Vulkan,
+        _ => AshsplatStatus::Internal,
+    }
+}
+
+/// The object behind a pointer.
+///
+/// # Safety
+/// The pointer is null or valid for the call.
+unsafe fn borrowed<'a, T>(pointer: *const T, what: &str) -> Result<&'a T> {
+    // SAFETY: as promised.
+    unsafe { pointer.as_ref() }.ok_or_else(|| Error::argument(what, "the pointer is null"))
+}
+
+/// The object behind a pointer, to change it.
+///
+/// # Safety
+/// The pointer is null or valid for the call, and nobody else uses the object meanwhile.
+unsafe fn borrowed_mut<'a, T>(pointer: *mut T, what: &str) -> Result<&'a mut T> {
+    // SAFETY: as promised.
+    unsafe { pointer.as_mut() }.ok_or_else(|| Error::argument(what, "the pointer is null"))
+}
+
+/// The objects behind a pointer and a count.
+///
+/// # Safety
+/// The pointer is valid for so many objects, or the count is 0.
+unsafe fn slice<'a, T>(pointer: *const T, count: usize, what: &str) -> Result<&'a [T]> {
+    match (pointer.is_null(), count) {
+        (_, 0) => Ok(&[]),
+        (true, _) => Err(Error::argument(what, "the pointer is null")),
+        // SAFETY: as promised.
+        (false, _) => Ok(unsafe { std::slice::from_raw_parts(pointer, count) }),
+    }
+}
+
+/// A C string in UTF-8.
+///
+/// # Safety
+/// The pointer is null or a C string.
+unsafe fn text<'a>(pointer: *const c_char, what: &str) -> Result<&'a str> {
+    if pointer.is_null() {
+        return Err(Error::argument(what, "the pointer is null"));
+    }
+    // SAFETY: as promised.
+    let text = unsafe { CStr::from_ptr(pointer) };
+    text.to_str().map_err(|_| Error::argument(what, "is not UTF-8"))
+}
+
+/// Gives an object away.
+///
+/// # Safety
+/// `to` is null or valid for a write.
+unsafe fn give<T>(to: *mut *mut T, what: &str, make: impl FnOnce() -> Result<T>) -> Result<()> {
+    // SAFETY: as promised.
+    let to = unsafe { borrowed_mut(to, what)? };
+    *to = std::ptr::null_mut();
+    *to = Box::into_raw(Box::new(make()?));
+    Ok(())
+}
+
+/// Takes an object back.
+///
+/// # Safety
+/// The pointer is null or came from `give`, and is not used afterwards.
+unsafe fn take<T>(pointer: *mut T) {
+    if !pointer.is_null() {
+        // SAFETY: as promised.
+        let _ = catch_unwind(AssertUnwindSafe(|| drop(unsafe { Box::from_raw(pointer) })));
+    }
+}
+
+/// The message of this thread's last failure: one line, valid until the next.
+#[unsafe(no_mangle)]
+pub extern "C" fn ashsplat_last_error() -> *const c_char {
+    LAST_ERROR.with(|last| last.borrow().as_ptr())
+}
+
+/// The version of the library, "0.1.0".
+#[unsafe(no_mangle)]
+pub extern "C" fn ashsplat_version() -> *const c_char {
+    const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "\0");
+    VERSION.as_ptr().cast()
+}
+
+/// Opens a device of the library's own: the one of this number or part of a name, or for NULL what the environment
+/// variable ASHSPLAT_DEVICE says, else the best.
+///
+/// # Safety
+/// `device` is NULL or a C string; `context` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_context_new(
+    device: *const c_char,
+    context: *mut *mut AshsplatContext,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        give(context, "context", || {
+            let device = if device.is_null() { None } else { Some(text(device, "device")?.to_owned()) };
+            Context::new(&ContextOptions { device, ..ContextOptions::default() }).map(AshsplatContext)
+        })
+    })
+}
+
+/// Closes a context. The device stays open until all that was made from it is freed as well; one of the host's own is
+/// left alone.
+///
+/// # Safety
+/// `context` is NULL or of this library and not used afterwards.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_context_free(context: *mut AshsplatContext) {
+    // SAFETY: as promised.
+    unsafe { take(context) }
+}
+
+/// Loads a scene from a PLY file.
+///
+/// # Safety
+/// `context` is alive, `path` is a C string, `scene` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scene_load(
+    context: *const AshsplatContext,
+    path: *const c_char,
+    scene: *mut *mut AshsplatScene,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (context, path) = (borrowed(context, "context")?, text(path, "path")?);
+        give(scene, "scene", || {
+            let file = ply::read(path, &ply::PlyOptions::default())?;
+            Ok(AshsplatScene { scene: DeviceScene::upload(&context.0, &file.gaussians, 0)? })
+        })
+    })
+}
+
+/// Number of Gaussians of a scene, and the degree of its spherical harmonics. Either pointer may be NULL.
+///
+/// # Safety
+/// `scene` is alive; the pointers are NULL or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scene_size(
+    scene: *const AshsplatScene,
+    gaussians: *mut u32,
+    sh_degree: *mut u32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let scene = borrowed(scene, "scene")?;
+        if let Some(gaussians) = gaussians.as_mut() {
+            *gaussians = scene.scene.count();
+        }
+        if let Some(sh_degree) = sh_degree.as_mut() {
+            *sh_degree = scene.scene.plan().sh_degree;
+        }
+        Ok(())
+    })
+}
+
+/// Frees a scene. No recording that uses it may still be executed.
+///
+/// # Safety
+/// `scene` is NULL or of this library and not used afterwards.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scene_free(scene: *mut AshsplatScene) {
+    // SAFETY: as promised.
+    unsafe { take(scene) }
+}
+
+/// Builds a renderer.
+///
+/// # Safety
+/// `context` is alive, `renderer` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_renderer_new(
+    context: *const AshsplatContext,
+    renderer: *mut *mut AshsplatRenderer,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let context = borrowed(context, "context")?;
+        give(renderer, "renderer", || Renderer::new(&context.0).map(AshsplatRenderer))
+    })
+}
+
+/// Frees a renderer. No recording of it may still be executed.
+///
+/// # Safety
+/// `renderer` is NULL or of this library and not used afterwards.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_renderer_free(renderer: *mut AshsplatRenderer) {
+    // SAFETY: as promised.
+    unsafe { take(renderer) }
+}
+
+/// A camera at `eye` that looks at `target`, with square pixels and `fov_x` radians from the left to the right edge.
+///
+/// # Safety
+/// The three vectors have three floats each; `camera` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_camera_look_at(
+    eye: *const f32,
+    target: *const f32,
+    up: *const f32,
+    fov_x: f32,
+    width: u32,
+    height: u32,
+    camera: *mut AshsplatCamera,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let vector = |v, what| Ok::<_, Error>(glam::Vec3::from_slice(slice(v, 3, what)?));
+        let (eye, target, up) = (vector(eye, "eye")?, vector(target, "target")?, vector(up, "up")?);
+        let intrinsics = ashsplat::scene::Intrinsics::from_fov_x(fov_x, width, height);
+        let looking = ashsplat::Camera::look_at(eye, target, up, intrinsics);
+        looking.check()?;
+        *borrowed_mut(camera, "camera")? = looking.into();
+        Ok(())
+    })
+}
+
+/// Renders a scene, submits and waits: `rgb` receives red, green and blue of each pixel, row by row, on a background.
+///
+/// # Safety
+/// `renderer`, `scene` and `camera` are alive, `background` has three floats, `rgb` room for 3 * width * height.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_render(
+    renderer: *mut AshsplatRenderer,
+    scene: *const AshsplatScene,
+    camera: *const AshsplatCamera,
+    background: *const f32,
+    rgb: *mut f32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
+        let camera = borrowed(camera, "camera")?.into();
+        let mut settings = RenderSettings::default();
+        settings.background.copy_from_slice(slice(background, 3, "background")?);
+        let first = borrowed_mut(rgb, "rgb")?;
+        let frame = renderer.0.render_scene(&scene.scene, &camera, &settings)?;
+        let floats = frame.color.as_flattened();
+        std::slice::from_raw_parts_mut(first, floats.len()).copy_from_slice(floats);
+        Ok(())
+    })
+}
+
+/// Writes a picture as PNG: 8 bits per channel, from `rgb` between 0 and 1.
+///
+/// # Safety
+/// `path` is a C string, `rgb` has 3 * width * height floats.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_write_png(
+    path: *const c_char,
+    width: u32,
+    height: u32,
+    rgb: *const f32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let floats = slice(rgb, 3 * width as usize * height as usize, "rgb")?;
+        let (pixels, _) = floats.as_chunks::<3>();
+        Photo::from_f32(width, height, pixels)?.write_png(text(path, "path")?)
+    })
+}

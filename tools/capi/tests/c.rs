@@ -1,0 +1,147 @@
+//! The header is what the sources say, and C programs that include it work.
+
+use ashsplat::io::ply;
+use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{RenderSettings, Renderer};
+use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, Language};
+use glam::Vec3;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn folder() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// `ashsplat.h` as cbindgen makes it from the sources. With ASHSPLAT_BLESS it is written.
+#[test]
+fn the_header_is_what_the_sources_say() {
+    let config = Config {
+        language: Language::C,
+        cpp_compat: true,
+        include_guard: Some("ASHSPLAT_H".into()),
+        header: Some(
+            "/* The C interface of ashsplat. Generated from the sources in tools/capi: do not edit. */"
+                .into(),
+        ),
+        documentation_style: DocumentationStyle::C99,
+        usize_is_size_t: true,
+        line_length: 110,
+        enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
+        ..Config::default()
+    };
+    let sources = ["types.rs", "lib.rs", "foreign.rs"].map(|name| folder().join(name));
+    let builder = sources.iter().fold(Builder::new().with_config(config), |b, path| b.with_src(path));
+    let mut made = Vec::new();
+    builder.generate().expect("a header").write(&mut made);
+    let made = String::from_utf8(made).expect("text");
+    let path = folder().join("ashsplat.h");
+    if std::env::var_os("ASHSPLAT_BLESS").is_some() {
+        std::fs::write(&path, &made).expect("written");
+    }
+    let kept = std::fs::read_to_string(&path).expect("tools/capi/ashsplat.h");
+    assert!(kept == made, "tools/capi/ashsplat.h is out of date: run with ASHSPLAT_BLESS=1");
+    for name in ["ashsplat_record", "ashsplat_context_from_host", "ashsplat_last_error", "AshsplatStatus_Ok"]
+    {
+        assert!(made.contains(name), "{name}");
+    }
+}
+
+/// The newest library with this ending that cargo has made.
+fn library(ending: &str) -> PathBuf {
+    let executable = std::env::current_exe().expect("a path");
+    let deps = executable.parent().expect("deps");
+    let places = [deps.parent().expect("the profile"), deps];
+    let files = places.iter().flat_map(|place| std::fs::read_dir(place).expect("a folder").flatten());
+    let ours = files.filter(|file| {
+        let name = file.file_name().to_string_lossy().into_owned();
+        name.starts_with("libashsplat_c") && name.ends_with(ending)
+    });
+    let newest = ours.max_by_key(|file| file.metadata().and_then(|m| m.modified()).expect("a time"));
+    newest.expect("a library: cargo build --release -p ashsplat-capi").path()
+}
+
+/// A path as an argument of the compiler.
+fn argument(path: &Path) -> String {
+    path.to_str().expect("UTF-8").to_owned()
+}
+
+fn compile(source: &Path, program: &Path, link: &[String]) {
+    let mut cc = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
+    cc.args(["-std=c11", "-Wall", "-Wextra", "-Werror", "-pedantic"]);
+    cc.arg("-I").arg(folder()).arg(source).arg("-o").arg(program).args(link);
+    let output = cc.output().expect("a C compiler");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn run(program: &Path, arguments: &[&Path]) -> Output {
+    Command::new(program).args(arguments).output().expect("a program")
+}
+
+fn cloud() -> Gaussians {
+    let mut cloud = Gaussians { sh_degree: 1, ..Gaussians::default() };
+    for i in 0..500u32 {
+        let random = |k: u32| (i.wrapping_mul(2_654_435_761).rotate_left(7 * k) >> 8) as f32 / 16_777_216.0;
+        cloud.means.push([1, 2, 3].map(|k| 2.0 * random(k) - 1.0));
+        cloud.quats.push([1.0, random(4), random(5), random(6)]);
+        cloud.log_scales.push([-2.8, -3.0 - random(1), -2.5]);
+        cloud.opacity_logits.push(3.0 * random(2));
+        cloud.sh.extend([1, 2, 3, 4].map(|k| [random(k) - 0.3, random(k + 1) - 0.5, random(k + 2) - 0.5]));
+    }
+    cloud
+}
+
+#[test]
+fn a_c_program_renders_what_rust_renders() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (scene, picture) = (folder.path().join("scene.ply"), folder.path().join("picture.png"));
+    ply::write(&scene, &cloud()).expect("a PLY");
+    let context = Context::new(&ContextOptions::default()).expect("a device");
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    renderer
+        .upload(&ply::read(&scene, &ply::PlyOptions::default()).expect("a scene").gaussians)
+        .expect("uploaded");
+    let intrinsics = Intrinsics::from_fov_x(0.7, 320, 240);
+    let camera = Camera::look_at(Vec3::new(0.0, -1.0, -4.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+    let settings = RenderSettings { background: [0.1, 0.2, 0.3], ..RenderSettings::default() };
+    let expected = renderer.render(&camera, &settings).expect("a frame");
+
+    let system = ["-lpthread", "-ldl", "-lm", "-lgcc_s"].map(String::from);
+    let links =
+        [vec![argument(&library(".so"))], [argument(&library(".a"))].into_iter().chain(system).collect()];
+    for (number, link) in links.iter().enumerate() {
+        let program = folder.path().join(format!("example{number}"));
+        compile(&self::folder().join("example.c"), &program, link);
+        let output = run(&program, &[&scene, &picture]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(String::from_utf8_lossy(&output.stdout).contains("500 Gaussians of degree 1"));
+        let png = image::open(&picture).expect("a picture").into_rgb8();
+        assert_eq!(png.dimensions(), (320, 240));
+        for (pixel, color) in png.pixels().zip(&expected.color) {
+            for (byte, value) in pixel.0.iter().zip(color) {
+                assert!((f32::from(*byte) - 255.0 * value.clamp(0.0, 1.0)).abs() <= 0.51, "{byte} {value}");
+            }
+        }
+        std::fs::remove_file(&picture).expect("removed");
+
+        let missing = run(&program, &[Path::new("/no/such.ply"), &picture]);
+        let said = String::from_utf8_lossy(&missing.stderr);
+        assert_eq!(missing.status.code(), Some(2));
+        assert!(said.starts_with("error 2: loading the scene: /no/such.ply"), "{said}");
+        assert_eq!(said.lines().count(), 1);
+    }
+}
+
+#[test]
+fn a_host_in_c_records_into_its_own_command_buffer() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (scene, program) = (folder.path().join("scene.ply"), folder.path().join("record"));
+    ply::write(&scene, &cloud()).expect("a PLY");
+    let link = [argument(&library(".so")), "-ldl".into()];
+    compile(&self::folder().join("tests/record.c"), &program, &link);
+    let output = run(&program, &[&scene]);
+    let (said, failed) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{:?}: {said}{failed}", output.status);
+    let visible: u32 = said.split(' ').next().and_then(|n| n.parse().ok()).expect("a number");
+    assert!(visible > 100 && said.contains("of 500 Gaussians visible, scale 10.0, offset 0.0"), "{said}");
+}

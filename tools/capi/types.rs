@@ -1,0 +1,275 @@
+//! The structs and codes of the C interface.
+
+use ashsplat::scene::DepthMapping;
+use ashsplat::{Camera, SlotReport};
+use glam::{Mat3, Vec3};
+use std::ffi::{c_char, c_void};
+
+/// What came of a call.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatStatus {
+    /// All is well.
+    Ok = 0,
+    /// An argument makes no sense.
+    Argument = 1,
+    /// A file cannot be read, written or understood.
+    File = 2,
+    /// There is no usable device.
+    NoDevice = 3,
+    /// The device lacks something, or the host has not enabled it.
+    MissingFeature = 4,
+    /// Something does not fit.
+    TooLarge = 5,
+    /// A Vulkan call failed.
+    Vulkan = 6,
+    /// A defect of this library.
+    Internal = 7,
+}
+
+/// A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z + cy), where the
+/// centre of the first pixel is (0.5, 0.5).
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatCamera {
+    /// R, row by row.
+    pub camera_from_world: [f32; 9],
+    /// t, world units.
+    pub translation: [f32; 3],
+    /// Focal length in x, pixels.
+    pub fx: f32,
+    /// Focal length in y, pixels.
+    pub fy: f32,
+    /// Principal point in x, pixels.
+    pub cx: f32,
+    /// Principal point in y, pixels.
+    pub cy: f32,
+    /// Width of the picture, pixels.
+    pub width: u32,
+    /// Height of the picture, pixels.
+    pub height: u32,
+}
+
+impl From<Camera> for AshsplatCamera {
+    fn from(c: Camera) -> Self {
+        let Camera { fx, fy, cx, cy, width, height, .. } = c;
+        let camera_from_world = c.camera_from_world.transpose().to_cols_array();
+        Self { camera_from_world, translation: c.translation.to_array(), fx, fy, cx, cy, width, height }
+    }
+}
+
+impl From<&AshsplatCamera> for Camera {
+    fn from(c: &AshsplatCamera) -> Self {
+        let AshsplatCamera { fx, fy, cx, cy, width, height, .. } = *c;
+        let camera_from_world = Mat3::from_cols_array(&c.camera_from_world).transpose();
+        Self { camera_from_world, translation: Vec3::from(c.translation), fx, fy, cx, cy, width, height }
+    }
+}
+
+/// How 1/z follows from a depth buffer's value d: 1/z = scale d + offset; nothing is where it holds clear_value.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatDepthMapping {
+    /// See above.
+    pub scale: f32,
+    /// See above.
+    pub offset: f32,
+    /// See above.
+    pub clear_value: f32,
+}
+
+impl From<DepthMapping> for AshsplatDepthMapping {
+    fn from(m: DepthMapping) -> Self {
+        Self { scale: m.scale, offset: m.offset, clear_value: m.clear_value }
+    }
+}
+
+impl From<AshsplatDepthMapping> for DepthMapping {
+    fn from(m: AshsplatDepthMapping) -> Self {
+        Self { scale: m.scale, offset: m.offset, clear_value: m.clear_value }
+    }
+}
+
+/// A host's device, and what was enabled when it was created.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatHost {
+    /// vkGetInstanceProcAddr of the host's loader.
+    pub get_instance_proc_addr: *const c_void,
+    /// VkInstance.
+    pub instance: *mut c_void,
+    /// VkPhysicalDevice.
+    pub physical_device: *mut c_void,
+    /// VkDevice.
+    pub device: *mut c_void,
+    /// The family of the queues that recordings are submitted to.
+    pub queue_family: u32,
+    /// VkQueue for what submits by itself, or NULL: then only recording works.
+    pub queue: *mut c_void,
+    /// The VkPhysicalDeviceVulkan12Features that the device was created with.
+    pub vulkan12_features: *const c_void,
+    /// The VkPhysicalDeviceVulkan13Features that the device was created with.
+    pub vulkan13_features: *const c_void,
+    /// Names of the device extensions that were enabled.
+    pub extensions: *const *const c_char,
+    /// How many.
+    pub extension_count: u32,
+    /// Whether VK_EXT_debug_utils was enabled.
+    pub debug_utils: bool,
+}
+
+/// An image of a host's and how it was created: two-dimensional, one sample per pixel, optimal tiling.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatHostImage {
+    /// VkImage.
+    pub image: u64,
+    /// VkFormat.
+    pub format: i32,
+    /// VkImageUsageFlags.
+    pub usage: u32,
+    /// Width of the mip level, pixels.
+    pub width: u32,
+    /// Height of the mip level, pixels.
+    pub height: u32,
+    /// Which mip level.
+    pub mip_level: u32,
+    /// Which layer.
+    pub layer: u32,
+}
+
+/// How an image is being used at some point of a command buffer.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct AshsplatImageState {
+    /// VkImageLayout.
+    pub layout: i32,
+    /// VkPipelineStageFlags2.
+    pub stages: u64,
+    /// VkAccessFlags2.
+    pub accesses: u64,
+}
+
+/// What is to be allocated ahead for recording.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatReservation {
+    /// Frames in flight.
+    pub slots: u32,
+    /// Gaussians of all scenes of a frame together.
+    pub gaussians: u32,
+    /// Scenes of a frame.
+    pub scenes: u32,
+    /// Highest degree of the scenes' spherical harmonics.
+    pub sh_degree: u32,
+    /// (tile, Gaussian) instances of a frame; 0 for a guess. AshsplatReport says how many a frame needs.
+    pub instances: u32,
+    /// Width of the largest picture, pixels.
+    pub width: u32,
+    /// Height of the largest picture, pixels.
+    pub height: u32,
+    /// Whether frames will be hidden behind a host's depth image.
+    pub occlusion: bool,
+}
+
+/// A scene and where it stands: x_world = rotation x_object + translation.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct AshsplatPlaced {
+    /// The scene.
+    pub scene: *const super::AshsplatScene,
+    /// A rotation, row by row.
+    pub world_from_object: [f32; 9],
+    /// World units.
+    pub translation: [f32; 3],
+}
+
+/// What lies behind the splats.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatBehind {
+    /// A background colour; the result is opaque.
+    Color = 0,
+    /// Nothing: premultiplied colour and alpha.
+    Nothing = 1,
+    /// What the image holds.
+    Image = 2,
+}
+
+/// A frame to record.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct AshsplatFrame {
+    /// The scenes, sorted together.
+    pub scenes: *const AshsplatPlaced,
+    /// How many: one at least.
+    pub scene_count: u32,
+    /// The camera; its width and height are the frame's.
+    pub camera: AshsplatCamera,
+    /// The image that is written, or NULL: then the slot's own buffer, ashsplat_slot_pixels.
+    pub target: *const super::AshsplatImage,
+    /// What the host does with the target before.
+    pub target_from: AshsplatImageState,
+    /// What lies behind the splats in the target.
+    pub behind: AshsplatBehind,
+    /// Its colour, for AshsplatBehind_Color.
+    pub background: [f32; 3],
+    /// The host's depth image, or NULL: splats behind it are hidden.
+    pub depth: *const super::AshsplatImage,
+    /// What the host does with the depth image before.
+    pub depth_from: AshsplatImageState,
+    /// How to read it.
+    pub depth_mapping: AshsplatDepthMapping,
+}
+
+/// What a recording leaves behind: what uses its results next waits for these stages and accesses, and finds the images
+/// in these layouts.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct AshsplatRelease {
+    /// VkPipelineStageFlags2 that write results.
+    pub stages: u64,
+    /// VkAccessFlags2 that they write with.
+    pub accesses: u64,
+    /// How the target was used last.
+    pub target: AshsplatImageState,
+    /// How the depth image was used last.
+    pub depth: AshsplatImageState,
+}
+
+/// What a recorded frame was made of.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct AshsplatReport {
+    /// Whether the frame has finished; nothing else is said before.
+    pub finished: bool,
+    /// Whether something did not fit: the picture lacks what lies farthest back.
+    pub overflow: bool,
+    /// Gaussians in the frame's scenes.
+    pub gaussians: u32,
+    /// Visible ones.
+    pub visible: u32,
+    /// (tile, Gaussian) instances that the picture needs.
+    pub instances_needed: u32,
+    /// Instances that there was room for.
+    pub instance_capacity: u32,
+    /// Entries of the fullest tile.
+    pub longest_tile: u32,
+    /// Time on the device, nanoseconds; 0 where it has no clock.
+    pub nanoseconds: f64,
+}
+
+impl From<SlotReport> for AshsplatReport {
+    fn from(r: SlotReport) -> Self {
+        Self {
+            finished: true,
+            overflow: r.overflow,
+            gaussians: r.gaussians,
+            visible: r.visible,
+            instances_needed: r.instances_needed,
+            instance_capacity: r.instance_capacity,
+            longest_tile: r.longest_tile,
+            nanoseconds: r.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds).sum(),
+        }
+    }
+}

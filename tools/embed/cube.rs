@@ -1,0 +1,263 @@
+//! The host's own picture: a textured cube with depth, in a graphics pass with dynamic rendering.
+
+use super::host::{Host, Result};
+use super::memory::{HostBuffer, HostTexture, Use};
+use ashsplat::ash::vk;
+
+/// A SPIR-V module that build.rs compiled from a file of this folder.
+macro_rules! spirv {
+    ($name:literal) => {
+        include_bytes!(concat!(env!("OUT_DIR"), "/embed_", $name, ".spv"))
+    };
+}
+
+const TEXTURE_SIDE: u32 = 64;
+
+/// Attachments, before and after the pass.
+pub const COLOR_WRITTEN: Use = (
+    vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL,
+    vk::PipelineStageFlags2::COLOR_ATTACHMENT_OUTPUT,
+    vk::AccessFlags2::COLOR_ATTACHMENT_WRITE,
+);
+pub const DEPTH_WRITTEN: Use = (
+    vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL,
+    vk::PipelineStageFlags2::LATE_FRAGMENT_TESTS,
+    vk::AccessFlags2::DEPTH_STENCIL_ATTACHMENT_WRITE,
+);
+const SAMPLED: Use = (
+    vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
+    vk::PipelineStageFlags2::FRAGMENT_SHADER,
+    vk::AccessFlags2::SHADER_SAMPLED_READ,
+);
+
+/// The pipeline and its texture.
+pub struct Cube {
+    texture: HostTexture,
+    sampler: vk::Sampler,
+    set_layout: vk::DescriptorSetLayout,
+    pool: vk::DescriptorPool,
+    set: vk::DescriptorSet,
+    layout: vk::PipelineLayout,
+    /// With depth that grows away from the camera, and with reversed depth.
+    pipelines: [vk::Pipeline; 2],
+}
+
+/// One picture of the cube.
+pub struct CubePass<'a> {
+    pub color: &'a HostTexture,
+    pub depth: &'a HostTexture,
+    pub background: [f32; 4],
+    /// Column-major.
+    pub clip_from_object: [f32; 16],
+    pub reversed_depth: bool,
+}
+
+impl Cube {
+    pub fn new(host: &Host, color: vk::Format, depth: vk::Format) -> Result<Self> {
+        let usage = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST;
+        let side = TEXTURE_SIDE;
+        let texture = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, usage, [side, side])?;
+        upload(host, &texture)?;
+        // SAFETY: valid create infos; handles come from the calls before.
+        unsafe {
+            let device = &host.device;
+            let info = vk::SamplerCreateInfo::default()
+                .mag_filter(vk::Filter::LINEAR)
+                .min_filter(vk::Filter::LINEAR);
+            let sampler = device.create_sampler(&info, None)?;
+            let kind = vk::DescriptorType::COMBINED_IMAGE_SAMPLER;
+            let bindings = [vk::DescriptorSetLayoutBinding::default()
+                .descriptor_type(kind)
+                .descriptor_count(1)
+                .stage_flags(vk::ShaderStageFlags::FRAGMENT)];
+            let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
+            let set_layout = device.create_descriptor_set_layout(&info, None)?;
+            let sizes = [vk::DescriptorPoolSize::default().ty(kind).descriptor_count(1)];
+            let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
+            let pool = device.create_descriptor_pool(&info, None)?;
+            let layouts = [set_layout];
+            let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
+            let set = device.allocate_descriptor_sets(&info)?[0];
+            let images = [vk::DescriptorImageInfo::default()
+                .sampler(sampler)
+                .image_view(texture.view)
+                .image_layout(SAMPLED.0)];
+            let write =
+                vk::WriteDescriptorSet::default().dst_set(set).descriptor_type(kind).image_info(&images);
+            device.update_descriptor_sets(&[write], &[]);
+            let ranges =
+                [vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::VERTEX).size(64)];
+            let info =
+                vk::PipelineLayoutCreateInfo::default().set_layouts(&layouts).push_constant_ranges(&ranges);
+            let layout = device.create_pipeline_layout(&info, None)?;
+            let standard = pipeline(host, layout, [color, depth], vk::CompareOp::LESS)?;
+            let reversed = pipeline(host, layout, [color, depth], vk::CompareOp::GREATER)?;
+            let pipelines = [standard, reversed];
+            Ok(Self { texture, sampler, set_layout, pool, set, layout, pipelines })
+        }
+    }
+
+    /// Records the pass: clears both attachments and draws the cube.
+    pub fn record(&self, host: &Host, commands: vk::CommandBuffer, pass: &CubePass<'_>) {
+        let none = |to: Use| (vk::ImageLayout::UNDEFINED, to.1, vk::AccessFlags2::NONE);
+        pass.color.barrier(host, commands, none(COLOR_WRITTEN), COLOR_WRITTEN);
+        let early = vk::PipelineStageFlags2::EARLY_FRAGMENT_TESTS | DEPTH_WRITTEN.1;
+        let both = vk::AccessFlags2::DEPTH_STENCIL_ATTACHMENT_READ | DEPTH_WRITTEN.2;
+        let from = (vk::ImageLayout::UNDEFINED, early, vk::AccessFlags2::NONE);
+        pass.depth.barrier(host, commands, from, (DEPTH_WRITTEN.0, early, both));
+        let color = vk::ClearValue { color: vk::ClearColorValue { float32: pass.background } };
+        let far = if pass.reversed_depth { 0.0 } else { 1.0 };
+        let depth = vk::ClearValue { depth_stencil: vk::ClearDepthStencilValue { depth: far, stencil: 0 } };
+        let attachment = |view, layout, clear| {
+            vk::RenderingAttachmentInfo::default()
+                .image_view(view)
+                .image_layout(layout)
+                .load_op(vk::AttachmentLoadOp::CLEAR)
+                .store_op(vk::AttachmentStoreOp::STORE)
+                .clear_value(clear)
+        };
+        let colors = [attachment(pass.color.view, COLOR_WRITTEN.0, color)];
+        let depth = attachment(pass.depth.view, DEPTH_WRITTEN.0, depth);
+        let [width, height] = pass.color.size;
+        let area = vk::Rect2D { offset: vk::Offset2D::default(), extent: vk::Extent2D { width, height } };
+        let info = vk::RenderingInfo::default()
+            .render_area(area)
+            .layer_count(1)
+            .color_attachments(&colors)
+            .depth_attachment(&depth);
+        let viewport =
+            vk::Viewport { width: width as f32, height: height as f32, max_depth: 1.0, ..Default::default() };
+        let matrix: Vec<u8> = pass.clip_from_object.iter().flat_map(|x| x.to_ne_bytes()).collect();
+        // SAFETY: recording state; the pipeline's formats are the attachments'.
+        unsafe {
+            let device = &host.device;
+            device.cmd_begin_rendering(commands, &info);
+            let graphics = vk::PipelineBindPoint::GRAPHICS;
+            device.cmd_bind_pipeline(commands, graphics, self.pipelines[usize::from(pass.reversed_depth)]);
+            device.cmd_bind_descriptor_sets(commands, graphics, self.layout, 0, &[self.set], &[]);
+            device.cmd_push_constants(commands, self.layout, vk::ShaderStageFlags::VERTEX, 0, &matrix);
+            device.cmd_set_viewport(commands, 0, &[viewport]);
+            device.cmd_set_scissor(commands, 0, &[area]);
+            device.cmd_draw(commands, 36, 1, 0, 0);
+            device.cmd_end_rendering(commands);
+        }
+    }
+
+    pub fn destroy(self, host: &Host) {
+        // SAFETY: no longer in use.
+        unsafe {
+            self.pipelines.into_iter().for_each(|p| host.device.destroy_pipeline(p, None));
+            host.device.destroy_pipeline_layout(self.layout, None);
+            host.device.destroy_descriptor_pool(self.pool, None);
+            host.device.destroy_descriptor_set_layout(self.set_layout, None);
+            host.device.destroy_sampler(self.sampler, None);
+        }
+        self.texture.destroy(host);
+    }
+}
+
+/// Planks of a crate.
+fn texels() -> Vec<u8> {
+    let side = TEXTURE_SIDE as i32;
+    let mut bytes = Vec::new();
+    for y in 0..side {
+        for x in 0..side {
+            let border = x.min(y).min(side - 1 - x).min(side - 1 - y) < 6;
+            let brace = (x - y).abs() < 5 || (x + y - side).abs() < 5;
+            let gap = y % 13 == 0;
+            let grain = ((x * 7 + y * y * 13) % 17) as u8;
+            let [r, g, b] = match (border || brace, gap) {
+                (true, _) => [150, 98, 52],
+                (false, true) => [70, 42, 22],
+                (false, false) => [196, 142, 84],
+            };
+            bytes.extend([r - grain, g - grain, b - grain, 255]);
+        }
+    }
+    bytes
+}
+
+fn upload(host: &Host, texture: &HostTexture) -> Result<()> {
+    let texels = texels();
+    let staging = HostBuffer::new(host, texels.len() as u64)?;
+    staging.write(host, &texels)?;
+    host.run(|commands| {
+        let written = (
+            vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+            vk::PipelineStageFlags2::ALL_TRANSFER,
+            vk::AccessFlags2::TRANSFER_WRITE,
+        );
+        let fresh = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
+        texture.barrier(host, commands, fresh, written);
+        // SAFETY: recording state; the staging buffer holds the whole image.
+        unsafe {
+            let regions = [texture.region()];
+            host.device.cmd_copy_buffer_to_image(commands, staging.raw, texture.image, written.0, &regions);
+        }
+        texture.barrier(host, commands, written, SAMPLED);
+        Ok(())
+    })?;
+    staging.destroy(host);
+    Ok(())
+}
+
+unsafe fn pipeline(
+    host: &Host,
+    layout: vk::PipelineLayout,
+    [color, depth]: [vk::Format; 2],
+    compare: vk::CompareOp,
+) -> Result<vk::Pipeline> {
+    let vertex = super::host::words(spirv!("cube.vert"));
+    let fragment = super::host::words(spirv!("cube.frag"));
+    // SAFETY: SPIR-V that build.rs compiled; every pointer lives through its call.
+    unsafe {
+        let device = &host.device;
+        let module = |code: &[u32]| {
+            device.create_shader_module(&vk::ShaderModuleCreateInfo::default().code(code), None)
+        };
+        let modules = [module(&vertex)?, module(&fragment)?];
+        let stage = |stage, module| {
+            vk::PipelineShaderStageCreateInfo::default().stage(stage).module(module).name(c"main")
+        };
+        let stages = [
+            stage(vk::ShaderStageFlags::VERTEX, modules[0]),
+            stage(vk::ShaderStageFlags::FRAGMENT, modules[1]),
+        ];
+        let input = vk::PipelineVertexInputStateCreateInfo::default();
+        let assembly = vk::PipelineInputAssemblyStateCreateInfo::default()
+            .topology(vk::PrimitiveTopology::TRIANGLE_LIST);
+        let viewport = vk::PipelineViewportStateCreateInfo::default().viewport_count(1).scissor_count(1);
+        let raster = vk::PipelineRasterizationStateCreateInfo::default().line_width(1.0);
+        let samples = vk::PipelineMultisampleStateCreateInfo::default()
+            .rasterization_samples(vk::SampleCountFlags::TYPE_1);
+        let depth_test = vk::PipelineDepthStencilStateCreateInfo::default()
+            .depth_test_enable(true)
+            .depth_write_enable(true)
+            .depth_compare_op(compare);
+        let blends =
+            [vk::PipelineColorBlendAttachmentState::default()
+                .color_write_mask(vk::ColorComponentFlags::RGBA)];
+        let blend = vk::PipelineColorBlendStateCreateInfo::default().attachments(&blends);
+        let states = [vk::DynamicState::VIEWPORT, vk::DynamicState::SCISSOR];
+        let dynamic = vk::PipelineDynamicStateCreateInfo::default().dynamic_states(&states);
+        let formats = [color];
+        let mut rendering = vk::PipelineRenderingCreateInfo::default()
+            .color_attachment_formats(&formats)
+            .depth_attachment_format(depth);
+        let info = vk::GraphicsPipelineCreateInfo::default()
+            .stages(&stages)
+            .vertex_input_state(&input)
+            .input_assembly_state(&assembly)
+            .viewport_state(&viewport)
+            .rasterization_state(&raster)
+            .multisample_state(&samples)
+            .depth_stencil_state(&depth_test)
+            .color_blend_state(&blend)
+            .dynamic_state(&dynamic)
+            .layout(layout)
+            .push_next(&mut rendering);
+        let made = device.create_graphics_pipelines(vk::PipelineCache::null(), &[info], None);
+        modules.into_iter().for_each(|m| device.destroy_shader_module(m, None));
+        Ok(made.map_err(|(_, error)| error)?[0])
+    }
+}

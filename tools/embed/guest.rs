@@ -1,0 +1,256 @@
+//! What a host engine writes to have splats in its picture. The steps are numbered as in the README.
+
+use super::cube::{COLOR_WRITTEN, Cube, CubePass, DEPTH_WRITTEN};
+use super::host::{Host, HostOptions, InFlight, Result};
+use super::memory::{HostTexture, Use};
+use ashsplat::ash::vk;
+use ashsplat::scene::{ClipY, HostView, Pose};
+use ashsplat::vk::{Context, ContextOptions, Image, ImageState, ImageUse};
+use ashsplat::{
+    Behind, DeviceScene, Gaussians, HostImage, Occluder, Placed, RecordedFrame, Release, RenderSettings,
+    Renderer, Reservation, Target,
+};
+use glam::camera::rh::{proj::vulkan, view::look_at_mat4};
+use glam::{Mat3, Mat4, Vec3};
+use std::path::Path;
+
+/// Width and height of the pictures.
+pub const SIZE: [u32; 2] = [480, 360];
+const FRAMES_IN_FLIGHT: u32 = 2;
+
+/// A picture to draw.
+#[derive(Clone, Copy)]
+pub struct Picture {
+    pub name: &'static str,
+    /// Rotation of the crate, radians.
+    pub angle: f32,
+    /// Reversed depth with an infinite far plane, as engines have it today; else depth from near to far.
+    pub reversed_depth: bool,
+    /// Whether a second scene is in the picture.
+    pub second: bool,
+}
+
+pub const PICTURES: [Picture; 4] = [
+    Picture { name: "standard", angle: 0.5, reversed_depth: false, second: false },
+    Picture { name: "reversed", angle: 0.5, reversed_depth: true, second: false },
+    Picture { name: "two_scenes", angle: 1.1, reversed_depth: true, second: true },
+    Picture { name: "turned", angle: 2.3, reversed_depth: true, second: true },
+];
+
+/// The engine with its guest.
+struct Engine {
+    frames: Vec<InFlight>,
+    cube: Cube,
+    color: HostTexture,
+    depth: HostTexture,
+    guest: Guest,
+}
+
+/// What belongs to ashsplat.
+struct Guest {
+    renderer: Renderer,
+    color: Image,
+    depth: Image,
+    ring: DeviceScene,
+    ball: DeviceScene,
+    _context: Context,
+}
+
+impl Engine {
+    fn new(host: &Host) -> Result<Self> {
+        let color_usage = vk::ImageUsageFlags::COLOR_ATTACHMENT
+            | vk::ImageUsageFlags::TRANSFER_SRC
+            // The guest writes the image.
+            | vk::ImageUsageFlags::STORAGE;
+        // The guest reads the depth.
+        let depth_usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | vk::ImageUsageFlags::SAMPLED;
+        let color = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, color_usage, SIZE)?;
+        let depth = HostTexture::new(host, vk::Format::D32_SFLOAT, depth_usage, SIZE)?;
+        let frames: Result<Vec<_>> = (0..FRAMES_IN_FLIGHT).map(|_| InFlight::new(host)).collect();
+        let cube = Cube::new(host, color.format, depth.format)?;
+        Ok(Self { frames: frames?, cube, guest: Guest::new(host, &color, &depth)?, color, depth })
+    }
+
+    /// Records one frame: the engine's own pass, then the splats, into the same command buffer.
+    fn record(&mut self, host: &Host, number: usize, picture: &Picture) -> Result<Release> {
+        let commands = self.frames[number % self.frames.len()].commands;
+        let view = view(picture);
+        let world_from_object = Mat4::from_rotation_y(picture.angle) * Mat4::from_rotation_x(0.4);
+        let clip_from_object = view.clip_from_view * view.view_from_world * world_from_object;
+        self.cube.record(
+            host,
+            commands,
+            &CubePass {
+                color: &self.color,
+                depth: &self.depth,
+                background: [0.10, 0.12, 0.16, 1.0],
+                clip_from_object: clip_from_object.to_cols_array(),
+                reversed_depth: picture.reversed_depth,
+            },
+        );
+        self.guest.record(commands, number as u32 % FRAMES_IN_FLIGHT, picture, &view)
+    }
+}
+
+impl Guest {
+    fn new(host: &Host, color: &HostTexture, depth: &HostTexture) -> Result<Self> {
+        // 2. A context on the host's device. Nothing of the host's is ever destroyed by it.
+        // SAFETY: the handles are alive and outlive the guest (`pictures` drops it first); what was enabled is what
+        // `Host::new` says; the queue is used by this thread alone.
+        let context = unsafe { Context::from_foreign(&host.foreign(), &ContextOptions::default())? };
+        // 3. Scenes, and views of the host's images.
+        let ring = DeviceScene::upload(&context, &ring(), 0)?;
+        let ball = DeviceScene::upload(&context, &ball(), 0)?;
+        // SAFETY: both images are the host's, created as they say, and outlive the guest.
+        let (color, depth) = unsafe {
+            (
+                Image::adopt(&context, "picture", &color.foreign(), ImageUse::Storage)?,
+                Image::adopt(&context, "picture's depth", &depth.foreign(), ImageUse::Sampled)?,
+            )
+        };
+        // 4. Everything that frames will need is built and allocated now.
+        let mut renderer = Renderer::new(&context)?;
+        renderer.reserve(&Reservation {
+            slots: FRAMES_IN_FLIGHT,
+            scenes: 2,
+            occlusion: true,
+            ..Reservation::new(ring.count() + ball.count(), 1, SIZE[0], SIZE[1])
+        })?;
+        Ok(Self { renderer, color, depth, ring, ball, _context: context })
+    }
+
+    fn record(
+        &mut self,
+        commands: vk::CommandBuffer,
+        slot: u32,
+        picture: &Picture,
+        view: &HostView,
+    ) -> Result<Release> {
+        // 5. The host's matrices say everything about its conventions, and how its depth is to be read.
+        let (camera, mapping) = view.camera()?;
+        // SAFETY: recording state, outside of the pass; submitted once, and waited for before the slot's next turn.
+        let commands = unsafe { self.renderer.context().adopt_commands(commands)? };
+        let ring = Placed::from(&self.ring);
+        let turned = Mat3::from_rotation_z(picture.angle);
+        let pose = Pose { world_from_object: turned, translation: Vec3::new(0.75, 0.55, 0.75) };
+        let scenes = [ring, Placed { scene: &self.ball, pose }];
+        let scenes = if picture.second { &scenes[..] } else { &scenes[..1] };
+        let settings = RenderSettings::default();
+        // 6. The frame, composed over what the host has drawn, hidden where the host's depth is nearer.
+        let target = Target::Image { to: used(&self.color, COLOR_WRITTEN), behind: Behind::Image };
+        let occluder = Some(Occluder { depth: used(&self.depth, DEPTH_WRITTEN), mapping });
+        let frame = RecordedFrame { target, occluder, ..RecordedFrame::new(scenes, &camera, &settings) };
+        Ok(self.renderer.record(commands, slot, &frame)?)
+    }
+}
+
+fn used(image: &Image, (layout, stages, accesses): Use) -> HostImage<'_> {
+    HostImage { image, from: ImageState { layout, stages, accesses }, offset: [0; 2] }
+}
+
+/// Draws the pictures into a folder, each "embed_NAME.png"; returns what is worth telling.
+pub fn pictures(folder: &Path, options: &HostOptions) -> Result<Vec<String>> {
+    // 1. The host creates its device and enables what `Context::requirements()` asks for.
+    let host = Host::new(options)?;
+    let report = draw(&host, folder);
+    let messages = host.messages();
+    host.destroy();
+    let mut report = report?;
+    report.push(format!("{} validation messages", messages.len()));
+    match messages.first() {
+        Some(first) => Err(format!("validation: {first}").into()),
+        None => Ok(report),
+    }
+}
+
+fn draw(host: &Host, folder: &Path) -> Result<Vec<String>> {
+    let mut engine = Engine::new(host)?;
+    let mut report = Vec::new();
+    for (number, picture) in PICTURES.iter().enumerate() {
+        let frame = number % engine.frames.len();
+        engine.frames[frame].begin(host)?;
+        let release = engine.record(host, number, picture)?;
+        engine.frames[frame].submit(host)?;
+        engine.frames[frame].wait(host)?;
+        // 7. The release says what to wait for, and in which layout the image is now.
+        let color = release.color.ok_or("the frame has a target")?;
+        let bytes = engine.color.read(host, (color.layout, color.stages, color.accesses), 4)?;
+        let path = folder.join(format!("embed_{}.png", picture.name));
+        image::save_buffer(&path, &bytes, SIZE[0], SIZE[1], image::ColorType::Rgba8)?;
+        // 8. What the frame was made of, once it has finished; too little room is told, never a surprise.
+        let made = engine.guest.renderer.slot_report(frame as u32)?.ok_or("the frame has finished")?;
+        report.push(format!(
+            "{}: {} of {} Gaussians visible, {} of {} instances{}",
+            path.display(),
+            made.visible,
+            made.gaussians,
+            made.instances_needed,
+            made.instance_capacity,
+            if made.overflow { ", too few" } else { "" }
+        ));
+    }
+    let Engine { frames, cube, color, depth, guest } = engine;
+    // The guest goes before the images and the device that it looks at.
+    drop(guest);
+    frames.into_iter().for_each(|frame| frame.destroy(host));
+    cube.destroy(host);
+    color.destroy(host);
+    depth.destroy(host);
+    Ok(report)
+}
+
+/// The engine's matrices: y up in the world, right-handed, Vulkan's clip space.
+fn view(picture: &Picture) -> HostView {
+    let aspect = SIZE[0] as f32 / SIZE[1] as f32;
+    let fov_y = 0.9;
+    let clip_from_view = match picture.reversed_depth {
+        true => vulkan::perspective_infinite_reverse(fov_y, aspect, 0.1),
+        false => vulkan::perspective(fov_y, aspect, 0.1, 50.0),
+    };
+    HostView {
+        view_from_world: look_at_mat4(Vec3::new(0.4, 1.1, 2.6), Vec3::ZERO, Vec3::Y),
+        clip_from_view,
+        clip_y: ClipY::Down,
+        width: SIZE[0],
+        height: SIZE[1],
+    }
+}
+
+/// Gaussians around the crate, some before and some behind it.
+fn ring() -> Gaussians {
+    let mut ring = Gaussians { sh_degree: 1, ..Gaussians::default() };
+    for i in 0..2400 {
+        let angle = i as f32 * 0.0261799;
+        let turn = i as f32 * 2.399963;
+        let width = 0.16 * ((i * 7919 % 997) as f32 / 997.0).sqrt();
+        let radius = 1.0 + width * turn.cos();
+        let mean = [radius * angle.cos(), 0.28 * angle.cos() + width * turn.sin(), radius * angle.sin()];
+        let color =
+            [0.5 + 0.5 * angle.cos(), 0.5 + 0.5 * (angle + 2.1).cos(), 0.5 + 0.5 * (angle + 4.2).cos()];
+        push(&mut ring, mean, 0.022, 1.8, color);
+    }
+    ring
+}
+
+/// A ball of Gaussians around its own origin, one half blue, one yellow.
+fn ball() -> Gaussians {
+    let mut ball = Gaussians { sh_degree: 1, ..Gaussians::default() };
+    for i in 0..900 {
+        let y = 1.0 - 2.0 * (i as f32 + 0.5) / 900.0;
+        let (turn, radius) = (i as f32 * 2.399963, (1.0 - y * y).sqrt());
+        let mean = [radius * turn.cos(), y, radius * turn.sin()].map(|x| 0.22 * x);
+        let color = if mean[1] > 0.0 { [0.98, 0.85, 0.2] } else { [0.15, 0.35, 0.9] };
+        push(&mut ball, mean, 0.018, 3.0, color);
+    }
+    ball
+}
+
+fn push(to: &mut Gaussians, mean: [f32; 3], scale: f32, opacity_logit: f32, color: [f32; 3]) {
+    to.means.push(mean);
+    to.quats.push([1.0, 0.0, 0.0, 0.0]);
+    to.log_scales.push([scale.ln(); 3]);
+    to.opacity_logits.push(opacity_logit);
+    // Degree 0 holds the colour; degree 1 is without effect here.
+    to.sh.push(color.map(|c| (c - 0.5) / 0.282_094_8));
+    to.sh.extend([[0.0; 3]; 3]);
+}

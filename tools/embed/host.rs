@@ -1,0 +1,308 @@
+//! The host's Vulkan: an engine's own instance, device, images and frames in flight, in raw `ash`. Nothing in this file
+//! knows ashsplat but [`Host::new`], which enables what it requires, and [`Host::foreign`], which hands the device over.
+
+use ashsplat::ash::{self, vk};
+use ashsplat::vk::{Context, Features, ForeignDevice};
+use std::error::Error;
+use std::ffi::{CStr, c_void};
+use std::sync::{Arc, Mutex, PoisonError};
+
+pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+/// Instance, device, one queue.
+pub struct Host {
+    pub instance: ash::Instance,
+    pub physical: vk::PhysicalDevice,
+    pub device: ash::Device,
+    pub queue_family: u32,
+    pub queue: vk::Queue,
+    pub pool: vk::CommandPool,
+    pub features: Features,
+    pub extensions: Vec<&'static CStr>,
+    debug: Option<(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
+    messages: Arc<Mutex<Vec<String>>>,
+    // Unloads the library when dropped: keep it last.
+    _entry: ash::Entry,
+}
+
+/// How to make a host.
+#[derive(Clone, Copy)]
+pub struct HostOptions {
+    /// Turn on the validation layer with synchronisation validation.
+    pub validation: bool,
+    /// Enable VK_KHR_push_descriptor where the device has it.
+    pub push_descriptors: bool,
+    /// A required feature to leave out, by its Vulkan name.
+    pub without: Option<&'static str>,
+}
+
+impl Default for HostOptions {
+    fn default() -> Self {
+        Self { validation: false, push_descriptors: true, without: None }
+    }
+}
+
+impl Host {
+    pub fn new(options: &HostOptions) -> Result<Self> {
+        // SAFETY: every create info lives through its call; handles come from the calls before.
+        unsafe {
+            let entry = ash::Entry::load()?;
+            let messages = Arc::<Mutex<Vec<String>>>::default();
+            let instance = create_instance(&entry, options.validation)?;
+            let debug = match options.validation {
+                true => Some(messenger(&entry, &instance, &messages)?),
+                false => None,
+            };
+            let physical = choose(&instance)?;
+            let families = instance.get_physical_device_queue_family_properties(physical);
+            let wanted = vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE;
+            let family = families.iter().position(|f| f.queue_flags.contains(wanted));
+            let queue_family = family.ok_or("no queue for graphics and compute")? as u32;
+
+            // The guest's wishes are merged with the host's own.
+            let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
+            let mut v13 = vk::PhysicalDeviceVulkan13Features::default().dynamic_rendering(true);
+            let requirements = Context::requirements();
+            let mut features = requirements.features;
+            match options.without {
+                Some("synchronization2") => features.synchronization2 = false,
+                Some("maintenance4") => features.maintenance4 = false,
+                _ => {}
+            }
+            features.merge_into(&mut v12, &mut v13);
+            let present = instance.enumerate_device_extension_properties(physical)?;
+            let has = |name: &CStr| present.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
+            let mut extensions = requirements.extensions.clone();
+            let optional = requirements.optional_extensions.iter().map(|e| e.name);
+            extensions.extend(optional.filter(|name| options.push_descriptors && has(name)));
+
+            let names: Vec<_> = extensions.iter().map(|name| name.as_ptr()).collect();
+            let priorities = [1.0];
+            let queues = [vk::DeviceQueueCreateInfo::default()
+                .queue_family_index(queue_family)
+                .queue_priorities(&priorities)];
+            let info = vk::DeviceCreateInfo::default()
+                .queue_create_infos(&queues)
+                .enabled_extension_names(&names)
+                .push_next(&mut v12)
+                .push_next(&mut v13);
+            let device = instance.create_device(physical, &info, None)?;
+            let queue = device.get_device_queue(queue_family, 0);
+            let info = vk::CommandPoolCreateInfo::default()
+                .queue_family_index(queue_family)
+                .flags(vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER);
+            let pool = device.create_command_pool(&info, None)?;
+            let _entry = entry;
+            Ok(Self {
+                instance,
+                physical,
+                device,
+                queue_family,
+                queue,
+                pool,
+                features,
+                extensions,
+                debug,
+                messages,
+                _entry,
+            })
+        }
+    }
+
+    /// What the guest is told: the handles, and what was enabled.
+    pub fn foreign(&self) -> ForeignDevice<'_> {
+        ForeignDevice {
+            instance: &self.instance,
+            physical_device: self.physical,
+            device: &self.device,
+            queue_family: self.queue_family,
+            queue: Some(self.queue),
+            features: self.features,
+            extensions: &self.extensions,
+            debug_utils: self.debug.is_some(),
+            allocator: None,
+        }
+    }
+
+    /// What the validation layer has said.
+    pub fn messages(&self) -> Vec<String> {
+        self.messages.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Memory for something, of a type with these properties.
+    pub fn allocate(
+        &self,
+        needs: vk::MemoryRequirements,
+        wanted: vk::MemoryPropertyFlags,
+    ) -> Result<vk::DeviceMemory> {
+        // SAFETY: plain calls on live handles.
+        unsafe {
+            let memory = self.instance.get_physical_device_memory_properties(self.physical);
+            let fits = |(index, kind): &(usize, &vk::MemoryType)| {
+                needs.memory_type_bits & (1 << index) != 0 && kind.property_flags.contains(wanted)
+            };
+            let found = memory.memory_types_as_slice().iter().enumerate().find(fits);
+            let (index, _) = found.ok_or("no memory type")?;
+            let info =
+                vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(index as u32);
+            Ok(self.device.allocate_memory(&info, None)?)
+        }
+    }
+
+    /// Records, submits and waits.
+    pub fn run(&self, record: impl FnOnce(vk::CommandBuffer) -> Result<()>) -> Result<()> {
+        let frame = InFlight::new(self)?;
+        frame.begin(self)?;
+        let recorded = record(frame.commands);
+        if recorded.is_ok() {
+            frame.submit(self)?;
+            frame.wait(self)?;
+        }
+        frame.destroy(self);
+        recorded
+    }
+
+    /// Destroys the device and the instance; everything made from them must be gone.
+    pub fn destroy(self) {
+        // SAFETY: the caller has destroyed what was made from the device.
+        unsafe {
+            let _ = self.device.device_wait_idle();
+            self.device.destroy_command_pool(self.pool, None);
+            self.device.destroy_device(None);
+            if let Some((loader, messenger)) = &self.debug {
+                loader.destroy_debug_utils_messenger(*messenger, None);
+            }
+            self.instance.destroy_instance(None);
+        }
+    }
+}
+
+unsafe fn create_instance(entry: &ash::Entry, validation: bool) -> Result<ash::Instance> {
+    let application = vk::ApplicationInfo::default()
+        .application_name(c"a tiny engine")
+        .api_version(Context::requirements().api_version);
+    let (mut layers, mut extensions) = (Vec::new(), Vec::new());
+    if validation {
+        layers.push(c"VK_LAYER_KHRONOS_validation".as_ptr());
+        extensions.push(ash::ext::debug_utils::NAME.as_ptr());
+    }
+    let checks = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
+    let mut checks = vk::ValidationFeaturesEXT::default().enabled_validation_features(&checks);
+    let mut info = vk::InstanceCreateInfo::default()
+        .application_info(&application)
+        .enabled_layer_names(&layers)
+        .enabled_extension_names(&extensions);
+    if validation {
+        info = info.push_next(&mut checks);
+    }
+    // SAFETY: all pointers live through the call.
+    Ok(unsafe { entry.create_instance(&info, None)? })
+}
+
+type Messenger = (ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT);
+
+unsafe fn messenger(
+    entry: &ash::Entry,
+    instance: &ash::Instance,
+    messages: &Arc<Mutex<Vec<String>>>,
+) -> Result<Messenger> {
+    let loader = ash::ext::debug_utils::Instance::new(entry, instance);
+    type Severity = vk::DebugUtilsMessageSeverityFlagsEXT;
+    let info = vk::DebugUtilsMessengerCreateInfoEXT::default()
+        .message_severity(Severity::WARNING | Severity::ERROR)
+        .message_type(vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION)
+        .pfn_user_callback(Some(collect))
+        .user_data(Arc::as_ptr(messages).cast_mut().cast());
+    // SAFETY: `messages` lives as long as the host.
+    let messenger = unsafe { loader.create_debug_utils_messenger(&info, None)? };
+    Ok((loader, messenger))
+}
+
+unsafe extern "system" fn collect(
+    _: vk::DebugUtilsMessageSeverityFlagsEXT,
+    _: vk::DebugUtilsMessageTypeFlagsEXT,
+    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
+    user: *mut c_void,
+) -> vk::Bool32 {
+    // SAFETY: the contract of the callback; `user` is what `messenger` gave.
+    unsafe {
+        if let (Some(data), Some(messages)) = (data.as_ref(), user.cast::<Mutex<Vec<String>>>().as_ref()) {
+            let text = CStr::from_ptr(data.p_message).to_string_lossy().into_owned();
+            messages.lock().unwrap_or_else(PoisonError::into_inner).push(text);
+        }
+    }
+    vk::FALSE
+}
+
+/// The first device that is not a processor, else the first.
+unsafe fn choose(instance: &ash::Instance) -> Result<vk::PhysicalDevice> {
+    // SAFETY: plain queries.
+    unsafe {
+        let all = instance.enumerate_physical_devices()?;
+        let is_gpu = |device: &&vk::PhysicalDevice| {
+            instance.get_physical_device_properties(**device).device_type != vk::PhysicalDeviceType::CPU
+        };
+        all.iter().find(is_gpu).or(all.first()).copied().ok_or_else(|| "no Vulkan device".into())
+    }
+}
+
+/// A command buffer and the fence of its submission.
+pub struct InFlight {
+    pub commands: vk::CommandBuffer,
+    fence: vk::Fence,
+}
+
+impl InFlight {
+    pub fn new(host: &Host) -> Result<Self> {
+        // SAFETY: valid create infos.
+        unsafe {
+            let info = vk::CommandBufferAllocateInfo::default()
+                .command_pool(host.pool)
+                .level(vk::CommandBufferLevel::PRIMARY)
+                .command_buffer_count(1);
+            let commands = host.device.allocate_command_buffers(&info)?;
+            let fence = host.device.create_fence(&vk::FenceCreateInfo::default(), None)?;
+            Ok(Self { commands: commands[0], fence })
+        }
+    }
+
+    pub fn begin(&self, host: &Host) -> Result<()> {
+        let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        // SAFETY: the last submission was waited for.
+        unsafe { host.device.begin_command_buffer(self.commands, &info)? }
+        Ok(())
+    }
+
+    pub fn submit(&self, host: &Host) -> Result<()> {
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.commands)];
+        let submits = [vk::SubmitInfo2::default().command_buffer_infos(&buffers)];
+        // SAFETY: recorded above; what it uses is kept until the wait.
+        unsafe {
+            host.device.end_command_buffer(self.commands)?;
+            host.device.queue_submit2(host.queue, &submits, self.fence)?;
+        }
+        Ok(())
+    }
+
+    pub fn wait(&self, host: &Host) -> Result<()> {
+        // SAFETY: the fence was submitted.
+        unsafe {
+            host.device.wait_for_fences(&[self.fence], true, u64::MAX)?;
+            host.device.reset_fences(&[self.fence])?;
+        }
+        Ok(())
+    }
+
+    pub fn destroy(self, host: &Host) {
+        // SAFETY: waited for, or never submitted.
+        unsafe {
+            host.device.destroy_fence(self.fence, None);
+            host.device.free_command_buffers(host.pool, &[self.commands]);
+        }
+    }
+}
+
+/// SPIR-V as words.
+pub fn words(bytes: &[u8]) -> Vec<u32> {
+    bytes.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect()
+}

@@ -1,0 +1,30 @@
+//! A tiny engine that draws a wooden crate, and invites ashsplat into its command buffer: how to embed.
+//!
+//!     cargo run --release --example embed -- FOLDER
+//!
+//! `guest.rs` is the part that a host engine writes; `host.rs`, `memory.rs` and `cube.rs` are what it has already.
+
+mod cube;
+mod guest;
+mod host;
+mod memory;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let folder = std::env::args_os().nth(1).map_or_else(|| PathBuf::from("."), PathBuf::from);
+    let validation = ashsplat::vk::validation_available();
+    let drawn = guest::pictures(&folder, &host::HostOptions { validation, ..Default::default() });
+    match drawn {
+        Ok(report) => {
+            println!("{}", ashsplat::vk::Context::requirements());
+            report.iter().for_each(|line| println!("{line}"));
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(2)
+        }
+    }
+}

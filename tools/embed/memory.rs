@@ -1,0 +1,190 @@
+//! The host's images and buffers.
+
+use super::host::{Host, Result};
+use ashsplat::ash::vk;
+use ashsplat::vk::ForeignImage;
+
+/// An image with its memory and a view.
+pub struct HostTexture {
+    pub image: vk::Image,
+    pub view: vk::ImageView,
+    pub format: vk::Format,
+    pub usage: vk::ImageUsageFlags,
+    pub size: [u32; 2],
+    pub aspect: vk::ImageAspectFlags,
+    memory: vk::DeviceMemory,
+}
+
+impl HostTexture {
+    pub fn new(host: &Host, format: vk::Format, usage: vk::ImageUsageFlags, size: [u32; 2]) -> Result<Self> {
+        let depth = format == vk::Format::D32_SFLOAT || format == vk::Format::D16_UNORM;
+        let aspect = if depth { vk::ImageAspectFlags::DEPTH } else { vk::ImageAspectFlags::COLOR };
+        let info = vk::ImageCreateInfo::default()
+            .image_type(vk::ImageType::TYPE_2D)
+            .format(format)
+            .extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 })
+            .mip_levels(1)
+            .array_layers(1)
+            .samples(vk::SampleCountFlags::TYPE_1)
+            .usage(usage);
+        // SAFETY: valid create infos; the image is bound to memory of its own.
+        unsafe {
+            let image = host.device.create_image(&info, None)?;
+            let needs = host.device.get_image_memory_requirements(image);
+            let memory = host.allocate(needs, vk::MemoryPropertyFlags::empty())?;
+            host.device.bind_image_memory(image, memory, 0)?;
+            let range = vk::ImageSubresourceRange {
+                aspect_mask: aspect,
+                level_count: 1,
+                layer_count: 1,
+                ..Default::default()
+            };
+            let info = vk::ImageViewCreateInfo::default()
+                .image(image)
+                .view_type(vk::ImageViewType::TYPE_2D)
+                .format(format)
+                .subresource_range(range);
+            let view = host.device.create_image_view(&info, None)?;
+            Ok(Self { image, view, format, usage, size, aspect, memory })
+        }
+    }
+
+    /// What the guest is told of it.
+    pub fn foreign(&self) -> ForeignImage {
+        let Self { image, format, usage, size, .. } = *self;
+        ForeignImage { image, format, usage, size, mip_level: 0, layer: 0 }
+    }
+
+    /// Records a change of layout.
+    pub fn barrier(&self, host: &Host, commands: vk::CommandBuffer, from: Use, to: Use) {
+        let barriers = [vk::ImageMemoryBarrier2::default()
+            .src_stage_mask(from.1)
+            .src_access_mask(from.2)
+            .dst_stage_mask(to.1)
+            .dst_access_mask(to.2)
+            .old_layout(from.0)
+            .new_layout(to.0)
+            .image(self.image)
+            .subresource_range(vk::ImageSubresourceRange {
+                aspect_mask: self.aspect,
+                level_count: 1,
+                layer_count: 1,
+                ..Default::default()
+            })];
+        let dependency = vk::DependencyInfo::default().image_memory_barriers(&barriers);
+        // SAFETY: recording state.
+        unsafe { host.device.cmd_pipeline_barrier2(commands, &dependency) }
+    }
+
+    /// The region of a copy of the whole image.
+    pub fn region(&self) -> vk::BufferImageCopy {
+        let layers =
+            vk::ImageSubresourceLayers { aspect_mask: self.aspect, layer_count: 1, ..Default::default() };
+        let [width, height] = self.size;
+        vk::BufferImageCopy::default().image_subresource(layers).image_extent(vk::Extent3D {
+            width,
+            height,
+            depth: 1,
+        })
+    }
+
+    /// Reads the image back: its layout and last use are `from`. Waits.
+    pub fn read(&self, host: &Host, from: Use, bytes_per_texel: u64) -> Result<Vec<u8>> {
+        let bytes = u64::from(self.size[0]) * u64::from(self.size[1]) * bytes_per_texel;
+        let staging = HostBuffer::new(host, bytes)?;
+        host.run(|commands| {
+            let read = (
+                vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+                vk::PipelineStageFlags2::ALL_TRANSFER,
+                vk::AccessFlags2::TRANSFER_READ,
+            );
+            self.barrier(host, commands, from, read);
+            // SAFETY: recording state; the buffer holds the image.
+            unsafe {
+                let regions = [self.region()];
+                host.device.cmd_copy_image_to_buffer(commands, self.image, read.0, staging.raw, &regions);
+            }
+            staging.to_host(host, commands);
+            Ok(())
+        })?;
+        let read = staging.read(host, bytes as usize)?;
+        staging.destroy(host);
+        Ok(read)
+    }
+
+    pub fn destroy(self, host: &Host) {
+        // SAFETY: no longer in use.
+        unsafe {
+            host.device.destroy_image_view(self.view, None);
+            host.device.destroy_image(self.image, None);
+            host.device.free_memory(self.memory, None);
+        }
+    }
+}
+
+/// Layout, stages and accesses of an image at some point.
+pub type Use = (vk::ImageLayout, vk::PipelineStageFlags2, vk::AccessFlags2);
+
+/// A buffer in mapped memory.
+pub struct HostBuffer {
+    pub raw: vk::Buffer,
+    memory: vk::DeviceMemory,
+}
+
+impl HostBuffer {
+    pub fn new(host: &Host, bytes: u64) -> Result<Self> {
+        let usage = vk::BufferUsageFlags::TRANSFER_SRC
+            | vk::BufferUsageFlags::TRANSFER_DST
+            | vk::BufferUsageFlags::STORAGE_BUFFER;
+        let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
+        // SAFETY: a valid create info; bound to memory of its own.
+        unsafe {
+            let raw = host.device.create_buffer(&info, None)?;
+            let needs = host.device.get_buffer_memory_requirements(raw);
+            let flags = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
+            let memory = host.allocate(needs, flags)?;
+            host.device.bind_buffer_memory(raw, memory, 0)?;
+            Ok(Self { raw, memory })
+        }
+    }
+
+    /// Records that what transfers and shaders wrote becomes visible to the host.
+    pub fn to_host(&self, host: &Host, commands: vk::CommandBuffer) {
+        let barriers = [vk::MemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::HOST)
+            .dst_access_mask(vk::AccessFlags2::HOST_READ)];
+        let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
+        // SAFETY: recording state.
+        unsafe { host.device.cmd_pipeline_barrier2(commands, &dependency) }
+    }
+
+    pub fn write(&self, host: &Host, bytes: &[u8]) -> Result<()> {
+        // SAFETY: the memory is host-visible, has room for the bytes, and is not in use.
+        unsafe {
+            let at = host.device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty())?;
+            std::ptr::copy_nonoverlapping(bytes.as_ptr(), at.cast(), bytes.len());
+            host.device.unmap_memory(self.memory);
+        }
+        Ok(())
+    }
+
+    pub fn read(&self, host: &Host, bytes: usize) -> Result<Vec<u8>> {
+        // SAFETY: as above.
+        unsafe {
+            let at = host.device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty())?;
+            let read = std::slice::from_raw_parts(at.cast::<u8>(), bytes).to_vec();
+            host.device.unmap_memory(self.memory);
+            Ok(read)
+        }
+    }
+
+    pub fn destroy(self, host: &Host) {
+        // SAFETY: no longer in use.
+        unsafe {
+            host.device.destroy_buffer(self.raw, None);
+            host.device.free_memory(self.memory, None);
+        }
+    }
+}
