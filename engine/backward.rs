@@ -5,9 +5,8 @@
 //! same inputs on the same device give the same bits.
 
 use crate::error::Result;
-use crate::forward::{Forward, FrameInputs, arguments, camera_push};
+use crate::forward::{Forward, FrameInputs, camera_push, range_arguments};
 use crate::kernels::backward::{blend_backward, expand_gradients, project_backward};
-use crate::kernels::constants as c;
 use crate::plan::{Blocks, blocks, tile_grid};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -52,7 +51,8 @@ impl Backward {
         let subgroup_size = self.context.limits().subgroup_size;
         let slot = &mut self.blend[usize::from(inverse_depth)];
         if slot.is_none() {
-            let spec = blend_backward::Spec { workgroup_size: self.sizes.tile, subgroup_size, inverse_depth };
+            let Blocks { tile: workgroup_size, column_chain, .. } = self.sizes;
+            let spec = blend_backward::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain };
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         let slot = &mut self.project[sh_degree as usize];
@@ -95,13 +95,14 @@ impl Backward {
         let Some(kernel) = &self.blend[usize::from(inputs.settings.inverse_depth)] else {
             panic!("Backward::prepare was not called for inverse depth");
         };
+        let splats = f.splats();
         let bind = blend_backward::Bind {
             tile_ranges: &f.tile_ranges,
-            sorted_visible: &f.sorted_visible,
+            sorted_visible: Forward::sorted_visible(&self.sizes, f, inputs.capacity, inputs.camera),
             sorted_slots: Forward::sorted_slots(&self.sizes, f, inputs.camera),
-            mean2d_extent: &f.mean2d_extent,
-            conic_opacity: &f.conic_opacity,
-            color_inverse_depth: &f.color_inverse_depth,
+            mean2d_extent: splats.mean2d_extent,
+            conic_opacity: splats.conic_opacity,
+            color_inverse_depth: splats.color_inverse_depth,
             accumulated: &f.accumulated,
             inverse_depth: &f.inverse_depth,
             last_entries: &f.last_entries,
@@ -124,6 +125,7 @@ impl Backward {
                 first_entry: pass.saturating_mul(self.sizes.entries_per_pass),
                 max_entries: self.sizes.entries_per_pass,
                 background: inputs.settings.background,
+                splat_stride: splats.stride,
             };
             r.dispatch(kernel, &bind, &push, u64::from(columns) * u64::from(rows));
         }
@@ -148,18 +150,18 @@ impl Backward {
             let bind = project_backward::Bind {
                 parameters: &inputs.scene.chunks[range.chunk],
                 state: &f.state,
+                visible_ranges: &f.visible_ranges,
                 visible_list: &f.visible_list,
-                footprints: &f.footprints,
+                footprints: f.splats().footprints,
                 slot_begins: &f.slot_begins,
-                conic_opacity: &f.conic_opacity,
+                conic_opacity: f.splats().conic_opacity,
                 sums_a: &f.sums_a,
                 sums_b: &f.sums_b,
                 sums_c: &f.sums_c,
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
             };
-            let at = arguments(f, c::ARGUMENTS_VISIBLE);
-            r.dispatch_indirect(kernel, &bind, &push, &at);
+            r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));
         }
     }
 

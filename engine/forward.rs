@@ -15,7 +15,7 @@ pub(crate) use settings::{camera_push, jacobian_limits};
 
 use crate::error::Result;
 use crate::kernels::constants as c;
-use crate::kernels::forward::{compact, count, cull, expand, prepare, project, ranges};
+use crate::kernels::forward::{compact, count, cull, expand, prepare, prepare_ranges, project, ranges};
 use crate::plan::{
     Blocks, FrameBuffers, FrameCapacity, GaussianRange, ScenePlan, blocks, tile_bits, tile_grid,
 };
@@ -94,6 +94,7 @@ pub struct PlacedScene<'a> {
 #[derive(Clone, Copy)]
 struct Part<'a> {
     scene: &'a SceneBuffers,
+    frame: &'a FrameBuffers,
     camera: &'a Camera,
     settings: &'a RenderSettings,
     sh_degree: u32,
@@ -103,9 +104,8 @@ struct Part<'a> {
 }
 
 impl<'a> FrameInputs<'a> {
-    /// The dispatches over parameters: chunk by chunk, scene by scene.
-    fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
-        let settings = self.settings;
+    /// The scenes, each with its place.
+    fn placed(&self) -> impl Iterator<Item = PlacedPart<'a>> + use<'a> {
         let first =
             PlacedPart { scene: self.scene, camera: self.camera, sh_degree: self.sh_degree, first: 0 };
         let others = self.others.iter().map(|o| PlacedPart {
@@ -114,12 +114,18 @@ impl<'a> FrameInputs<'a> {
             sh_degree: o.sh_degree,
             first: o.first,
         });
-        std::iter::once(first).chain(others).flat_map(move |placed| {
+        std::iter::once(first).chain(others)
+    }
+
+    /// The dispatches over parameters: chunk by chunk, scene by scene.
+    fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
+        let (frame, settings) = (self.frame, self.settings);
+        self.placed().flat_map(move |placed| {
             let PlacedPart { scene, camera, sh_degree, first } = placed;
             let ranges = scene.plan.ranges(scene.count);
             ranges.map(move |range| {
                 let first = first + range.first;
-                Part { scene, camera, settings, sh_degree, range, first }
+                Part { scene, frame, camera, settings, sh_degree, range, first }
             })
         })
     }
@@ -155,10 +161,12 @@ pub struct Forward {
     cull: Kernel<cull::Interface>,
     compact: Kernel<compact::Interface>,
     prepare: Kernel<prepare::Interface>,
+    prepare_ranges: Kernel<prepare_ranges::Interface>,
     project: [Option<Kernel<project::Interface>>; 4],
     count: Kernel<count::Interface>,
-    expand: Kernel<expand::Interface>,
-    ranges: Kernel<ranges::Interface>,
+    /// Without slots, as rendering alone needs none, and with.
+    expand: [Kernel<expand::Interface>; 2],
+    ranges: [Kernel<ranges::Interface>; 2],
     blend: blending::Blend,
 }
 
@@ -171,18 +179,31 @@ impl Forward {
         let limits = context.limits();
         let sizes = Blocks::new(limits);
         let (workgroup_size, subgroup_size) = (sizes.stream, limits.subgroup_size);
+        let expand = |slots| {
+            let spec = expand::Spec { workgroup_size, subgroup_size, items: sizes.expand_items, slots };
+            Kernel::new(context, &spec)
+        };
+        let ranges = |slots| Kernel::new(context, &ranges::Spec { workgroup_size, slots });
         Ok(Self {
             context: context.clone(),
             sizes,
             scan: Scan::new(context)?,
             sort: RadixSort::new(context)?,
             cull: Kernel::new(context, &cull::Spec { workgroup_size, subgroup_size })?,
-            compact: Kernel::new(context, &compact::Spec { workgroup_size, subgroup_size })?,
+            // Its blocks are those of culling.
+            compact: Kernel::new(
+                context,
+                &compact::Spec { workgroup_size, subgroup_size, block: workgroup_size },
+            )?,
             prepare: Kernel::new(context, &prepare::Spec::default())?,
+            prepare_ranges: Kernel::new(context, &prepare_ranges::Spec { workgroup_size })?,
             project: Default::default(),
-            count: Kernel::new(context, &count::Spec { workgroup_size })?,
-            expand: Kernel::new(context, &expand::Spec { workgroup_size })?,
-            ranges: Kernel::new(context, &ranges::Spec { workgroup_size })?,
+            count: Kernel::new(
+                context,
+                &count::Spec { workgroup_size: sizes.scan_workgroup, subgroup_size, items: sizes.scan_items },
+            )?,
+            expand: [expand(false)?, expand(true)?],
+            ranges: [ranges(false)?, ranges(true)?],
             blend: blending::Blend::default(),
         })
     }
@@ -227,7 +248,7 @@ impl Forward {
         r.scope("count", |r| self.record_count(r, inputs));
         r.scope("expand", |r| self.record_expand(r, inputs));
         let sorted = r.scope("tile sort", |r| self.record_tile_sort(r, inputs));
-        r.scope("ranges", |r| self.record_ranges(r, f, sorted));
+        r.scope("ranges", |r| self.record_ranges(r, inputs, sorted));
         r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
     }
 
@@ -253,7 +274,7 @@ impl Forward {
             r.dispatch(&self.cull, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
         }
         r.barrier();
-        let count = inputs.index_count();
+        let (count, subgroup_size) = (inputs.index_count(), self.context.limits().subgroup_size);
         let culled_blocks = count.div_ceil(self.sizes.stream);
         self.scan.record_block_sums(
             r,
@@ -272,30 +293,51 @@ impl Forward {
                 visible_index: &f.visible_index,
             },
             &compact::Push { count },
-            culled_blocks.into(),
+            // A block per subgroup.
+            blocks(culled_blocks.into(), (self.sizes.stream / subgroup_size).into()),
         );
-        self.record_prepare(r, f, c::STATE_VISIBLE_NEEDED, inputs.capacity.gaussians, c::ARGUMENTS_VISIBLE);
+        let counted =
+            [c::STATE_VISIBLE_NEEDED, inputs.capacity.gaussians, c::ARGUMENTS_VISIBLE, self.sizes.scan];
+        self.record_prepare(r, f, counted);
+        r.barrier();
+        for placed in inputs.placed() {
+            let plan = &placed.scene.plan;
+            let ranges = plan.ranges(placed.scene.count).count() as u32;
+            r.dispatch(
+                &self.prepare_ranges,
+                &prepare_ranges::Bind {
+                    state: &f.state,
+                    block_offsets: &f.visible_blocks,
+                    visible_ranges: &f.visible_ranges,
+                },
+                &prepare_ranges::Push {
+                    ranges,
+                    blocks: culled_blocks,
+                    first_block: placed.first / self.sizes.stream,
+                    own_blocks: placed.scene.count.div_ceil(self.sizes.stream),
+                    blocks_per_range: plan.stride / self.sizes.stream,
+                    block_stream: self.sizes.stream,
+                    max_workgroups_per_axis: self.context.limits().max_workgroups_per_axis,
+                },
+                blocks(ranges.into(), self.sizes.stream.into()),
+            );
+        }
         r.barrier();
     }
 
-    fn record_prepare(
-        &self,
-        r: &mut Recorder,
-        f: &FrameBuffers,
-        count_index: u32,
-        capacity: u32,
-        first: u32,
-    ) {
+    /// `counted`: index of the count, its capacity, index of the first argument, block of the third.
+    fn record_prepare(&self, r: &mut Recorder, f: &FrameBuffers, counted: [u32; 4]) {
+        let [count_index, capacity, first_argument, block_third] = counted;
         r.dispatch(
             &self.prepare,
             &prepare::Bind { state: &f.state, arguments: &f.arguments },
             &prepare::Push {
                 count_index,
                 capacity,
-                first_argument: first,
+                first_argument,
                 block_stream: self.sizes.stream,
                 block_sort: self.sizes.sort,
-                block_scan: self.sizes.scan,
+                block_third,
                 max_workgroups_per_axis: self.context.limits().max_workgroups_per_axis,
             },
             1,
@@ -305,6 +347,7 @@ impl Forward {
     /// Screen-space attributes of the visible.
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
+        let splats = f.splats();
         for (index, part) in inputs.parts().enumerate() {
             let Some(kernel) = &self.project[part.sh_degree as usize] else {
                 panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
@@ -313,18 +356,19 @@ impl Forward {
             let push = camera_push!(project::Push, &part, range);
             let bind = project::Bind {
                 parameters: &part.scene.chunks[range.chunk],
-                state: &f.state,
+                visible_ranges: &f.visible_ranges,
                 visible_list: &f.visible_list,
-                mean2d_extent: &f.mean2d_extent,
-                conic_opacity: &f.conic_opacity,
-                color_inverse_depth: &f.color_inverse_depth,
+                mean2d_extent: splats.mean2d_extent,
+                conic_opacity: splats.conic_opacity,
+                color_inverse_depth: splats.color_inverse_depth,
                 depth_keys: &f.depth_keys_a,
-                footprints: &f.footprints,
+                footprints: splats.footprints,
+                visible_tiles: &f.visible_tiles,
             };
             if index > 0 {
                 r.barrier();
             }
-            r.dispatch_indirect(kernel, &bind, &push, &arguments(f, c::ARGUMENTS_VISIBLE));
+            r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));
         }
         r.barrier();
     }
@@ -351,13 +395,12 @@ impl Forward {
         let bind = count::Bind {
             state: &f.state,
             order: &f.order_a,
-            mean2d_extent: &f.mean2d_extent,
-            conic_opacity: &f.conic_opacity,
-            footprints: &f.footprints,
+            visible_tiles: &f.visible_tiles,
             tile_counts: &f.tile_counts,
+            block_sums: &f.scan_blocks,
         };
-        let push = count::Push { extent: inputs.settings.extent_word() };
-        r.dispatch_indirect(&self.count, &bind, &push, &arguments(f, c::ARGUMENTS_VISIBLE));
+        let at = arguments(f, c::ARGUMENTS_VISIBLE_SCAN);
+        r.dispatch_indirect(&self.count, &bind, &count::Push {}, &at);
         r.barrier();
         let buffers = ScanBuffers {
             counts: &f.state,
@@ -367,34 +410,37 @@ impl Forward {
             prefix: &f.instance_offsets,
             block_sums: &f.scan_blocks,
         };
-        self.scan.record(r, &buffers, Workgroups::Indirect(&arguments(f, c::ARGUMENTS_VISIBLE_SCAN)));
+        self.scan.record_from_block_sums(r, &buffers, Workgroups::Indirect(&at));
         r.barrier();
-        let capacity = inputs.capacity.instances;
-        self.record_prepare(r, f, c::STATE_INSTANCES_NEEDED, capacity, c::ARGUMENTS_INSTANCES);
+        let (capacity, block) = (inputs.capacity.instances, self.sizes.stream * self.sizes.expand_items);
+        self.record_prepare(r, f, [c::STATE_INSTANCES_NEEDED, capacity, c::ARGUMENTS_INSTANCES, block]);
         r.barrier();
     }
 
     /// One (tile, Gaussian) instance per touched tile.
     fn record_expand(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
+        let (slots, splats) = (inputs.capacity.backward, f.splats());
         let bind = expand::Bind {
             state: &f.state,
             order: &f.order_a,
             instance_offsets: &f.instance_offsets,
-            mean2d_extent: &f.mean2d_extent,
-            conic_opacity: &f.conic_opacity,
-            footprints: &f.footprints,
+            mean2d_extent: splats.mean2d_extent,
+            footprints: splats.footprints,
             instance_tiles: &f.tiles_a,
-            instance_visible: &f.instance_visible,
+            instance_visible: if slots { &f.instance_visible } else { &f.sorted_a },
             slot_begins: &f.slot_begins,
         };
-        let (tiles_per_row, _) = tile_grid(inputs.camera.width, inputs.camera.height);
-        let push = expand::Push { extent: inputs.settings.extent_word(), tiles_per_row };
-        r.dispatch_indirect(&self.expand, &bind, &push, &arguments(f, c::ARGUMENTS_INSTANCES));
+        let (tiles_per_row, tile_rows) = tile_grid(inputs.camera.width, inputs.camera.height);
+        let (extent, splat_stride) = (inputs.settings.extent_word(), splats.stride);
+        let push = expand::Push { extent, tiles_per_row, tile_rows, splat_stride };
+        let at = arguments(f, c::ARGUMENTS_INSTANCES_EXPAND);
+        r.dispatch_indirect(&self.expand[usize::from(slots)], &bind, &push, &at);
         r.barrier();
     }
 
-    /// Instances by tile, stable, so that depth order remains within a tile. Returns where the result lies.
+    /// Instances by tile, stable, so that depth order remains within a tile: their slots, which are their places before,
+    /// or without backward the visible Gaussians themselves. Returns where the result lies.
     fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) -> usize {
         let f = inputs.frame;
         let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
@@ -402,37 +448,61 @@ impl Forward {
             counts: &f.state,
             count_index: c::STATE_INSTANCES,
             keys: [&f.tiles_a, &f.tiles_b],
-            values: [&f.slots_a, &f.slots_b],
+            values: [&f.sorted_a, &f.sorted_b],
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
         };
         let at = arguments(f, c::ARGUMENTS_INSTANCES_SORT);
         let bits = tile_bits(columns * rows);
-        let sorted = self.sort.record(r, &buffers, Values::Positions, bits, Workgroups::Indirect(&at));
+        let values = if inputs.capacity.backward { Values::Positions } else { Values::Given };
+        let sorted = self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
         r.barrier();
         sorted
     }
 
     /// Where each tile begins and ends.
-    fn record_ranges(&self, r: &mut Recorder, f: &FrameBuffers, sorted: usize) {
+    fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs, sorted: usize) {
+        let f = inputs.frame;
         let bind = ranges::Bind {
             state: &f.state,
             sorted_tiles: [&f.tiles_a, &f.tiles_b][sorted],
-            sorted_slots: [&f.slots_a, &f.slots_b][sorted],
+            sorted_slots: [&f.sorted_a, &f.sorted_b][sorted],
             instance_visible: &f.instance_visible,
             tile_ranges: &f.tile_ranges,
             sorted_visible: &f.sorted_visible,
         };
-        r.dispatch_indirect(&self.ranges, &bind, &ranges::Push {}, &arguments(f, c::ARGUMENTS_INSTANCES));
+        let kernel = &self.ranges[usize::from(inputs.capacity.backward)];
+        r.dispatch_indirect(kernel, &bind, &ranges::Push {}, &arguments(f, c::ARGUMENTS_INSTANCES));
         r.barrier();
     }
 
-    /// Which of the frame's two slot buffers hold the sorted slots for an image of this size.
-    pub fn sorted_slots<'a>(sizes: &Blocks, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
+    /// Which of the frame's two buffers of sorted values hold the result for an image of this size.
+    fn sorted_values<'a>(sizes: &Blocks, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
         let (columns, rows) = tile_grid(camera.width, camera.height);
         let passes = sizes.sort_passes(tile_bits(columns * rows));
-        if passes.is_multiple_of(2) { &frame.slots_a } else { &frame.slots_b }
+        if passes.is_multiple_of(2) { &frame.sorted_a } else { &frame.sorted_b }
     }
+
+    /// The slots of the sorted instances, in a frame with backward.
+    pub fn sorted_slots<'a>(sizes: &Blocks, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
+        Self::sorted_values(sizes, frame, camera)
+    }
+
+    /// The visible Gaussian of each sorted instance.
+    pub fn sorted_visible<'a>(
+        sizes: &Blocks,
+        frame: &'a FrameBuffers,
+        capacity: &FrameCapacity,
+        camera: &Camera,
+    ) -> &'a Buffer {
+        if capacity.backward { &frame.sorted_visible } else { Self::sorted_values(sizes, frame, camera) }
+    }
+}
+
+/// The indirect arguments of a dispatch over the visible of one range of parameters, whose place in `visible_ranges` is
+/// that of its first block of culling.
+pub(crate) fn range_arguments(frame: &FrameBuffers, sizes: &Blocks, range: GaussianRange) -> Buffer {
+    frame.visible_ranges.range(32 * u64::from(range.first / sizes.stream), 12)
 }
 
 /// The indirect arguments of this name (ARGUMENTS_*).

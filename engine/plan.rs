@@ -4,31 +4,20 @@
 //! (one (tile, Gaussian) pair), per tile, per pixel. How many Gaussians are visible, and how many instances a frame has,
 //! is known only on the device: here are capacities.
 
+mod block_sizes;
 mod sorting;
 
+pub use block_sizes::Blocks;
 pub use sorting::SortMethod;
+
+use block_sizes::STREAM_WORKGROUP;
 
 use crate::error::{Error, Result};
 use crate::kernels::constants::{
     ARGUMENTS_COUNT, GRADIENT_PLANES, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2, SH_PLANES_3,
-    STATE_WORDS, TILE_SIZE,
+    SPLAT_PLANES, STATE_WORDS, TILE_SIZE,
 };
-use crate::vk::Limits;
-
-/// Invocations of a streaming workgroup, where the device allows it.
-const STREAM_WORKGROUP: u32 = 256;
-/// Columns that one invocation of the loss goes down: what it keeps of them just fits into the fastest cache.
-const LOSS_SWEEP_STRIP: u32 = 8;
-/// Values of one invocation of a scan: read in fours. A processor rather has fewer invocations without barriers.
-const SCAN_ITEMS: [u32; 2] = [4, 256];
-/// Entries of a tile blended by one pass where the driver bounds the iterations of an invocation: a loop over entries
-/// costs at most 2 iterations per entry at any subgroup size from 4.
-const ENTRIES_PER_LOOP_BUDGET: u32 = 2;
-
-/// Entries of a tile blended by one dispatch at most, on any device. It bounds the work of a dispatch, so that no
-/// desktop's watchdog takes it for a hang: an invocation blends so many entries, and all dispatches but these touch each
-/// Gaussian, instance or pixel a constant number of times.
-const MAX_ENTRIES_PER_PASS: u32 = 1 << 18;
+use crate::vk::{Buffer, Limits};
 
 /// `ceil(n / d)`.
 pub const fn blocks(n: u64, d: u64) -> u64 {
@@ -44,105 +33,6 @@ pub const fn parameter_planes(sh_degree: u32) -> u32 {
             2 => SH_PLANES_2,
             _ => SH_PLANES_3,
         }
-}
-
-/// Sizes of workgroups and blocks on a device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Blocks {
-    /// Invocations of a streaming workgroup, which is also a block of culling and densification.
-    pub stream: u32,
-    /// How keys are sorted.
-    pub sort_method: SortMethod,
-    /// Invocations of a sorting workgroup.
-    pub sort_workgroup: u32,
-    /// Keys of one invocation of a sort.
-    pub sort_items: u32,
-    /// Keys of a block of a sort.
-    pub sort: u32,
-    /// Whether a single workgroup sorts what [`Blocks::sorts_alone`] says.
-    pub sort_alone: bool,
-    /// Invocations of a scan's workgroup.
-    pub scan_workgroup: u32,
-    /// Values of one invocation of a scan.
-    pub scan_items: u32,
-    /// Values of a block of a scan.
-    pub scan: u32,
-    /// Invocations of a tile's workgroup: one subgroup per region of a tile.
-    pub tile: u32,
-    /// Invocations of a tile's workgroup that blends from shared memory: at most one per pixel.
-    pub tile_shared: u32,
-    /// Invocations of the loss' workgroups.
-    pub loss: u32,
-    /// Pixels in a row of one invocation of the loss.
-    pub loss_strip: u32,
-    /// Invocations of the loss' workgroups where they share nothing.
-    pub loss_sweep: u32,
-    /// Columns of one invocation of the loss there.
-    pub loss_sweep_strip: u32,
-    /// Entries of a tile that one blending pass may handle.
-    pub entries_per_pass: u32,
-}
-
-impl Blocks {
-    /// Block sizes for a device, or those that its [`Limits::overrides`] ask for.
-    pub fn new(limits: &Limits) -> Self {
-        let method = if limits.is_cpu { SortMethod::Runs } else { SortMethod::Matching };
-        Self::with_sort_method(limits, method)
-    }
-
-    /// The same with a given kind of sort.
-    pub fn with_sort_method(limits: &Limits, sort_method: SortMethod) -> Self {
-        // Blocks nest in each other and in tiles, so that only powers of two will do.
-        let size = |folder: &str, constant: &str, usual: u32| {
-            let asked = limits.overridden(folder, constant).unwrap_or(usual).max(1);
-            1 << asked.ilog2()
-        };
-        let stream =
-            limits.workgroup_size(size("", "WORKGROUP_SIZE", STREAM_WORKGROUP).min(STREAM_WORKGROUP));
-        let (sort_workgroup, sort_items) = sorting::shape(limits, sort_method, stream, size);
-        let scan_items = size("scan", "ITEMS", SCAN_ITEMS[usize::from(limits.is_cpu)]).max(4);
-        let scan_workgroup = limits.workgroup_size(size(
-            "scan",
-            "WORKGROUP_SIZE",
-            if limits.is_cpu { limits.subgroup_size } else { stream },
-        ));
-        let regions = if limits.subgroup_size <= 64 { 4 } else { 2 };
-        Self {
-            stream,
-            sort_method,
-            sort_workgroup,
-            sort_items,
-            sort: sort_workgroup * sort_items,
-            sort_alone: sort_method == SortMethod::Runs,
-            scan_workgroup,
-            scan_items,
-            scan: scan_workgroup * scan_items,
-            tile: regions * limits.subgroup_size,
-            // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
-            tile_shared: stream.min(TILE_SIZE * TILE_SIZE),
-            loss: limits.workgroup_size(size(
-                "loss",
-                "WORKGROUP_SIZE",
-                if limits.is_cpu { 64 } else { STREAM_WORKGROUP },
-            )),
-            // Wide enough to fill a GPU's workgroup; a processor rather reads less.
-            loss_strip: size("loss", "STRIP", if limits.is_cpu { 4 } else { 2 }).min(TILE_SIZE),
-            // Few and long invocations: small workgroups spread them evenly.
-            loss_sweep: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
-            loss_sweep_strip: size("loss", "STRIP", LOSS_SWEEP_STRIP),
-            entries_per_pass: limits
-                .max_loop_iterations
-                .map_or(MAX_ENTRIES_PER_PASS, |n| n / ENTRIES_PER_LOOP_BUDGET)
-                .min(MAX_ENTRIES_PER_PASS),
-        }
-    }
-}
-
-impl Blocks {
-    /// Elements of the smallest block over which there are dispatches.
-    fn smallest(&self) -> u32 {
-        self.stream.min(self.sort).min(self.scan)
-    }
 }
 
 /// A range of Gaussians whose parameter planes lie in one buffer.
@@ -260,7 +150,7 @@ macro_rules! frame_requests {
     ($($(#[$doc:meta])* $name:ident: $bytes:expr;)*) => {
         /// Buffers of a frame, one field each.
         #[derive(Clone)]
-        pub struct FrameBuffers { $($(#[$doc])* pub $name: crate::vk::Buffer,)* }
+        pub struct FrameBuffers { $($(#[$doc])* pub $name: Buffer,)* }
 
         /// Names and bytes of [`FrameBuffers`], in order.
         pub fn frame_requests(capacity: &FrameCapacity, block: &Blocks) -> Vec<(&'static str, u64)> {
@@ -270,7 +160,7 @@ macro_rules! frame_requests {
 
         impl FrameBuffers {
             /// Names the buffers that were allocated for [`frame_requests`], in the same order.
-            pub fn from_allocated(buffers: Vec<crate::vk::Buffer>) -> Self {
+            pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
                 let mut buffers = buffers.into_iter();
                 let mut next = || match buffers.next() {
                     Some(buffer) => buffer,
@@ -290,6 +180,12 @@ struct FrameSizes {
     histogram: u64,
     digits: u64,
     tiles: u64,
+    /// vec4 from one visible Gaussian's attributes to the next one's.
+    splat_stride: u64,
+    /// 1 where they lie in buffers of their own, else 0.
+    apart: u64,
+    /// Instances with slots of their own, where backward needs them.
+    slots: u64,
     pixels: u64,
     /// 1 with backward, 0 without.
     backward: u64,
@@ -307,6 +203,8 @@ impl FrameSizes {
         let depth_sort = block.sort_histogram_words(gaussians, u32::BITS);
         // A smaller image may have longer digits, in fewer passes.
         let tile_sort = (1..=tile_bits).map(|bits| block.sort_histogram_words(instances, bits)).max();
+        let record = 16 * u64::from(SPLAT_PLANES);
+        let together = gaussians * record <= block.max_binding_bytes;
         Self {
             gaussians,
             gaussian_blocks: blocks(gaussians, block.stream.into()),
@@ -315,6 +213,9 @@ impl FrameSizes {
             histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)),
             digits: 1 << block.sort_digit_bits(),
             tiles: u64::from(columns) * u64::from(rows),
+            splat_stride: if together { SPLAT_PLANES.into() } else { 1 },
+            apart: u64::from(!together),
+            slots: backward * instances,
             pixels: u64::from(capacity.width) * u64::from(capacity.height),
             backward,
             passes: backward * u64::from(capacity.blend_passes > 1),
@@ -327,6 +228,8 @@ frame_requests! {
     state: |_| u64::from(STATE_WORDS) * 4;
     /// Indirect arguments, named ARGUMENTS_*.
     arguments: |_| u64::from(ARGUMENTS_COUNT) * 16;
+    /// Per range of parameters: indirect arguments, and which of the visible lie in it. There are fewer than blocks.
+    visible_ranges: |s| s.gaussian_blocks.max(1) * 32;
     /// Per Gaussian: 1 if visible.
     visible_flags: |s| s.gaussians * 4;
     /// Visible Gaussians per block, then the blocks' offsets.
@@ -335,14 +238,16 @@ frame_requests! {
     visible_list: |s| s.gaussians * 4;
     /// Per Gaussian: its place among the visible.
     visible_index: |s| s.gaussians * 4;
-    /// Per visible: mean and half extents, px.
-    mean2d_extent: |s| s.gaussians * 16;
+    /// Per visible: mean and half extents, px; or the records of all four attributes, see [`FrameBuffers::splats`].
+    splats: |s| s.gaussians * 16 * s.splat_stride;
     /// Per visible: conic and opacity.
-    conic_opacity: |s| s.gaussians * 16;
+    conic_opacity: |s| s.apart * s.gaussians * 16;
     /// Per visible: colour and 1/z.
-    color_inverse_depth: |s| s.gaussians * 16;
-    /// Per visible: tiles, radius, number of tiles.
-    footprints: |s| s.gaussians * 16;
+    color_inverse_depth: |s| s.apart * s.gaussians * 16;
+    /// Per visible: shape of its rows of tiles, number of tiles (tile_span.glsl).
+    footprints: |s| s.apart * s.gaussians * 16;
+    /// Per visible: number of tiles.
+    visible_tiles: |s| s.gaussians * 4;
     /// Per visible: bits of its depth; sorting scratch.
     depth_keys_a: |s| s.gaussians * 4;
     /// Sorting scratch.
@@ -365,16 +270,16 @@ frame_requests! {
     tiles_a: |s| s.instances * 4;
     /// Sorting scratch.
     tiles_b: |s| s.instances * 4;
-    /// Per sorted instance: its slot; sorting scratch.
-    slots_a: |s| s.instances * 4;
+    /// Per sorted instance: its slot, or without backward the visible Gaussian; sorting scratch.
+    sorted_a: |s| s.instances * 4;
     /// Sorting scratch.
-    slots_b: |s| s.instances * 4;
+    sorted_b: |s| s.instances * 4;
     /// Per slot: the visible Gaussian.
-    instance_visible: |s| s.instances * 4;
+    instance_visible: |s| s.slots * 4;
     /// Per sorted instance: the visible Gaussian.
-    sorted_visible: |s| s.instances * 4;
+    sorted_visible: |s| s.slots * 4;
     /// Per visible: its first slot.
-    slot_begins: |s| s.gaussians * 4;
+    slot_begins: |s| s.backward * s.gaussians * 4;
     /// Per tile: begin and end in the sorted instances.
     tile_ranges: |s| s.tiles * 8;
     /// Per pixel: premultiplied colour without background, transmittance.
@@ -388,11 +293,11 @@ frame_requests! {
     /// Per pixel: state between passes of the blending's backward.
     running: |s| s.passes * s.pixels * 8;
     /// Per slot: moments 1, dx, dy, dx dx.
-    sums_a: |s| s.backward * s.instances * 16;
+    sums_a: |s| s.slots * 16;
     /// Per slot: moments dx dy, dy dy; d red, d green.
-    sums_b: |s| s.backward * s.instances * 16;
+    sums_b: |s| s.slots * 16;
     /// Per slot: d blue, d inverse depth.
-    sums_c: |s| s.backward * s.instances * 8;
+    sums_c: |s| s.slots * 8;
     /// Per visible, planes named GRADIENT_*.
     gradients: |s| s.backward * s.gaussians * 16 * u64::from(GRADIENT_PLANES);
 }
@@ -431,6 +336,44 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &Blocks) ->
 /// Bytes of all buffers of a frame.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &Blocks) -> u64 {
     frame_requests(capacity, block).iter().map(|(_, bytes)| bytes).sum()
+}
+
+/// The attributes of the visible, as bindings: see splat_record.glsl.
+#[derive(Clone, Copy)]
+pub struct Splats<'a> {
+    /// Mean and half extents, px.
+    pub mean2d_extent: &'a Buffer,
+    /// Conic and opacity.
+    pub conic_opacity: &'a Buffer,
+    /// Colour and 1/z.
+    pub color_inverse_depth: &'a Buffer,
+    /// Shape of the rows of tiles, number of tiles.
+    pub footprints: &'a Buffer,
+    /// vec4 from one visible Gaussian's to the next one's: with [`SPLAT_PLANES`] all four are the same buffer.
+    pub stride: u32,
+}
+
+impl FrameBuffers {
+    /// The attributes of the visible.
+    pub fn splats(&self) -> Splats<'_> {
+        let records = &self.splats;
+        if records.bytes() > self.conic_opacity.bytes() {
+            return Splats {
+                mean2d_extent: records,
+                conic_opacity: records,
+                color_inverse_depth: records,
+                footprints: records,
+                stride: SPLAT_PLANES,
+            };
+        }
+        Splats {
+            mean2d_extent: records,
+            conic_opacity: &self.conic_opacity,
+            color_inverse_depth: &self.color_inverse_depth,
+            footprints: &self.footprints,
+            stride: 1,
+        }
+    }
 }
 
 /// `n` as u32.

@@ -81,6 +81,18 @@ impl Scan {
             Workgroups::Indirect(at) => recorder.dispatch_indirect(&self.reduce, &reduce, &push, at),
         }
         recorder.barrier();
+        self.record_from_block_sums(recorder, buffers, workgroups);
+    }
+
+    /// Records the prefix sum of values whose sums per block of [`Scan::block`] lie in `block_sums` already; the caller
+    /// places a barrier before and after.
+    pub fn record_from_block_sums(
+        &self,
+        recorder: &mut Recorder,
+        buffers: &ScanBuffers,
+        workgroups: Workgroups,
+    ) {
+        let b = buffers;
         self.record_spine(recorder, b);
         recorder.barrier();
         let apply = scan_apply::Bind {

@@ -1,6 +1,6 @@
 //! Blending, in two variants.
 
-use super::FrameInputs;
+use super::{Forward, FrameInputs};
 use crate::error::Result;
 use crate::kernels::forward::{blend, blend_shared};
 use crate::plan::{Blocks, tile_grid};
@@ -45,21 +45,23 @@ pub(super) struct Blend {
 
 /// The buffers of blend_io.glsl, for either kernel.
 macro_rules! blend_bind {
-    ($kernel:ident, $frame:expr, $depth_limits:expr) => {
+    ($kernel:ident, $inputs:expr, $sizes:expr) => {{
+        let frame = $inputs.frame;
+        let splats = frame.splats();
         $kernel::Bind {
-            tile_ranges: &$frame.tile_ranges,
-            sorted_visible: &$frame.sorted_visible,
-            mean2d_extent: &$frame.mean2d_extent,
-            conic_opacity: &$frame.conic_opacity,
-            color_inverse_depth: &$frame.color_inverse_depth,
-            accumulated: &$frame.accumulated,
-            inverse_depth: &$frame.inverse_depth,
-            last_entries: &$frame.last_entries,
-            state: &$frame.state,
+            tile_ranges: &frame.tile_ranges,
+            sorted_visible: Forward::sorted_visible($sizes, frame, $inputs.capacity, $inputs.camera),
+            mean2d_extent: splats.mean2d_extent,
+            conic_opacity: splats.conic_opacity,
+            color_inverse_depth: splats.color_inverse_depth,
+            accumulated: &frame.accumulated,
+            inverse_depth: &frame.inverse_depth,
+            last_entries: &frame.last_entries,
+            state: &frame.state,
             // Not read without a limit, but bound.
-            depth_limits: $depth_limits.unwrap_or(&$frame.tile_ranges),
+            depth_limits: $inputs.depth_limits.unwrap_or(&frame.tile_ranges),
         }
-    };
+    }};
 }
 
 /// The push constants of blend_io.glsl as another kernel's.
@@ -73,6 +75,7 @@ macro_rules! blend_push {
             first_entry: $push.first_entry,
             max_entries: $push.max_entries,
             last_pass: $push.last_pass,
+            splat_stride: $push.splat_stride,
         }
     };
 }
@@ -85,17 +88,30 @@ impl Blend {
     pub fn prepare(&mut self, context: &Context, sizes: &Blocks, wanted: BlendVariant) -> Result<()> {
         let BlendVariant { inverse_depth, linear_depth, depth_limit } = wanted;
         let variant = wanted.index();
+        let subgroup_size = context.limits().subgroup_size;
+        let Blocks { tile, tile_shared, column_chain, blend_parts: parts, .. } = *sizes;
         match self.blending {
             Blending::Regions if self.regions[variant].is_none() => {
-                let subgroup_size = context.limits().subgroup_size;
-                let workgroup_size = sizes.tile;
-                let spec =
-                    blend::Spec { workgroup_size, subgroup_size, inverse_depth, depth_limit, linear_depth };
+                let spec = blend::Spec {
+                    workgroup_size: tile / parts,
+                    subgroup_size,
+                    inverse_depth,
+                    depth_limit,
+                    linear_depth,
+                    column_chain,
+                    parts,
+                };
                 self.regions[variant] = Some(Kernel::new(context, &spec)?);
             }
             Blending::SharedMemory if self.shared[variant].is_none() => {
-                let workgroup_size = sizes.tile_shared;
-                let spec = blend_shared::Spec { workgroup_size, inverse_depth, depth_limit, linear_depth };
+                let spec = blend_shared::Spec {
+                    workgroup_size: tile_shared,
+                    subgroup_size,
+                    inverse_depth,
+                    depth_limit,
+                    linear_depth,
+                    column_chain,
+                };
                 self.shared[variant] = Some(Kernel::new(context, &spec)?);
             }
             _ => {}
@@ -106,21 +122,15 @@ impl Blend {
     /// Records the colour and transmittance of each pixel.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &Blocks) {
         let variant = inputs.blend_variant().index();
-        let limits = inputs.depth_limits;
         match (self.blending, &self.regions[variant], &self.shared[variant]) {
             (Blending::Regions, Some(kernel), _) => {
                 record_passes(r, inputs, sizes, |r, push, tiles| {
-                    r.dispatch(
-                        kernel,
-                        &blend_bind!(blend, inputs.frame, limits),
-                        &blend_push!(blend, push),
-                        tiles,
-                    );
+                    r.dispatch(kernel, &blend_bind!(blend, inputs, sizes), &blend_push!(blend, push), tiles);
                 });
             }
             (Blending::SharedMemory, _, Some(kernel)) => {
                 record_passes(r, inputs, sizes, |r, push, tiles| {
-                    r.dispatch(kernel, &blend_bind!(blend_shared, inputs.frame, limits), &push, tiles);
+                    r.dispatch(kernel, &blend_bind!(blend_shared, inputs, sizes), &push, tiles);
                 });
             }
             _ => panic!("Forward::prepare was not called for {:?}", inputs.blend_variant()),
@@ -148,6 +158,7 @@ fn record_passes(
             first_entry: pass.saturating_mul(sizes.entries_per_pass),
             max_entries: sizes.entries_per_pass,
             last_pass: (pass + 1 == inputs.capacity.blend_passes).into(),
+            splat_stride: inputs.frame.splats().stride,
         };
         dispatch(r, push, u64::from(columns) * u64::from(rows));
     }

@@ -100,6 +100,7 @@ macro_rules! camera_push {
             stride: $inputs.scene.plan.stride,
             extent: $inputs.settings.extent_word(),
             antialias: $inputs.settings.antialias.into(),
+            splat_stride: $inputs.frame.splats().stride,
             $($extra: $value,)*
         }
     }};

@@ -2,7 +2,7 @@
 
 use super::Renderer;
 use crate::error::{Error, Result};
-use crate::forward::RenderSettings;
+use crate::forward::{Forward, RenderSettings};
 use crate::kernels::constants as c;
 use crate::plan::tile_grid;
 use crate::scene::Camera;
@@ -61,15 +61,25 @@ impl Renderer {
         let (columns, _) = tile_grid(camera.width, camera.height);
         let tile = u64::from(y / c::TILE_SIZE * columns + x / c::TILE_SIZE);
         let range: Vec<u32> = self.read(&f.tile_ranges, tile * 8, 8)?;
+        let sorted_visible =
+            Forward::sorted_visible(&self.runner.forward.sizes, f, &self.runner.capacity(), camera);
         let entries: Vec<u32> =
-            self.read(&f.sorted_visible, u64::from(range[0]) * 4, u64::from(range[1] - range[0]) * 4)?;
-        let [means, conics, shades] =
-            [self.rows(&f.mean2d_extent)?, self.rows(&f.conic_opacity)?, self.rows(&f.color_inverse_depth)?];
+            self.read(sorted_visible, u64::from(range[0]) * 4, u64::from(range[1] - range[0]) * 4)?;
+        let splats = f.splats();
+        let [means, conics, shades] = [
+            self.rows(splats.mean2d_extent)?,
+            self.rows(splats.conic_opacity)?,
+            self.rows(splats.color_inverse_depth)?,
+        ];
+        let stride = splats.stride as usize;
+        let plane = |plane: u32| if stride == 1 { 0 } else { plane as usize };
         let gaussians: Vec<u32> = self.read(&f.visible_list, 0, f.visible_list.bytes())?;
         let mut report = PixelReport { transmittance: 1.0, ..PixelReport::default() };
         for visible in entries {
             let at = visible as usize;
-            let (mean, conic, shade) = (means[at], conics[at], shades[at]);
+            let mean = means[at * stride + plane(c::SPLAT_MEAN2D_EXTENT)];
+            let conic = conics[at * stride + plane(c::SPLAT_CONIC_OPACITY)];
+            let shade = shades[at * stride + plane(c::SPLAT_COLOR_INVERSE_DEPTH)];
             let (dx, dy) = (mean[0] - x as f32, mean[1] - y as f32);
             let power = -0.5 * (conic[0] * dx * dx + conic[2] * dy * dy) - conic[1] * dx * dy;
             let alpha = (conic[3] * power.exp()).min(c::ALPHA_MAX);

@@ -89,6 +89,11 @@ impl FrameRunner {
         self.store.current()
     }
 
+    /// The capacity of the last frame.
+    pub fn capacity(&self) -> FrameCapacity {
+        self.store.capacity()
+    }
+
     /// Renders a scene and reads the image back.
     pub fn render(
         &mut self,
@@ -101,11 +106,16 @@ impl FrameRunner {
         let ran = self.run(&request, |_, _| Ok(()))?;
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         let frame = self.frame()?;
-        let bytes = self.context.download(&frame.accumulated.range(0, pixels * 16))?;
-        let texels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
         let [r, g, b] = settings.background;
-        let composed = texels.iter().map(|&[x, y, z, t]| ([x + t * r, y + t * g, z + t * b], t));
-        let (color, transmittance) = composed.unzip();
+        let mut color = Vec::with_capacity(pixels as usize);
+        let mut transmittance = Vec::with_capacity(pixels as usize);
+        self.context.download_chunks(&frame.accumulated.range(0, pixels * 16), |bytes| {
+            for texel in bytes.chunks_exact(16) {
+                let [x, y, z, t]: [f32; 4] = bytemuck::pod_read_unaligned(texel);
+                color.push([x + t * r, y + t * g, z + t * b]);
+                transmittance.push(t);
+            }
+        })?;
         let inverse_depth = match settings.inverse_depth {
             false => None,
             true => {

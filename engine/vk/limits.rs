@@ -58,7 +58,8 @@ pub struct SpecOverride {
 
 /// Constants that the host counts workgroups with: it chooses them itself (and asks [`Limits::overridden`]), so that
 /// shader and host cannot differ.
-pub(super) const CHOSEN_BY_HOST: [&str; 4] = ["WORKGROUP_SIZE", "SUBGROUP_SIZE", "ITEMS", "STRIP"];
+pub(super) const CHOSEN_BY_HOST: [&str; 7] =
+    ["WORKGROUP_SIZE", "SUBGROUP_SIZE", "ITEMS", "STRIP", "PARTS", "BLOCK", "SLOTS"];
 
 /// Stricter limits than the device's, for tests: `None` keeps the device's.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

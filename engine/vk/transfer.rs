@@ -8,6 +8,8 @@ use crate::Result;
 
 /// Staging memory of one transfer, at most.
 const CHUNK_BYTES: u64 = 16 << 20;
+/// Chunks that mapped memory is handed out in: they stay in the cache.
+const MAPPED_CHUNK_BYTES: u64 = 256 << 10;
 
 impl Context {
     /// Copies bytes into the start of a buffer and waits: straight into memory that is mapped, else through staging
@@ -55,27 +57,46 @@ impl Context {
     /// # Errors
     /// [`crate::Error::Argument`] while a submission that uses the buffer's arena is under way.
     pub fn download(&self, buffer: &Buffer) -> Result<Vec<u8>> {
-        let mut bytes = vec![0; buffer.bytes() as usize];
-        if buffer.block().is_mapped() {
-            buffer.check_idle()?;
-            buffer.block().read_mapped(buffer.offset(), &mut bytes);
-            return Ok(bytes);
-        }
-        if bytes.is_empty() {
-            return Ok(bytes);
-        }
-        let staging = self.staging(buffer.bytes())?;
-        let mut offset = 0;
-        for chunk in bytes.chunks_mut(CHUNK_BYTES as usize) {
-            let length = chunk.len() as u64;
-            self.run("download", |recorder| {
-                recorder.copy(&buffer.range(offset, length), &staging.range(0, length));
-                Ok(())
-            })?;
-            staging.read(0, chunk)?;
-            offset += length;
-        }
+        let mut bytes = Vec::with_capacity(buffer.bytes() as usize);
+        self.download_chunks(buffer, |chunk| bytes.extend_from_slice(chunk))?;
         Ok(bytes)
+    }
+
+    /// Hands the contents of a buffer out in order, chunk by chunk, so that they need not be held twice. All chunks but
+    /// the last have a multiple of 256 bytes.
+    ///
+    /// # Errors
+    /// As [`Context::download`].
+    pub fn download_chunks(&self, buffer: &Buffer, mut take: impl FnMut(&[u8])) -> Result<()> {
+        let total = buffer.bytes();
+        let mapped = buffer.block().is_mapped();
+        if total == 0 {
+            return Ok(());
+        }
+        if mapped {
+            buffer.check_idle()?;
+        }
+        let staging = if mapped { None } else { Some(self.staging(total)?) };
+        let step = if mapped { MAPPED_CHUNK_BYTES } else { CHUNK_BYTES };
+        let mut chunk = vec![0; total.min(step) as usize];
+        for offset in (0..total).step_by(step as usize) {
+            let length = (total - offset).min(step);
+            let bytes = &mut chunk[..length as usize];
+            match &staging {
+                None => {
+                    buffer.block().read_mapped(buffer.offset() + offset, bytes);
+                }
+                Some(staging) => {
+                    self.run("download", |recorder| {
+                        recorder.copy(&buffer.range(offset, length), &staging.range(0, length));
+                        Ok(())
+                    })?;
+                    staging.read(0, bytes)?;
+                }
+            }
+            take(bytes);
+        }
+        Ok(())
     }
 
     fn staging(&self, bytes: u64) -> Result<Buffer> {

@@ -28,6 +28,8 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
+// See blending.glsl.
+layout(constant_id = 3) const bool COLUMN_CHAIN = false;
 // Training has nothing but splats, and inverse depth.
 const bool DEPTH_LIMIT = false;
 const bool LINEAR_DEPTH = false;
@@ -56,12 +58,16 @@ layout(push_constant, scalar) uniform Push {
     uint first_entry;
     uint max_entries;
     vec3 background;
+    uint splat_stride;
 };
 
+#include "splat_record.glsl"
+
+#include "tile_region.glsl"
 #include "blending.glsl"
+#include "splat_shuffle.glsl"
 #include "dispatch.glsl"
 #include "subgroup.glsl"
-#include "tile_region.glsl"
 
 // Entries whose sums meet in shared memory at a time: a multiple of every subgroup size.
 const uint BATCH = SUBGROUP_SIZE > 32 ? SUBGROUP_SIZE : 32;
@@ -117,7 +123,7 @@ void main() {
     uint entries = range.y - range.x;
     uint begin = min(first_entry, entries);
     uint end = begin + min(entries - begin, max_entries);
-    uvec2 origin = region_origin(uvec2(tile % tiles_per_row, tile / tiles_per_row));
+    uvec2 origin = region_origin(uvec2(tile % tiles_per_row, tile / tiles_per_row), gl_SubgroupID);
     uvec2 corner = origin + lane_offset();
     vec2 corner_px = vec2(corner);
 
@@ -168,11 +174,11 @@ void main() {
             uint entry = batch + step * SUBGROUP_SIZE + gl_SubgroupInvocationID;
             bool exists = entry < end && entry < own_last;
             uint visible = sorted_visible[range.x + (exists ? entry : begin)];
-            vec4 mean2d = mean2d_extent[visible];
-            vec4 conic = conic_opacity[visible];
-            vec4 shade = color_inverse_depth[visible];
-            vec3 form = quadratic_form(conic.xyz);
-            uvec4 hits = subgroupBallot(exists && meets_region(mean2d, form, conic.w, origin));
+            vec4 mean2d = mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)];
+            vec4 conic = conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)];
+            vec4 shade = color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)];
+            Splat own = splat_of(mean2d.xy, conic, shade);
+            uvec4 hits = subgroupBallot(exists && meets_region(mean2d, own.form, own.opacity, origin));
             [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
                 uint bits = hits[word];
                 if (gl_SubgroupInvocationID == 0) {
@@ -184,25 +190,21 @@ void main() {
                 if (bits != 0) for (;;) {
                     uint lane = findLSB(bits) + 32 * word;
                     bits &= bits - 1;
-                    vec2 mean = vec2(subgroupShuffle(mean2d.x, lane), subgroupShuffle(mean2d.y, lane));
-                    float a = subgroupShuffle(form.x, lane);
-                    float b = subgroupShuffle(form.y, lane);
-                    float c = subgroupShuffle(form.z, lane);
-                    float opacity = subgroupShuffle(conic.w, lane);
-                    vec4 value = vec4(subgroupShuffle(shade.x, lane), subgroupShuffle(shade.y, lane),
-                        subgroupShuffle(shade.z, lane), INVERSE_DEPTH ? subgroupShuffle(shade.w, lane) : 0.0);
-                    vec2 d0 = mean - corner_px;
+                    Splat splat = shuffled(own, lane);
+                    vec4 value = vec4(splat.rgb, splat.inverse_z);
+                    vec2 d0 = splat.mean - corner_px;
                     uint place = batch + step * SUBGROUP_SIZE + lane + 1;
                     float sum_1 = 0.0, sum_x = 0.0, sum_y = 0.0, sum_xx = 0.0, sum_xy = 0.0, sum_yy = 0.0;
                     vec4 sum_value = vec4(0.0);
                     [[unroll]] for (uint column = 0; column < COLUMNS; ++column) {
                         float dx = d0.x - float(column * LANES_X);
+                        float alphas[MAX_COLUMN_ROWS];
+                        column_alphas(splat, corner_px + vec2(column * LANES_X, 0), alphas);
                         float column_1 = 0.0, column_y = 0.0, column_yy = 0.0;
                         [[unroll]] for (uint row = 0; row < ROWS; ++row) {
                             uint k = column * ROWS + row;
                             float dy = d0.y - float(row * LANES_Y);
-                            float unclamped = splat_alpha(vec3(a, b, c), opacity, vec2(dx, dy));
-                            unclamped = place <= last[k] ? unclamped : 0.0;
+                            float unclamped = place <= last[k] ? alphas[row] : 0.0;
                             float alpha = min(ALPHA_MAX, unclamped);
                             float weight = alpha * transmittance[k];
                             float shade_gradient = dot(gradient[k], value);

@@ -2,8 +2,8 @@
 // (paper, appendix A; the exact derivative of project.comp, also through the Jacobian's clamp).
 //
 // invocation: one visible Gaussian; subgroup: adds the slots of Gaussians with many tiles together, the lanes' in a
-// fixed order, so that results do not depend on scheduling; those outside the bound range of parameters idle
-// in: parameters (PerGaussian planes), visible_list, footprints, slot_begins, conic_opacity, sums_a, sums_b, sums_c
+// fixed order, so that results do not depend on scheduling
+// in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, slot_begins, conic_opacity, sums_a, sums_b, sums_c
 // out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
 //      (d colour before its clamp at 0, dL/dy px)
 // in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) when `accumulate` is set and nothing overflowed
@@ -36,13 +36,16 @@ layout(set = 0, binding = 7, scalar) readonly buffer SumsB { vec4 sums_b[]; };
 layout(set = 0, binding = 8, scalar) readonly buffer SumsC { vec2 sums_c[]; };
 layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
+layout(set = 0, binding = 11, scalar) readonly buffer VisibleRanges { uvec4 visible_ranges[]; };
 
 // Stride of the gradient planes, and whether to add to the statistics.
 #define CAMERA_PUSH_EXTRA uint gradient_stride; uint accumulate;
 
 #include "camera_push.glsl"
 #include "dispatch.glsl"
+#include "splat_record.glsl"
 #include "subgroup.glsl"
+#include "tile_span.glsl"
 #include "projection.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
@@ -125,13 +128,14 @@ vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
 }
 
 void main() {
-    uint visible = linear_invocation();
-    bool exists = visible < state[STATE_VISIBLE];
-    uint slot_visible = exists ? visible : 0;
+    // Workgroups have the size of culling's blocks.
+    uvec4 visible_range = visible_ranges[2 * (first / WORKGROUP_SIZE) + 1];
+    uint visible = visible_range.x + linear_invocation();
+    bool exists = visible < visible_range.y;
+    uint slot_visible = exists ? visible : visible_range.x;
     uint gaussian = visible_list[slot_visible];
-    exists = exists && gaussian - first < count;
     uint index = exists ? gaussian - first : 0;
-    uint slots = exists ? footprints[slot_visible].w : 0;
+    uint slots = exists ? footprints[splat_at(slot_visible, SPLAT_FOOTPRINT)].w : 0;
     // Slots beyond the capacity do not exist; the frame is then run again anyway.
     uint begin = slots == 0 ? 0 : slot_begins[slot_visible];
     slots = state[STATE_OVERFLOW] != 0 ? 0 : slots;
@@ -140,7 +144,7 @@ void main() {
     vec4 mean_opacity = parameters[PLANE_MEAN_OPACITY * stride + index];
     vec4 quat = parameters[PLANE_QUAT * stride + index];
     vec4 log_scale = parameters[PLANE_LOG_SCALE * stride + index];
-    vec4 conic = conic_opacity[slot_visible];
+    vec4 conic = conic_opacity[splat_at(slot_visible, SPLAT_CONIC_OPACITY)];
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
 
     // Moments to gradients of mean, conic and opacity.

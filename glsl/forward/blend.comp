@@ -3,8 +3,9 @@
 //   alpha = min(0.99, o exp(-(A dx^2 + C dy^2) / 2 - B dx dy)), skipped below 1/255;
 //   C += T alpha c, T <- T (1 - alpha); a pixel stops before the Gaussian that would bring T below 1e-4.
 //
-// invocation: COLUMNS x ROWS pixels; subgroup: a region of the tile (tile_region.glsl): each lane tests one Gaussian's
-// exact reach against the region, then all lanes blend the hits, passed round by shuffles; workgroup: one tile
+// invocation: COLUMNS x ROWS pixels of each of PARTS regions; subgroup: PARTS regions of the tile (tile_region.glsl): each
+// lane tests one Gaussian's exact reach against a region, then all lanes blend the hits, passed round by shuffles;
+// workgroup: one tile
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
 // out, PerPixel: accumulated (r, g, b without background, T), inverse_depth, last_entries (1 + place of the last
 //     blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
@@ -29,21 +30,62 @@ layout(constant_id = 2) const bool INVERSE_DEPTH = false;
 layout(constant_id = 3) const bool DEPTH_LIMIT = false;
 // With INVERSE_DEPTH: the sum of weights * z in place of weights / z.
 layout(constant_id = 4) const bool LINEAR_DEPTH = false;
+// See blending.glsl.
+layout(constant_id = 5) const bool COLUMN_CHAIN = false;
+// Regions of a subgroup, 1, 2 or 4: with more of them a Gaussian is fetched fewer times, and a lane has more pixels.
+layout(constant_id = 6) const uint PARTS = 1;
 layout(local_size_x_id = 0) in;
 
+#include "tile_region.glsl"
 #include "blending.glsl"
+#include "splat_shuffle.glsl"
 #include "blend_io.glsl"
 #include "dispatch.glsl"
 #include "subgroup.glsl"
-#include "tile_region.glsl"
 
-Splat shuffled(Splat splat, uint lane) {
-    return Splat(
-        vec2(subgroupShuffle(splat.mean.x, lane), subgroupShuffle(splat.mean.y, lane)),
-        vec3(subgroupShuffle(splat.form.x, lane), subgroupShuffle(splat.form.y, lane), subgroupShuffle(splat.form.z, lane)),
-        subgroupShuffle(splat.opacity, lane),
-        vec3(subgroupShuffle(splat.rgb.x, lane), subgroupShuffle(splat.rgb.y, lane), subgroupShuffle(splat.rgb.z, lane)),
-        INVERSE_DEPTH || DEPTH_LIMIT ? subgroupShuffle(splat.inverse_z, lane) : 0.0);
+// Most pixels of a lane in a region; a literal, as MAX_COLUMN_ROWS.
+const uint MAX_PIXELS = 16;
+
+// Tests each lane's splat against a region and blends the hits over it.
+void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout Pixel pixels[MAX_PIXELS],
+    inout bool alive) {
+    vec2 corner_px = vec2(origin + lane_offset());
+    uvec4 hits = subgroupBallot(exists && alive && meets_region(mean2d, own.form, own.opacity, origin));
+    [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
+        uint bits = hits[word];
+        if (bits != 0) for (;;) {
+            uint lane = findLSB(bits) + 32 * word;
+            bits &= bits - 1;
+            Splat splat = shuffled(own, lane);
+            [[unroll]] for (uint column = 0; column < COLUMNS; ++column) {
+                float alphas[MAX_COLUMN_ROWS];
+                column_alphas(splat, corner_px + vec2(column * LANES_X, 0), alphas);
+                [[unroll]] for (uint row = 0; row < ROWS; ++row) {
+                    blend_splat(splat, alphas[row], batch + lane + 1, pixels[column * ROWS + row]);
+                }
+            }
+            if (bits == 0) {
+                break;
+            }
+        }
+    }
+    float brightest = pixels[0].transmittance;
+    [[unroll]] for (uint k = 1; k < PIXELS; ++k) {
+        brightest = max(brightest, pixels[k].transmittance);
+    }
+    alive = subgroupAny(brightest > 0.0);
+}
+
+void load_region(uvec2 corner, out Pixel pixels[MAX_PIXELS]) {
+    [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
+        pixels[k] = load_pixel(corner + pixel_step(k));
+    }
+}
+
+void store_region(uvec2 corner, Pixel pixels[MAX_PIXELS], bool more) {
+    [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
+        store_pixel(corner + pixel_step(k), pixels[k], more);
+    }
 }
 
 void main() {
@@ -60,14 +102,24 @@ void main() {
     if (gl_LocalInvocationID.x == 0) {
         note_tile(entries, end);
     }
-    uvec2 origin = region_origin(uvec2(tile % tiles_per_row, tile / tiles_per_row));
-    uvec2 corner = origin + lane_offset();
-    vec2 corner_px = vec2(corner);
-
-    Pixel pixels[PIXELS];
-    [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-        pixels[k] = load_pixel(corner + pixel_step(k));
-    }
+    uvec2 tile_xy = uvec2(tile % tiles_per_row, tile / tiles_per_row);
+    uint region = gl_SubgroupID * PARTS;
+    uvec2 origin_0 = region_origin(tile_xy, region);
+    uvec2 origin_1 = region_origin(tile_xy, region + 1);
+    uvec2 origin_2 = region_origin(tile_xy, region + 2);
+    uvec2 origin_3 = region_origin(tile_xy, region + 3);
+    Pixel pixels_0[MAX_PIXELS];
+    Pixel pixels_1[MAX_PIXELS];
+    Pixel pixels_2[MAX_PIXELS];
+    Pixel pixels_3[MAX_PIXELS];
+    bool alive_0 = true;
+    bool alive_1 = PARTS > 1;
+    bool alive_2 = PARTS > 2;
+    bool alive_3 = PARTS > 2;
+    load_region(origin_0 + lane_offset(), pixels_0);
+    if (PARTS > 1) load_region(origin_1 + lane_offset(), pixels_1);
+    if (PARTS > 2) load_region(origin_2 + lane_offset(), pixels_2);
+    if (PARTS > 2) load_region(origin_3 + lane_offset(), pixels_3);
 
     // Both loops test at their end: a loop that tests first costs a driver without branches one more masked iteration.
     uint batch = first_entry;
@@ -75,37 +127,22 @@ void main() {
         uint entry = batch + gl_SubgroupInvocationID;
         bool exists = entry < end;
         uint visible = sorted_visible[range.x + (exists ? entry : first_entry)];
-        vec4 mean2d = mean2d_extent[visible];
-        vec4 conic = conic_opacity[visible];
-        vec4 shade = color_inverse_depth[visible];
-        Splat own = Splat(mean2d.xy, quadratic_form(conic.xyz), conic.w, shade.xyz, shade.w);
-        uvec4 hits = subgroupBallot(exists && meets_region(mean2d, own.form, own.opacity, origin));
-        [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
-            uint bits = hits[word];
-            if (bits != 0) for (;;) {
-                uint lane = findLSB(bits) + 32 * word;
-                bits &= bits - 1;
-                Splat splat = shuffled(own, lane);
-                vec2 d0 = splat.mean - corner_px;
-                [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-                    blend_splat(splat, d0 - vec2(pixel_step(k)), batch + lane + 1, pixels[k]);
-                }
-                if (bits == 0) {
-                    break;
-                }
-            }
-        }
-        float brightest = pixels[0].transmittance;
-        [[unroll]] for (uint k = 1; k < PIXELS; ++k) {
-            brightest = max(brightest, pixels[k].transmittance);
-        }
+        vec4 mean2d = mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)];
+        vec4 conic = conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)];
+        vec4 shade = color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)];
+        Splat own = splat_of(mean2d.xy, conic, shade);
+        blend_region(own, mean2d, exists, origin_0, batch, pixels_0, alive_0);
+        if (PARTS > 1) blend_region(own, mean2d, exists, origin_1, batch, pixels_1, alive_1);
+        if (PARTS > 2) blend_region(own, mean2d, exists, origin_2, batch, pixels_2, alive_2);
+        if (PARTS > 2) blend_region(own, mean2d, exists, origin_3, batch, pixels_3, alive_3);
         batch += SUBGROUP_SIZE;
-        if (batch >= end || !subgroupAny(brightest > 0.0)) {
+        if (batch >= end || !(alive_0 || alive_1 || alive_2 || alive_3)) {
             break;
         }
     }
 
-    [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-        store_pixel(corner + pixel_step(k), pixels[k], entries > end);
-    }
+    store_region(origin_0 + lane_offset(), pixels_0, entries > end);
+    if (PARTS > 1) store_region(origin_1 + lane_offset(), pixels_1, entries > end);
+    if (PARTS > 2) store_region(origin_2 + lane_offset(), pixels_2, entries > end);
+    if (PARTS > 2) store_region(origin_3 + lane_offset(), pixels_3, entries > end);
 }

@@ -13,7 +13,8 @@
 //     blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
 // Entries [first_entry, first_entry + max_entries) of each tile; with first_entry > 0 it goes on where the pass
 // before stopped (drivers that bound the iterations of an invocation need several passes for very long tiles).
-// shared: WORKGROUP_SIZE * 10 words and one; any subgroup size (no subgroup operations)
+// shared: WORKGROUP_SIZE * 10 words and one; any subgroup size (no subgroup operations: its columns of pixels are those
+// of blend.comp where COLUMN_CHAIN makes a pixel depend on its place in one)
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -21,26 +22,46 @@
 
 #include "constants.glsl"
 
-// A divisor of 256, the pixels of a tile.
+// A divisor of 256 / COLUMN_ROWS, the columns of a tile.
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
 // Splats behind depth_limits do not count.
 layout(constant_id = 3) const bool DEPTH_LIMIT = false;
 // With INVERSE_DEPTH: the sum of weights * z in place of weights / z.
 layout(constant_id = 4) const bool LINEAR_DEPTH = false;
+// See blending.glsl.
+layout(constant_id = 5) const bool COLUMN_CHAIN = false;
 layout(local_size_x_id = 0) in;
+
+#include "region_shape.glsl"
+
+const uint COLUMN_ROWS = COLUMN_CHAIN ? ROWS : 1;
+const uint COLUMN_STEP = COLUMN_CHAIN ? LANES_Y : 1;
+// Columns of an invocation, and its pixels.
+const uint OWN_COLUMNS = TILE_SIZE * TILE_SIZE / COLUMN_ROWS / WORKGROUP_SIZE;
+const uint PIXELS = OWN_COLUMNS * COLUMN_ROWS;
 
 #include "blending.glsl"
 #include "blend_io.glsl"
 #include "dispatch.glsl"
 
-const uint PIXELS = TILE_SIZE * TILE_SIZE / WORKGROUP_SIZE;
-const uint ROWS_APART = WORKGROUP_SIZE / TILE_SIZE;
-
 shared vec2 means[WORKGROUP_SIZE];
-shared vec4 forms[WORKGROUP_SIZE];
+shared vec4 conics[WORKGROUP_SIZE];
 shared vec4 shades[WORKGROUP_SIZE];
 shared uint alive;
+
+// The first pixel of an invocation's column k within the tile: columns lie side by side, then COLUMN_STEP interleaved ones
+// below each other, then the next rows.
+uvec2 column_origin(uint k) {
+    uint column = gl_LocalInvocationID.x + k * WORKGROUP_SIZE;
+    uint row = column / TILE_SIZE;
+    return uvec2(column % TILE_SIZE, row / COLUMN_STEP * COLUMN_ROWS * COLUMN_STEP + row % COLUMN_STEP);
+}
+
+uvec2 pixel_of(uint k) {
+    return column_origin(k / COLUMN_ROWS) + uvec2(0, k % COLUMN_ROWS * COLUMN_STEP);
+}
 
 void main() {
     uint tile = linear_workgroup();
@@ -53,13 +74,11 @@ void main() {
     if (gl_LocalInvocationID.x == 0 && works) {
         note_tile(entries, end);
     }
-    uvec2 corner = uvec2(tile % tiles_per_row, tile / tiles_per_row) * TILE_SIZE
-        + uvec2(gl_LocalInvocationID.x % TILE_SIZE, gl_LocalInvocationID.x / TILE_SIZE);
-    vec2 corner_px = vec2(corner);
+    uvec2 corner = uvec2(tile % tiles_per_row, tile / tiles_per_row) * TILE_SIZE;
 
     Pixel pixels[PIXELS];
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-        pixels[k] = load_pixel(corner + uvec2(0, k * ROWS_APART));
+        pixels[k] = load_pixel(corner + pixel_of(k));
     }
 
     for (uint batch = begin; batch < end; batch += WORKGROUP_SIZE) {
@@ -76,20 +95,20 @@ void main() {
         }
         uint entry = batch + gl_LocalInvocationID.x;
         uint visible = sorted_visible[range.x + (entry < end ? entry : begin)];
-        vec4 conic = conic_opacity[visible];
-        means[gl_LocalInvocationID.x] = mean2d_extent[visible].xy;
-        forms[gl_LocalInvocationID.x] = vec4(quadratic_form(conic.xyz), conic.w);
-        shades[gl_LocalInvocationID.x] = color_inverse_depth[visible];
+        means[gl_LocalInvocationID.x] = mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)].xy;
+        conics[gl_LocalInvocationID.x] = conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)];
+        shades[gl_LocalInvocationID.x] = color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)];
         barrier();
         // Uniform: all have seen the same word, and nobody writes it before the barrier below.
         uint fetched = alive != 0 ? min(end - batch, WORKGROUP_SIZE) : 0;
         for (uint k = 0; k < fetched; ++k) {
-            vec4 form = forms[k];
-            vec4 shade = shades[k];
-            Splat splat = Splat(means[k], form.xyz, form.w, shade.xyz, shade.w);
-            vec2 d0 = splat.mean - corner_px;
-            [[unroll]] for (uint p = 0; p < PIXELS; ++p) {
-                blend_splat(splat, d0 - vec2(0, p * ROWS_APART), batch + k + 1, pixels[p]);
+            Splat splat = splat_of(means[k], conics[k], shades[k]);
+            [[unroll]] for (uint column = 0; column < OWN_COLUMNS; ++column) {
+                float alphas[MAX_COLUMN_ROWS];
+                column_alphas(splat, vec2(corner + column_origin(column)), alphas);
+                [[unroll]] for (uint row = 0; row < COLUMN_ROWS; ++row) {
+                    blend_splat(splat, alphas[row], batch + k + 1, pixels[column * COLUMN_ROWS + row]);
+                }
             }
         }
         barrier();
@@ -100,7 +119,7 @@ void main() {
 
     if (works) {
         [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-            store_pixel(corner + uvec2(0, k * ROWS_APART), pixels[k], entries > end);
+            store_pixel(corner + pixel_of(k), pixels[k], entries > end);
         }
     }
 }

@@ -1,19 +1,22 @@
 // The list of visible Gaussians in their own order (stable), and its inverse.
 //
-// invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians, the same blocks as in cull
+// invocation: every SUBGROUP_SIZE-th Gaussian of a block; subgroup: one block of BLOCK Gaussians, those that culling counts
+// together, walked over with a running count, so that no barrier is needed
 // in: visible_flags[Gaussian], block_offsets[block] (exclusive prefix sums)
 // out: visible_list[visible] = Gaussian, visible_index[Gaussian] = visible or NOT_VISIBLE
-// shared: one word per subgroup; any subgroup size
+// shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_ballot : require
 
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+// A multiple of SUBGROUP_SIZE.
+layout(constant_id = 2) const uint BLOCK = 256;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer VisibleFlags { uint visible_flags[]; };
@@ -24,18 +27,26 @@ layout(set = 0, binding = 3, scalar) writeonly buffer VisibleIndex { uint visibl
 layout(push_constant, scalar) uniform Push { uint count; };
 
 #include "dispatch.glsl"
-#include "workgroup_scan.glsl"
 
 void main() {
-    uint index = linear_invocation();
-    bool exists = index < count;
-    uint flag = exists ? visible_flags[exists ? index : 0] : 0;
-    uint total;
-    uint place = workgroup_exclusive_add(flag, total) + block_offsets[(exists ? index : 0) / WORKGROUP_SIZE];
-    if (flag != 0) {
-        visible_list[place] = index;
+    uint block = linear_workgroup() * (WORKGROUP_SIZE / SUBGROUP_SIZE) + gl_SubgroupID;
+    uint index = block * BLOCK + gl_SubgroupInvocationID;
+    if (block * BLOCK >= count) {
+        return;
     }
-    if (exists) {
-        visible_index[index] = flag != 0 ? place : NOT_VISIBLE;
+    uint visible = block_offsets[block];
+    for (uint k = 0; k < BLOCK / SUBGROUP_SIZE; ++k) {
+        bool exists = index < count;
+        bool flag = exists && visible_flags[exists ? index : 0] != 0;
+        uvec4 ballot = subgroupBallot(flag);
+        uint place = visible + subgroupBallotExclusiveBitCount(ballot);
+        if (flag) {
+            visible_list[place] = index;
+        }
+        if (exists) {
+            visible_index[index] = flag ? place : NOT_VISIBLE;
+        }
+        visible += subgroupBallotBitCount(ballot);
+        index += SUBGROUP_SIZE;
     }
 }

@@ -23,6 +23,7 @@ layout(set = 0, binding = 2, scalar) writeonly buffer BlockCounts { uint block_c
 #include "camera_push.glsl"
 #include "dispatch.glsl"
 #include "workgroup_scan.glsl"
+#include "tile_span.glsl"
 #include "projection.glsl"
 
 void main() {

@@ -1,51 +1,63 @@
 // One (tile, Gaussian) instance per touched tile, in depth order and, within a Gaussian, row by row.
 //
-// Work is split by instances, so a Gaussian that covers the screen costs no more per invocation than a small one:
-// the workgroup finds the Gaussians of its instances by two binary searches, each invocation its own by a short third.
+// Work is split by instances, so a Gaussian that covers the screen costs no more per invocation than a small one. A
+// subgroup searches the Gaussian of its first instance, then goes through the ranks: each lane fetches one Gaussian, and
+// the instances of these Gaussians are dealt to the lanes, which get their Gaussian by shuffles.
 //
-// invocation: one instance; workgroup: WORKGROUP_SIZE consecutive instances
-// in: order[rank], instance_offsets[rank] (exclusive prefix sums of the tile counts), PerVisible attributes
-// out: instance_tiles[instance] (sort keys), instance_visible[instance]; slot_begins[visible] = its first instance
-// shared: 2 words; any subgroup size
+// invocation: ITEMS instances; subgroup: a run of SUBGROUP_SIZE * ITEMS consecutive instances
+// in: order[rank], instance_offsets[rank] (exclusive prefix sums of the tile counts), PerVisible: mean2d_extent, footprints
+// out: instance_tiles[instance] (sort keys), instance_visible[instance]; with SLOTS slot_begins[visible] = its first
+//      instance
+// shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
 #extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(constant_id = 2) const uint ITEMS = 16;
+layout(constant_id = 3) const bool SLOTS = true;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer State { uint state[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Order { uint order[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer InstanceOffsets { uint instance_offsets[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer Mean2dExtent { vec4 mean2d_extent[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer ConicOpacity { vec4 conic_opacity[]; };
-layout(set = 0, binding = 5, scalar) readonly buffer Footprints { uvec4 footprints[]; };
-layout(set = 0, binding = 6, scalar) writeonly buffer InstanceTiles { uint instance_tiles[]; };
-layout(set = 0, binding = 7, scalar) writeonly buffer InstanceVisible { uint instance_visible[]; };
-layout(set = 0, binding = 8, scalar) writeonly buffer SlotBegins { uint slot_begins[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer Footprints { uvec4 footprints[]; };
+layout(set = 0, binding = 5, scalar) writeonly buffer InstanceTiles { uint instance_tiles[]; };
+layout(set = 0, binding = 6, scalar) writeonly buffer InstanceVisible { uint instance_visible[]; };
+layout(set = 0, binding = 7, scalar) writeonly buffer SlotBegins { uint slot_begins[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint extent;
     uint tiles_per_row;
+    uint tile_rows;
+    uint splat_stride;
 };
 
 #include "dispatch.glsl"
+#include "splat_record.glsl"
 #include "tile_span.glsl"
 
-// Ranks that hold the workgroup's first and last instance.
-shared uint rank_bounds[2];
+const uint RUN = SUBGROUP_SIZE * ITEMS;
 
-// Last rank in [low, high] whose offset is at most `instance`.
-uint find_rank(uint instance, uint low, uint high) {
-    while (low < high) {
-        uint middle = low + (high - low + 1) / 2;
-        if (instance_offsets[middle] <= instance) {
-            low = middle;
-        } else {
-            high = middle - 1;
-        }
+// Last rank in [low, low + ranks) whose offset is at most `instance`: the lanes probe at even distances at a time.
+uint find_rank(uint instance, uint low, uint ranks) {
+    while (ranks > 1) {
+        uint apart = (ranks + SUBGROUP_SIZE - 1) / SUBGROUP_SIZE;
+        uint probe = gl_SubgroupInvocationID * apart;
+        bool exists = probe < ranks;
+        bool passed = exists && instance_offsets[low + (exists ? probe : 0)] <= instance;
+        // The first lane's has: what it searches for lies behind.
+        uint last = max(subgroupBallotBitCount(subgroupBallot(passed)), 1) - 1;
+        low += last * apart;
+        ranks = min(apart, ranks - last * apart);
     }
     return low;
 }
@@ -53,37 +65,78 @@ uint find_rank(uint instance, uint low, uint high) {
 void main() {
     uint instances = state[STATE_INSTANCES];
     uint visible_count = state[STATE_VISIBLE];
-    uint base = linear_workgroup() * WORKGROUP_SIZE;
-    uint instance = base + gl_LocalInvocationID.x;
-    if (gl_LocalInvocationID.x < 2 && base < instances) {
-        uint probe = gl_LocalInvocationID.x == 0 ? base : min(base + WORKGROUP_SIZE, instances) - 1;
-        rank_bounds[gl_LocalInvocationID.x] = find_rank(probe, 0, visible_count - 1);
+    uint run = linear_workgroup() * (WORKGROUP_SIZE / SUBGROUP_SIZE) + gl_SubgroupID;
+    uint next = run * RUN;
+    uint run_begin = next;
+    uint run_end = min(next + RUN, instances);
+    if (next >= run_end) {
+        return;
     }
-    barrier();
-    if (instance < instances) {
-        uint rank = find_rank(instance, rank_bounds[0], rank_bounds[1]);
-        uint visible = order[rank];
-        uint begin = instance_offsets[rank];
-        vec4 mean2d = mean2d_extent[visible];
-        vec4 conic = conic_opacity[visible];
-        uvec4 footprint = footprints[visible];
-        uvec2 tiles_x = uvec2(footprint.x & 0xFFFF, footprint.x >> 16);
-        uvec2 tiles_y = uvec2(footprint.y & 0xFFFF, footprint.y >> 16);
-        uint left = instance - begin;
-        uint row = tiles_y.x;
-        uvec2 span;
-        for (;;) {
-            span = tile_span(row, mean2d, conic, tiles_x);
-            if (left < span.y - span.x || row + 1 >= tiles_y.y) {
-                break;
+    uint first_rank = find_rank(next, 0, visible_count);
+    // Where a lane stopped walking over the rows of a Gaussian: it goes on from there with its next instance of it.
+    uint walked_rank = NOT_VISIBLE;
+    uint walked_row = 0;
+    uint walked_tiles = 0;
+    for (;;) {
+        uint rank = first_rank + gl_SubgroupInvocationID;
+        bool exists = rank < visible_count;
+        uint safe_rank = exists ? rank : first_rank;
+        uint offset = exists ? instance_offsets[safe_rank] : 0xFFFFFFFF;
+        uint visible = order[safe_rank];
+        vec4 mean2d = mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)];
+        uvec4 footprint = footprints[splat_at(visible, SPLAT_FOOTPRINT)];
+        uvec2 box = extent == EXTENT_REFERENCE ? footprint.xy : pack_tiles(tile_box(mean2d, uvec2(tiles_per_row, tile_rows)));
+        if (SLOTS && exists && footprint.w > 0 && offset >= run_begin && offset < run_end) {
+            slot_begins[visible] = offset;
+        }
+        // The instances of these Gaussians, up to the end of the run.
+        uint beyond = subgroupShuffle(exists ? offset + footprint.w : instances, SUBGROUP_SIZE - 1);
+        uint batch_end = min(beyond, run_end);
+        bool found_none = batch_end <= next;
+        while (next < batch_end) {
+            uint instance = min(next + gl_SubgroupInvocationID, batch_end - 1);
+            // Last lane whose offset is at most `instance`.
+            uint owner = 0;
+            [[unroll]] for (uint bit = 64; bit > 0; bit /= 2) {
+                if (bit < SUBGROUP_SIZE) {
+                    uint probe = subgroupShuffle(offset, owner + bit);
+                    owner += probe <= instance ? bit : 0;
+                }
             }
-            left -= span.y - span.x;
-            row += 1;
+            uint owner_visible = subgroupShuffle(visible, owner);
+            uint left = instance - subgroupShuffle(offset, owner);
+            vec4 owner_mean2d = vec4(subgroupShuffle(mean2d.x, owner), subgroupShuffle(mean2d.y, owner),
+                subgroupShuffle(mean2d.z, owner), subgroupShuffle(mean2d.w, owner));
+            uvec3 shape = uvec3(subgroupShuffle(footprint.x, owner), subgroupShuffle(footprint.y, owner),
+                subgroupShuffle(footprint.z, owner));
+            uvec4 tiles = unpack_tiles(uvec2(subgroupShuffle(box.x, owner), subgroupShuffle(box.y, owner)));
+            bool goes_on = walked_rank == first_rank + owner;
+            uint row = goes_on ? walked_row : tiles.z;
+            uint before = goes_on ? walked_tiles : 0;
+            uvec2 span;
+            for (;;) {
+                span = tile_span(row, owner_mean2d, shape, tiles.xy);
+                if (left - before < span.y - span.x || row + 1 >= tiles.w) {
+                    break;
+                }
+                before += span.y - span.x;
+                row += 1;
+            }
+            walked_rank = first_rank + owner;
+            walked_row = row;
+            walked_tiles = before;
+            if (next + gl_SubgroupInvocationID < batch_end) {
+                instance_tiles[instance] = row * tiles_per_row + min(span.x + left - before, tiles.y - 1);
+                instance_visible[instance] = owner_visible;
+            }
+            next += SUBGROUP_SIZE;
         }
-        instance_tiles[instance] = row * tiles_per_row + min(span.x + left, tiles_x.y - 1);
-        instance_visible[instance] = visible;
-        if (instance == begin) {
-            slot_begins[visible] = begin;
+        next = batch_end;
+        if (next >= run_end) {
+            break;
         }
+        // Any number of Gaussians without a tile may follow each other: they are not gone through.
+        first_rank = min(first_rank + SUBGROUP_SIZE, visible_count - 1);
+        first_rank = find_rank(next, first_rank, found_none ? visible_count - first_rank : 1);
     }
 }

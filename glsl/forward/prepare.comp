@@ -4,7 +4,8 @@
 // One invocation in all.
 // in: state[count_index] = how many are needed
 // out: state[count_index + 1] = min(needed, capacity); state[STATE_OVERFLOW] set when clamped;
-//      arguments[3]: workgroups for blocks of `block_stream`, `block_sort` and `block_scan` elements
+//      arguments[3]: workgroups for blocks of `block_stream`, `block_sort` and `block_third` elements (of the
+//      scan for the visible, of expansion for the instances)
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
@@ -22,16 +23,11 @@ layout(push_constant, scalar) uniform Push {
     uint first_argument;
     uint block_stream;
     uint block_sort;
-    uint block_scan;
+    uint block_third;
     uint max_workgroups_per_axis;
 };
 
-uvec4 workgroups(uint elements, uint block) {
-    uint groups = elements / block + (elements % block != 0 ? 1 : 0);
-    uint x = min(groups, max_workgroups_per_axis);
-    uint y = x == 0 ? 0 : groups / x + (groups % x != 0 ? 1 : 0);
-    return uvec4(x, y, groups == 0 ? 0 : 1, 0);
-}
+#include "workgroup_count.glsl"
 
 void main() {
     uint needed = state[count_index];
@@ -40,7 +36,7 @@ void main() {
     if (needed > capacity) {
         state[STATE_OVERFLOW] = 1;
     }
-    arguments[first_argument] = workgroups(elements, block_stream);
-    arguments[first_argument + 1] = workgroups(elements, block_sort);
-    arguments[first_argument + 2] = workgroups(elements, block_scan);
+    arguments[first_argument] = workgroup_count(elements, block_stream);
+    arguments[first_argument + 1] = workgroup_count(elements, block_sort);
+    arguments[first_argument + 2] = workgroup_count(elements, block_third);
 }

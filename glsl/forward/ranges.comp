@@ -1,9 +1,9 @@
-// Where each tile's instances begin and end in the sorted sequence (paper, section 6: identifyTileRanges),
-// and which Gaussian each sorted instance shows.
+// Where each tile's instances begin and end in the sorted sequence (paper, section 6: identifyTileRanges), and with SLOTS
+// which Gaussian each sorted instance shows; without, it is what was sorted.
 //
 // invocation: one sorted instance, compared with its neighbours
-// in: sorted_tiles[n], sorted_slots[n] (places before the sort), instance_visible[slot]
-// out: tile_ranges[tile] = (begin, end), only of tiles that occur; sorted_visible[n]
+// in: sorted_tiles[n]; with SLOTS sorted_slots[n] (places before the sort), instance_visible[slot]
+// out: tile_ranges[tile] = (begin, end), only of tiles that occur; with SLOTS sorted_visible[n]
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -12,6 +12,7 @@
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const bool SLOTS = true;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer State { uint state[]; };
@@ -30,7 +31,9 @@ void main() {
         return;
     }
     uint tile = sorted_tiles[index];
-    sorted_visible[index] = instance_visible[sorted_slots[index]];
+    if (SLOTS) {
+        sorted_visible[index] = instance_visible[sorted_slots[index]];
+    }
     if (index == 0 || sorted_tiles[max(index, 1) - 1] != tile) {
         tile_ranges[tile].x = index;
     }

@@ -23,7 +23,10 @@ layout(push_constant, scalar) uniform Push {
     uint max_entries;
     // No pass follows: a tile with more entries than this one reaches leaves the frame invalid (STATE_OVERFLOW).
     uint last_pass;
+    uint splat_stride;
 };
+
+#include "splat_record.glsl"
 
 // Notes the longest tile, and tiles that the passes do not reach the end of.
 void note_tile(uint entries, uint end) {

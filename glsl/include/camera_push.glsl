@@ -20,6 +20,7 @@ layout(push_constant, scalar) uniform Push {
     // EXTENT_EXACT or EXTENT_REFERENCE; opacity compensation of Mip-Splatting's 2D filter when `antialias` != 0.
     uint extent;
     uint antialias;
+    uint splat_stride;
 #ifdef CAMERA_PUSH_EXTRA
     CAMERA_PUSH_EXTRA
 #endif

@@ -27,6 +27,13 @@ const uint SH_PLANES_1 = 3;
 const uint SH_PLANES_2 = 7;
 const uint SH_PLANES_3 = 12;
 
+// Attributes of a visible Gaussian, each a vec4: see splat_record.glsl.
+const uint SPLAT_MEAN2D_EXTENT = 0;
+const uint SPLAT_CONIC_OPACITY = 1;
+const uint SPLAT_COLOR_INVERSE_DEPTH = 2;
+const uint SPLAT_FOOTPRINT = 3;
+const uint SPLAT_PLANES = 4;
+
 // Gradient planes of a visible Gaussian, same stride rule.
 const uint GRADIENT_MEAN_OPACITY = 0;
 const uint GRADIENT_QUAT = 1;
@@ -50,7 +57,7 @@ const uint ARGUMENTS_VISIBLE_SORT = 1;
 const uint ARGUMENTS_VISIBLE_SCAN = 2;
 const uint ARGUMENTS_INSTANCES = 3;
 const uint ARGUMENTS_INSTANCES_SORT = 4;
-const uint ARGUMENTS_INSTANCES_SCAN = 5;
+const uint ARGUMENTS_INSTANCES_EXPAND = 5;
 const uint ARGUMENTS_COUNT = 6;
 
 // Radix sort: bins of one digit at most.

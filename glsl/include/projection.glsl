@@ -1,5 +1,5 @@
 // EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and backward.
-// Needs constants.glsl, camera_push.glsl and `parameters`.
+// Needs constants.glsl, camera_push.glsl, tile_span.glsl and `parameters`.
 
 struct Projection {
     vec3 mean_camera;      // R mean + t
@@ -103,24 +103,21 @@ Footprint footprint_of(Projection p, float opacity_logit) {
     f.half_extent_px = f.opacity >= ALPHA_MIN ? half_extent : vec2(-1e30);
 
     uvec2 grid = (uvec2(image_width, image_height) + TILE_SIZE - 1) / TILE_SIZE;
-    vec2 low;
-    vec2 high;
     if (extent == EXTENT_REFERENCE) {
         float mid = 0.5 * (p.cov2d.x + p.cov2d.z);
         float radius = ceil(3.0 * sqrt(mid + sqrt(max(0.1, mid * mid - p.det))));
         f.radius_px = uint(clamp(radius, 0.0, 2147483520.0));
-        low = trunc((f.mean2d_px - radius) / float(TILE_SIZE));
-        high = trunc((f.mean2d_px + radius + float(TILE_SIZE - 1)) / float(TILE_SIZE));
+        vec2 low = trunc((f.mean2d_px - radius) / float(TILE_SIZE));
+        vec2 high = trunc((f.mean2d_px + radius + float(TILE_SIZE - 1)) / float(TILE_SIZE));
+        uvec2 tile_low = uvec2(clamp(low, vec2(0.0), vec2(grid)));
+        uvec2 tile_high = uvec2(clamp(high, vec2(0.0), vec2(grid)));
+        f.tiles = uvec4(tile_low.x, tile_high.x, tile_low.y, tile_high.y);
     } else {
-        // Tile t holds the pixel centres 16 t .. 16 t + 15.
         f.radius_px = 0;
-        low = ceil((f.mean2d_px - f.half_extent_px - float(TILE_SIZE - 1)) / float(TILE_SIZE));
-        high = floor((f.mean2d_px + f.half_extent_px) / float(TILE_SIZE)) + 1.0;
+        f.tiles = tile_box(vec4(f.mean2d_px, f.half_extent_px), grid);
         valid = valid && f.opacity >= ALPHA_MIN;
     }
-    uvec2 tile_low = uvec2(clamp(low, vec2(0.0), vec2(grid)));
-    uvec2 tile_high = uvec2(clamp(high, vec2(0.0), vec2(grid)));
-    f.visible = valid && all(lessThan(tile_low, tile_high));
-    f.tiles = f.visible ? uvec4(tile_low.x, tile_high.x, tile_low.y, tile_high.y) : uvec4(0);
+    f.visible = valid && f.tiles.x < f.tiles.y && f.tiles.z < f.tiles.w;
+    f.tiles = f.visible ? f.tiles : uvec4(0);
     return f;
 }

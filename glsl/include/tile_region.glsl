@@ -3,20 +3,16 @@
 // barrier is needed to blend. Works for any subgroup size from 4 to 128.
 // Needs constants.glsl, SUBGROUP_SIZE, GL_KHR_shader_subgroup_basic.
 
-const uint REGION_WIDTH = 8;
-const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
-const uint REGIONS_X = TILE_SIZE / REGION_WIDTH;
-const uint REGIONS = REGIONS_X * (TILE_SIZE / REGION_HEIGHT);
-// Lanes side by side in a row, and the pixels of one lane.
-const uint LANES_X = SUBGROUP_SIZE < REGION_WIDTH ? SUBGROUP_SIZE : REGION_WIDTH;
-const uint LANES_Y = SUBGROUP_SIZE / LANES_X;
-const uint COLUMNS = REGION_WIDTH / LANES_X;
-const uint ROWS = REGION_HEIGHT / LANES_Y;
-const uint PIXELS = COLUMNS * ROWS;
+#include "region_shape.glsl"
 
-// First pixel of this subgroup's region, and this lane's first pixel.
-uvec2 region_origin(uvec2 tile) {
-    return tile * TILE_SIZE + uvec2(gl_SubgroupID % REGIONS_X * REGION_WIDTH, gl_SubgroupID / REGIONS_X * REGION_HEIGHT);
+const uint PIXELS = COLUMNS * ROWS;
+// A column of blending.glsl.
+const uint COLUMN_ROWS = ROWS;
+const uint COLUMN_STEP = LANES_Y;
+
+// First pixel of a region, and this lane's first pixel in it.
+uvec2 region_origin(uvec2 tile, uint region) {
+    return tile * TILE_SIZE + uvec2(region % REGIONS_X * REGION_WIDTH, region / REGIONS_X * REGION_HEIGHT);
 }
 
 uvec2 lane_offset() {

@@ -1,30 +1,58 @@
-// Which tiles of one tile row a Gaussian's footprint meets. Counting and expanding must agree to the bit,
-// hence `precise` throughout.
+// Which tiles a Gaussian's footprint meets: the tiles around its box, and of each row of them those that the ellipse
+// meets. Counting (project) and expanding must agree to the bit, hence `precise` throughout.
 // Needs constants.glsl and a push constant `extent`.
+//
+// A footprint is four words. Exact extent: shape of the rows (row_shape), tiles met. Reference extent: x0 | x1 << 16 and
+// y0 | y1 << 16 in tiles, the radius in px, tiles met.
 
-// The ellipse conic(e, e) <= level around the mean, cut by the row's pixel centres, spans [left, right] in x:
-// x = -(B/A) y -+ w sqrt(1 - (y/h)^2), extreme at y = -+ B hx / C or at the row's edge.
-// Returns (first tile, one past the last tile).
-uvec2 tile_span(uint row, vec4 mean2d_extent_px, vec4 conic, uvec2 tiles_x) {
+// Tiles that hold pixel centres of the box, (x0, x1, y0, y1), the second of each one past the last. Tile t holds the pixel
+// centres 16 t .. 16 t + 15.
+uvec4 tile_box(vec4 mean2d_extent_px, uvec2 grid) {
+    precise vec2 low = ceil((mean2d_extent_px.xy - mean2d_extent_px.zw - float(TILE_SIZE - 1)) / float(TILE_SIZE));
+    precise vec2 high = floor((mean2d_extent_px.xy + mean2d_extent_px.zw) / float(TILE_SIZE)) + 1.0;
+    uvec2 first = uvec2(clamp(low, vec2(0.0), vec2(grid)));
+    uvec2 last = uvec2(clamp(high, vec2(0.0), vec2(grid)));
+    return uvec4(first.x, last.x, first.y, last.y);
+}
+
+uvec2 pack_tiles(uvec4 box) {
+    return uvec2(box.x | box.y << 16, box.z | box.w << 16);
+}
+
+uvec4 unpack_tiles(uvec2 packed) {
+    return uvec4(packed.x & 0xFFFF, packed.x >> 16, packed.y & 0xFFFF, packed.y >> 16);
+}
+
+// What the rows of an ellipse conic(e, e) <= level have in common, as bits of floats: the height at which it reaches
+// furthest to the left, the slope of the middles of its rows, and half its width through the mean.
+uvec3 row_shape(vec4 mean2d_extent_px, vec4 conic_opacity) {
+    precise float leftmost = conic_opacity.y * mean2d_extent_px.z / conic_opacity.z;
+    precise float slope = -conic_opacity.y / conic_opacity.x;
+    precise float level = 2.0 * log(255.0 * conic_opacity.w);
+    level = max(level, 0.0) * 1.0001 + 0.002;
+    precise float half_width = sqrt(level / conic_opacity.x) * 1.0001 + 0.001;
+    return floatBitsToUint(vec3(leftmost, slope, half_width));
+}
+
+// The tiles of one row: (first tile, one past the last). Cut by the row's pixel centres, the ellipse spans [left, right]
+// in x: x = slope y -+ w sqrt(1 - (y/h)^2), extreme at y = -+ leftmost or at the row's edge.
+uvec2 tile_span(uint row, vec4 mean2d_extent_px, uvec3 shape, uvec2 tiles_x) {
     if (extent == EXTENT_REFERENCE) {
         return tiles_x;
     }
+    vec3 form = uintBitsToFloat(shape);
     precise float low = float(row * TILE_SIZE) - mean2d_extent_px.y;
     precise float high = low + float(TILE_SIZE - 1);
-    precise float half_x = mean2d_extent_px.z;
-    precise float half_y = mean2d_extent_px.w;
+    float half_x = mean2d_extent_px.z;
+    float half_y = mean2d_extent_px.w;
     low = max(low, -half_y);
     high = min(high, half_y);
-    precise float y_right = clamp(-conic.y * half_x / conic.z, low, high);
-    precise float y_left = clamp(conic.y * half_x / conic.z, low, high);
-    precise float shear = -conic.y / conic.x;
-    precise float level = 2.0 * log(255.0 * conic.w);
-    level = max(level, 0.0) * 1.0001 + 0.002;
-    precise float half_width = sqrt(level / conic.x) * 1.0001 + 0.001;
+    precise float y_right = clamp(-form.x, low, high);
+    precise float y_left = clamp(form.x, low, high);
     precise float rise_right = y_right / half_y;
     precise float rise_left = y_left / half_y;
-    precise float right = shear * y_right + half_width * sqrt(max(0.0, 1.0 - rise_right * rise_right));
-    precise float left = shear * y_left - half_width * sqrt(max(0.0, 1.0 - rise_left * rise_left));
+    precise float right = form.y * y_right + form.z * sqrt(max(0.0, 1.0 - rise_right * rise_right));
+    precise float left = form.y * y_left - form.z * sqrt(max(0.0, 1.0 - rise_left * rise_left));
     // Rounding of the terms above grows with their size; the margin grows with it.
     precise float margin = 0.02 + 1e-5 * (half_x + half_y);
     right = min(right + margin, half_x);
@@ -34,4 +62,20 @@ uvec2 tile_span(uint row, vec4 mean2d_extent_px, vec4 conic, uvec2 tiles_x) {
     uint x0 = uint(clamp(first, float(tiles_x.x), float(tiles_x.y)));
     uint x1 = uint(clamp(last, float(x0), float(tiles_x.y)));
     return uvec2(x0, x1);
+}
+
+// Tiles met in all the rows of a box, which has at least one.
+uint count_tiles(vec4 mean2d_extent_px, uvec3 shape, uvec4 box) {
+    uint tiles = 0;
+    uint row = box.z;
+    // Tested at its end: see blend.comp.
+    for (;;) {
+        uvec2 span = tile_span(row, mean2d_extent_px, shape, box.xy);
+        tiles += span.y - span.x;
+        row += 1;
+        if (row >= box.w) {
+            break;
+        }
+    }
+    return tiles;
 }

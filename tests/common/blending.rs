@@ -60,6 +60,7 @@ macro_rules! blend_lists {
                     first_entry: pass * entries_per_pass,
                     max_entries: entries_per_pass,
                     last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
+                    splat_stride: 1,
                 };
                 recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
             }
@@ -68,28 +69,52 @@ macro_rules! blend_lists {
     }};
 }
 
-/// Blends lists by `forward/blend`.
-pub fn forward(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) -> Blended {
-    forward_limited(gpu, lists, [inverse_depth, false], entries_per_pass, None)
+/// How a kernel blends.
+#[derive(Clone, Copy, Debug)]
+pub struct How {
+    pub inverse_depth: bool,
+    /// COLUMN_CHAIN: opacities along a column follow from one another.
+    pub column_chain: bool,
+    /// PARTS: regions of a subgroup.
+    pub parts: u32,
+    pub entries_per_pass: u32,
 }
 
-/// The same with depth limits (1/z per pixel), and with the sum of weights * z (`depth[1]`) in place of weights / z.
+/// With inverse depth and in one pass.
+pub const CHAINED: How =
+    How { inverse_depth: true, column_chain: true, parts: 1, entries_per_pass: u32::MAX };
+/// The same with an exponential for each opacity.
+pub const UNCHAINED: How = How { column_chain: false, ..CHAINED };
+
+/// Blends lists by `forward/blend`.
+pub fn forward(gpu: &Gpu, lists: &Lists, how: How) -> Blended {
+    forward_limited(gpu, lists, how, false, None)
+}
+
+/// The same with depth limits (1/z per pixel), and with the sum of weights * z in place of weights / z.
 pub fn forward_limited(
     gpu: &Gpu,
     lists: &Lists,
-    [inverse_depth, linear_depth]: [bool; 2],
-    entries_per_pass: u32,
+    how: How,
+    linear_depth: bool,
     limits: Option<&Buffer>,
 ) -> Blended {
-    let (workgroup_size, subgroup_size) = (workgroup(gpu), gpu.subgroup());
-    let depth_limit = limits.is_some();
-    let spec = blend::Spec { workgroup_size, subgroup_size, inverse_depth, depth_limit, linear_depth };
+    let How { inverse_depth, column_chain, parts, entries_per_pass } = how;
+    let spec = blend::Spec {
+        workgroup_size: workgroup(gpu) / parts,
+        subgroup_size: gpu.subgroup(),
+        inverse_depth,
+        depth_limit: limits.is_some(),
+        linear_depth,
+        column_chain,
+        parts,
+    };
     blend_lists!(gpu, lists, blend, spec, entries_per_pass, limits)
 }
 
 /// Blends lists by `forward/blend_shared`, with this many invocations per tile.
-pub fn forward_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass: u32) -> Blended {
-    forward_shared_limited(gpu, lists, workgroup_size, entries_per_pass, None)
+pub fn forward_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, how: How) -> Blended {
+    forward_shared_limited(gpu, lists, workgroup_size, how, None)
 }
 
 /// The same with depth limits (1/z per pixel).
@@ -97,11 +122,18 @@ pub fn forward_shared_limited(
     gpu: &Gpu,
     lists: &Lists,
     workgroup_size: u32,
-    entries_per_pass: u32,
+    how: How,
     limits: Option<&Buffer>,
 ) -> Blended {
-    let depth_limit = limits.is_some();
-    let spec = blend_shared::Spec { workgroup_size, inverse_depth: true, depth_limit, linear_depth: false };
+    let How { inverse_depth, column_chain, entries_per_pass, .. } = how;
+    let spec = blend_shared::Spec {
+        workgroup_size,
+        subgroup_size: gpu.subgroup(),
+        inverse_depth,
+        depth_limit: limits.is_some(),
+        linear_depth: false,
+        column_chain,
+    };
     blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass, limits)
 }
 
@@ -111,13 +143,11 @@ pub fn backward(
     lists: &Lists,
     blended: &Blended,
     gradient: Option<&[[f32; 4]]>,
-    entries_per_pass: u32,
+    how: How,
 ) -> SlotSums {
-    let spec = blend_backward::Spec {
-        workgroup_size: workgroup(gpu),
-        subgroup_size: gpu.subgroup(),
-        inverse_depth: true,
-    };
+    let (workgroup_size, subgroup_size) = (workgroup(gpu), gpu.subgroup());
+    let How { inverse_depth, column_chain, entries_per_pass, .. } = how;
+    let spec = blend_backward::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain };
     let kernel = gpu.kernel::<blend_backward::Interface>(&spec);
     let (pixels, slots) = (lists.view.pixels(), lists.slots.len());
     let image_gradient = match gradient {
@@ -155,6 +185,7 @@ pub fn backward(
                 first_entry: pass * entries_per_pass,
                 max_entries: entries_per_pass,
                 background: lists.view.background.map(|x| x as f32),
+                splat_stride: 1,
             };
             recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
         }

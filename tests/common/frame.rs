@@ -1,58 +1,141 @@
 //! Splats of a random scene as the kernels behind the projection find them.
 
 use ashsplat::kernels::constants::{STATE_INSTANCES, STATE_VISIBLE, STATE_WORDS};
+use ashsplat::kernels::forward::project;
 use ashsplat::vk::Buffer;
 
-use super::gpu::Gpu;
-use super::layout::{SplatPlanes, pack_splats, rounded};
+use super::gpu::{Gpu, UNTOUCHED};
+use super::layout::{SplatPlanes, camera_push, pack, pack_splats, rounded};
 use super::scenes::{Random, mixed_scene};
-use crate::reference::project::project;
-use crate::reference::tiles::{exact_box, reference_square, touched};
-use crate::reference::types::{ALPHA_MIN, Extent, Splat, View};
+use crate::reference::project as twin;
+use crate::reference::tiles::{touched, touches_by_pixels};
+use crate::reference::types::{ALPHA_MIN, Extent, Gaussian, Splat, View};
 
-/// Visible splats, in the precision that the kernels see, and on the device.
+/// Visible splats, in the precision that the blending sees, and on the device.
 pub struct Splats {
     pub splats: Vec<Splat>,
     pub mean2d_extent: Buffer,
     pub conic_opacity: Buffer,
     pub color_inverse_depth: Buffer,
-    pub footprints: Buffer,
 }
 
 impl Splats {
-    /// About `count` visible splats of a random scene.
-    pub fn random(gpu: &Gpu, count: usize, view: &View) -> Splats {
-        let mut random = Random::new(count as u64);
-        let mut splats = Vec::new();
-        while splats.len() < count {
-            let scene = mixed_scene(&mut random, 4 * count, 1);
-            splats.extend(scene.iter().filter_map(|gaussian| project(gaussian, view)));
-        }
-        splats.truncate(count);
-        Splats::new(gpu, splats, view)
-    }
-
     /// Uploads splats.
-    pub fn new(gpu: &Gpu, splats: Vec<Splat>, view: &View) -> Splats {
+    pub fn new(gpu: &Gpu, splats: Vec<Splat>) -> Splats {
         let SplatPlanes { mean2d_extent, conic_opacity, color_inverse_depth } = pack_splats(&splats);
-        let footprints: Vec<[u32; 4]> = splats
-            .iter()
-            .map(|splat| {
-                let [x0, y0, x1, y1] = match view.extent {
-                    Extent::Exact => exact_box(&widened(splat), view),
-                    Extent::Reference => reference_square(splat, view),
-                };
-                [x0 | x1 << 16, y0 | y1 << 16, splat.radius_px as u32, 0]
-            })
-            .collect();
         Splats {
             mean2d_extent: gpu.buffer("mean2d_extent", &mean2d_extent),
             conic_opacity: gpu.buffer("conic_opacity", &conic_opacity),
             color_inverse_depth: gpu.buffer("color_inverse_depth", &color_inverse_depth),
-            footprints: gpu.buffer("footprints", &footprints),
             splats: rounded(&splats),
         }
     }
+}
+
+/// What `forward/project` makes of the visible Gaussians of a scene.
+pub struct Projected {
+    /// The twin's.
+    pub expected: Vec<Splat>,
+    pub mean2d_extent: Buffer,
+    pub conic_opacity: Buffer,
+    pub color_inverse_depth: Buffer,
+    pub depth_keys: Buffer,
+    pub footprints: Buffer,
+    pub visible_tiles: Buffer,
+}
+
+impl Projected {
+    /// Projects a scene. Each output has room for one more than the visible.
+    pub fn new(gpu: &Gpu, gaussians: &[Gaussian], view: &View) -> Projected {
+        // The degree may be below what is stored.
+        let spec = project::Spec { workgroup_size: gpu.workgroup(64), sh_degree: view.sh_degree };
+        let kernel = gpu.kernel::<project::Interface>(&spec);
+        let splats: Vec<Option<Splat>> = gaussians.iter().map(|g| twin::project(g, view)).collect();
+        let visible: Vec<u32> =
+            (0..gaussians.len() as u32).filter(|&i| splats[i as usize].is_some()).collect();
+        let (stride, count) = (gaussians.len().max(1) + 3, visible.len());
+        let parameters = gpu.buffer("parameters", &pack(gaussians, stride));
+        // Two in front that do not belong to this range.
+        let list = gpu.buffer("visible_list", &[&[UNTOUCHED; 2], visible.as_slice()].concat());
+        let ranges = gpu.buffer("visible_ranges", &[[0; 4], [2, 2 + count as u32, 0, 0]]);
+        let [mean2d_extent, conic_opacity, color_inverse_depth, footprints] =
+            ["mean2d_extent", "conic_opacity", "color_inverse_depth", "footprints"]
+                .map(|name| gpu.untouched::<[u32; 4]>(name, count + 3));
+        let [depth_keys, visible_tiles] =
+            ["depth_keys", "visible_tiles"].map(|name| gpu.untouched::<u32>(name, count + 3));
+        let bind = project::Bind {
+            parameters: &parameters,
+            visible_ranges: &ranges,
+            visible_list: &list,
+            mean2d_extent: &mean2d_extent,
+            conic_opacity: &conic_opacity,
+            color_inverse_depth: &color_inverse_depth,
+            depth_keys: &depth_keys,
+            footprints: &footprints,
+            visible_tiles: &visible_tiles,
+        };
+        let push = camera_push!(project::Push, view, gaussians.len(), stride);
+        let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;
+        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
+        let behind = |buffer: Buffer, bytes: u64| {
+            let words = gpu.read::<u32>(&buffer, buffer.bytes() as usize / 4);
+            let own = 2 * bytes as usize / 4..(2 + count) * bytes as usize / 4;
+            let others = words[..own.start].iter().chain(&words[own.end..]);
+            assert!(others.copied().all(|word| word == UNTOUCHED), "{} outside the range", buffer.name());
+            buffer.range(2 * bytes, buffer.bytes() - 2 * bytes)
+        };
+        Projected {
+            expected: splats.into_iter().flatten().collect(),
+            mean2d_extent: behind(mean2d_extent, 16),
+            conic_opacity: behind(conic_opacity, 16),
+            color_inverse_depth: behind(color_inverse_depth, 16),
+            depth_keys: behind(depth_keys, 4),
+            footprints: behind(footprints, 16),
+            visible_tiles: behind(visible_tiles, 4),
+        }
+    }
+
+    /// The splats with what the kernels behind the projection see of them: mean, conic, opacity and radius.
+    pub fn splats(&self, gpu: &Gpu, view: &View) -> Vec<Splat> {
+        let count = self.expected.len();
+        let means = gpu.read::<[f32; 4]>(&self.mean2d_extent, count);
+        let conics = gpu.read::<[f32; 4]>(&self.conic_opacity, count);
+        let footprints = gpu.read::<[u32; 4]>(&self.footprints, count);
+        let seen = |(place, splat): (usize, &Splat)| {
+            let [x, y, _, _] = means[place].map(f64::from);
+            let [a, b, c, opacity] = conics[place].map(f64::from);
+            let radius_px = if view.extent == Extent::Reference { footprints[place][2] as i32 } else { 0 };
+            Splat { mean2d_px: [x, y], conic: [a, b, c], opacity, radius_px, ..splat.clone() }
+        };
+        self.expected.iter().enumerate().map(seen).collect()
+    }
+}
+
+/// About `count` Gaussians of a random scene that are visible.
+pub fn visible_scene(count: usize, view: &View) -> Vec<Gaussian> {
+    let mut random = Random::new(count as u64);
+    let mut gaussians = Vec::new();
+    while gaussians.len() < count {
+        let scene = mixed_scene(&mut random, 4 * count, 1);
+        gaussians.extend(scene.into_iter().filter(|gaussian| twin::project(gaussian, view).is_some()));
+    }
+    gaussians.truncate(count);
+    gaussians
+}
+
+/// Fewest and most tiles that a splat may be counted with: those with a pixel of α ≥ 1/255, and those that the
+/// ellipse meets when it is a little larger.
+pub fn tile_bounds(splat: &Splat, view: &View) -> (u32, u32) {
+    if view.extent == Extent::Reference {
+        let exactly = touched(splat, view).len() as u32;
+        return (exactly, exactly);
+    }
+    let most = touched_at_most(splat, view).len() as u32;
+    let [columns, rows] = view.tiles();
+    let tiles = (0..rows).flat_map(|y| (0..columns).map(move |x| [x, y]));
+    // A pixel within the rounding of float32 at the threshold may count or not.
+    let surely = Splat { opacity: splat.opacity * (1.0 - 1e-5), ..splat.clone() };
+    (tiles.filter(|tile| touches_by_pixels(&surely, *tile)).count() as u32, most)
 }
 
 /// A splat that reaches as far as the margins of the projection do.

@@ -95,6 +95,7 @@ macro_rules! camera_push {
             stride: $stride as u32,
             extent: $crate::common::layout::extent_word(view),
             antialias: u32::from(view.antialias),
+            splat_stride: 1,
             $($field: $value,)*
         }
     }};

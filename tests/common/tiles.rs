@@ -38,7 +38,7 @@ impl Lists {
         let slots = super::frame::shuffled(sorted.len());
         Lists {
             view: view.clone(),
-            frame: Splats::new(gpu, splats, view),
+            frame: Splats::new(gpu, splats),
             lists,
             tile_ranges: gpu.buffer("tile_ranges", &ranges),
             sorted_visible: gpu.buffer("sorted_visible", &sorted),

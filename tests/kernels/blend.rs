@@ -2,20 +2,28 @@
 
 use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::kernels::forward::blend::{Bind, Interface, Push, Spec};
+use ashsplat::plan::Blocks;
 
-use crate::common::blending::{forward, forward_limited};
+use crate::common::blending::{CHAINED, How, UNCHAINED, forward, forward_limited};
 use crate::common::compare::{PixelTolerance, pixels};
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::small_view;
 use crate::common::tiles::Lists;
 use crate::reference::blend::{Pixel, before, blend, samples};
 use crate::reference::pipeline::pixels_of;
+use crate::reference::types::Splat;
 
 const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 };
 
-/// Blends on the device and by the twin, and compares every output.
+/// Blends on the device, with and without chained columns, and by the twin, and compares every output.
 fn check(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) {
-    let blended = forward(gpu, lists, inverse_depth, entries_per_pass);
+    for column_chain in [false, true] {
+        check_one(gpu, lists, How { inverse_depth, column_chain, parts: 1, entries_per_pass });
+    }
+}
+
+fn check_one(gpu: &Gpu, lists: &Lists, how: How) {
+    let blended = forward(gpu, lists, how);
     let count = lists.view.pixels();
     // The kernel leaves the background to others.
     let expected: Vec<Pixel> =
@@ -28,13 +36,15 @@ fn check(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) {
     let actual: Vec<f64> = accumulated.as_flattened().iter().map(|&x| f64::from(x)).collect();
     let values: Vec<f64> =
         expected.iter().flat_map(|p| [p.color[0], p.color[1], p.color[2], p.transmittance]).collect();
-    pixels("accumulated", &actual, &values, &unstable, TOLERANCE).expect("accumulated");
+    pixels("accumulated", &actual, &values, &unstable, TOLERANCE)
+        .unwrap_or_else(|error| panic!("{how:?}: {error}"));
 
-    if inverse_depth {
+    if how.inverse_depth {
         let actual: Vec<f64> =
             gpu.read::<f32>(&blended.inverse_depth, count).iter().map(|&x| f64::from(x)).collect();
         let values: Vec<f64> = expected.iter().map(|p| p.inverse_depth).collect();
-        pixels("inverse depth", &actual, &values, &unstable, TOLERANCE).expect("inverse depth");
+        pixels("inverse depth", &actual, &values, &unstable, TOLERANCE)
+            .unwrap_or_else(|error| panic!("{how:?}: {error}"));
     } else {
         assert!(gpu.read::<u32>(&blended.inverse_depth, count).iter().all(|&word| word == UNTOUCHED));
     }
@@ -82,24 +92,81 @@ fn blend_of_opaque_layers() {
 #[test]
 fn blend_in_passes_equals_blend_at_once() {
     let gpu = Gpu::new();
-    for opacity in [[0.005, 0.03], [0.5, 1.0]] {
+    for (opacity, how) in [([0.005, 0.03], CHAINED), ([0.5, 1.0], CHAINED), ([0.02, 1.0], UNCHAINED)] {
         let lists = Lists::long(&gpu, 301, opacity, &small_view([37, 21]));
-        let at_once = forward(&gpu, &lists, true, u32::MAX);
+        let at_once = forward(&gpu, &lists, how);
         let count = lists.view.pixels();
         for entries_per_pass in [64, 100, 300, 301] {
             check(&gpu, &lists, true, entries_per_pass);
-            let passes = forward(&gpu, &lists, true, entries_per_pass);
-            let equal = |a, b, words: usize| gpu.read::<u32>(a, words) == gpu.read::<u32>(b, words);
-            assert!(
-                equal(&at_once.accumulated, &passes.accumulated, 4 * count),
-                "{entries_per_pass} per pass"
-            );
-            assert!(
-                equal(&at_once.inverse_depth, &passes.inverse_depth, count),
-                "{entries_per_pass} per pass"
-            );
-            assert!(equal(&at_once.last_entries, &passes.last_entries, count), "{entries_per_pass} per pass");
+            let passes = forward(&gpu, &lists, How { entries_per_pass, ..how });
+            let equal = |a, b, words: usize| {
+                assert_eq!(
+                    gpu.read::<u32>(a, words),
+                    gpu.read::<u32>(b, words),
+                    "{entries_per_pass} per pass"
+                );
+            };
+            equal(&at_once.accumulated, &passes.accumulated, 4 * count);
+            equal(&at_once.inverse_depth, &passes.inverse_depth, count);
+            equal(&at_once.last_entries, &passes.last_entries, count);
         }
+    }
+}
+
+/// Splats of all directions, from the smallest that the dilation allows to `longest` px² of variance along.
+fn needles(gpu: &Gpu, longest: f64) -> Lists {
+    let view = small_view([64, 48]);
+    let splats: Vec<Splat> = (0..600)
+        .map(|i| {
+            let (sine, cosine) = (f64::from(i) * 0.0209).sin_cos();
+            let (long, short) = (0.3 + f64::from(i % 40 * (i % 5)) / 156.0 * longest, 0.3);
+            let xx = long * cosine * cosine + short * sine * sine;
+            let yy = long * sine * sine + short * cosine * cosine;
+            let xy = (long - short) * sine * cosine;
+            let determinant = xx * yy - xy * xy;
+            Splat {
+                depth: 1.0,
+                mean2d_px: [f64::from(i % 67) - 1.3, f64::from(i % 53) * 0.97 - 1.7],
+                cov2d: [xx, xy, yy],
+                conic: [yy / determinant, -xy / determinant, xx / determinant],
+                opacity: [0.9, 0.1, 0.03][i as usize % 3],
+                color: [1.0, 0.5, 0.25],
+                radius_px: 0,
+            }
+        })
+        .collect();
+    let [columns, rows] = view.tiles();
+    let lists = (0..columns * rows).map(|_| (0..splats.len() as u32).collect()).collect();
+    Lists::new(gpu, splats, lists, &view)
+}
+
+/// Where a column's opacities change fastest, and the chain starts far from those that count.
+#[test]
+fn blend_of_needles() {
+    let gpu = Gpu::new();
+    check(&gpu, &needles(&gpu, 30.0), true, u32::MAX);
+}
+
+/// Needles so long that float32 itself misses the tolerance, because the form's terms cancel: chained columns must not
+/// add to that.
+#[test]
+fn blend_of_long_needles_errs_no_more_in_chained_columns() {
+    let gpu = Gpu::new();
+    for longest in [300.0, 9000.0] {
+        let lists = needles(&gpu, longest);
+        let unstable = lists.unstable();
+        let [direct, chained] = [UNCHAINED, CHAINED].map(|how| {
+            let blended = forward(&gpu, &lists, how);
+            let accumulated = gpu.read::<[f32; 4]>(&blended.accumulated, lists.view.pixels());
+            let stable = pixels_of(&lists.view).enumerate().filter(|&(index, _)| !unstable[index]);
+            let error = |(index, pixel): (usize, [u32; 2])| {
+                let expected = blend(&lists.list_of(pixel), pixel, [0.0; 3]).color[0];
+                (f64::from(accumulated[index][0]) - expected).abs()
+            };
+            stable.map(error).fold(0.0, f64::max)
+        });
+        println!("variance up to {longest} px²: largest error {direct:.2e} direct, {chained:.2e} chained");
+        assert!(chained <= 1.5 * direct + 1e-5, "{chained:e} chained, {direct:e} direct");
     }
 }
 
@@ -138,6 +205,7 @@ fn blend_reports_tiles_that_no_pass_finishes() {
             first_entry: 0,
             max_entries,
             last_pass,
+            splat_stride: 1,
         };
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows)));
         let state = gpu.read::<u32>(&lists.state, STATE_WORDS as usize);
@@ -157,7 +225,13 @@ fn blend_stops_at_the_depth_limit() {
         (0..count).map(|i| [0.0, 1.0 / 0.4, 1.0 / 8.9, 1.0 / 4.0][i % 4] * (1.0 + i as f32 * 1e-5)).collect();
     let buffer = gpu.buffer("depth_limits", &limits);
     for linear_depth in [false, true] {
-        let blended = forward_limited(&gpu, &lists, [true, linear_depth], 32, Some(&buffer));
+        let blended = forward_limited(
+            &gpu,
+            &lists,
+            How { entries_per_pass: 32, ..CHAINED },
+            linear_depth,
+            Some(&buffer),
+        );
         let accumulated = gpu.read::<[f32; 4]>(&blended.accumulated, count);
         let depths = gpu.read::<f32>(&blended.inverse_depth, count);
         for (index, at) in pixels_of(&lists.view).enumerate().filter(|&(index, _)| !unstable[index]) {
@@ -178,5 +252,60 @@ fn blend_stops_at_the_depth_limit() {
             let actual = f64::from(depths[index]);
             assert!((actual - depth).abs() < 1e-3, "depth of pixel {index}: {actual}, expected {depth}");
         }
+    }
+}
+
+/// Entries that each hit every region, more of them than a driver's rounds of an invocation suffice for at once, and behind
+/// them one that can be seen: such a driver stops without a word.
+#[test]
+fn blend_of_more_hits_than_an_invocation_has_rounds() {
+    const ENTRIES: usize = 20_000;
+    let gpu = Gpu::new();
+    let blocks = Blocks::new(gpu.context.limits());
+    let splat = |mean2d_px, variance: f64, opacity| Splat {
+        depth: 1.0,
+        mean2d_px,
+        cov2d: [variance, 0.0, variance],
+        conic: [1.0 / variance, 0.0, 1.0 / variance],
+        opacity,
+        color: [1.0, 0.5, 0.25],
+        radius_px: 0,
+    };
+    let splats = vec![splat([7.5, 7.5], 2.0, 0.02), splat([2.0, 2.0], 1.0, 0.9)];
+    let list = [vec![0; ENTRIES - 1], vec![1]].concat();
+    let lists = Lists::new(&gpu, splats, vec![list], &small_view([16, 16]));
+    let blend = |parts, entries_per_pass| {
+        let how = How { parts, column_chain: blocks.column_chain, entries_per_pass, ..CHAINED };
+        gpu.read::<[f32; 4]>(&forward(&gpu, &lists, how).accumulated, 256)
+    };
+    let chosen = blend(blocks.blend_parts, blocks.entries_per_pass);
+    let [red, _, _, transmittance] = chosen[2 * 16 + 2];
+    assert!(red > 0.8 && transmittance < 0.2, "the last entry is lost: {red}, {transmittance}");
+    assert!(chosen == blend(1, 1000), "fewer entries per pass change the picture");
+    // This test can tell.
+    let rounds = gpu.context.limits().max_loop_iterations.map_or(usize::MAX, |rounds| rounds as usize);
+    if blocks.blend_parts as usize * ENTRIES > rounds {
+        assert!(
+            chosen != blend(blocks.blend_parts, u32::MAX),
+            "the driver has more rounds than it is said to"
+        );
+    }
+}
+
+/// How many regions a subgroup blends does not change the picture.
+#[test]
+fn blend_of_several_regions_per_subgroup_is_the_same() {
+    let gpu = Gpu::new();
+    let lists = Lists::long(&gpu, 200, [0.02, 0.99], &small_view([37, 21]));
+    let count = lists.view.pixels();
+    let regions = if gpu.subgroup() <= 64 { 4 } else { 2 };
+    let words = |how| {
+        let blended = forward(&gpu, &lists, how);
+        let accumulated = gpu.read::<u32>(&blended.accumulated, 4 * count);
+        (accumulated, gpu.read::<u32>(&blended.last_entries, count))
+    };
+    let one = words(CHAINED);
+    for parts in [2, 4].into_iter().filter(|&parts| parts <= regions) {
+        assert!(words(How { parts, ..CHAINED }) == one, "{parts} regions per subgroup");
     }
 }

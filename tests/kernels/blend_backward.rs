@@ -1,6 +1,6 @@
 //! `backward/blend_backward` against its twin.
 
-use crate::common::blending::{SlotSums, backward, forward};
+use crate::common::blending::{CHAINED, How, SlotSums, UNCHAINED, backward, forward};
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, small_view};
@@ -73,10 +73,13 @@ pub fn compare(actual: &[SplatGradient], expected: &[SplatGradient]) {
 }
 
 fn check(gpu: &Gpu, lists: &Lists, entries_per_pass: u32) {
-    let blended = forward(gpu, lists, true, entries_per_pass);
     let d_pixels = image_gradient(lists);
-    let sums = backward(gpu, lists, &blended, Some(&d_pixels), entries_per_pass);
-    compare(&actual(lists, &sums), &expected(lists, &d_pixels));
+    let expected = expected(lists, &d_pixels);
+    for how in [UNCHAINED, CHAINED].map(|how| How { entries_per_pass, ..how }) {
+        let blended = forward(gpu, lists, how);
+        let sums = backward(gpu, lists, &blended, Some(&d_pixels), how);
+        compare(&actual(lists, &sums), &expected);
+    }
 }
 
 #[test]
@@ -118,7 +121,7 @@ fn blend_backward_in_passes() {
 fn blend_backward_of_nothing_is_zero() {
     let gpu = Gpu::new();
     let lists = Lists::long(&gpu, 70, [0.5, 1.0], &small_view([37, 21]));
-    let blended = forward(&gpu, &lists, true, u32::MAX);
-    let sums = backward(&gpu, &lists, &blended, None, u32::MAX);
+    let blended = forward(&gpu, &lists, CHAINED);
+    let sums = backward(&gpu, &lists, &blended, None, CHAINED);
     assert!(sums.sums.iter().flatten().all(|&sum| sum == 0.0));
 }

@@ -1,6 +1,8 @@
 //! `forward/blend_shared` against its twin, and against `forward/blend` to the bit.
 
-use crate::common::blending::{forward, forward_limited, forward_shared, forward_shared_limited};
+use crate::common::blending::{
+    CHAINED, How, UNCHAINED, forward, forward_limited, forward_shared, forward_shared_limited,
+};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::small_view;
 use crate::common::tiles::Lists;
@@ -9,10 +11,16 @@ use crate::reference::pipeline::pixels_of;
 
 /// Blends by both kernels and the twin.
 fn check(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass: u32) {
-    let shared = forward_shared(gpu, lists, workgroup_size, entries_per_pass);
-    let regions = forward(gpu, lists, true, u32::MAX);
+    check_one(gpu, lists, workgroup_size, How { entries_per_pass, ..UNCHAINED });
+    // Columns of up to 8 pixels.
+    check_one(gpu, lists, workgroup_size.min(32), How { entries_per_pass, ..CHAINED });
+}
+
+fn check_one(gpu: &Gpu, lists: &Lists, workgroup_size: u32, how: How) {
+    let shared = forward_shared(gpu, lists, workgroup_size, how);
+    let regions = forward(gpu, lists, How { entries_per_pass: u32::MAX, ..how });
     let count = lists.view.pixels();
-    let what = format!("{workgroup_size} invocations, {entries_per_pass} entries per pass");
+    let what = format!("{workgroup_size} invocations, {how:?}");
     let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
     assert_eq!(words(&shared.last_entries, count), words(&regions.last_entries, count), "{what}");
     assert_eq!(words(&shared.accumulated, 4 * count), words(&regions.accumulated, 4 * count), "{what}");
@@ -69,8 +77,9 @@ fn blend_shared_equals_blend_with_depth_limits() {
     let count = lists.view.pixels();
     let limits: Vec<f32> = (0..count).map(|i| (i % 9) as f32 / 5.0).collect();
     let buffer = gpu.buffer("depth_limits", &limits);
-    let shared = forward_shared_limited(&gpu, &lists, 64, 32, Some(&buffer));
-    let regions = forward_limited(&gpu, &lists, [true, false], u32::MAX, Some(&buffer));
+    let shared =
+        forward_shared_limited(&gpu, &lists, 64, How { entries_per_pass: 32, ..CHAINED }, Some(&buffer));
+    let regions = forward_limited(&gpu, &lists, CHAINED, false, Some(&buffer));
     let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
     assert!(words(&shared.accumulated, 4 * count) == words(&regions.accumulated, 4 * count));
     assert!(words(&shared.inverse_depth, count) == words(&regions.inverse_depth, count));

@@ -1,16 +1,17 @@
 //! `forward/expand` against its twin.
 
-use ashsplat::kernels::forward::{count, expand};
+use ashsplat::kernels::forward::expand::{Bind, Interface, Push, Spec};
 
-use crate::common::frame::{Splats, shuffled, state, touched_at_most, widened};
+use crate::common::frame::{Projected, shuffled, state, touched_at_most, visible_scene};
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
 use crate::common::layout::extent_word;
 use crate::common::scenes::small_view;
+use crate::reference::count::ordered;
 use crate::reference::scan_spine::scan_spine;
-use crate::reference::tiles::{exact_box, is_empty, touched, touches_by_pixels};
-use crate::reference::types::{Extent, Splat, View};
+use crate::reference::tiles::{touched, touches_by_pixels};
+use crate::reference::types::{Extent, Gaussian, Splat, View};
 
-/// What both kernels write.
+/// The counts and what the kernel writes.
 struct Expanded {
     counts: Vec<u32>,
     tiles: Vec<u32>,
@@ -18,46 +19,35 @@ struct Expanded {
     slot_begins: Vec<u32>,
 }
 
-/// Counts, scans (by the twin) and expands.
-fn expanded(gpu: &Gpu, frame: &Splats, order: &[u32], view: &View) -> Expanded {
+/// Orders the counts, scans and expands them.
+fn expanded(gpu: &Gpu, frame: &Projected, order: &[u32], view: &View) -> Expanded {
     let size = order.len();
-    let workgroup_size = gpu.workgroup(64);
-    let count_kernel = gpu.kernel::<count::Interface>(&count::Spec { workgroup_size });
-    let kernel = gpu.kernel::<expand::Interface>(&expand::Spec { workgroup_size });
-    let (count_state, order_buffer) = (state(gpu, size, 0), gpu.buffer("order", order));
-    let counts = gpu.zeros::<u32>("tile_counts", size);
-    let bind = count::Bind {
-        state: &count_state,
-        order: &order_buffer,
-        mean2d_extent: &frame.mean2d_extent,
-        conic_opacity: &frame.conic_opacity,
-        footprints: &frame.footprints,
-        tile_counts: &counts,
-    };
-    let push = count::Push { extent: extent_word(view) };
-    let workgroups = |n: usize| n as u64 / u64::from(workgroup_size) + 1;
-    gpu.run(|recorder| recorder.dispatch(&count_kernel, &bind, &push, workgroups(size)));
-    let counts = gpu.read::<u32>(&counts, size);
+    let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
+    let spec = Spec { workgroup_size, subgroup_size, items: 4, slots: true };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    let counts = ordered(order, &gpu.read::<u32>(&frame.visible_tiles, frame.expected.len()));
     let mut offsets = counts.clone();
     let instances = scan_spine(&mut offsets) as usize;
 
     let (state, offsets) = (state(gpu, size, instances), gpu.buffer("instance_offsets", &offsets));
+    let order = gpu.buffer("order", order);
     let tiles = gpu.untouched::<u32>("instance_tiles", instances + 2);
     let visible = gpu.untouched::<u32>("instance_visible", instances + 2);
     let slot_begins = gpu.untouched::<u32>("slot_begins", size);
-    let bind = expand::Bind {
+    let bind = Bind {
         state: &state,
-        order: &order_buffer,
+        order: &order,
         instance_offsets: &offsets,
         mean2d_extent: &frame.mean2d_extent,
-        conic_opacity: &frame.conic_opacity,
         footprints: &frame.footprints,
         instance_tiles: &tiles,
         instance_visible: &visible,
         slot_begins: &slot_begins,
     };
-    let push = expand::Push { extent: extent_word(view), tiles_per_row: view.tiles()[0] };
-    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups(instances)));
+    let [tiles_per_row, tile_rows] = view.tiles();
+    let push = Push { extent: extent_word(view), tiles_per_row, tile_rows, splat_stride: 1 };
+    let block = u64::from(workgroup_size * spec.items);
+    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, instances as u64 / block + 1));
     let [mut tiles, mut visible] = [tiles, visible].map(|buffer| gpu.read::<u32>(&buffer, instances + 2));
     assert_eq!(
         (tiles.split_off(instances), visible.split_off(instances)),
@@ -66,14 +56,16 @@ fn expanded(gpu: &Gpu, frame: &Splats, order: &[u32], view: &View) -> Expanded {
     Expanded { counts, tiles, visible, slot_begins: gpu.read(&slot_begins, size) }
 }
 
-fn check(gpu: &Gpu, frame: &Splats, view: &View) {
-    let order = shuffled(frame.splats.len());
-    let Expanded { counts, tiles, visible, slot_begins } = expanded(gpu, frame, &order, view);
+fn check(gpu: &Gpu, gaussians: &[Gaussian], view: &View) {
+    let frame = Projected::new(gpu, gaussians, view);
+    let splats = frame.splats(gpu, view);
+    let order = shuffled(splats.len());
+    let Expanded { counts, tiles, visible, slot_begins } = expanded(gpu, &frame, &order, view);
     let columns = view.tiles()[0];
     let mut begin = 0;
     for (&gaussian, &count) in order.iter().zip(&counts) {
         let slots = begin..begin + count as usize;
-        let splat = &frame.splats[gaussian as usize];
+        let splat = &splats[gaussian as usize];
         assert!(visible[slots.clone()].iter().all(|&v| v == gaussian), "instances of {gaussian}");
         if count > 0 {
             assert_eq!(slot_begins[gaussian as usize], begin as u32);
@@ -105,7 +97,7 @@ fn expand_equals_its_twin() {
     let gpu = Gpu::new();
     for (size, extent) in sizes(64).into_iter().flat_map(|n| [(n, Extent::Exact), (n, Extent::Reference)]) {
         let view = View { extent, ..small_view([150, 90]) };
-        check(&gpu, &Splats::random(&gpu, size, &view), &view);
+        check(&gpu, &visible_scene(size, &view), &view);
     }
 }
 
@@ -114,27 +106,54 @@ fn expand_equals_its_twin() {
 fn expand_of_needles() {
     let gpu = Gpu::new();
     let view = small_view([400, 300]);
-    let splats: Vec<Splat> = (0..300)
+    let needles: Vec<Gaussian> = (0..300)
         .map(|i| {
-            let angle = f64::from(i) * 0.0209;
-            let (sine, cosine) = angle.sin_cos();
-            let (long, short) = (f64::from(1 + i % 40) * 60.0, 0.3 + f64::from(i % 7) * 0.1);
-            let xx = long * cosine * cosine + short * sine * sine;
-            let yy = long * sine * sine + short * cosine * cosine;
-            let xy = (long - short) * sine * cosine;
-            let determinant = xx * yy - xy * xy;
-            Splat {
-                depth: 1.0,
-                mean2d_px: [f64::from(i % 23) * 21.0 - 30.0, f64::from(i % 17) * 21.0 - 30.0],
-                cov2d: [xx, xy, yy],
-                conic: [yy / determinant, -xy / determinant, xx / determinant],
-                opacity: [0.9, 0.1, 0.005][i as usize % 3],
-                color: [1.0; 3],
-                radius_px: 0,
+            let half_angle = f64::from(i) * 0.01045;
+            let long = 0.02 + f64::from(i % 40) * 0.0125;
+            let opacity: f64 = [0.9, 0.1, 0.005][i as usize % 3];
+            Gaussian {
+                mean: [f64::from(i % 23) * 0.2 - 2.2, f64::from(i % 17) * 0.2 - 1.6, 0.0],
+                quat: [half_angle.cos(), 0.0, 0.0, half_angle.sin()],
+                log_scale: [long.ln(), -9.0, -9.0],
+                opacity_logit: (opacity / (1.0 - opacity)).ln(),
+                sh: vec![[0.0; 3]],
             }
         })
         .collect();
-    // Culling leaves those that reach the image.
-    let splats = splats.into_iter().filter(|s| !is_empty(exact_box(&widened(s), &view))).collect();
-    check(&gpu, &Splats::new(&gpu, splats, &view), &view);
+    check(&gpu, &needles, &View { sh_degree: 0, ..view });
+}
+
+/// Many Gaussians without a tile between others, and one with more tiles than a run has instances.
+#[test]
+fn expand_of_many_without_tiles() {
+    let gpu = Gpu::new();
+    let view = View { sh_degree: 0, ..small_view([640, 480]) };
+    let small = |x: f64, log_scale: f64| Gaussian {
+        mean: [x, 0.0, 0.0],
+        quat: [1.0, 0.0, 0.0, 0.0],
+        log_scale: [log_scale; 3],
+        opacity_logit: 3.0,
+        sh: vec![[0.0; 3]],
+    };
+    let gaussians: Vec<Gaussian> =
+        (0..900).map(|i| small(f64::from(i % 30) * 0.05, if i == 450 { 2.0 } else { -9.0 })).collect();
+    let frame = Projected::new(&gpu, &gaussians, &view);
+    // As if the ellipses of most met no row of their boxes.
+    let mut tiles = gpu.read::<u32>(&frame.visible_tiles, gaussians.len());
+    let mut footprints = gpu.read::<[u32; 4]>(&frame.footprints, gaussians.len());
+    for i in (0..gaussians.len()).filter(|i| i % 300 != 150) {
+        tiles[i] = 0;
+        footprints[i][3] = 0;
+    }
+    let frame = Projected {
+        visible_tiles: gpu.buffer("visible_tiles", &tiles),
+        footprints: gpu.buffer("footprints", &footprints),
+        ..frame
+    };
+    let order: Vec<u32> = (0..gaussians.len() as u32).collect();
+    let expanded = expanded(&gpu, &frame, &order, &view);
+    let expected: Vec<u32> =
+        order.iter().flat_map(|&i| std::iter::repeat_n(i, tiles[i as usize] as usize)).collect();
+    assert!(tiles[450] > 500, "{} tiles", tiles[450]);
+    assert_eq!(expanded.visible, expected);
 }

@@ -20,6 +20,7 @@ mod loss_reduce;
 mod multiply_add;
 mod place;
 mod prepare;
+mod prepare_ranges;
 mod project;
 mod project_backward;
 mod ranges;

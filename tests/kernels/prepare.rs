@@ -25,7 +25,7 @@ fn prepare_equals_its_twin() {
             first_argument: 1,
             block_stream: 64,
             block_sort: 1024,
-            block_scan: 256,
+            block_third: 256,
             max_workgroups_per_axis: limit,
         };
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));

@@ -1,13 +1,9 @@
 //! `forward/project` against its twin.
 
-use ashsplat::kernels::constants::{STATE_VISIBLE, STATE_WORDS};
-use ashsplat::kernels::forward::project::{Bind, Interface, Push, Spec};
-
-use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{camera_push, pack};
+use crate::common::frame::{Projected, tile_bounds, visible_scene};
+use crate::common::gpu::{Gpu, sizes};
 use crate::common::scenes::{Random, mixed_scene, small_view};
-use crate::reference::project::project;
-use crate::reference::tiles::{half_extent_px, reference_square};
+use crate::reference::tiles::{half_extent_px, reference_square, touched};
 use crate::reference::types::{Extent, Splat, View};
 
 /// What the kernel writes of each visible Gaussian.
@@ -20,47 +16,36 @@ struct Output {
 }
 
 fn check(gpu: &Gpu, size: usize, view: &View) {
-    // The degree may be below what is stored.
-    let spec = Spec { workgroup_size: gpu.workgroup(64), sh_degree: view.sh_degree };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let gaussians = mixed_scene(&mut Random::new(size as u64), size, 16);
-    let visible: Vec<u32> =
-        (0..size as u32).filter(|&i| project(&gaussians[i as usize], view).is_some()).collect();
-    let splats: Vec<Splat> =
-        visible.iter().map(|&i| project(&gaussians[i as usize], view).expect("visible")).collect();
-    let (stride, count) = (size.max(1) + 3, visible.len());
-    let mut state = vec![0; STATE_WORDS as usize];
-    state[STATE_VISIBLE as usize] = count as u32;
-    let parameters = gpu.buffer("parameters", &pack(&gaussians, stride));
-    let (state, list) = (gpu.buffer("state", &state), gpu.buffer("visible_list", &visible));
-    let [mean2d_extent, conic_opacity, color_inverse_depth, footprints] =
-        ["mean2d_extent", "conic_opacity", "color_inverse_depth", "footprints"]
-            .map(|name| gpu.untouched::<[u32; 4]>(name, count + 1));
-    let depth_keys = gpu.untouched::<u32>("depth_keys", count + 1);
-    let bind = Bind {
-        parameters: &parameters,
-        state: &state,
-        visible_list: &list,
-        mean2d_extent: &mean2d_extent,
-        conic_opacity: &conic_opacity,
-        color_inverse_depth: &color_inverse_depth,
-        depth_keys: &depth_keys,
-        footprints: &footprints,
-    };
-    let push = camera_push!(Push, view, size, stride);
-    let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;
-    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
+    let projected = Projected::new(gpu, &gaussians, view);
+    let count = projected.expected.len();
     let output = Output {
-        mean2d_extent: gpu.read(&mean2d_extent, count),
-        conic_opacity: gpu.read(&conic_opacity, count),
-        color_inverse_depth: gpu.read(&color_inverse_depth, count),
-        depth_keys: gpu.read(&depth_keys, count + 1),
-        footprints: gpu.read(&footprints, count),
+        mean2d_extent: gpu.read(&projected.mean2d_extent, count),
+        conic_opacity: gpu.read(&projected.conic_opacity, count),
+        color_inverse_depth: gpu.read(&projected.color_inverse_depth, count),
+        depth_keys: gpu.read(&projected.depth_keys, count),
+        footprints: gpu.read(&projected.footprints, count),
     };
-    assert_eq!(output.depth_keys[count], UNTOUCHED);
-    for (place, splat) in splats.iter().enumerate() {
+    for (place, splat) in projected.expected.iter().enumerate() {
         compare(&output, place, splat, view);
     }
+    check_tiles(gpu, &projected, &output.footprints, view);
+}
+
+/// How many tiles are counted.
+fn check_tiles(gpu: &Gpu, projected: &Projected, footprints: &[[u32; 4]], view: &View) {
+    let counts = gpu.read::<u32>(&projected.visible_tiles, projected.expected.len());
+    let (mut counted, mut exact) = (0, 0);
+    for (place, splat) in projected.splats(gpu, view).iter().enumerate() {
+        let (fewest, most) = tile_bounds(splat, view);
+        let count = counts[place];
+        assert!(fewest <= count && count <= most, "{count} not in {fewest}..={most}, {splat:?}");
+        assert_eq!(footprints[place][3], count);
+        counted += count;
+        exact += touched(splat, view).len() as u32;
+    }
+    // The margins cost little.
+    assert!(f64::from(counted) <= 1.02 * f64::from(exact) + 2.0, "{counted}, {exact}");
 }
 
 fn compare(output: &Output, place: usize, splat: &Splat, view: &View) {
@@ -140,5 +125,16 @@ fn project_equals_its_twin_in_every_mode() {
             ..small_view([53, 37])
         };
         check(&gpu, 500, &view);
+    }
+}
+
+#[test]
+fn project_counts_the_tiles_of_its_twin() {
+    let gpu = Gpu::new();
+    for extent in [Extent::Exact, Extent::Reference] {
+        let view = View { extent, ..small_view([150, 90]) };
+        let projected = Projected::new(&gpu, &visible_scene(600, &view), &view);
+        let footprints = gpu.read(&projected.footprints, projected.expected.len());
+        check_tiles(&gpu, &projected, &footprints, &view);
     }
 }

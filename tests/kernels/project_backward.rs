@@ -107,6 +107,7 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
         .collect();
     let parameters = gpu.buffer("parameters", &pack(&scene.gaussians, stride));
     let state = gpu.buffer("state", &words);
+    let visible_ranges = gpu.buffer("visible_ranges", &[[0; 4], [0, count as u32, 0, 0]]);
     let visible_list = gpu.buffer("visible_list", &scene.visible);
     let footprints = gpu.buffer("footprints", &footprints);
     let slot_begins = gpu.buffer("slot_begins", &begins);
@@ -119,6 +120,7 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
     let bind = Bind {
         parameters: &parameters,
         state: &state,
+        visible_ranges: &visible_ranges,
         visible_list: &visible_list,
         footprints: &footprints,
         slot_begins: &slot_begins,

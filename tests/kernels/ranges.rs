@@ -10,8 +10,9 @@ use crate::reference::ranges::ranges;
 #[test]
 fn ranges_equal_their_twin() {
     let gpu = Gpu::new();
-    let spec = Spec { workgroup_size: gpu.workgroup(64) };
+    let spec = Spec { workgroup_size: gpu.workgroup(64), slots: true };
     let kernel = gpu.kernel::<Interface>(&spec);
+    let alone = gpu.kernel::<Interface>(&Spec { slots: false, ..spec });
     let block = spec.workgroup_size as usize;
     // All in one tile, a few per tile, most tiles empty.
     for (size, tile_count) in sizes(block).into_iter().flat_map(|n| [(n, 1), (n, 20), (n, 5000)]) {
@@ -36,6 +37,11 @@ fn ranges_equal_their_twin() {
         };
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &Push::default(), (size / block) as u64 + 1));
         let expected = ranges(&tiles, tile_count);
+        assert_eq!(gpu.read::<[u32; 2]>(&tile_ranges, tile_count as usize), expected, "size {size}");
+        let (tile_ranges, others) =
+            (gpu.zeros::<[u32; 2]>("tile_ranges", tile_count as usize), &sorted_slots);
+        let bind = Bind { tile_ranges: &tile_ranges, instance_visible: others, ..bind };
+        gpu.run(|recorder| recorder.dispatch(&alone, &bind, &Push::default(), (size / block) as u64 + 1));
         assert_eq!(gpu.read::<[u32; 2]>(&tile_ranges, tile_count as usize), expected, "size {size}");
         let mut expected: Vec<u32> = slots.iter().map(|&slot| visible[slot as usize]).collect();
         expected.extend([UNTOUCHED; 2]);

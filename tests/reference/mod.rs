@@ -28,6 +28,7 @@ pub mod multiply_add;
 pub mod pipeline;
 pub mod place;
 pub mod prepare;
+pub mod prepare_ranges;
 pub mod project;
 pub mod project_backward;
 pub mod ranges;

@@ -14,6 +14,9 @@ const VEC4: u64 = 16;
 /// Planes of a Gaussian that culling reads: mean and opacity, rotation, scales.
 const GEOMETRY_PLANES: u64 = 3;
 
+/// Attributes of the visible, which may lie in one buffer bound to all of them.
+const SPLAT_ROLES: [&str; 4] = ["mean2d_extent", "conic_opacity", "color_inverse_depth", "footprints"];
+
 /// What a frame was made of.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Counts {
@@ -108,6 +111,8 @@ impl Traffic {
             ("planes", _) => self.planes(command.name, counts),
             // Off in what is measured: densification's statistics and the inverse depth.
             ("statistics" | "inverse_depth", _) => Some(0),
+            // One buffer may be bound to several of these.
+            _ if SPLAT_ROLES.contains(&buffer.role) => Some(u64::from(counts.visible) * VEC4),
             ("visible_flags" | "visible_blocks" | "visible_index", _) => self.all.get(buffer.name).copied(),
             (name, "depth sort") => self.depth_sort.get(name).copied(),
             (name, "tile sort") => self.tile_sort.get(name).copied(),

@@ -1,0 +1,138 @@
+//! How work is cut into workgroups and blocks on a device.
+
+use super::sorting::{self, SortMethod};
+use crate::kernels::constants::TILE_SIZE;
+use crate::vk::Limits;
+
+/// Invocations of a streaming workgroup, where the device allows it.
+pub(super) const STREAM_WORKGROUP: u32 = 256;
+/// Columns that one invocation of the loss goes down: what it keeps of them just fits into the fastest cache.
+const LOSS_SWEEP_STRIP: u32 = 8;
+/// Values of one invocation of a scan: read in fours. A processor rather has fewer invocations without barriers.
+const SCAN_ITEMS: [u32; 2] = [4, 256];
+/// Columns of 8 pixels, at most, in a tile: what its pixels are divided into where opacities are chained.
+const CHAINED_COLUMNS: u32 = TILE_SIZE * TILE_SIZE / 8;
+
+/// Entries of a tile blended by one dispatch at most, on any device. It bounds the work of a dispatch, so that no
+/// desktop's watchdog takes it for a hang: an invocation blends so many entries, and all dispatches but these touch each
+/// Gaussian, instance or pixel a constant number of times.
+const MAX_ENTRIES_PER_PASS: u32 = 1 << 18;
+
+/// Sizes of workgroups and blocks on a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Blocks {
+    /// Invocations of a streaming workgroup, which is also a block of culling and densification.
+    pub stream: u32,
+    /// How keys are sorted.
+    pub sort_method: SortMethod,
+    /// Invocations of a sorting workgroup.
+    pub sort_workgroup: u32,
+    /// Keys of one invocation of a sort.
+    pub sort_items: u32,
+    /// Keys of a block of a sort.
+    pub sort: u32,
+    /// Whether a single workgroup sorts what [`Blocks::sorts_alone`] says.
+    pub sort_alone: bool,
+    /// Invocations of a scan's workgroup.
+    pub scan_workgroup: u32,
+    /// Values of one invocation of a scan.
+    pub scan_items: u32,
+    /// Values of a block of a scan.
+    pub scan: u32,
+    /// Instances of one invocation of expansion.
+    pub expand_items: u32,
+    /// Invocations of a tile's workgroup: one subgroup per region of a tile.
+    pub tile: u32,
+    /// Regions of a tile that one subgroup blends forward.
+    pub blend_parts: u32,
+    /// Invocations of a tile's workgroup that blends from shared memory: at most one per pixel, or per column of them.
+    pub tile_shared: u32,
+    /// Whether opacities follow from one another along a column of pixels instead of an exponential each.
+    pub column_chain: bool,
+    /// Invocations of the loss' workgroups.
+    pub loss: u32,
+    /// Pixels in a row of one invocation of the loss.
+    pub loss_strip: u32,
+    /// Invocations of the loss' workgroups where they share nothing.
+    pub loss_sweep: u32,
+    /// Columns of one invocation of the loss there.
+    pub loss_sweep_strip: u32,
+    /// Bytes that a buffer may have.
+    pub max_binding_bytes: u64,
+    /// Entries of a tile that one blending pass may handle.
+    pub entries_per_pass: u32,
+}
+
+impl Blocks {
+    /// Block sizes for a device, or those that its [`Limits::overrides`] ask for.
+    pub fn new(limits: &Limits) -> Self {
+        let method = if limits.is_cpu { SortMethod::Runs } else { SortMethod::Matching };
+        Self::with_sort_method(limits, method)
+    }
+
+    /// The same with a given kind of sort.
+    pub fn with_sort_method(limits: &Limits, sort_method: SortMethod) -> Self {
+        // Blocks nest in each other and in tiles, so that only powers of two will do.
+        let size = |folder: &str, constant: &str, usual: u32| {
+            let asked = limits.overridden(folder, constant).unwrap_or(usual).max(1);
+            1 << asked.ilog2()
+        };
+        let stream =
+            limits.workgroup_size(size("", "WORKGROUP_SIZE", STREAM_WORKGROUP).min(STREAM_WORKGROUP));
+        let (sort_workgroup, sort_items) = sorting::shape(limits, sort_method, stream, size);
+        let scan_items = size("scan", "ITEMS", SCAN_ITEMS[usize::from(limits.is_cpu)]).max(4);
+        let scan_workgroup = limits.workgroup_size(size(
+            "scan",
+            "WORKGROUP_SIZE",
+            if limits.is_cpu { limits.subgroup_size } else { stream },
+        ));
+        let regions = if limits.subgroup_size <= 64 { 4 } else { 2 };
+        // A processor has its pixels in memory anyway, and fetches a Gaussian once instead of once per region. Below 8
+        // lanes the code would be too long to compile.
+        let usual_parts = if limits.is_cpu && limits.subgroup_size >= 8 { regions } else { 1 };
+        let blend_parts = size("forward", "PARTS", usual_parts).min(regions);
+        Self {
+            stream,
+            sort_method,
+            sort_workgroup,
+            sort_items,
+            sort: sort_workgroup * sort_items,
+            sort_alone: sort_method == SortMethod::Runs,
+            scan_workgroup,
+            scan_items,
+            scan: scan_workgroup * scan_items,
+            // On a processor the search for a run's first Gaussian should be lost in it, a GPU has lanes to fill.
+            expand_items: if limits.is_cpu { 16 } else { 4 },
+            tile: regions * limits.subgroup_size,
+            blend_parts,
+            // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
+            tile_shared: stream.min(if limits.is_cpu { CHAINED_COLUMNS } else { TILE_SIZE * TILE_SIZE }),
+            // A processor computes exp2 by some twenty instructions, a GPU by one.
+            column_chain: limits.is_cpu,
+            loss: limits.workgroup_size(size(
+                "loss",
+                "WORKGROUP_SIZE",
+                if limits.is_cpu { 64 } else { STREAM_WORKGROUP },
+            )),
+            // Wide enough to fill a GPU's workgroup; a processor rather reads less.
+            loss_strip: size("loss", "STRIP", if limits.is_cpu { 4 } else { 2 }).min(TILE_SIZE),
+            // Few and long invocations: small workgroups spread them evenly.
+            loss_sweep: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
+            loss_sweep_strip: size("loss", "STRIP", LOSS_SWEEP_STRIP),
+            max_binding_bytes: limits.max_storage_buffer_range.min(limits.max_allocation_bytes),
+            // Where the driver bounds the rounds of an invocation: an entry costs one in each region of its subgroup, and at
+            // any subgroup size from 4 a part of one for its batch.
+            entries_per_pass: limits
+                .max_loop_iterations
+                .map_or(MAX_ENTRIES_PER_PASS, |n| n / (blend_parts + 1))
+                .min(MAX_ENTRIES_PER_PASS),
+        }
+    }
+}
+
+impl Blocks {
+    /// Elements of the smallest block over which there are dispatches.
+    pub(super) fn smallest(&self) -> u32 {
+        self.stream.min(self.sort).min(self.scan)
+    }
+}

@@ -1,0 +1,12 @@
+// The regions of a tile, one per subgroup, and the pixels of a lane: see tile_region.glsl.
+// Needs constants.glsl, SUBGROUP_SIZE.
+
+const uint REGION_WIDTH = 8;
+const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
+const uint REGIONS_X = TILE_SIZE / REGION_WIDTH;
+const uint REGIONS = REGIONS_X * (TILE_SIZE / REGION_HEIGHT);
+// Lanes side by side in a row, and the pixels of one lane.
+const uint LANES_X = SUBGROUP_SIZE < REGION_WIDTH ? SUBGROUP_SIZE : REGION_WIDTH;
+const uint LANES_Y = SUBGROUP_SIZE / LANES_X;
+const uint COLUMNS = REGION_WIDTH / LANES_X;
+const uint ROWS = REGION_HEIGHT / LANES_Y;
