@@ -77,10 +77,12 @@ fn blend_shared_equals_blend_with_depth_limits() {
     let count = lists.view.pixels();
     let limits: Vec<f32> = (0..count).map(|i| (i % 9) as f32 / 5.0).collect();
     let buffer = gpu.buffer("depth_limits", &limits);
-    let shared =
-        forward_shared_limited(&gpu, &lists, 64, How { entries_per_pass: 32, ..CHAINED }, Some(&buffer));
-    let regions = forward_limited(&gpu, &lists, CHAINED, false, Some(&buffer));
-    let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
-    assert!(words(&shared.accumulated, 4 * count) == words(&regions.accumulated, 4 * count));
-    assert!(words(&shared.inverse_depth, count) == words(&regions.inverse_depth, count));
+    for (how, workgroup_size) in [(CHAINED, 32), (UNCHAINED, 64)] {
+        let in_passes = How { entries_per_pass: 32, ..how };
+        let shared = forward_shared_limited(&gpu, &lists, workgroup_size, in_passes, Some(&buffer));
+        let regions = forward_limited(&gpu, &lists, how, false, Some(&buffer));
+        let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
+        assert!(words(&shared.accumulated, 4 * count) == words(&regions.accumulated, 4 * count));
+        assert!(words(&shared.inverse_depth, count) == words(&regions.inverse_depth, count));
+    }
 }
