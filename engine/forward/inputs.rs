@@ -1,0 +1,116 @@
+//! What a frame is recorded from: scenes, each with its place, a camera, settings.
+
+use super::{BlendVariant, RenderSettings, SceneBuffers};
+use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange};
+use crate::scene::Camera;
+use crate::vk::Buffer;
+
+/// One frame to record.
+#[derive(Clone, Copy)]
+pub struct FrameInputs<'a> {
+    /// The scene.
+    pub scene: &'a SceneBuffers,
+    /// The frame's buffers.
+    pub frame: &'a FrameBuffers,
+    /// Their capacity.
+    pub capacity: &'a FrameCapacity,
+    /// The camera.
+    pub camera: &'a Camera,
+    /// How to render.
+    pub settings: &'a RenderSettings,
+    /// SH degree that is evaluated.
+    pub sh_degree: u32,
+    /// Scenes that are rendered together with `scene`, each with its own place.
+    pub others: &'a [PlacedScene<'a>],
+    /// Per pixel of the image: 1/z of what hides the splats behind it, 0 for nothing.
+    pub depth_limits: Option<&'a Buffer>,
+    /// Sum weights * z in place of weights / z.
+    pub linear_depth: bool,
+}
+
+impl FrameInputs<'_> {
+    /// Which blending the frame needs.
+    pub fn blend_variant(&self) -> BlendVariant {
+        BlendVariant {
+            inverse_depth: self.settings.inverse_depth,
+            linear_depth: self.linear_depth,
+            depth_limit: self.depth_limits.is_some(),
+        }
+    }
+}
+
+/// A scene beside the first of a frame.
+#[derive(Clone, Copy)]
+pub struct PlacedScene<'a> {
+    /// The scene.
+    pub scene: &'a SceneBuffers,
+    /// The frame's camera in the scene's own coordinates: same image, same scale.
+    pub camera: Camera,
+    /// SH degree that is evaluated.
+    pub sh_degree: u32,
+    /// Index of its first Gaussian among all of the frame: behind the scene before, a multiple of [`Blocks::stream`],
+    /// so that a block of culling belongs to one scene.
+    pub first: u32,
+}
+
+/// The part of a frame that one dispatch over a scene's parameters needs.
+#[derive(Clone, Copy)]
+pub(super) struct Part<'a> {
+    pub(super) scene: &'a SceneBuffers,
+    pub(super) frame: &'a FrameBuffers,
+    pub(super) camera: &'a Camera,
+    pub(super) settings: &'a RenderSettings,
+    pub(super) sh_degree: u32,
+    pub(super) range: GaussianRange,
+    /// Index of the range's first Gaussian among all of the frame.
+    pub(super) first: u32,
+}
+
+impl<'a> FrameInputs<'a> {
+    /// The scenes, each with its place.
+    pub(super) fn placed(&self) -> impl Iterator<Item = PlacedPart<'a>> + use<'a> {
+        let first =
+            PlacedPart { scene: self.scene, camera: self.camera, sh_degree: self.sh_degree, first: 0 };
+        let others = self.others.iter().map(|o| PlacedPart {
+            scene: o.scene,
+            camera: &o.camera,
+            sh_degree: o.sh_degree,
+            first: o.first,
+        });
+        std::iter::once(first).chain(others)
+    }
+
+    /// The dispatches over parameters: chunk by chunk, scene by scene.
+    pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
+        let (frame, settings) = (self.frame, self.settings);
+        self.placed().flat_map(move |placed| {
+            let PlacedPart { scene, camera, sh_degree, first } = placed;
+            let ranges = scene.plan.ranges(scene.count);
+            ranges.map(move |range| {
+                let first = first + range.first;
+                Part { scene, frame, camera, settings, sh_degree, range, first }
+            })
+        })
+    }
+
+    /// Indices of all scenes together, with the gaps between them.
+    pub(super) fn index_count(&self) -> u32 {
+        self.others.last().map_or(self.scene.count, |o| o.first + o.scene.count)
+    }
+
+    /// The gaps between scenes: (first, count).
+    pub(super) fn gaps(&self) -> impl Iterator<Item = (u32, u32)> {
+        let ends =
+            std::iter::once(self.scene.count).chain(self.others.iter().map(|o| o.first + o.scene.count));
+        let gaps = ends.zip(self.others).map(|(end, next)| (end, next.first - end));
+        gaps.filter(|(_, count)| *count > 0)
+    }
+}
+
+#[derive(Clone, Copy)]
+pub(super) struct PlacedPart<'a> {
+    pub(super) scene: &'a SceneBuffers,
+    pub(super) camera: &'a Camera,
+    pub(super) sh_degree: u32,
+    pub(super) first: u32,
+}
