@@ -333,6 +333,12 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &Blocks) ->
     }
 }
 
+/// How many Gaussians can be trained on a device: their gradients lie in one buffer.
+pub fn max_trained_gaussians(limits: &Limits) -> u32 {
+    let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
+    (bytes / (16 * u64::from(GRADIENT_PLANES))).min(u32::MAX.into()) as u32
+}
+
 /// Bytes of all buffers of a frame.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &Blocks) -> u64 {
     frame_requests(capacity, block).iter().map(|(_, bytes)| bytes).sum()

@@ -98,6 +98,27 @@ fn limits_of_large_images_are_named() {
     assert_silent(&context);
 }
 
+/// Gradients lie in one buffer: growth ends where it does, and more than it holds is refused at once.
+#[test]
+fn limits_of_bindings_stop_growth_not_training() {
+    let limits = |gaussians: u64| LimitsOverride {
+        max_storage_buffer_range: Some(gaussians * 64),
+        ..LimitsOverride::default()
+    };
+    let mut start = gaussians(&small_scene(&mut Random::new(42), 3000, 16));
+    // Small ones: that there is room for instances is not what is asked here.
+    start.log_scales.iter_mut().flatten().for_each(|s| *s -= 2.5);
+    let settings = TrainSettings { densify_grad_threshold: 0.0, ..settings() };
+    let context = context(limits(5000));
+    let mut trainer = Trainer::new(&context, views(2, 5), &start, 5.0, settings.clone()).expect("a trainer");
+    let densified = (0..8).filter_map(|_| trainer.step().expect("a step").densified);
+    assert!(densified.filter(|d| d.limited).count() > 0);
+    assert!((3000..=5000).contains(&trainer.gaussians().expect("Gaussians").len()));
+    let few = self::context(limits(2900));
+    let refused = Trainer::new(&few, views(2, 5), &start, 5.0, settings).err().expect("refused").to_string();
+    assert!(refused.contains("3000 Gaussians, more than 2900"), "{refused}");
+}
+
 fn with_memory(bytes: u64) -> Context {
     Context::new(&ContextOptions { max_memory: Some(bytes), ..options() }).expect("a device")
 }

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::loss;
-use crate::plan::{Blocks, FrameCapacity, ScenePlan, frame_bytes, initial_instances};
+use crate::plan::{Blocks, FrameCapacity, ScenePlan, frame_bytes, initial_instances, max_trained_gaussians};
 use crate::scene::Camera;
 use crate::vk::Context;
 
@@ -44,8 +44,18 @@ pub(super) fn initial_capacity(
     count: u32,
     sh_degree: u32,
 ) -> Result<u32> {
+    let most = max_trained_gaussians(context.limits());
+    if count > most {
+        return Err(Error::TooLarge {
+            what: "the gradients of the scene".into(),
+            needed: count.into(),
+            unit: "Gaussians",
+            limit: most.into(),
+            limit_name: "what maxStorageBufferRange holds",
+        });
+    }
     // Room to grow: densification allocates anew when it does not suffice.
-    let wanted = count.saturating_add(count / 2).max(1 << 12);
+    let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
     let Some((limit, limit_name)) = context.memory_limit() else { return Ok(wanted) };
     let free = limit.saturating_sub(context.memory_total().bytes);
     let needed = |capacity: u32| -> Result<u64> {
@@ -66,9 +76,18 @@ pub(super) fn initial_capacity(
     Err(Error::TooLarge { what, needed: least, unit: "bytes", limit: free, limit_name })
 }
 
+/// How many Gaussians to make room for when `rows` do not fit: half as many again, or as many as can be trained.
+pub(super) fn grown_capacity(context: &Context, rows: u32) -> u32 {
+    let most = max_trained_gaussians(context.limits());
+    rows.saturating_add(rows / 2).min(most.max(rows))
+}
+
 /// Whether planes for a plan fit beside what is allocated now, and then a frame of as many Gaussians once the old planes
 /// are gone.
 pub(super) fn has_room(context: &Context, plan: &ScenePlan, old: &ScenePlan, frame: &FrameCapacity) -> bool {
+    if plan.capacity > max_trained_gaussians(context.limits()) {
+        return false;
+    }
     let Some((limit, _)) = context.memory_limit() else { return true };
     let sizes = Blocks::new(context.limits());
     let grown = FrameCapacity {

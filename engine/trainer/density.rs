@@ -52,7 +52,7 @@ impl Trainer {
             return Ok(densified);
         }
         // Without room to grow further, if that does not fit beside the old planes.
-        let fresh = match self.allocate_fresh(rows.saturating_add(rows / 2)) {
+        let fresh = match self.allocate_fresh(budget::grown_capacity(&self.context, rows)) {
             Ok(fresh) => Ok(fresh),
             Err(_) => self.allocate_fresh(rows),
         };

@@ -84,6 +84,15 @@ fn a_resumed_training_equals_one_that_was_never_stopped() {
     assert!(!place.model("none").exists());
 }
 
+#[test]
+fn determinism_is_verified_without_writing() {
+    let place = Place::new();
+    let data = place.folder.path().join("data");
+    let said = succeed(&["train", "-s", text(&data), "--verify-determinism", "3", "--quiet"]);
+    assert!(said.starts_with("3 iterations twice on ") && said.contains("the same bits"), "{said}");
+    assert_eq!(place.folder.path().read_dir().expect("the folder").count(), 1);
+}
+
 /// Ends a run in whatever it is doing; whatever is on disk then must do.
 fn kill(mut child: Child, after: Duration) {
     std::thread::sleep(after);
