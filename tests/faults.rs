@@ -19,10 +19,11 @@ fn stride(usual: u64) -> usize {
     if std::env::var_os("ASHSPLAT_ALL_FAULTS").is_some() { 1 } else { usual as usize }
 }
 
-/// A device whose calls can be made to fail. Transfers are staged, so that there are more of them.
+/// A device whose calls can be made to fail. Transfers are staged, so that there are more of them. The timeout is one that
+/// a busy machine does not reach.
 fn device() -> (Context, Faults) {
     let faults = Faults::new();
-    let timeout = Some(Duration::from_secs(5));
+    let timeout = Some(Duration::from_secs(60));
     let own = ContextOptions { faults: Some(faults.clone()), force_staging: true, timeout, ..options() };
     (Context::new(&own).expect("a device"), faults)
 }

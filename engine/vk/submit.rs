@@ -173,7 +173,7 @@ impl Commands {
 
     /// Sleeps until the submission is over, or for as long as a timeout says.
     fn wait(&mut self, timeout: Option<Duration>) -> Result<()> {
-        const ROUND: Duration = Duration::from_secs(5);
+        const ROUND: Duration = Duration::from_secs(60);
         let mut waited = Duration::ZERO;
         while self.submitted {
             let round = timeout.map_or(ROUND, |timeout| timeout.saturating_sub(waited).min(ROUND));
