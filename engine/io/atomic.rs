@@ -4,7 +4,7 @@
 //! renamed when complete. Whatever happens before, the old file stays and no partial one appears.
 
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use crate::{Error, Result};
@@ -21,7 +21,24 @@ const BUFFER_BYTES: usize = 1 << 20;
 /// full); nothing is left behind then.
 pub fn write(path: impl AsRef<Path>, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
     let path = path.as_ref();
-    write_inner(path, fill).map_err(|source| Error::io(path, "write", source))
+    let io = |source| Error::io(path, "write", source);
+    write_inner(path, |file| fill(file).map_err(io))
+}
+
+/// What [`write_seekable`] writes to. A pipe cannot seek: the attempt is an error there.
+pub trait Output: Write + Seek {}
+
+impl<T: Write + Seek> Output for T {}
+
+/// Like [`write`], for writers that return to earlier places, or fail for reasons of their own.
+///
+/// # Errors
+/// What `fill` says, or [`Error::Io`] naming the file; nothing is left behind then.
+pub fn write_seekable(
+    path: impl AsRef<Path>,
+    fill: impl FnOnce(&mut dyn Output) -> Result<()>,
+) -> Result<()> {
+    write_inner(path.as_ref(), fill)
 }
 
 /// Creates a folder and its parents; an existing one is fine.
@@ -33,26 +50,28 @@ pub fn create_folder(path: impl AsRef<Path>) -> Result<()> {
     fs::create_dir_all(path).map_err(|source| Error::io(path, "create", source))
 }
 
-fn write_inner(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+fn write_inner(path: &Path, fill: impl FnOnce(&mut dyn Output) -> Result<()>) -> Result<()> {
+    let io = |source| Error::io(path, "write", source);
     if fs::metadata(path).is_ok_and(|m| !m.is_file() && !m.is_dir()) {
-        let mut writer = BufWriter::with_capacity(BUFFER_BYTES, File::options().write(true).open(path)?);
+        let file = File::options().write(true).open(path).map_err(io)?;
+        let mut writer = BufWriter::with_capacity(BUFFER_BYTES, file);
         fill(&mut writer)?;
-        return writer.flush();
+        return writer.flush().map_err(io);
     }
-    let target = destination(path)?;
+    let target = destination(path).map_err(io)?;
     let folder = match target.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
     // Said of the folder; the creation of the file below would name the temporary one.
-    fs::metadata(folder)?;
-    let file = temporary_file(&target, folder)?;
+    fs::metadata(folder).map_err(io)?;
+    let file = temporary_file(&target, folder).map_err(io)?;
     let mut writer = BufWriter::with_capacity(BUFFER_BYTES, file.as_file());
     fill(&mut writer)?;
-    writer.flush()?;
+    writer.flush().map_err(io)?;
     drop(writer);
-    file.as_file().sync_all()?;
-    file.persist(&target).map_err(|e| e.error)?;
+    file.as_file().sync_all().map_err(io)?;
+    file.persist(&target).map_err(|e| io(e.error))?;
     // The rename itself reaches the disk with the folder; where folders cannot be synchronised, it is late only.
     let _ = File::open(folder).and_then(|f| f.sync_all());
     Ok(())

@@ -1,4 +1,4 @@
-//! Files: PLY, COLMAP, photographs, data sets, cameras.json. Knows no Vulkan.
+//! Files: PLY and the other formats of Gaussians, COLMAP, photographs, data sets, cameras.json. Knows no Vulkan.
 //!
 //! Readers trust nothing that a file says about itself: every count is checked against the file's size before
 //! memory is reserved for it. Writers go through [`atomic`], so that no partial file is ever left behind.
@@ -11,6 +11,7 @@ pub mod images;
 pub mod ply;
 mod progress;
 mod sniff;
+pub mod splats;
 
 pub use dataset::{Dataset, DatasetOptions, DatasetReport, View};
 pub use images::{Photo, Resolution};

@@ -4,7 +4,10 @@
 //! channel-major (all red coefficients, then green, then blue), scales as logarithms, opacity as a logit,
 //! quaternions w first. Read: by property name, in any order, encoding and scalar type.
 
+mod compressed;
+mod compressed_write;
 mod header;
+mod morton;
 mod read;
 mod rows;
 mod write;
@@ -12,3 +15,8 @@ mod write;
 pub use header::Encoding;
 pub use read::{PlyOptions, PlyScene, read, read_points};
 pub use write::{write, write_points};
+
+pub(super) use compressed::CompressedPly;
+pub(super) use compressed_write::write_blocks as write_compressed_blocks;
+pub(super) use read::{GaussianRows, is_compressed};
+pub(super) use write::write_blocks;

@@ -15,3 +15,6 @@ mod mutations;
 mod ply;
 mod sh;
 mod view;
+mod sh_rotation;
+pub mod splats;
+mod transform;

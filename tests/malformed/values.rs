@@ -5,13 +5,14 @@ use std::path::Path;
 use ashsplat::Error;
 use ashsplat::io::colmap::Model;
 use ashsplat::io::dataset::{Dataset, DatasetOptions, View};
-use ashsplat::io::{Progress, ply};
+use ashsplat::io::{Progress, ply, splats};
 use ashsplat::scene::Gaussians;
 
 /// Checks the values of an accepted case.
 pub fn check(path: &Path, case: &str) {
     match case.split_once('/') {
         Some(("ply", name)) => check_gaussians(path, name),
+        Some(("splat", "ok_v3_recompressed.spz")) => check_three_points(path),
         Some(("colmap", "ok_jpeg")) => check_counts(path, 3, 20),
         Some(("colmap", name)) => check_generated(path, name),
         Some(("fetched", "tiny_model_3_of_many")) => check_counts(path, 3, 1334),
@@ -38,6 +39,11 @@ pub fn check_refused(path: &Path, case: &str, error: Option<&Error>) {
         "ply/empty.ply" => says("empty"),
         "ply/missing_f_rest_7.ply" => says("f_rest_7"),
         "fetched/lfs_pointer_point_cloud.ply" => says("git lfs pull"),
+        "splat/bomb_512_mib.spz" => says("more data"),
+        "splat/compressed_count_mismatch.compressed.ply" => {
+            says("has 1 chunks, its 152746 vertices need 597")
+        }
+        "splat/nan_inf.splat" => says("Gaussian 0: x = NaN"),
         "colmap/distorted_camera" => {
             says("SIMPLE_RADIAL");
             says("camera 1");
@@ -67,6 +73,27 @@ fn plain_rows(folder: &Path) -> Vec<[f32; 62]> {
     let data = &bytes[bytes.len() - 16 * 248..];
     let floats: Vec<f32> = data.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
     floats.as_chunks::<62>().0.to_vec()
+}
+
+/// The three Gaussians that the same people stored as PLY, SPZ and .splat: within the quantisation the same.
+fn check_three_points(path: &Path) {
+    let folder = path.ancestors().nth(3).unwrap().join("trained");
+    let read = |path: &Path| splats::read(path, &splats::ReadOptions::default()).unwrap().gaussians;
+    let (spz, ply) = (read(path), read(&folder.join("test-splat.3-points-from-train.ply")));
+    assert_eq!((spz.len(), spz.sh_degree), (3, 3));
+    for index in 0..3 {
+        for axis in 0..3 {
+            assert!((spz.means[index][axis] - ply.means[index][axis]).abs() < 1e-3);
+            assert!((spz.log_scales[index][axis] - ply.log_scales[index][axis]).abs() < 0.04);
+        }
+        assert!((spz.opacity(index) - ply.opacity(index)).abs() < 0.5 / 255.0 + 1e-5);
+        let cosine: f32 = spz.quats[index].iter().zip(ply.quats[index]).map(|(a, b)| a * b).sum();
+        let length = ply.quats[index].iter().map(|q| q * q).sum::<f32>().sqrt();
+        assert!(cosine.abs() / length > 0.9999);
+        for (a, b) in spz.sh_of(index)[1..].as_flattened().iter().zip(ply.sh_of(index)[1..].as_flattened()) {
+            assert!((a - b.clamp(-1.0, 1.0)).abs() < 0.07, "{a} {b}");
+        }
+    }
 }
 
 fn check_gaussians(path: &Path, name: &str) {

@@ -1,6 +1,6 @@
 //! The command line: what all commands share, and how it is read.
 
-use crate::{bench, demo, devices, eval, info, inspect, profile, render, train};
+use crate::{bench, convert, demo, devices, eval, info, inspect, profile, render, train};
 use ashsplat::Result;
 use ashsplat::vk::{Context, ContextOptions};
 use clap::error::ErrorKind;
@@ -27,8 +27,10 @@ pub enum Command {
     Render(render::Arguments),
     /// PSNR and SSIM of a trained scene on a data set
     Eval(eval::Arguments),
-    /// What is in a PLY, a model folder or a data set, and whether it can be used
+    /// What is in a file of Gaussians, a model folder or a data set, and whether it can be used
     Info(info::Arguments),
+    /// Convert Gaussians between PLY, compressed PLY, .splat, SPZ and glTF; crop, move, thin out
+    Convert(convert::Arguments),
     /// The Gaussians blended at one pixel, front to back
     Inspect(inspect::Arguments),
     /// The Vulkan devices of this machine, with the limits that matter

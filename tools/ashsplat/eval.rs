@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// to its results.json and per_view.json.
 #[derive(Args)]
 pub struct Arguments {
-    /// A model folder or a PLY
+    /// A model folder or a file of Gaussians
     #[arg(value_name = "MODEL", required_unless_present = "model_path")]
     model: Option<PathBuf>,
     /// The same, under the reference's name
@@ -147,15 +147,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut data = arguments.data.applied_to(&model.settings.data)?;
     // Of a bare PLY nobody knows the split: the usual one.
     data.eval |= model.folder.is_none();
-    let gaussians = arguments.look.load(&model.ply)?;
+    let scene = arguments.look.load(&model.ply)?;
     let white = model.settings.train.white_background;
     let context = arguments.device.context()?;
     let dataset = session::load(&data, white, arguments.quiet)?;
     session::warn(&dataset);
     let views = chosen_views(dataset, arguments.all, &data)?;
     let mut renderer = Renderer::new(&context)?;
-    renderer.upload(&gaussians)?;
-    let settings = RenderSettings { inverse_depth: false, ..arguments.look.settings(&model.settings)? };
+    renderer.upload(&scene.gaussians)?;
+    let look = arguments.look.settings(&model.settings, &scene.header)?;
+    let settings = RenderSettings { inverse_depth: false, ..look };
     let bar = counting("views", views.len() as u64, arguments.quiet);
     let evaluation = evaluate(&views, None, |camera| {
         bar.inc(1);
@@ -165,7 +166,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let (Some((folder, iteration)), false) = (&model.folder, arguments.all) {
         write_results(folder, *iteration, &evaluation)?;
     }
-    print_results(arguments.json, &evaluation, gaussians.len())?;
+    print_results(arguments.json, &evaluation, scene.gaussians.len())?;
     arguments.device.report_validation(&context);
     Ok(())
 }

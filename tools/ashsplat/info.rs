@@ -4,20 +4,20 @@ use crate::config::DataSettings;
 use crate::model::Model;
 use crate::progress::{counting, thousands};
 use crate::session;
-use ashsplat::io::{Dataset, DatasetReport, Progress, ply};
+use ashsplat::io::{Dataset, DatasetReport, Progress, splats};
 use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
 use clap::Args;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// What is in a PLY, a model folder or a data set.
+/// What is in a file of Gaussians, a model folder or a data set.
 ///
 /// Of a data set everything is checked that training would check: every photo is present, can be decoded and has the
 /// size of its camera. All problems are listed, and the exit code is 2 if there are any.
 #[derive(Args)]
 pub struct Arguments {
-    /// A PLY, a model folder or a data set
+    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), a model folder or a data set
     #[arg(value_name = "PATH")]
     path: PathBuf,
     /// Folder of a data set's photos
@@ -26,7 +26,7 @@ pub struct Arguments {
     /// Count a data set's views as with --eval
     #[arg(long)]
     eval: bool,
-    /// Drop the Gaussians of a PLY whose parameters are not finite, instead of refusing it
+    /// Drop the Gaussians whose parameters are not finite, instead of refusing it
     #[arg(long)]
     drop_invalid: bool,
     /// Print JSON
@@ -49,18 +49,20 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return dataset(arguments);
     }
     let model = Model::locate(path, None)?;
-    let scene = ply::read(&model.ply, &ply::PlyOptions { drop_invalid: arguments.drop_invalid })?;
+    let scene = splats::read(&model.ply, &splats::ReadOptions { drop_invalid: arguments.drop_invalid })?;
     let summary = Summary::of(&scene.gaussians);
     if arguments.json {
-        say!("{:#}", summary.json(&model.ply, scene.dropped));
+        say!("{:#}", summary.json(&model.ply, &scene));
         return Ok(());
     }
     say!("file       {}", model.ply.display());
+    let antialiased = if scene.header.antialiased { ", trained with antialiasing" } else { "" };
+    say!("format     {}{antialiased}", scene.header.format);
     summary.print();
     if scene.dropped > 0 {
         say!("dropped    {} that are not finite", thousands(scene.dropped));
     }
-    if let Some(warning) = scene.warning {
+    for warning in scene.warnings {
         say!("warning    {warning}");
     }
     Ok(())
@@ -151,11 +153,13 @@ impl Summary {
         self.opacities.print(|edge| format!("{edge:.2}"));
     }
 
-    fn json(&self, path: &Path, dropped: u64) -> Value {
+    fn json(&self, path: &Path, scene: &splats::Scene) -> Value {
         json!({
             "file": path,
             "gaussians": self.count,
-            "dropped": dropped,
+            "format": scene.header.format.to_string(),
+            "antialiased": scene.header.antialiased,
+            "dropped": scene.dropped,
             "sh_degree": self.sh_degree,
             "bounds": self.bounds.map(bounds_json),
             "central_bounds": self.central.map(bounds_json),

@@ -70,7 +70,7 @@ fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let model = Model::locate(&arguments.model, None)?;
-    let gaussians = arguments.look.load(&model.ply)?;
+    let scene = arguments.look.load(&model.ply)?;
     let camera = arguments.camera(&model)?;
     let [x, y] = arguments.pixel;
     if x >= camera.width || y >= camera.height {
@@ -78,10 +78,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             format!("{x},{y} lies outside the picture of {}x{} pixels", camera.width, camera.height);
         return Err(Error::argument("--pixel", problem));
     }
-    let settings = arguments.look.settings(&model.settings)?;
+    let settings = arguments.look.settings(&model.settings, &scene.header)?;
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
-    renderer.upload(&gaussians)?;
+    renderer.upload(&scene.gaussians)?;
     let report = renderer.inspect(&camera, &settings, arguments.pixel)?;
     if arguments.json {
         print_json(&report)

@@ -15,6 +15,7 @@ macro_rules! tell {
 mod args;
 mod bench;
 mod config;
+mod convert;
 mod cpu_time;
 mod demo;
 mod devices;
@@ -60,6 +61,7 @@ fn run(command: args::Command) -> Result<()> {
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
+        Command::Convert(arguments) => convert::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),

@@ -5,7 +5,7 @@ use crate::config::{CAMERAS_FILE, Settings};
 use crate::model::Model;
 use crate::{output, session};
 use ashsplat::io::cameras_json::{self, NamedCamera};
-use ashsplat::io::ply;
+use ashsplat::io::splats;
 use ashsplat::kernels::constants::NEAR_PLANE;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, Extent, Frame, RenderSettings, Renderer, Result};
@@ -24,7 +24,7 @@ use std::time::Instant;
 /// world, "fx", "fy", and optionally "cx", "cy"}, ...], lengths in pixels, the first pixel's centre at 0.5.
 #[derive(Args)]
 pub struct Arguments {
-    /// A model folder or a PLY
+    /// A model folder or a file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF)
     #[arg(value_name = "MODEL", required_unless_present = "model_path")]
     model: Option<PathBuf>,
     /// The same, under the reference's name
@@ -90,19 +90,19 @@ pub struct SizeArguments {
 /// How a scene is drawn.
 #[derive(Args)]
 pub struct LookArguments {
-    /// Drop the Gaussians of a PLY whose parameters are not finite, instead of refusing it
+    /// Drop the Gaussians whose parameters are not finite, instead of refusing it
     #[arg(long)]
     drop_invalid: bool,
     /// Background colour, 0 to 1 [default: as in training, else black]
     #[arg(long, value_name = "R,G,B", value_parser = parse_vector)]
     background: Option<Vec3>,
-    /// SH degree to draw [default: all that the PLY has]
+    /// SH degree to draw [default: all that the file has]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=3))]
     sh_degree: Option<u32>,
     /// Where a Gaussian ends: at alpha 1/255, or at the reference renderer's tile square
     #[arg(long, value_enum, default_value = "exact")]
     extent: ExtentName,
-    /// Compensate the opacity for the screen-space dilation (Mip-Splatting) [default: as in training]
+    /// Compensate the opacity for the screen-space dilation (Mip-Splatting) [default: as in training, or as the file says]
     #[arg(long)]
     antialiasing: bool,
 }
@@ -114,26 +114,26 @@ enum ExtentName {
 }
 
 impl LookArguments {
-    /// Reads the PLY; tells on stderr what was dropped or is odd.
-    pub fn load(&self, path: &Path) -> Result<Gaussians> {
-        let scene = ply::read(path, &ply::PlyOptions { drop_invalid: self.drop_invalid })?;
+    /// Reads the Gaussians; tells on stderr what was dropped or is odd.
+    pub fn load(&self, path: &Path) -> Result<splats::Scene> {
+        let scene = splats::read(path, &splats::ReadOptions { drop_invalid: self.drop_invalid })?;
         if scene.dropped > 0 {
             tell!("{}: dropped {} Gaussians that are not finite", path.display(), scene.dropped);
         }
-        if let Some(warning) = &scene.warning {
+        for warning in &scene.warnings {
             tell!("{}: {warning}", path.display());
         }
-        Ok(scene.gaussians)
+        Ok(scene)
     }
 
-    /// The settings: those of the training, changed by what was given.
-    pub fn settings(&self, trained: &Settings) -> Result<RenderSettings> {
+    /// The settings: those of the training, changed by what the file says and what was given.
+    pub fn settings(&self, trained: &Settings, header: &splats::Header) -> Result<RenderSettings> {
         let mut settings = settings_of(trained);
         if let Some(background) = self.background {
             settings.background = background.to_array();
         }
         settings.sh_degree = self.sh_degree;
-        settings.antialias |= self.antialiasing;
+        settings.antialias |= self.antialiasing || header.antialiased;
         settings.extent = match self.extent {
             ExtentName::Exact => Extent::Exact,
             ExtentName::Reference => Extent::Reference,
@@ -162,13 +162,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
     let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
     let model = Model::locate(path, arguments.iteration)?;
-    let gaussians = arguments.look.load(&model.ply)?;
-    let cameras = arguments.cameras(&model, &gaussians)?;
+    let scene = arguments.look.load(&model.ply)?;
+    let gaussians = &scene.gaussians;
+    let cameras = arguments.cameras(&model, gaussians)?;
     let with_depth = arguments.format != Format::Png;
-    let settings = RenderSettings { inverse_depth: with_depth, ..arguments.look.settings(&model.settings)? };
+    let settings = RenderSettings {
+        inverse_depth: with_depth,
+        ..arguments.look.settings(&model.settings, &scene.header)?
+    };
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
-    renderer.upload(&gaussians)?;
+    renderer.upload(gaussians)?;
     output::remove_leftovers(&arguments.out, 0);
     let mut total = 0.0;
     for (index, named) in cameras.iter().enumerate() {

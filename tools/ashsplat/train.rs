@@ -290,7 +290,9 @@ impl Run {
         let folder = &self.settings.data.model_path;
         let path = model::point_cloud_path(folder, iteration);
         let gaussians = self.trainer.gaussians()?;
-        output::in_folder(&path, |path| io::ply::write(path, &gaussians))?;
+        let antialiased = self.settings.train.antialiasing;
+        let options = io::splats::WriteOptions { antialiased, ..Default::default() };
+        output::in_folder(&path, |path| io::splats::write(path, &gaussians, &options))?;
         model::note_saved(folder, iteration)?;
         self.saved = Some(iteration);
         self.progress.note(&format!("{reason}saved {}", path.display()));

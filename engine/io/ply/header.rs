@@ -24,7 +24,7 @@ pub enum Encoding {
 
 /// The type of one value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Scalar {
+pub(in crate::io) enum Scalar {
     I8,
     U8,
     I16,
@@ -51,7 +51,7 @@ impl Scalar {
     }
 
     /// Size in a binary file.
-    pub(super) fn bytes(self) -> usize {
+    pub(in crate::io) fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
@@ -62,27 +62,27 @@ impl Scalar {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(in crate::io) enum Kind {
     Scalar(Scalar),
     List { count: Scalar, item: Scalar },
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Property {
-    pub(super) name: String,
-    pub(super) kind: Kind,
+pub(in crate::io) struct Property {
+    pub(in crate::io) name: String,
+    pub(in crate::io) kind: Kind,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Element {
-    pub(super) name: String,
-    pub(super) count: u64,
-    pub(super) properties: Vec<Property>,
+pub(in crate::io) struct Element {
+    pub(in crate::io) name: String,
+    pub(in crate::io) count: u64,
+    pub(in crate::io) properties: Vec<Property>,
 }
 
 impl Element {
     /// Bytes of one row in a binary file; `None` when a list makes rows differ.
-    pub(super) fn row_bytes(&self) -> Option<u64> {
+    pub(in crate::io) fn row_bytes(&self) -> Option<u64> {
         let bytes = |p: &Property| match p.kind {
             Kind::Scalar(scalar) => Some(scalar.bytes() as u64),
             Kind::List { .. } => None,
@@ -90,29 +90,42 @@ impl Element {
         self.properties.iter().map(bytes).sum()
     }
 
-    pub(super) fn has(&self, name: &str) -> bool {
+    pub(in crate::io) fn has(&self, name: &str) -> bool {
         self.properties.iter().any(|p| p.name == name)
     }
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Header {
-    pub(super) encoding: Encoding,
-    pub(super) elements: Vec<Element>,
+pub(in crate::io) struct Header {
+    pub(in crate::io) encoding: Encoding,
+    pub(in crate::io) elements: Vec<Element>,
     /// Length of the header in the file.
-    pub(super) bytes: u64,
+    pub(in crate::io) bytes: u64,
     /// Number of lines of the header.
-    pub(super) lines: u64,
+    pub(in crate::io) lines: u64,
+    /// Whether a comment says that the Gaussians want antialiasing.
+    pub(in crate::io) antialiased: bool,
 }
 
+/// The comment with which this crate's files say that the Gaussians want antialiasing; PLY has no word for it.
+pub(in crate::io) const ANTIALIASED: &str = "antialiased";
+
 /// Reads the header; afterwards the reader stands at the first byte of the data.
-pub(super) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
+pub(in crate::io) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
     check_magic(reader, path)?;
-    let mut parser =
-        Parser { path, encoding: None, elements: Vec::new(), bytes: 0, lines: 0, text: Vec::new() };
+    let mut parser = Parser {
+        path,
+        encoding: None,
+        elements: Vec::new(),
+        bytes: 0,
+        lines: 0,
+        text: Vec::new(),
+        antialiased: false,
+    };
     while !parser.line(reader)? {}
     let encoding = parser.encoding.ok_or_else(|| parser.error("the header has no format line"))?;
-    Ok(Header { encoding, elements: parser.elements, bytes: parser.bytes, lines: parser.lines as u64 })
+    let Parser { elements, bytes, antialiased, .. } = parser;
+    Ok(Header { encoding, elements, bytes, lines: parser.lines as u64, antialiased })
 }
 
 fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
@@ -133,6 +146,7 @@ struct Parser<'a> {
     bytes: u64,
     lines: usize,
     text: Vec<u8>,
+    antialiased: bool,
 }
 
 impl Parser<'_> {
@@ -181,6 +195,7 @@ impl Parser<'_> {
                 self.property(kind, name)?;
             }
             ["end_header"] => return Ok(true),
+            ["comment", ANTIALIASED] => self.antialiased = true,
             ["comment" | "obj_info", ..] | [] => {}
             ["element", name] => return Err(self.error(format!("element {name} has no count"))),
             [word, ..] => return Err(self.error(format!("'{}' is not understood", shortened(word)))),
@@ -234,7 +249,7 @@ fn is_comment(line: &[u8]) -> bool {
 }
 
 /// The beginning of a word of unknown length, for a message.
-pub(super) fn shortened(word: &str) -> String {
+pub(in crate::io) fn shortened(word: &str) -> String {
     let mut start: String = word.chars().take(40).collect();
     if start.len() < word.len() {
         start.push('…');

@@ -4,15 +4,10 @@ use std::path::Path;
 
 use super::header::Element;
 use super::rows::PlyFile;
+use crate::io::splats::{self, BLOCK, Sink, Source};
 use crate::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use crate::scene::{Gaussians, PointCloud};
 use crate::{Error, Result};
-
-/// Largest usable coordinate: the square of a larger one overflows.
-const MAX_COORDINATE: f32 = 1e18;
-
-/// Largest usable log-scale: the exponential of a larger one overflows.
-const MAX_LOG_SCALE: f32 = 88.0;
 
 /// How to read Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -33,7 +28,7 @@ pub struct PlyScene {
 }
 
 /// Reads Gaussians: any property order, encoding and scalar type; more properties and elements are ignored; the
-/// SH degree follows from the number of `f_rest` properties.
+/// SH degree follows from the number of `f_rest` properties. [`splats::read`] reads the other formats too.
 ///
 /// A parameter is unusable when it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), when a
 /// coordinate exceeds 1e18 or a log-scale 88 (both overflow in the projection).
@@ -43,24 +38,64 @@ pub struct PlyScene {
 /// short or damaged, or has unusable parameters and [`PlyOptions::drop_invalid`] is not set.
 pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
     let path = path.as_ref();
-    let mut file = PlyFile::open(path)?;
-    let element = file.seek_element("vertex")?;
-    let layout = Layout::new(path, &element)?;
-    let mut gaussians = Gaussians::with_capacity(layout.sh_degree, capacity(&element));
-    let mut invalid = Invalid { count: 0, first: None };
-    file.for_each_row(&element, &layout.names, |index, row| match layout.unusable(row) {
-        None => layout.push(row, &mut gaussians),
-        Some(column) => {
-            invalid.count += 1;
-            invalid.first.get_or_insert_with(|| (index, column, row[column]));
-        }
-    })?;
-    let warning = invalid.describe(&element, &layout);
-    match warning {
-        Some(problem) if !options.drop_invalid => {
-            Err(Error::input(path, problem, "--drop-invalid leaves them out"))
-        }
-        warning => Ok(PlyScene { gaussians, dropped: invalid.count, warning }),
+    let source = Box::new(GaussianRows::open(path)?);
+    let options = splats::ReadOptions { drop_invalid: options.drop_invalid };
+    let scene = splats::collect(path, source, &options)?;
+    Ok(PlyScene {
+        gaussians: scene.gaussians,
+        dropped: scene.dropped,
+        warning: scene.warnings.into_iter().next(),
+    })
+}
+
+/// Whether a PLY is PlayCanvas' compressed kind.
+pub(in crate::io) fn is_compressed(path: &Path) -> Result<bool> {
+    let file = PlyFile::open(path)?;
+    Ok(file.header.elements.iter().any(|e| e.name == "vertex" && e.has("packed_position")))
+}
+
+/// The Gaussians of a plain PLY.
+pub(in crate::io) struct GaussianRows<'a> {
+    file: PlyFile<'a>,
+    element: Element,
+    layout: Layout,
+    header: splats::Header,
+}
+
+impl<'a> GaussianRows<'a> {
+    pub(in crate::io) fn open(path: &'a Path) -> Result<Self> {
+        let mut file = PlyFile::open(path)?;
+        let element = file.seek_element("vertex")?;
+        let layout = Layout::new(path, &element)?;
+        file.check_no_list(&element)?;
+        let header = splats::Header {
+            format: splats::Format::Ply,
+            count: element.count,
+            sh_degree: layout.sh_degree,
+            antialiased: file.header.antialiased,
+            warnings: Vec::new(),
+        };
+        Ok(Self { file, element, layout, header })
+    }
+}
+
+impl Source for GaussianRows<'_> {
+    fn header(&self) -> &splats::Header {
+        &self.header
+    }
+
+    fn row_name(&self) -> &'static str {
+        "vertex"
+    }
+
+    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
+        let empty = || Gaussians::with_capacity(self.layout.sh_degree, BLOCK.min(capacity(&self.element)));
+        let mut block = empty();
+        self.file.for_each_row(&self.element, &self.layout.names, |_, row| {
+            push(row, &mut block);
+            if block.len() < BLOCK { Ok(()) } else { sink(std::mem::replace(&mut block, empty())) }
+        })?;
+        sink(block)
     }
 }
 
@@ -81,12 +116,14 @@ pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
     points.colors.reserve(capacity(&element));
     let mut bad = None;
     file.for_each_row(&element, &names, |index, row| {
-        if row[..3].iter().any(|v| !v.is_finite()) {
+        let position = [row[0], row[1], row[2]].map(|v| v as f32);
+        if position.iter().any(|v| !v.is_finite()) {
             bad.get_or_insert(index);
         }
-        points.positions.push([row[0], row[1], row[2]]);
+        points.positions.push(position);
         let color = if coloured { [row[3], row[4], row[5]] } else { [255.0; 3] };
         points.colors.push(color.map(|c| c.round().clamp(0.0, 255.0) as u8));
+        Ok(())
     })?;
     match bad {
         None => Ok(points),
@@ -139,40 +176,25 @@ impl Layout {
             }
         }
     }
+}
 
-    /// The first column with an unusable value.
-    fn unusable(&self, row: &[f32]) -> Option<usize> {
-        row.iter().enumerate().position(|(column, &value)| match column {
-            0..OPACITY => !value.is_finite() || value.abs() > MAX_COORDINATE,
-            OPACITY => value.is_nan(),
-            SCALE..QUATERNION => !value.is_finite() || value > MAX_LOG_SCALE,
-            _ => !value.is_finite(),
-        })
-    }
-
-    fn push(&self, row: &[f32], gaussians: &mut Gaussians) {
-        gaussians.means.push([row[0], row[1], row[2]]);
-        gaussians.opacity_logits.push(row[OPACITY]);
-        gaussians.log_scales.push([row[SCALE], row[SCALE + 1], row[SCALE + 2]]);
-        gaussians.quats.push(std::array::from_fn(|i| row[QUATERNION + i]));
-        gaussians.sh.push([row[SH_DC], row[SH_DC + 1], row[SH_DC + 2]]);
-        let rest = &row[SH_REST..];
-        let per_channel = rest.len() / 3;
-        gaussians
-            .sh
-            .extend((0..per_channel).map(|i| [0, 1, 2].map(|channel| rest[channel * per_channel + i])));
-    }
+/// Appends the Gaussian of a row; the names of its values are those of [`Layout`].
+fn push(row: &[f64], gaussians: &mut Gaussians) {
+    let at = |column: usize| row[column] as f32;
+    gaussians.means.push([at(0), at(1), at(2)]);
+    gaussians.opacity_logits.push(at(OPACITY));
+    gaussians.log_scales.push(std::array::from_fn(|axis| at(SCALE + axis)));
+    gaussians.quats.push(std::array::from_fn(|i| at(QUATERNION + i)));
+    gaussians.sh.push(std::array::from_fn(|channel| at(SH_DC + channel)));
+    let per_channel = (row.len() - SH_REST) / 3;
+    let rest = |i: usize| std::array::from_fn(|channel| at(SH_REST + channel * per_channel + i));
+    gaussians.sh.extend((0..per_channel).map(rest));
 }
 
 /// Says what the file is when it holds no Gaussians.
 fn missing_property(path: &Path, element: &Element, missing: &str) -> Error {
     if element.has("packed_position") {
-        let problem = "is a compressed PLY (packed_position), which is not read yet";
-        return Error::input(
-            path,
-            problem,
-            "convert it to a plain PLY first, for example with splat-transform",
-        );
+        return Error::input(path, "is a compressed PLY (packed_position)", "read it with io::splats");
     }
     let any_gaussian_property = REQUIRED[OPACITY..].iter().any(|name| element.has(name));
     if !any_gaussian_property && element.has("x") {
@@ -184,24 +206,4 @@ fn missing_property(path: &Path, element: &Element, missing: &str) -> Error {
         format!("property {missing} of element vertex is missing"),
         "is it a file of Gaussians?",
     )
-}
-
-/// Gaussians with unusable parameters.
-struct Invalid {
-    count: u64,
-    /// Row, column and value of the first.
-    first: Option<(u64, usize, f32)>,
-}
-
-impl Invalid {
-    fn describe(&self, element: &Element, layout: &Layout) -> Option<String> {
-        let (row, column, value) = self.first?;
-        let kind = if value.is_finite() { "too large" } else { "not finite" };
-        let name = &layout.names[column];
-        let (bad, all) = (self.count, element.count);
-        let have = if bad == 1 { "Gaussian has" } else { "Gaussians have" };
-        Some(format!(
-            "{bad} of {all} {have} unusable parameters; the first, vertex {row}: {name} = {value} is {kind}"
-        ))
-    }
 }

@@ -10,14 +10,16 @@ use crate::{Error, Result};
 const BUFFER_BYTES: usize = 1 << 20;
 
 /// An open PLY file that stands somewhere in its data.
-pub(super) struct PlyFile<'a> {
+pub(in crate::io) struct PlyFile<'a> {
     path: &'a Path,
     reader: BufReader<File>,
-    pub(super) header: Header,
+    pub(in crate::io) header: Header,
     /// Bytes of the file after the current position.
     remaining: u64,
     /// Lines read so far, for messages about ASCII files.
     line: u64,
+    /// The element at the current position.
+    next_element: usize,
 }
 
 /// One property that the caller wants.
@@ -31,7 +33,7 @@ struct Column {
 }
 
 impl<'a> PlyFile<'a> {
-    pub(super) fn open(path: &'a Path) -> Result<Self> {
+    pub(in crate::io) fn open(path: &'a Path) -> Result<Self> {
         let io = |source| Error::io(path, "read", source);
         let file = File::open(path).map_err(io)?;
         let metadata = file.metadata().map_err(io)?;
@@ -41,16 +43,17 @@ impl<'a> PlyFile<'a> {
         let mut reader = BufReader::with_capacity(BUFFER_BYTES, file);
         let header = header::parse(&mut reader, path)?;
         let (remaining, line) = (metadata.len().saturating_sub(header.bytes), header.lines);
-        Ok(Self { path, reader, header, remaining, line })
+        Ok(Self { path, reader, header, remaining, line, next_element: 0 })
     }
 
-    pub(super) fn error(&self, problem: impl Into<String>) -> Error {
+    pub(in crate::io) fn error(&self, problem: impl Into<String>) -> Error {
         Error::input(self.path, problem, "the file is damaged or was cut short: write or download it again")
     }
 
-    /// Skips the elements before `name` and returns it.
-    pub(super) fn seek_element(&mut self, name: &str) -> Result<Element> {
-        for element in self.header.elements.clone() {
+    /// Skips the elements before `name` and returns it. Its rows must be read before the next call.
+    pub(in crate::io) fn seek_element(&mut self, name: &str) -> Result<Element> {
+        for element in self.header.elements.clone().into_iter().skip(self.next_element) {
+            self.next_element += 1;
             if element.name == name {
                 self.check_size(&element)?;
                 return Ok(element);
@@ -85,14 +88,15 @@ impl<'a> PlyFile<'a> {
         )))
     }
 
-    /// Calls `row` with the values of the named properties for each row of `element`, in the order of `names`.
+    /// Calls `row` with the values of the named properties for each row of `element`, in the order of `names`;
+    /// ends with its first error.
     ///
     /// A property that the element lacks is an error; the caller checks first where it can say more.
-    pub(super) fn for_each_row(
+    pub(in crate::io) fn for_each_row(
         &mut self,
         element: &Element,
         names: &[String],
-        mut row: impl FnMut(u64, &[f32]),
+        mut row: impl FnMut(u64, &[f64]) -> Result<()>,
     ) -> Result<()> {
         self.check_no_list(element)?;
         let columns = names.iter().map(|name| self.column(element, name)).collect::<Result<Vec<_>>>()?;
@@ -102,21 +106,21 @@ impl<'a> PlyFile<'a> {
                 let mut text = Vec::new();
                 for index in 0..element.count {
                     self.ascii_row(element, index, &columns, &mut text, &mut values)?;
-                    row(index, &values);
+                    row(index, &values)?;
                 }
                 Ok(())
             }
             encoding => self.binary_rows(element, |index, bytes| {
                 for (value, column) in values.iter_mut().zip(&columns) {
-                    *value = decode(&bytes[column.offset..], column.scalar, encoding) as f32;
+                    *value = decode(&bytes[column.offset..], column.scalar, encoding);
                 }
-                row(index, &values);
+                row(index, &values)
             }),
         }
     }
 
     /// Refuses lists: rows of differing length are skipped, never read.
-    fn check_no_list(&self, element: &Element) -> Result<()> {
+    pub(in crate::io) fn check_no_list(&self, element: &Element) -> Result<()> {
         match element.properties.iter().find(|p| matches!(p.kind, Kind::List { .. })) {
             None => Ok(()),
             Some(list) => {
@@ -139,7 +143,11 @@ impl<'a> PlyFile<'a> {
         Err(Error::input(self.path, format!("property {name} of element {} is missing", element.name), ""))
     }
 
-    fn binary_rows(&mut self, element: &Element, mut row: impl FnMut(u64, &[u8])) -> Result<()> {
+    fn binary_rows(
+        &mut self,
+        element: &Element,
+        mut row: impl FnMut(u64, &[u8]) -> Result<()>,
+    ) -> Result<()> {
         // Zero is for lists and elements without properties; the caller has excluded both.
         let row_bytes = element.row_bytes().unwrap_or(0) as usize;
         if row_bytes == 0 {
@@ -154,7 +162,7 @@ impl<'a> PlyFile<'a> {
             self.reader.read_exact(bytes).map_err(|source| Error::io(self.path, "read", source))?;
             self.remaining = self.remaining.saturating_sub(bytes.len() as u64);
             for bytes in bytes.chunks_exact(row_bytes) {
-                row(index, bytes);
+                row(index, bytes)?;
                 index += 1;
             }
         }
@@ -167,7 +175,7 @@ impl<'a> PlyFile<'a> {
         index: u64,
         columns: &[Column],
         text: &mut Vec<u8>,
-        values: &mut [f32],
+        values: &mut [f64],
     ) -> Result<()> {
         self.ascii_line(element, index, text)?;
         let place = |path_line: u64| format!("line {path_line} ({} {index})", element.name);
@@ -186,7 +194,12 @@ impl<'a> PlyFile<'a> {
             }
         }
         for (value, column) in values.iter_mut().zip(columns) {
-            *value = words[column.place].parse().unwrap_or(f32::NAN);
+            let word = words[column.place];
+            // Rounded once, as the file's type asks.
+            *value = match column.scalar {
+                Scalar::F32 => f64::from(word.parse().unwrap_or(f32::NAN)),
+                _ => word.parse().unwrap_or(f64::NAN),
+            };
         }
         Ok(())
     }

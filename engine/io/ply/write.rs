@@ -3,10 +3,12 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use crate::Result;
+use super::header::ANTIALIASED;
 use crate::io::atomic;
+use crate::io::splats::{self, Outline, Produce};
 use crate::scene::gaussians::sh_coefficients;
 use crate::scene::{Gaussians, PointCloud};
+use crate::{Error, Result};
 
 /// Writes Gaussians in the layout of the reference implementation, at the SH degree that they have.
 ///
@@ -16,17 +18,23 @@ use crate::scene::{Gaussians, PointCloud};
 /// [`crate::Error::Argument`] when the vectors do not fit together, [`crate::Error::Io`] naming the file when it
 /// cannot be written; no partial file is left.
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
-    gaussians.check_shapes()?;
-    let names = property_names(gaussians.sh_degree);
-    atomic::write(path, |writer| {
-        write_header(writer, gaussians.len(), names.iter().map(|name| ("float", name.as_str())))?;
-        let mut row = Vec::with_capacity(4 * names.len());
-        for index in 0..gaussians.len() {
-            row.clear();
-            gaussian_row(gaussians, index, &mut row);
-            writer.write_all(&row)?;
-        }
-        Ok(())
+    let options = splats::WriteOptions { format: Some(splats::Format::Ply), ..Default::default() };
+    splats::write(path, gaussians, &options)
+}
+
+/// Writes Gaussians as they come.
+pub(in crate::io) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+    let names = property_names(outline.sh_degree);
+    let io = |source| Error::io(path, "write", source);
+    atomic::write_seekable(path, |mut writer| {
+        let floats = names.iter().map(|name| ("float", name.as_str()));
+        write_header(&mut writer, outline.count, outline.antialiased, floats).map_err(io)?;
+        let mut rows = Vec::new();
+        produce(&mut |block| {
+            rows.clear();
+            (0..block.len()).for_each(|index| gaussian_row(&block, index, &mut rows));
+            writer.write_all(&rows).map_err(io)
+        })
     })
 }
 
@@ -39,7 +47,7 @@ pub fn write_points(path: impl AsRef<Path>, points: &PointCloud) -> Result<()> {
     let floats = ["x", "y", "z", "nx", "ny", "nz"].map(|name| ("float", name));
     let bytes = ["red", "green", "blue"].map(|name| ("uchar", name));
     atomic::write(path, |writer| {
-        write_header(writer, points.len(), floats.into_iter().chain(bytes))?;
+        write_header(&mut *writer, points.len() as u64, false, floats.into_iter().chain(bytes))?;
         for (position, color) in points.positions.iter().zip(&points.colors) {
             for value in position.iter().chain(&[0.0; 3]) {
                 writer.write_all(&value.to_le_bytes())?;
@@ -51,11 +59,16 @@ pub fn write_points(path: impl AsRef<Path>, points: &PointCloud) -> Result<()> {
 }
 
 fn write_header<'a>(
-    writer: &mut dyn Write,
-    count: usize,
+    mut writer: impl Write,
+    count: u64,
+    antialiased: bool,
     properties: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> io::Result<()> {
-    write!(writer, "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n")?;
+    write!(writer, "ply\nformat binary_little_endian 1.0\n")?;
+    if antialiased {
+        writeln!(writer, "comment {ANTIALIASED}")?;
+    }
+    writeln!(writer, "element vertex {count}")?;
     for (kind, name) in properties {
         writeln!(writer, "property {kind} {name}")?;
     }

@@ -4,7 +4,7 @@ use super::schema::Workload;
 use super::synthetic;
 use crate::session;
 use ashsplat::io::cameras_json;
-use ashsplat::io::{Dataset, DatasetOptions, Progress, ply};
+use ashsplat::io::{Dataset, DatasetOptions, Progress, splats};
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, RenderSettings, Result, TrainView};
 use clap::Args;
@@ -59,7 +59,7 @@ impl SceneArguments {
         let mut scene = match (&self.dataset, &self.scene) {
             (Some(dataset), trained) => self.of_dataset(dataset, trained.as_deref(), photos)?,
             (None, Some(trained)) => {
-                let gaussians = ply::read(trained, &ply::PlyOptions { drop_invalid: true })?.gaussians;
+                let gaussians = splats::read(trained, &splats::ReadOptions { drop_invalid: true })?.gaussians;
                 let camera = match &self.camera {
                     Some(place) => named_camera(place)?,
                     None => overview(&gaussians),
@@ -122,7 +122,7 @@ impl SceneArguments {
         let gaussians = match (trained, points) {
             (Some(trained), _) => {
                 source = format!("{} in {source}", trained.display());
-                ply::read(trained, &ply::PlyOptions { drop_invalid: true })?.gaussians
+                splats::read(trained, &splats::ReadOptions { drop_invalid: true })?.gaussians
             }
             (None, points) => Gaussians::from_points(&points.unwrap_or_default(), self.sh_degree)?,
         };

@@ -1,0 +1,253 @@
+//! One frame of a `transforms.json`.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3, Mat3, Vec3, dvec2};
+use serde_json::Value;
+
+use super::inside;
+use crate::scene::camera::MAX_IMAGE_SIDE;
+use crate::scene::lens::{Distortion, Lens};
+use crate::{Error, Result};
+
+/// How far `R Rᵀ` of a pose may be from a multiple of the identity, relative.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+
+/// Endings that a path without one may have.
+const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "JPG"];
+
+/// A photo and how it was taken.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// The photo's path below the file's folder, as the file names it, with its ending.
+    pub name: String,
+    /// The photo.
+    pub photo_path: PathBuf,
+    /// What of the photo counts (`mask_path`), where the file says so.
+    pub mask_path: Option<PathBuf>,
+    /// Rotation from world to camera (x right, y down, z forward).
+    pub camera_from_world: Mat3,
+    /// Translation from world to camera, world units.
+    pub translation: Vec3,
+    /// The frame's intrinsics.
+    pub optics: Optics,
+    /// Whether the frame is held out.
+    pub test: bool,
+}
+
+/// Intrinsics that may lack the photo's size.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Optics {
+    /// Width and height, pixels, where the file gives them.
+    pub size: Option<[u32; 2]>,
+    /// Focal lengths in x and y.
+    focal: [Focal; 2],
+    /// Principal point, pixels; the middle where the file gives none.
+    center: [Option<f64>; 2],
+    /// The lens.
+    distortion: Distortion,
+}
+
+/// A focal length, or the angle that gives it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Focal {
+    Pixels(f64),
+    /// From edge to edge, radians.
+    Angle(f64),
+}
+
+impl Optics {
+    /// The lens for photos of a size.
+    pub fn lens(&self, width: u32, height: u32) -> Lens {
+        let sides = [f64::from(width), f64::from(height)];
+        let [fx, fy] = [0, 1].map(|axis| match self.focal[axis] {
+            Focal::Pixels(focal) => focal,
+            // Square pixels: a height follows from the width.
+            Focal::Angle(angle) => 0.5 * sides[axis] / (0.5 * angle).tan(),
+        });
+        let [cx, cy] = [0, 1].map(|axis| self.center[axis].unwrap_or(0.5 * sides[axis]));
+        Lens { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion: self.distortion }
+    }
+}
+
+/// Rows of a matrix of 3 or 4 rows of 4 finite numbers; the fourth row is not looked at.
+pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
+    let rows = value.as_array().filter(|rows| matches!(rows.len(), 3 | 4))?;
+    let row = |row: &Value| -> Option<[f64; 4]> {
+        let numbers: Option<Vec<f64>> = row.as_array()?.iter().map(Value::as_f64).collect();
+        numbers?.try_into().ok().filter(|row: &[f64; 4]| row.iter().all(|v| v.is_finite()))
+    };
+    let rows: Option<Vec<[f64; 4]>> = rows.iter().map(row).collect();
+    rows?.get(..3)?.try_into().ok()
+}
+
+/// Appends the frames of a file.
+pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -> Result<()> {
+    let Some(list) = document["frames"].as_array() else {
+        return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
+    };
+    if list.is_empty() {
+        return Err(Error::input(path, "the list `frames` is empty", "the cameras were not found: compute them again"));
+    }
+    let listed = |key: &str, name: &str| -> bool {
+        let names = document[key].as_array().into_iter().flatten().filter_map(Value::as_str);
+        names.map(|n| n.trim_start_matches("./")).any(|n| n == name)
+    };
+    for (index, value) in list.iter().enumerate() {
+        let reader = Reader { path, index, frame: value, document };
+        let mut frame = reader.read()?;
+        frame.test = listed("test_filenames", &frame.name) || listed("val_filenames", &frame.name);
+        frames.push(frame);
+    }
+    Ok(())
+}
+
+struct Reader<'a> {
+    path: &'a Path,
+    index: usize,
+    frame: &'a Value,
+    document: &'a Value,
+}
+
+impl Reader<'_> {
+    fn error(&self, problem: impl std::fmt::Display) -> Error {
+        Error::input(self.path, format!("frame {}: {problem}", self.index), "correct the file or compute it again")
+    }
+
+    fn read(&self) -> Result<Frame> {
+        let Some(file_path) = self.frame["file_path"].as_str() else {
+            return Err(self.error("has no file_path"));
+        };
+        let photo_path = self.photo(file_path)?;
+        let mask_path = match self.frame["mask_path"].as_str() {
+            Some(name) => Some(inside(self.path, name).ok_or_else(|| self.leaves(name))?),
+            None => None,
+        };
+        let (camera_from_world, translation) = self.pose()?;
+        let ending = photo_path.extension().unwrap_or_default().to_string_lossy();
+        let name = file_path.trim_start_matches("./");
+        let name = if name.ends_with(&*ending) { name.to_owned() } else { format!("{name}.{ending}") };
+        let optics = self.optics()?;
+        Ok(Frame { name, photo_path, mask_path, camera_from_world, translation, optics, test: false })
+    }
+
+    fn leaves(&self, name: &str) -> Error {
+        self.error(format!("the path {name:?} leads out of the folder"))
+    }
+
+    /// The photo; where the path has no ending, the one of those that exists (or `.png`, which is missing).
+    fn photo(&self, name: &str) -> Result<PathBuf> {
+        let path = inside(self.path, name).ok_or_else(|| self.leaves(name))?;
+        if path.is_file() {
+            return Ok(path);
+        }
+        let with = |ending: &str| PathBuf::from(format!("{}.{ending}", path.display()));
+        if let Some(found) = ENDINGS.iter().map(|ending| with(ending)).find(|p| p.is_file()) {
+            return Ok(found);
+        }
+        let has_ending = path.extension().is_some_and(|e| ENDINGS.iter().any(|known| e.eq_ignore_ascii_case(known)));
+        Ok(if has_ending { path } else { with("png") })
+    }
+
+    fn pose(&self) -> Result<(Mat3, Vec3)> {
+        let value = &self.frame["transform_matrix"];
+        if value.is_null() {
+            return Err(self.error("has no transform_matrix"));
+        }
+        let rows = matrix(value).filter(|_| value.as_array().is_some_and(|rows| rows.len() == 4));
+        let Some(rows) = rows else {
+            return Err(self.error("transform_matrix is not of 4 rows of 4 finite numbers"));
+        };
+        let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
+        let axes = DMat3::from_cols(column(0), column(1), column(2));
+        let scale = axes.determinant().cbrt();
+        let rotation = axes * (1.0 / scale);
+        let off = rotation * rotation.transpose() - DMat3::IDENTITY;
+        // Also false for a scale of 0, which gives NaN.
+        if !(scale > 0.0 && off.to_cols_array().iter().all(|v| v.abs() < ROTATION_TOLERANCE)) {
+            return Err(self.error("transform_matrix is no rotation with a translation"));
+        }
+        // From y up, z backward to y down, z forward.
+        let camera_from_world = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * rotation.transpose();
+        let translation = -(camera_from_world * column(3));
+        Ok((camera_from_world.as_mat3(), translation.as_vec3()))
+    }
+
+    /// A number of the frame, else of the file; other values than numbers are errors.
+    fn number(&self, key: &str) -> Result<Option<f64>> {
+        for (holder, value) in [("", &self.frame[key]), ("the file's ", &self.document[key])] {
+            match value {
+                Value::Null => {}
+                value => {
+                    let number = value.as_f64().filter(|v| v.is_finite());
+                    return number.map(Some).ok_or_else(|| self.error(format!("{holder}{key} is not a number")));
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn optics(&self) -> Result<Optics> {
+        let mut size = [0; 2];
+        for (side, key) in size.iter_mut().zip(["w", "h"]) {
+            if let Some(pixels) = self.number(key)? {
+                let sides = 1.0..=f64::from(MAX_IMAGE_SIDE);
+                *side = if sides.contains(&pixels) { pixels as u32 } else { 0 };
+                if *side == 0 {
+                    return Err(self.error(format!("{key} is {pixels}; 1 to {MAX_IMAGE_SIDE} pixels are possible")));
+                }
+            }
+        }
+        let size = (size[0] > 0 && size[1] > 0).then_some(size);
+        let focal = match (self.focal("fl_x", "camera_angle_x")?, self.focal("fl_y", "camera_angle_y")?) {
+            (Some(x), Some(y)) => [x, y],
+            (Some(Focal::Pixels(f)), None) | (None, Some(Focal::Pixels(f))) => [Focal::Pixels(f); 2],
+            // One angle alone: square pixels, which need the photo's size.
+            (Some(angle), None) | (None, Some(angle)) => return self.square(angle, size),
+            (None, None) => return Err(self.error("has no camera: neither fl_x nor camera_angle_x, nor has the file")),
+        };
+        let center = [self.number("cx")?, self.number("cy")?];
+        Ok(Optics { size, focal, center, distortion: self.distortion()? })
+    }
+
+    /// Square pixels and one field of view.
+    fn square(&self, angle: Focal, size: Option<[u32; 2]>) -> Result<Optics> {
+        let center = [self.number("cx")?, self.number("cy")?];
+        Ok(Optics { size, focal: [angle, Focal::Pixels(f64::NAN)], center, distortion: self.distortion()? })
+    }
+
+    fn focal(&self, pixels: &str, angle: &str) -> Result<Option<Focal>> {
+        if let Some(focal) = self.number(pixels)? {
+            return if focal > 0.0 {
+                Ok(Some(Focal::Pixels(focal)))
+            } else {
+                Err(self.error(format!("{pixels} is {focal}, which is not positive")))
+            };
+        }
+        match self.number(angle)? {
+            Some(value) if value > 0.0 && value < std::f64::consts::PI => Ok(Some(Focal::Angle(value))),
+            Some(value) => Err(self.error(format!("{angle} is {value} radians; more than 0 and less than pi are possible"))),
+            None => Ok(None),
+        }
+    }
+
+    fn distortion(&self) -> Result<Distortion> {
+        let mut k = [0.0; 4];
+        for (k, key) in k.iter_mut().zip(["k1", "k2", "k3", "k4"]) {
+            *k = self.number(key)?.unwrap_or(0.0);
+        }
+        let p = [self.number("p1")?.unwrap_or(0.0), self.number("p2")?.unwrap_or(0.0)];
+        let model = [&self.frame["camera_model"], &self.document["camera_model"]].into_iter().find_map(Value::as_str);
+        let fisheye = self.frame["is_fisheye"] == true || self.document["is_fisheye"] == true;
+        match model {
+            Some("OPENCV_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE") => Ok(Distortion::Fisheye { k }),
+            Some("PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE") | None if k == [0.0; 4] && p == [0.0; 2] && !fisheye => {
+                Ok(Distortion::None)
+            }
+            Some("PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE" | "OPENCV" | "RADIAL" | "SIMPLE_RADIAL") | None => {
+                Ok(if fisheye { Distortion::Fisheye { k } } else { Distortion::Brown { k, d: [0.0; 3], p } })
+            }
+            Some(other) => Err(self.error(format!("camera_model {other:?} is not known"))),
+        }
+    }
+}

@@ -1,0 +1,344 @@
+//! All formats of Gaussians: round trips within each format's quantisation, layouts, damage.
+
+use std::path::Path;
+
+use ashsplat::io::splats::{self, ConvertOptions, Format, ReadOptions, Target, WriteOptions};
+use ashsplat::scene::{Bounds, Gaussians, Similarity};
+use glam::{DQuat, DVec3, Vec3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::files::{for_each_mutation, for_each_truncation, names};
+
+const KEEP: ReadOptions = ReadOptions { drop_invalid: false };
+const DROP: ReadOptions = ReadOptions { drop_invalid: true };
+
+/// Gaussians such as training leaves: in a room of 20 units, of centimetres to a metre, of any shape and colour.
+pub fn scene(count: usize, sh_degree: u32) -> Gaussians {
+    let mut random = ChaCha8Rng::seed_from_u64(count as u64 + 1000 * u64::from(sh_degree));
+    let mut between = |low: f32, high: f32| low + (high - low) * random.random::<f32>();
+    let mut gaussians = Gaussians { sh_degree, ..Default::default() };
+    for _ in 0..count {
+        gaussians.means.push([between(-10.0, 10.0), between(-10.0, 10.0), between(-10.0, 10.0)]);
+        let quat = [between(-1.0, 1.0), between(-1.0, 1.0), between(-1.0, 1.0), between(-1.0, 1.0)];
+        let length = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
+        gaussians.quats.push(quat.map(|q| q / length));
+        gaussians.log_scales.push([between(-5.0, 0.0), between(-5.0, 0.0), between(-5.0, 0.0)]);
+        gaussians.opacity_logits.push(between(-4.0, 4.0));
+        gaussians.sh.push([between(-1.7, 1.7), between(-1.7, 1.7), between(-1.7, 1.7)]);
+        for _ in 1..(sh_degree + 1).pow(2) {
+            gaussians.sh.push([between(-0.9, 0.9), between(-0.9, 0.9), between(-0.9, 0.9)]);
+        }
+    }
+    gaussians
+}
+
+/// How far the values of a format may be from those that were written.
+#[derive(Debug)]
+pub struct Tolerance {
+    pub mean: f32,
+    pub log_scale: f32,
+    pub opacity: f32,
+    /// 1 - |cos| of half the angle between the rotations.
+    pub rotation: f32,
+    pub color: f32,
+    pub sh: f32,
+}
+
+/// Half a step of each quantisation, and rounding.
+pub fn tolerance(format: Format) -> Tolerance {
+    let float = 1e-5;
+    match format {
+        Format::Ply => {
+            Tolerance { mean: 0.0, log_scale: 0.0, opacity: 0.0, rotation: 1e-6, color: 0.0, sh: 0.0 }
+        }
+        // The chunks of a test's sparse scene are as large as the scene.
+        Format::CompressedPly => Tolerance {
+            mean: 20.0 / 1023.0 / 2.0 + float,
+            log_scale: 5.0 / 1023.0 / 2.0 + float,
+            opacity: 0.5 / 255.0 + float,
+            rotation: 2e-5,
+            color: 0.5 * 3.4 / 255.0 + float,
+            sh: 8.0 / 256.0 / 2.0 + float,
+        },
+        Format::Splat => Tolerance {
+            mean: 0.0,
+            log_scale: float,
+            opacity: 0.5 / 255.0 + float,
+            rotation: 2e-4,
+            // Colours outside 0 to 1 are clamped; the scene's are inside.
+            color: 0.5 / 255.0 / 0.282 + float,
+            sh: 0.0,
+        },
+        Format::Spz => Tolerance {
+            mean: 0.5 / 4096.0 + float,
+            log_scale: 0.5 / 16.0 + float,
+            opacity: 1.0 / 255.0 + float,
+            rotation: 2e-5,
+            color: 0.5 / 255.0 / 0.15 + float,
+            sh: 8.5 / 128.0 + float,
+        },
+        Format::Glb | Format::Gltf => {
+            Tolerance { mean: 0.0, log_scale: float, opacity: float, rotation: 1e-6, color: 0.0, sh: 0.0 }
+        }
+    }
+}
+
+/// Compares Gaussians that are in the same order.
+pub fn assert_close(actual: &Gaussians, expected: &Gaussians, tolerance: &Tolerance) {
+    actual.check_shapes().unwrap();
+    assert_eq!((actual.len(), actual.sh_degree), (expected.len(), expected.sh_degree));
+    let near = |what: &str, index: usize, a: &[f32], b: &[f32], by: f32| {
+        for (a, b) in a.iter().zip(b) {
+            assert!((a - b).abs() <= by, "{what} of {index}: {a} instead of {b}, {tolerance:?}");
+        }
+    };
+    for index in 0..actual.len() {
+        near("mean", index, &actual.means[index], &expected.means[index], tolerance.mean);
+        near("log-scale", index, &actual.log_scales[index], &expected.log_scales[index], tolerance.log_scale);
+        near("opacity", index, &[actual.opacity(index)], &[expected.opacity(index)], tolerance.opacity);
+        let length = |q: &[f32; 4]| q.iter().map(|q| q * q).sum::<f32>().sqrt();
+        let (a, b) = (actual.quats[index], expected.quats[index]);
+        let cosine = a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>() / (length(&a) * length(&b));
+        assert!(1.0 - cosine.abs() <= tolerance.rotation, "rotation of {index}: {a:?} {b:?}");
+        let (a, b) = (actual.sh_of(index), expected.sh_of(index));
+        near("colour", index, &a[0], &b[0], tolerance.color);
+        near("higher SH", index, a[1..].as_flattened(), b[1..].as_flattened(), tolerance.sh);
+    }
+}
+
+/// Brings Gaussians of a sorted file back into the order of the nearest originals.
+pub fn in_order_of(expected: &Gaussians, actual: &Gaussians) -> Gaussians {
+    let distance2 = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
+    let mut free: Vec<usize> = (0..actual.len()).collect();
+    let order: Vec<usize> = expected
+        .means
+        .iter()
+        .map(|mean| {
+            let (place, _) = free
+                .iter()
+                .enumerate()
+                .min_by(|(_, a), (_, b)| {
+                    distance2(&actual.means[**a], mean).total_cmp(&distance2(&actual.means[**b], mean))
+                })
+                .expect("as many as expected");
+            free.swap_remove(place)
+        })
+        .collect();
+    actual.select(&order)
+}
+
+#[test]
+fn every_format_reads_what_it_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in Format::ALL {
+        for (count, degree) in [(1, 0), (300, 0), (300, 1), (700, 2), (1000, 3)] {
+            let degree = degree.min(format.max_sh_degree());
+            let antialiased = degree % 2 == 1 && format.keeps_antialiased();
+            let path = folder.path().join(format!("scene{}", format.extension()));
+            let expected = scene(count, degree);
+            splats::write(&path, &expected, &WriteOptions { antialiased, ..Default::default() }).unwrap();
+            let read = splats::read(&path, &KEEP).unwrap();
+            assert_eq!((read.header.format, read.header.antialiased, read.dropped), (format, antialiased, 0));
+            assert!(read.warnings.is_empty(), "{:?}", read.warnings);
+            let actual = match format {
+                Format::CompressedPly => in_order_of(&expected, &read.gaussians),
+                _ => read.gaussians,
+            };
+            assert_close(&actual, &expected, &tolerance(format));
+        }
+    }
+    // One `.bin` beside the `.gltf`, and no temporary files.
+    assert_eq!(names(folder.path()).len(), Format::ALL.len() + 1);
+}
+
+/// Writing what was read from a quantised file again gives the same values: nothing drifts.
+#[test]
+fn a_second_round_trip_changes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in [Format::Splat, Format::Spz, Format::Glb, Format::Ply] {
+        let path = folder.path().join(format!("scene{}", format.extension()));
+        let write = |gaussians: &Gaussians| {
+            splats::write(&path, gaussians, &WriteOptions::default()).unwrap();
+            splats::read(&path, &KEEP).unwrap().gaussians
+        };
+        let first = write(&scene(400, format.max_sh_degree()));
+        let second = write(&first);
+        let drift =
+            Tolerance { mean: 0.0, log_scale: 1e-6, opacity: 1e-6, rotation: 2e-5, color: 1e-5, sh: 0.0 };
+        assert_close(&second, &first, &drift);
+    }
+}
+
+#[test]
+fn empty_scenes_and_blocks_of_every_size() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in [Format::Ply, Format::CompressedPly, Format::Spz] {
+        let path = folder.path().join(format!("none{}", format.extension()));
+        splats::write(&path, &Gaussians { sh_degree: 2, ..Default::default() }, &WriteOptions::default())
+            .unwrap();
+        assert_eq!(splats::read(&path, &KEEP).unwrap().gaussians.len(), 0, "{format}");
+    }
+    let path = folder.path().join("none.glb");
+    let error = splats::write(&path, &Gaussians::default(), &WriteOptions::default()).unwrap_err();
+    assert!(error.to_string().contains("cannot hold a scene without"), "{error}");
+    for count in [16_383, 16_384, 16_385, 40_000] {
+        let expected = scene(count, 0);
+        for format in [Format::Ply, Format::Splat, Format::Spz, Format::Gltf] {
+            let path = folder.path().join(format!("many{}", format.extension()));
+            splats::write(&path, &expected, &WriteOptions::default()).unwrap();
+            assert_close(&splats::read(&path, &KEEP).unwrap().gaussians, &expected, &tolerance(format));
+        }
+    }
+}
+
+#[test]
+fn conversions_keep_what_both_formats_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |format: Format| folder.path().join(format!("scene{}", format.extension()));
+    let expected = scene(500, 3);
+    let options = WriteOptions { antialiased: true, ..Default::default() };
+    for from in Format::ALL {
+        let written = expected.with_sh_degree(from.max_sh_degree());
+        splats::write(file(from), &written, &options).unwrap();
+        let original = splats::read(file(from), &KEEP).unwrap().gaussians;
+        for to in Format::ALL {
+            let output = folder.path().join(format!("out{}", to.extension()));
+            let done = splats::convert(&file(from), &output, &ConvertOptions::default()).unwrap();
+            let degree = from.max_sh_degree().min(to.max_sh_degree());
+            assert_eq!((done.written, done.sh_degree, done.format), (500, degree, to));
+            let lost = from.max_sh_degree() > degree;
+            let antialiased = from.keeps_antialiased() && to.keeps_antialiased();
+            let warnings = usize::from(lost) + usize::from(from.keeps_antialiased() && !antialiased);
+            assert_eq!(done.warnings.len(), warnings, "{from} to {to}: {:?}", done.warnings);
+            let read = splats::read(&output, &KEEP).unwrap();
+            assert_eq!(read.header.antialiased, antialiased, "{from} to {to}");
+            let original = original.with_sh_degree(degree);
+            let actual = match to {
+                Format::CompressedPly => in_order_of(&original, &read.gaussians),
+                _ => read.gaussians,
+            };
+            assert_close(&actual, &original, &tolerance(to));
+        }
+    }
+}
+
+#[test]
+fn changes_on_the_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (folder.path().join("in.ply"), folder.path().join("out.ply"));
+    let original = scene(3000, 3);
+    splats::write(&input, &original, &WriteOptions::default()).unwrap();
+    let bounds = Bounds { min: Vec3::new(-5.0, -8.0, -9.0), max: Vec3::new(5.0, 8.0, 1.0) };
+    let similarity = Similarity {
+        rotation: DQuat::from_rotation_y(0.5),
+        scale: 3.0,
+        translation: DVec3::new(0.0, 1.0, 2.0),
+    };
+    let options = ConvertOptions {
+        sh_degree: Some(1),
+        min_opacity: Some(0.5),
+        crop_box: Some(bounds),
+        similarity,
+        ..Default::default()
+    };
+    let done = splats::convert(&input, &output, &options).unwrap();
+    let mut expected = original.with_sh_degree(1);
+    expected.retain(|all, i| {
+        let mean = Vec3::from_array(all.means[i]);
+        all.opacity(i) >= 0.5 && mean.cmpge(bounds.min).all() && mean.cmple(bounds.max).all()
+    });
+    expected.transform(&similarity);
+    assert!(expected.len() > 100 && expected.len() < 1500);
+    assert_eq!(done.written, expected.len() as u64);
+    assert!(splats::read(&output, &KEEP).unwrap().gaussians == expected);
+    let options = ConvertOptions { decimate: Some(Target::Share(0.25)), ..Default::default() };
+    assert_eq!(splats::convert(&input, &output, &options).unwrap().written, 750);
+    let nothing = ConvertOptions { min_opacity: Some(1.0), ..Default::default() };
+    let done = splats::convert(&input, &output, &nothing).unwrap();
+    assert_eq!((done.written, done.warnings.len()), (0, 1));
+}
+
+#[test]
+fn refused_input_leaves_the_output_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (folder.path().join("in.ply"), folder.path().join("out.spz"));
+    let mut bad = scene(10, 0);
+    bad.means[4][1] = f32::NAN;
+    splats::write(&input, &bad, &WriteOptions::default()).unwrap();
+    std::fs::write(&output, "old").unwrap();
+    let error = splats::convert(&input, &output, &ConvertOptions::default()).unwrap_err().to_string();
+    assert!(error.contains("1 of 10 Gaussian has") && error.contains("vertex 4: y = NaN"), "{error}");
+    assert_eq!(std::fs::read(&output).unwrap(), b"old");
+    assert_eq!(names(folder.path()), ["in.ply", "out.spz"]);
+    let dropped = ConvertOptions { read: DROP, ..Default::default() };
+    assert_eq!(splats::convert(&input, &output, &dropped).unwrap().written, 9);
+    let far = Similarity { translation: DVec3::new(1e7, 0.0, 0.0), ..Default::default() };
+    let options = ConvertOptions { read: DROP, similarity: far, ..Default::default() };
+    let error = splats::convert(&input, &output, &options).unwrap_err().to_string();
+    assert!(error.contains("too far out for SPZ"), "{error}");
+    let unknown = splats::convert(&input, &folder.path().join("out.xyz"), &dropped).unwrap_err().to_string();
+    assert!(
+        unknown.contains("out.xyz: has no extension of a known format; give it one of .ply"),
+        "{unknown}"
+    );
+}
+
+/// A large scene gets fewer bits behind the point, and is not wrapped around.
+#[test]
+fn spz_holds_far_away_gaussians() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("far.spz");
+    let mut expected = scene(20, 0);
+    expected.means[3] = [-250_000.0, 7.5, 2.25];
+    splats::write(&path, &expected, &WriteOptions::default()).unwrap();
+    let actual = splats::read(&path, &KEEP).unwrap().gaussians;
+    assert_close(&actual, &expected, &Tolerance { mean: 0.5 / 32.0, ..tolerance(Format::Spz) });
+}
+
+fn message(path: &Path) -> String {
+    let message = splats::read(path, &KEEP).unwrap_err().to_string();
+    assert!(message.starts_with(path.to_str().unwrap()) && !message.contains('\n'), "{message}");
+    message
+}
+
+#[test]
+fn no_truncation_gives_a_scene_and_no_mutation_panics() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in Format::ALL {
+        let path = folder.path().join(format!("scene{}", format.extension()));
+        splats::write(&path, &scene(3, 1.min(format.max_sh_degree())), &WriteOptions::default()).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for_each_truncation(&path, &bytes, |length| {
+            // A whole number of rows of a format without header is a file.
+            if format != Format::Splat || length % 32 != 0 || length == 0 {
+                message(&path);
+            }
+        });
+        for_each_mutation(&path, &bytes, |_| match splats::read(&path, &DROP) {
+            Ok(read) => {
+                read.gaussians.check_shapes().unwrap();
+                assert!(read.gaussians.means.as_flattened().iter().all(|v| v.is_finite()));
+            }
+            Err(e) => assert!(!e.to_string().contains('\n'), "{e}"),
+        });
+    }
+}
+
+#[test]
+fn formats_are_known_by_content_before_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let expected = scene(5, 0);
+    for format in [Format::Ply, Format::CompressedPly, Format::Spz, Format::Glb] {
+        for name in ["scene", "scene.splat", "point_cloud.ply"] {
+            let path = folder.path().join(name);
+            let options = WriteOptions { format: Some(format), ..Default::default() };
+            splats::write(&path, &expected, &options).unwrap();
+            assert_eq!(splats::read(&path, &KEEP).unwrap().header.format, format, "{name}");
+        }
+    }
+    let path = folder.path().join("scene.obj");
+    std::fs::write(&path, "v 1 2 3").unwrap();
+    assert!(message(&path).contains("is no file of Gaussians that is known; known are .ply .compressed.ply"));
+    assert!(message(folder.path()).contains("is not a file"));
+}

@@ -1,0 +1,145 @@
+//! `ashsplat convert`.
+
+use crate::progress::thousands;
+use crate::render::parse_vector;
+use ashsplat::io::splats::{self, ConvertOptions, Format, ReadOptions, Target};
+use ashsplat::scene::{Bounds, Similarity};
+use ashsplat::{Error, Result};
+use clap::Args;
+use glam::{DQuat, EulerRot, Vec3};
+use std::path::PathBuf;
+
+/// Convert Gaussians between formats, and change them on the way.
+///
+/// The formats are those of the extensions .ply (the reference's), .compressed.ply (PlayCanvas), .splat, .spz
+/// (version 4; 2 and 3 are read too), .glb and .gltf (KHR_gaussian_splatting). Changes are made in this order:
+/// --sh-degree, --min-opacity, --crop-box, --rotate, --scale, --translate, --decimate.
+#[derive(Args)]
+pub struct Arguments {
+    /// A file of Gaussians
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+    /// The new file; its extension says the format
+    #[arg(value_name = "OUT")]
+    output: PathBuf,
+    /// Highest degree of the spherical harmonics that is kept, 0 to 3
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=3))]
+    sh_degree: Option<u32>,
+    /// Leave out Gaussians that are fainter, 0 to 1
+    #[arg(long, value_name = "X")]
+    min_opacity: Option<f32>,
+    /// Leave out Gaussians with centres outside this box: two opposite corners, in the input's axes
+    #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true, value_parser = parse_box)]
+    crop_box: Option<Bounds>,
+    /// Rotate by these angles about the x, then the y, then the z axis, degrees
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_vector)]
+    rotate: Option<Vec3>,
+    /// Scale by this factor, after the rotation
+    #[arg(long, value_name = "X")]
+    scale: Option<f64>,
+    /// Move by this, after rotation and scaling
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_vector)]
+    translate: Option<Vec3>,
+    /// Merge neighbours until N, or N percent, are left
+    #[arg(long, value_name = "N|N%", value_parser = parse_target)]
+    decimate: Option<Target>,
+    /// Drop the Gaussians whose parameters are not finite, instead of refusing the file
+    #[arg(long)]
+    drop_invalid: bool,
+    /// Print only errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+fn parse_box(text: &str) -> Result<Bounds, String> {
+    let numbers: Result<Vec<f32>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+    match numbers.ok().and_then(|n| <[f32; 6]>::try_from(n).ok()) {
+        Some([a, b, c, x, y, z]) if [a, b, c, x, y, z].iter().all(|v| v.is_finite()) => {
+            let (one, other) = (Vec3::new(a, b, c), Vec3::new(x, y, z));
+            Ok(Bounds { min: one.min(other), max: one.max(other) })
+        }
+        _ => Err("expected six numbers with commas between them".into()),
+    }
+}
+
+fn parse_target(text: &str) -> Result<Target, String> {
+    let problem = || "expected a number above 0, or 0 to 100 with %".to_owned();
+    match text.strip_suffix('%') {
+        Some(percent) => match percent.trim().parse::<f64>() {
+            Ok(percent) if (0.0..=100.0).contains(&percent) && percent > 0.0 => {
+                Ok(Target::Share(percent / 100.0))
+            }
+            _ => Err(problem()),
+        },
+        None => text.parse().ok().filter(|&count| count > 0).map(Target::Count).ok_or_else(problem),
+    }
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let options = arguments.options()?;
+    let done = splats::convert(&arguments.input, &arguments.output, &options)?;
+    for warning in &done.warnings {
+        tell!("warning: {warning}");
+    }
+    if !arguments.quiet {
+        let (from, to) = (arguments.input.display(), arguments.output.display());
+        let input = &done.input;
+        say!(
+            "{from} ({}, {} Gaussians, SH degree {}) -> {to} ({}, {} Gaussians, SH degree {}){}",
+            input.format,
+            thousands(input.count),
+            input.sh_degree,
+            done.format,
+            thousands(done.written),
+            done.sh_degree,
+            if input.antialiased { ", antialiased" } else { "" },
+        );
+    }
+    Ok(())
+}
+
+impl Arguments {
+    fn options(&self) -> Result<ConvertOptions> {
+        let scale = self.scale.unwrap_or(1.0);
+        if !(scale.is_finite() && scale > 0.0) {
+            return Err(Error::argument("--scale", format!("{scale} is not a positive number")));
+        }
+        if let Some(opacity) = self.min_opacity.filter(|o| !(0.0..=1.0).contains(o)) {
+            return Err(Error::argument("--min-opacity", format!("{opacity} is not between 0 and 1")));
+        }
+        let [x, y, z] =
+            self.rotate.unwrap_or_default().to_array().map(|degrees| f64::from(degrees).to_radians());
+        Ok(ConvertOptions {
+            read: ReadOptions { drop_invalid: self.drop_invalid },
+            sh_degree: self.sh_degree,
+            min_opacity: self.min_opacity,
+            crop_box: self.crop_box,
+            similarity: Similarity {
+                // The last is applied first.
+                rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x),
+                scale,
+                translation: self.translate.unwrap_or_default().as_dvec3(),
+            },
+            decimate: self.decimate,
+            format: Some(Format::of_extension(&self.output)?),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_and_targets() {
+        let bounds = parse_box("1,-2,3, -1,2,0").expect("a box");
+        assert_eq!((bounds.min, bounds.max), (Vec3::new(-1.0, -2.0, 0.0), Vec3::new(1.0, 2.0, 3.0)));
+        assert!(parse_box("1,2,3").is_err() && parse_box("1,2,3,4,5,nan").is_err());
+        assert_eq!(parse_target("12"), Ok(Target::Count(12)));
+        assert_eq!(parse_target("12.5%"), Ok(Target::Share(0.125)));
+        for wrong in ["0", "-3", "0%", "101%", "x", "NaN%"] {
+            assert!(parse_target(wrong).is_err(), "{wrong}");
+        }
+    }
+}
