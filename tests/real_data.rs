@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use ashsplat::io::colmap::{Model, find};
 use ashsplat::io::dataset::{Dataset, DatasetOptions};
-use ashsplat::io::{Progress, Resolution, ply};
+use ashsplat::io::{Progress, Resolution, ply, splats};
 use glam::Vec3;
 use libtest_mimic::Trial;
 
@@ -35,7 +35,10 @@ pub fn trials(shared: &Path) -> Vec<Trial> {
     add("data_trained_reordered_sh2", "trained/playbot_lod3_31k_sh2.ply", |p| trained(p, 31_000, 2));
     add("data_trained_by_the_reference", "trained/kacytran_iter7000.ply", |p| trained(p, 9_080, 3));
     add("data_trained_three", "trained/test-splat.3-points-from-train.ply", |p| trained(p, 3, 3));
-    add("data_trained_compressed", "trained/biker.compressed.ply", compressed);
+    add("data_trained_compressed", "trained/biker.compressed.ply", |p| other_format(p, 152_746, false));
+    add("data_trained_spz_v4", "trained/biker.spz", |p| other_format(p, 152_746, false));
+    add("data_trained_spz_v2", "trained/tabletop_scene.spz", |p| other_format(p, 213_944, true));
+    add("data_trained_splat", "trained/kacytran_model.splat", |p| other_format(p, 22_764, false));
     trials
 }
 
@@ -132,7 +135,18 @@ fn trained(path: &Path, count: usize, sh_degree: u32) {
     assert!(bounds.size().min_element() > 0.0 && bounds.size().is_finite(), "{statistics:?}");
 }
 
-fn compressed(path: &Path) {
-    let message = ply::read(path, &ply::PlyOptions::default()).unwrap_err().to_string();
-    assert!(message.contains("compressed"), "{message}");
+/// A scene of SH degree 0 in another format than PLY, and its copy in the same format.
+fn other_format(path: &Path, count: usize, antialiased: bool) {
+    let read = |path: &Path| splats::read(path, &splats::ReadOptions::default()).unwrap();
+    let scene = read(path);
+    assert_eq!((scene.gaussians.len(), scene.gaussians.sh_degree), (count, 0));
+    assert_eq!((scene.header.antialiased, scene.dropped), (antialiased, 0));
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join(format!("copy{}", scene.header.format.extension()));
+    splats::write(&copy, &scene.gaussians, &splats::WriteOptions { format: None, antialiased }).unwrap();
+    let again = read(&copy);
+    assert_eq!((again.gaussians.len(), again.header.antialiased), (count, antialiased));
+    let (a, b) = (scene.gaussians.statistics(), again.gaussians.statistics());
+    let (a, b) = (a.central_bounds.unwrap(), b.central_bounds.unwrap());
+    assert!(a.min.abs_diff_eq(b.min, 2e-3) && a.max.abs_diff_eq(b.max, 2e-3), "{a:?} {b:?}");
 }

@@ -1,9 +1,10 @@
-//! Data-driven tests: one named trial for each set of golden vectors, each malformed file, each real data set.
+//! Data-driven tests: one named trial for each set of golden vectors, each malformed file, each real data set, each program of other people.
 //!
 //! The data lie in `$ASHSPLAT_SHARED`, by default `../shared` beside the repository. Without them, one ignored
 //! trial per kind says so.
 
 mod common;
+mod ecosystem;
 mod golden;
 mod golden_host;
 mod malformed;
@@ -21,6 +22,7 @@ fn main() -> ExitCode {
     trials.extend(golden_host::trials(&shared));
     trials.extend(malformed::trials(&shared));
     trials.extend(real_data::trials(&shared));
+    trials.extend(ecosystem::trials());
     libtest_mimic::run(&arguments, trials).exit_code()
 }
 

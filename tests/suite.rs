@@ -22,6 +22,7 @@ mod reference;
 mod scan;
 mod soak;
 mod sort;
+mod splats;
 mod subgroup_widths;
 mod training;
 mod vk;

@@ -8,6 +8,6 @@ mod model;
 mod text;
 mod write;
 
-pub use find::{ModelFolder, find};
+pub use find::{ModelFolder, exists, find};
 pub use model::{CameraModel, ColmapCamera, ColmapImage, Model, undistort_command};
 pub use write::write;

@@ -1,21 +1,24 @@
 //! A data set to train on: photographs with their cameras, and points to start from.
 
 mod inspect;
+mod plan;
+mod unpacked;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::cameras_json;
-use super::colmap::{ColmapImage, Model};
-use super::images::{Photo, Resolution, photo_size};
+use super::cameras_json::{self, NamedCamera};
+use super::images::{Photo, Resolution};
 use super::progress::Progress;
-use crate::scene::init::{RANDOM_POINTS, random_points};
+use crate::Result;
+use crate::scene::init::{RANDOM_POINTS, random_points, seen_box};
 use crate::scene::{Bounds, Camera, Gaussians, PointCloud, scene_extent};
-use crate::{Error, Result};
 
 pub use inspect::DatasetReport;
+use plan::Plan;
+use unpacked::Unpacked;
 
 /// How to load a data set.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,14 +74,16 @@ impl DatasetOptions {
 pub struct View {
     /// Path below the images folder.
     pub name: String,
-    /// Id in the COLMAP model.
+    /// Id in the COLMAP model, or place in the order of names.
     pub image_id: u32,
     /// The camera at the photo's size in memory.
     pub camera: Camera,
     /// The camera at the photo's size in its file.
     pub original_camera: Camera,
-    /// The photo, scaled by [`DatasetOptions::resolution`].
+    /// The photo, undistorted and scaled by [`DatasetOptions::resolution`].
     pub photo: Photo,
+    /// 255 where the photo counts and 0 where it does not, one byte per pixel; none where all of it counts.
+    pub mask: Option<Vec<u8>>,
 }
 
 /// A data set in memory.
@@ -92,24 +97,52 @@ pub struct Dataset {
     pub points: PointCloud,
     /// 1.1 × the largest distance of a training camera to their mean, world units.
     pub scene_extent: f32,
-    /// The folder of the COLMAP model.
+    /// The folder of the COLMAP model, or the transforms.json.
     pub source: PathBuf,
     /// What the user should know though it does not prevent training.
     pub warnings: Vec<String>,
 }
 
 impl Dataset {
-    /// Loads a data set with a COLMAP model; the photos are decoded in parallel.
+    /// Loads a data set: a folder with a COLMAP model or with `transforms.json` (or `transforms_train.json`), or a ZIP
+    /// of one. The photos are decoded, and where the lens distorts undistorted, in parallel.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Input`] for the first problem of model or photos: see
-    /// [`super::colmap::find`], [`Model::read`], [`Model::camera_of`] and [`Photo::read_sized`]; no registered
-    /// images; no training views left by the split. [`Error::Interrupted`] when `progress` says so.
+    /// [`crate::Error::Io`] and [`crate::Error::Input`] for the first problem of cameras or photos: see
+    /// [`super::colmap::find`], [`super::colmap::Model::read`], [`super::colmap::Model::camera_of`],
+    /// [`super::transforms::Transforms::read`] and [`Photo::read_sized`]; no registered images; no training views left
+    /// by the split. [`crate::Error::Interrupted`] when `progress` says so.
     pub fn load(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
-        let path = path.as_ref();
-        let model = Model::of_dataset(path)?;
-        let planned = plan_views(path, &model, options).into_iter().collect::<Result<Vec<_>>>()?;
-        check_split(&model, options, planned.len())?;
+        let unpacked = Unpacked::open(path.as_ref())?;
+        Self::load_folder(unpacked.folder(), options, progress).map_err(|error| unpacked.name(error))
+    }
+
+    /// The cameras of all views by name, at the photos' own sizes; the photos are not decoded.
+    ///
+    /// # Errors
+    /// As [`Dataset::load`], but for the photos.
+    pub fn cameras(path: impl AsRef<Path>, options: &DatasetOptions) -> Result<Vec<NamedCamera>> {
+        let unpacked = Unpacked::open(path.as_ref())?;
+        let plan = Plan::of(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
+        let list = plan.list.clone();
+        let named = plan.views.into_iter().map(|view| {
+            let view = view?;
+            Ok(NamedCamera { camera: view.camera(), name: view.name })
+        });
+        let cameras = named.collect::<Result<Vec<_>>>().map_err(|error| unpacked.name(error))?;
+        if cameras.is_empty() {
+            let error = crate::Error::input(list, "no images are registered", "run COLMAP's mapper again");
+            return Err(unpacked.name(error));
+        }
+        Ok(cameras)
+    }
+
+    fn load_folder(path: &Path, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
+        let mut plan = Plan::of(path, options)?;
+        let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
+        let split = plan.check_split(options);
+        let planned = std::mem::take(&mut plan.views).into_iter().collect::<Result<Vec<_>>>()?;
+        split?;
         let done = AtomicUsize::new(0);
         let total = planned.len();
         progress.step(0, total);
@@ -122,31 +155,28 @@ impl Dataset {
                 Ok(view)
             })
             .collect::<Result<Vec<_>>>()?;
-        Ok(Self::assemble(model, views, options))
+        Ok(Self::assemble(plan, views, &held_out))
     }
 
-    fn assemble(model: Model, views: Vec<View>, options: &DatasetOptions) -> Self {
+    fn assemble(plan: Plan, views: Vec<View>, held_out: &[bool]) -> Self {
         let (mut train, mut test) = (Vec::new(), Vec::new());
-        for (index, view) in views.into_iter().enumerate() {
-            if options.is_test(index) { test.push(view) } else { train.push(view) }
+        for (view, held_out) in views.into_iter().zip(held_out) {
+            if *held_out { test.push(view) } else { train.push(view) }
         }
-        let mut warnings = model.warnings;
+        let Plan { source, points, mut warnings, .. } = plan;
         let mut extent = scene_extent(train.iter().map(|view: &View| view.camera.position()));
         if extent == 0.0 {
             warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());
             extent = 1.0;
         }
-        if model.points.is_empty() {
+        let masked = train.iter().filter(|view| view.mask.is_some()).count();
+        if masked > 0 {
+            warnings.push(format!("{masked} training views have masks, which training does not use yet"));
+        }
+        if points.is_empty() {
             warnings.push(format!("no points to start from; {RANDOM_POINTS} random ones stand in for them"));
         }
-        Self {
-            train,
-            test,
-            points: model.points,
-            scene_extent: extent,
-            source: model.source.folder,
-            warnings,
-        }
+        Self { train, test, points, scene_extent: extent, source, warnings }
     }
 
     /// All views by name, held-out ones among the others.
@@ -156,11 +186,21 @@ impl Dataset {
         views
     }
 
-    /// The points, or, when there are none, 100,000 random ones around the training cameras: in the cube whose
-    /// middle is that of the cameras' box and whose half edge is the scene extent.
+    /// Whether a data set without points is in order: those of the NeRF kind have none.
+    pub fn may_lack_points(&self) -> bool {
+        self.source.extension().is_some_and(|ending| ending == "json")
+    }
+
+    /// The points, or, when there are none, 100,000 random ones: where all training cameras look
+    /// ([`seen_box`]), or where they look outwards, in the cube whose middle is that of the cameras' box and whose
+    /// half edge is the scene extent.
     pub fn initial_points(&self, seed: u64) -> PointCloud {
         if !self.points.is_empty() {
             return self.points.clone();
+        }
+        let cameras: Vec<Camera> = self.train.iter().map(|view| view.camera).collect();
+        if let Some(bounds) = seen_box(&cameras) {
+            return random_points(RANDOM_POINTS, bounds, seed);
         }
         let positions = self.train.iter().map(|view| view.camera.position());
         let center = Bounds::of(positions).map_or(glam::Vec3::ZERO, |bounds| bounds.center());
@@ -194,94 +234,4 @@ impl Dataset {
     ) -> DatasetReport {
         inspect::inspect(path.as_ref(), options, progress)
     }
-}
-
-/// A view whose photo is not loaded yet.
-struct PlannedView<'a> {
-    image: &'a ColmapImage,
-    camera: Camera,
-    photo_path: PathBuf,
-}
-
-impl PlannedView<'_> {
-    /// The photo, and its camera at the size of the file.
-    fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Camera)> {
-        let camera = self.camera_of_file(options.divisor())?;
-        let photo = Photo::read_sized(&self.photo_path, options.background(), camera.width, camera.height)?;
-        Ok((photo, camera))
-    }
-
-    /// The camera at the size of a photo that somebody divided by `divisor`, rounding each side as they liked.
-    fn camera_of_file(&self, divisor: u32) -> Result<Camera> {
-        let camera = self.camera;
-        if divisor == 1 {
-            return Ok(camera);
-        }
-        let (width, height) = photo_size(&self.photo_path)?;
-        if (width, height) == (camera.width, camera.height) {
-            return Ok(camera);
-        }
-        let fits = |photo: u32, camera: u32| photo == camera / divisor || photo == camera.div_ceil(divisor);
-        if !fits(width, camera.width) || !fits(height, camera.height) {
-            let Camera { width: w, height: h, .. } = camera;
-            let problem =
-                format!("is {width}x{height} pixels, 1/{divisor} of its camera's {w}x{h} was expected");
-            return Err(Error::input(
-                &self.photo_path,
-                problem,
-                "use photos of that size, or another folder",
-            ));
-        }
-        Ok(camera.scaled_to(width, height))
-    }
-
-    fn load(&self, options: &DatasetOptions) -> Result<View> {
-        let (photo, original_camera) = self.read_photo(options)?;
-        let (width, height) = options.resolution.apply(photo.width, photo.height);
-        Ok(View {
-            name: self.image.name.clone(),
-            image_id: self.image.id,
-            camera: original_camera.scaled_to(width, height),
-            original_camera,
-            photo: photo.scaled_to(width, height)?,
-        })
-    }
-}
-
-/// What each registered image needs, by name; the photos are looked for but not opened.
-fn plan_views<'a>(path: &Path, model: &'a Model, options: &DatasetOptions) -> Vec<Result<PlannedView<'a>>> {
-    let mut images: Vec<&ColmapImage> = model.images.iter().collect();
-    images.sort_by(|a, b| a.name.cmp(&b.name));
-    let folder = path.join(&options.images);
-    if !folder.is_dir() {
-        let remedy = "put the photos there, or name their folder with --images";
-        return vec![Err(Error::input(folder, "there is no folder with photos", remedy))];
-    }
-    let plan = |image| {
-        let camera = model.camera_of(image)?;
-        let photo_path = image.photo_path(&folder, &model.file("images"))?;
-        if !photo_path.is_file() {
-            let problem = format!("the photo of image {} is missing", image.id);
-            return Err(Error::input(
-                photo_path,
-                problem,
-                "copy it there, or remove the image from the model",
-            ));
-        }
-        Ok(PlannedView { image, camera, photo_path })
-    };
-    images.into_iter().map(plan).collect()
-}
-
-fn check_split(model: &Model, options: &DatasetOptions, views: usize) -> Result<()> {
-    let file = model.file("images");
-    if views == 0 {
-        let remedy = "run COLMAP's mapper again with more overlapping photos";
-        return Err(Error::input(file, "no images are registered", remedy));
-    }
-    if (0..views).all(|index| options.is_test(index)) {
-        let problem = format!("all of its {views} images are held out, none is left to train on");
-        return Err(Error::input(file, problem, "train without --eval"));
-    }
-    Ok(())
 }

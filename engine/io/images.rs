@@ -1,6 +1,7 @@
 //! Photographs: decoding, checking, scaling.
 
 mod decode;
+mod undistort;
 
 use std::path::Path;
 use std::str::FromStr;
@@ -12,7 +13,7 @@ use super::atomic;
 use crate::scene::camera::MAX_IMAGE_SIDE;
 use crate::{Error, Result};
 
-pub use decode::photo_size;
+pub use decode::{photo_size, shown_size};
 
 /// Widest picture that [`Resolution::Auto`] leaves as it is, pixels.
 pub const AUTO_MAX_WIDTH: u32 = 1600;
@@ -31,21 +32,33 @@ pub struct Photo {
 impl Photo {
     /// Reads a JPEG or PNG of any colour type; what is transparent shows `background` (r, g, b in [0, 1]).
     ///
-    /// The orientation in a photo's metadata is not applied, as COLMAP does not apply it either.
+    /// The orientation in a photo's metadata is not applied, as COLMAP does not apply it either; but see
+    /// [`Photo::read_sized`].
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a picture, is cut short
     /// or damaged, or claims a size that the file cannot hold.
     pub fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self> {
-        decode::read(path.as_ref(), background, None)
+        Ok(decode::read(path.as_ref(), background, None)?.0)
     }
 
-    /// Like [`Photo::read`], and refuses a picture of another size before decoding it.
+    /// Like [`Photo::read`], and refuses a picture of another size before decoding it. A picture whose metadata say
+    /// that it lies on its side, and that would have the size when upright, is turned.
     ///
     /// # Errors
     /// As [`Photo::read`], and [`Error::Input`] for another size.
     pub fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self> {
-        decode::read(path.as_ref(), background, Some((width, height)))
+        Ok(decode::read(path.as_ref(), background, Some((width, height)))?.0)
+    }
+
+    /// Like [`Photo::read_sized`], and gives the alpha channel, one byte per pixel, of a picture that has one.
+    pub(crate) fn read_with_alpha(
+        path: &Path,
+        background: [f32; 3],
+        width: u32,
+        height: u32,
+    ) -> Result<(Self, Option<Vec<u8>>)> {
+        decode::read(path, background, Some((width, height)))
     }
 
     /// Writes a PNG.

@@ -12,6 +12,7 @@ pub mod ply;
 mod progress;
 mod sniff;
 pub mod splats;
+pub mod transforms;
 
 pub use dataset::{Dataset, DatasetOptions, DatasetReport, View};
 pub use images::{Photo, Resolution};

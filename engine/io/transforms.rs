@@ -11,11 +11,10 @@ use glam::{Affine3A, Mat3, Vec3};
 use serde_json::Value;
 
 use super::ply;
-use crate::scene::lens::Lens;
-use crate::scene::{Camera, PointCloud};
+use crate::scene::PointCloud;
 use crate::{Error, Result};
 
-pub use frame::Frame;
+pub use frame::{Frame, Optics};
 
 /// Files of the synthetic NeRF scenes: for training, and what is tested (the first that there is).
 const SPLIT_FILES: [&str; 3] = ["transforms_train.json", "transforms_test.json", "transforms_val.json"];
@@ -85,7 +84,8 @@ impl Transforms {
         const SAMPLE: usize = 500;
         let Some(applied) = applied.filter(|a| !a.abs_diff_eq(Affine3A::IDENTITY, 1e-6)) else { return };
         let step = self.points.len().div_ceil(SAMPLE).max(1);
-        let sample: Vec<Vec3> = self.points.positions.iter().step_by(step).map(|&p| Vec3::from_array(p)).collect();
+        let sample: Vec<Vec3> =
+            self.points.positions.iter().step_by(step).map(|&p| Vec3::from_array(p)).collect();
         let seen = |place: &dyn Fn(Vec3) -> Vec3| -> usize {
             let in_view = |frame: &Frame, point: Vec3| frame.sees(place(point));
             self.frames.iter().map(|frame| sample.iter().filter(|&&p| in_view(frame, p)).count()).sum()
@@ -126,9 +126,15 @@ fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<Affine
         Value::Null => None,
         value => {
             let rows = frame::matrix(value).ok_or_else(|| {
-                Error::input(path, "applied_transform is not a matrix of 3 or 4 rows of 4 numbers", "write it again")
+                Error::input(
+                    path,
+                    "applied_transform is not a matrix of 3 or 4 rows of 4 numbers",
+                    "write it again",
+                )
             })?;
-            let axes = Mat3::from_cols_array_2d(&std::array::from_fn(|c| std::array::from_fn(|r| rows[r][c] as f32)));
+            let axes = Mat3::from_cols_array_2d(&std::array::from_fn(|c| {
+                std::array::from_fn(|r| rows[r][c] as f32)
+            }));
             let shift = Vec3::from_array(std::array::from_fn(|r| rows[r][3] as f32));
             Some(Affine3A::from_mat3_translation(axes, shift))
         }
@@ -136,10 +142,15 @@ fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<Affine
     let named = match &document["ply_file_path"] {
         Value::String(name) => {
             let file = inside(path, name).ok_or_else(|| {
-                Error::input(path, format!("ply_file_path {name:?} leads out of the folder"), "copy the file into it")
+                Error::input(
+                    path,
+                    format!("ply_file_path {name:?} leads out of the folder"),
+                    "copy the file into it",
+                )
             })?;
             if !file.is_file() {
-                let remedy = "copy it there, or remove ply_file_path: training then starts from random points";
+                let remedy =
+                    "copy it there, or remove ply_file_path: training then starts from random points";
                 return Err(Error::input(file, "the point cloud of transforms.json is missing", remedy));
             }
             Some(file)
@@ -161,11 +172,6 @@ fn inside(file: &Path, name: &str) -> Option<PathBuf> {
 }
 
 impl Frame {
-    /// The camera of the frame without its distortion, with its photo's size where the file gives none.
-    pub fn camera(&self, lens: &Lens) -> Camera {
-        Camera::with_pose(self.camera_from_world, self.translation, lens.intrinsics())
-    }
-
     fn sees(&self, point: Vec3) -> bool {
         let p = self.camera_from_world * point + self.translation;
         // A third of a right angle to each side, where the field of view is not known yet.

@@ -2,12 +2,14 @@
 
 use std::collections::HashMap;
 
+use glam::{DMat3, DVec3};
 use kdtree::KdTree;
 use kdtree::distance::squared_euclidean;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use super::camera::Camera;
 use super::gaussians::{Gaussians, sh_coefficients};
 use super::points::{Bounds, PointCloud};
 use super::sh::rgb_to_sh_dc;
@@ -103,4 +105,39 @@ pub fn random_points(count: usize, bounds: Bounds, seed: u64) -> PointCloud {
         .map(|_| std::array::from_fn(|axis| min[axis] + size[axis] * random.random::<f32>()))
         .collect();
     PointCloud { positions, colors: vec![[128; 3]; count] }
+}
+
+/// Share of what a typical camera sees across that the box takes.
+const SEEN_SHARE: f32 = 0.9;
+
+/// The cube that cameras around a scene look at: its middle is the point nearest to all their axes, its half edge a
+/// little less than what the typical camera sees to each side of it there. `None` when they do not look at one place:
+/// some have it behind them, or it is no nearer than the cameras are spread.
+pub fn seen_box(cameras: &[Camera]) -> Option<Bounds> {
+    let mut across = DMat3::ZERO;
+    let mut sum = DVec3::ZERO;
+    for camera in cameras {
+        let axis = camera.forward().as_dvec3();
+        // Takes the part across the axis.
+        let project = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+        across += project;
+        sum += project * camera.position().as_dvec3();
+    }
+    // Parallel axes meet nowhere.
+    if across.determinant() < 1e-6 * (cameras.len() as f64).powi(3) {
+        return None;
+    }
+    let center = (across.inverse() * sum).as_vec3();
+    let mut half_edges: Vec<f32> = Vec::new();
+    for camera in cameras {
+        let depth = camera.forward().dot(center - camera.position());
+        if depth <= 0.0 {
+            return None;
+        }
+        let half = (0.5 * camera.width as f32 / camera.fx).min(0.5 * camera.height as f32 / camera.fy);
+        half_edges.push(depth * half);
+    }
+    half_edges.sort_unstable_by(f32::total_cmp);
+    let half_edge = SEEN_SHARE * *half_edges.get(half_edges.len() / 2)?;
+    (half_edge > 0.0).then(|| Bounds { min: center - half_edge, max: center + half_edge })
 }

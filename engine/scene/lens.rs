@@ -37,8 +37,10 @@ impl Distortion {
                 let above = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * (k[2] + r2 * k[3])));
                 let below = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[2]));
                 let DVec2 { x: u, y: v } = point;
-                let tangential =
-                    dvec2(2.0 * p[0] * u * v + p[1] * (r2 + 2.0 * u * u), 2.0 * p[1] * u * v + p[0] * (r2 + 2.0 * v * v));
+                let tangential = dvec2(
+                    2.0 * p[0] * u * v + p[1] * (r2 + 2.0 * u * u),
+                    2.0 * p[1] * u * v + p[0] * (r2 + 2.0 * v * v),
+                );
                 point * (above / below) + tangential
             }
             Self::Fisheye { k } => {
@@ -116,13 +118,26 @@ impl Lens {
     pub fn pinhole(intrinsics: Intrinsics) -> Self {
         let Intrinsics { fx, fy, cx, cy, width, height } = intrinsics;
         let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(f64::from);
-        Self { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion: Distortion::None }
+        Self {
+            focal_px: dvec2(fx, fy),
+            center_px: dvec2(cx, cy),
+            width,
+            height,
+            distortion: Distortion::None,
+        }
     }
 
     /// The camera without its distortion.
     pub fn intrinsics(&self) -> Intrinsics {
         let (focal, center) = (self.focal_px.as_vec2(), self.center_px.as_vec2());
-        Intrinsics { fx: focal.x, fy: focal.y, cx: center.x, cy: center.y, width: self.width, height: self.height }
+        Intrinsics {
+            fx: focal.x,
+            fy: focal.y,
+            cx: center.x,
+            cy: center.y,
+            width: self.width,
+            height: self.height,
+        }
     }
 
     /// Whether photos must be undistorted.
@@ -137,7 +152,8 @@ impl Lens {
 
     /// The same lens at another size of its image.
     pub fn scaled_to(&self, width: u32, height: u32) -> Self {
-        let scale = dvec2(f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
+        let scale =
+            dvec2(f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
         Self { focal_px: self.focal_px * scale, center_px: self.center_px * scale, width, height, ..*self }
     }
 
@@ -177,8 +193,13 @@ impl Lens {
         let new_width = side(self.center_px.x, width, left, right, self.width);
         let new_height = side(self.center_px.y, height, top, bottom, self.height);
         let center = self.center_px * dvec2(f64::from(new_width) / width, f64::from(new_height) / height);
-        let pinhole =
-            Self { center_px: center, width: new_width, height: new_height, distortion: Distortion::None, ..*self };
+        let pinhole = Self {
+            center_px: center,
+            width: new_width,
+            height: new_height,
+            distortion: Distortion::None,
+            ..*self
+        };
         Some(pinhole.intrinsics())
     }
 }

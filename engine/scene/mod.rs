@@ -4,6 +4,7 @@ pub mod camera;
 pub mod decimate;
 pub mod gaussians;
 pub mod init;
+pub mod lens;
 pub mod orbit;
 pub mod points;
 pub mod sh;

@@ -15,6 +15,7 @@ pub mod layout;
 pub mod loss;
 pub mod npz;
 pub mod scenes;
+pub mod splats;
 pub mod tiles;
 
 pub use device::{assert_silent, context, options};

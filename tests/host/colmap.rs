@@ -157,9 +157,10 @@ fn the_largest_of_several_is_taken() {
 fn what_is_missing_is_named() {
     let folder = tempfile::tempdir().unwrap();
     assert!(error(&folder.path().join("none")).contains("none: cannot read"));
-    assert!(error(folder.path()).contains("has no COLMAP model"));
-    std::fs::write(folder.path().join("transforms.json"), "{}").unwrap();
-    assert!(error(folder.path()).contains("transforms.json is not read yet"));
+    assert!(
+        error(folder.path())
+            .contains("has no COLMAP model (sparse/0/cameras.bin or .txt) and no transforms.json")
+    );
     write(folder.path(), "sparse/0", &parts());
     let model = folder.path().join("sparse/0");
     std::fs::remove_file(model.join("cameras.bin")).unwrap();

@@ -141,8 +141,20 @@ fn without_points_it_starts_from_random_ones_around_the_cameras() {
     let points = dataset.initial_points(5);
     assert_eq!(points.len(), 100_000);
     assert!(points == dataset.initial_points(5), "the seed gives the points");
+    // Where the cameras look: around the origin, a little less than what they see of it.
     let bounds = points.bounds().unwrap();
-    for view in &dataset.train {
+    assert!(bounds.center().length() < 0.01);
+    let half_edge = 0.9 * 3.0 * (0.5 * 20.0 / 21.0f32).min(0.5 * 12.0 / 22.0);
+    assert!((0.5 * bounds.size().max_element() - half_edge).abs() < 0.01, "{bounds:?}");
+    // Cameras that look outwards have the cube around them.
+    let mut outward = dataset.clone();
+    for view in &mut outward.train {
+        let position = view.camera.position();
+        let intrinsics = view.camera.intrinsics();
+        view.camera = Camera::look_at(position, 2.0 * position, Vec3::NEG_Y, intrinsics);
+    }
+    let bounds = outward.initial_points(5).bounds().unwrap();
+    for view in &outward.train {
         let position = view.camera.position();
         assert!(position.cmpgt(bounds.min).all() && position.cmplt(bounds.max).all());
     }

@@ -4,7 +4,7 @@ use ashsplat::scene::decimate::decimate;
 use ashsplat::scene::{Gaussians, Similarity};
 use glam::{DQuat, DVec3, EulerRot};
 
-use super::splats::scene;
+use crate::common::splats::scene;
 
 fn similarity() -> Similarity {
     Similarity {

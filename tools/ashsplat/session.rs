@@ -3,7 +3,6 @@
 use crate::config::DataSettings;
 use crate::progress::counting;
 use ashsplat::io::cameras_json::NamedCamera;
-use ashsplat::io::colmap::{ColmapImage, Model};
 use ashsplat::io::{Dataset, DatasetOptions, Progress};
 use ashsplat::{Error, Result};
 use clap::Args;
@@ -82,13 +81,5 @@ pub fn warn(dataset: &Dataset) {
 
 /// The cameras of a data set by name, at the photos' own sizes; the photos are not looked at.
 pub fn cameras(dataset: &Path) -> Result<Vec<NamedCamera>> {
-    let model = Model::of_dataset(dataset)?;
-    let named =
-        |image: &ColmapImage| Ok(NamedCamera { name: image.name.clone(), camera: model.camera_of(image)? });
-    let mut cameras = model.images.iter().map(named).collect::<Result<Vec<_>>>()?;
-    if cameras.is_empty() {
-        return Err(Error::input(dataset, "no images are registered", "run COLMAP's mapper again"));
-    }
-    cameras.sort_by(|a, b| a.name.cmp(&b.name));
-    Ok(cameras)
+    Dataset::cameras(dataset, &DatasetOptions::default())
 }

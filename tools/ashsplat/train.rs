@@ -76,7 +76,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let start = arguments.start_checkpoint.as_ref();
     let start = start.map(|asked| Start::read(asked, &settings.data.model_path)).transpose()?;
     let dataset = session::load(&settings.data, settings.train.white_background, arguments.quiet)?;
-    if dataset.points.is_empty() && !arguments.random_points && start.is_none() {
+    let may_be_random = arguments.random_points || dataset.may_lack_points() || start.is_some();
+    if dataset.points.is_empty() && !may_be_random {
         let remedy = "register the photos with COLMAP's mapper or point_triangulator, or use --random-points";
         return Err(Error::input(
             &settings.data.source_path,
@@ -413,7 +414,7 @@ mod tests {
         let photo = Photo { width: 16, height: 16, rgb: vec![0; 16 * 16 * 3] };
         let (name, original_camera) = ("a.png".into(), camera);
         let dataset = Dataset {
-            train: vec![View { name, image_id: 1, camera, original_camera, photo }],
+            train: vec![View { name, image_id: 1, camera, original_camera, photo, mask: None }],
             test: Vec::new(),
             points: PointCloud { positions: vec![[0.0; 3]; 4], colors: vec![[9; 3]; 4] },
             scene_extent: 0.0,

@@ -50,16 +50,16 @@ pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
     }
 }
 
+/// Whether a data set has a model at one of the places of [`find`].
+pub fn exists(dataset: impl AsRef<Path>) -> bool {
+    let dataset = dataset.as_ref();
+    let sparse = dataset.join("sparse");
+    let below = subfolders(&sparse).unwrap_or_default();
+    below.iter().chain([&sparse, &dataset.to_owned()]).any(|folder| has_model(folder))
+}
+
 fn no_model(dataset: &Path) -> Error {
-    let problem = "has no COLMAP model (sparse/0/cameras.bin or .txt)";
-    let transforms = ["transforms.json", "transforms_train.json"];
-    if let Some(file) = transforms.iter().find(|file| dataset.join(file).is_file()) {
-        return Error::input(
-            dataset,
-            format!("{problem}; its {file} is not read yet"),
-            "convert it to COLMAP's format",
-        );
-    }
+    let problem = "has no COLMAP model (sparse/0/cameras.bin or .txt) and no transforms.json";
     let remedy =
         "give the folder that contains sparse/0 and images, as COLMAP or its image_undistorter leave it";
     Error::input(dataset, problem, remedy)

@@ -3,10 +3,13 @@
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Component, Path, PathBuf};
 
+use glam::dvec2;
+
 use super::find::ModelFolder;
 use super::{binary, text};
 use crate::scene::camera::MAX_IMAGE_SIDE;
-use crate::scene::{Camera, Intrinsics, PointCloud};
+use crate::scene::lens::{Distortion, Lens};
+use crate::scene::{Camera, PointCloud};
 use crate::{Error, Result};
 
 /// COLMAP's camera models by number: name and number of parameters.
@@ -143,11 +146,11 @@ impl Model {
         self.source.folder.join(format!("{part}.{}", if self.source.text { "txt" } else { "bin" }))
     }
 
-    /// The camera with pose of an image.
+    /// The camera with pose of an image: where the lens distorts, without its distortion, at the photo's size.
     ///
     /// # Errors
-    /// [`Error::Input`] naming file and id when the camera does not exist, has lens distortion, no usable size or
-    /// focal length, or the pose is not finite or a zero quaternion.
+    /// [`Error::Input`] naming file and id when the camera does not exist, has a lens that is not modelled, no usable
+    /// size or focal length, or the pose is not finite or a zero quaternion.
     pub fn camera_of(&self, image: &ColmapImage) -> Result<Camera> {
         let file = self.file("images");
         let Some(camera) = self.cameras.get(&image.camera_id) else {
@@ -158,7 +161,7 @@ impl Model {
                 "copy the whole model",
             ));
         };
-        let intrinsics = self.intrinsics(camera)?;
+        let intrinsics = self.lens(camera)?.intrinsics();
         let length = image.quat.iter().map(|q| q * q).sum::<f64>().sqrt();
         let finite = length.is_finite() && image.translation.iter().all(|t| t.is_finite());
         let result = Camera::from_colmap(image.quat, image.translation, intrinsics);
@@ -174,38 +177,68 @@ impl Model {
         Ok(result)
     }
 
-    /// A camera's intrinsics at the size of its photos.
+    /// A camera at the size of its photos, with its lens.
     ///
     /// # Errors
     /// As [`Model::camera_of`], for the camera alone.
-    pub fn intrinsics(&self, camera: &ColmapCamera) -> Result<Intrinsics> {
+    pub fn lens(&self, camera: &ColmapCamera) -> Result<Lens> {
         let file = self.file("cameras");
         let place = format!("camera {} ({})", camera.id, camera.model.name());
-        let [fx, fy, cx, cy] = match (camera.model, camera.parameters.as_slice()) {
-            (CameraModel::SIMPLE_PINHOLE, &[f, cx, cy]) => [f, f, cx, cy],
-            (CameraModel::PINHOLE, &[fx, fy, cx, cy]) => [fx, fy, cx, cy],
-            _ => {
-                let problem = format!("{place} has lens distortion, which is not modelled");
-                return Err(Error::input(
-                    file,
-                    problem,
-                    format!("run: {}", undistort_command(&self.source.folder)),
-                ));
-            }
+        let Some(([fx, fy, cx, cy], distortion)) = optics(camera) else {
+            let problem = format!("{place} has a lens that is not modelled");
+            return Err(Error::input(
+                file,
+                problem,
+                format!("run: {}", undistort_command(&self.source.folder)),
+            ));
         };
         let side = |pixels: u64| u32::try_from(pixels).ok().filter(|s| (1..=MAX_IMAGE_SIDE).contains(s));
         let (Some(width), Some(height)) = (side(camera.width), side(camera.height)) else {
             let problem = format!("{place} has images of {}x{} pixels", camera.width, camera.height);
             return Err(Error::input(file, problem, format!("1 to {MAX_IMAGE_SIDE} a side are possible")));
         };
-        let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
-        let intrinsics = Intrinsics { fx, fy, cx, cy, width, height };
-        let upright = Camera::with_pose(glam::Mat3::IDENTITY, glam::Vec3::ZERO, intrinsics);
+        let lens = Lens { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion };
+        let upright = Camera::with_pose(glam::Mat3::IDENTITY, glam::Vec3::ZERO, lens.intrinsics());
+        if !camera.parameters.iter().all(|p| p.is_finite()) {
+            return Err(Error::input(
+                &file,
+                format!("{place}: a parameter is not finite"),
+                "run COLMAP again",
+            ));
+        }
         if let Some(problem) = upright.problem() {
             return Err(Error::input(&file, format!("{place}: {problem}"), "run COLMAP again"));
         }
-        Ok(intrinsics)
+        Ok(lens)
     }
+}
+
+/// Focal lengths and principal point, and the distortion; `None` for lenses that are not modelled.
+fn optics(camera: &ColmapCamera) -> Option<([f64; 4], Distortion)> {
+    let brown =
+        |k: [f64; 3], d: [f64; 3], p: [f64; 2]| Distortion::Brown { k: [k[0], k[1], k[2], 0.0], d, p };
+    let radial = |k1: f64, k2: f64| brown([k1, k2, 0.0], [0.0; 3], [0.0; 2]);
+    let fisheye = |k: [f64; 4]| Distortion::Fisheye { k };
+    Some(match (camera.model.name(), camera.parameters.as_slice()) {
+        ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f, cx, cy], Distortion::None),
+        ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], Distortion::None),
+        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f, cx, cy], radial(k, 0.0)),
+        ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], radial(k1, k2)),
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
+            ([fx, fy, cx, cy], brown([k1, k2, 0.0], [0.0; 3], [p1, p2]))
+        }
+        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            ([fx, fy, cx, cy], brown([k1, k2, k3], [k4, k5, k6], [p1, p2]))
+        }
+        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
+            ([fx, fy, cx, cy], fisheye([k1, k2, k3, k4]))
+        }
+        ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k]) => ([f, f, cx, cy], fisheye([k, 0.0, 0.0, 0.0])),
+        ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], fisheye([k1, k2, 0.0, 0.0])),
+        ("SIMPLE_FISHEYE", &[f, cx, cy]) => ([f, f, cx, cy], fisheye([0.0; 4])),
+        ("FISHEYE", &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], fisheye([0.0; 4])),
+        _ => return None,
+    })
 }
 
 impl ColmapImage {

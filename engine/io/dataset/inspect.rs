@@ -7,16 +7,18 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::{DatasetOptions, PlannedView, check_split, plan_views};
-use crate::Result;
-use crate::io::colmap::{self, Model};
+use super::DatasetOptions;
+use super::plan::{Plan, PlannedView};
+use super::unpacked::Unpacked;
+use crate::io::colmap;
 use crate::io::progress::Progress;
 use crate::scene::{Bounds, scene_extent};
+use crate::{Error, Result};
 
 /// What a data set contains and what is wrong with it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DatasetReport {
-    /// The folder of the COLMAP model, when there is one.
+    /// The folder of the COLMAP model, or the transforms.json, when there is one.
     pub model: Option<PathBuf>,
     /// Number of cameras by "MODEL WIDTHxHEIGHT".
     pub cameras: BTreeMap<String, usize>,
@@ -51,28 +53,39 @@ impl DatasetReport {
 
 pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<'_>) -> DatasetReport {
     let mut report = DatasetReport::default();
-    let model = match colmap::find(path).and_then(|found| {
-        report.model = Some(found.folder.clone());
-        Model::read(&found)
-    }) {
-        Ok(model) => model,
+    let unpacked = match Unpacked::open(path) {
+        Ok(unpacked) => unpacked,
         Err(e) => {
-            report.problems.push(e.to_string());
+            report.problem(e.to_string());
             return report;
         }
     };
-    report.describe(&model);
-    let views: Vec<_> = plan_views(path, &model, options)
-        .into_iter()
-        .filter_map(|view| view.map_err(|e| report.problem(e.to_string())).ok())
-        .collect();
-    if report.problems.is_empty()
-        && let Err(e) = check_split(&model, options, views.len())
-    {
-        report.problem(e.to_string());
+    let named = |e: Error| unpacked.name(e).to_string();
+    let mut plan = match Plan::of(unpacked.folder(), options) {
+        Ok(plan) => plan,
+        Err(e) => {
+            report.model = colmap::find(unpacked.folder()).ok().map(|found| found.folder);
+            report.problem(named(e));
+            return report;
+        }
+    };
+    report.describe(&plan);
+    let split = plan.check_split(options);
+    let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
+    let mut views = Vec::new();
+    for (view, held_out) in std::mem::take(&mut plan.views).into_iter().zip(held_out) {
+        match view {
+            Ok(view) => views.push((view, held_out)),
+            Err(e) => report.problem(named(e)),
+        }
     }
-    report.split(&views, options);
-    report.check_photos(&views, options, progress);
+    if report.problems.is_empty()
+        && let Err(e) = split
+    {
+        report.problem(named(e));
+    }
+    report.split(&views);
+    report.check_photos(&views, options, progress, &named);
     report
 }
 
@@ -84,32 +97,36 @@ impl DatasetReport {
         }
     }
 
-    fn describe(&mut self, model: &Model) {
-        for camera in model.cameras.values() {
-            let kind = format!("{} {}x{}", camera.model.name(), camera.width, camera.height);
-            *self.cameras.entry(kind).or_default() += 1;
-        }
-        self.images = model.images.len();
-        self.points = model.points.len();
-        self.point_bounds = model.points.bounds();
-        self.warnings.clone_from(&model.warnings);
-        if model.points.is_empty() {
+    fn describe(&mut self, plan: &Plan) {
+        self.model = Some(plan.source.clone());
+        self.cameras.clone_from(&plan.cameras);
+        self.images = plan.views.len();
+        self.points = plan.points.len();
+        self.point_bounds = plan.points.bounds();
+        self.warnings.clone_from(&plan.warnings);
+        if plan.points.is_empty() {
             self.warnings.push("no points to start from; training needs --random-points".into());
         }
     }
 
-    fn split(&mut self, views: &[PlannedView<'_>], options: &DatasetOptions) {
-        self.test_views = (0..views.len()).filter(|&index| options.is_test(index)).count();
+    fn split(&mut self, views: &[(PlannedView, bool)]) {
+        self.test_views = views.iter().filter(|(_, held_out)| *held_out).count();
         self.train_views = views.len() - self.test_views;
-        let position = |view: &PlannedView<'_>| view.camera.position();
-        self.camera_bounds = Bounds::of(views.iter().map(position));
-        let train = views.iter().enumerate().filter(|(index, _)| !options.is_test(*index));
-        self.scene_extent = scene_extent(train.map(|(_, view)| position(view)));
+        let position = |view: &PlannedView| view.camera().position();
+        self.camera_bounds = Bounds::of(views.iter().map(|(view, _)| position(view)));
+        let train = views.iter().filter(|(_, held_out)| !held_out);
+        self.scene_extent = scene_extent(train.map(|(view, _)| position(view)));
     }
 
-    fn check_photos(&mut self, views: &[PlannedView<'_>], options: &DatasetOptions, progress: Progress<'_>) {
+    fn check_photos(
+        &mut self,
+        views: &[(PlannedView, bool)],
+        options: &DatasetOptions,
+        progress: Progress<'_>,
+        named: &dyn Fn(Error) -> String,
+    ) {
         let done = AtomicUsize::new(0);
-        let check = |view: &PlannedView<'_>| -> Result<()> {
+        let check = |(view, _): &(PlannedView, bool)| -> Result<()> {
             progress.check()?;
             let result = view.read_photo(options);
             progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, views.len());
@@ -117,7 +134,7 @@ impl DatasetReport {
         };
         let results: Vec<_> = views.par_iter().map(check).collect();
         self.sound_photos = results.iter().filter(|result| result.is_ok()).count();
-        results.into_iter().filter_map(Result::err).for_each(|e| self.problem(e.to_string()));
+        results.into_iter().filter_map(Result::err).for_each(|e| self.problem(named(e)));
     }
 }
 

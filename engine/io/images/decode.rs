@@ -4,6 +4,7 @@ use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
+use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use super::Photo;
@@ -27,10 +28,38 @@ pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
     Ok(decoder(path, &bytes)?.1)
 }
 
-pub(super) fn read(path: &Path, background: [f32; 3], expected: Option<(u32, u32)>) -> Result<Photo> {
+/// Width and height of a JPEG or PNG as it is meant to be seen, with the orientation in its metadata, pixels.
+///
+/// # Errors
+/// As [`photo_size`].
+pub fn shown_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
+    let path = path.as_ref();
     let bytes = read_bytes(path)?;
     let (mut decoder, (width, height)) = decoder(path, &bytes)?;
-    if let Some((w, h)) = expected.filter(|&size| size != (width, height)) {
+    Ok(if lies_on_its_side(orientation(&mut decoder)) { (height, width) } else { (width, height) })
+}
+
+/// None where the metadata cannot be read.
+fn orientation(decoder: &mut impl ImageDecoder) -> Orientation {
+    decoder.orientation().unwrap_or(Orientation::NoTransforms)
+}
+
+fn lies_on_its_side(orientation: Orientation) -> bool {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
+}
+
+/// The picture, and its alpha channel if it has one.
+pub(super) fn read(
+    path: &Path,
+    background: [f32; 3],
+    expected: Option<(u32, u32)>,
+) -> Result<(Photo, Option<Vec<u8>>)> {
+    let bytes = read_bytes(path)?;
+    let (mut decoder, (width, height)) = decoder(path, &bytes)?;
+    let orientation = orientation(&mut decoder);
+    let turned = expected == Some((height, width)) && width != height && lies_on_its_side(orientation);
+    if let Some((w, h)) = expected.filter(|&size| size != (width, height) && !turned) {
         let problem = format!("is {width}x{height} pixels, its camera {w}x{h}");
         return Err(Error::input(path, problem, "use the pictures that the cameras were computed from"));
     }
@@ -51,8 +80,13 @@ pub(super) fn read(path: &Path, background: [f32; 3], expected: Option<(u32, u32
     if !is_png(&bytes) && !jpeg_is_complete(&bytes) {
         return Err(damaged(&"the data end before the picture does"));
     }
-    let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(&e))?;
-    Ok(Photo { width, height, rgb: composite(image, background) })
+    let mut image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(&e))?;
+    if turned {
+        image.apply_orientation(orientation);
+    }
+    let (width, height) = (image.width(), image.height());
+    let (rgb, alpha) = composite(image, background);
+    Ok((Photo { width, height, rgb }, alpha))
 }
 
 fn read_bytes(path: &Path) -> Result<Vec<u8>> {
@@ -81,20 +115,22 @@ fn is_png(bytes: &[u8]) -> bool {
     bytes.starts_with(b"\x89PNG")
 }
 
-/// The picture's opaque colours, blended over the background where it is transparent.
-fn composite(image: DynamicImage, background: [f32; 3]) -> Vec<u8> {
+/// The picture's opaque colours, blended over the background where it is transparent, and its alpha channel.
+fn composite(image: DynamicImage, background: [f32; 3]) -> (Vec<u8>, Option<Vec<u8>>) {
     if !image.color().has_alpha() {
-        return image.into_rgb8().into_raw();
+        return (image.into_rgb8().into_raw(), None);
     }
     let background = background.map(|c| 255.0 * c.clamp(0.0, 1.0));
-    let mut rgb = Vec::with_capacity(3 * image.width() as usize * image.height() as usize);
+    let pixels = image.width() as usize * image.height() as usize;
+    let (mut rgb, mut alphas) = (Vec::with_capacity(3 * pixels), Vec::with_capacity(pixels));
     for &[r, g, b, alpha] in image.into_rgba8().into_raw().as_chunks::<4>().0 {
+        alphas.push(alpha);
         let opacity = f32::from(alpha) / 255.0;
         for (color, behind) in [r, g, b].into_iter().zip(background) {
             rgb.push((f32::from(color) * opacity + behind * (1.0 - opacity)).round() as u8);
         }
     }
-    rgb
+    (rgb, Some(alphas))
 }
 
 /// Whether a JPEG reaches its end-of-image marker. Decoders fill up a cut one with grey and say nothing.

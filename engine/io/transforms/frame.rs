@@ -40,8 +40,8 @@ pub struct Frame {
 pub struct Optics {
     /// Width and height, pixels, where the file gives them.
     pub size: Option<[u32; 2]>,
-    /// Focal lengths in x and y.
-    focal: [Focal; 2],
+    /// Focal lengths in x and y; where one is missing, it is the other: square pixels.
+    focal: [Option<Focal>; 2],
     /// Principal point, pixels; the middle where the file gives none.
     center: [Option<f64>; 2],
     /// The lens.
@@ -60,11 +60,12 @@ impl Optics {
     /// The lens for photos of a size.
     pub fn lens(&self, width: u32, height: u32) -> Lens {
         let sides = [f64::from(width), f64::from(height)];
-        let [fx, fy] = [0, 1].map(|axis| match self.focal[axis] {
-            Focal::Pixels(focal) => focal,
-            // Square pixels: a height follows from the width.
-            Focal::Angle(angle) => 0.5 * sides[axis] / (0.5 * angle).tan(),
-        });
+        let pixels = |axis: usize| match self.focal[axis]? {
+            Focal::Pixels(focal) => Some(focal),
+            Focal::Angle(angle) => Some(0.5 * sides[axis] / (0.5 * angle).tan()),
+        };
+        let [fx, fy] =
+            [pixels(0).or(pixels(1)), pixels(1).or(pixels(0))].map(|focal| focal.unwrap_or(f64::NAN));
         let [cx, cy] = [0, 1].map(|axis| self.center[axis].unwrap_or(0.5 * sides[axis]));
         Lens { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion: self.distortion }
     }
@@ -87,7 +88,11 @@ pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -
         return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
     };
     if list.is_empty() {
-        return Err(Error::input(path, "the list `frames` is empty", "the cameras were not found: compute them again"));
+        return Err(Error::input(
+            path,
+            "the list `frames` is empty",
+            "the cameras were not found: compute them again",
+        ));
     }
     let listed = |key: &str, name: &str| -> bool {
         let names = document[key].as_array().into_iter().flatten().filter_map(Value::as_str);
@@ -111,7 +116,11 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     fn error(&self, problem: impl std::fmt::Display) -> Error {
-        Error::input(self.path, format!("frame {}: {problem}", self.index), "correct the file or compute it again")
+        Error::input(
+            self.path,
+            format!("frame {}: {problem}", self.index),
+            "correct the file or compute it again",
+        )
     }
 
     fn read(&self) -> Result<Frame> {
@@ -145,7 +154,8 @@ impl Reader<'_> {
         if let Some(found) = ENDINGS.iter().map(|ending| with(ending)).find(|p| p.is_file()) {
             return Ok(found);
         }
-        let has_ending = path.extension().is_some_and(|e| ENDINGS.iter().any(|known| e.eq_ignore_ascii_case(known)));
+        let has_ending =
+            path.extension().is_some_and(|e| ENDINGS.iter().any(|known| e.eq_ignore_ascii_case(known)));
         Ok(if has_ending { path } else { with("png") })
     }
 
@@ -180,7 +190,9 @@ impl Reader<'_> {
                 Value::Null => {}
                 value => {
                     let number = value.as_f64().filter(|v| v.is_finite());
-                    return number.map(Some).ok_or_else(|| self.error(format!("{holder}{key} is not a number")));
+                    return number
+                        .map(Some)
+                        .ok_or_else(|| self.error(format!("{holder}{key} is not a number")));
                 }
             }
         }
@@ -194,26 +206,19 @@ impl Reader<'_> {
                 let sides = 1.0..=f64::from(MAX_IMAGE_SIDE);
                 *side = if sides.contains(&pixels) { pixels as u32 } else { 0 };
                 if *side == 0 {
-                    return Err(self.error(format!("{key} is {pixels}; 1 to {MAX_IMAGE_SIDE} pixels are possible")));
+                    return Err(
+                        self.error(format!("{key} is {pixels}; 1 to {MAX_IMAGE_SIDE} pixels are possible"))
+                    );
                 }
             }
         }
         let size = (size[0] > 0 && size[1] > 0).then_some(size);
-        let focal = match (self.focal("fl_x", "camera_angle_x")?, self.focal("fl_y", "camera_angle_y")?) {
-            (Some(x), Some(y)) => [x, y],
-            (Some(Focal::Pixels(f)), None) | (None, Some(Focal::Pixels(f))) => [Focal::Pixels(f); 2],
-            // One angle alone: square pixels, which need the photo's size.
-            (Some(angle), None) | (None, Some(angle)) => return self.square(angle, size),
-            (None, None) => return Err(self.error("has no camera: neither fl_x nor camera_angle_x, nor has the file")),
-        };
+        let focal = [self.focal("fl_x", "camera_angle_x")?, self.focal("fl_y", "camera_angle_y")?];
+        if focal == [None; 2] {
+            return Err(self.error("has no camera: neither fl_x nor camera_angle_x, nor has the file"));
+        }
         let center = [self.number("cx")?, self.number("cy")?];
         Ok(Optics { size, focal, center, distortion: self.distortion()? })
-    }
-
-    /// Square pixels and one field of view.
-    fn square(&self, angle: Focal, size: Option<[u32; 2]>) -> Result<Optics> {
-        let center = [self.number("cx")?, self.number("cy")?];
-        Ok(Optics { size, focal: [angle, Focal::Pixels(f64::NAN)], center, distortion: self.distortion()? })
     }
 
     fn focal(&self, pixels: &str, angle: &str) -> Result<Option<Focal>> {
@@ -226,7 +231,10 @@ impl Reader<'_> {
         }
         match self.number(angle)? {
             Some(value) if value > 0.0 && value < std::f64::consts::PI => Ok(Some(Focal::Angle(value))),
-            Some(value) => Err(self.error(format!("{angle} is {value} radians; more than 0 and less than pi are possible"))),
+            Some(value) => {
+                Err(self
+                    .error(format!("{angle} is {value} radians; more than 0 and less than pi are possible")))
+            }
             None => Ok(None),
         }
     }
@@ -237,14 +245,18 @@ impl Reader<'_> {
             *k = self.number(key)?.unwrap_or(0.0);
         }
         let p = [self.number("p1")?.unwrap_or(0.0), self.number("p2")?.unwrap_or(0.0)];
-        let model = [&self.frame["camera_model"], &self.document["camera_model"]].into_iter().find_map(Value::as_str);
+        let model =
+            [&self.frame["camera_model"], &self.document["camera_model"]].into_iter().find_map(Value::as_str);
         let fisheye = self.frame["is_fisheye"] == true || self.document["is_fisheye"] == true;
         match model {
             Some("OPENCV_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE") => Ok(Distortion::Fisheye { k }),
-            Some("PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE") | None if k == [0.0; 4] && p == [0.0; 2] && !fisheye => {
+            Some("PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE") | None
+                if k == [0.0; 4] && p == [0.0; 2] && !fisheye =>
+            {
                 Ok(Distortion::None)
             }
-            Some("PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE" | "OPENCV" | "RADIAL" | "SIMPLE_RADIAL") | None => {
+            Some("PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE" | "OPENCV" | "RADIAL" | "SIMPLE_RADIAL")
+            | None => {
                 Ok(if fisheye { Distortion::Fisheye { k } } else { Distortion::Brown { k, d: [0.0; 3], p } })
             }
             Some(other) => Err(self.error(format!("camera_model {other:?} is not known"))),

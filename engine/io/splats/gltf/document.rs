@@ -193,7 +193,10 @@ impl Node {
 }
 
 /// The JSON of a GLB, and offset and length of its binary chunk.
-fn glb_chunks(path: &Path, file: &mut File, bytes: u64) -> Result<(Vec<u8>, Option<(u64, u64)>)> {
+type Chunks = (Vec<u8>, Option<(u64, u64)>);
+
+/// Finds the chunks of a GLB.
+fn glb_chunks(path: &Path, file: &mut File, bytes: u64) -> Result<Chunks> {
     let io = |source| Error::io(path, "read", source);
     let mut head = [0; 20];
     if bytes < head.len() as u64 {

@@ -1,0 +1,342 @@
+//! What a data set is made of before its photos are read, whatever describes it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use glam::{Mat3, Vec3};
+
+use super::{DatasetOptions, View};
+use crate::io::colmap::{self, ColmapCamera, ColmapImage, Model};
+use crate::io::images::{Photo, photo_size, shown_size};
+use crate::io::transforms::{self, Frame, Transforms};
+use crate::scene::lens::Lens;
+use crate::scene::{Camera, Intrinsics, PointCloud};
+use crate::{Error, Result};
+
+/// Views, points, and what is odd.
+pub(super) struct Plan {
+    /// The folder of the model, or the file with the cameras.
+    pub(super) source: PathBuf,
+    /// The file that lists the views.
+    pub(super) list: PathBuf,
+    /// The views by name, or why one cannot be used.
+    pub(super) views: Vec<Result<PlannedView>>,
+    /// Whether the data set itself says which views are held out.
+    pub(super) has_split: bool,
+    pub(super) points: PointCloud,
+    /// Number of cameras by "MODEL WIDTHxHEIGHT".
+    pub(super) cameras: BTreeMap<String, usize>,
+    pub(super) warnings: Vec<String>,
+}
+
+/// A view whose photo is not loaded yet.
+pub(crate) struct PlannedView {
+    pub(crate) name: String,
+    image_id: u32,
+    camera_from_world: Mat3,
+    translation: Vec3,
+    /// What the photo was taken with.
+    lens: Lens,
+    /// The pinhole camera in its place; the same without distortion.
+    pinhole: Intrinsics,
+    photo_path: PathBuf,
+    /// What of the photo counts.
+    mask_path: Option<PathBuf>,
+    /// Whether transparent pixels of the photo do not count; otherwise they show the background.
+    alpha_is_mask: bool,
+    /// Whether the data set says that the view is held out.
+    pub(super) held_out: bool,
+}
+
+impl Plan {
+    /// Finds out what a data set consists of; the photos are looked for, and where nothing else gives their size,
+    /// opened, but not decoded.
+    pub(super) fn of(path: &Path, options: &DatasetOptions) -> Result<Self> {
+        match transforms::find(path) {
+            Some(files) if !colmap::exists(path) => Self::of_transforms(path, &files, options),
+            _ => Self::of_model(path, &Model::of_dataset(path)?, options),
+        }
+    }
+
+    fn of_model(path: &Path, model: &Model, options: &DatasetOptions) -> Result<Self> {
+        let mut plan = Self {
+            source: model.source.folder.clone(),
+            list: model.file("images"),
+            views: Vec::new(),
+            has_split: false,
+            points: model.points.clone(),
+            cameras: BTreeMap::new(),
+            warnings: model.warnings.clone(),
+        };
+        let mut images: Vec<&ColmapImage> = model.images.iter().collect();
+        images.sort_by(|a, b| a.name.cmp(&b.name));
+        let mut lenses = BTreeMap::new();
+        for camera in model.cameras.values() {
+            let kind = format!("{} {}x{}", camera.model.name(), camera.width, camera.height);
+            *plan.cameras.entry(kind).or_default() += 1;
+            // What is wrong with a camera is said of the images that have it.
+            if let Ok(lens) = model.lens(camera) {
+                lenses.insert(camera.id, (lens, plan.undistorted(camera, &lens, &model.file("cameras"))));
+            }
+        }
+        let folder = path.join(&options.images);
+        if !folder.is_dir() {
+            let remedy = "put the photos there, or name their folder with --images";
+            plan.views.push(Err(Error::input(folder, "there is no folder with photos", remedy)));
+            return Ok(plan);
+        }
+        let masks = Some(path.join("masks")).filter(|masks| masks.is_dir());
+        let view = |image: &ColmapImage| {
+            let camera = model.camera_of(image)?;
+            let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
+                let problem = format!("camera {}: sees too much for a pinhole", image.camera_id);
+                return Err(Error::input(model.file("cameras"), problem, "crop the photos"));
+            };
+            let photo_path = image.photo_path(&folder, &plan.list)?;
+            if !photo_path.is_file() {
+                let problem = format!("the photo of image {} is missing", image.id);
+                let remedy = "copy it there, or remove the image from the model";
+                return Err(Error::input(photo_path, problem, remedy));
+            }
+            Ok(PlannedView {
+                name: image.name.clone(),
+                image_id: image.id,
+                camera_from_world: camera.camera_from_world,
+                translation: camera.translation,
+                lens,
+                pinhole,
+                photo_path,
+                mask_path: masks.as_ref().and_then(|masks| mask_of(masks, &image.name)),
+                alpha_is_mask: true,
+                held_out: false,
+            })
+        };
+        plan.views = images.into_iter().map(view).collect();
+        Ok(plan)
+    }
+
+    /// The pinhole in place of a lens, and a word about it.
+    fn undistorted(&mut self, camera: &ColmapCamera, lens: &Lens, file: &Path) -> Option<Intrinsics> {
+        let pinhole = lens.inscribed_pinhole();
+        if let Some(Intrinsics { width, height, .. }) = pinhole.filter(|_| lens.is_distorted()) {
+            let (file, id, model) = (file.display(), camera.id, camera.model.name());
+            self.warnings.push(format!(
+                "{file}: camera {id} ({model}) has lens distortion: its photos are undistorted to {width}x{height} pixels"
+            ));
+        }
+        pinhole
+    }
+
+    fn of_transforms(path: &Path, files: &[PathBuf], options: &DatasetOptions) -> Result<Self> {
+        let Transforms { source, mut frames, has_split, points, warnings } = Transforms::read(files)?;
+        frames.sort_by(|a, b| a.name.cmp(&b.name));
+        let mut plan = Self {
+            list: source.clone(),
+            source,
+            views: Vec::new(),
+            has_split,
+            points,
+            cameras: BTreeMap::new(),
+            warnings,
+        };
+        let mut lenses: Vec<(Lens, Option<Intrinsics>)> = Vec::new();
+        for (index, frame) in frames.iter().enumerate() {
+            let view = plan.frame(path, frame, index as u32, options, &mut lenses);
+            plan.views.push(view);
+        }
+        let sizes: Vec<String> = plan.cameras.keys().cloned().collect();
+        if frames.iter().any(|frame| frame.optics.size.is_none()) && sizes.len() > 1 {
+            let sizes = sizes.join(", ");
+            plan.warnings.push(format!(
+                "{}: the photos have several sizes, each its own camera: {sizes}",
+                plan.list.display()
+            ));
+        }
+        if lenses.iter().any(|(lens, _)| lens.is_distorted()) {
+            plan.warnings.push(format!(
+                "{}: the lens has distortion: the photos are undistorted",
+                plan.list.display()
+            ));
+        }
+        Ok(plan)
+    }
+
+    fn frame(
+        &mut self,
+        path: &Path,
+        frame: &Frame,
+        index: u32,
+        options: &DatasetOptions,
+        lenses: &mut Vec<(Lens, Option<Intrinsics>)>,
+    ) -> Result<PlannedView> {
+        let photo_path = photo_in_folder(path, frame, options);
+        if !photo_path.is_file() {
+            let problem = format!("the photo of frame {} is missing", frame.name);
+            return Err(Error::input(
+                photo_path,
+                problem,
+                "copy it there, or remove the frame from the file",
+            ));
+        }
+        let [width, height] = match frame.optics.size {
+            Some(size) => size,
+            None => shown_size(&photo_path).map(|(width, height)| [width, height])?,
+        };
+        let lens = frame.optics.lens(width, height);
+        // Frames share a few lenses; a distorted one is dear to fit.
+        let pinhole = match lenses.iter().find(|(known, _)| *known == lens) {
+            Some((_, pinhole)) => *pinhole,
+            None => {
+                lenses.push((lens, lens.inscribed_pinhole()));
+                lenses.last().and_then(|(_, pinhole)| *pinhole)
+            }
+        };
+        let kind = if lens.is_distorted() { "distorted" } else { "PINHOLE" };
+        *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
+        let problem = |problem: String| {
+            Error::input(&self.list, format!("frame {}: {problem}", frame.name), "correct the file")
+        };
+        let pinhole = pinhole.ok_or_else(|| problem("the lens sees too much for a pinhole".into()))?;
+        let camera = Camera::with_pose(frame.camera_from_world, frame.translation, pinhole);
+        if let Some(what) = camera.problem() {
+            return Err(problem(what));
+        }
+        Ok(PlannedView {
+            name: frame.name.clone(),
+            image_id: index,
+            camera_from_world: frame.camera_from_world,
+            translation: frame.translation,
+            lens,
+            pinhole,
+            photo_path,
+            mask_path: frame.mask_path.clone(),
+            alpha_is_mask: false,
+            held_out: frame.test,
+        })
+    }
+
+    /// Which of the views (by place) are held out.
+    pub(super) fn is_test(&self, index: usize, options: &DatasetOptions) -> bool {
+        let says_so = || self.views[index].as_ref().is_ok_and(|view| view.held_out);
+        if self.has_split { options.eval && says_so() } else { options.is_test(index) }
+    }
+
+    /// Refuses a data set without views to train on.
+    pub(super) fn check_split(&self, options: &DatasetOptions) -> Result<()> {
+        let views = self.views.len();
+        if views == 0 {
+            let remedy = "run COLMAP's mapper again with more overlapping photos";
+            return Err(Error::input(&self.list, "no images are registered", remedy));
+        }
+        if (0..views).all(|index| self.is_test(index, options)) {
+            let problem = format!("all of its {views} images are held out, none is left to train on");
+            return Err(Error::input(&self.list, problem, "train without --eval"));
+        }
+        Ok(())
+    }
+}
+
+/// The photo of a frame, in the folder that is asked for where the file names `images`.
+fn photo_in_folder(path: &Path, frame: &Frame, options: &DatasetOptions) -> PathBuf {
+    match frame.name.strip_prefix("images/") {
+        Some(rest) if options.images != "images" => path.join(&options.images).join(rest),
+        _ => frame.photo_path.clone(),
+    }
+}
+
+/// `masks/NAME.png` or, as COLMAP has them, `masks/NAME.jpg.png`.
+fn mask_of(masks: &Path, name: &str) -> Option<PathBuf> {
+    let whole = masks.join(format!("{name}.png"));
+    [whole, masks.join(name).with_extension("png")].into_iter().find(|path| path.is_file())
+}
+
+impl PlannedView {
+    /// The pinhole camera of the view at the size of its file, as far as the data set gives it.
+    pub(crate) fn camera(&self) -> Camera {
+        Camera::with_pose(self.camera_from_world, self.translation, self.pinhole)
+    }
+
+    /// The photo, undistorted, with what of it counts, and its camera.
+    pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Option<Mask>, Camera)> {
+        let (lens, pinhole) = self.optics_of_file(options.divisor())?;
+        let (width, height) = (lens.width, lens.height);
+        let (mut photo, alpha) =
+            Photo::read_with_alpha(&self.photo_path, options.background(), width, height)?;
+        let mut mask = alpha.filter(|_| self.alpha_is_mask);
+        if let Some(path) = &self.mask_path {
+            let (grey, _) = Photo::read_with_alpha(path, [0.0; 3], width, height)?;
+            let drawn: Mask = grey.rgb.chunks_exact(3).map(|rgb| rgb[0]).collect();
+            mask = Some(match mask {
+                None => drawn,
+                Some(alpha) => alpha.iter().zip(&drawn).map(|(&a, &b)| a.min(b)).collect(),
+            });
+        }
+        if lens.is_distorted() {
+            mask = mask.map(|mask| undistorted_mask(&mask, &lens, &pinhole));
+            photo = photo.undistorted(&lens, &pinhole);
+        }
+        Ok((photo, mask, Camera::with_pose(self.camera_from_world, self.translation, pinhole)))
+    }
+
+    /// Lens and pinhole at the size of a photo that somebody divided by `divisor`, rounding each side as they liked.
+    fn optics_of_file(&self, divisor: u32) -> Result<(Lens, Intrinsics)> {
+        let Lens { width: w, height: h, .. } = self.lens;
+        if divisor == 1 {
+            return Ok((self.lens, self.pinhole));
+        }
+        let (width, height) = photo_size(&self.photo_path)?;
+        if (width, height) == (w, h) {
+            return Ok((self.lens, self.pinhole));
+        }
+        let fits = |photo: u32, camera: u32| photo == camera / divisor || photo == camera.div_ceil(divisor);
+        if !fits(width, w) || !fits(height, h) {
+            let problem =
+                format!("is {width}x{height} pixels, 1/{divisor} of its camera's {w}x{h} was expected");
+            let remedy = "use photos of that size, or another folder";
+            return Err(Error::input(&self.photo_path, problem, remedy));
+        }
+        let lens = self.lens.scaled_to(width, height);
+        // Undistorted at one size, it can be so at another.
+        Ok((lens, lens.inscribed_pinhole().unwrap_or(lens.intrinsics())))
+    }
+
+    pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
+        let (photo, mask, original_camera) = self.read_photo(options)?;
+        let (width, height) = options.resolution.apply(photo.width, photo.height);
+        let mask = mask.filter(|mask| mask.iter().any(|&m| m < COUNTS));
+        let mask = mask.map(|mask| scaled_mask(&mask, photo.width, photo.height, width, height));
+        Ok(View {
+            name: self.name.clone(),
+            image_id: self.image_id,
+            camera: original_camera.scaled_to(width, height),
+            original_camera,
+            photo: photo.scaled_to(width, height)?,
+            mask,
+        })
+    }
+}
+
+/// One value per pixel: what counts is at least [`COUNTS`].
+type Mask = Vec<u8>;
+
+/// Where a mask is at least this, the pixel counts.
+const COUNTS: u8 = 128;
+
+fn undistorted_mask(mask: &[u8], lens: &Lens, pinhole: &Intrinsics) -> Mask {
+    let rgb = mask.iter().flat_map(|&m| [m; 3]).collect();
+    let grey = Photo { width: lens.width, height: lens.height, rgb };
+    grey.undistorted(lens, pinhole).rgb.chunks_exact(3).map(|rgb| rgb[0]).collect()
+}
+
+/// 255 where the nearest pixel counts, else 0.
+fn scaled_mask(mask: &[u8], from_width: u32, from_height: u32, width: u32, height: u32) -> Mask {
+    let nearest = |i: u32, to: u32, from: u32| {
+        (((f64::from(i) + 0.5) * f64::from(from) / f64::from(to)) as u32).min(from - 1)
+    };
+    let place = |x, y| {
+        nearest(y, height, from_height) as usize * from_width as usize
+            + nearest(x, width, from_width) as usize
+    };
+    let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+    pixels.map(|(x, y)| if mask[place(x, y)] >= COUNTS { 255 } else { 0 }).collect()
+}

@@ -1,0 +1,55 @@
+//! `ashsplat convert`, and the other commands on what it writes.
+
+use super::*;
+use ashsplat::io::splats::{self, Format};
+use tempfile::tempdir;
+
+#[test]
+fn converted_files_are_rendered_and_described() {
+    let folder = tempdir().expect("a temporary folder");
+    let place = |name: &str| folder.path().join(name);
+    let mut gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 1).expect("Gaussians");
+    gaussians.opacity_logits.fill(3.0);
+    ashsplat::io::ply::write(place("in.ply"), &gaussians).expect("written");
+    for format in Format::ALL {
+        let out = place(&format!("out{}", format.extension()));
+        let said = succeed(&["convert", text(&place("in.ply")), text(&out)]);
+        assert!(said.contains(&format!("({format}, 400 Gaussians")), "{said}");
+        let report = succeed(&["info", text(&out)]);
+        assert!(
+            report.contains(&format!("format     {format}")) && report.contains("Gaussians  400"),
+            "{report}"
+        );
+        let pictures = place("pictures");
+        let frames =
+            ["render", text(&out), "--orbit", "1", "--width", "64", "--height", "48", "-o", text(&pictures)];
+        assert!(succeed(&frames).contains("of 400 Gaussians visible"));
+    }
+    let moved = place("moved.spz");
+    let actions =
+        ["--rotate", "0,90,0", "--scale", "2", "--translate=-1,0,0", "--sh-degree", "0", "--decimate", "50%"];
+    succeed(
+        &[&["convert", text(&place("in.ply")), text(&moved), "--crop-box=-0.5,-2,-2,2,2,2"], &actions[..]]
+            .concat(),
+    );
+    let read = splats::read(&moved, &Default::default()).expect("read").gaussians;
+    assert_eq!((read.len(), read.sh_degree), (150, 0));
+    // The wall stood at z = 0; now x = -1 is its plane, and z runs from -2 to 1.
+    assert!(read.means.iter().all(|m| (m[0] + 1.0).abs() < 0.01 && (-2.01..1.1).contains(&m[2])));
+}
+
+#[test]
+fn convert_refuses_in_one_line() {
+    let folder = tempdir().expect("a temporary folder");
+    let place = |name: &str| folder.path().join(name);
+    std::fs::write(place("in.spz"), "no splats").expect("written");
+    refuse(
+        &["convert", text(&place("in.spz")), text(&place("out.ply"))],
+        &["in.spz", "neither gzip nor an SPZ"],
+    );
+    refuse(&["convert", text(&place("none.ply")), text(&place("out.ply"))], &["none.ply", "No such file"]);
+    refuse(&["convert", text(&place("in.spz")), text(&place("out.xyz"))], &["out.xyz", "known format"]);
+    refuse(&["convert", "a.ply", "b.ply", "--scale", "0"], &["--scale", "positive"]);
+    refuse(&["convert", "a.ply", "b.ply", "--crop-box", "1,2"], &["six numbers"]);
+    assert!(!place("out.ply").exists());
+}

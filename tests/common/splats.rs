@@ -1,0 +1,125 @@
+//! Gaussians for the tests of files, and how near what is read must be to what was written.
+
+use ashsplat::io::splats::Format;
+use ashsplat::scene::Gaussians;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Gaussians such as training leaves: in a room of 20 units, of centimetres to a metre, of any shape and colour.
+pub fn scene(count: usize, sh_degree: u32) -> Gaussians {
+    let mut random = ChaCha8Rng::seed_from_u64(count as u64 + 1000 * u64::from(sh_degree));
+    let mut between = |low: f32, high: f32| low + (high - low) * random.random::<f32>();
+    let mut gaussians = Gaussians { sh_degree, ..Default::default() };
+    for _ in 0..count {
+        gaussians.means.push([between(-10.0, 10.0), between(-10.0, 10.0), between(-10.0, 10.0)]);
+        let quat = [between(-1.0, 1.0), between(-1.0, 1.0), between(-1.0, 1.0), between(-1.0, 1.0)];
+        let length = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
+        gaussians.quats.push(quat.map(|q| q / length));
+        gaussians.log_scales.push([between(-5.0, 0.0), between(-5.0, 0.0), between(-5.0, 0.0)]);
+        gaussians.opacity_logits.push(between(-4.0, 4.0));
+        gaussians.sh.push([between(-1.7, 1.7), between(-1.7, 1.7), between(-1.7, 1.7)]);
+        for _ in 1..(sh_degree + 1).pow(2) {
+            gaussians.sh.push([between(-0.9, 0.9), between(-0.9, 0.9), between(-0.9, 0.9)]);
+        }
+    }
+    gaussians
+}
+
+/// How far the values of a format may be from those that were written.
+#[derive(Debug)]
+pub struct Tolerance {
+    pub mean: f32,
+    pub log_scale: f32,
+    pub opacity: f32,
+    /// 1 - |cos| of half the angle between the rotations.
+    pub rotation: f32,
+    pub color: f32,
+    pub sh: f32,
+}
+
+/// Half a step of each quantisation, and rounding.
+pub fn tolerance(format: Format) -> Tolerance {
+    let float = 1e-5;
+    match format {
+        Format::Ply => {
+            Tolerance { mean: 0.0, log_scale: 0.0, opacity: 0.0, rotation: 1e-6, color: 0.0, sh: 0.0 }
+        }
+        // The chunks of a test's sparse scene are as large as the scene.
+        Format::CompressedPly => Tolerance {
+            mean: 20.0 / 1023.0 / 2.0 + float,
+            log_scale: 5.0 / 1023.0 / 2.0 + float,
+            opacity: 0.5 / 255.0 + float,
+            rotation: 2e-5,
+            color: 0.5 * 3.4 / 255.0 + float,
+            sh: 8.0 / 256.0 / 2.0 + float,
+        },
+        Format::Splat => Tolerance {
+            mean: 0.0,
+            log_scale: float,
+            opacity: 0.5 / 255.0 + float,
+            rotation: 2e-4,
+            // Colours outside 0 to 1 are clamped; the scene's are inside.
+            color: 0.5 / 255.0 / 0.282 + float,
+            sh: 0.0,
+        },
+        Format::Spz => Tolerance {
+            mean: 0.5 / 4096.0 + float,
+            log_scale: 0.5 / 16.0 + float,
+            opacity: 1.0 / 255.0 + float,
+            rotation: 2e-5,
+            color: 0.5 / 255.0 / 0.15 + float,
+            sh: 8.5 / 128.0 + float,
+        },
+        Format::Glb | Format::Gltf => {
+            Tolerance { mean: 0.0, log_scale: float, opacity: float, rotation: 1e-6, color: 0.0, sh: 0.0 }
+        }
+    }
+}
+
+/// Compares Gaussians that are in the same order.
+pub fn assert_close(actual: &Gaussians, expected: &Gaussians, tolerance: &Tolerance) {
+    actual.check_shapes().expect("vectors that fit together");
+    assert_eq!((actual.len(), actual.sh_degree), (expected.len(), expected.sh_degree));
+    let near = |what: &str, index: usize, a: &[f32], b: &[f32], by: f32| {
+        for (a, b) in a.iter().zip(b) {
+            assert!((a - b).abs() <= by, "{what} of {index}: {a} instead of {b}, {tolerance:?}");
+        }
+    };
+    for index in 0..actual.len() {
+        near("mean", index, &actual.means[index], &expected.means[index], tolerance.mean);
+        near("log-scale", index, &actual.log_scales[index], &expected.log_scales[index], tolerance.log_scale);
+        near("opacity", index, &[actual.opacity(index)], &[expected.opacity(index)], tolerance.opacity);
+        let length = |q: &[f32; 4]| q.iter().map(|q| q * q).sum::<f32>().sqrt();
+        let (a, b) = (actual.quats[index], expected.quats[index]);
+        // Half a turn about one of its own axes leaves a Gaussian as it is.
+        let [w, x, y, z] = a;
+        let alike = [a, [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]];
+        let dot = |q: &[f32; 4]| q.iter().zip(b).map(|(a, b)| a * b).sum::<f32>().abs();
+        let cosine = alike.iter().map(dot).fold(0.0, f32::max) / (length(&a) * length(&b));
+        assert!(1.0 - cosine <= tolerance.rotation, "rotation of {index}: {a:?} {b:?}");
+        let (a, b) = (actual.sh_of(index), expected.sh_of(index));
+        near("colour", index, &a[0], &b[0], tolerance.color);
+        near("higher SH", index, a[1..].as_flattened(), b[1..].as_flattened(), tolerance.sh);
+    }
+}
+
+/// Brings Gaussians of a sorted file back into the order of the nearest originals.
+pub fn in_order_of(expected: &Gaussians, actual: &Gaussians) -> Gaussians {
+    let distance2 = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
+    let mut free: Vec<usize> = (0..actual.len()).collect();
+    let order: Vec<usize> = expected
+        .means
+        .iter()
+        .map(|mean| {
+            let (place, _) = free
+                .iter()
+                .enumerate()
+                .min_by(|(_, a), (_, b)| {
+                    distance2(&actual.means[**a], mean).total_cmp(&distance2(&actual.means[**b], mean))
+                })
+                .expect("as many as expected");
+            free.swap_remove(place)
+        })
+        .collect();
+    actual.select(&order)
+}

@@ -1,0 +1,194 @@
+//! Other people's programs beside ours: PlayCanvas' splat-transform and engine, Khronos' glTF validator.
+//!
+//! They come from npm: `ASHSPLAT_NPM=1` installs them below `target`, `ASHSPLAT_NPM=FOLDER` uses those of a
+//! `node_modules`; without it, the trials are skipped by name.
+
+// In a test, an unwrap is an assertion.
+#![allow(clippy::unwrap_used)]
+
+mod playcanvas;
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::{Arc, OnceLock};
+
+use ashsplat::io::splats::{self, ConvertOptions, Format, ReadOptions, WriteOptions};
+use ashsplat::scene::{Gaussians, Similarity};
+use glam::{DQuat, DVec3, EulerRot};
+use libtest_mimic::{Failed, Trial};
+
+use crate::absent;
+use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
+
+/// What is installed.
+const PACKAGES: [&str; 3] =
+    ["@playcanvas/splat-transform@2.7.1", "playcanvas@2.23.3", "gltf-validator@2.0.0-dev.3.10"];
+
+const KEEP: ReadOptions = ReadOptions { drop_invalid: false };
+
+/// A comparison: of the packages in a folder, and a format.
+type Check = fn(&Path, Format);
+
+/// One trial per program and format.
+pub fn trials() -> Vec<Trial> {
+    let mut cases: Vec<(String, Check)> = Vec::new();
+    let name = |format: Format| format.extension().trim_start_matches('.').replace('.', "_");
+    for format in [Format::Ply, Format::CompressedPly, Format::Splat, Format::Spz] {
+        cases.push((format!("splat_transform_reads_our_{}", name(format)), they_read_ours));
+    }
+    for format in [Format::Ply, Format::CompressedPly, Format::Spz, Format::Glb] {
+        cases.push((format!("splat_transform_writes_{}_for_us", name(format)), we_read_theirs));
+    }
+    cases.push(("splat_transform_moves_as_we_do_ply".into(), we_move_alike));
+    cases.push(("gltf_validator_accepts_our_glb".into(), the_validator_accepts_ours));
+    cases.push(("gltf_validator_accepts_our_gltf".into(), the_validator_accepts_ours));
+    for format in [Format::Ply, Format::CompressedPly] {
+        cases.push((format!("playcanvas_shows_our_{}", name(format)), playcanvas::shows_the_same));
+    }
+    let wanted = std::env::var("ASHSPLAT_NPM").unwrap_or_default();
+    let modules = Arc::new(OnceLock::new());
+    cases
+        .into_iter()
+        .map(|(name, run)| {
+            let full = format!("ecosystem_{name}");
+            if wanted.is_empty() {
+                return absent(&full, "ASHSPLAT_NPM is not set (1, or a node_modules folder)");
+            }
+            let (wanted, modules) = (wanted.clone(), modules.clone());
+            Trial::test(full, move || {
+                let modules: &Result<PathBuf, String> = modules.get_or_init(|| install(&wanted));
+                let format = Format::ALL.into_iter().filter(|f| {
+                    let ending = f.extension().trim_start_matches('.').replace('.', "_");
+                    name.contains(&format!("_{ending}"))
+                });
+                let format = format.max_by_key(|f| f.extension().len()).expect("the name says it");
+                run(modules.as_ref().map_err(Failed::from)?, format);
+                Ok(())
+            })
+        })
+        .collect()
+}
+
+/// The folder with the packages.
+fn install(wanted: &str) -> Result<PathBuf, String> {
+    if wanted != "1" {
+        return Ok(PathBuf::from(wanted));
+    }
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("npm");
+    std::fs::create_dir_all(&folder).map_err(|e| e.to_string())?;
+    let mut npm = Command::new("npm");
+    npm.args(["install", "--no-save", "--no-audit", "--no-fund", "--omit=optional", "--prefix"])
+        .arg(&folder)
+        .args(PACKAGES);
+    let output = npm.output().map_err(|e| format!("npm: {e}"))?;
+    if !output.status.success() {
+        return Err(format!("npm install: {}", String::from_utf8_lossy(&output.stderr)));
+    }
+    Ok(folder.join("node_modules"))
+}
+
+/// Runs splat-transform; the arguments are a file, actions, and a file.
+fn splat_transform(modules: &Path, arguments: &[&str]) {
+    let program = modules.join("@playcanvas/splat-transform/bin/cli.mjs");
+    let output = Command::new("node").arg(program).args(["-q", "-w"]).args(arguments).output().expect("node");
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn read(path: &Path) -> Gaussians {
+    splats::read(path, &KEEP).unwrap().gaussians
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("temporary paths are UTF-8")
+}
+
+/// What another decoder may do otherwise: rounding, and for .splat what 128 of a quaternion's byte means.
+fn small(format: Format) -> Tolerance {
+    let rotation = if format == Format::Splat { 3e-4 } else { 1e-5 };
+    Tolerance { mean: 1e-5, log_scale: 1e-5, opacity: 1e-5, rotation, color: 1e-4, sh: 1e-5 }
+}
+
+/// It reads what we write, and finds what we find.
+fn they_read_ours(modules: &Path, format: Format) {
+    let folder = tempfile::tempdir().unwrap();
+    let (ours, theirs) =
+        (folder.path().join(format!("ours{}", format.extension())), folder.path().join("theirs.ply"));
+    let expected = scene(1500, format.max_sh_degree());
+    splats::write(&ours, &expected, &WriteOptions::default()).unwrap();
+    splat_transform(modules, &[text(&ours), text(&theirs)]);
+    let (by_us, by_them) = (read(&ours), read(&theirs));
+    assert_close(&by_them, &by_us, &small(format));
+    let sorted = in_order_of(&expected, &by_them);
+    let margin = tolerance(format);
+    assert_close(&sorted, &expected, &Tolerance { rotation: 2.0 * margin.rotation, ..margin });
+}
+
+/// We read what it writes, as near to the original as the format allows.
+fn we_read_theirs(modules: &Path, format: Format) {
+    let folder = tempfile::tempdir().unwrap();
+    let ours = folder.path().join("ours.ply");
+    let expected = scene(1500, 3);
+    splats::write(&ours, &expected, &WriteOptions::default()).unwrap();
+    let versions: &[&[&str]] =
+        if format == Format::Spz { &[&["--spz-version", "3"], &["--spz-version", "4"]] } else { &[&[]] };
+    for options in versions {
+        let theirs = folder.path().join(format!("theirs{}", format.extension()));
+        splat_transform(modules, &[&[text(&ours), text(&theirs)], *options].concat());
+        assert_eq!(Format::of_file(&theirs).unwrap(), format);
+        assert_close(
+            &in_order_of(&expected, &read(&theirs)),
+            &expected,
+            &Tolerance {
+                mean: tolerance(format).mean + 2e-6,
+                sh: tolerance(format).sh + 2e-6,
+                ..tolerance(format)
+            },
+        );
+    }
+}
+
+/// Rotation, with its spherical harmonics, scale and translation. Its axes are ours with x and y the other way round.
+fn we_move_alike(modules: &Path, _: Format) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    splats::write(path("in.ply"), &scene(800, 3), &WriteOptions::default()).unwrap();
+    let actions = ["-r", "-20,-130,50", "-s", "1.75", "-t", "-3,4.5,2"];
+    splat_transform(
+        modules,
+        &[&[text(&path("in.ply"))], &actions[..], &[text(&path("theirs.ply"))]].concat(),
+    );
+    let [x, y, z] = [20f64, 130.0, 50.0].map(f64::to_radians);
+    let similarity = Similarity {
+        rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x),
+        scale: 1.75,
+        translation: DVec3::new(3.0, -4.5, 2.0),
+    };
+    let options = ConvertOptions { similarity, ..Default::default() };
+    splats::convert(&path("in.ply"), &path("ours.ply"), &options).unwrap();
+    let float =
+        Tolerance { mean: 1e-4, log_scale: 1e-5, opacity: 1e-6, rotation: 1e-6, color: 0.0, sh: 1e-5 };
+    assert_close(&read(&path("ours.ply")), &read(&path("theirs.ply")), &float);
+}
+
+fn the_validator_accepts_ours(modules: &Path, format: Format) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(format!("scene{}", format.extension()));
+    splats::write(&path, &scene(300, 3), &WriteOptions { antialiased: true, ..Default::default() }).unwrap();
+    const SCRIPT: &str = "const v = require(process.argv[1] + '/gltf-validator'), fs = require('fs'), path = require('path');
+        const file = process.argv[2], read = (uri) => Promise.resolve(new Uint8Array(fs.readFileSync(path.join(path.dirname(file), decodeURIComponent(uri)))));
+        v.validateBytes(new Uint8Array(fs.readFileSync(file)), { externalResourceFunction: read, ignoredIssues: ['UNSUPPORTED_EXTENSION'] })
+            .then((report) => console.log(JSON.stringify(report.issues)), (error) => { console.error(error); process.exit(1); });";
+    let modules = std::path::absolute(modules).unwrap();
+    let output = Command::new("node").args(["-e", SCRIPT]).arg(modules).arg(&path).output().expect("node");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let issues: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    // It does not know the extension, and so not its attributes' names.
+    let unknown = |issue: &&serde_json::Value| {
+        let place = issue["pointer"].as_str().unwrap_or_default();
+        issue["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE"
+            && place.contains("/attributes/KHR_gaussian_splatting:")
+    };
+    let others: Vec<_> =
+        issues["messages"].as_array().unwrap().iter().filter(|issue| !unknown(issue)).collect();
+    assert!(others.is_empty(), "{others:#?}");
+}

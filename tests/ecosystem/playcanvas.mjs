@@ -1,0 +1,108 @@
+// Draws a file of Gaussians with the PlayCanvas engine in headless Chromium and writes the picture as PNG.
+//
+// node playcanvas.mjs MODULES SCENE CAMERA.json OUT.png
+//   MODULES: a node_modules folder with playcanvas; CAMERA: { width, height, fov_y_degrees, eye: [x, y, z],
+//   quat: [x, y, z, w] of the rotation from a camera with y up and z backward to the file's own axes }
+import { spawn } from 'node:child_process';
+import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
+import { createServer } from 'node:http';
+import { tmpdir } from 'node:os';
+import { basename, join } from 'node:path';
+
+const TIMEOUT_SECONDS = 240;
+const [modules, scene, cameraFile, output] = process.argv.slice(2);
+const camera = JSON.parse(readFileSync(cameraFile, 'utf8'));
+const sceneName = basename(scene);
+
+const page = `<!DOCTYPE html><meta charset="utf-8"><canvas id="c" width="${camera.width}" height="${camera.height}"></canvas>
+<script type="module">
+const say = (path, body) => fetch(path, { method: 'POST', body });
+window.onerror = (message) => say('/failed', String(message));
+window.onunhandledrejection = (event) => say('/failed', String(event.reason && event.reason.stack || event.reason));
+const pc = await import('/playcanvas.mjs');
+const camera = ${JSON.stringify(camera)};
+const canvas = document.getElementById('c');
+const device = await pc.createGraphicsDevice(canvas, { deviceTypes: ['webgl2'], antialias: false, preserveDrawingBuffer: true });
+const options = new pc.AppOptions();
+options.graphicsDevice = device;
+options.componentSystems = [pc.CameraComponentSystem, pc.GSplatComponentSystem];
+options.resourceHandlers = [pc.GSplatHandler, pc.TextureHandler, pc.BinaryHandler];
+const app = new pc.AppBase(canvas);
+app.init(options);
+app.setCanvasFillMode(pc.FILLMODE_NONE);
+app.setCanvasResolution(pc.RESOLUTION_FIXED, camera.width, camera.height);
+app.start();
+const eye = new pc.Entity('camera');
+eye.addComponent('camera', { clearColor: new pc.Color(0, 0, 0, 1), fov: camera.fov_y_degrees, nearClip: 0.2, farClip: 1000 });
+eye.setPosition(...camera.eye);
+eye.setRotation(...camera.quat);
+app.root.addChild(eye);
+const asset = new pc.Asset('scene', 'gsplat', { url: '/${sceneName}', filename: '${sceneName}' });
+app.assets.add(asset);
+await new Promise((resolve, reject) => {
+    asset.once('load', resolve);
+    asset.once('error', (error) => reject(new Error('the engine cannot read the file: ' + error)));
+    app.assets.load(asset);
+});
+const splats = new pc.Entity('splats');
+splats.addComponent('gsplat', { asset });
+app.root.addChild(splats);
+// The sorting worker answers some frames later: the picture is done when it stays the same.
+app.autoRender = false;
+let last = '', same = 0;
+for (let frame = 0; frame < 60 && same < 3; ++frame) {
+    app.renderNextFrame = true;
+    await new Promise((resolve) => app.once('frameend', resolve));
+    await new Promise((resolve) => setTimeout(resolve, 200));
+    const now = canvas.toDataURL('image/png');
+    same = now === last && frame > 3 ? same + 1 : 0;
+    last = now;
+    await say('/frame', String(frame));
+}
+await say('/done', last);
+</script>`;
+
+const files = {
+    '/': ['text/html', () => page],
+    '/playcanvas.mjs': ['text/javascript', () => readFileSync(join(modules, 'playcanvas/build/playcanvas.mjs'))],
+    ['/' + sceneName]: ['application/octet-stream', () => readFileSync(scene)]
+};
+const profile = mkdtempSync(join(tmpdir(), 'ashsplat-chromium-'));
+let browser;
+const finish = (code, message) => {
+    if (message) console.error(message);
+    browser?.kill('SIGKILL');
+    setTimeout(() => {
+        try {
+            rmSync(profile, { recursive: true, force: true, maxRetries: 5, retryDelay: 200 });
+        } catch (error) {
+            // A process of the browser still writes: its temporary folder stays.
+        }
+        process.exit(code);
+    }, 500);
+};
+const server = createServer((request, response) => {
+    const url = decodeURIComponent(request.url.split('?')[0]);
+    if (request.method === 'POST') {
+        let body = '';
+        request.on('data', (part) => { body += part; });
+        request.on('end', () => {
+            response.end();
+            if (url === '/frame') return;
+            if (url !== '/done') return finish(1, body);
+            writeFileSync(output, Buffer.from(body.slice(body.indexOf(',') + 1), 'base64'));
+            finish(0);
+        });
+        return;
+    }
+    const [type, content] = files[url] ?? [];
+    response.writeHead(type ? 200 : 404, { 'Content-Type': type ?? 'text/plain' });
+    response.end(content?.() ?? '');
+});
+server.listen(0, '127.0.0.1', () => {
+    const flags = ['--headless=new', '--no-sandbox', '--disable-gpu-sandbox', '--use-angle=swiftshader',
+        '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist', '--mute-audio', `--user-data-dir=${profile}`];
+    browser = spawn('chromium', [...flags, `http://127.0.0.1:${server.address().port}/`], { stdio: 'ignore' });
+    browser.on('error', (error) => finish(1, `chromium: ${error.message}`));
+});
+setTimeout(() => finish(1, `no picture after ${TIMEOUT_SECONDS} s`), TIMEOUT_SECONDS * 1000).unref();

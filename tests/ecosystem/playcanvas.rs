@@ -1,0 +1,82 @@
+//! The PlayCanvas engine in headless Chromium draws what we write as we do.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use ashsplat::io::Photo;
+use ashsplat::io::splats::{self, Format, WriteOptions};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::{RenderSettings, metrics};
+use glam::{Mat3, Quat, Vec3};
+
+use crate::common::engine::renderer;
+use crate::common::splats::scene;
+
+/// dB between its picture and ours.
+const LEAST_PSNR: f64 = 30.0;
+
+pub fn shows_the_same(modules: &Path, format: Format) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(format!("scene{}", format.extension()));
+    let mut gaussians = scene(6000, 3);
+    // A ball that fills the picture, of softer colours: what is clamped differs at the edges of 8 bits.
+    gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.12);
+    gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s = 0.5 * *s - 2.2);
+    gaussians.sh.as_flattened_mut().iter_mut().for_each(|c| *c *= 0.4);
+    splats::write(&path, &gaussians, &WriteOptions::default()).unwrap();
+    let camera = Camera::look_at(
+        Vec3::new(1.5, -1.0, -3.5),
+        Vec3::new(0.1, 0.0, 0.0),
+        Vec3::NEG_Y,
+        Intrinsics::from_fov_x(0.8, 400, 300),
+    );
+    let picture = folder.path().join("playcanvas.png");
+    draw(modules, &path, &camera, &picture);
+    let theirs = Photo::read(&picture, [0.0; 3]).unwrap();
+    let ours = render(&splats::read(&path, &Default::default()).unwrap().gaussians, &camera);
+    // To look at.
+    let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("playcanvas{}.png", format.extension()));
+    side_by_side(&ours, &theirs).write_png(&kept).unwrap();
+    let psnr = metrics::psnr(&ours.to_f32(), &theirs.to_f32()).unwrap();
+    println!("{format}: {psnr:.2} dB, {}", kept.display());
+    assert!(psnr >= LEAST_PSNR, "{psnr:.2} dB: see {}", kept.display());
+    let bright = ours.rgb.iter().filter(|&&v| v > 60).count();
+    assert!(bright > ours.rgb.len() / 4, "an empty picture proves nothing");
+}
+
+fn render(gaussians: &Gaussians, camera: &Camera) -> Photo {
+    let mut renderer = renderer();
+    renderer.upload(gaussians).unwrap();
+    let frame = renderer.render(camera, &RenderSettings::default()).unwrap();
+    Photo::from_f32(frame.width, frame.height, &frame.color).unwrap()
+}
+
+/// Draws a file with PlayCanvas.
+fn draw(modules: &Path, scene: &Path, camera: &Camera, output: &Path) {
+    let r = camera.camera_from_world;
+    // From y up, z backward to the world.
+    let world_from_camera = Mat3::from_cols(r.row(0), -r.row(1), -r.row(2));
+    let description = serde_json::json!({
+        "width": camera.width,
+        "height": camera.height,
+        "fov_y_degrees": 2.0 * (0.5 * camera.height as f32 / camera.fy).atan().to_degrees(),
+        "eye": camera.position().to_array(),
+        "quat": Quat::from_mat3(&world_from_camera).to_array(),
+    });
+    let file = output.with_extension("json");
+    std::fs::write(&file, description.to_string()).unwrap();
+    let script = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/ecosystem/playcanvas.mjs"));
+    let mut node = Command::new("node");
+    let result = node.arg(script).arg(modules).arg(scene).arg(file).arg(output).output().expect("node");
+    assert!(result.status.success(), "{}", String::from_utf8_lossy(&result.stderr));
+}
+
+fn side_by_side(left: &Photo, right: &Photo) -> Photo {
+    let row = 3 * left.width as usize;
+    let rows = left.rgb.chunks(row).zip(right.rgb.chunks(row));
+    Photo {
+        width: 2 * left.width,
+        height: left.height,
+        rgb: rows.flat_map(|(a, b)| [a, b].concat()).collect(),
+    }
+}

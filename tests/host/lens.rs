@@ -1,0 +1,209 @@
+//! Lens distortion: the models, their inverse, the pinhole in their place, and COLMAP's own tool beside ours.
+
+use std::path::Path;
+use std::process::Command;
+
+use ashsplat::io::colmap::{self, CameraModel, ColmapCamera, ColmapImage, Model};
+use ashsplat::io::{Dataset, DatasetOptions, Photo, Progress};
+use ashsplat::metrics;
+use ashsplat::scene::lens::{Distortion, Lens};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use glam::{DVec2, Vec3, dvec2};
+use proptest::prelude::*;
+
+/// Each of COLMAP's models with parameters of a wide consumer lens, for photos of 320×240.
+fn cameras() -> Vec<ColmapCamera> {
+    let camera = |(id, (name, parameters)): (u32, (&str, Vec<f64>))| ColmapCamera {
+        id,
+        model: CameraModel::from_name(name).unwrap(),
+        width: 320,
+        height: 240,
+        parameters,
+    };
+    let models = vec![
+        ("SIMPLE_RADIAL", vec![250.0, 160.0, 120.0, -0.12]),
+        ("SIMPLE_RADIAL", vec![260.0, 158.0, 123.0, 0.09]),
+        ("RADIAL", vec![250.0, 161.0, 118.0, -0.2, 0.05]),
+        ("OPENCV", vec![255.0, 245.0, 163.0, 119.0, -0.15, 0.03, 0.002, -0.001]),
+        ("OPENCV_FISHEYE", vec![200.0, 201.0, 159.0, 121.0, -0.02, 0.01, -0.003, 0.0005]),
+        ("FULL_OPENCV", vec![255.0, 245.0, 160.0, 120.0, 0.1, 0.02, 0.001, -0.001, 0.003, 0.2, 0.03, 0.001]),
+    ];
+    (1..).zip(models).map(camera).collect()
+}
+
+/// A smooth picture without symmetry, of any size.
+fn picture(width: u32, height: u32) -> Photo {
+    let pixel = |index: u32| {
+        let (x, y) = ((index % width) as f32, (index / width) as f32);
+        let wave = |phase: f32| (127.5 + 110.0 * phase.sin()) as u8;
+        [wave(0.05 * x + 0.02 * y), wave(0.04 * y - 0.01 * x + 1.0), wave(0.001 * x * y)]
+    };
+    Photo { width, height, rgb: (0..width * height).flat_map(pixel).collect() }
+}
+
+/// A data set with one photo of each camera, all from one place.
+fn write(folder: &Path) {
+    std::fs::create_dir_all(folder.join("images")).unwrap();
+    let cameras = cameras();
+    let pose = Camera::look_at(
+        Vec3::new(0.0, 0.0, -3.0),
+        Vec3::ZERO,
+        Vec3::NEG_Y,
+        Intrinsics::from_fov_x(1.0, 320, 240),
+    );
+    let mut images = Vec::new();
+    for camera in &cameras {
+        let name = format!("{}.png", camera.id);
+        picture(320, 240).write_png(folder.join("images").join(&name)).unwrap();
+        let shifted = Camera { translation: pose.translation + Vec3::X * camera.id as f32, ..pose };
+        images.push(ColmapImage::posed(camera.id, camera.id, name, &shifted));
+    }
+    let points = PointCloud { positions: vec![[0.0; 3]; 2], colors: vec![[9; 3]; 2] };
+    colmap::write(folder.join("sparse/0"), &cameras, &images, &points).unwrap();
+}
+
+fn lenses() -> Vec<Lens> {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path());
+    let model = Model::of_dataset(folder.path()).unwrap();
+    model.cameras.values().map(|camera| model.lens(camera).unwrap()).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
+    #[test]
+    fn undoing_inverts(
+        k in prop::array::uniform4(-0.05..0.05f64),
+        p in prop::array::uniform2(-0.002..0.002f64),
+        d in prop::array::uniform3(-0.02..0.02f64),
+        point in prop::array::uniform2(-0.8..0.8f64),
+    ) {
+        let point = DVec2::from_array(point);
+        for distortion in [Distortion::Brown { k, d, p }, Distortion::Fisheye { k }, Distortion::None] {
+            let back = distortion.undo(distortion.apply(point)).unwrap();
+            prop_assert!(back.distance(point) < 1e-7, "{distortion:?} {point} {back}");
+        }
+    }
+}
+
+#[test]
+fn known_values_of_the_models() {
+    let near = |a: DVec2, b: DVec2| assert!(a.distance(b) < 1e-12, "{a} {b}");
+    let point = dvec2(0.5, -0.25);
+    let r2: f64 = 0.3125;
+    near(
+        Distortion::Brown { k: [0.1, 0.0, 0.0, 0.0], d: [0.0; 3], p: [0.0; 2] }.apply(point),
+        point * (1.0 + 0.1 * r2),
+    );
+    let p = Distortion::Brown { k: [0.0; 4], d: [0.0; 3], p: [0.01, 0.02] };
+    let (u, v) = (0.5, -0.25);
+    near(
+        p.apply(point),
+        point + dvec2(0.02 * u * v + 0.02 * (r2 + 2.0 * u * u), 0.04 * u * v + 0.01 * (r2 + 2.0 * v * v)),
+    );
+    let theta = r2.sqrt().atan();
+    near(Distortion::Fisheye { k: [0.0; 4] }.apply(point), point * (theta / r2.sqrt()));
+    // No point of the plane appears beyond a right angle.
+    assert!(Distortion::Fisheye { k: [0.0; 4] }.undo(dvec2(1.7, 0.0)).is_none());
+}
+
+/// No pixel of the undistorted photo lies outside of the photo, and no larger one would do.
+#[test]
+fn the_pinhole_is_inscribed() {
+    for lens in lenses() {
+        let pinhole = lens.inscribed_pinhole().unwrap();
+        let place = |x: f64, y: f64, of: &Intrinsics| {
+            let center = dvec2(f64::from(of.cx), f64::from(of.cy));
+            lens.project((dvec2(x, y) - center) / dvec2(f64::from(of.fx), f64::from(of.fy)))
+        };
+        let outside = |of: &Intrinsics| {
+            let (w, h) = (of.width, of.height);
+            let border =
+                (0..w).flat_map(|x| [(x, 0), (x, h - 1)]).chain((0..h).flat_map(|y| [(0, y), (w - 1, y)]));
+            border
+                .filter(|&(x, y)| {
+                    let p = place(f64::from(x) + 0.5, f64::from(y) + 0.5, of);
+                    p.x < 0.5 || p.y < 0.5 || p.x > 319.5 || p.y > 239.5
+                })
+                .count()
+        };
+        // The principal point is rounded with the size, as COLMAP does: a border pixel may be half a pixel out.
+        assert!(outside(&pinhole) <= pinhole.height as usize, "{lens:?} {}", outside(&pinhole));
+        let (cx, cy) = (pinhole.cx * 1.05, pinhole.cy * 1.05);
+        let larger = Intrinsics {
+            width: (pinhole.width as f32 * 1.05) as u32,
+            height: (pinhole.height as f32 * 1.05) as u32,
+            cx,
+            cy,
+            ..pinhole
+        };
+        assert!(outside(&larger) > pinhole.height as usize, "{lens:?}");
+    }
+}
+
+/// A photo of straight lines becomes what the pinhole camera sees of them.
+#[test]
+fn undistorted_photos_show_what_a_pinhole_sees() {
+    // A board in the plane z = 1.
+    let board = |p: DVec2| {
+        let wave = |phase: f64| 127.5 + 110.0 * phase.sin();
+        [wave(9.0 * p.x), wave(8.0 * p.y + 1.0), wave(6.0 * (p.x + p.y))]
+    };
+    for lens in lenses() {
+        let mut rgb = Vec::new();
+        for (y, x) in (0..240).flat_map(|y| (0..320).map(move |x| (y, x))) {
+            let seen = (dvec2(f64::from(x) + 0.5, f64::from(y) + 0.5) - lens.center_px) / lens.focal_px;
+            rgb.extend(board(lens.distortion.undo(seen).unwrap()).map(|v| v.round() as u8));
+        }
+        let pinhole = lens.inscribed_pinhole().unwrap();
+        let photo = Photo { width: 320, height: 240, rgb }.undistorted(&lens, &pinhole);
+        let mut off = 0;
+        for (index, pixel) in photo.rgb.chunks_exact(3).enumerate() {
+            let (x, y) = (index as u32 % pinhole.width, index as u32 / pinhole.width);
+            if x == 0 || y == 0 || x + 1 == pinhole.width || y + 1 == pinhole.height {
+                continue;
+            }
+            let center = dvec2(f64::from(pinhole.cx), f64::from(pinhole.cy));
+            let focal = dvec2(f64::from(pinhole.fx), f64::from(pinhole.fy));
+            let expected = board((dvec2(f64::from(x) + 0.5, f64::from(y) + 0.5) - center) / focal);
+            off += pixel.iter().zip(expected).filter(|(a, b)| (f64::from(**a) - b).abs() > 2.0).count();
+        }
+        assert!(off < 20, "{lens:?}: {off} values are off");
+    }
+}
+
+/// COLMAP's image_undistorter makes the same cameras and the same pictures.
+#[test]
+fn colmap_undistorts_the_same() {
+    if Command::new("colmap").arg("help").output().is_err() {
+        eprintln!("skipped: colmap_undistorts_the_same (colmap is not installed)");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path());
+    let path = |name: &str| folder.path().join(name);
+    let run = Command::new("colmap")
+        .env("QT_QPA_PLATFORM", "offscreen")
+        .args(["image_undistorter", "--image_path"])
+        .arg(path("images"))
+        .arg("--input_path")
+        .arg(path("sparse/0"))
+        .arg("--output_path")
+        .arg(path("theirs"))
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let ours = Dataset::load(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap();
+    let theirs = Dataset::load(path("theirs"), &DatasetOptions::default(), Progress::NONE).unwrap();
+    assert_eq!(ours.warnings.len(), cameras().len());
+    assert_eq!(ours.train.len(), theirs.train.len());
+    for (a, b) in ours.train.iter().zip(&theirs.train) {
+        let (i, j) = (a.camera.intrinsics(), b.camera.intrinsics());
+        assert_eq!((&a.name, i.width, i.height), (&b.name, j.width, j.height));
+        for (x, y) in [(i.fx, j.fx), (i.fy, j.fy), (i.cx, j.cx), (i.cy, j.cy)] {
+            assert!((x - y).abs() < 1e-3, "{i:?} {j:?}");
+        }
+        let psnr = metrics::psnr(&a.photo.to_f32(), &b.photo.to_f32()).unwrap();
+        assert!(psnr > 45.0, "{}: {psnr} dB", a.name);
+    }
+}

@@ -1,0 +1,292 @@
+//! Data sets of the NeRF kind, masks, orientations and archives.
+
+use std::path::Path;
+
+use ashsplat::io::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat::io::{Dataset, DatasetOptions, Photo, Progress, ply};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use glam::Vec3;
+use serde_json::{Value, json};
+
+const SIZE: [u32; 2] = [20, 12];
+
+fn camera(index: u32) -> Camera {
+    let (sin, cos) = (index as f32 * 0.7).sin_cos();
+    let intrinsics = Intrinsics { fx: 21.0, fy: 21.0, cx: 10.0, cy: 6.0, width: SIZE[0], height: SIZE[1] };
+    Camera::look_at(Vec3::new(3.0 * cos, 3.0 * sin, 1.0), Vec3::ZERO, Vec3::Z, intrinsics)
+}
+
+/// Camera to world with y up and z backward, as the files have it.
+fn matrix(camera: &Camera) -> Value {
+    let r = camera.camera_from_world;
+    let eye = camera.position();
+    let row = |i: usize| json!([r.row(0)[i], -r.row(1)[i], -r.row(2)[i], eye[i]]);
+    json!([row(0), row(1), row(2), [0, 0, 0, 1]])
+}
+
+fn photo(grey: u8) -> Photo {
+    Photo { width: SIZE[0], height: SIZE[1], rgb: vec![grey; 3 * (SIZE[0] * SIZE[1]) as usize] }
+}
+
+fn write_json(path: &Path, value: &Value) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, value.to_string()).unwrap();
+}
+
+/// Photos 0.. of a folder and their frames; the names have an ending or not.
+fn frames(folder: &Path, below: &str, indices: std::ops::Range<u32>, ending: &str) -> Vec<Value> {
+    std::fs::create_dir_all(folder.join(below)).unwrap();
+    let frame = |index: u32| {
+        photo(index as u8).write_png(folder.join(below).join(format!("r_{index}.png"))).unwrap();
+        json!({ "file_path": format!("./{below}/r_{index}{ending}"), "transform_matrix": matrix(&camera(index)) })
+    };
+    indices.map(frame).collect()
+}
+
+fn load(folder: &Path, options: &DatasetOptions) -> Dataset {
+    let report = Dataset::inspect(folder, options, Progress::NONE);
+    assert!(report.is_sound(), "{report}");
+    let dataset = Dataset::load(folder, options, Progress::NONE).unwrap();
+    assert_eq!((report.train_views, report.test_views), (dataset.train.len(), dataset.test.len()));
+    dataset
+}
+
+fn refusal(folder: &Path) -> String {
+    let message = Dataset::load(folder, &DatasetOptions::default(), Progress::NONE).unwrap_err().to_string();
+    assert!(message.starts_with(folder.to_str().unwrap()) && !message.contains('\n'), "{message}");
+    message
+}
+
+/// x sees fx = half the width over the tangent of half the angle.
+fn angle() -> f64 {
+    2.0 * (10.0f64 / 21.0).atan()
+}
+
+#[test]
+fn synthetic_scenes_have_their_own_split() {
+    let folder = tempfile::tempdir().unwrap();
+    let train = json!({ "camera_angle_x": angle(), "frames": frames(folder.path(), "train", 0..5, "") });
+    let test = json!({ "camera_angle_x": angle(), "frames": frames(folder.path(), "test", 5..7, "") });
+    write_json(&folder.path().join("transforms_train.json"), &train);
+    write_json(&folder.path().join("transforms_test.json"), &test);
+    let all = load(folder.path(), &DatasetOptions::default());
+    assert_eq!((all.train.len(), all.test.len()), (7, 0));
+    let dataset = load(folder.path(), &DatasetOptions { eval: true, ..Default::default() });
+    assert_eq!((dataset.train.len(), dataset.test.len()), (5, 2));
+    assert_eq!(dataset.test[0].name, "test/r_5.png");
+    for view in dataset.train.iter().chain(&dataset.test) {
+        let index: u32 = view.name.rsplit_once("r_").unwrap().1.trim_end_matches(".png").parse().unwrap();
+        let expected = camera(index);
+        assert!(view.camera.camera_from_world.abs_diff_eq(expected.camera_from_world, 1e-5));
+        assert!(view.camera.translation.abs_diff_eq(expected.translation, 1e-5));
+        for (a, b) in
+            [(view.camera.fx, 21.0), (view.camera.fy, 21.0), (view.camera.cx, 10.0), (view.camera.cy, 6.0)]
+        {
+            assert!((a - b).abs() < 1e-4);
+        }
+        assert!(view.photo.rgb.iter().all(|&v| u32::from(v) == index));
+    }
+    // Without points, random ones where the cameras look.
+    assert!(dataset.points.is_empty() && dataset.may_lack_points());
+    let bounds = dataset.initial_points(1).bounds().unwrap();
+    assert!(bounds.center().length() < 0.1 && bounds.max.max_element() < 2.0, "{bounds:?}");
+    for view in &dataset.train {
+        let (x, y, _) = view.camera.project(bounds.center());
+        assert!((x - 10.0).abs() < 1.0 && (y - 6.0).abs() < 1.0);
+    }
+}
+
+#[test]
+fn transparent_photos_show_the_background() {
+    let folder = tempfile::tempdir().unwrap();
+    let document = json!({ "camera_angle_x": angle(), "frames": frames(folder.path(), "train", 0..2, "") });
+    write_json(&folder.path().join("transforms_train.json"), &document);
+    image::RgbaImage::from_pixel(20, 12, image::Rgba([200, 100, 0, 51]))
+        .save(folder.path().join("train/r_0.png"))
+        .unwrap();
+    let first = |white_background| {
+        let view =
+            load(folder.path(), &DatasetOptions { white_background, ..Default::default() }).train.remove(0);
+        // It is the background that counts there, not nothing.
+        assert!(view.mask.is_none());
+        [view.photo.rgb[0], view.photo.rgb[1], view.photo.rgb[2]]
+    };
+    assert_eq!(first(false), [40, 20, 0]);
+    assert_eq!(first(true), [244, 224, 204]);
+}
+
+#[test]
+fn frames_may_have_their_own_lens_and_points() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut list = frames(folder.path(), "images", 0..3, ".png");
+    list[1]["fl_x"] = json!(30.0);
+    list[1]["fl_y"] = json!(25.0);
+    let document = json!({
+        "fl_x": 21.0, "fl_y": 21.0, "cx": 10.0, "cy": 6.0, "w": 20, "h": 12, "k1": 0.0, "camera_model": "OPENCV",
+        "ply_file_path": "sparse pc.ply", "frames": list,
+    });
+    write_json(&folder.path().join("transforms.json"), &document);
+    assert!(refusal(folder.path()).contains("the point cloud of transforms.json is missing"));
+    let points = PointCloud { positions: vec![[0.1, 0.2, 0.3]; 5], colors: vec![[1, 2, 3]; 5] };
+    ply::write_points(folder.path().join("sparse pc.ply"), &points).unwrap();
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert_eq!(dataset.points, points);
+    let focal: Vec<f32> = dataset.train.iter().map(|view| view.camera.fx).collect();
+    assert_eq!(focal, [21.0, 30.0, 21.0]);
+    assert_eq!(dataset.train[1].camera.fy, 25.0);
+    // Every second is held out, as for COLMAP.
+    let options = DatasetOptions { eval: true, test_every: 2, ..Default::default() };
+    assert_eq!(load(folder.path(), &options).test.len(), 2);
+}
+
+/// Points that were stored before the transform of the poses are moved to the cameras.
+#[test]
+fn points_in_the_older_frame_are_moved() {
+    let folder = tempfile::tempdir().unwrap();
+    let applied = json!([[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, -8.0]]);
+    let document = json!({
+        "camera_angle_x": angle(), "applied_transform": applied, "ply_file_path": "a.ply",
+        "frames": frames(folder.path(), "images", 0..6, ".png"),
+    });
+    write_json(&folder.path().join("transforms.json"), &document);
+    let stored = |position: [f32; 3]| {
+        let points = PointCloud { positions: vec![position; 4], colors: vec![[1; 3]; 4] };
+        ply::write_points(folder.path().join("a.ply"), &points).unwrap();
+        load(folder.path(), &DatasetOptions::default())
+    };
+    let dataset = stored([0.1, 0.2, 0.0]);
+    assert_eq!((dataset.points.positions[0], dataset.warnings.len()), ([0.1, 0.2, 0.0], 0));
+    let dataset = stored([0.1, 0.2, -8.0]);
+    assert_eq!(dataset.points.positions[0], [0.2, 0.1, 0.0]);
+    assert!(dataset.warnings[0].contains("applied_transform"), "{:?}", dataset.warnings);
+}
+
+#[test]
+fn distorted_frames_are_undistorted() {
+    let folder = tempfile::tempdir().unwrap();
+    let document = json!({
+        "fl_x": 21.0, "cx": 10.0, "cy": 6.0, "w": 20, "h": 12, "k1": -0.2, "p1": 0.01,
+        "frames": frames(folder.path(), "images", 0..2, ".png"),
+    });
+    write_json(&folder.path().join("transforms.json"), &document);
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert!(dataset.warnings[0].contains("distortion"), "{:?}", dataset.warnings);
+    let camera = dataset.train[0].camera;
+    // The image loses half a pixel at each side, and keeps its scale.
+    assert_eq!((camera.width, camera.height, camera.fx, camera.fy), (19, 11, 21.0, 21.0));
+    assert_eq!(dataset.train[0].photo.width, camera.width);
+}
+
+#[test]
+fn masks_and_alpha_say_what_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let images: Vec<_> =
+        (0..4).map(|i| ColmapImage::posed(i + 1, 1, format!("{i}.png"), &camera(i))).collect();
+    let points = PointCloud { positions: vec![[0.0; 3]; 2], colors: vec![[9; 3]; 2] };
+    colmap::write(place("sparse/0"), &[ColmapCamera::pinhole(1, &camera(0))], &images, &points).unwrap();
+    std::fs::create_dir_all(place("images")).unwrap();
+    std::fs::create_dir_all(place("masks")).unwrap();
+    (0..4).for_each(|i| photo(50).write_png(place("images").join(format!("{i}.png"))).unwrap());
+    // The left half counts in 0 by a mask, the top half in 1 by its alpha, everything in 2 by a mask, 3 has none.
+    let half = |left: bool| {
+        image::GrayImage::from_fn(20, 12, |x, y| {
+            image::Luma([if (left && x < 10) || (!left && y < 6) { 255 } else { 0 }])
+        })
+    };
+    half(true).save(place("masks/0.png")).unwrap();
+    let alpha = half(false);
+    image::RgbaImage::from_fn(20, 12, |x, y| image::Rgba([50, 50, 50, alpha.get_pixel(x, y).0[0]]))
+        .save(place("images/1.png"))
+        .unwrap();
+    image::GrayImage::from_pixel(20, 12, image::Luma([255])).save(place("masks/2.png.png")).unwrap();
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    let masks: Vec<_> = dataset.train.iter().map(|view| view.mask.as_ref()).collect();
+    assert!(masks[0].unwrap() == half(true).as_raw() && masks[1].unwrap() == half(false).as_raw());
+    assert_eq!(masks[2..], [None, None]);
+    // With the photo's size changes the mask's.
+    let options = DatasetOptions { resolution: "2".parse().unwrap(), ..Default::default() };
+    let small = load(folder.path(), &options).train.remove(0).mask.unwrap();
+    assert_eq!((small.len(), small[0], small[9]), (60, 255, 0));
+    image::GrayImage::new(3, 3).save(place("masks/3.png")).unwrap();
+    assert!(refusal(folder.path()).contains("masks/3.png: is 3x3 pixels, its camera 20x12"));
+}
+
+/// A JPEG with the orientation "turned right by a quarter" in its Exif data.
+fn sideways_jpeg(path: &Path, width: u32, height: u32) {
+    let mut bytes = Vec::new();
+    let picture =
+        image::RgbImage::from_fn(width, height, |x, _| image::Rgb([if x < width / 2 { 0 } else { 255 }; 3]));
+    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 95).encode_image(&picture).unwrap();
+    let exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0";
+    let mut file = bytes[..2].to_vec();
+    file.extend([0xff, 0xe1]);
+    file.extend((exif.len() as u16 + 2).to_be_bytes());
+    file.extend(exif);
+    file.extend(&bytes[2..]);
+    std::fs::write(path, file).unwrap();
+}
+
+#[test]
+fn photos_on_their_side_are_turned_when_the_camera_stands_upright() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut list = frames(folder.path(), "images", 0..2, ".png");
+    list[0]["file_path"] = json!("images/phone.jpg");
+    sideways_jpeg(&folder.path().join("images/phone.jpg"), 12, 20);
+    let document = json!({ "fl_x": 21.0, "w": 20, "h": 12, "frames": list });
+    write_json(&folder.path().join("transforms.json"), &document);
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    let photo = &dataset.train[0].photo;
+    assert_eq!((photo.width, photo.height), (20, 12));
+    // Left becomes top.
+    assert!(
+        photo.rgb[..90].iter().all(|&v| v < 60) && photo.rgb[photo.rgb.len() - 90..].iter().all(|&v| v > 200)
+    );
+    // Stored upright for its camera, it stays as it is.
+    sideways_jpeg(&folder.path().join("images/phone.jpg"), 20, 12);
+    let photo = load(folder.path(), &DatasetOptions::default()).train.remove(0).photo;
+    assert!(photo.rgb[0] < 60 && photo.rgb[57] > 200);
+}
+
+#[test]
+fn a_zip_is_a_data_set() {
+    use std::io::Write;
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let document = json!({ "camera_angle_x": angle(), "frames": frames(&data, "images", 0..3, ".png") });
+    write_json(&data.join("transforms.json"), &document);
+    let pack = |name: &str, prefix: &str, photos: u32| {
+        let mut zip = zip::ZipWriter::new(std::fs::File::create(folder.path().join(name)).unwrap());
+        let options = zip::write::SimpleFileOptions::default();
+        let mut add = |file: &str| {
+            zip.start_file(format!("{prefix}{file}"), options).unwrap();
+            zip.write_all(&std::fs::read(data.join(file)).unwrap()).unwrap();
+        };
+        add("transforms.json");
+        (0..photos).for_each(|i| add(&format!("images/r_{i}.png")));
+        zip.finish().unwrap();
+        folder.path().join(name)
+    };
+    let plain = load(&data, &DatasetOptions::default());
+    for (name, prefix) in [("plain.zip", ""), ("in_folder.zip", "scene/")] {
+        let zipped = load(&pack(name, prefix, 3), &DatasetOptions::default());
+        assert_eq!(zipped.train, plain.train);
+        assert_eq!(Dataset::cameras(folder.path().join(name), &DatasetOptions::default()).unwrap().len(), 3);
+    }
+    // Problems are told of the archive.
+    let missing = pack("missing.zip", "", 2);
+    assert!(
+        refusal(&missing)
+            .contains("missing.zip/images/r_2.png: the photo of frame images/r_2.png is missing")
+    );
+    let bytes = std::fs::read(folder.path().join("plain.zip")).unwrap();
+    let cut = folder.path().join("cut.zip");
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    assert!(refusal(&cut).contains("is no whole ZIP"));
+    let mut evil = zip::ZipWriter::new(std::fs::File::create(folder.path().join("evil.zip")).unwrap());
+    evil.start_file("../outside.txt", zip::write::SimpleFileOptions::default()).unwrap();
+    evil.write_all(b"x").unwrap();
+    evil.finish().unwrap();
+    assert!(refusal(&folder.path().join("evil.zip")).contains("leads out of the archive"));
+    assert!(!folder.path().join("outside.txt").exists());
+}

@@ -1,0 +1,115 @@
+//! What becomes of pictures when Gaussians are moved, thinned out and stored.
+
+use ashsplat::io::splats::{self, Format, WriteOptions};
+use ashsplat::scene::decimate::decimate;
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
+use ashsplat::{RenderSettings, metrics};
+use glam::{DQuat, DVec3, EulerRot, Vec3};
+
+use crate::common::engine::renderer;
+use crate::common::gpu::Gpu;
+use crate::common::splats::scene;
+
+/// A ball that fills the picture, strongly coloured by direction.
+fn ball() -> Gaussians {
+    let mut gaussians = scene(4000, 3);
+    gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.1);
+    gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s = 0.5 * *s - 2.5);
+    gaussians
+}
+
+fn camera() -> Camera {
+    let eye = Vec3::new(1.5, -1.0, -3.5);
+    Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.7, 160, 120))
+}
+
+fn render(gaussians: &Gaussians, camera: &Camera) -> Vec<[f32; 3]> {
+    let mut renderer = renderer();
+    renderer.upload(gaussians).expect("upload");
+    renderer.render(camera, &RenderSettings::default()).expect("a frame").color
+}
+
+/// The camera that sees the moved scene as `camera` sees the scene.
+fn moved(camera: &Camera, similarity: &Similarity) -> Camera {
+    let back = similarity.rotation.inverse();
+    let rotation = camera.camera_from_world.as_dmat3() * glam::DMat3::from_quat(back);
+    let translation = similarity.scale * camera.translation.as_dvec3() - rotation * similarity.translation;
+    Camera { camera_from_world: rotation.as_mat3(), translation: translation.as_vec3(), ..*camera }
+}
+
+/// Rotation of means, shapes and spherical harmonics, scale and translation: the moved camera sees the same picture.
+#[test]
+fn splats_moved_with_their_camera_look_the_same() {
+    let gpu = Gpu::new();
+    let before = render(&ball(), &camera());
+    for (x, y, z, scale) in
+        [(0.4, -1.2, 2.5, 1.0), (0.0, 0.0, std::f64::consts::PI, 3.0), (-2.0, 0.3, 0.1, 0.7)]
+    {
+        let similarity = Similarity {
+            rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x),
+            scale,
+            translation: DVec3::new(3.0, -5.0, 1.0),
+        };
+        let mut gaussians = ball();
+        gaussians.transform(&similarity);
+        let after = render(&gaussians, &moved(&camera(), &similarity));
+        let psnr = metrics::psnr(&before, &after).expect("one size");
+        assert!(psnr > 60.0, "{similarity:?}: {psnr:.1} dB");
+        // Without the rotation of the spherical harmonics it is another picture.
+        gaussians.sh = ball().sh;
+        let wrong =
+            metrics::psnr(&before, &render(&gaussians, &moved(&camera(), &similarity))).expect("one size");
+        assert!(wrong < 40.0, "{wrong:.1} dB");
+    }
+    drop(gpu);
+}
+
+/// Half of the Gaussians, merged, look more like all of them than the half of the most opaque or largest does.
+#[test]
+fn splats_decimated_look_alike() {
+    let gpu = Gpu::new();
+    let mut all = ball();
+    // As in real scenes, neighbours are alike.
+    for (sh, mean) in all.sh.chunks_exact_mut(16).zip(&all.means) {
+        sh.fill([0.0; 3]);
+        sh[0] = [0, 1, 2].map(|i| (4.0 * mean[i] + mean[(i + 1) % 3]).sin());
+    }
+    let before = render(&all, &camera());
+    let mut merged = all.clone();
+    decimate(&mut merged, all.len() / 2);
+    let psnr =
+        |gaussians: &Gaussians| metrics::psnr(&before, &render(gaussians, &camera())).expect("one size");
+    let merged = psnr(&merged);
+    let best = |key: &dyn Fn(usize) -> f32| {
+        let mut order: Vec<usize> = (0..all.len()).collect();
+        order.sort_by(|&a, &b| key(b).total_cmp(&key(a)));
+        psnr(&all.select(&order[..all.len() / 2]))
+    };
+    let opaque = best(&|i| all.opacity(i));
+    let large = best(&|i| all.opacity(i) * all.log_scales[i].iter().sum::<f32>().exp());
+    assert!(merged > opaque && merged > large, "merged {merged:.1}, opaque {opaque:.1}, large {large:.1} dB");
+    assert!(merged > 20.0, "{merged:.1} dB");
+    drop(gpu);
+}
+
+/// What each format's quantisation costs, in dB, on a scene without any order.
+#[test]
+fn splats_stored_in_any_format_look_alike() {
+    let gpu = Gpu::new();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for format in Format::ALL {
+        let original = ball().with_sh_degree(format.max_sh_degree());
+        let path = folder.path().join(format!("ball{}", format.extension()));
+        splats::write(&path, &original, &WriteOptions::default()).expect("written");
+        let read = splats::read(&path, &Default::default()).expect("read").gaussians;
+        let psnr = metrics::psnr(&render(&original, &camera()), &render(&read, &camera())).expect("one size");
+        let least = match format {
+            Format::Ply => f64::INFINITY,
+            Format::Glb | Format::Gltf => 90.0,
+            Format::CompressedPly | Format::Splat => 38.0,
+            Format::Spz => 30.0,
+        };
+        assert!(psnr >= least, "{format}: {psnr:.1} dB");
+    }
+    drop(gpu);
+}
