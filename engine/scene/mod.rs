@@ -8,13 +8,13 @@ pub mod lens;
 pub mod orbit;
 pub mod points;
 pub mod sh;
-pub mod view;
 pub mod sh_rotation;
 pub mod transform;
+pub mod view;
 
 pub use camera::{Camera, Intrinsics, scene_extent};
 pub use gaussians::{GaussianStatistics, Gaussians};
 pub use orbit::Orbit;
 pub use points::{Bounds, PointCloud};
-pub use view::{ClipY, DepthMapping, HostView, Pose};
 pub use transform::Similarity;
+pub use view::{ClipY, DepthMapping, HostView, Pose};
