@@ -5,7 +5,7 @@ use crate::kernels::loss::{
     loss_reduce, ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep,
 };
 use crate::plan::{Blocks, blocks, tile_grid};
-use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
+use crate::vk::{Buffer, Context, Kernel, Limits, Recorder, TexelFormat};
 
 /// Most rows of one invocation of [`Windowing::Sweeps`]: it reads ten more.
 const SWEEP_ROWS: u32 = 48;
@@ -20,9 +20,11 @@ pub enum Windowing {
 }
 
 impl Windowing {
-    /// Processors have no use for shared memory: it is memory like any other there.
+    /// Processors have no use for shared memory: it is memory like any other there. Sweeps read texels, of which a
+    /// buffer must not have more than the device allows.
     pub fn for_device(limits: &Limits) -> Self {
-        if limits.is_cpu { Self::Sweeps } else { Self::Blocks }
+        let texels = limits.max_storage_buffer_range / TexelFormat::R32Uint.bytes();
+        if limits.is_cpu && texels <= limits.max_texels { Self::Sweeps } else { Self::Blocks }
     }
 }
 
@@ -110,12 +112,16 @@ impl Sweeps {
 pub fn scratch_bytes(limits: &Limits, width: u32, height: u32) -> u64 {
     let windowing = Windowing::for_device(limits);
     let partials = partials(windowing, &Blocks::new(limits), width, height);
-    3 * channel_bytes(width, height) + u64::from(partials) * 8
+    3 * channel_bytes(windowing, width, height) + u64::from(partials) * 8
 }
 
 /// Bytes of SSIM's derivatives in one channel.
-fn channel_bytes(width: u32, height: u32) -> u64 {
-    u64::from(width) * u64::from(height) * 12
+fn channel_bytes(windowing: Windowing, width: u32, height: u32) -> u64 {
+    let bytes = match windowing {
+        Windowing::Blocks => 12,
+        Windowing::Sweeps => TexelFormat::Rgba32Float.bytes(),
+    };
+    u64::from(width) * u64::from(height) * bytes
 }
 
 /// Partial sums of an image.
@@ -170,7 +176,7 @@ impl Loss {
     /// The scratch buffers for the derivatives of SSIM in an image: one for all channels, or one for each where that
     /// would be more than a kernel may be given.
     pub fn derivative_requests(&self, width: u32, height: u32) -> Vec<(&'static str, u64)> {
-        let channel = channel_bytes(width, height);
+        let channel = channel_bytes(self.windows.windowing(), width, height);
         if 3 * channel <= self.limits.max_storage_buffer_range {
             vec![("ssim_derivatives", 3 * channel)]
         } else {

@@ -112,7 +112,7 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     );
     let _ = writeln!(
         out,
-        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, ConstantInfo, ConstantKind, Image, ImageInfo, ImageUse, KernelInterface, Limits}};"
+        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, ConstantInfo, ConstantKind, Image, ImageInfo, ImageUse, KernelInterface, Limits, TexelFormat}};"
     );
     out.push_str(&bind(kernel)?);
     out.push_str(&push(kernel)?);
@@ -140,6 +140,7 @@ fn bind(kernel: &Kernel) -> Result<String, String> {
             (false, true) => "written",
             _ => "read and written",
         };
+        let access = b.texels.map_or(access, |_| "read as texels");
         let about = format!("Binding {}, {access}.{}", b.binding, comment_of(&kernel.source, &b.name));
         let _ = writeln!(fields, "#[doc = {about:?}]\npub {}: &'a Buffer,", b.name);
     }
@@ -236,8 +237,10 @@ fn interface(kernel: &Kernel) -> String {
         let access = access_of(b.reads, b.writes);
         let _ = writeln!(
             infos,
-            "BindingInfo {{ name: {:?}, binding: {}, access: Access::{access} }},",
-            b.name, b.binding
+            "BindingInfo {{ name: {:?}, binding: {}, access: Access::{access}, texels: {} }},",
+            b.name,
+            b.binding,
+            b.texels.map_or("None".to_owned(), |format| format!("Some(TexelFormat::{format})"))
         );
         let _ = write!(buffers, "bind.{}, ", b.name);
     }

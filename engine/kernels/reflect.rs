@@ -34,6 +34,8 @@ pub struct Binding {
     pub reads: bool,
     /// Whether the shader may write it.
     pub writes: bool,
+    /// The variant of `TexelFormat` that it is read as; None: a storage buffer.
+    pub texels: Option<&'static str>,
 }
 
 /// A storage image or a sampled image without sampler.
@@ -98,6 +100,10 @@ enum Type {
     Pointer {
         of: u32,
     },
+    /// Buffer of texels, by the type of a component.
+    TexelBuffer {
+        of: u32,
+    },
     /// Two-dimensional, one sample, no array.
     Image {
         storage: bool,
@@ -156,6 +162,9 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
             12 => shader.bindings.push(module.storage_buffer(id, *of)?),
             9 => shader.push = module.push_block(*of)?,
             4 => shared.push(module.size_expression(*of, &shader.spec)?),
+            0 if matches!(module.types.get(of), Some(Type::TexelBuffer { .. })) => {
+                shader.bindings.push(module.texel_buffer(id, *of)?);
+            }
             0 if matches!(module.types.get(of), Some(Type::Image { .. })) => {
                 shader.images.push(module.image(id, *of)?);
             }
@@ -207,6 +216,8 @@ impl Module {
             28 => drop(self.types.insert(o[0], Type::Array { of: o[1], length: o[2] })),
             29 => drop(self.types.insert(o[0], Type::RuntimeArray)),
             30 => drop(self.types.insert(o[0], Type::Struct(o[1..].to_vec()))),
+            // Dimension buffer, read by texel.
+            25 if o[2] == 5 && o[6] == 1 => drop(self.types.insert(o[0], Type::TexelBuffer { of: o[1] })),
             // Dimension 2D, not arrayed, not multisampled; sampled 1: by texel, 2: storage.
             25 if o[2] == 1 && o[4] == 0 && o[5] == 0 => {
                 self.types.insert(o[0], Type::Image { storage: o[6] == 2 });
@@ -265,7 +276,27 @@ impl Module {
             return Err(format!("buffer '{block_name}': its binding is not below {STORAGE_IMAGE_BINDING}"));
         }
         let (reads, writes) = (!everywhere(NON_READABLE), !everywhere(NON_WRITABLE));
-        Ok(Binding { name: self.member_name(block, 0)?, binding, reads, writes })
+        Ok(Binding { name: self.member_name(block, 0)?, binding, reads, writes, texels: None })
+    }
+
+    fn texel_buffer(&self, variable: u32, ty: u32) -> Result<Binding, String> {
+        let name = self.name(variable).to_owned();
+        if self.decorations.get(&(variable, DESCRIPTOR_SET)) != Some(&0) {
+            return Err(format!("texels '{name}': write set = 0"));
+        }
+        let Some(&binding) = self.decorations.get(&(variable, BINDING)) else {
+            return Err(format!("texels '{name}' have no binding number"));
+        };
+        let component = match self.types.get(&ty) {
+            Some(Type::TexelBuffer { of }) => self.types.get(of),
+            _ => None,
+        };
+        let texels = match component {
+            Some(Type::Float { bits: 32 }) => "Rgba32Float",
+            Some(Type::Int { bits: 32, signed: false }) => "R32Uint",
+            _ => return Err(format!("texels '{name}': neither textureBuffer nor utextureBuffer")),
+        };
+        Ok(Binding { name, binding, reads: true, writes: false, texels: Some(texels) })
     }
 
     fn image(&self, variable: u32, ty: u32) -> Result<ImageBinding, String> {

@@ -4,6 +4,7 @@ use super::buffer::Buffer;
 use super::image::Image;
 use super::kernel::{MAX_BINDINGS, Pipeline};
 use super::recorder::Recorder;
+use super::texels::{TexelFormat, TexelRange};
 use ash::vk;
 use std::sync::Arc;
 
@@ -20,8 +21,13 @@ impl Recorder {
     /// Binds the pipeline, its buffers, images and push constants.
     pub(super) fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) {
         let mut buffers = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
-        for ((slot, info), buffer) in buffers.iter_mut().zip(pipeline.bindings).zip(bound.buffers) {
+        let mut views = [vk::BufferView::null(); MAX_BINDINGS];
+        let slots = buffers.iter_mut().zip(&mut views).zip(pipeline.bindings);
+        for (((slot, view), info), buffer) in slots.zip(bound.buffers) {
             self.check_binding(pipeline, info.name, buffer);
+            if let Some(format) = info.texels {
+                *view = self.texel_view(pipeline, info.name, buffer, format);
+            }
             self.kept.block(buffer.block());
             let (offset, bytes) = (buffer.offset(), buffer.bytes());
             *slot = vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(offset).range(bytes);
@@ -35,11 +41,14 @@ impl Recorder {
         }
         let mut writes = [vk::WriteDescriptorSet::default(); MAX_BINDINGS + MAX_IMAGES];
         let (first, rest) = writes.split_at_mut(bound.buffers.len());
-        for ((write, info), slot) in first.iter_mut().zip(pipeline.bindings).zip(&buffers) {
-            *write = vk::WriteDescriptorSet::default()
-                .dst_binding(info.binding)
-                .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
-                .buffer_info(std::slice::from_ref(slot));
+        let slots = pipeline.bindings.iter().zip(&buffers).zip(&views);
+        for (write, ((info, slot), view)) in first.iter_mut().zip(slots) {
+            let empty = vk::WriteDescriptorSet::default().dst_binding(info.binding);
+            let empty = empty.descriptor_type(info.descriptor_type());
+            *write = match info.texels {
+                None => empty.buffer_info(std::slice::from_ref(slot)),
+                Some(_) => empty.texel_buffer_view(std::slice::from_ref(view)),
+            };
         }
         for ((write, info), slot) in rest.iter_mut().zip(pipeline.images).zip(&images) {
             *write = vk::WriteDescriptorSet::default()
@@ -67,6 +76,24 @@ impl Recorder {
             buffer.offset(),
             limits.storage_alignment
         );
+    }
+
+    /// A buffer as texels. Fails for one that cannot be bound so.
+    fn texel_view(&self, pipeline: &Pipeline, role: &str, buffer: &Buffer, format: TexelFormat) -> vk::BufferView {
+        let limits = &self.inner.limits;
+        let (kernel, name, offset, bytes) = (pipeline.name, buffer.name(), buffer.offset(), buffer.bytes());
+        let texels = bytes / format.bytes();
+        assert!(
+            texels <= limits.max_texels && texels > 0 && offset.is_multiple_of(limits.texel_alignment),
+            "{kernel}: '{name}' bound as '{role}' has {texels} texels at {offset}; at most {} at a multiple of {}",
+            limits.max_texels,
+            limits.texel_alignment
+        );
+        let block = buffer.block();
+        match block.texels.of(&self.inner, buffer.raw(), TexelRange { offset, bytes, format }) {
+            Ok(view) => view,
+            Err(error) => panic!("{kernel}: {error}"),
+        }
     }
 
     fn bind(&mut self, pipeline: &Pipeline, writes: &mut [vk::WriteDescriptorSet<'_>], push: &[u8]) {

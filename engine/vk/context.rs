@@ -227,6 +227,7 @@ impl Context {
             if push {
                 return Ok((limits, None));
             }
+            limits.max_texels = 0;
             limits.max_push_descriptors = descriptors::BUFFERS;
             Ok((limits, Some(descriptors::shared_layout(&device)?)))
         });

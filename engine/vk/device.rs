@@ -260,6 +260,8 @@ fn limits(
         max_storage_buffer_range: u64::from(l.max_storage_buffer_range),
         max_allocation_bytes: v11.max_memory_allocation_size.min(v13.max_buffer_size),
         heap_bytes: local.unwrap_or(0),
+        max_texels: l.max_texel_buffer_elements.into(),
+        texel_alignment: l.min_texel_buffer_offset_alignment.max(16),
         storage_alignment: l.min_storage_buffer_offset_alignment.max(4),
         push_constant_bytes: l.max_push_constants_size,
         max_push_descriptors: push.max_push_descriptors,

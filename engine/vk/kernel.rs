@@ -4,6 +4,7 @@ use super::buffer::Buffer;
 use super::context::{Context, Inner};
 use super::image::{Image, ImageUse};
 use super::limits::{CHOSEN_BY_HOST, Limits};
+use super::texels::TexelFormat;
 use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
@@ -28,7 +29,7 @@ impl Access {
     }
 }
 
-/// A storage buffer of a shader.
+/// A buffer of a shader.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BindingInfo {
     /// Its name, also that of the field in `Bind`.
@@ -37,6 +38,17 @@ pub struct BindingInfo {
     pub binding: u32,
     /// What the shader does with it.
     pub access: Access,
+    /// How it is read as texels; None: a storage buffer.
+    pub texels: Option<TexelFormat>,
+}
+
+impl BindingInfo {
+    pub(super) fn descriptor_type(&self) -> vk::DescriptorType {
+        match self.texels {
+            None => vk::DescriptorType::STORAGE_BUFFER,
+            Some(_) => vk::DescriptorType::UNIFORM_TEXEL_BUFFER,
+        }
+    }
 }
 
 /// An image of a shader.
@@ -141,6 +153,7 @@ struct Demands {
     shared_bytes: u32,
     push_bytes: u32,
     bindings: u32,
+    texels: bool,
     images: &'static [ImageInfo],
 }
 
@@ -160,6 +173,7 @@ impl<K: KernelInterface> Kernel<K> {
             shared_bytes: K::shared_bytes(spec),
             push_bytes: K::PUSH_BYTES,
             bindings: K::BINDINGS.len() as u32,
+            texels: K::BINDINGS.iter().any(|b| b.texels.is_some()),
             images: K::IMAGES,
         };
         check(&demands, context.limits())?;
@@ -210,6 +224,9 @@ fn check(d: &Demands, limits: &Limits) -> Result<()> {
     let invocations = u64::from(x) * u64::from(y) * u64::from(z);
     if invocations == 0 {
         return argument("a workgroup of no invocations".to_owned());
+    }
+    if d.texels && limits.max_texels == 0 {
+        return argument("reads texels, which takes VK_KHR_push_descriptor".to_owned());
     }
     if let Some(size) = d.subgroup_size {
         let (min, max) = (limits.min_subgroup_size, limits.max_subgroup_size);
@@ -309,7 +326,7 @@ impl Pipeline {
                 .descriptor_count(1)
                 .stage_flags(vk::ShaderStageFlags::COMPUTE)
         };
-        let buffers = self.bindings.iter().map(|b| slot(b.binding, vk::DescriptorType::STORAGE_BUFFER));
+        let buffers = self.bindings.iter().map(|b| slot(b.binding, b.descriptor_type()));
         let images = self.images.iter().map(|i| slot(i.binding, i.purpose.descriptor_type()));
         let slots: Vec<_> = buffers.chain(images).collect();
         let set = vk::DescriptorSetLayoutCreateInfo::default()

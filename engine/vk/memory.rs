@@ -5,6 +5,7 @@ use super::budget::MAX_MEMORY;
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
 use super::guards::GUARD_BYTES;
+use super::texels::TexelViews;
 use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
@@ -138,6 +139,7 @@ pub(super) struct Block {
     owned: bool,
     /// Submissions that use the block and have not been waited for.
     pub(super) in_flight: AtomicU32,
+    pub(super) texels: TexelViews,
 }
 
 /// Identifies blocks and images in the hazard checker.
@@ -152,6 +154,7 @@ impl Block {
         kind: MemoryKind,
     ) -> Result<Self> {
         let usage = vk::BufferUsageFlags::STORAGE_BUFFER
+            | vk::BufferUsageFlags::UNIFORM_TEXEL_BUFFER
             | vk::BufferUsageFlags::INDIRECT_BUFFER
             | vk::BufferUsageFlags::TRANSFER_SRC
             | vk::BufferUsageFlags::TRANSFER_DST;
@@ -170,6 +173,7 @@ impl Block {
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             owned: true,
             in_flight: AtomicU32::new(0),
+            texels: TexelViews::default(),
         };
         inner.registry.add(arena, bytes);
         block.bind_memory(kind)?;
@@ -311,6 +315,7 @@ impl Drop for Block {
             return;
         }
         self.inner.registry.remove(&self.arena, self.bytes);
+        self.texels.destroy(&self.inner);
         // SAFETY: recordings and submissions hold the block until they are done with it, so it is idle; null handles
         // are allowed.
         unsafe {

@@ -66,6 +66,7 @@ mod profiler;
 mod recorder;
 mod requirements;
 mod submit;
+mod texels;
 mod transfer;
 
 pub use allocator::{HostAllocator, HostMemory, MemoryRequest};
@@ -87,6 +88,7 @@ pub use profiler::ScopeTime;
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, OptionalExtension, Requirements};
 pub use submit::{Pending, RunReport};
+pub use texels::TexelFormat;
 
 /// The error for a failed Vulkan call.
 fn vk_error(call: &'static str) -> impl Fn(ash::vk::Result) -> crate::Error {

@@ -1,5 +1,5 @@
 // The window of SSIM: 11 x 11 Gaussian, sigma 1.5, separable, zero padding (Wang et al. 2004, as the reference uses it).
-// Needs FLOAT_PHOTO, `accumulated`, `photo`, `background`.
+// Needs FLOAT_PHOTO, accumulated_at(pixel), photo_word(index), `background`.
 
 const uint SSIM_RADIUS = 5;
 const uint SSIM_TAPS = 11;
@@ -11,9 +11,10 @@ const float SSIM_WINDOW[SSIM_TAPS] = float[](
 
 // Rendered value x and the photograph's y at a pixel.
 vec2 rendered_and_photo(uint pixel, uint channel) {
-    float x = accumulated[pixel][channel] + accumulated[pixel].w * background[channel];
-    float y = FLOAT_PHOTO ? uintBitsToFloat(photo[3 * pixel + channel]) : float(photo[pixel] >> (8 * channel) & 0xFF) / 255.0;
-    return vec2(x, y);
+    vec4 rendered = accumulated_at(pixel);
+    uint word = photo_word(FLOAT_PHOTO ? 3 * pixel + channel : pixel);
+    float y = FLOAT_PHOTO ? uintBitsToFloat(word) : float(word >> (8 * channel) & 0xFF) / 255.0;
+    return vec2(rendered[channel] + rendered.w * background[channel], y);
 }
 
 // What is windowed: only the sum of the two variances occurs in SSIM, so that four moments will do.

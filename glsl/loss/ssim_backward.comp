@@ -31,6 +31,14 @@ layout(push_constant, scalar) uniform Push {
     float lambda_dssim;
 };
 
+vec4 accumulated_at(uint pixel) {
+    return accumulated[pixel];
+}
+
+uint photo_word(uint index) {
+    return photo[index];
+}
+
 #include "ssim.glsl"
 #include "ssim_block.glsl"
 

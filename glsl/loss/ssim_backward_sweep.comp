@@ -4,10 +4,11 @@
 // invocation: STRIP columns and `rows` rows of one channel, see ssim_sweep.glsl; subgroup, workgroup: nothing in common
 // in, PerPixel: accumulated, photo; PerPixel and channel: derivatives as ssim_forward_sweep.comp leaves them;
 // out, PerPixel: image_gradient[4 * pixel + channel]
-// shared: none; any subgroup size
+// shared: none; any subgroup size; reads texels
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
+#extension GL_EXT_samplerless_texture_functions : require
 #extension GL_GOOGLE_include_directive : require
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 32;
@@ -17,9 +18,9 @@ layout(constant_id = 2) const uint STRIP = 8;
 layout(constant_id = 3) const bool FLOAT_PHOTO = false;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer Photo { uint photo[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer Derivatives { vec3 derivatives[]; };
+layout(set = 0, binding = 0) uniform textureBuffer accumulated;
+layout(set = 0, binding = 1) uniform utextureBuffer photo;
+layout(set = 0, binding = 2) uniform textureBuffer derivatives;
 layout(set = 0, binding = 3, scalar) writeonly buffer ImageGradient { float image_gradient[]; };
 
 layout(push_constant, scalar) uniform Push {
@@ -36,6 +37,14 @@ layout(push_constant, scalar) uniform Push {
 
 #define SWEPT vec3
 
+vec4 accumulated_at(uint pixel) {
+    return texelFetch(accumulated, int(pixel));
+}
+
+uint photo_word(uint index) {
+    return texelFetch(photo, int(index)).x;
+}
+
 #include "ssim.glsl"
 #include "dispatch.glsl"
 #include "ssim_sweep.glsl"
@@ -50,7 +59,7 @@ void main() {
             int x = sweep.first.x + int(k) - int(SSIM_RADIUS);
             bool inside = inside_y && x >= 0 && x < int(image_width);
             uint index = inside ? (plane + uint(y)) * image_width + uint(x) : 0;
-            vec3 value = derivatives[index];
+            vec3 value = texelFetch(derivatives, int(index)).xyz;
             sweep_row[k] = inside ? value : vec3(0.0);
         }
         int complete_y = y - int(SSIM_RADIUS);

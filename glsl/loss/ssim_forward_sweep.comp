@@ -3,12 +3,13 @@
 //
 // invocation: STRIP columns and `rows` rows of one channel, see ssim_sweep.glsl; subgroup, workgroup: nothing in common
 // in, PerPixel: accumulated (r, g, b, T), photo (RGBA8); out, PerPixel and channel (channel * pixels + pixel, from the
-//     first channel of the dispatch): derivatives of SSIM by the windowed x, x^2 and x y;
+//     first channel of the dispatch): derivatives of SSIM by the windowed x, x^2 and x y, and a 0;
 //     loss_partials[first_partial + invocation] = sums of (|x - y|, SSIM)
-// shared: none; any subgroup size
+// shared: none; any subgroup size; reads texels
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
+#extension GL_EXT_samplerless_texture_functions : require
 #extension GL_GOOGLE_include_directive : require
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 32;
@@ -18,9 +19,9 @@ layout(constant_id = 2) const uint STRIP = 8;
 layout(constant_id = 3) const bool FLOAT_PHOTO = false;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer Photo { uint photo[]; };
-layout(set = 0, binding = 2, scalar) writeonly buffer Derivatives { vec3 derivatives[]; };
+layout(set = 0, binding = 0) uniform textureBuffer accumulated;
+layout(set = 0, binding = 1) uniform utextureBuffer photo;
+layout(set = 0, binding = 2, scalar) writeonly buffer Derivatives { vec4 derivatives[]; };
 layout(set = 0, binding = 3, scalar) writeonly buffer LossPartials { vec2 loss_partials[]; };
 
 layout(push_constant, scalar) uniform Push {
@@ -37,6 +38,14 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #define SWEPT vec4
+
+vec4 accumulated_at(uint pixel) {
+    return texelFetch(accumulated, int(pixel));
+}
+
+uint photo_word(uint index) {
+    return texelFetch(photo, int(index)).x;
+}
 
 #include "ssim.glsl"
 #include "dispatch.glsl"
@@ -65,7 +74,7 @@ void main() {
             vec3 d;
             float ssim = ssim_and_derivatives(sweep_window(c), d);
             if (complete && x < image_width) {
-                derivatives[(plane + uint(complete_y)) * image_width + x] = d;
+                derivatives[(plane + uint(complete_y)) * image_width + x] = vec4(d, 0.0);
                 sum.y += ssim;
             }
         }

@@ -67,6 +67,14 @@ pub enum Window {
 }
 
 impl Window {
+    /// Words of the derivatives at a pixel in one channel.
+    pub fn derivative_words(self) -> usize {
+        match self {
+            Self::Block { .. } => 3,
+            Self::Sweep { .. } => 4,
+        }
+    }
+
     /// Partial sums of a channel.
     pub fn partials(self, pictures: &Pictures) -> usize {
         let [width, height] = pictures.size;
@@ -82,7 +90,8 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffe
     let accumulated = &gpu.buffer("accumulated", &pictures.accumulated);
     let photo = &gpu.buffer("photo", &pictures.photo);
     let count = 3 * window.partials(pictures);
-    let derivatives = gpu.untouched::<[f32; 3]>("derivatives", 3 * pictures.pixels());
+    let words = 3 * window.derivative_words() * pictures.pixels();
+    let derivatives = gpu.untouched::<f32>("derivatives", words);
     let loss_partials = gpu.untouched::<[f32; 2]>("loss_partials", count);
     let [image_width, image_height] = pictures.size;
     let background = BACKGROUND.map(|x| x as f32);

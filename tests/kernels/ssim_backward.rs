@@ -20,8 +20,13 @@ pub fn check(gpu: &Gpu, size: [u32; 2], window: Window) {
         })
         .collect();
     let of_pixel = |t: &SsimPlane, i: usize| [t.d_mean[i], t.d_square[i], t.d_product[i]].map(|x| x as f32);
-    let derivatives: Vec<[f32; 3]> =
-        twins.iter().flat_map(|t| (0..count).map(move |i| of_pixel(t, i))).collect();
+    let mut derivatives: Vec<f32> = Vec::new();
+    for t in &twins {
+        for i in 0..count {
+            derivatives.extend(of_pixel(t, i));
+            derivatives.resize(derivatives.len() + window.derivative_words() - 3, f32::NAN);
+        }
+    }
     let derivatives = gpu.buffer("derivatives", &derivatives);
     for lambda in [0.2, 0.0, 1.0] {
         let actual = backward(gpu, &pictures, &derivatives, window, lambda);

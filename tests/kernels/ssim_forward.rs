@@ -10,7 +10,9 @@ pub fn check(gpu: &Gpu, size: [u32; 2], window: Window) {
     let pictures = Pictures::random(size);
     let (derivatives, partials) = forward(gpu, &pictures, window);
     let count = pictures.pixels();
-    let derivatives = gpu.read::<[f32; 3]>(&derivatives, 3 * count);
+    let words = window.derivative_words();
+    let derivatives = gpu.read::<f32>(&derivatives, 3 * words * count);
+    let derivatives: Vec<&[f32]> = derivatives.chunks_exact(words).collect();
     let per_channel = window.partials(&pictures);
     let partials = gpu.read::<[f32; 2]>(&partials, 3 * per_channel);
     for channel in 0..3 {
