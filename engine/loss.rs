@@ -20,11 +20,9 @@ pub enum Windowing {
 }
 
 impl Windowing {
-    /// Processors have no use for shared memory: it is memory like any other there. Sweeps read texels, of which a
-    /// buffer must not have more than the device allows.
+    /// Processors have no use for shared memory: it is memory like any other there.
     pub fn for_device(limits: &Limits) -> Self {
-        let texels = limits.max_storage_buffer_range / TexelFormat::R32Uint.bytes();
-        if limits.is_cpu && texels <= limits.max_texels { Self::Sweeps } else { Self::Blocks }
+        if limits.prefers_texels() { Self::Sweeps } else { Self::Blocks }
     }
 }
 

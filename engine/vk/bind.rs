@@ -79,7 +79,13 @@ impl Recorder {
     }
 
     /// A buffer as texels. Fails for one that cannot be bound so.
-    fn texel_view(&self, pipeline: &Pipeline, role: &str, buffer: &Buffer, format: TexelFormat) -> vk::BufferView {
+    fn texel_view(
+        &self,
+        pipeline: &Pipeline,
+        role: &str,
+        buffer: &Buffer,
+        format: TexelFormat,
+    ) -> vk::BufferView {
         let limits = &self.inner.limits;
         let (kernel, name, offset, bytes) = (pipeline.name, buffer.name(), buffer.offset(), buffer.bytes());
         let texels = bytes / format.bytes();

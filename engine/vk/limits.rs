@@ -91,6 +91,12 @@ impl Limits {
         (most / self.subgroup_size * self.subgroup_size).max(self.subgroup_size)
     }
 
+    /// Whether kernels that exist in both forms should read texels: on a processor (see [`super::TexelFormat`]) where
+    /// no buffer that can be bound has more texels than may be read.
+    pub fn prefers_texels(&self) -> bool {
+        self.is_cpu && self.max_storage_buffer_range / super::TexelFormat::R32Uint.bytes() <= self.max_texels
+    }
+
     /// What [`Limits::overrides`] say of a constant of a kernel or of a folder of kernels; the last one counts.
     pub fn overridden(&self, kernel: &str, constant: &str) -> Option<u32> {
         let below = |folder: &str| kernel.strip_prefix(folder).is_some_and(|rest| rest.starts_with('/'));

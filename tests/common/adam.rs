@@ -1,7 +1,8 @@
 //! The optimiser's kernel with its state on the device.
 
 use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_NON_FINITE, STATE_WORDS};
-use ashsplat::kernels::optimizer::adam::{Bind, Interface, Push, Spec};
+use ashsplat::kernels::optimizer::adam::Push;
+use ashsplat::kernels::optimizer::{adam, adam_texels};
 use ashsplat::vk::{Buffer, Kernel};
 
 use super::gpu::Gpu;
@@ -39,10 +40,27 @@ pub struct Step {
     pub camera_position: [f64; 3],
 }
 
+/// The kernel that steps.
+#[derive(Clone)]
+enum Adam {
+    Stored(Kernel<adam::Interface>),
+    Texels(Kernel<adam_texels::Interface>),
+}
+
+impl Adam {
+    fn new(gpu: &Gpu, sh_degree: u32, sparse: bool, texels: bool) -> Adam {
+        let workgroup_size = gpu.workgroup(64);
+        match texels {
+            false => Self::Stored(gpu.kernel(&adam::Spec { workgroup_size, sh_degree, sparse })),
+            true => Self::Texels(gpu.kernel(&adam_texels::Spec { workgroup_size, sh_degree, sparse })),
+        }
+    }
+}
+
 /// Parameters and moments on the device.
 pub struct AdamState<'a> {
     gpu: &'a Gpu,
-    kernel: Kernel<Interface>,
+    kernel: Adam,
     workgroup: u32,
     count: usize,
     coefficients: usize,
@@ -54,14 +72,27 @@ pub struct AdamState<'a> {
 impl<'a> AdamState<'a> {
     /// Uploads Gaussians with zero moments.
     pub fn new(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, sparse: bool) -> AdamState<'a> {
-        let spec = Spec { workgroup_size: gpu.workgroup(64), sh_degree, sparse };
+        Self::with(gpu, gaussians, Adam::new(gpu, sh_degree, sparse, false))
+    }
+
+    /// The same with the kernel that reads texels.
+    pub fn reading_texels(
+        gpu: &'a Gpu,
+        gaussians: &[Gaussian],
+        sh_degree: u32,
+        sparse: bool,
+    ) -> AdamState<'a> {
+        Self::with(gpu, gaussians, Adam::new(gpu, sh_degree, sparse, true))
+    }
+
+    fn with(gpu: &'a Gpu, gaussians: &[Gaussian], kernel: Adam) -> AdamState<'a> {
         let (count, coefficients) = (gaussians.len(), gaussians[0].sh.len());
         let stride = count + 3;
         let zeros = || gpu.zeros::<[f32; 4]>("moments", planes(coefficients) * stride);
         AdamState {
             gpu,
-            kernel: gpu.kernel(&spec),
-            workgroup: spec.workgroup_size,
+            kernel,
+            workgroup: gpu.workgroup(64),
             count,
             coefficients,
             stride,
@@ -72,10 +103,10 @@ impl<'a> AdamState<'a> {
 
     /// Takes over the state of another, as a variant of the optimiser.
     pub fn continued(&self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
-        let spec = Spec { workgroup_size: self.workgroup, sh_degree, sparse };
+        let texels = matches!(self.kernel, Adam::Texels(_));
         AdamState {
             gpu: self.gpu,
-            kernel: self.gpu.kernel(&spec),
+            kernel: Adam::new(self.gpu, sh_degree, sparse, texels),
             parameters: self.parameters.clone(),
             moments: self.moments.clone(),
             ..*self
@@ -90,17 +121,31 @@ impl<'a> AdamState<'a> {
         let state = self.gpu.buffer("state", &state);
         let (index, rows) =
             (self.gpu.buffer("visible_index", &visible_index), self.gpu.buffer("gradients", &rows));
-        let bind = Bind {
-            parameters: &self.parameters,
-            moments_1: &self.moments[0],
-            moments_2: &self.moments[1],
-            visible_index: &index,
-            gradients: &rows,
-            state: &state,
-        };
+        let (parameters, [moments_1, moments_2]) = (&self.parameters, &self.moments);
+        let (visible_index, gradients, state) = (&index, &rows, &state);
         let workgroups = (self.count as u64).div_ceil(self.workgroup.into());
-        self.gpu.run(|recorder| recorder.dispatch(&self.kernel, &bind, &self.push(step), workgroups));
-        self.gpu.read::<u32>(&state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]
+        let push = self.push(step);
+        self.gpu.run(|recorder| match &self.kernel {
+            Adam::Stored(kernel) => {
+                let bind = adam::Bind { parameters, moments_1, moments_2, visible_index, gradients, state };
+                recorder.dispatch(kernel, &bind, &push, workgroups);
+            }
+            Adam::Texels(kernel) => {
+                let bind = adam_texels::Bind {
+                    parameters,
+                    moments_1,
+                    moments_2,
+                    visible_index,
+                    gradients,
+                    state,
+                    parameter_texels: parameters,
+                    moment_1_texels: moments_1,
+                    moment_2_texels: moments_2,
+                };
+                recorder.dispatch(kernel, &bind, &bytemuck::cast(push), workgroups);
+            }
+        });
+        self.gpu.read::<u32>(state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]
     }
 
     fn push(&self, step: &Step) -> Push {

@@ -8,9 +8,9 @@ use crate::reference::adam::{Parameter, adam, adam_sparse, is_skipped};
 use crate::reference::expand_gradients::sh_gradient;
 use crate::reference::types::Gaussian;
 
-const RATES: Rates =
+pub const RATES: Rates =
     Rates { mean: 1e-3, opacity: 0.025, quat: 2e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1.25e-4 };
-const CAMERA: [f64; 3] = [0.5, -0.25, -5.0];
+pub const CAMERA: [f64; 3] = [0.5, -0.25, -5.0];
 
 /// Everything that the optimiser holds of a Gaussian, with the rate of each.
 fn scalars(gaussian: &Gaussian) -> Vec<(f64, f64)> {
@@ -37,7 +37,7 @@ fn gradient_scalars(g: &VisibleGradient, mean: [f64; 3], sh_degree: u32, stored:
     all
 }
 
-fn random_gradients(random: &mut Random, count: usize) -> Vec<Option<VisibleGradient>> {
+pub fn random_gradients(random: &mut Random, count: usize) -> Vec<Option<VisibleGradient>> {
     let mut three = |scale: f64| [0; 3].map(|_| f64::from((scale * random.signed()) as f32));
     let gradients: Vec<VisibleGradient> = (0..count)
         .map(|i| VisibleGradient {
@@ -54,12 +54,19 @@ fn random_gradients(random: &mut Random, count: usize) -> Vec<Option<VisibleGrad
     gradients.into_iter().enumerate().map(|(i, g)| (i % 4 != 1).then_some(g)).collect()
 }
 
+/// A constructor of [`AdamState`].
+type NewState = for<'a> fn(&'a Gpu, &[Gaussian], u32, bool) -> AdamState<'a>;
+
+fn check(gpu: &Gpu, size: usize, degrees: [u32; 2], sparse: bool) {
+    check_with(AdamState::new, gpu, size, degrees, sparse);
+}
+
 /// Some steps on the device and by the twin.
-fn check(gpu: &Gpu, size: usize, [sh_degree, stored]: [u32; 2], sparse: bool) {
+pub fn check_with(new: NewState, gpu: &Gpu, size: usize, [sh_degree, stored]: [u32; 2], sparse: bool) {
     let mut random = Random::new(size as u64);
     let coefficients = ((stored + 1) * (stored + 1)) as usize;
     let gaussians = mixed_scene(&mut random, size, coefficients);
-    let state = AdamState::new(gpu, &gaussians, sh_degree, sparse);
+    let state = new(gpu, &gaussians, sh_degree, sparse);
     let mut twins: Vec<Vec<Parameter>> = gaussians
         .iter()
         .map(|g| {

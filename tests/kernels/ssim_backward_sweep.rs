@@ -90,3 +90,15 @@ fn loss_by_blocks_and_by_sweeps() {
     let difference = blocks.1.iter().zip(&sweeps.1).fold(0.0_f32, |worst, (a, b)| worst.max((a - b).abs()));
     assert!(difference <= 2e-5 * largest && largest > 0.0, "{difference} of {largest}");
 }
+
+/// Texels can only be bound by push descriptors: without them, the loss takes its other form.
+#[test]
+fn loss_without_texels() {
+    let options = ContextOptions { push_descriptors: false, ..options() };
+    let context = Context::new(&options).expect("a device");
+    assert_eq!(Windowing::for_device(context.limits()), Windowing::Blocks);
+    assert!(Loss::new(&context, PhotoFormat::Rgba8).is_ok());
+    let refused = Loss::with_windowing(&context, PhotoFormat::Rgba8, Windowing::Sweeps).err();
+    let message = refused.expect("no texels").to_string();
+    assert!(message.contains("ssim_forward_sweep") && message.contains("VK_KHR_push_descriptor"), "{message}");
+}

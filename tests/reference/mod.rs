@@ -7,6 +7,7 @@
 #![allow(clippy::needless_range_loop)]
 
 pub mod adam;
+pub mod adam_texels;
 pub mod blend;
 pub mod blend_backward;
 pub mod blend_shared;
