@@ -4,6 +4,10 @@
 //! Used by build.rs, which generates the typed interface of each kernel from it. Only what compute shaders of this
 //! crate use is understood; anything else is an error that says what.
 
+#[path = "spirv.rs"]
+mod spirv;
+
+use spirv::{operation, text};
 use std::collections::BTreeMap;
 
 /// What a shader declares.
@@ -253,6 +257,14 @@ impl Module {
         }
     }
 
+    fn binding(&self, variable: u32, name: &str) -> Result<u32, String> {
+        if self.decorations.get(&(variable, DESCRIPTOR_SET)) != Some(&0) {
+            return Err(format!("buffer '{name}': write set = 0"));
+        }
+        let binding = self.decorations.get(&(variable, BINDING)).copied();
+        binding.ok_or_else(|| format!("buffer '{name}' has no binding number"))
+    }
+
     fn storage_buffer(&self, variable: u32, block: u32) -> Result<Binding, String> {
         let block_name = self.name(block);
         let Some(Type::Struct(members)) = self.types.get(&block) else {
@@ -261,12 +273,7 @@ impl Module {
         if !self.decorations.contains_key(&(block, BLOCK)) {
             return Err(format!("'{block_name}' is not a buffer block"));
         }
-        if self.decorations.get(&(variable, DESCRIPTOR_SET)) != Some(&0) {
-            return Err(format!("buffer '{block_name}': write set = 0"));
-        }
-        let Some(&binding) = self.decorations.get(&(variable, BINDING)) else {
-            return Err(format!("buffer '{block_name}' has no binding number"));
-        };
+        let binding = self.binding(variable, block_name)?;
         let everywhere = |decoration| {
             self.decorations.contains_key(&(variable, decoration))
                 || (0..members.len() as u32)
@@ -281,12 +288,7 @@ impl Module {
 
     fn texel_buffer(&self, variable: u32, ty: u32) -> Result<Binding, String> {
         let name = self.name(variable).to_owned();
-        if self.decorations.get(&(variable, DESCRIPTOR_SET)) != Some(&0) {
-            return Err(format!("texels '{name}': write set = 0"));
-        }
-        let Some(&binding) = self.decorations.get(&(variable, BINDING)) else {
-            return Err(format!("texels '{name}' have no binding number"));
-        };
+        let binding = self.binding(variable, &name)?;
         let component = match self.types.get(&ty) {
             Some(Type::TexelBuffer { of }) => self.types.get(of),
             _ => None,
@@ -308,7 +310,7 @@ impl Module {
             return Err(format!("image '{name}': write set = 0, binding = {wanted}"));
         }
         let (reads, writes) = (at(NON_READABLE).is_none(), storage && at(NON_WRITABLE).is_none());
-        Ok(ImageBinding { binding: Binding { name, binding: wanted, reads, writes }, storage })
+        Ok(ImageBinding { binding: Binding { name, binding: wanted, reads, writes, texels: None }, storage })
     }
 
     fn push_block(&self, block: u32) -> Result<Vec<PushField>, String> {
@@ -445,36 +447,4 @@ impl Module {
             _ => Err("an array length is not a constant".into()),
         }
     }
-}
-
-fn operation(opcode: u32, v: &[String]) -> Result<String, String> {
-    let binary = |op: &str| Ok(format!("(({}) {op} ({}))", v[0], v[1]));
-    let compare = |op: &str| Ok(format!("((({}) {op} ({})) as u32)", v[0], v[1]));
-    match opcode {
-        124 => Ok(v[0].clone()),
-        128 => binary("+"),
-        130 => binary("-"),
-        132 => binary("*"),
-        134 | 135 => binary("/"),
-        137..=139 => binary("%"),
-        194 | 195 => binary(">>"),
-        196 => binary("<<"),
-        166 | 197 => binary("|"),
-        198 => binary("^"),
-        167 | 199 => binary("&"),
-        169 => Ok(format!("(if ({}) != 0 {{ {} }} else {{ {} }})", v[0], v[1], v[2])),
-        164 | 170 => compare("=="),
-        165 | 171 => compare("!="),
-        172 | 173 => compare(">"),
-        174 | 175 => compare(">="),
-        176 | 177 => compare("<"),
-        178 | 179 => compare("<="),
-        168 => Ok(format!("(1 - ({}))", v[0])),
-        other => Err(format!("operation {other} in an array length is not supported")),
-    }
-}
-
-fn text(words: &[u32]) -> String {
-    let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).take_while(|&b| b != 0).collect();
-    String::from_utf8_lossy(&bytes).into_owned()
 }

@@ -5,7 +5,6 @@ use super::budget::MAX_MEMORY;
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
 use super::guards::GUARD_BYTES;
-use super::texels::TexelViews;
 use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
@@ -139,7 +138,7 @@ pub(super) struct Block {
     owned: bool,
     /// Submissions that use the block and have not been waited for.
     pub(super) in_flight: AtomicU32,
-    pub(super) texels: TexelViews,
+    pub(super) texels: super::texels::TexelViews,
 }
 
 /// Identifies blocks and images in the hazard checker.
@@ -173,7 +172,7 @@ impl Block {
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             owned: true,
             in_flight: AtomicU32::new(0),
-            texels: TexelViews::default(),
+            texels: Default::default(),
         };
         inner.registry.add(arena, bytes);
         block.bind_memory(kind)?;
@@ -198,6 +197,7 @@ impl Block {
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             owned: false,
             in_flight: AtomicU32::new(0),
+            texels: Default::default(),
         }
     }
 
@@ -421,10 +421,9 @@ impl Context {
             }
         };
         let arena: Arc<str> = arena.into();
-        let blocks: Result<Vec<_>> = (packing.blocks.iter().enumerate())
+        let blocks = (packing.blocks.iter().enumerate())
             .map(|(number, &bytes)| Ok(Arc::new(Block::new(&self.0, &arena, number, bytes, kind)?)))
-            .collect();
-        let blocks = blocks?;
+            .collect::<Result<Vec<_>>>()?;
         let places = requests.iter().zip(&packing.places);
         let buffers: Vec<Buffer> = places
             .map(|(&(name, bytes), &(block, offset))| {

@@ -54,18 +54,16 @@ pub fn random_gradients(random: &mut Random, count: usize) -> Vec<Option<Visible
     gradients.into_iter().enumerate().map(|(i, g)| (i % 4 != 1).then_some(g)).collect()
 }
 
-/// A constructor of [`AdamState`].
-type NewState = for<'a> fn(&'a Gpu, &[Gaussian], u32, bool) -> AdamState<'a>;
-
 fn check(gpu: &Gpu, size: usize, degrees: [u32; 2], sparse: bool) {
-    check_with(AdamState::new, gpu, size, degrees, sparse);
+    check_with(false, gpu, size, degrees, sparse);
 }
 
 /// Some steps on the device and by the twin.
-pub fn check_with(new: NewState, gpu: &Gpu, size: usize, [sh_degree, stored]: [u32; 2], sparse: bool) {
+pub fn check_with(texels: bool, gpu: &Gpu, size: usize, [sh_degree, stored]: [u32; 2], sparse: bool) {
     let mut random = Random::new(size as u64);
     let coefficients = ((stored + 1) * (stored + 1)) as usize;
     let gaussians = mixed_scene(&mut random, size, coefficients);
+    let new = if texels { AdamState::reading_texels } else { AdamState::new };
     let state = new(gpu, &gaussians, sh_degree, sparse);
     let mut twins: Vec<Vec<Parameter>> = gaussians
         .iter()

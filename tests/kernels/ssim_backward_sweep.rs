@@ -100,5 +100,8 @@ fn loss_without_texels() {
     assert!(Loss::new(&context, PhotoFormat::Rgba8).is_ok());
     let refused = Loss::with_windowing(&context, PhotoFormat::Rgba8, Windowing::Sweeps).err();
     let message = refused.expect("no texels").to_string();
-    assert!(message.contains("ssim_forward_sweep") && message.contains("VK_KHR_push_descriptor"), "{message}");
+    assert!(
+        message.contains("ssim_forward_sweep") && message.contains("VK_KHR_push_descriptor"),
+        "{message}"
+    );
 }
