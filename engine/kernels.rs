@@ -29,8 +29,13 @@ mod tests {
     #[test]
     fn a_shader_is_reflected() {
         let shader = reflect(super::scan::scan_reduce::Interface::SPIRV).expect("valid SPIR-V");
-        let buffer =
-            |name: &str, binding, reads, writes| Binding { name: name.into(), binding, reads, writes };
+        let buffer = |name: &str, binding, reads, writes| Binding {
+            name: name.into(),
+            binding,
+            reads,
+            writes,
+            texels: None,
+        };
         let buffers = [
             buffer("counts", 0, true, false),
             buffer("values", 1, true, false),
