@@ -191,7 +191,10 @@ impl Forward {
             [c::STATE_VISIBLE_NEEDED, inputs.capacity.gaussians, c::ARGUMENTS_VISIBLE, self.sizes.scan];
         self.record_prepare(r, f, counted);
         r.barrier();
-        for placed in inputs.placed() {
+        for (index, placed) in inputs.placed().enumerate() {
+            if index > 0 {
+                r.barrier();
+            }
             let plan = &placed.scene.plan;
             let ranges = plan.ranges(placed.scene.count).count() as u32;
             r.dispatch(

@@ -207,9 +207,7 @@ fn bench_train_measures_windows_of_real_training() {
     for run in runs(&report) {
         assert_eq!(run["name"], "train");
         let kernels = run["kernels"].as_array().expect("kernels");
-        assert!(
-            kernels.iter().any(|k| k["kernel"] == "optimizer/adam" && number(&k["time_us"]["median"]) > 0.0)
-        );
+        assert!(kernels.iter().any(|k| k["scope"] == "adam" && number(&k["time_us"]["median"]) > 0.0));
         assert!(number(&run["untimed_ms"]["mean"]) > 0.0);
     }
     refuse(&["bench", "train"], &["--dataset"]);
