@@ -15,15 +15,15 @@ use std::path::{Path, PathBuf};
 #[derive(Args, Clone)]
 pub struct SceneArguments {
     /// Gaussians of the synthetic scene
-    #[arg(long, value_name = "N", default_value_t = 100_000)]
+    #[arg(long, value_name = "N", default_value_t = 300_000)]
     pub gaussians: u32,
     /// SH degree of the synthetic scene
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=3))]
     pub sh_degree: u32,
-    /// Width of the picture, pixels [default: the camera's; 960 for a synthetic scene]
+    /// Width of the picture, pixels [default: the camera's; 1920 for a synthetic scene]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..))]
     pub width: Option<u32>,
-    /// Height of the picture, pixels [default: the camera's; 540 for a synthetic scene]
+    /// Height of the picture, pixels [default: the camera's; 1080 for a synthetic scene]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..))]
     pub height: Option<u32>,
     /// Seed of everything synthetic
@@ -76,7 +76,7 @@ impl SceneArguments {
                 let count = self.gaussians as usize;
                 Scene {
                     gaussians: synthetic::scene(self.seed, count, self.sh_degree),
-                    camera: synthetic::camera(960, 540),
+                    camera: synthetic::camera(1920, 1080),
                     view: None,
                     scene_extent: 2.5,
                     source: format!("synthetic, seed {}", self.seed),
