@@ -132,7 +132,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return capture(arguments, &context, &scene);
     }
     let yardsticks = Yardsticks::measure(&context)?;
-    let iterations = Iterations { measured: arguments.frames, warmup: arguments.warmup };
+    let iterations = Iterations { measured: arguments.frames, warmup: arguments.warmup, timed: true };
     let seed = arguments.scene.seed;
     let job =
         frames::Job { context: &context, iterations, copy: yardsticks.copy.as_ref(), scene: &scene, seed };

@@ -13,6 +13,8 @@ use std::time::{Duration, Instant};
 pub struct Iterations {
     pub measured: u32,
     pub warmup: u32,
+    /// Whether every second iteration is timed command by command.
+    pub timed: bool,
 }
 
 /// One timed iteration.
@@ -65,7 +67,7 @@ pub fn measure(
             all.push(spent);
             all
         });
-        context.set_timestamps(true);
+        context.set_timestamps(iterations.timed);
         prepare()?;
         context.set_profile(Some(&profile));
         profile.take();
@@ -82,6 +84,8 @@ pub fn measure(
     }
     measured.untimed_ms = Spread::of(all_untimed);
     measured.cpu_seconds = cpu.and_then(Spread::of);
+    context.set_timestamps(true);
+    let ratios = if iterations.timed { ratios } else { Vec::new() };
     measured.cost = Spread::of(ratios).map(|wall| Cost { wall, processor: cpu_ratios.and_then(Spread::of) });
     Ok(measured)
 }

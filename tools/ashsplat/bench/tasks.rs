@@ -14,6 +14,8 @@ use std::rc::Rc;
 pub enum Task {
     Scan(u32),
     Sort(u32),
+    /// A sort of so few pairs that timing its commands would show: as a whole only.
+    SortUntimed(u32),
     Render(Rc<Scene>, Iterations),
     TrainStep(Rc<Scene>),
     Train(Box<Training>),
@@ -78,8 +80,8 @@ pub fn of_all(arguments: &RunArguments, is_cpu: bool) -> Result<Vec<Task>> {
     let synthetic = Rc::new(own.load(false)?);
     let (few, iterations) = (arguments.elements.div_ceil(4), arguments.iterations());
     let mut tasks = vec![
-        Task::Scan(arguments.elements),
-        Task::Sort(few),
+        Task::Scan(arguments.values()),
+        Task::SortUntimed(few),
         Task::Sort(arguments.elements),
         Task::Render(synthetic.clone(), iterations),
     ];
@@ -88,6 +90,7 @@ pub fn of_all(arguments: &RunArguments, is_cpu: bool) -> Result<Vec<Task>> {
         let few = Iterations {
             measured: iterations.measured.min(FEW_ITERATIONS),
             warmup: iterations.warmup.min(1),
+            ..iterations
         };
         let iterations = if is_cpu && gaussians > MANY { few } else { iterations };
         tasks.push(Task::Render(Rc::new(frame.load(false)?), iterations));
@@ -116,6 +119,10 @@ impl Task {
         Ok(match self {
             Task::Scan(elements) => vec![primitives::scan(&primitive(*elements))?],
             Task::Sort(elements) => vec![primitives::sort(&primitive(*elements))?],
+            Task::SortUntimed(elements) => {
+                let iterations = Iterations { timed: false, ..iterations };
+                vec![primitives::sort(&primitives::Job { iterations, ..primitive(*elements) })?]
+            }
             Task::Render(scene, iterations) => {
                 vec![frames::render(&Job { context, iterations: *iterations, copy, scene, seed })?.0]
             }

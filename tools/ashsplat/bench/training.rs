@@ -76,7 +76,7 @@ impl Training {
                 Ok(())
             };
             // One step goes before them, in which the profile's own memory is made.
-            let iterations = Iterations { measured: (WINDOW - 1) / 2, warmup: 0 };
+            let iterations = Iterations { measured: (WINDOW - 1) / 2, warmup: 0, timed: true };
             let measured = measure(context, iterations, || Ok(()), iterate)?;
             let workload = self.workload(end, &last, trainer.settings());
             let count = last.gaussians;
