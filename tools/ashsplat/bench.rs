@@ -62,7 +62,7 @@ enum What {
 #[derive(Args)]
 pub struct RunArguments {
     /// Pairs of the sort; the scan takes four times as many values
-    #[arg(long, value_name = "N", default_value_t = 1 << 22)]
+    #[arg(long, value_name = "N", default_value_t = 1 << 22, value_parser = clap::value_parser!(u32).range(1..=1 << 28))]
     elements: u32,
     #[command(flatten)]
     pub scene: SceneArguments,
@@ -134,14 +134,21 @@ fn compare_files(files: &CompareArguments) -> Result<()> {
     for (name, report) in [("A", &a), ("B", &b)] {
         let commit = report.program.commit.as_deref().unwrap_or("no checkout");
         say!(
-            "{name}: {}, {}, ashsplat {} ({commit})",
+            "{name}: {}, {}, ashsplat {} ({commit}, {})",
             report.device.name,
             report.device.driver,
-            report.program.version
+            report.program.version,
+            report.program.build
         );
     }
     say!("{}", compare::table(&lines));
-    files.fail_above.map_or(Ok(()), |limit| compare::check(&lines, limit))
+    let unpaired = compare::unpaired(&a, &b);
+    unpaired.iter().for_each(|kernel| say!("{kernel}"));
+    let Some(limit) = files.fail_above else { return Ok(()) };
+    if !unpaired.is_empty() {
+        return Err(Error::argument("kernels that cannot be compared", unpaired.join(", ")));
+    }
+    compare::check(&lines, limit)
 }
 
 fn measure_all(
@@ -156,6 +163,7 @@ fn measure_all(
     for task in tasks {
         runs.extend(task.run(&context, arguments, yardsticks.copy.as_ref())?);
     }
+    name_apart(&mut runs);
     let report = assemble(&context, arguments.iterations(), arguments.scene.seed, (yardsticks, runs));
     arguments.write(&report)?;
     if !arguments.quiet {
@@ -165,10 +173,32 @@ fn measure_all(
     Ok(())
 }
 
+/// Where several runs have the same name, all but the first get their size behind it.
+fn name_apart(runs: &mut [Run]) {
+    let mut seen: Vec<String> = Vec::new();
+    for run in runs {
+        if seen.contains(&run.name) {
+            let w = &run.workload;
+            let size = match (w.elements, w.gaussians, w.width, w.height) {
+                (Some(elements), ..) => elements.to_string(),
+                (_, Some(gaussians), Some(width), Some(height)) => format!("{gaussians}@{width}x{height}"),
+                _ => String::new(),
+            };
+            run.name = format!("{}-{size}", run.name);
+        }
+        let mut name = run.name.clone();
+        while seen.contains(&name) {
+            name.push('\'');
+        }
+        run.name.clone_from(&name);
+        seen.push(name);
+    }
+}
+
 impl RunArguments {
     /// Values of a scan, which takes so little time that fewer would be lost in the cost of timing them.
     fn values(&self) -> u32 {
-        self.elements.saturating_mul(4).min(1 << 26)
+        self.elements.saturating_mul(4).min(1 << 28)
     }
 
     fn iterations(&self) -> Iterations {

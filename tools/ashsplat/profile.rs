@@ -10,6 +10,7 @@ mod watch;
 
 use crate::args::DeviceArguments;
 use crate::bench::measure::{Iterations, Yardsticks};
+use crate::bench::schema::KernelResult;
 use crate::bench::workload::{self, SceneArguments};
 use crate::bench::{self, frames, table};
 use crate::output;
@@ -147,8 +148,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let page = page::page(&context, &scene, &run, &measured)?;
         output::write_text(path, &page)?;
     }
-    if let Some(name) = &arguments.kernel {
-        run.kernels.retain(|k| k.kernel == *name || k.kernel.starts_with(&format!("{name}/")));
+    only(arguments.kernel.as_deref(), &mut run.kernels)?;
+    if !arguments.spec.is_empty() {
+        say!("with {}", arguments.spec.join(", "));
     }
     let report = bench::assemble(&context, iterations, seed, (yardsticks, vec![run]));
     say!("{}", table::render(&report).trim_end());
@@ -163,6 +165,18 @@ fn capture(arguments: &Arguments, context: &Context, scene: &workload::Scene) ->
     subject.warm_up(arguments.warmup)?;
     subject.captured()?;
     say!("one {} was marked as a capture", arguments.what.name());
+    Ok(())
+}
+
+/// Keeps the kernels that were asked for; what did not run is refused.
+fn only(name: Option<&str>, kernels: &mut Vec<KernelResult>) -> Result<()> {
+    let Some(name) = name else { return Ok(()) };
+    let ran: Vec<String> = kernels.iter().map(|k| k.kernel.clone()).collect();
+    kernels.retain(|k| k.kernel == name || k.kernel.starts_with(&format!("{name}/")));
+    if kernels.is_empty() {
+        let problem = format!("did not run here; these did: {}", ran.join(", "));
+        return Err(Error::argument(format!("--kernel {name}"), problem));
+    }
     Ok(())
 }
 

@@ -83,6 +83,14 @@ pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
         let problem = format!("one has {}, the other {}; compare like with like", names(a), names(b));
         return Err(Error::argument("the runs differ", problem));
     }
+    if a.runs.is_empty() {
+        return Err(Error::argument("the results", "hold no runs; measure again"));
+    }
+    if a.settings.clock != b.settings.clock {
+        let problem =
+            format!("one has times of the {}, the other of the {}", a.settings.clock, b.settings.clock);
+        return Err(Error::argument("the clocks differ", problem));
+    }
     let mut lines = Vec::new();
     for (a, b) in a.runs.iter().zip(&b.runs) {
         check_workloads(a, b)?;
@@ -94,6 +102,23 @@ pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
         lines.extend(kernels(&a.name, &a.kernels, &b.kernels));
     }
     Ok(lines)
+}
+
+/// Kernels whose time only one of the reports has: "only in A: ...".
+pub fn unpaired(a: &Report, b: &Report) -> Vec<String> {
+    let mut found = Vec::new();
+    for (name, one, other) in [("A", a, b), ("B", b, a)] {
+        for (one, other) in one.runs.iter().zip(&other.runs) {
+            let timed = one.kernels.iter().filter(|k| k.time_us.is_some());
+            let alone = timed.filter(|k| {
+                let twin = |o: &&KernelResult| (&o.scope, &o.kernel) == (&k.scope, &k.kernel);
+                other.kernels.iter().find(twin).is_none_or(|o| o.time_us.is_none())
+            });
+            found
+                .extend(alone.map(|k| format!("only in {name}: {} {} in '{}'", one.name, k.kernel, k.scope)));
+        }
+    }
+    found
 }
 
 /// Pairs up the kernels of two measurements.

@@ -91,8 +91,11 @@ impl Training {
 
     fn workload(&self, end: u32, last: &StepReport, settings: &TrainSettings) -> Workload {
         let mut hash = Fnv::default();
-        hash.add(bytemuck::cast_slice(&self.initial.means));
-        self.views.iter().for_each(|view| hash.add(&view.photo.rgb));
+        hash.gaussians(&self.initial);
+        for view in &self.views {
+            hash.camera(&view.camera);
+            hash.add(&view.photo.rgb);
+        }
         hash.add(format!("{settings:?} {end}").as_bytes());
         let camera = self.views.first().map(|view| view.camera);
         Workload {

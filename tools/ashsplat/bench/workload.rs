@@ -157,17 +157,9 @@ impl Scene {
     /// For the result file; counts of a frame are filled in by whoever renders it.
     pub fn workload(&self, settings: &RenderSettings) -> Workload {
         let mut hash = Fnv::default();
-        let g = &self.gaussians;
-        hash.add(bytemuck::cast_slice(&g.means));
-        hash.add(bytemuck::cast_slice(&g.quats));
-        hash.add(bytemuck::cast_slice(&g.log_scales));
-        hash.add(bytemuck::cast_slice(&g.opacity_logits));
-        hash.add(bytemuck::cast_slice(&g.sh));
-        let c = &self.camera;
-        hash.add(bytemuck::cast_slice(&c.camera_from_world.to_cols_array()));
-        hash.add(bytemuck::cast_slice(&[c.translation.x, c.translation.y, c.translation.z]));
-        hash.add(bytemuck::cast_slice(&[c.fx, c.fy, c.cx, c.cy]));
-        hash.add(bytemuck::cast_slice(&[c.width, c.height]));
+        let (g, c) = (&self.gaussians, &self.camera);
+        hash.gaussians(g);
+        hash.camera(c);
         hash.add(format!("{settings:?}").as_bytes());
         if let Some(view) = &self.view {
             hash.add(&view.photo.rgb);
@@ -198,6 +190,21 @@ impl Fnv {
         for &byte in bytes {
             self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
         }
+    }
+
+    pub fn gaussians(&mut self, g: &Gaussians) {
+        self.add(bytemuck::cast_slice(&g.means));
+        self.add(bytemuck::cast_slice(&g.quats));
+        self.add(bytemuck::cast_slice(&g.log_scales));
+        self.add(bytemuck::cast_slice(&g.opacity_logits));
+        self.add(bytemuck::cast_slice(&g.sh));
+    }
+
+    pub fn camera(&mut self, c: &Camera) {
+        self.add(bytemuck::cast_slice(&c.camera_from_world.to_cols_array()));
+        self.add(bytemuck::cast_slice(&[c.translation.x, c.translation.y, c.translation.z]));
+        self.add(bytemuck::cast_slice(&[c.fx, c.fy, c.cx, c.cy]));
+        self.add(bytemuck::cast_slice(&[c.width, c.height]));
     }
 
     pub fn hex(&self) -> String {

@@ -32,7 +32,8 @@ pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<
     let [first, second] = &mut subjects;
     let difference = largest_difference(&first.picture()?, &second.picture()?);
     let measured = iterations.map(measured);
-    let kernels = [0, 1].map(|i: usize| measured[i].kernels(&Traffic::bound(), None));
+    let mut kernels = [0, 1].map(|i: usize| measured[i].kernels(&Traffic::bound(), None));
+    kernels.iter_mut().try_for_each(|kernels| super::only(arguments.kernel.as_deref(), kernels))?;
     let mut lines = vec![Line::whole(
         arguments.what.name(),
         "wall",
@@ -40,7 +41,12 @@ pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<
         measured[1].wall_ms().times(1e3),
     )];
     lines.extend(compare::kernels(arguments.what.name(), &kernels[0], &kernels[1]));
-    say!("A: {a}   B: {b}   {} iterations each, in turn", arguments.frames);
+    let both = if arguments.spec.is_empty() {
+        String::new()
+    } else {
+        format!("   both: {}", arguments.spec.join(", "))
+    };
+    say!("A: {a}   B: {b}{both}   {} iterations each, in turn", arguments.frames);
     say!("{}", compare::table(&lines).trim_end());
     say!("largest difference of the pictures: {difference}");
     Ok(())

@@ -76,6 +76,17 @@ pub fn parse(text: &str) -> Result<SpecOverride> {
     if ["WORKGROUP_SIZE", "SUBGROUP_SIZE"].contains(&name) && !bits.is_power_of_two() {
         return Err(argument(format!("{value} is no power of two")));
     }
+    let (least, most) = match name {
+        "WORKGROUP_SIZE" => (1, 1024),
+        "SUBGROUP_SIZE" => (4, 128),
+        // Loops of these lengths are unrolled.
+        "STRIP" | "PARTS" => (1, 64),
+        "ITEMS" => (1, 1 << 14),
+        _ => (0, u32::MAX),
+    };
+    if constant.kind == ConstantKind::Uint && !(least..=most).contains(&bits) {
+        return Err(argument(format!("{value} is not within {least} to {most}")));
+    }
     Ok(SpecOverride { kernel: kernel.to_owned(), constant: name.to_owned(), bits })
 }
 
@@ -145,6 +156,8 @@ mod tests {
         assert!(error("sort.ITEM=8").contains("ITEMS, SUBGROUP_SIZE"), "{}", error("sort.ITEM=8"));
         assert!(error("sort.ITEMS=many").contains("Uint"));
         assert!(error("sort.ITEMS").contains("=VALUE"));
+        assert!(error("WORKGROUP_SIZE=65536").contains("1 to 1024"));
+        assert!(error("sort.ITEMS=0").contains("1 to 16384"));
         assert!(error("WORKGROUP_SIZE=96").contains("power of two"));
         assert!(error("sort/sort_count.ITEMS=8").contains("sort.ITEMS, scan.ITEMS"));
     }
