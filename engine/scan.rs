@@ -84,7 +84,7 @@ impl Scan {
         self.record_from_block_sums(recorder, buffers, workgroups);
     }
 
-    /// Records the prefix sum of values whose sums per block of [`Scan::block`] lie in `block_sums` already; the caller
+    /// Records the prefix sum of values whose sums per block of `Scan::block` lie in `block_sums` already; the caller
     /// places a barrier before and after.
     pub fn record_from_block_sums(
         &self,

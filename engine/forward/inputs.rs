@@ -48,8 +48,8 @@ pub struct PlacedScene<'a> {
     pub camera: Camera,
     /// SH degree that is evaluated.
     pub sh_degree: u32,
-    /// Index of its first Gaussian among all of the frame: behind the scene before, a multiple of [`Blocks::stream`],
-    /// so that a block of culling belongs to one scene.
+    /// Index of its first Gaussian among all of the frame: behind the scene before, a multiple of
+    /// [`Blocks::stream`](crate::plan::Blocks::stream), so that a block of culling belongs to one scene.
     pub first: u32,
 }
 

@@ -30,7 +30,7 @@ pub trait Output: Write + Seek {}
 
 impl<T: Write + Seek> Output for T {}
 
-/// Like [`write`], for writers that return to earlier places, or fail for reasons of their own.
+/// Like [`write()`], for writers that return to earlier places, or fail for reasons of their own.
 ///
 /// # Errors
 /// What `fill` says, or [`Error::Io`] naming the file; nothing is left behind then.
