@@ -5,9 +5,9 @@
 //! same inputs on the same device give the same bits.
 
 use crate::error::Result;
-use crate::forward::{Forward, FrameInputs, camera_push, range_arguments};
+use crate::forward::{Forward, FrameInputs, camera_push, range_arguments, record_passes};
 use crate::kernels::backward::{blend_backward, expand_gradients, project_backward};
-use crate::plan::{Blocks, blocks, tile_grid};
+use crate::plan::{Blocks, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Tiles above which a Gaussian's slots are added by its whole subgroup.
@@ -112,23 +112,19 @@ impl Backward {
             sums_b: &f.sums_b,
             sums_c: &f.sums_c,
         };
-        let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
-        for pass in 0..inputs.capacity.blend_passes {
-            if pass > 0 {
-                r.barrier();
-            }
+        record_passes(r, inputs, &self.sizes, |r, pass, tiles| {
             let push = blend_backward::Push {
-                image_width: inputs.camera.width,
-                image_height: inputs.camera.height,
-                tiles_per_row: columns,
-                tile_count: columns * rows,
-                first_entry: pass.saturating_mul(self.sizes.entries_per_pass),
-                max_entries: self.sizes.entries_per_pass,
+                image_width: pass.image_width,
+                image_height: pass.image_height,
+                tiles_per_row: pass.tiles_per_row,
+                tile_count: pass.tile_count,
+                first_entry: pass.first_entry,
+                max_entries: pass.max_entries,
                 background: inputs.settings.background,
-                splat_stride: splats.stride,
+                splat_stride: pass.splat_stride,
             };
-            r.dispatch(kernel, &bind, &push, u64::from(columns) * u64::from(rows));
-        }
+            r.dispatch(kernel, &bind, &push, tiles);
+        });
     }
 
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics) {

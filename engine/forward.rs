@@ -9,6 +9,7 @@ mod blending;
 mod inputs;
 mod settings;
 
+pub(crate) use blending::record_passes;
 pub use blending::{BlendVariant, Blending};
 pub use inputs::{FrameInputs, PlacedScene};
 pub use settings::{Extent, JacobianLimit, RenderSettings};

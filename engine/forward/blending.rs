@@ -64,22 +64,6 @@ macro_rules! blend_bind {
     }};
 }
 
-/// The push constants of blend_io.glsl as another kernel's.
-macro_rules! blend_push {
-    ($kernel:ident, $push:expr) => {
-        $kernel::Push {
-            image_width: $push.image_width,
-            image_height: $push.image_height,
-            tiles_per_row: $push.tiles_per_row,
-            tile_count: $push.tile_count,
-            first_entry: $push.first_entry,
-            max_entries: $push.max_entries,
-            last_pass: $push.last_pass,
-            splat_stride: $push.splat_stride,
-        }
-    };
-}
-
 impl Blend {
     pub fn choose(&mut self, blending: Blending) {
         self.blending = blending;
@@ -125,7 +109,7 @@ impl Blend {
         match (self.blending, &self.regions[variant], &self.shared[variant]) {
             (Blending::Regions, Some(kernel), _) => {
                 record_passes(r, inputs, sizes, |r, push, tiles| {
-                    r.dispatch(kernel, &blend_bind!(blend, inputs, sizes), &blend_push!(blend, push), tiles);
+                    r.dispatch(kernel, &blend_bind!(blend, inputs, sizes), &bytemuck::cast(push), tiles);
                 });
             }
             (Blending::SharedMemory, _, Some(kernel)) => {
@@ -138,8 +122,9 @@ impl Blend {
     }
 }
 
-/// One pass, or as many as very long tiles need.
-fn record_passes(
+/// One pass over the tiles' lists, forward or backward, or as many as very long tiles need. `dispatch` is given the push
+/// constants of blend_io.glsl, which the forward kernels have in common, and the number of tiles.
+pub(crate) fn record_passes(
     r: &mut Recorder,
     inputs: &FrameInputs,
     sizes: &Blocks,

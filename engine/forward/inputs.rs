@@ -58,7 +58,7 @@ pub struct PlacedScene<'a> {
 pub(super) struct Part<'a> {
     pub(super) scene: &'a SceneBuffers,
     pub(super) frame: &'a FrameBuffers,
-    pub(super) camera: &'a Camera,
+    pub(super) camera: Camera,
     pub(super) settings: &'a RenderSettings,
     pub(super) sh_degree: u32,
     pub(super) range: GaussianRange,
@@ -68,23 +68,17 @@ pub(super) struct Part<'a> {
 
 impl<'a> FrameInputs<'a> {
     /// The scenes, each with its place.
-    pub(super) fn placed(&self) -> impl Iterator<Item = PlacedPart<'a>> + use<'a> {
+    pub(super) fn placed(&self) -> impl Iterator<Item = PlacedScene<'a>> + use<'a> {
         let first =
-            PlacedPart { scene: self.scene, camera: self.camera, sh_degree: self.sh_degree, first: 0 };
-        let others = self.others.iter().map(|o| PlacedPart {
-            scene: o.scene,
-            camera: &o.camera,
-            sh_degree: o.sh_degree,
-            first: o.first,
-        });
-        std::iter::once(first).chain(others)
+            PlacedScene { scene: self.scene, camera: *self.camera, sh_degree: self.sh_degree, first: 0 };
+        std::iter::once(first).chain(self.others.iter().copied())
     }
 
     /// The dispatches over parameters: chunk by chunk, scene by scene.
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
         let (frame, settings) = (self.frame, self.settings);
         self.placed().flat_map(move |placed| {
-            let PlacedPart { scene, camera, sh_degree, first } = placed;
+            let PlacedScene { scene, camera, sh_degree, first } = placed;
             let ranges = scene.plan.ranges(scene.count);
             ranges.map(move |range| {
                 let first = first + range.first;
@@ -105,12 +99,4 @@ impl<'a> FrameInputs<'a> {
         let gaps = ends.zip(self.others).map(|(end, next)| (end, next.first - end));
         gaps.filter(|(_, count)| *count > 0)
     }
-}
-
-#[derive(Clone, Copy)]
-pub(super) struct PlacedPart<'a> {
-    pub(super) scene: &'a SceneBuffers,
-    pub(super) camera: &'a Camera,
-    pub(super) sh_degree: u32,
-    pub(super) first: u32,
 }

@@ -82,7 +82,7 @@ pub(crate) fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4]
 /// Fills the push constants of camera_push.glsl, which several kernels share.
 macro_rules! camera_push {
     ($push:path, $inputs:expr, $range:expr $(, $extra:ident: $value:expr)*) => {{
-        let camera = $inputs.camera;
+        let camera = &$inputs.camera;
         let rows = camera.camera_from_world.transpose();
         $push {
             camera_row_x: rows.x_axis.to_array(),

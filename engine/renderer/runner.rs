@@ -79,17 +79,12 @@ impl FrameRunner {
         }
     }
 
-    /// What the frame's buffers can hold.
-    pub fn frame_capacity(&self) -> FrameCapacity {
-        self.store.capacity()
-    }
-
     /// The buffers of the last frame.
     pub fn frame(&self) -> Result<&FrameBuffers> {
         self.store.current()
     }
 
-    /// The capacity of the last frame.
+    /// What the last frame's buffers can hold.
     pub fn capacity(&self) -> FrameCapacity {
         self.store.capacity()
     }

@@ -134,7 +134,7 @@ impl Trainer {
     fn allocate_fresh(&self, capacity: u32) -> Result<Fresh> {
         let old = &self.training.scene.plan;
         let plan = ScenePlan::new(self.context.limits(), capacity, old.sh_degree)?;
-        if !budget::has_room(&self.context, &plan, old, &self.runner.frame_capacity()) {
+        if !budget::has_room(&self.context, &plan, old, &self.runner.capacity()) {
             return Err(Error::argument("densification", "the memory does not suffice"));
         }
         let arenas = ["scene", "moments", "moments", "spare"];
