@@ -16,15 +16,17 @@ pub(super) const SAMPLED_IMAGE: u32 = 17;
 /// Sets of one pool.
 const POOL_SETS: u32 = 128;
 
+/// One resource of a kernel in the layout of its set.
+pub(super) fn slot(binding: u32, kind: vk::DescriptorType) -> vk::DescriptorSetLayoutBinding<'static> {
+    vk::DescriptorSetLayoutBinding::default()
+        .binding(binding)
+        .descriptor_type(kind)
+        .descriptor_count(1)
+        .stage_flags(vk::ShaderStageFlags::COMPUTE)
+}
+
 /// The layout that every kernel's set has.
 pub(super) fn shared_layout(device: &ash::Device) -> Result<vk::DescriptorSetLayout> {
-    let slot = |binding, kind| {
-        vk::DescriptorSetLayoutBinding::default()
-            .binding(binding)
-            .descriptor_type(kind)
-            .descriptor_count(1)
-            .stage_flags(vk::ShaderStageFlags::COMPUTE)
-    };
     let mut slots: Vec<_> = (0..BUFFERS).map(|b| slot(b, vk::DescriptorType::STORAGE_BUFFER)).collect();
     slots.push(slot(STORAGE_IMAGE, vk::DescriptorType::STORAGE_IMAGE));
     slots.push(slot(SAMPLED_IMAGE, vk::DescriptorType::SAMPLED_IMAGE));

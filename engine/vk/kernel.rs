@@ -2,6 +2,7 @@
 
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
+use super::descriptors;
 use super::image::{Image, ImageUse};
 use super::limits::{CHOSEN_BY_HOST, Limits};
 use super::texels::TexelFormat;
@@ -319,15 +320,8 @@ impl Pipeline {
 
     fn create_layout(&mut self, push_bytes: u32) -> Result<()> {
         let device = &self.inner.device;
-        let slot = |binding, kind| {
-            vk::DescriptorSetLayoutBinding::default()
-                .binding(binding)
-                .descriptor_type(kind)
-                .descriptor_count(1)
-                .stage_flags(vk::ShaderStageFlags::COMPUTE)
-        };
-        let buffers = self.bindings.iter().map(|b| slot(b.binding, b.descriptor_type()));
-        let images = self.images.iter().map(|i| slot(i.binding, i.purpose.descriptor_type()));
+        let buffers = self.bindings.iter().map(|b| descriptors::slot(b.binding, b.descriptor_type()));
+        let images = self.images.iter().map(|i| descriptors::slot(i.binding, i.purpose.descriptor_type()));
         let slots: Vec<_> = buffers.chain(images).collect();
         let set = vk::DescriptorSetLayoutCreateInfo::default()
             .flags(vk::DescriptorSetLayoutCreateFlags::PUSH_DESCRIPTOR_KHR)

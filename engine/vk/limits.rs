@@ -60,6 +60,11 @@ pub struct SpecOverride {
     pub bits: u32,
 }
 
+/// Whether a kernel is the one that is named, "sort/sort_scan", or lies in the folder of kernels that is, "sort".
+pub fn is_kernel_of(kernel: &str, named: &str) -> bool {
+    kernel.strip_prefix(named).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+}
+
 /// Constants that the host counts workgroups with: it chooses them itself (and asks [`Limits::overridden`]), so that
 /// shader and host cannot differ.
 pub(super) const CHOSEN_BY_HOST: [&str; 7] =
@@ -99,9 +104,8 @@ impl Limits {
 
     /// What [`Limits::overrides`] say of a constant of a kernel or of a folder of kernels; the last one counts.
     pub fn overridden(&self, kernel: &str, constant: &str) -> Option<u32> {
-        let below = |folder: &str| kernel.strip_prefix(folder).is_some_and(|rest| rest.starts_with('/'));
         let meant = |o: &&SpecOverride| {
-            o.constant == constant && (o.kernel.is_empty() || o.kernel == kernel || below(&o.kernel))
+            o.constant == constant && (o.kernel.is_empty() || is_kernel_of(kernel, &o.kernel))
         };
         self.overrides.iter().rev().find(meant).map(|o| o.bits)
     }

@@ -11,6 +11,7 @@ pub mod device;
 pub mod engine;
 pub mod frame;
 pub mod gpu;
+pub mod keys;
 pub mod layout;
 pub mod loss;
 pub mod npz;

@@ -7,7 +7,8 @@ use ashsplat::ash::vk;
 use ashsplat::scene::{Gaussians, Pose};
 use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse};
 use ashsplat::{
-    DepthTarget, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, Update,
+    DepthTarget, DeviceScene, Frame, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
+    Update,
 };
 use glam::{Mat3, Quat, Vec3};
 
@@ -50,6 +51,16 @@ fn several_scenes_are_one_picture() {
     });
 }
 
+/// Few pixels differ by more than rounding.
+fn assert_nearly_equal(pixels: &[[f32; 4]], expected: &Frame) {
+    let differences = pixels
+        .iter()
+        .zip(&expected.color)
+        .map(|(p, c)| (0..3).map(|k| (p[k] - c[k]).abs()).fold(0.0, f32::max));
+    let far = differences.filter(|d| *d > 2e-3).count();
+    assert!(far <= pixels.len() / 500, "{far} pixels differ");
+}
+
 /// A pose moves a scene as if its Gaussians had been moved, and turns its spherical harmonics with it.
 #[test]
 fn a_pose_moves_a_scene() {
@@ -76,12 +87,7 @@ fn a_pose_moves_a_scene() {
         let placed = [Placed { scene: &scene, pose }];
         let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
         let expected = owned(&moved, &camera, &settings);
-        let differences = pixels
-            .iter()
-            .zip(&expected.color)
-            .map(|(p, c)| (0..3).map(|k| (p[k] - c[k]).abs()).fold(0.0, f32::max));
-        let far = differences.filter(|d| *d > 2e-3).count();
-        assert!(far <= pixels.len() / 500, "{far} pixels differ");
+        assert_nearly_equal(&pixels, &expected);
 
         // With view-dependent colour: object and camera turned together show the same as neither turned.
         let object = cloud(400, 6);
@@ -95,12 +101,7 @@ fn a_pose_moves_a_scene() {
         let placed = [Placed { scene: &scene, pose }];
         let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &turned, &settings));
         let expected = owned(&object, &camera, &settings);
-        let differences = pixels
-            .iter()
-            .zip(&expected.color)
-            .map(|(p, c)| (0..3).map(|k| (p[k] - c[k]).abs()).fold(0.0, f32::max));
-        let far = differences.filter(|d| *d > 2e-3).count();
-        assert!(far <= pixels.len() / 500, "{far} pixels differ");
+        assert_nearly_equal(&pixels, &expected);
     });
 }
 

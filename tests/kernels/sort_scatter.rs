@@ -4,6 +4,7 @@ use ashsplat::kernels::sort::sort_scatter::{Bind, Interface, Push, Spec};
 use ashsplat::vk::Kernel;
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
+use crate::common::keys::equal_and_extreme;
 use crate::common::scenes::Random;
 use crate::reference::sort_count::sort_count;
 use crate::reference::sort_scan::sort_scan;
@@ -81,12 +82,7 @@ fn sort_scatter_of_equal_and_extreme_keys() {
     let spec = spec(&gpu, false);
     let kernel = gpu.kernel::<Interface>(&spec);
     let size = (3 * spec.workgroup_size * spec.items + 5) as usize;
-    for key in [0, 0x0101_0101, u32::MAX] {
-        check(&gpu, &kernel, spec, &vec![key; size], [0, 8]);
+    for keys in equal_and_extreme(size) {
+        check(&gpu, &kernel, spec, &keys, [0, 8]);
     }
-    // Two keys in turns, and in halves.
-    let turns: Vec<u32> = (0..size as u32).map(|i| if i % 2 == 0 { 255 } else { 0 }).collect();
-    let halves: Vec<u32> = (0..size).map(|i| if i < size / 2 { 255 } else { 0 }).collect();
-    check(&gpu, &kernel, spec, &turns, [0, 8]);
-    check(&gpu, &kernel, spec, &halves, [0, 8]);
 }

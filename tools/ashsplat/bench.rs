@@ -110,7 +110,7 @@ struct CompareArguments {
 pub fn run(arguments: &Arguments) -> Result<()> {
     match &arguments.what {
         What::Scan(run) => measure_all(run, |run, _| Ok(vec![Task::Scan(run.values())])),
-        What::Sort(run) => measure_all(run, |run, _| Ok(vec![Task::Sort(run.elements)])),
+        What::Sort(run) => measure_all(run, |run, _| Ok(vec![Task::Sort(run.elements, run.iterations())])),
         What::Render(run) => measure_all(run, |run, _| tasks::of_frames(run, false)),
         What::TrainStep(run) => measure_all(run, |run, _| tasks::of_frames(run, true)),
         What::Train(run) => measure_all(run, |run, _| tasks::of_training(run)),

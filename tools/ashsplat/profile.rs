@@ -14,7 +14,7 @@ use crate::bench::schema::KernelResult;
 use crate::bench::workload::{self, SceneArguments};
 use crate::bench::{self, frames, table};
 use crate::output;
-use ashsplat::vk::{Context, SpecOverride};
+use ashsplat::vk::{Context, SpecOverride, is_kernel_of};
 use ashsplat::{Error, Result};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -172,7 +172,7 @@ fn capture(arguments: &Arguments, context: &Context, scene: &workload::Scene) ->
 fn only(name: Option<&str>, kernels: &mut Vec<KernelResult>) -> Result<()> {
     let Some(name) = name else { return Ok(()) };
     let ran: Vec<String> = kernels.iter().map(|k| k.kernel.clone()).collect();
-    kernels.retain(|k| k.kernel == name || k.kernel.starts_with(&format!("{name}/")));
+    kernels.retain(|k| is_kernel_of(&k.kernel, name));
     if kernels.is_empty() {
         let problem = format!("did not run here; these did: {}", ran.join(", "));
         return Err(Error::argument(format!("--kernel {name}"), problem));
@@ -184,7 +184,7 @@ fn only(name: Option<&str>, kernels: &mut Vec<KernelResult>) -> Result<()> {
 fn check_kernel(name: Option<&str>) -> Result<()> {
     let Some(name) = name else { return Ok(()) };
     let known = spec::kernels();
-    if known.iter().any(|k| *k == name || k.starts_with(&format!("{name}/"))) {
+    if known.iter().any(|k| is_kernel_of(k, name)) {
         return Ok(());
     }
     let problem = format!("there is no such kernel or folder; there are: {}", known.join(", "));

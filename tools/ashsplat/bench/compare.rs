@@ -110,10 +110,7 @@ pub fn unpaired(a: &Report, b: &Report) -> Vec<String> {
     for (name, one, other) in [("A", a, b), ("B", b, a)] {
         for (one, other) in one.runs.iter().zip(&other.runs) {
             let timed = one.kernels.iter().filter(|k| k.time_us.is_some());
-            let alone = timed.filter(|k| {
-                let twin = |o: &&KernelResult| (&o.scope, &o.kernel) == (&k.scope, &k.kernel);
-                other.kernels.iter().find(twin).is_none_or(|o| o.time_us.is_none())
-            });
+            let alone = timed.filter(|k| time_of_twin(k, &other.kernels).is_none());
             found
                 .extend(alone.map(|k| format!("only in {name}: {} {} in '{}'", one.name, k.kernel, k.scope)));
         }
@@ -121,12 +118,16 @@ pub fn unpaired(a: &Report, b: &Report) -> Vec<String> {
     found
 }
 
+/// The time of the same kernel in the same stage.
+fn time_of_twin(kernel: &KernelResult, among: &[KernelResult]) -> Option<Spread> {
+    among.iter().find(|k| (&k.scope, &k.kernel) == (&kernel.scope, &kernel.kernel))?.time_us
+}
+
 /// Pairs up the kernels of two measurements.
 pub fn kernels(run: &str, a: &[KernelResult], b: &[KernelResult]) -> Vec<Line> {
     let mut lines = Vec::new();
     for kernel in a {
-        let twin = b.iter().find(|k| (&k.scope, &k.kernel) == (&kernel.scope, &kernel.kernel));
-        if let (Some(a_us), Some(b_us)) = (kernel.time_us, twin.and_then(|k| k.time_us)) {
+        if let (Some(a_us), Some(b_us)) = (kernel.time_us, time_of_twin(kernel, b)) {
             let (scope, name) = (kernel.scope.clone(), kernel.kernel.clone());
             lines.push(Line { run: run.to_owned(), scope, kernel: name, calls: kernel.calls, a_us, b_us });
         }

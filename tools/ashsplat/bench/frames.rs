@@ -1,6 +1,6 @@
 //! `bench render` and `bench train-step`.
 
-use super::measure::{Iterations, Measured, measure, memory};
+use super::measure::{Iterations, Measured, measure};
 use super::schema::{CopyBandwidth, Run, Workload};
 use super::synthetic;
 use super::traffic::{Counts, Traffic};
@@ -54,20 +54,8 @@ pub fn result(
     copy: Option<&CopyBandwidth>,
 ) -> Run {
     let traffic = Traffic::of_frame(context.limits(), counts);
-    Run {
-        name: name.to_owned(),
-        workload: Workload { visible: Some(counts.visible), instances: Some(counts.instances), ..workload },
-        wall_ms: measured.wall_ms(),
-        device_ms: measured.device_ms(),
-        split: measured.split(),
-        between_submissions_ms: measured.between_submissions_ms(),
-        untimed_ms: measured.untimed_ms,
-        cpu_seconds: measured.cpu_seconds,
-        cost_of_measuring: measured.cost,
-        kernels: measured.kernels(&traffic, copy),
-        memory: memory(context),
-        cpu: Vec::new(),
-    }
+    let workload = Workload { visible: Some(counts.visible), instances: Some(counts.instances), ..workload };
+    measured.run(context, name, workload, (&traffic, copy))
 }
 
 /// A frame, read back, and how it was measured.

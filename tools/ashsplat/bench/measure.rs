@@ -1,6 +1,6 @@
 //! Runs a workload again and again and sorts out where its time goes.
 
-use super::schema::{Arena, ArithmeticRate, CopyBandwidth, Cost, KernelResult, Split, Spread};
+use super::schema::{Arena, ArithmeticRate, CopyBandwidth, Cost, KernelResult, Run, Split, Spread, Workload};
 use super::traffic::Traffic;
 use crate::cpu_time::process_seconds;
 use ashsplat::Result;
@@ -91,6 +91,30 @@ pub fn measure(
 }
 
 impl Measured {
+    /// The entry of a result file.
+    pub fn run(
+        &self,
+        context: &Context,
+        name: &str,
+        workload: Workload,
+        (traffic, copy): (&Traffic, Option<&CopyBandwidth>),
+    ) -> Run {
+        Run {
+            name: name.to_owned(),
+            workload,
+            wall_ms: self.wall_ms(),
+            device_ms: self.device_ms(),
+            split: self.split(),
+            between_submissions_ms: self.between_submissions_ms(),
+            untimed_ms: self.untimed_ms,
+            cpu_seconds: self.cpu_seconds,
+            cost_of_measuring: self.cost,
+            kernels: self.kernels(traffic, copy),
+            memory: memory(context),
+            cpu: Vec::new(),
+        }
+    }
+
     /// Wall time per iteration.
     pub fn wall_ms(&self) -> Spread {
         self.spread(|iteration| Some(iteration.wall.as_secs_f64() * 1e3)).unwrap_or_default()
@@ -275,7 +299,7 @@ fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
 }
 
 /// The arenas of a context, with the most that each ever held.
-pub fn memory(context: &Context) -> Vec<Arena> {
+fn memory(context: &Context) -> Vec<Arena> {
     let arenas = context
         .memory()
         .into_iter()

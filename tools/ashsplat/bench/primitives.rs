@@ -1,6 +1,6 @@
 //! `bench scan` and `bench sort`: the primitives alone, checked and beside the processor's.
 
-use super::measure::{Iterations, Measured, measure, memory};
+use super::measure::{Iterations, Measured, measure};
 use super::schema::{CopyBandwidth, CpuResult, Run, Workload};
 use super::traffic::Traffic;
 use super::workload::Fnv;
@@ -35,20 +35,8 @@ impl Job<'_> {
             elements: Some(self.elements.into()),
             ..Workload::default()
         };
-        Run {
-            name: name.to_owned(),
-            workload,
-            wall_ms: measured.wall_ms(),
-            device_ms: measured.device_ms(),
-            split: measured.split(),
-            between_submissions_ms: measured.between_submissions_ms(),
-            untimed_ms: measured.untimed_ms,
-            cpu_seconds: measured.cpu_seconds,
-            cost_of_measuring: measured.cost,
-            kernels: measured.kernels(&Traffic::bound(), self.copy),
-            memory: memory(self.context),
-            cpu,
-        }
+        let run = measured.run(self.context, name, workload, (&Traffic::bound(), self.copy));
+        Run { cpu, ..run }
     }
 }
 

@@ -13,9 +13,7 @@ use std::rc::Rc;
 /// One entry of the result.
 pub enum Task {
     Scan(u32),
-    Sort(u32),
-    /// A sort of so few pairs that timing its commands would show: as a whole only.
-    SortUntimed(u32),
+    Sort(u32, Iterations),
     Render(Rc<Scene>, Iterations),
     TrainStep(Rc<Scene>),
     Train(Box<Training>),
@@ -79,10 +77,12 @@ pub fn of_all(arguments: &RunArguments, is_cpu: bool) -> Result<Vec<Task>> {
     let own = SceneArguments { scene: None, camera: None, dataset: None, ..arguments.scene.clone() };
     let synthetic = Rc::new(own.load(false)?);
     let (few, iterations) = (arguments.elements.div_ceil(4), arguments.iterations());
+    // So few pairs that timing each command would show.
+    let as_a_whole = Iterations { timed: false, ..iterations };
     let mut tasks = vec![
         Task::Scan(arguments.values()),
-        Task::SortUntimed(few),
-        Task::Sort(arguments.elements),
+        Task::Sort(few, as_a_whole),
+        Task::Sort(arguments.elements, iterations),
         Task::Render(synthetic.clone(), iterations),
     ];
     for &FrameSize { gaussians, width, height } in &arguments.frames {
@@ -115,14 +115,10 @@ impl Task {
         copy: Option<&CopyBandwidth>,
     ) -> Result<Vec<Run>> {
         let (iterations, seed) = (arguments.iterations(), arguments.scene.seed);
-        let primitive = |elements| primitives::Job { context, iterations, copy, elements, seed };
+        let primitive = |elements, iterations| primitives::Job { context, iterations, copy, elements, seed };
         Ok(match self {
-            Task::Scan(elements) => vec![primitives::scan(&primitive(*elements))?],
-            Task::Sort(elements) => vec![primitives::sort(&primitive(*elements))?],
-            Task::SortUntimed(elements) => {
-                let iterations = Iterations { timed: false, ..iterations };
-                vec![primitives::sort(&primitives::Job { iterations, ..primitive(*elements) })?]
-            }
+            Task::Scan(elements) => vec![primitives::scan(&primitive(*elements, iterations))?],
+            Task::Sort(elements, iterations) => vec![primitives::sort(&primitive(*elements, *iterations))?],
             Task::Render(scene, iterations) => {
                 vec![frames::render(&Job { context, iterations: *iterations, copy, scene, seed })?.0]
             }

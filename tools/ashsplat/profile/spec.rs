@@ -1,7 +1,9 @@
 //! `--spec [KERNEL.]NAME=VALUE`: other values for specialization constants.
 
 use ashsplat::kernels::visit_all;
-use ashsplat::vk::{ConstantKind, ContextOptions, KernelInterface, KernelVisitor, SpecOverride};
+use ashsplat::vk::{
+    ConstantKind, ContextOptions, KernelInterface, KernelVisitor, SpecOverride, is_kernel_of,
+};
 use ashsplat::{Error, Result};
 
 /// A constant of one kernel.
@@ -52,14 +54,8 @@ pub fn parse(text: &str) -> Result<SpecOverride> {
     let (kernel, name) = place.rsplit_once('.').unwrap_or(("", place));
     let mut all = Constants::default();
     visit_all(&mut all);
-    let of_kernel = |c: &&Constant| {
-        kernel.is_empty()
-            || c.kernel == kernel
-            || c.kernel.strip_prefix(kernel).is_some_and(|r| r.starts_with('/'))
-    };
-    if !kernels().iter().any(|k| *k == kernel || k.strip_prefix(kernel).is_some_and(|r| r.starts_with('/')))
-        && !kernel.is_empty()
-    {
+    let of_kernel = |c: &&Constant| kernel.is_empty() || is_kernel_of(c.kernel, kernel);
+    if !kernels().iter().any(|k| is_kernel_of(k, kernel)) && !kernel.is_empty() {
         let known = kernels().join(", ");
         return Err(argument(format!("there is no kernel or folder '{kernel}'; there are: {known}")));
     }
