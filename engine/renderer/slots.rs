@@ -106,7 +106,9 @@ impl Reservation {
     pub(super) fn dispatches(&self, context: &Context) -> Result<usize> {
         const PER_FRAME: u32 = 48;
         let plan = ScenePlan::new(context.limits(), self.gaussians, self.sh_degree)?;
-        Ok((PER_FRAME + self.blend_passes + 2 * (plan.chunks + self.scenes)) as usize)
+        // Per chunk of parameters: culling and projection, and per scene the ranges of its chunks.
+        let projection = 2 * (plan.chunks + self.scenes) + self.scenes;
+        Ok((PER_FRAME + self.blend_passes + projection) as usize)
     }
 }
 

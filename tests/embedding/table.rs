@@ -172,10 +172,30 @@ fn record_and_count(host_options: &HostOptions) {
             let allowed = |name: &str| name == "vkGetQueryPoolResults";
             assert!(asked.iter().all(|(name, _)| allowed(name)), "asking for statistics: {asked:?}");
         }
+        many_scenes(host, &context, &mut renderer, &in_flight);
         in_flight.destroy(host);
         drop(renderer);
         images.destroy(host);
     });
+}
+
+/// A frame of many scenes: each has dispatches of its own, which a reservation has to count.
+fn many_scenes(host: &Host, context: &Context, renderer: &mut Renderer, in_flight: &InFlight) {
+    const SCENES: u32 = 100;
+    let gaussians = cloud(6, 1);
+    let scenes: Vec<_> =
+        (0..SCENES).map(|_| DeviceScene::upload(context, &gaussians, 0).expect("a scene")).collect();
+    let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
+    let reservation = Reservation { scenes: SCENES, ..Reservation::new(SCENES * 6, 1, 96, 64) };
+    renderer.reserve(&reservation).expect("memory");
+    in_flight.begin(host).expect("recording");
+    let commands = adopt(context, in_flight);
+    let (camera, settings) = (camera(0.3, 96, 64), RenderSettings::default());
+    take_calls();
+    renderer.record(commands, 0, &RecordedFrame::new(&placed, &camera, &settings)).expect("a recording");
+    assert_eq!(take_calls(), [], "record only records");
+    in_flight.submit(host).expect("a submission");
+    in_flight.wait(host).expect("done");
 }
 
 /// The most that a frame can ask for: updates, a host's depth, a host's image.

@@ -69,6 +69,20 @@ fn lenses() -> Vec<Lens> {
     model.cameras.values().map(|camera| model.lens(camera).unwrap()).collect()
 }
 
+/// Whether the picture turns back on itself between its centre and a point: what lies there appears twice, and
+/// undoing gives the other one.
+fn folds_before(distortion: &Distortion, point: DVec2) -> bool {
+    const STEPS: u32 = 64;
+    let h = 1e-5;
+    let by = |at: DVec2, axis: DVec2| {
+        (distortion.apply(at + h * axis) - distortion.apply(at - h * axis)) / (2.0 * h)
+    };
+    (0..=STEPS).any(|step| {
+        let at = point * (f64::from(step) / f64::from(STEPS));
+        by(at, DVec2::X).perp_dot(by(at, DVec2::Y)) < 0.05
+    })
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
     #[test]
@@ -80,6 +94,9 @@ proptest! {
     ) {
         let point = DVec2::from_array(point);
         for distortion in [Distortion::Brown { k, d, p }, Distortion::Fisheye { k }, Distortion::None] {
+            if folds_before(&distortion, point) {
+                continue;
+            }
             let back = distortion.undo(distortion.apply(point)).unwrap();
             prop_assert!(back.distance(point) < 1e-7, "{distortion:?} {point} {back}");
         }
