@@ -24,8 +24,37 @@ fn profile_prints_a_table_of_one_kernel_or_folder() {
 
 #[test]
 fn profile_marks_one_iteration_for_a_capture() {
-    assert!(profile(&["--capture"]).contains("one render was marked as a capture"));
+    let small = &SMALL[..6];
+    let said = succeed(&[&["profile", "--capture", "--warmup", "1"], small].concat());
+    assert!(said.contains("one render was marked as a capture"));
     refuse(&["profile", "--capture", "--html", "page.html"], &["--capture", "--html"]);
+}
+
+#[test]
+fn profile_refuses_options_that_would_not_be_used() {
+    let unused: [&[&str]; 9] = [
+        &["--dump", "x", "--spec", "sort.ITEMS=512"],
+        &["--dump", "x", "--html", "y"],
+        &["--dump", "x", "--gaussians", "9"],
+        &["--dump", "x", "--device", "0"],
+        &["--ab", "-", "-", "--dump", "x"],
+        &["--watch", "--html", "x"],
+        &["--watch", "--kernel", "sort"],
+        &["--capture", "--frames", "2"],
+        &["--watch-for", "3"],
+    ];
+    for arguments in unused {
+        refuse(&[&["profile"], arguments].concat(), &["--"]);
+    }
+}
+
+#[test]
+fn profile_page_names_other_constants() {
+    let folder = tempdir().expect("a temporary folder");
+    let html = folder.path().join("page.html");
+    profile(&["--html", text(&html), "--spec", "sort.ITEMS=512"]);
+    let page = std::fs::read_to_string(&html).expect("a page");
+    assert!(page.contains("with sort.ITEMS=512"), "the constants are part of what was measured");
 }
 
 #[test]
@@ -108,6 +137,8 @@ fn profile_dumps_modules_with_their_instructions() {
     assert_eq!(module[..4], 0x0723_0203u32.to_le_bytes());
     assert_eq!(module.len(), 4 * numbers[0] as usize);
     assert!(folder.path().join("instructions.txt").is_file());
+    let few = succeed(&["profile", "--dump", text(folder.path()), "--kernel", "scan"]);
+    assert!(few.contains("scan/scan_apply") && !few.contains("sort/sort_scatter"), "{few}");
 }
 
 #[test]
@@ -117,6 +148,7 @@ fn profile_lists_what_exists_when_a_name_is_wrong() {
     refuse(&["profile", "--spec", "sorting.ITEMS=1"], &["sorting", "sort/sort_scatter"]);
     refuse(&["profile", "--spec", "sort.ITEMS=x"], &["'x'"]);
     refuse(&["profile", "--ab", "-", "sort.WHAT=1"], &["WHAT"]);
+    refuse(&["profile", "--ab", "", "-"], &["--ab", "write - for none"]);
 }
 
 #[cfg(not(feature = "hot-reload"))]

@@ -54,6 +54,8 @@ pub struct StepReport {
     pub visible: u32,
     /// (tile, Gaussian) instances of the step's view.
     pub instances: u32,
+    /// Instances of the fullest tile of the step's view.
+    pub longest_tile: u32,
     /// Gaussians that were left alone because their gradient was not finite.
     pub skipped_non_finite: u32,
     /// Wall time of the step.

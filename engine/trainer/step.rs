@@ -120,6 +120,7 @@ impl Trainer {
             gaussians: self.training.scene.count,
             visible: ran.state.visible,
             instances: ran.state.instances,
+            longest_tile: ran.state.longest_tile,
             skipped_non_finite: ran.state.non_finite,
             milliseconds: start.elapsed().as_secs_f64() * 1e3,
             view,

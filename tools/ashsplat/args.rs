@@ -1,10 +1,10 @@
 //! The command line: what all commands share, and how it is read.
 
-use crate::{bench, convert, demo, devices, eval, info, inspect, profile, render, train};
+use crate::{bench, convert, demo, devices, eval, info, inspect, output, profile, render, train};
 use ashsplat::Result;
 use ashsplat::vk::{Context, ContextOptions};
-use clap::error::ErrorKind;
-use clap::{Args, Parser, Subcommand};
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
@@ -105,8 +105,14 @@ pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitC
         Ok(line) => Ok(line.command),
         Err(error) if is_request(error.kind()) => {
             // A closed pipe (`ashsplat --help | head`) is no failure.
-            error.print().ok();
-            Err(ExitCode::SUCCESS)
+            output::note(error.print());
+            Err(match output::check_stdout() {
+                Ok(()) => ExitCode::SUCCESS,
+                Err(error) => {
+                    tell!("error: {}", crate::one_line(&error.to_string()));
+                    ExitCode::from(crate::FAILURE)
+                }
+            })
         }
         Err(error) => {
             tell!("{}", summary(&error));
@@ -125,8 +131,32 @@ fn summary(error: &clap::Error) -> String {
         return "error: no command given; `ashsplat --help` lists them".into();
     }
     let text = error.to_string();
-    let first = text.split("\n\n").next().unwrap_or_default();
-    format!("{}; see --help", crate::one_line(first))
+    let first = crate::one_line(text.split("\n\n").next().unwrap_or_default());
+    let owners = match (error.kind(), error.get(ContextKind::InvalidArg)) {
+        (ErrorKind::UnknownArgument, Some(ContextValue::String(option))) => owners(option),
+        _ => Vec::new(),
+    };
+    if owners.is_empty() {
+        return format!("{first}; see --help");
+    }
+    format!("{first}: it is an option of `{}`; leave it out here, see --help", owners.join("`, `"))
+}
+
+/// The commands that know an option ("--windows").
+fn owners(option: &str) -> Vec<String> {
+    fn collect(command: &clap::Command, path: &str, name: &str, found: &mut Vec<String>) {
+        if command.get_arguments().any(|argument| argument.get_long() == Some(name)) {
+            found.push(path.to_owned());
+        }
+        for next in command.get_subcommands() {
+            collect(next, format!("{path} {}", next.get_name()).trim(), name, found);
+        }
+    }
+    let mut found = Vec::new();
+    if let Some(name) = option.strip_prefix("--") {
+        collect(&CommandLine::command(), "", name.split('=').next().unwrap_or(name), &mut found);
+    }
+    found
 }
 
 /// `--sh_degree=3` as `--sh-degree=3`: the reference's names have underscores.
@@ -141,11 +171,17 @@ fn hyphenated(argument: OsString) -> OsString {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn definition_is_consistent() {
         CommandLine::command().debug_assert();
+    }
+
+    #[test]
+    fn options_name_their_commands() {
+        assert_eq!(owners("--windows"), ["bench train", "bench all"]);
+        assert_eq!(owners("--windows=3"), owners("--windows"));
+        assert!(owners("--no-such-option").is_empty() && owners("-x").is_empty());
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! `ashsplat bench`: the time of every kernel, against the device's own copy bandwidth.
 
+mod arguments;
 pub mod compare;
 mod cpu_sorts;
 pub mod frames;
@@ -16,16 +17,18 @@ pub mod traffic;
 mod training;
 pub mod workload;
 
-use crate::args::DeviceArguments;
-use crate::output;
+use arguments::{AllArguments, FrameArguments, OutputArguments, PrimitiveArguments, TrainArguments};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use clap::{Args, Subcommand};
 use measure::{Iterations, Yardsticks};
 use schema::{Report, Run, Settings};
 use std::path::PathBuf;
+use std::process::ExitCode;
 use tasks::Task;
-use workload::SceneArguments;
+
+/// Exit code of a comparison that found what --fail-above looks for, apart from that of every failure.
+const REGRESSION: u8 = 1;
 
 /// Measure: every kernel's time, workgroups and bytes, beside what this device copies per second.
 ///
@@ -41,57 +44,21 @@ pub struct Arguments {
 #[derive(Subcommand)]
 enum What {
     /// The prefix sum alone
-    Scan(RunArguments),
+    Scan(PrimitiveArguments),
     /// The radix sort alone, beside the processor's
-    Sort(RunArguments),
+    Sort(PrimitiveArguments),
     /// A frame
-    Render(RunArguments),
+    Render(FrameArguments),
     /// A training step
-    TrainStep(RunArguments),
+    TrainStep(FrameArguments),
     /// Training of a data set from its points, as `train` does it
-    Train(RunArguments),
+    Train(TrainArguments),
     /// Everything: the primitives at two sizes, two synthetic frames, a step; --scene and --dataset besides
-    All(RunArguments),
-    /// Two result files, kernel by kernel
+    All(AllArguments),
+    /// Two result files, kernel by kernel; exit code 1 where --fail-above finds something slower
     Compare(CompareArguments),
     /// How each stage grows with the Gaussians and the pixels
     Scaling(scaling::Arguments),
-}
-
-/// What every measurement takes.
-#[derive(Args)]
-pub struct RunArguments {
-    /// Pairs of the sort; the scan takes four times as many values
-    #[arg(long, value_name = "N", default_value_t = 1 << 22, value_parser = clap::value_parser!(u32).range(1..=1 << 28))]
-    elements: u32,
-    #[command(flatten)]
-    pub scene: SceneArguments,
-    /// Training: where its measurements end; each covers a hundred iterations
-    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [100])]
-    windows: Vec<u32>,
-    /// More synthetic frames in `all`: Gaussians and size of each
-    #[arg(long, value_name = "N@WxH,...", value_delimiter = ',', default_values_t = [tasks::FrameSize::LARGE])]
-    frames: Vec<tasks::FrameSize>,
-    /// Measured iterations of each workload
-    #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
-    iterations: u32,
-    /// Iterations before them that do not count
-    #[arg(long, value_name = "N", default_value_t = 3)]
-    warmup: u32,
-    /// Write the result here (JSON)
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
-    /// Write one line per kernel here (CSV)
-    #[arg(long, value_name = "FILE")]
-    csv: Option<PathBuf>,
-    /// Do not time kernels, as on a device without timestamps: host times only
-    #[arg(long)]
-    host_clock: bool,
-    #[command(flatten)]
-    pub device: DeviceArguments,
-    /// Print no table
-    #[arg(long)]
-    quiet: bool,
 }
 
 /// Which files, and when their difference is a failure.
@@ -101,26 +68,50 @@ struct CompareArguments {
     a: PathBuf,
     /// The result to judge
     b: PathBuf,
-    /// Fail where a kernel of B takes more than X times as long as in A, beyond the spread of both
+    /// End with exit code 1 where a kernel of B takes more than X times as long as in A, beyond the spread of both
     #[arg(long, value_name = "X")]
     fail_above: Option<f64>,
 }
 
 /// Runs the command.
-pub fn run(arguments: &Arguments) -> Result<()> {
+pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     match &arguments.what {
-        What::Scan(run) => measure_all(run, |run, _| Ok(vec![Task::Scan(run.values())])),
-        What::Sort(run) => measure_all(run, |run, _| Ok(vec![Task::Sort(run.elements, run.iterations())])),
-        What::Render(run) => measure_all(run, |run, _| tasks::of_frames(run, false)),
-        What::TrainStep(run) => measure_all(run, |run, _| tasks::of_frames(run, true)),
-        What::Train(run) => measure_all(run, |run, _| tasks::of_training(run)),
-        What::All(run) => measure_all(run, |run, context| tasks::of_all(run, context.limits().is_cpu)),
-        What::Compare(files) => compare_files(files),
+        What::Scan(a) => measure_all(&a.output, Plan::of_primitive(a), |_| Ok(tasks::of_scan(a))),
+        What::Sort(a) => measure_all(&a.output, Plan::of_primitive(a), |_| Ok(tasks::of_sort(a))),
+        What::Render(a) => measure_all(&a.output, Plan::of_frames(a), |_| tasks::of_frames(a, false)),
+        What::TrainStep(a) => measure_all(&a.output, Plan::of_frames(a), |_| tasks::of_frames(a, true)),
+        What::Train(a) => {
+            let plan = Plan { iterations: training::ITERATIONS, seed: a.seed };
+            measure_all(&a.output, plan, |_| tasks::of_training(&a.dataset, &a.windows, a.sh_degree))
+        }
+        What::All(a) => {
+            let plan = Plan { iterations: a.iterations.get(), seed: a.synthetic.seed() };
+            measure_all(&a.output, plan, |context| tasks::of_all(a, context.limits().is_cpu))
+        }
+        What::Compare(files) => return compare_files(files),
         What::Scaling(sweep) => scaling::run(sweep),
+    }?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What all workloads of a report share.
+#[derive(Clone, Copy)]
+struct Plan {
+    iterations: Iterations,
+    seed: u64,
+}
+
+impl Plan {
+    fn of_primitive(arguments: &PrimitiveArguments) -> Self {
+        Self { iterations: arguments.iterations.get(), seed: arguments.seed }
+    }
+
+    fn of_frames(arguments: &FrameArguments) -> Self {
+        Self { iterations: arguments.iterations.get(), seed: arguments.scene.synthetic.seed() }
     }
 }
 
-fn compare_files(files: &CompareArguments) -> Result<()> {
+fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
     if let Some(limit) = files.fail_above
         && !(limit.is_finite() && limit > 0.0)
     {
@@ -144,32 +135,39 @@ fn compare_files(files: &CompareArguments) -> Result<()> {
     say!("{}", compare::table(&lines));
     let unpaired = compare::unpaired(&a, &b);
     unpaired.iter().for_each(|kernel| say!("{kernel}"));
-    let Some(limit) = files.fail_above else { return Ok(()) };
+    let Some(limit) = files.fail_above else { return Ok(ExitCode::SUCCESS) };
     if !unpaired.is_empty() {
         return Err(Error::argument("kernels that cannot be compared", unpaired.join(", ")));
     }
-    compare::check(&lines, limit)
+    let slow = compare::slower(&lines, limit);
+    if slow.is_empty() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    tell!("slower than {limit} times: {}", slow.join(", "));
+    Ok(ExitCode::from(REGRESSION))
 }
 
 fn measure_all(
-    arguments: &RunArguments,
-    tasks: impl FnOnce(&RunArguments, &Context) -> Result<Vec<Task>>,
+    output: &OutputArguments,
+    Plan { iterations, seed }: Plan,
+    tasks: impl FnOnce(&Context) -> Result<Vec<Task>>,
 ) -> Result<()> {
+    output.check(&[])?;
     // Before the scenes, which may have many photos: a missing device is reported at once.
-    let context = arguments.context()?;
-    let tasks = tasks(arguments, &context)?;
+    let context = output.context()?;
+    let tasks = tasks(&context)?;
     let yardsticks = Yardsticks::measure(&context)?;
     let mut runs = Vec::new();
     for task in tasks {
-        runs.extend(task.run(&context, arguments, yardsticks.copy.as_ref())?);
+        runs.extend(task.run(&context, seed, yardsticks.copy.as_ref())?);
     }
     name_apart(&mut runs);
-    let report = assemble(&context, arguments.iterations(), arguments.scene.seed, (yardsticks, runs));
-    arguments.write(&report)?;
-    if !arguments.quiet {
+    let report = assemble(&context, iterations, seed, (yardsticks, runs));
+    output.write(&report)?;
+    if !output.quiet {
         say!("{}", table::render(&report).trim_end());
     }
-    arguments.device.report_validation(&context);
+    output.device.report_validation(&context);
     Ok(())
 }
 
@@ -192,31 +190,6 @@ fn name_apart(runs: &mut [Run]) {
         }
         run.name.clone_from(&name);
         seen.push(name);
-    }
-}
-
-impl RunArguments {
-    /// Values of a scan, which takes so little time that fewer would be lost in the cost of timing them.
-    fn values(&self) -> u32 {
-        self.elements.saturating_mul(4).min(1 << 28)
-    }
-
-    fn iterations(&self) -> Iterations {
-        Iterations { measured: self.iterations, warmup: self.warmup, timed: true }
-    }
-
-    fn context(&self) -> Result<Context> {
-        self.device.context_with(|options| options.timestamps = !self.host_clock)
-    }
-
-    fn write(&self, report: &Report) -> Result<()> {
-        if let Some(path) = &self.json {
-            output::write_json(path, report)?;
-        }
-        if let Some(path) = &self.csv {
-            output::write_text(path, &table::csv(report))?;
-        }
-        Ok(())
     }
 }
 

@@ -1,15 +1,17 @@
 //! `ashsplat`: train, render and examine 3D Gaussian Splatting scenes from the command line.
 //!
-//! Every failure is one line `error: …` on stderr and exit code 2; an interrupted training saves and exits with 130.
+//! Every failure is one line `error: …` on stderr and exit code 2; an interrupted training saves and exits with 130; a
+//! comparison of benchmarks that finds what it is to fail for exits with 1.
 
-/// A line on stdout. Unlike `println!`, a closed pipe is no reason to die: a training must go on.
+/// A line on stdout. Unlike `println!`, what cannot be written is no reason to die: a training must go on. A full disk is
+/// reported at the end, a closed pipe never.
 macro_rules! say {
-    ($($text:tt)*) => { $crate::output::say(&mut std::io::stdout(), format_args!($($text)*)) };
+    ($($text:tt)*) => { $crate::output::say(format_args!($($text)*)) };
 }
 
 /// A line on stderr.
 macro_rules! tell {
-    ($($text:tt)*) => { $crate::output::say(&mut std::io::stderr(), format_args!($($text)*)) };
+    ($($text:tt)*) => { $crate::output::tell(format_args!($($text)*)) };
 }
 
 mod args;
@@ -44,8 +46,9 @@ fn main() -> ExitCode {
         Ok(command) => command,
         Err(stop) => return stop,
     };
-    match run(command) {
-        Ok(()) => ExitCode::SUCCESS,
+    let result = run(command).and_then(|code| output::check_stdout().map(|()| code));
+    match result {
+        Ok(code) => code,
         Err(Error::Interrupted) => ExitCode::from(INTERRUPTED),
         Err(error) => {
             tell!("error: {}", one_line(&error.to_string()));
@@ -54,9 +57,9 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(command: args::Command) -> Result<()> {
+fn run(command: args::Command) -> Result<ExitCode> {
     use args::Command;
-    match command {
+    let done = match command {
         Command::Train(arguments) => train::run(&arguments),
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
@@ -65,9 +68,10 @@ fn run(command: args::Command) -> Result<()> {
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
-        Command::Bench(arguments) => bench::run(&arguments),
+        Command::Bench(arguments) => return bench::run(&arguments),
         Command::Profile(arguments) => profile::run(&arguments),
-    }
+    };
+    done.map(|()| ExitCode::SUCCESS)
 }
 
 /// Line breaks (of an operating system's message, say) become spaces.

@@ -4,12 +4,84 @@ use ashsplat::io::{Photo, atomic};
 use ashsplat::{Error, Frame, Result};
 use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, SmallVec, WritableImage};
 use serde::Serialize;
-use std::io::{Cursor, Write};
+use std::io::{Cursor, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
-/// Writes a line; where nobody reads any more, nothing happens.
-pub fn say(stream: &mut dyn Write, text: std::fmt::Arguments<'_>) {
-    writeln!(stream, "{text}").ok();
+/// Why stdout takes no more lines, from the first that it did not take.
+static STDOUT_FAILURE: OnceLock<std::io::Error> = OnceLock::new();
+
+/// Writes a line to stdout. Where nobody reads any more nothing happens; of another failure [`check_stdout`] tells at the
+/// end, for the work goes on.
+pub fn say(text: std::fmt::Arguments<'_>) {
+    note(writeln!(std::io::stdout(), "{text}"));
+}
+
+/// Writes a line to stderr, where that is possible.
+pub fn tell(text: std::fmt::Arguments<'_>) {
+    writeln!(std::io::stderr(), "{text}").ok();
+}
+
+/// Keeps what became of writing to stdout for [`check_stdout`].
+pub fn note(written: std::io::Result<()>) {
+    match written {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => drop(STDOUT_FAILURE.set(e)),
+        _ => {}
+    }
+}
+
+/// Whether everything said arrived, but for a reader who has left.
+pub fn check_stdout() -> Result<()> {
+    note(std::io::stdout().flush());
+    match STDOUT_FAILURE.get() {
+        Some(e) => Err(Error::io("standard output", "write", std::io::Error::new(e.kind(), e.to_string()))),
+        None => Ok(()),
+    }
+}
+
+/// Refuses results that could not be written, before the work that they are of: `(option, file)`. Folders that are
+/// missing are created when the file is written.
+pub fn check(results: &[(&'static str, Option<&Path>)]) -> Result<()> {
+    let mut seen: Vec<(&str, PathBuf)> = Vec::new();
+    for (option, path) in results.iter().filter_map(|(option, path)| Some((option, (*path)?))) {
+        let file = checked_file(path)?;
+        if let Some((other, _)) = seen.iter().find(|(_, known)| *known == file) {
+            let problem = format!("both name {}; give each a file of its own", path.display());
+            return Err(Error::argument(format!("{other} and {option}"), problem));
+        }
+        seen.push((option, file));
+    }
+    Ok(())
+}
+
+/// The same name for the same file; an error where it cannot be written.
+fn checked_file(path: &Path) -> Result<PathBuf> {
+    match path.metadata() {
+        Ok(found) if found.is_dir() => return Err(Error::input(path, "is a folder", "give a file's name")),
+        // A device or a pipe is written to as it is.
+        Ok(found) if !found.is_file() => return Ok(path.to_owned()),
+        _ => {}
+    }
+    let Some(name) = path.file_name().filter(|_| !path.as_os_str().as_encoded_bytes().ends_with(b"/")) else {
+        return Err(Error::input(path, "names no file", "give a file's name"));
+    };
+    let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let parent = target.parent().unwrap_or(Path::new(""));
+    let folder = check_folder(parent)?;
+    let missing = parent.strip_prefix(&folder).map_or_else(|_| parent.to_owned(), Path::to_owned);
+    let folder = folder.canonicalize().unwrap_or(folder);
+    Ok(folder.join(missing).join(target.file_name().unwrap_or(name)))
+}
+
+/// Refuses a folder in which nothing can be created; returns the part of it that exists.
+pub fn check_folder(folder: &Path) -> Result<PathBuf> {
+    let named = folder.ancestors().find(|above| above.exists());
+    let existing = named.filter(|above| !above.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !existing.is_dir() {
+        return Err(Error::input(existing, "is no folder", "give another place for the results"));
+    }
+    tempfile::tempfile_in(existing).map_err(|e| Error::io(existing, "write into", e))?;
+    Ok(existing.to_owned())
 }
 
 /// Creates the folder that a file is to lie in.
@@ -140,6 +212,35 @@ pub fn numbered(folder: &Path, index: usize, extension: &str) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn results_are_checked_before_the_work() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("old.json"), "old").expect("written");
+        let one = |name: &str| check(&[("--json", Some(&at(name)))]).map_err(|e| e.to_string());
+        for good in ["old.json", "new.json", "new/folder/new.json"] {
+            assert_eq!(one(good), Ok(()), "{good}");
+        }
+        assert!(one("").is_err_and(|e| e.contains("is a folder")));
+        assert!(one("new.json/").is_err_and(|e| e.contains("names no file")));
+        assert!(one("old.json/new.json").is_err_and(|e| e.contains("old.json: is no folder")));
+        assert!(check(&[("--json", Some(Path::new("/proc/x.json")))]).is_err());
+        let two = |a: &Path, b: &Path| check(&[("--json", Some(a)), ("--csv", Some(b))]);
+        let error = two(&at("a"), &folder.path().join("./a")).expect_err("one file").to_string();
+        assert!(error.starts_with("--json and --csv: both name"), "{error}");
+        assert!(two(&at("new/a"), &at("./new/a")).is_err());
+        assert!(two(&at("a"), &at("b")).is_ok() && check(&[("--json", None)]).is_ok());
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink(at("old.json"), at("link")).expect("a link");
+            assert!(two(&at("link"), &at("old.json")).is_err());
+        }
+        assert_eq!(
+            std::fs::read_dir(folder.path()).expect("a folder").count(),
+            if cfg!(unix) { 2 } else { 1 }
+        );
+    }
 
     #[test]
     fn leftovers_are_removed_and_nothing_else() {

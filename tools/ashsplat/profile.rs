@@ -20,6 +20,33 @@ use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use subject::Subject;
 
+/// Nothing is run for a dump.
+const NOT_WITH_DUMP: [&str; 23] = [
+    "what",
+    "html",
+    "trace",
+    "spec",
+    "ab",
+    "watch",
+    "glsl",
+    "printf",
+    "capture",
+    "frames",
+    "warmup",
+    "gaussians",
+    "sh_degree",
+    "width",
+    "height",
+    "seed",
+    "scene",
+    "camera",
+    "dataset",
+    "view",
+    "device",
+    "validation",
+    "max_memory",
+];
+
 /// Profile one frame or one training step, kernel by kernel.
 ///
 /// Without further options, a table. Settings of shaders are tried with --spec and --ab; with the cargo feature
@@ -31,12 +58,12 @@ pub struct Arguments {
     what: What,
     #[command(flatten)]
     scene: SceneArguments,
-    /// Measured iterations
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
-    frames: u32,
-    /// Iterations before them that do not count
-    #[arg(long, value_name = "N", default_value_t = 3)]
-    warmup: u32,
+    /// Measured iterations [default: 20, with --watch 7]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    frames: Option<u32>,
+    /// Iterations before them that do not count [default: 3, with --watch 1]
+    #[arg(long, value_name = "N")]
+    warmup: Option<u32>,
     /// Show only this kernel, "sort/sort_scatter", or those of this folder, "sort"
     #[arg(long, value_name = "NAME")]
     kernel: Option<String>,
@@ -52,11 +79,12 @@ pub struct Arguments {
     /// Time two settings in turn: each a list of settings as for --spec, separated by commas; "-" is none
     #[arg(long, num_args = 2, value_names = ["A", "B"], allow_hyphen_values = true, conflicts_with_all = ["html", "trace", "watch"])]
     ab: Option<Vec<String>>,
-    /// Write each kernel's SPIR-V below this folder, with counts of its instructions by class
-    #[arg(long, value_name = "DIR")]
+    /// Write the SPIR-V of each kernel (or of those of --kernel) below this folder, with counts of its instructions by class;
+    /// constants have their defaults there, for --spec's are given to the driver
+    #[arg(long, value_name = "DIR", conflicts_with_all = NOT_WITH_DUMP)]
     dump: Option<PathBuf>,
     /// Compile edited shaders again while running, and show what changed (feature hot-reload); Ctrl-C ends it
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["html", "trace", "kernel"])]
     watch: bool,
     /// Folder of the shaders for --watch and for kernels that differ from the program's own (feature hot-reload)
     #[arg(long, value_name = "DIR")]
@@ -68,7 +96,7 @@ pub struct Arguments {
     #[arg(long)]
     printf: bool,
     /// Mark one iteration as a capture: for `renderdoccmd capture ashsplat profile --capture`
-    #[arg(long, conflicts_with_all = ["html", "trace", "watch", "ab", "dump"])]
+    #[arg(long, conflicts_with_all = ["html", "trace", "watch", "ab", "dump", "frames", "kernel"])]
     capture: bool,
     #[command(flatten)]
     device: DeviceArguments,
@@ -94,6 +122,23 @@ impl What {
 }
 
 impl Arguments {
+    /// Measured iterations, unless the command line says how many.
+    const FRAMES: u32 = 20;
+    /// Iterations before them.
+    const WARMUP: u32 = 3;
+
+    fn frames(&self) -> u32 {
+        self.frames.unwrap_or(Self::FRAMES)
+    }
+
+    fn warmup(&self) -> u32 {
+        self.warmup.unwrap_or(Self::WARMUP)
+    }
+
+    fn seed(&self) -> u64 {
+        self.scene.synthetic.seed()
+    }
+
     fn overrides(&self) -> Result<Vec<SpecOverride>> {
         self.spec.iter().map(|text| spec::parse(text)).collect()
     }
@@ -117,9 +162,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let overrides = arguments.overrides()?;
     check_kernel(arguments.kernel.as_deref())?;
     if let Some(folder) = &arguments.dump {
-        say!("{}", dump::dump(folder)?.trim_end());
+        say!("{}", dump::dump(folder, arguments.kernel.as_deref())?.trim_end());
         return Ok(());
     }
+    output::check(&[("--html", arguments.html.as_deref()), ("--trace", arguments.trace.as_deref())])?;
     let load = || arguments.scene.load(arguments.what == What::TrainStep);
     if let Some(settings) = &arguments.ab {
         return ab::run(arguments, settings, &load()?);
@@ -133,8 +179,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return capture(arguments, &context, &scene);
     }
     let yardsticks = Yardsticks::measure(&context)?;
-    let iterations = Iterations { measured: arguments.frames, warmup: arguments.warmup, timed: true };
-    let seed = arguments.scene.seed;
+    let iterations = Iterations { measured: arguments.frames(), warmup: arguments.warmup(), timed: true };
+    let seed = arguments.seed();
     let job =
         frames::Job { context: &context, iterations, copy: yardsticks.copy.as_ref(), scene: &scene, seed };
     let (mut run, measured) = match arguments.what {
@@ -145,7 +191,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         output::write_json(path, &trace::trace(context.device_name(), &measured.iterations))?;
     }
     if let Some(path) = &arguments.html {
-        let page = page::page(&context, &scene, &run, &measured)?;
+        let page = page::page(&context, &scene, (&run, &measured), &arguments.spec)?;
         output::write_text(path, &page)?;
     }
     only(arguments.kernel.as_deref(), &mut run.kernels)?;
@@ -161,10 +207,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// One iteration for RenderDoc, which has no frames of its own to capture where there is no window.
 fn capture(arguments: &Arguments, context: &Context, scene: &workload::Scene) -> Result<()> {
-    let mut subject = Subject::new(context, scene, arguments.what, arguments.scene.seed)?;
-    subject.warm_up(arguments.warmup)?;
+    let mut subject = Subject::new(context, scene, arguments.what, arguments.seed())?;
+    subject.warm_up(arguments.warmup())?;
     subject.captured()?;
     say!("one {} was marked as a capture", arguments.what.name());
+    print_messages(context);
+    arguments.device.report_validation(context);
     Ok(())
 }
 

@@ -102,6 +102,7 @@ impl Measured {
         Run {
             name: name.to_owned(),
             workload,
+            iterations: self.iterations.len() as u32,
             wall_ms: self.wall_ms(),
             device_ms: self.device_ms(),
             split: self.split(),
@@ -235,7 +236,20 @@ impl Yardsticks {
 const COPY_BYTES: u64 = 64 << 20;
 const COPIES: u32 = 9;
 
-/// Measures `vkCmdCopyBuffer`; None without timestamps.
+/// Times of submissions of one command each, and by which clock: the device's where it has timestamps, else the host's from
+/// submitting until it knew that all was over.
+fn single_commands(submissions: &[Submission]) -> Option<(Spread, String)> {
+    let device = |s: &Submission| Some(s.commands.first()?.nanoseconds? * 1e-6);
+    let host = |s: &Submission| (s.done - s.submitting).as_secs_f64() * 1e3;
+    let of_device = submissions.iter().map(device).collect::<Option<Vec<f64>>>();
+    let (times, clock) = match of_device {
+        Some(times) => (times, "timestamps"),
+        None => (submissions.iter().map(host).collect(), "host"),
+    };
+    Spread::of(times).filter(|time| time.min > 0.0).map(|time| (time, clock.to_owned()))
+}
+
+/// Measures `vkCmdCopyBuffer`; None where the clock did not move.
 pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
     let limits = context.limits();
     let bytes = COPY_BYTES.min(limits.max_storage_buffer_range).min(limits.max_allocation_bytes) / 256 * 256;
@@ -256,12 +270,11 @@ pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
     for _ in 0..COPIES {
         copy()?;
     }
-    let times = profile.take().iter().map(|s| Some(s.commands.first()?.nanoseconds? * 1e-6)).collect();
-    let spread = Option::<Vec<f64>>::and_then(times, Spread::of).filter(|time| time.median > 0.0);
-    Ok(spread.map(|time_ms| CopyBandwidth {
+    Ok(single_commands(&profile.take()).map(|(time_ms, clock)| CopyBandwidth {
         bytes,
         gigabytes_per_second: 2.0 * bytes as f64 / time_ms.median * 1e-6,
         time_ms,
+        clock,
     }))
 }
 
@@ -272,7 +285,7 @@ fn arithmetic_results(context: &Context) -> u64 {
 
 const ARITHMETIC_RUNS: u32 = 3;
 
-/// Measures multiply-adds on registers; None without timestamps.
+/// Measures multiply-adds on registers; None where the clock did not move.
 fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
     let arithmetic = Arithmetic::new(context)?;
     let count = arithmetic_results(context);
@@ -288,13 +301,12 @@ fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
     for _ in 0..ARITHMETIC_RUNS {
         run()?;
     }
-    let times = profile.take().iter().map(|s| Some(s.commands.first()?.nanoseconds? * 1e-6)).collect();
-    let spread = Option::<Vec<f64>>::and_then(times, Spread::of).filter(|time| time.min > 0.0);
     let operations = arithmetic.operations(count);
-    Ok(spread.map(|time_ms| ArithmeticRate {
+    Ok(single_commands(&profile.take()).map(|(time_ms, clock)| ArithmeticRate {
         operations,
         gigaoperations_per_second: operations as f64 / time_ms.min * 1e-6,
         time_ms,
+        clock,
     }))
 }
 

@@ -1,13 +1,15 @@
 //! `bench scaling`: how each kernel grows with the Gaussians and with the pixels.
 
+use super::arguments::{IterationArguments, OutputArguments};
 use super::frames;
 use super::measure::{Iterations, Yardsticks};
 use super::plot::{Panel, Series};
 use super::schema::{Report, Run};
-use super::workload::SceneArguments;
-use super::{RunArguments, assemble, plot, table};
+use super::workload::SyntheticArguments;
+use super::{assemble, plot, table};
 use crate::output;
 use ashsplat::Result;
+use ashsplat::vk::Context;
 use clap::Args;
 use std::path::PathBuf;
 
@@ -16,16 +18,30 @@ use std::path::PathBuf;
 #[derive(Args)]
 pub struct Arguments {
     /// Numbers of Gaussians
-    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [10_000, 30_000, 100_000, 300_000, 1_000_000])]
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [10_000, 30_000, 100_000, 300_000, 1_000_000], value_parser = clap::value_parser!(u32).range(1..))]
     counts: Vec<u32>,
-    /// Widths of the pictures, 16:9 or square below 512
-    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [256, 512, 1024, 1920, 3840])]
+    /// Width of the pictures meanwhile, pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = 960, value_parser = clap::value_parser!(u32).range(1..))]
+    width: u32,
+    /// Widths of the pictures: square to 512, 16:9 above
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [256, 512, 1024, 1920, 3840], value_parser = clap::value_parser!(u32).range(1..))]
     widths: Vec<u32>,
+    /// Gaussians meanwhile
+    #[arg(long, value_name = "N", default_value_t = SyntheticArguments::GAUSSIANS, value_parser = clap::value_parser!(u32).range(1..))]
+    gaussians: u32,
+    /// SH degree of all
+    #[arg(long, value_name = "N", default_value_t = SyntheticArguments::SH_DEGREE, value_parser = clap::value_parser!(u32).range(0..=3))]
+    sh_degree: u32,
+    /// Seed of the scenes
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
     /// Write the plot here (SVG)
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     #[command(flatten)]
-    run: RunArguments,
+    iterations: IterationArguments,
+    #[command(flatten)]
+    output: OutputArguments,
 }
 
 /// Points of one sweep: how large, and what was measured.
@@ -33,65 +49,65 @@ type Sweep = Vec<(f64, Run)>;
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let context = arguments.run.device.context()?;
+    arguments.output.check(&[("--plot", arguments.plot.as_deref())])?;
+    let context = arguments.output.context()?;
     let yardsticks = Yardsticks::measure(&context)?;
-    let iterations = arguments.run.iterations();
-    let scene = |gaussians: u32, width: u32| SceneArguments {
-        gaussians,
-        width: Some(width),
-        height: Some(height_of(width)),
-        scene: None,
-        camera: None,
-        dataset: None,
-        ..arguments.run.scene.clone()
-    };
-    let measure = |arguments: SceneArguments, iterations: Iterations| -> Result<Run> {
-        let scene = arguments.load(false)?;
-        let seed = arguments.seed;
-        let job = frames::Job {
-            context: &context,
-            iterations,
-            copy: yardsticks.copy.as_ref(),
-            scene: &scene,
-            seed,
-        };
-        Ok(frames::render(&job)?.0)
-    };
     let (mut by_count, mut by_pixels): (Sweep, Sweep) = (Vec::new(), Vec::new());
-    let base = &arguments.run.scene;
     for &count in &arguments.counts {
-        let run = measure(scene(count, base.width.unwrap_or(960)), iterations)?;
-        tell!("{}: {:.2} ms", table::describe(&run.workload), run.wall_ms.median);
+        let run = arguments.measure(&context, &yardsticks, (count, arguments.width))?;
         by_count.push((f64::from(count), run));
     }
     for &width in &arguments.widths {
-        let run = measure(scene(base.gaussians, width), iterations)?;
-        tell!("{}: {:.2} ms", table::describe(&run.workload), run.wall_ms.median);
+        let run = arguments.measure(&context, &yardsticks, (arguments.gaussians, width))?;
         by_pixels.push((f64::from(width) * f64::from(height_of(width)), run));
     }
-    let growth = |title: &str, axis: &str, sweep: &Sweep| Panel {
-        title: title.to_owned(),
+    let growth = |title: String, axis: &str, sweep: &Sweep| Panel {
+        title,
         axis: axis.to_owned(),
         series: series(sweep),
     };
-    let fixed = table::grouped(base.gaussians.into());
-    let width = base.width.unwrap_or(960);
+    let (width, fixed) = (arguments.width, table::grouped(arguments.gaussians.into()));
     let panels = [
-        growth(&format!("{width}x{} pixels", height_of(width)), "Gaussians", &by_count),
-        growth(&format!("{fixed} Gaussians"), "pixels", &by_pixels),
+        growth(format!("{width}x{} pixels", height_of(width)), "Gaussians", &by_count),
+        growth(format!("{fixed} Gaussians"), "pixels", &by_pixels),
     ];
-    for panel in &panels {
-        say!("{}", exponents(panel));
+    if !arguments.output.quiet {
+        panels.iter().for_each(|panel| say!("{}", exponents(panel)));
     }
-    let runs = by_count.into_iter().chain(by_pixels).map(|(_, run)| run).collect();
-    let report: Report = assemble(&context, iterations, base.seed, (yardsticks, runs));
-    arguments.run.write(&report)?;
+    let mut runs = by_count.into_iter().chain(by_pixels).map(|(_, run)| run).collect::<Vec<_>>();
+    super::name_apart(&mut runs);
+    let report: Report = assemble(&context, arguments.iterations.get(), arguments.seed, (yardsticks, runs));
+    arguments.output.write(&report)?;
     if let Some(path) = &arguments.plot {
         let subtitle = format!("{}, {}", report.device.name, report.device.driver);
         output::write_text(path, &plot::svg(&subtitle, &panels))?;
     }
-    arguments.run.device.report_validation(&context);
+    arguments.output.device.report_validation(&context);
     Ok(())
+}
+
+impl Arguments {
+    /// A frame of so many Gaussians and so wide.
+    fn measure(
+        &self,
+        context: &Context,
+        yardsticks: &Yardsticks,
+        (gaussians, width): (u32, u32),
+    ) -> Result<Run> {
+        let scene = SyntheticArguments {
+            gaussians: Some(gaussians),
+            sh_degree: Some(self.sh_degree),
+            width: Some(width),
+            height: Some(height_of(width)),
+            seed: Some(self.seed),
+        };
+        let scene = scene.load()?;
+        let iterations: Iterations = self.iterations.get();
+        let (copy, seed) = (yardsticks.copy.as_ref(), self.seed);
+        let (run, _) = frames::render(&frames::Job { context, iterations, copy, scene: &scene, seed })?;
+        tell!("{}: {:.2} ms", table::describe(&run.workload), run.wall_ms.median);
+        Ok(run)
+    }
 }
 
 fn height_of(width: u32) -> u32 {

@@ -58,12 +58,12 @@ pub struct Device {
 /// How it was measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// Measured iterations of each run.
+    /// Measured iterations that were asked for.
     pub iterations: u32,
     /// Iterations before them that do not count.
     pub warmup: u32,
     pub seed: u64,
-    /// "timestamps": the device's own; "host": kernels have no times.
+    /// "timestamps": the device's own; "host": kernels have no times. The device has none, or --host-clock was given.
     pub clock: String,
 }
 
@@ -75,6 +75,14 @@ pub struct CopyBandwidth {
     /// Bytes read plus bytes written by the median time.
     pub gigabytes_per_second: f64,
     pub time_ms: Spread,
+    /// "timestamps", or "host": from submitting until the host knew, which is later.
+    #[serde(default = "timestamps")]
+    pub clock: String,
+}
+
+/// The clock of files written before it was said.
+fn timestamps() -> String {
+    "timestamps".to_owned()
 }
 
 /// What the device's shaders compute, measured in the same run by multiply-adds on registers.
@@ -85,6 +93,9 @@ pub struct ArithmeticRate {
     /// By the least time: the most that was ever reached.
     pub gigaoperations_per_second: f64,
     pub time_ms: Spread,
+    /// As of [`CopyBandwidth`].
+    #[serde(default = "timestamps")]
+    pub clock: String,
 }
 
 /// One workload.
@@ -93,6 +104,9 @@ pub struct Run {
     /// "scan", "sort", "render", "train-step" or "train".
     pub name: String,
     pub workload: Workload,
+    /// Measured iterations; 0 in files written before it was added.
+    #[serde(default)]
+    pub iterations: u32,
     /// Wall time of an iteration, with every command timed.
     pub wall_ms: Spread,
     /// Time of an iteration's submissions on the device.

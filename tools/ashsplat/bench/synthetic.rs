@@ -1,20 +1,6 @@
 //! Seeded scenes with the statistics of trained ones.
 //!
-//! How the numbers were chosen: three trained scenes (9 thousand, 31 thousand and 186 thousand Gaussians, SH 2 and 3)
-//! were measured, and the generator draws from round distributions that lie between the two dense ones:
-//!
-//! | statistic | trained scenes | here |
-//! |---|---|---|
-//! | Gaussians within R over those within R / 2 | 2^2.0 to 2^2.2: they lie on surfaces | on a ground and on ellipsoids |
-//! | median of the largest σ · √count / mean side of the scene | 1.57, 1.74 | 1.65 |
-//! | standard deviation of ln(largest σ) | 0.64, 0.73 | 0.7 |
-//! | mean of ln(largest σ / middle σ) | 1.29, 1.36 | Gamma(2.5), mean 1.3 |
-//! | mean of ln(middle σ / smallest σ) | 1.54, 1.81 | Gamma(2), mean 1.6, smallest along the surface's normal |
-//! | opacity logit, mean and standard deviation | 2.5 ± 2.3, 2.1 ± 2.1 | 2.2 ± 2.2, at most 6.7 |
-//! | correlation of opacity and ln(largest σ) | −0.52, −0.18 | −0.3 |
-//! | sides of the scene | 1.9 : 0.8 : 1.9, 3.7 : 0.4 : 3.2 | 2 : 0.7 : 2 |
-//! | distance to the middle, 5 % and 95 %, by its median | 0.35 and 1.5 | the same |
-//! | SH: standard deviation of degree 0, of the rest | 0.9 to 1.1, 0.01 to 0.2 | 0.95, 0.05 |
+//! How the numbers were chosen, with the statistics of the trained scenes that were measured: tools/bench.md.
 
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};

@@ -52,22 +52,35 @@ pub fn render(report: &Report) -> String {
     if let Some(copy) = &report.copy_bandwidth {
         let _ = writeln!(
             out,
-            "copy bandwidth {:.2} GB/s (read and write, {} MiB)",
+            "copy bandwidth {:.2} GB/s (read and write, {} MiB{})",
             copy.gigabytes_per_second,
-            copy.bytes >> 20
+            copy.bytes >> 20,
+            by_host(&copy.clock)
         );
     }
     if let Some(arithmetic) = &report.arithmetic {
         let rate = arithmetic.gigaoperations_per_second;
-        let _ = writeln!(out, "arithmetic {rate:.1} GFLOP/s (multiplications and additions on registers)");
+        let by_host = by_host(&arithmetic.clock);
+        let _ = writeln!(
+            out,
+            "arithmetic {rate:.1} GFLOP/s (multiplications and additions on registers{by_host})"
+        );
     }
     if report.settings.clock == "host" {
-        let _ = writeln!(out, "no timestamps on this device: host times, and none per kernel");
+        let _ = writeln!(
+            out,
+            "timed by the host's clock (no timestamps on the device, or --host-clock): no time per kernel"
+        );
     }
     for run in &report.runs {
         one_run(&mut out, run);
     }
     out
+}
+
+/// What a figure holds besides the device's work.
+fn by_host(clock: &str) -> &'static str {
+    if clock == "host" { "; by the host's clock, submitting and waiting included" } else { "" }
 }
 
 fn one_run(out: &mut String, run: &Run) {

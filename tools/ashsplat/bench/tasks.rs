@@ -1,24 +1,30 @@
 //! What a sub-command measures, one task after another.
 
+use super::arguments::{AllArguments, FrameArguments, PrimitiveArguments};
 use super::frames::{self, Job};
 use super::measure::Iterations;
+use super::primitives;
 use super::schema::{CopyBandwidth, Run};
 use super::training::Training;
-use super::workload::{Scene, SceneArguments};
-use super::{RunArguments, primitives};
+use super::workload::{Scene, SceneArguments, SyntheticArguments};
+use ashsplat::Result;
 use ashsplat::vk::Context;
-use ashsplat::{Error, Result};
+use std::path::Path;
 use std::rc::Rc;
 
 /// One entry of the result.
 pub enum Task {
-    Scan(u32),
+    Scan(u32, Iterations),
     Sort(u32, Iterations),
     Render(Rc<Scene>, Iterations),
-    TrainStep(Rc<Scene>),
+    TrainStep(Rc<Scene>, Iterations),
     Train(Box<Training>),
 }
 
+/// Pairs of the sort where nobody says how many.
+const PAIRS: u32 = 1 << 22;
+/// Values of the scan for each pair of the sort: it takes so little time that fewer would be lost in the cost of timing.
+const VALUES_PER_PAIR: u32 = 4;
 /// Gaussians above which a frame is measured less often.
 const MANY: u32 = 500_000;
 /// Iterations of such a frame at most, on a processor.
@@ -58,72 +64,80 @@ impl std::str::FromStr for FrameSize {
     }
 }
 
-/// One scene: synthetic, or what the arguments name.
-pub fn of_frames(arguments: &RunArguments, train_step: bool) -> Result<Vec<Task>> {
-    let scene = Rc::new(arguments.scene.load(train_step)?);
-    Ok(vec![if train_step { Task::TrainStep(scene) } else { Task::Render(scene, arguments.iterations()) }])
+/// The prefix sum.
+pub fn of_scan(arguments: &PrimitiveArguments) -> Vec<Task> {
+    vec![Task::Scan(arguments.elements.unwrap_or(VALUES_PER_PAIR * PAIRS), arguments.iterations.get())]
 }
 
-/// Training of the data set.
-pub fn of_training(arguments: &RunArguments) -> Result<Vec<Task>> {
-    let Some(dataset) = &arguments.scene.dataset else {
-        return Err(Error::argument("bench train", "needs a data set: give --dataset"));
-    };
-    Ok(vec![Task::Train(Box::new(Training::load(dataset, &arguments.windows, arguments.scene.sh_degree)?))])
+/// The sort.
+pub fn of_sort(arguments: &PrimitiveArguments) -> Vec<Task> {
+    vec![Task::Sort(arguments.elements.unwrap_or(PAIRS), arguments.iterations.get())]
+}
+
+/// One scene: synthetic, or what the arguments name.
+pub fn of_frames(arguments: &FrameArguments, train_step: bool) -> Result<Vec<Task>> {
+    let scene = Rc::new(arguments.scene.load(train_step)?);
+    let iterations = arguments.iterations.get();
+    Ok(vec![if train_step { Task::TrainStep(scene, iterations) } else { Task::Render(scene, iterations) }])
+}
+
+/// Training of a data set.
+pub fn of_training(dataset: &Path, windows: &[u32], sh_degree: u32) -> Result<Vec<Task>> {
+    Ok(vec![Task::Train(Box::new(Training::load(dataset, windows, sh_degree)?))])
 }
 
 /// The primitives at two sizes, synthetic frames and steps, and the trained scene and the data set where given.
-pub fn of_all(arguments: &RunArguments, is_cpu: bool) -> Result<Vec<Task>> {
-    let own = SceneArguments { scene: None, camera: None, dataset: None, ..arguments.scene.clone() };
-    let synthetic = Rc::new(own.load(false)?);
-    let (few, iterations) = (arguments.elements.div_ceil(4), arguments.iterations());
+pub fn of_all(arguments: &AllArguments, is_cpu: bool) -> Result<Vec<Task>> {
+    let own = &arguments.synthetic;
+    let synthetic = Rc::new(own.load()?);
+    let (few, iterations) = (arguments.elements.div_ceil(4), arguments.iterations.get());
     // So few pairs that timing each command would show.
     let as_a_whole = Iterations { timed: false, ..iterations };
     let mut tasks = vec![
-        Task::Scan(arguments.values()),
+        Task::Scan(arguments.elements.saturating_mul(VALUES_PER_PAIR).min(1 << 28), iterations),
         Task::Sort(few, as_a_whole),
         Task::Sort(arguments.elements, iterations),
         Task::Render(synthetic.clone(), iterations),
     ];
     for &FrameSize { gaussians, width, height } in &arguments.frames {
-        let frame = SceneArguments { gaussians, width: Some(width), height: Some(height), ..own.clone() };
+        let frame = SyntheticArguments {
+            gaussians: Some(gaussians),
+            width: Some(width),
+            height: Some(height),
+            ..own.clone()
+        };
         let few = Iterations {
             measured: iterations.measured.min(FEW_ITERATIONS),
             warmup: iterations.warmup.min(1),
             ..iterations
         };
         let iterations = if is_cpu && gaussians > MANY { few } else { iterations };
-        tasks.push(Task::Render(Rc::new(frame.load(false)?), iterations));
+        tasks.push(Task::Render(Rc::new(frame.load()?), iterations));
     }
-    if arguments.scene.scene.is_some() {
-        let trained = SceneArguments { dataset: None, ..arguments.scene.clone() };
+    if let Some(file) = &arguments.scene {
+        let trained = SceneArguments::of_file(file, arguments.camera.as_deref(), (own.width, own.height));
         tasks.push(Task::Render(Rc::new(trained.load(false)?), iterations));
     }
-    tasks.push(Task::TrainStep(synthetic));
-    if arguments.scene.dataset.is_some() {
-        tasks.extend(of_training(arguments)?);
+    tasks.push(Task::TrainStep(synthetic, iterations));
+    if let Some(dataset) = &arguments.dataset {
+        tasks.extend(of_training(dataset, &arguments.windows, own.sh_degree())?);
     }
     Ok(tasks)
 }
 
 impl Task {
     /// Measures it.
-    pub fn run(
-        &self,
-        context: &Context,
-        arguments: &RunArguments,
-        copy: Option<&CopyBandwidth>,
-    ) -> Result<Vec<Run>> {
-        let (iterations, seed) = (arguments.iterations(), arguments.scene.seed);
-        let primitive = |elements, iterations| primitives::Job { context, iterations, copy, elements, seed };
+    pub fn run(&self, context: &Context, seed: u64, copy: Option<&CopyBandwidth>) -> Result<Vec<Run>> {
+        let primitive =
+            |&elements, &iterations| primitives::Job { context, iterations, copy, elements, seed };
         Ok(match self {
-            Task::Scan(elements) => vec![primitives::scan(&primitive(*elements, iterations))?],
-            Task::Sort(elements, iterations) => vec![primitives::sort(&primitive(*elements, *iterations))?],
+            Task::Scan(elements, iterations) => vec![primitives::scan(&primitive(elements, iterations))?],
+            Task::Sort(elements, iterations) => vec![primitives::sort(&primitive(elements, iterations))?],
             Task::Render(scene, iterations) => {
                 vec![frames::render(&Job { context, iterations: *iterations, copy, scene, seed })?.0]
             }
-            Task::TrainStep(scene) => {
-                vec![frames::train_step(&Job { context, iterations, copy, scene, seed })?.0]
+            Task::TrainStep(scene, iterations) => {
+                vec![frames::train_step(&Job { context, iterations: *iterations, copy, scene, seed })?.0]
             }
             Task::Train(training) => training.measure(context, copy, seed)?,
         })

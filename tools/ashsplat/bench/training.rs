@@ -11,6 +11,8 @@ use std::path::Path;
 
 /// Iterations of a window. Every second one is timed kernel by kernel, the others not at all.
 const WINDOW: u32 = 100;
+/// One step goes before them, in which the profile's own memory is made.
+pub const ITERATIONS: Iterations = Iterations { measured: (WINDOW - 1) / 2, warmup: 0, timed: true };
 
 /// A data set that is trained with the reference's settings, every eighth view held out.
 pub struct Training {
@@ -75,9 +77,7 @@ impl Training {
                 last = trainer.step()?;
                 Ok(())
             };
-            // One step goes before them, in which the profile's own memory is made.
-            let iterations = Iterations { measured: (WINDOW - 1) / 2, warmup: 0, timed: true };
-            let measured = measure(context, iterations, || Ok(()), iterate)?;
+            let measured = measure(context, ITERATIONS, || Ok(()), iterate)?;
             let workload = self.workload(end, &last, trainer.settings());
             let count = last.gaussians;
             let size = (workload.width.unwrap_or(0), workload.height.unwrap_or(0));
@@ -105,6 +105,7 @@ impl Training {
             sh_degree: Some(settings.sh_degree),
             width: camera.map(|camera| camera.width),
             height: camera.map(|camera| camera.height),
+            longest_tile: Some(last.longest_tile),
             ..Workload::default()
         }
     }

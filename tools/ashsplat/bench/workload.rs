@@ -11,36 +11,72 @@ use clap::Args;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
 
-/// Which Gaussians are rendered, and from where.
+/// A synthetic scene and its picture.
 #[derive(Args, Clone)]
-pub struct SceneArguments {
-    /// Gaussians of the synthetic scene
-    #[arg(long, value_name = "N", default_value_t = 300_000)]
-    pub gaussians: u32,
-    /// SH degree of the synthetic scene
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=3))]
-    pub sh_degree: u32,
+pub struct SyntheticArguments {
+    /// Gaussians of the synthetic scene [default: 300000]
+    #[arg(long, value_name = "N")]
+    pub gaussians: Option<u32>,
+    /// SH degree of the synthetic scene, and of what starts from a data set's points [default: 3]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=3))]
+    pub sh_degree: Option<u32>,
     /// Width of the picture, pixels [default: the camera's; 1920 for a synthetic scene]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..))]
     pub width: Option<u32>,
     /// Height of the picture, pixels [default: the camera's; 1080 for a synthetic scene]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..))]
     pub height: Option<u32>,
-    /// Seed of everything synthetic
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    pub seed: u64,
+    /// Seed of everything synthetic [default: 0]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+}
+
+impl SyntheticArguments {
+    /// Gaussians where nobody says how many.
+    pub const GAUSSIANS: u32 = 300_000;
+    /// The same of SH degrees.
+    pub const SH_DEGREE: u32 = 3;
+
+    pub fn sh_degree(&self) -> u32 {
+        self.sh_degree.unwrap_or(Self::SH_DEGREE)
+    }
+
+    pub fn seed(&self) -> u64 {
+        self.seed.unwrap_or(0)
+    }
+
+    /// Makes the scene.
+    pub fn load(&self) -> Result<Scene> {
+        let (count, seed) = (self.gaussians.unwrap_or(Self::GAUSSIANS), self.seed());
+        let (width, height) = (self.width.unwrap_or(1920), self.height.unwrap_or(1080));
+        let scene = Scene {
+            gaussians: synthetic::scene(seed, count as usize, self.sh_degree()),
+            camera: synthetic::camera(width, height),
+            view: None,
+            scene_extent: 2.5,
+            source: format!("synthetic, seed {seed}"),
+        };
+        scene.checked()
+    }
+}
+
+/// Which Gaussians are rendered, and from where.
+#[derive(Args, Clone)]
+pub struct SceneArguments {
+    #[command(flatten)]
+    pub synthetic: SyntheticArguments,
     /// A trained scene instead of a synthetic one
-    #[arg(long, value_name = "PLY")]
-    pub scene: Option<PathBuf>,
+    #[arg(long, value_name = "FILE")]
+    scene: Option<PathBuf>,
     /// Camera: entry N (from 0) of a cameras.json [default: N = 0; without it, one that sees the whole scene]
     #[arg(long, value_name = "FILE[:N]", requires = "scene", conflicts_with = "dataset")]
-    pub camera: Option<String>,
+    camera: Option<String>,
     /// A data set: its cameras, its photos for train-step, and its points where there is no --scene
     #[arg(long, value_name = "DATASET")]
-    pub dataset: Option<PathBuf>,
+    dataset: Option<PathBuf>,
     /// View of the data set, by place in the order of names
     #[arg(long, value_name = "N", default_value_t = 0, requires = "dataset")]
-    pub view: usize,
+    view: usize,
 }
 
 /// A scene and where it is seen from.
@@ -54,49 +90,63 @@ pub struct Scene {
 }
 
 impl SceneArguments {
-    /// Loads or makes the scene. `photos`: whether a data set's photos are wanted.
-    pub fn load(&self, photos: bool) -> Result<Scene> {
+    /// A file's scene, in a picture of another size than the camera's where one is given.
+    pub fn of_file(file: &Path, camera: Option<&str>, (width, height): (Option<u32>, Option<u32>)) -> Self {
+        Self {
+            synthetic: SyntheticArguments { gaussians: None, sh_degree: None, width, height, seed: None },
+            scene: Some(file.to_owned()),
+            camera: camera.map(str::to_owned),
+            dataset: None,
+            view: 0,
+        }
+    }
+
+    /// Loads or makes the scene. `training`: whether it is to be trained, on a data set's photos where there is one.
+    pub fn load(&self, training: bool) -> Result<Scene> {
+        self.check(training)?;
         let mut scene = match (&self.dataset, &self.scene) {
-            (Some(dataset), trained) => self.of_dataset(dataset, trained.as_deref(), photos)?,
+            (Some(dataset), trained) => self.of_dataset(dataset, trained.as_deref(), training)?,
             (None, Some(trained)) => {
                 let gaussians = splats::read(trained, &splats::ReadOptions { drop_invalid: true })?.gaussians;
                 let camera = match &self.camera {
                     Some(place) => named_camera(place)?,
                     None => overview(&gaussians),
                 };
-                Scene {
-                    gaussians,
-                    camera,
-                    view: None,
-                    scene_extent: 1.0,
-                    source: trained.display().to_string(),
-                }
+                let source = trained.display().to_string();
+                Scene { gaussians, camera, view: None, scene_extent: 1.0, source }
             }
-            (None, None) => {
-                let count = self.gaussians as usize;
-                Scene {
-                    gaussians: synthetic::scene(self.seed, count, self.sh_degree),
-                    camera: synthetic::camera(1920, 1080),
-                    view: None,
-                    scene_extent: 2.5,
-                    source: format!("synthetic, seed {}", self.seed),
-                }
-            }
+            (None, None) => return self.synthetic.load(),
         };
-        if scene.gaussians.is_empty() {
-            return Err(Error::argument("scene", "has no Gaussians; give --gaussians 1 or more"));
-        }
-        let (width, height) =
-            (self.width.unwrap_or(scene.camera.width), self.height.unwrap_or(scene.camera.height));
-        if self.scene.is_none() && self.dataset.is_none() {
-            scene.camera = synthetic::camera(width, height);
-        } else if scene.view.is_some() && (width, height) != (scene.camera.width, scene.camera.height) {
+        let (own_width, own_height) = (scene.camera.width, scene.camera.height);
+        let width = self.synthetic.width.unwrap_or(own_width);
+        let height = self.synthetic.height.unwrap_or(own_height);
+        if scene.view.is_some() && (width, height) != (own_width, own_height) {
             return Err(Error::argument("--width/--height", "cannot change a data set's photos"));
-        } else {
-            scene.camera = scene.camera.scaled_to(width, height);
         }
-        scene.camera.check()?;
-        Ok(scene)
+        scene.camera = scene.camera.scaled_to(width, height);
+        scene.checked()
+    }
+
+    /// Refuses what says how a scene is to be made where one is given.
+    fn check(&self, training: bool) -> Result<()> {
+        let SyntheticArguments { gaussians, sh_degree, seed, .. } = &self.synthetic;
+        let giver = match (&self.scene, &self.dataset) {
+            (Some(_), _) => "--scene",
+            (None, Some(_)) => "--dataset",
+            (None, None) => return Ok(()),
+        };
+        // A data set's points have no spherical harmonics; training without photos starts from a disturbed scene.
+        let unused = [
+            ("--gaussians", gaussians.is_some()),
+            ("--sh-degree", sh_degree.is_some() && self.scene.is_some()),
+            ("--seed", seed.is_some() && !(training && self.dataset.is_none())),
+        ];
+        match unused.iter().find(|(_, given)| *given) {
+            Some((option, _)) => {
+                Err(Error::argument(*option, format!("is of synthetic scenes; leave it or {giver} out")))
+            }
+            None => Ok(()),
+        }
     }
 
     fn of_dataset(&self, dataset: &Path, trained: Option<&Path>, photos: bool) -> Result<Scene> {
@@ -124,7 +174,9 @@ impl SceneArguments {
                 source = format!("{} in {source}", trained.display());
                 splats::read(trained, &splats::ReadOptions { drop_invalid: true })?.gaussians
             }
-            (None, points) => Gaussians::from_points(&points.unwrap_or_default(), self.sh_degree)?,
+            (None, points) => {
+                Gaussians::from_points(&points.unwrap_or_default(), self.synthetic.sh_degree())?
+            }
         };
         Ok(Scene { gaussians, camera, view, scene_extent, source })
     }
@@ -154,6 +206,15 @@ fn overview(gaussians: &Gaussians) -> Camera {
 }
 
 impl Scene {
+    /// Refuses a scene that no frame can be made of.
+    fn checked(self) -> Result<Self> {
+        if self.gaussians.is_empty() {
+            return Err(Error::argument("scene", "has no Gaussians; give --gaussians 1 or more"));
+        }
+        self.camera.check()?;
+        Ok(self)
+    }
+
     /// For the result file; counts of a frame are filled in by whoever renders it.
     pub fn workload(&self, settings: &RenderSettings) -> Workload {
         let mut hash = Fnv::default();

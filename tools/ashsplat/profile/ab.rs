@@ -18,13 +18,13 @@ pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<
     };
     let (with_a, with_b) = (with(a)?, with(b)?);
     let contexts = [open(arguments, &with_a)?, open(arguments, &with_b)?];
-    let subject = |index: usize| Subject::new(&contexts[index], scene, arguments.what, arguments.scene.seed);
+    let subject = |index: usize| Subject::new(&contexts[index], scene, arguments.what, arguments.seed());
     let mut subjects = [subject(0)?, subject(1)?];
     for subject in &mut subjects {
-        subject.warm_up(arguments.warmup)?;
+        subject.warm_up(arguments.warmup())?;
     }
     let mut iterations = [Vec::new(), Vec::new()];
-    for _ in 0..arguments.frames {
+    for _ in 0..arguments.frames() {
         for (subject, iterations) in subjects.iter_mut().zip(&mut iterations) {
             iterations.push(subject.timed()?);
         }
@@ -46,8 +46,12 @@ pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<
     } else {
         format!("   both: {}", arguments.spec.join(", "))
     };
-    say!("A: {a}   B: {b}{both}   {} iterations each, in turn", arguments.frames);
+    say!("A: {a}   B: {b}{both}   {} iterations each, in turn", arguments.frames());
     say!("{}", compare::table(&lines).trim_end());
     say!("largest difference of the pictures: {difference}");
+    for context in &contexts {
+        super::print_messages(context);
+        arguments.device.report_validation(context);
+    }
     Ok(())
 }

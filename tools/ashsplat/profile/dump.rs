@@ -4,7 +4,7 @@ use crate::output;
 use ashsplat::Result;
 use ashsplat::io::atomic;
 use ashsplat::kernels::visit_all;
-use ashsplat::vk::{KernelInterface, KernelVisitor};
+use ashsplat::vk::{KernelInterface, KernelVisitor, is_kernel_of};
 use std::path::Path;
 
 /// Instructions of a module by class, as written: a loop's body counts once.
@@ -73,10 +73,12 @@ impl KernelVisitor for Modules {
     }
 }
 
-/// Writes DIR/sort/sort_count.spv and so on, and DIR/instructions.txt; returns that table.
-pub fn dump(folder: &Path) -> Result<String> {
+/// Writes DIR/sort/sort_count.spv and so on, and DIR/instructions.txt; returns that table. `name`: of which kernel or folder.
+pub fn dump(folder: &Path, name: Option<&str>) -> Result<String> {
+    output::check_folder(folder)?;
     let mut modules = Modules(Vec::new());
     visit_all(&mut modules);
+    modules.0.retain(|(kernel, _)| name.is_none_or(|name| is_kernel_of(kernel, name)));
     let mut table = format!("{:<30} {:>7}", "kernel", "words");
     CLASSES.iter().for_each(|class| table += &format!(" {class:>10}"));
     table.push('\n');

@@ -4,6 +4,7 @@ mod charts;
 mod tiles;
 mod timeline;
 
+use crate::bench::machine;
 use crate::bench::measure::{Iteration, Measured, commands};
 use crate::bench::plot::escape;
 use crate::bench::schema::{Run, Split};
@@ -79,8 +80,13 @@ pub fn shown(stage: &str) -> &str {
     if stage.is_empty() { "read-back" } else { stage }
 }
 
-/// The page of a measurement. Renders the scene once more for the tiles.
-pub fn page(context: &Context, scene: &Scene, run: &Run, measured: &Measured) -> Result<String> {
+/// The page of a measurement with other constants (`--spec`). Renders the scene once more for the tiles.
+pub fn page(
+    context: &Context,
+    scene: &Scene,
+    (run, measured): (&Run, &Measured),
+    constants: &[String],
+) -> Result<String> {
     let stages = Stages::new(run);
     let mut renderer = Renderer::new(context)?;
     renderer.upload(&scene.gaussians)?;
@@ -104,6 +110,12 @@ pub fn page(context: &Context, scene: &Scene, run: &Run, measured: &Measured) ->
         escape(&device.api_version),
         context.limits().subgroup_size
     );
+    let program = machine::program();
+    let commit = program.commit.as_deref().unwrap_or("no checkout");
+    let _ = writeln!(out, "<p class=\"note\">ashsplat {} ({commit}, {})</p>", program.version, program.build);
+    if !constants.is_empty() {
+        let _ = writeln!(out, "<p>with {}</p>", escape(&constants.join(", ")));
+    }
     out.push_str(&split(&run.split));
     section(&mut out, "Timeline", "the last iteration; wheel zooms, the pointer shows names and times");
     out.push_str(&timeline::svg(&stages, measured.iterations.last()));

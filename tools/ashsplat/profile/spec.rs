@@ -40,7 +40,8 @@ pub fn kernels() -> Vec<&'static str> {
 /// A list of settings, separated by commas; "-" is none.
 pub fn parse_list(text: &str) -> Result<Vec<SpecOverride>> {
     match text.trim() {
-        "-" | "" => Ok(Vec::new()),
+        "-" => Ok(Vec::new()),
+        "" => Err(Error::argument("--ab", "a setting is empty; write - for none")),
         text => text.split(',').map(|setting| parse(setting.trim())).collect(),
     }
 }
@@ -143,6 +144,7 @@ mod tests {
         assert_eq!(read("optimizer.SPARSE=true").expect("a constant").2, 1);
         assert_eq!(parse_list("sort.ITEMS=8, scan.ITEMS=2").map(|list| list.len()).ok(), Some(2));
         assert_eq!(parse_list("-").map(|list| list.len()).ok(), Some(0));
+        assert!(parse_list(" ").is_err_and(|e| e.to_string().contains("write - for none")));
     }
 
     #[test]

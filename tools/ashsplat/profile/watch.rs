@@ -50,6 +50,7 @@ mod reloading {
     const INTERVAL: Duration = Duration::from_millis(100);
     /// Iterations of each measurement: few, so that the answer comes at once.
     const FRAMES: u32 = 7;
+    const WARMUP: u32 = 1;
 
     /// The shaders that the program was built from.
     fn own_glsl() -> PathBuf {
@@ -119,10 +120,11 @@ mod reloading {
     }
 
     fn measure(arguments: &Arguments, context: &Context, scene: &Scene) -> Result<State> {
-        let mut subject = Subject::new(context, scene, arguments.what, arguments.scene.seed)?;
-        subject.warm_up(1)?;
+        let mut subject = Subject::new(context, scene, arguments.what, arguments.seed())?;
+        subject.warm_up(arguments.warmup.unwrap_or(WARMUP))?;
         let picture = subject.picture()?;
-        let iterations = (0..FRAMES).map(|_| subject.timed()).collect::<Result<Vec<_>>>()?;
+        let iterations =
+            (0..arguments.frames.unwrap_or(FRAMES)).map(|_| subject.timed()).collect::<Result<Vec<_>>>()?;
         let measured = measured(iterations);
         Ok(State { kernels: measured.kernels(&Traffic::bound(), None), measured, picture })
     }
@@ -140,6 +142,7 @@ mod reloading {
         let mut watched = Watched::new(glsl);
         let mut state = measure(arguments, context, scene)?;
         print_messages(context);
+        arguments.device.report_validation(context);
         let wall = state.measured.wall_ms().median;
         say!(
             "watching {}: {} takes {wall:.2} ms; Ctrl-C ends",
@@ -165,6 +168,7 @@ mod reloading {
                     let new = measure(arguments, context, scene)?;
                     report(arguments, &changed, &state, &new);
                     print_messages(context);
+                    arguments.device.report_validation(context);
                     say!("shown {:.2} s after the edit was seen", seen.elapsed().as_secs_f64());
                     state = new;
                     changed.clear();
