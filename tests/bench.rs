@@ -196,6 +196,11 @@ fn bench_scaling_fits_and_plots() {
     let few = ["bench", "scaling", "--gaussians", "400", "--iterations", "3", "--warmup", "1"];
     let table = succeed(&[&few[..], &sizes].concat());
     assert!(table.contains("exponent") && table.contains("tile sort") && table.contains("1,000"), "{table}");
+    assert_eq!(
+        table.matches("\nblend: forward/blend").count(),
+        2,
+        "every kernel, by Gaussians and by pixels: {table}"
+    );
     let svg = std::fs::read_to_string(&plot).expect("a plot");
     assert!(svg.starts_with("<svg") && svg.contains("blend") && svg.contains("pixels"), "{svg}");
 }

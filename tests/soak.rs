@@ -43,17 +43,20 @@ fn soak_training() {
     let context = context();
     let mut trainer = Trainer::new(&context, views(5, 90), &start(), 5.0, settings).expect("a trainer");
     let (begin, mut settled) = (Instant::now(), (0, 0));
+    let (mut sum, mut losses) = (0.0, Vec::new());
     for step in 1..=steps {
         let report = trainer.step().expect("a step");
         assert!(report.loss.is_finite() && report.skipped_non_finite == 0, "{report:?}");
+        sum += f64::from(report.loss);
         if step == steps / 10 {
             settled = (context.memory_total().bytes, resident_kib());
         }
         if step % (steps / 10) == 0 {
+            losses.push(std::mem::take(&mut sum) / f64::from(steps / 10));
             eprintln!(
-                "{step} steps, {:.0} s: loss {:.5}, {} Gaussians, {} KiB of device memory, {} KiB resident",
+                "{step} steps, {:.0} s: mean loss {:.5}, {} Gaussians, {} KiB of device memory, {} KiB resident",
                 begin.elapsed().as_secs_f64(),
-                report.loss,
+                losses[losses.len() - 1],
                 report.gaussians,
                 context.memory_total().bytes >> 10,
                 resident_kib()
@@ -62,6 +65,12 @@ fn soak_training() {
     }
     assert_eq!(context.memory_total().bytes, settled.0, "device memory grows");
     assert!(resident_kib() < settled.1 + 16_384, "memory grows from {} to {} KiB", settled.1, resident_kib());
+    // What is learnt stays learnt: no tenth is much worse than the best before it.
+    let mut best = f64::INFINITY;
+    for (tenth, loss) in losses.iter().enumerate() {
+        assert!(*loss < 1.2 * best, "the loss drifts in tenth {tenth}: {losses:?}");
+        best = best.min(*loss);
+    }
 }
 
 #[test]

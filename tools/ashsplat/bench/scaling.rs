@@ -1,10 +1,10 @@
-//! `bench scaling`: how each kernel grows with the Gaussians and with the pixels.
+//! `bench scaling`: how each stage and kernel grows with the Gaussians and with the pixels.
 
 use super::arguments::{IterationArguments, OutputArguments};
 use super::frames;
 use super::measure::{Iterations, Yardsticks};
 use super::plot::{Panel, Series};
-use super::schema::{Report, Run};
+use super::schema::{KernelResult, Report, Run};
 use super::workload::SyntheticArguments;
 use super::{assemble, plot, table};
 use crate::output;
@@ -72,7 +72,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         growth(format!("{fixed} Gaussians"), "pixels", &by_pixels),
     ];
     if !arguments.output.quiet {
-        panels.iter().for_each(|panel| say!("{}", exponents(panel)));
+        for (panel, sweep) in panels.iter().zip([&by_count, &by_pixels]) {
+            let title =
+                format!("{}: milliseconds by {}, and the exponent of their growth", panel.title, panel.axis);
+            say!("\n{title}\n{}", exponents(&panel.axis, &[&panel.series[..], &kernel_series(sweep)]));
+        }
     }
     let mut runs = by_count.into_iter().chain(by_pixels).map(|(_, run)| run).collect::<Vec<_>>();
     super::name_apart(&mut runs);
@@ -116,25 +120,31 @@ fn height_of(width: u32) -> u32 {
 
 /// Device time of each stage, milliseconds; the wall time first.
 fn series(sweep: &Sweep) -> Vec<Series> {
+    let wall = sweep.iter().map(|(x, r)| (*x, r.wall_ms.median)).collect();
+    let frame = Series { name: "frame".into(), points: wall };
+    std::iter::once(frame).chain(grouped(sweep, |kernel| stage_of(&kernel.scope))).collect()
+}
+
+/// Device time of each kernel of each stage, milliseconds.
+fn kernel_series(sweep: &Sweep) -> Vec<Series> {
+    grouped(sweep, |kernel| format!("{}: {}", stage_of(&kernel.scope), kernel.kernel))
+}
+
+/// Device time of the kernels of the same name, milliseconds, in the order of their first appearance.
+fn grouped(sweep: &Sweep, name_of: impl Fn(&KernelResult) -> String) -> Vec<Series> {
     let mut names: Vec<String> = Vec::new();
-    for kernel in sweep.iter().flat_map(|(_, run)| &run.kernels) {
-        let stage = stage_of(&kernel.scope);
-        if !names.contains(&stage) {
-            names.push(stage);
+    for name in sweep.iter().flat_map(|(_, run)| &run.kernels).map(&name_of) {
+        if !names.contains(&name) {
+            names.push(name);
         }
     }
-    let mut all = vec![Series {
-        name: "frame".into(),
-        points: sweep.iter().map(|(x, r)| (*x, r.wall_ms.median)).collect(),
-    }];
-    for name in names {
-        let time = |run: &Run| -> f64 {
-            let own = run.kernels.iter().filter(|k| stage_of(&k.scope) == name);
-            own.filter_map(|k| k.time_us).map(|time| time.median * 1e-3).sum()
-        };
-        let points: Vec<_> = sweep.iter().map(|(x, run)| (*x, time(run))).collect();
-        all.push(Series { name, points });
-    }
+    let time = |run: &Run, name: &str| -> f64 {
+        let own = run.kernels.iter().filter(|k| name_of(k) == name);
+        own.filter_map(|k| k.time_us).map(|time| time.median * 1e-3).sum()
+    };
+    let of_name =
+        |name: String| Series { points: sweep.iter().map(|(x, run)| (*x, time(run, &name))).collect(), name };
+    let mut all: Vec<Series> = names.into_iter().map(of_name).collect();
     all.retain(|series| series.points.iter().any(|&(_, time)| time > 0.0));
     all
 }
@@ -158,23 +168,27 @@ pub fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     (below > 1e-12).then(|| above / below)
 }
 
-fn exponents(panel: &Panel) -> String {
-    let mut out =
-        format!("\n{}: milliseconds by {}, and the exponent of their growth\n", panel.title, panel.axis);
-    out += &format!("{:<18}", panel.axis);
-    for (x, _) in panel.series.first().map_or(&[][..], |series| &series.points) {
+/// A table of groups of series over the same places.
+fn exponents(axis: &str, groups: &[&[Series]]) -> String {
+    let width = groups.iter().flat_map(|group| group.iter()).map(|series| series.name.len()).max();
+    let width = width.unwrap_or(0).max(axis.len());
+    let mut out = format!("{axis:<width$}");
+    for (x, _) in groups.iter().find_map(|group| group.first()).map_or(&[][..], |series| &series.points) {
         out += &format!("{:>12}", table::grouped(*x as u64));
     }
     out += "   exponent\n";
-    for series in &panel.series {
-        out += &format!("{:<18}", series.name);
-        for (_, y) in &series.points {
-            out += &format!("{y:>12.3}");
+    for group in groups {
+        for series in *group {
+            out += &format!("{:<width$}", series.name);
+            for (_, y) in &series.points {
+                out += &format!("{y:>12.3}");
+            }
+            out += &exponent(&series.points).map_or_else(String::new, |e| format!("{e:>11.2}"));
+            out.push('\n');
         }
-        out += &exponent(&series.points).map_or_else(String::new, |e| format!("{e:>11.2}"));
         out.push('\n');
     }
-    out
+    out.trim_end().to_owned()
 }
 
 #[cfg(test)]
