@@ -181,7 +181,8 @@ fn exponents(axis: &str, groups: &[&[Series]]) -> String {
         for series in *group {
             out += &format!("{:<width$}", series.name);
             for (_, y) in &series.points {
-                out += &format!("{y:>12.3}");
+                // A sum of nothing: the kernel does not run at this size.
+                out += &if *y > 0.0 { format!("{y:>12.3}") } else { format!("{:>12}", "-") };
             }
             out += &exponent(&series.points).map_or_else(String::new, |e| format!("{e:>11.2}"));
             out.push('\n');
