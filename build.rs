@@ -11,7 +11,7 @@ mod generate;
 #[path = "engine/kernels/reflect.rs"]
 mod reflect;
 
-use compile::{EXTENSIONS, compile, files_with_includes};
+use compile::{EXTENSIONS, compile, files_with_includes, has_texel_form};
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ fn embed(root: &Path, glsl: &Path, out: &Path) -> Result<(), String> {
         let path = root.join("tools/embed").join(name);
         let display = format!("tools/embed/{name}");
         let source = fs::read_to_string(&path).map_err(|e| format!("{display}: cannot read: {e}"))?;
-        let spirv = compile(glsl, &path, &display, &source)?;
+        let spirv = compile(glsl, &path, &display, &source, false)?;
         let bytes: Vec<u8> = spirv.iter().flat_map(|w| w.to_le_bytes()).collect();
         fs::write(out.join(format!("embed_{name}.spv")), bytes).unwrap();
     }
@@ -110,26 +110,41 @@ fn compile_all(root: &Path, glsl: &Path, out: &Path, shaders: &[PathBuf]) -> Vec
     results.into_iter().map(|(_, result)| result).collect()
 }
 
-/// Compiles (or takes from the cache), reflects, and writes the module as a Rust array.
+/// A shader in all of its forms.
 fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) -> Compiled {
     let name = display.trim_start_matches("glsl/").trim_end_matches(".comp").to_owned();
     let source = fs::read_to_string(path).map_err(|e| format!("{display}: cannot read: {e}"))?;
+    let flat = name.replace('/', "__");
+    let form = |flat: &str, texels: bool| form(glsl, out, flat, (path, display, &source), texels, validator);
+    let (spirv_file, shader) = form(&flat, false)?;
+    let texels = has_texel_form(glsl, path).then(|| form(&format!("{flat}__texels"), true)).transpose()?;
+    Ok(generate::Kernel { name, source, shader, spirv_file, texels })
+}
+
+/// Compiles one form (or takes it from the cache), reflects it, and writes the module as a Rust array.
+fn form(
+    glsl: &Path,
+    out: &Path,
+    flat: &str,
+    (path, display, source): (&Path, &str, &str),
+    texels: bool,
+    validator: bool,
+) -> Result<(String, reflect::Shader), String> {
     let mut hasher = DefaultHasher::new();
     (EXTENSIONS, validator).hash(&mut hasher);
     for file in files_with_includes(glsl, path) {
         fs::read(file).unwrap_or_default().hash(&mut hasher);
     }
-    let flat = name.replace('/', "__");
     let cached = out.join(format!("{flat}.{:016x}.spv", hasher.finish()));
     let spirv = match fs::read(&cached) {
         Ok(bytes) => bytes.chunks_exact(4).map(|c| u32::from_le_bytes(c.try_into().unwrap())).collect(),
         Err(_) => {
-            let spirv = compile(glsl, path, display, &source)?;
+            let spirv = compile(glsl, path, display, source, texels)?;
             let bytes: Vec<u8> = spirv.iter().flat_map(|w| w.to_le_bytes()).collect();
             if validator {
                 validate(&bytes, &out.join(format!("{flat}.unchecked.spv")), display)?;
             }
-            forget_older(out, &flat);
+            forget_older(out, flat);
             fs::write(&cached, bytes).unwrap();
             spirv
         }
@@ -140,7 +155,7 @@ fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) 
         fs::write(out.join(&spirv_file), array).unwrap();
     }
     let shader = reflect::reflect(&spirv).map_err(|e| format!("{display}: {e}"))?;
-    Ok(generate::Kernel { name, source, shader, spirv_file })
+    Ok((spirv_file, shader))
 }
 
 fn validate(spirv: &[u8], scratch: &Path, display: &str) -> Result<(), String> {

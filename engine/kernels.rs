@@ -100,6 +100,7 @@ mod tests {
             source: String::new(),
             shader,
             spirv_file: "twice.spv.rs".into(),
+            texels: None,
         };
         let error = generate::kernels(&[kernel], "").expect_err("a duplicate");
         assert!(error.contains("glsl/scan/twice.comp") && error.contains("'counts'"), "{error}");

@@ -10,7 +10,7 @@ use crate::checkpoints;
 use crate::common::engine::{camera, gaussians, renderer, settings};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
-use crate::reference::types::View;
+use crate::reference::types::{Extent, View};
 
 /// Photographs of a scene of Gaussians from around it.
 fn views() -> Vec<TrainView> {
@@ -130,4 +130,35 @@ fn determinism_verification_names_the_first_kernel_that_differs() {
     let context = Context::new(&crate::common::options()).expect("a device");
     let adam = if context.limits().prefers_texels() { "optimizer/adam_texels" } else { "optimizer/adam" };
     assert_eq!(first_difference(adam, "SH_DEGREE"), (3, adam));
+}
+
+/// Pictures and gradients of a scene at every SH degree, by one form of the kernels.
+fn by_form(options: &ContextOptions) -> Vec<(Vec<[f32; 3]>, ashsplat::Gradients)> {
+    let context = Context::new(options).expect("a device");
+    let mut renderer = ashsplat::Renderer::new(&context).expect("kernels");
+    let mut results = Vec::new();
+    for (sh, extent) in [(1, Extent::Exact), (4, Extent::Reference), (9, Extent::Exact), (16, Extent::Exact)]
+    {
+        let mut scene = gaussians(&small_scene(&mut Random::new(14), 1501, sh));
+        // Some that cover the picture, whose slots are added by a whole subgroup.
+        scene.log_scales[..5].fill([0.5; 3]);
+        renderer.upload(&scene).expect("upload");
+        let degree = sh.isqrt() as u32 - 1;
+        let view = View { extent, antialias: sh == 9, sh_degree: degree, ..small_view([250, 170]) };
+        let (camera, settings) = (camera(&view), settings(&view));
+        let target = vec![[0.5, -1.0, 0.25]; 250 * 170];
+        let depths = vec![0.5; 250 * 170];
+        let gradients = renderer.gradients(&camera, &settings, &target, Some(&depths)).expect("gradients");
+        results.push((renderer.render(&camera, &settings).expect("a picture").color, gradients));
+    }
+    results
+}
+
+/// Kernels that exist with and without texels (glsl/include/reads.glsl): a device uses one of the forms, tests both.
+#[test]
+fn determinism_between_the_forms_of_kernels() {
+    let plain = ContextOptions { push_descriptors: false, ..crate::common::options() };
+    let (texels, plain) = (by_form(&crate::common::options()), by_form(&plain));
+    assert!(texels.iter().all(|(picture, _)| picture.iter().any(|pixel| *pixel != [0.0; 3])));
+    assert!(texels == plain, "texels and storage buffers give other bits");
 }

@@ -22,9 +22,23 @@ pub const EXTENSIONS: &str = "\
 #extension GL_KHR_shader_subgroup_shuffle_relative : enable
 ";
 
-/// Compiles a shader for Vulkan 1.3, its stage by its extension; `display` is what errors call it. The error holds one line
-/// "error: path:line: message" for each mistake.
-pub fn compile(glsl: &Path, path: &Path, display: &str, source: &str) -> Result<Vec<u32>, String> {
+/// The macro of the form of a shader that reads texels: see [`has_texel_form`].
+const TEXELS: &str = "#define TEXELS\n";
+
+/// Whether a shader exists in two forms, one that reads storage buffers and one that reads texels.
+pub fn has_texel_form(glsl: &Path, path: &Path) -> bool {
+    files_with_includes(glsl, path).iter().any(|file| file.ends_with("include/reads.glsl"))
+}
+
+/// Compiles a shader for Vulkan 1.3, its stage by its extension, in its form that reads texels if `texels` says so; `display`
+/// is what errors call it. The error holds one line "error: path:line: message" for each mistake.
+pub fn compile(
+    glsl: &Path,
+    path: &Path,
+    display: &str,
+    source: &str,
+    texels: bool,
+) -> Result<Vec<u32>, String> {
     let compiler = Compiler::acquire().ok_or("glslang does not start")?;
     let options = CompilerOptions {
         source_language: SourceLanguage::GLSL,
@@ -33,7 +47,7 @@ pub fn compile(glsl: &Path, path: &Path, display: &str, source: &str) -> Result<
         messages: ShaderMessage::VULKAN_RULES | ShaderMessage::SPV_RULES | ShaderMessage::ENHANCED,
     };
     let mut includer = Includer { glsl, file: path };
-    let source = ShaderSource::from(with_extensions(source));
+    let source = ShaderSource::from(with_prelude(source, if texels { TEXELS } else { "" }));
     let none: Option<&[(&str, Option<&str>)]> = None;
     let input = ShaderInput::new(&source, stage_of(path), &options, none, Some(&mut includer))
         .map_err(|e| report(&e, display))?;
@@ -50,12 +64,12 @@ fn stage_of(path: &Path) -> ShaderStage {
     }
 }
 
-/// The source with [`EXTENSIONS`] after its `#version`, its line numbers kept.
-fn with_extensions(source: &str) -> String {
+/// The source with [`EXTENSIONS`] and `macros` after its `#version`, its line numbers kept.
+fn with_prelude(source: &str, macros: &str) -> String {
     let Some(at) = source.find("#version") else { return source.to_owned() };
     let end = source[at..].find('\n').map_or(source.len(), |n| at + n + 1);
     let line = source[..end].lines().count() + 1;
-    format!("{}{EXTENSIONS}#line {line}\n{}", &source[..end], &source[end..])
+    format!("{}{EXTENSIONS}{macros}#line {line}\n{}", &source[..end], &source[end..])
 }
 
 /// glslang's log as "path:line: message"; it calls the file itself 0 and includes by their name.

@@ -14,6 +14,8 @@ pub struct Kernel {
     pub shader: Shader,
     /// The file with its SPIR-V as a Rust array.
     pub spirv_file: String,
+    /// The same of its form that reads texels, and that form's interface.
+    pub texels: Option<(String, Shader)>,
 }
 
 /// The text of `kernels.rs`: modules that mirror glsl/'s folders.
@@ -102,6 +104,11 @@ pub fn constants(source: &str) -> Result<String, String> {
 fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     let mut out = String::new();
     check_identifier(stem)?;
+    if let Some(difference) =
+        kernel.texels.as_ref().and_then(|(_, texels)| kernel.shader.difference(texels, true))
+    {
+        return Err(format!("its form that reads texels has other {difference}"));
+    }
     let _ = writeln!(out, "#[doc = \"`glsl/{}.comp`\"]\n#[doc = \"\"]\n#[doc = \"```text\"]", kernel.name);
     for line in leading_comment(&kernel.source) {
         let _ = writeln!(out, "#[doc = {line:?}]");
@@ -112,7 +119,7 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     );
     let _ = writeln!(
         out,
-        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, ConstantInfo, ConstantKind, Image, ImageInfo, ImageUse, KernelInterface, Limits, TexelFormat}};"
+        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, ConstantInfo, ConstantKind, Form, Image, ImageInfo, ImageUse, KernelInterface, Limits, TexelFormat}};"
     );
     out.push_str(&bind(kernel)?);
     out.push_str(&push(kernel)?);
@@ -231,19 +238,21 @@ fn for_device(shader: &Shader) -> String {
 
 fn interface(kernel: &Kernel) -> String {
     let shader = &kernel.shader;
-    let mut infos = String::new();
+    let infos = binding_infos(shader);
     let mut buffers = String::new();
     for b in &shader.bindings {
-        let access = access_of(b.reads, b.writes);
-        let _ = writeln!(
-            infos,
-            "BindingInfo {{ name: {:?}, binding: {}, access: Access::{access}, texels: {} }},",
-            b.name,
-            b.binding,
-            b.texels.map_or("None".to_owned(), |format| format!("Some(TexelFormat::{format})"))
-        );
         let _ = write!(buffers, "bind.{}, ", b.name);
     }
+    let texels = match &kernel.texels {
+        None => "None".to_owned(),
+        Some((file, shader)) => {
+            format!(
+                "Some(Form {{ spirv: &{}, bindings: &[\n{}], texels: true }})",
+                included(file),
+                binding_infos(shader)
+            )
+        }
+    };
     let (mut image_infos, mut images) = (String::new(), String::new());
     for i in &shader.images {
         let (b, purpose) = (&i.binding, if i.storage { "Storage" } else { "Sampled" });
@@ -287,8 +296,9 @@ fn interface(kernel: &Kernel) -> String {
         "/// What the kernel is, for [`crate::vk::Kernel`].\npub struct Interface;\n\
          impl KernelInterface for Interface {{\n\
          const NAME: &'static str = {name:?};\n\
-         const SPIRV: &'static [u32] = &include!(concat!(env!(\"OUT_DIR\"), \"/\", {file:?}));\n\
+         const SPIRV: &'static [u32] = &{spirv};\n\
          const BINDINGS: &'static [BindingInfo] = &[\n{infos}];\n\
+         const TEXELS: Option<Form> = {texels};\n\
          const IMAGES: &'static [ImageInfo] = &[\n{image_infos}];\n\
          const CONSTANTS: &'static [ConstantInfo] = &[\n{constants}];\n\
          const PUSH_BYTES: u32 = {push_size};\n\
@@ -302,12 +312,32 @@ fn interface(kernel: &Kernel) -> String {
          fn workgroup_size(spec: &Spec) -> [u32; 3] {{ [{x}, {y}, {z}] }}\n\
          fn shared_bytes(spec: &Spec) -> u32 {{ {shared} }}\n}}\n",
         name = kernel.name,
-        file = kernel.spirv_file,
+        spirv = included(&kernel.spirv_file),
         push_size = shader.push.last().map_or(0, |f| f.offset + f.bytes),
         count = shader.bindings.len(),
         image_count = shader.images.len(),
         shared = shader.shared_bytes,
     )
+}
+
+/// A module as a Rust array.
+fn included(file: &str) -> String {
+    format!("include!(concat!(env!(\"OUT_DIR\"), \"/\", {file:?}))")
+}
+
+fn binding_infos(shader: &Shader) -> String {
+    let mut infos = String::new();
+    for b in &shader.bindings {
+        let _ = writeln!(
+            infos,
+            "BindingInfo {{ name: {:?}, binding: {}, access: Access::{}, texels: {} }},",
+            b.name,
+            b.binding,
+            access_of(b.reads, b.writes),
+            b.texels.map_or("None".to_owned(), |format| format!("Some(TexelFormat::{format})"))
+        );
+    }
+    infos
 }
 
 fn access_of(reads: bool, writes: bool) -> &'static str {

@@ -4,78 +4,14 @@
 //! Used by build.rs, which generates the typed interface of each kernel from it. Only what compute shaders of this
 //! crate use is understood; anything else is an error that says what.
 
+#[path = "shader.rs"]
+mod shader;
 #[path = "spirv.rs"]
 mod spirv;
 
+pub use shader::{Binding, ImageBinding, PushField, Shader, SpecConstant};
 use spirv::{operation, text};
 use std::collections::BTreeMap;
-
-/// What a shader declares.
-#[derive(Debug, Default, PartialEq)]
-pub struct Shader {
-    /// Storage buffers by binding.
-    pub bindings: Vec<Binding>,
-    /// Images by binding.
-    pub images: Vec<ImageBinding>,
-    /// Members of the push constant block, in order.
-    pub push: Vec<PushField>,
-    /// Specialization constants by id.
-    pub spec: Vec<SpecConstant>,
-    /// Workgroup size: a Rust expression of type u32 over `spec` for each axis.
-    pub workgroup_size: [String; 3],
-    /// Bytes of shared memory: a Rust expression of type u32 over `spec`.
-    pub shared_bytes: String,
-}
-
-/// A storage buffer.
-#[derive(Debug, PartialEq)]
-pub struct Binding {
-    /// Name of the block's first member, or of the image.
-    pub name: String,
-    /// Number of the binding in set 0.
-    pub binding: u32,
-    /// Whether the shader may read it.
-    pub reads: bool,
-    /// Whether the shader may write it.
-    pub writes: bool,
-    /// The variant of `TexelFormat` that it is read as; None: a storage buffer.
-    pub texels: Option<&'static str>,
-}
-
-/// A storage image or a sampled image without sampler.
-#[derive(Debug, PartialEq)]
-pub struct ImageBinding {
-    /// Its name, number and use.
-    pub binding: Binding,
-    /// Whether it is a storage image.
-    pub storage: bool,
-}
-
-/// A member of the push constant block.
-#[derive(Debug, PartialEq)]
-pub struct PushField {
-    /// Its name.
-    pub name: String,
-    /// Bytes from the start of the block.
-    pub offset: u32,
-    /// Its type in Rust.
-    pub rust_type: String,
-    /// Its size.
-    pub bytes: u32,
-}
-
-/// A specialization constant.
-#[derive(Debug, PartialEq)]
-pub struct SpecConstant {
-    /// `constant_id`.
-    pub id: u32,
-    /// Its name in the shader.
-    pub name: String,
-    /// "bool", "u32", "i32" or "f32".
-    pub rust_type: &'static str,
-    /// The default's bits.
-    pub default_bits: u32,
-}
 
 #[derive(Clone, Debug)]
 enum Type {

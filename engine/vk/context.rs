@@ -223,7 +223,12 @@ impl Context {
         };
         let family = families.get(candidate.queue_family as usize).copied().unwrap_or_default();
         let push = candidate.features.push_descriptor;
+        let foreign = !matches!(owner, Owner::Us(_));
         let opened = effective_limits(&candidate, options).and_then(|mut limits| {
+            if foreign {
+                // Views of buffers are made while recording, and a host's buffers may lack the usage.
+                limits.max_texels = 0;
+            }
             if push {
                 return Ok((limits, None));
             }

@@ -97,6 +97,8 @@ pub trait KernelInterface {
     const SPIRV: &'static [u32];
     /// Its buffers.
     const BINDINGS: &'static [BindingInfo];
+    /// The form of it that reads texels, where it has one; it does the same to the bit.
+    const TEXELS: Option<Form>;
     /// Its images.
     const IMAGES: &'static [ImageInfo];
     /// Its specialization constants.
@@ -125,6 +127,22 @@ pub trait KernelInterface {
     fn shared_bytes(spec: &Self::Spec) -> u32;
     /// The shader's own constants with subgroup and workgroup size fitted to a device.
     fn spec_for(limits: &Limits) -> Self::Spec;
+    /// The form that a device gets: see [`Limits::prefers_texels`].
+    fn form(limits: &Limits) -> Form {
+        let plain = Form { spirv: Self::SPIRV, bindings: Self::BINDINGS, texels: false };
+        Self::TEXELS.filter(|_| limits.prefers_texels()).unwrap_or(plain)
+    }
+}
+
+/// One of the forms of a shader that differ in how they read.
+#[derive(Clone, Copy, Debug)]
+pub struct Form {
+    /// Its SPIR-V.
+    pub spirv: &'static [u32],
+    /// Its buffers: names, numbers and accesses are the same in all forms.
+    pub bindings: &'static [BindingInfo],
+    /// Whether it is the form that reads texels in place of storage buffers.
+    pub texels: bool,
 }
 
 /// For code that goes over all kernels: see [`crate::kernels::visit_all`].
@@ -167,21 +185,22 @@ impl<K: KernelInterface> Kernel<K> {
     /// (drivers accept such pipelines and fail later), [`Error::Argument`] for a subgroup size that it cannot give,
     /// [`Error::Vulkan`] where the driver refuses.
     pub fn new(context: &Context, spec: &K::Spec) -> Result<Self> {
+        let form = K::form(context.limits());
         let demands = Demands {
             name: K::NAME,
             subgroup_size: K::subgroup_size(spec),
             workgroup_size: K::workgroup_size(spec),
             shared_bytes: K::shared_bytes(spec),
             push_bytes: K::PUSH_BYTES,
-            bindings: K::BINDINGS.len() as u32,
-            texels: K::BINDINGS.iter().any(|b| b.texels.is_some()),
+            bindings: form.bindings.len() as u32,
+            texels: form.bindings.iter().any(|b| b.texels.is_some()),
             images: K::IMAGES,
         };
         check(&demands, context.limits())?;
         let constants = overridden::<K>(context.limits(), K::spec_entries(spec));
         let replaced = context.replaced_shader(K::NAME);
-        let spirv = replaced.as_deref().map_or(K::SPIRV, Vec::as_slice);
-        let pipeline = Pipeline::new(&context.0, &demands, K::BINDINGS, spirv, &constants)?;
+        let spirv = replaced.as_deref().map_or(form.spirv, Vec::as_slice);
+        let pipeline = Pipeline::new(&context.0, &demands, form.bindings, spirv, &constants)?;
         Ok(Self { pipeline: Arc::new(pipeline), interface: PhantomData })
     }
 

@@ -79,7 +79,7 @@ pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
 pub use image::{ForeignImage, Image, ImageState, ImageUse};
 pub use instance::validation_available;
 pub use kernel::{
-    Access, BindingInfo, ConstantInfo, ConstantKind, ImageInfo, Kernel, KernelInterface, KernelVisitor,
+    Access, BindingInfo, ConstantInfo, ConstantKind, Form, ImageInfo, Kernel, KernelInterface, KernelVisitor,
 };
 pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of};
 pub use memory::{ArenaMemory, MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};

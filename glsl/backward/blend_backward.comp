@@ -24,6 +24,7 @@
 #extension GL_KHR_shader_subgroup_shuffle : require
 
 #include "constants.glsl"
+#include "reads.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
@@ -36,15 +37,15 @@ const bool LINEAR_DEPTH = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer SortedVisible { uint sorted_visible[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer SortedSlots { uint sorted_slots[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer Mean2dExtent { vec4 mean2d_extent[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer ConicOpacity { vec4 conic_opacity[]; };
-layout(set = 0, binding = 5, scalar) readonly buffer ColorInverseDepth { vec4 color_inverse_depth[]; };
-layout(set = 0, binding = 6, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
-layout(set = 0, binding = 7, scalar) readonly buffer InverseDepth { float inverse_depth[]; };
-layout(set = 0, binding = 8, scalar) readonly buffer LastEntries { uint last_entries[]; };
-layout(set = 0, binding = 9, scalar) readonly buffer ImageGradient { vec4 image_gradient[]; };
+UINT_READS(1, SortedVisible, sorted_visible);
+UINT_READS(2, SortedSlots, sorted_slots);
+VEC4_READS(3, Mean2dExtent, mean2d_extent);
+VEC4_READS(4, ConicOpacity, conic_opacity);
+VEC4_READS(5, ColorInverseDepth, color_inverse_depth);
+VEC4_READS(6, Accumulated, accumulated);
+FLOAT_READS(7, InverseDepth, inverse_depth);
+UINT_READS(8, LastEntries, last_entries);
+VEC4_READS(9, ImageGradient, image_gradient);
 layout(set = 0, binding = 10, scalar) buffer Running { vec2 running[]; };
 layout(set = 0, binding = 11, scalar) writeonly buffer SumsA { vec4 sums_a[]; };
 layout(set = 0, binding = 12, scalar) writeonly buffer SumsB { vec4 sums_b[]; };
@@ -136,17 +137,17 @@ void main() {
         uvec2 pixel = corner + pixel_step(k);
         bool inside = tile_exists && pixel.x < image_width && pixel.y < image_height;
         uint index = inside ? pixel.y * image_width + pixel.x : 0;
-        vec4 pixel_color = accumulated[index];
-        gradient[k] = image_gradient[index];
+        vec4 pixel_color = VEC4_AT(accumulated, index);
+        gradient[k] = VEC4_AT(image_gradient, index);
         if (!INVERSE_DEPTH) {
             gradient[k].w = 0.0;
         }
         transmittance[k] = 1.0;
         rest[k] = dot(gradient[k].xyz, pixel_color.xyz + pixel_color.w * background);
         if (INVERSE_DEPTH) {
-            rest[k] += gradient[k].w * inverse_depth[index];
+            rest[k] += gradient[k].w * FLOAT_AT(inverse_depth, index);
         }
-        last[k] = inside ? last_entries[index] : 0;
+        last[k] = inside ? UINT_AT(last_entries, index) : 0;
         lane_last = max(lane_last, last[k]);
     }
     if (first_entry > 0) {
@@ -173,10 +174,10 @@ void main() {
         for (uint step = 0; step < STEPS; ++step) {
             uint entry = batch + step * SUBGROUP_SIZE + gl_SubgroupInvocationID;
             bool exists = entry < end && entry < own_last;
-            uint visible = sorted_visible[range.x + (exists ? entry : begin)];
-            vec4 mean2d = mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)];
-            vec4 conic = conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)];
-            vec4 shade = color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)];
+            uint visible = UINT_AT(sorted_visible, range.x + (exists ? entry : begin));
+            vec4 mean2d = VEC4_AT(mean2d_extent, splat_at(visible, SPLAT_MEAN2D_EXTENT));
+            vec4 conic = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
+            vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
             Splat own = splat_of(mean2d.xy, conic, shade);
             uvec4 hits = subgroupBallot(exists && meets_region(mean2d, own.form, own.opacity, origin));
             [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
@@ -251,7 +252,7 @@ void main() {
                         sums[k] += hit ? value : 0.0;
                     }
                 }
-                uint target = sorted_slots[range.x + entry];
+                uint target = UINT_AT(sorted_slots, range.x + entry);
                 sums_a[target] = vec4(sums[0], sums[1], sums[2], sums[3]);
                 sums_b[target] = vec4(sums[4], sums[5], sums[6], sums[7]);
                 sums_c[target] = vec2(sums[8], sums[9]);
@@ -263,7 +264,7 @@ void main() {
     // Entries behind the last that any pixel blended owe nothing, but their slots are read.
     uint batches = (max(work_end, begin) - begin + BATCH - 1) / BATCH;
     for (uint entry = begin + batches * BATCH + gl_LocalInvocationID.x; entry < end; entry += WORKGROUP_SIZE) {
-        uint target = sorted_slots[range.x + entry];
+        uint target = UINT_AT(sorted_slots, range.x + entry);
         sums_a[target] = vec4(0.0);
         sums_b[target] = vec4(0.0);
         sums_c[target] = vec2(0.0);

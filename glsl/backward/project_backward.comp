@@ -17,6 +17,7 @@
 #extension GL_KHR_shader_subgroup_shuffle : require
 
 #include "constants.glsl"
+#include "reads.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
@@ -25,18 +26,18 @@ layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const uint LANE_SLOTS = 64;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
+VEC4_READS(0, Parameters, parameters);
 layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer VisibleList { uint visible_list[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer Footprints { uvec4 footprints[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer SlotBegins { uint slot_begins[]; };
-layout(set = 0, binding = 5, scalar) readonly buffer ConicOpacity { vec4 conic_opacity[]; };
-layout(set = 0, binding = 6, scalar) readonly buffer SumsA { vec4 sums_a[]; };
-layout(set = 0, binding = 7, scalar) readonly buffer SumsB { vec4 sums_b[]; };
-layout(set = 0, binding = 8, scalar) readonly buffer SumsC { vec2 sums_c[]; };
+UINT_READS(2, VisibleList, visible_list);
+UVEC4_READS(3, Footprints, footprints);
+UINT_READS(4, SlotBegins, slot_begins);
+VEC4_READS(5, ConicOpacity, conic_opacity);
+VEC4_READS(6, SumsA, sums_a);
+VEC4_READS(7, SumsB, sums_b);
+VEC2_READS(8, SumsC, sums_c);
 layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
-layout(set = 0, binding = 11, scalar) readonly buffer VisibleRanges { uvec4 visible_ranges[]; };
+UVEC4_READS(11, VisibleRanges, visible_ranges);
 
 // Stride of the gradient planes, and whether to add to the statistics.
 #define CAMERA_PUSH_EXTRA uint gradient_stride; uint accumulate;
@@ -64,9 +65,9 @@ Sums sum_slots(uint begin, uint slots, bool exists) {
     Sums sums = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
     uint alone = slots <= LANE_SLOTS ? slots : 0;
     for (uint k = 0; k < alone; ++k) {
-        sums.a += sums_a[begin + k];
-        sums.b += sums_b[begin + k];
-        sums.c += sums_c[begin + k];
+        sums.a += VEC4_AT(sums_a, begin + k);
+        sums.b += VEC4_AT(sums_b, begin + k);
+        sums.c += VEC2_AT(sums_c, begin + k);
     }
     uvec4 large = subgroupBallot(exists && slots > LANE_SLOTS);
     for (uint word = 0; word < BALLOT_WORDS; ++word) {
@@ -78,9 +79,9 @@ Sums sum_slots(uint begin, uint slots, bool exists) {
             uint their_slots = subgroupShuffle(slots, lane);
             Sums share = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
             for (uint k = gl_SubgroupInvocationID; k < their_slots; k += SUBGROUP_SIZE) {
-                share.a += sums_a[their_begin + k];
-                share.b += sums_b[their_begin + k];
-                share.c += sums_c[their_begin + k];
+                share.a += VEC4_AT(sums_a, their_begin + k);
+                share.b += VEC4_AT(sums_b, their_begin + k);
+                share.c += VEC2_AT(sums_c, their_begin + k);
             }
             share = subgroup_sum(share);
             if (gl_SubgroupInvocationID == lane) {
@@ -129,22 +130,22 @@ vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
 
 void main() {
     // Workgroups have the size of culling's blocks.
-    uvec4 visible_range = visible_ranges[2 * (first / WORKGROUP_SIZE) + 1];
+    uvec4 visible_range = UVEC4_AT(visible_ranges, 2 * (first / WORKGROUP_SIZE) + 1);
     uint visible = visible_range.x + linear_invocation();
     bool exists = visible < visible_range.y;
     uint slot_visible = exists ? visible : visible_range.x;
-    uint gaussian = visible_list[slot_visible];
+    uint gaussian = UINT_AT(visible_list, slot_visible);
     uint index = exists ? gaussian - first : 0;
-    uint slots = exists ? footprints[splat_at(slot_visible, SPLAT_FOOTPRINT)].w : 0;
+    uint slots = exists ? UVEC4_AT(footprints, splat_at(slot_visible, SPLAT_FOOTPRINT)).w : 0;
     // Slots beyond the capacity do not exist; the frame is then run again anyway.
-    uint begin = slots == 0 ? 0 : slot_begins[slot_visible];
+    uint begin = slots == 0 ? 0 : UINT_AT(slot_begins, slot_visible);
     slots = state[STATE_OVERFLOW] != 0 ? 0 : slots;
     Sums sums = sum_slots(begin, slots, exists);
 
-    vec4 mean_opacity = parameters[PLANE_MEAN_OPACITY * stride + index];
-    vec4 quat = parameters[PLANE_QUAT * stride + index];
-    vec4 log_scale = parameters[PLANE_LOG_SCALE * stride + index];
-    vec4 conic = conic_opacity[splat_at(slot_visible, SPLAT_CONIC_OPACITY)];
+    vec4 mean_opacity = VEC4_AT(parameters, PLANE_MEAN_OPACITY * stride + index);
+    vec4 quat = VEC4_AT(parameters, PLANE_QUAT * stride + index);
+    vec4 log_scale = VEC4_AT(parameters, PLANE_LOG_SCALE * stride + index);
+    vec4 conic = VEC4_AT(conic_opacity, splat_at(slot_visible, SPLAT_CONIC_OPACITY));
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
 
     // Moments to gradients of mean, conic and opacity.

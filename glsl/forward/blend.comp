@@ -22,6 +22,7 @@
 #extension GL_KHR_shader_subgroup_shuffle : require
 
 #include "constants.glsl"
+#include "reads.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
@@ -126,10 +127,10 @@ void main() {
     if (batch < end) for (;;) {
         uint entry = batch + gl_SubgroupInvocationID;
         bool exists = entry < end;
-        uint visible = sorted_visible[range.x + (exists ? entry : first_entry)];
-        vec4 mean2d = mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)];
-        vec4 conic = conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)];
-        vec4 shade = color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)];
+        uint visible = UINT_AT(sorted_visible, range.x + (exists ? entry : first_entry));
+        vec4 mean2d = VEC4_AT(mean2d_extent, splat_at(visible, SPLAT_MEAN2D_EXTENT));
+        vec4 conic = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
+        vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
         Splat own = splat_of(mean2d.xy, conic, shade);
         blend_region(own, mean2d, exists, origin_0, batch, pixels_0, alive_0);
         if (PARTS > 1) blend_region(own, mean2d, exists, origin_1, batch, pixels_1, alive_1);

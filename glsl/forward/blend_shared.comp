@@ -21,6 +21,7 @@
 #extension GL_GOOGLE_include_directive : require
 
 #include "constants.glsl"
+#include "reads.glsl"
 
 // A divisor of 256 / COLUMN_ROWS, the columns of a tile.
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
@@ -94,10 +95,10 @@ void main() {
             atomicOr(alive, 1);
         }
         uint entry = batch + gl_LocalInvocationID.x;
-        uint visible = sorted_visible[range.x + (entry < end ? entry : begin)];
-        means[gl_LocalInvocationID.x] = mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)].xy;
-        conics[gl_LocalInvocationID.x] = conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)];
-        shades[gl_LocalInvocationID.x] = color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)];
+        uint visible = UINT_AT(sorted_visible, range.x + (entry < end ? entry : begin));
+        means[gl_LocalInvocationID.x] = VEC4_AT(mean2d_extent, splat_at(visible, SPLAT_MEAN2D_EXTENT)).xy;
+        conics[gl_LocalInvocationID.x] = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
+        shades[gl_LocalInvocationID.x] = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
         barrier();
         // Uniform: all have seen the same word, and nobody writes it before the barrier below.
         uint fetched = alive != 0 ? min(end - batch, WORKGROUP_SIZE) : 0;

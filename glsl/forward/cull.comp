@@ -11,12 +11,13 @@
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
 #include "constants.glsl"
+#include "reads.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
+VEC4_READS(0, Parameters, parameters);
 layout(set = 0, binding = 1, scalar) writeonly buffer VisibleFlags { uint visible_flags[]; };
 layout(set = 0, binding = 2, scalar) writeonly buffer BlockCounts { uint block_counts[]; };
 
@@ -30,9 +31,9 @@ void main() {
     uint local = linear_invocation();
     bool exists = local < count;
     uint index = exists ? local : 0;
-    vec4 mean_opacity = parameters[PLANE_MEAN_OPACITY * stride + index];
-    vec4 quat = parameters[PLANE_QUAT * stride + index];
-    vec4 log_scale = parameters[PLANE_LOG_SCALE * stride + index];
+    vec4 mean_opacity = VEC4_AT(parameters, PLANE_MEAN_OPACITY * stride + index);
+    vec4 quat = VEC4_AT(parameters, PLANE_QUAT * stride + index);
+    vec4 log_scale = VEC4_AT(parameters, PLANE_LOG_SCALE * stride + index);
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
     Footprint f = footprint_of(p, mean_opacity.w);
     uint flag = exists && f.visible ? 1 : 0;

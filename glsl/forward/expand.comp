@@ -18,6 +18,7 @@
 #extension GL_KHR_shader_subgroup_shuffle : require
 
 #include "constants.glsl"
+#include "reads.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
@@ -26,10 +27,10 @@ layout(constant_id = 3) const bool SLOTS = true;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer State { uint state[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer Order { uint order[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer InstanceOffsets { uint instance_offsets[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer Mean2dExtent { vec4 mean2d_extent[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer Footprints { uvec4 footprints[]; };
+UINT_READS(1, Order, order);
+UINT_READS(2, InstanceOffsets, instance_offsets);
+VEC4_READS(3, Mean2dExtent, mean2d_extent);
+UVEC4_READS(4, Footprints, footprints);
 layout(set = 0, binding = 5, scalar) writeonly buffer InstanceTiles { uint instance_tiles[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer InstanceVisible { uint instance_visible[]; };
 layout(set = 0, binding = 7, scalar) writeonly buffer SlotBegins { uint slot_begins[]; };
@@ -53,7 +54,7 @@ uint find_rank(uint instance, uint low, uint ranks) {
         uint apart = (ranks + SUBGROUP_SIZE - 1) / SUBGROUP_SIZE;
         uint probe = gl_SubgroupInvocationID * apart;
         bool exists = probe < ranks;
-        bool passed = exists && instance_offsets[low + (exists ? probe : 0)] <= instance;
+        bool passed = exists && UINT_AT(instance_offsets, low + (exists ? probe : 0)) <= instance;
         // The first lane's has: what it searches for lies behind.
         uint last = max(subgroupBallotBitCount(subgroupBallot(passed)), 1) - 1;
         low += last * apart;
@@ -81,10 +82,10 @@ void main() {
         uint rank = first_rank + gl_SubgroupInvocationID;
         bool exists = rank < visible_count;
         uint safe_rank = exists ? rank : first_rank;
-        uint offset = exists ? instance_offsets[safe_rank] : 0xFFFFFFFF;
-        uint visible = order[safe_rank];
-        vec4 mean2d = mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)];
-        uvec4 footprint = footprints[splat_at(visible, SPLAT_FOOTPRINT)];
+        uint offset = exists ? UINT_AT(instance_offsets, safe_rank) : 0xFFFFFFFF;
+        uint visible = UINT_AT(order, safe_rank);
+        vec4 mean2d = VEC4_AT(mean2d_extent, splat_at(visible, SPLAT_MEAN2D_EXTENT));
+        uvec4 footprint = UVEC4_AT(footprints, splat_at(visible, SPLAT_FOOTPRINT));
         uvec2 box = extent == EXTENT_REFERENCE ? footprint.xy : pack_tiles(tile_box(mean2d, uvec2(tiles_per_row, tile_rows)));
         if (SLOTS && exists && footprint.w > 0 && offset >= run_begin && offset < run_end) {
             slot_begins[visible] = offset;

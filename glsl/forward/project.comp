@@ -11,14 +11,15 @@
 #extension GL_GOOGLE_include_directive : require
 
 #include "constants.glsl"
+#include "reads.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer VisibleRanges { uvec4 visible_ranges[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer VisibleList { uint visible_list[]; };
+VEC4_READS(0, Parameters, parameters);
+UVEC4_READS(1, VisibleRanges, visible_ranges);
+UINT_READS(2, VisibleList, visible_list);
 layout(set = 0, binding = 3, scalar) writeonly buffer Mean2dExtent { vec4 mean2d_extent[]; };
 layout(set = 0, binding = 4, scalar) writeonly buffer ConicOpacity { vec4 conic_opacity[]; };
 layout(set = 0, binding = 5, scalar) writeonly buffer ColorInverseDepth { vec4 color_inverse_depth[]; };
@@ -36,15 +37,15 @@ layout(set = 0, binding = 8, scalar) writeonly buffer VisibleTiles { uint visibl
 
 void main() {
     // Workgroups have the size of culling's blocks.
-    uvec4 visible_range = visible_ranges[2 * (first / WORKGROUP_SIZE) + 1];
+    uvec4 visible_range = UVEC4_AT(visible_ranges, 2 * (first / WORKGROUP_SIZE) + 1);
     uint visible = visible_range.x + linear_invocation();
     if (visible >= visible_range.y) {
         return;
     }
-    uint index = visible_list[visible] - first;
-    vec4 mean_opacity = parameters[PLANE_MEAN_OPACITY * stride + index];
-    vec4 quat = parameters[PLANE_QUAT * stride + index];
-    vec4 log_scale = parameters[PLANE_LOG_SCALE * stride + index];
+    uint index = UINT_AT(visible_list, visible) - first;
+    vec4 mean_opacity = VEC4_AT(parameters, PLANE_MEAN_OPACITY * stride + index);
+    vec4 quat = VEC4_AT(parameters, PLANE_QUAT * stride + index);
+    vec4 log_scale = VEC4_AT(parameters, PLANE_LOG_SCALE * stride + index);
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
     Footprint f = footprint_of(p, mean_opacity.w);
 

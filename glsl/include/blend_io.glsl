@@ -2,10 +2,10 @@
 // Needs blending.glsl.
 
 layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer SortedVisible { uint sorted_visible[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer Mean2dExtent { vec4 mean2d_extent[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer ConicOpacity { vec4 conic_opacity[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer ColorInverseDepth { vec4 color_inverse_depth[]; };
+UINT_READS(1, SortedVisible, sorted_visible);
+VEC4_READS(2, Mean2dExtent, mean2d_extent);
+VEC4_READS(3, ConicOpacity, conic_opacity);
+VEC4_READS(4, ColorInverseDepth, color_inverse_depth);
 layout(set = 0, binding = 5, scalar) buffer Accumulated { vec4 accumulated[]; };
 layout(set = 0, binding = 6, scalar) buffer InverseDepth { float inverse_depth[]; };
 layout(set = 0, binding = 7, scalar) buffer LastEntries { uint last_entries[]; };

@@ -3,7 +3,7 @@
 
 vec4 sh_plane(uint plane, uint index) {
     // Planes above the active degree may not exist: read one that does, and drop it.
-    vec4 value = parameters[(PLANE_SH + (plane < SH_PLANES ? plane : 0)) * stride + index];
+    vec4 value = VEC4_AT(parameters, (PLANE_SH + (plane < SH_PLANES ? plane : 0)) * stride + index);
     return plane < SH_PLANES ? value : vec4(0.0);
 }
 

@@ -65,28 +65,34 @@ pub fn count(spirv: &[u32]) -> Counts {
     counts
 }
 
-struct Modules(Vec<(&'static str, &'static [u32])>);
+/// What the form of a kernel that reads texels is called besides the kernel's name.
+const TEXELS: &str = ".texels";
+
+struct Modules(Vec<(String, &'static [u32])>);
 
 impl KernelVisitor for Modules {
     fn visit<K: KernelInterface>(&mut self) {
-        self.0.push((K::NAME, K::SPIRV));
+        self.0.push((K::NAME.to_owned(), K::SPIRV));
+        self.0.extend(K::TEXELS.map(|form| (format!("{}{TEXELS}", K::NAME), form.spirv)));
     }
 }
 
-/// Writes DIR/sort/sort_count.spv and so on, and DIR/instructions.txt; returns that table. `name`: of which kernel or folder.
+/// Writes DIR/sort/sort_count.spv and so on, DIR/forward/blend.texels.spv for a form that reads texels, and
+/// DIR/instructions.txt; returns that table. `name`: of which kernel or folder.
 pub fn dump(folder: &Path, name: Option<&str>) -> Result<String> {
     output::check_folder(folder)?;
     let mut modules = Modules(Vec::new());
     visit_all(&mut modules);
-    modules.0.retain(|(kernel, _)| name.is_none_or(|name| is_kernel_of(kernel, name)));
-    let mut table = format!("{:<30} {:>7}", "kernel", "words");
+    let plain = |module: &str| module.trim_end_matches(TEXELS).to_owned();
+    modules.0.retain(|(module, _)| name.is_none_or(|name| is_kernel_of(&plain(module), name)));
+    let mut table = format!("{:<36} {:>7}", "kernel", "words");
     CLASSES.iter().for_each(|class| table += &format!(" {class:>10}"));
     table.push('\n');
     for (name, spirv) in modules.0 {
         let path = folder.join(format!("{name}.spv"));
         let bytes: Vec<u8> = spirv.iter().flat_map(|word| word.to_le_bytes()).collect();
         output::in_folder(&path, |path| atomic::write(path, |out| out.write_all(&bytes)))?;
-        table += &format!("{name:<30} {:>7}", spirv.len());
+        table += &format!("{name:<36} {:>7}", spirv.len());
         count(spirv).all().iter().for_each(|count| table += &format!(" {count:>10}"));
         table.push('\n');
     }

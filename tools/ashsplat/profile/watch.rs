@@ -38,7 +38,7 @@ mod reloading {
     use crate::bench::workload::Scene;
     use ashsplat::kernels::reload;
     use ashsplat::kernels::visit_all;
-    use ashsplat::vk::{Context, KernelInterface, KernelVisitor};
+    use ashsplat::vk::{Context, KernelInterface, KernelVisitor, Limits};
     use ashsplat::{Error, Result};
     use std::collections::HashMap;
     use std::path::{Path, PathBuf};
@@ -57,21 +57,24 @@ mod reloading {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("glsl")
     }
 
-    struct Spirv(HashMap<&'static str, &'static [u32]>);
+    struct Spirv<'a> {
+        limits: &'a Limits,
+        modules: HashMap<&'static str, &'static [u32]>,
+    }
 
-    impl KernelVisitor for Spirv {
+    impl KernelVisitor for Spirv<'_> {
         fn visit<K: KernelInterface>(&mut self) {
-            self.0.insert(K::NAME, K::SPIRV);
+            self.modules.insert(K::NAME, K::form(self.limits).spirv);
         }
     }
 
     /// Compiles the kernels of a folder and takes those that differ from the program's own.
     pub fn take_over(context: &Context, glsl: &Path) -> Result<()> {
-        let mut own = Spirv(HashMap::new());
+        let mut own = Spirv { limits: context.limits(), modules: HashMap::new() };
         visit_all(&mut own);
         for kernel in spec::kernels() {
-            let spirv = reload::compile(glsl, kernel)?;
-            if own.0.get(kernel).is_some_and(|built| *built != spirv) {
+            let spirv = reload::compile(glsl, kernel, context.limits())?;
+            if own.modules.get(kernel).is_some_and(|built| *built != spirv) {
                 tell!("{kernel}: taken from {}", glsl.display());
                 context.replace_shader(kernel, Some(spirv));
             }
@@ -183,7 +186,7 @@ mod reloading {
         let mut compiled = Vec::new();
         let mut errors = Vec::new();
         for kernel in kernels {
-            match reload::compile(glsl, kernel) {
+            match reload::compile(glsl, kernel, context.limits()) {
                 Ok(spirv) => compiled.push((kernel, spirv)),
                 Err(Error::Input { path, problem, .. }) if !problem.contains(':') => {
                     errors.push(format!("{}: {problem}", path.display()));
