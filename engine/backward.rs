@@ -6,7 +6,7 @@
 
 use crate::error::Result;
 use crate::forward::{Forward, FrameInputs, camera_push, range_arguments, record_passes};
-use crate::kernels::backward::{blend_backward, expand_gradients, project_backward};
+use crate::kernels::backward::{blend_backward, blend_backward_alone, expand_gradients, project_backward};
 use crate::plan::{Blocks, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -17,9 +17,15 @@ const LANE_SLOTS: u32 = 64;
 pub struct Backward {
     context: Context,
     sizes: Blocks,
-    blend: [Option<Kernel<blend_backward::Interface>>; 2],
+    blend: [Option<Blend>; 2],
     project: [Option<Kernel<project_backward::Interface>>; 4],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
+}
+
+/// The kernel of blending's backward: where each region of a tile has a subgroup, or where all have one.
+enum Blend {
+    Regions(Kernel<blend_backward::Interface>),
+    Alone(Kernel<blend_backward_alone::Interface>),
 }
 
 /// Where the densification statistics go: per Gaussian, the sum of NDC gradient norms and the number of views.
@@ -29,6 +35,41 @@ pub struct Statistics<'a> {
     pub buffer: &'a Buffer,
     /// Whether to add to it.
     pub accumulate: bool,
+}
+
+/// The buffers and push constants of blending's backward, which are the same in both kernels: blend_gradient.glsl.
+macro_rules! blend_backward_arguments {
+    ($kernel:ident, $backward:expr, $inputs:expr, $pass:expr) => {{
+        let (sizes, f) = (&$backward.sizes, $inputs.frame);
+        let splats = f.splats();
+        let bind = $kernel::Bind {
+            tile_ranges: &f.tile_ranges,
+            sorted_visible: Forward::sorted_visible(sizes, f, $inputs.capacity, $inputs.camera),
+            sorted_slots: Forward::sorted_slots(sizes, f, $inputs.camera),
+            mean2d_extent: splats.mean2d_extent,
+            conic_opacity: splats.conic_opacity,
+            color_inverse_depth: splats.color_inverse_depth,
+            accumulated: &f.accumulated,
+            inverse_depth: &f.inverse_depth,
+            last_entries: &f.last_entries,
+            image_gradient: &f.image_gradient,
+            running: &f.running,
+            sums_a: &f.sums_a,
+            sums_b: &f.sums_b,
+            sums_c: &f.sums_c,
+        };
+        let push = $kernel::Push {
+            image_width: $pass.image_width,
+            image_height: $pass.image_height,
+            tiles_per_row: $pass.tiles_per_row,
+            tile_count: $pass.tile_count,
+            first_entry: $pass.first_entry,
+            max_entries: $pass.max_entries,
+            background: $inputs.settings.background,
+            splat_stride: $pass.splat_stride,
+        };
+        (bind, push)
+    }};
 }
 
 impl Backward {
@@ -51,9 +92,17 @@ impl Backward {
         let subgroup_size = self.context.limits().subgroup_size;
         let slot = &mut self.blend[usize::from(inverse_depth)];
         if slot.is_none() {
-            let Blocks { tile: workgroup_size, column_chain, .. } = self.sizes;
-            let spec = blend_backward::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain };
-            *slot = Some(Kernel::new(&self.context, &spec)?);
+            let Blocks { tile, column_chain, blend_backward_alone: alone, .. } = self.sizes;
+            *slot = Some(if alone {
+                let workgroup_size = subgroup_size;
+                let spec =
+                    blend_backward_alone::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain };
+                Blend::Alone(Kernel::new(&self.context, &spec)?)
+            } else {
+                let spec =
+                    blend_backward::Spec { workgroup_size: tile, subgroup_size, inverse_depth, column_chain };
+                Blend::Regions(Kernel::new(&self.context, &spec)?)
+            });
         }
         let slot = &mut self.project[sh_degree as usize];
         if slot.is_none() {
@@ -91,39 +140,18 @@ impl Backward {
     }
 
     fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
         let Some(kernel) = &self.blend[usize::from(inputs.settings.inverse_depth)] else {
             panic!("Backward::prepare was not called for inverse depth");
         };
-        let splats = f.splats();
-        let bind = blend_backward::Bind {
-            tile_ranges: &f.tile_ranges,
-            sorted_visible: Forward::sorted_visible(&self.sizes, f, inputs.capacity, inputs.camera),
-            sorted_slots: Forward::sorted_slots(&self.sizes, f, inputs.camera),
-            mean2d_extent: splats.mean2d_extent,
-            conic_opacity: splats.conic_opacity,
-            color_inverse_depth: splats.color_inverse_depth,
-            accumulated: &f.accumulated,
-            inverse_depth: &f.inverse_depth,
-            last_entries: &f.last_entries,
-            image_gradient: &f.image_gradient,
-            running: &f.running,
-            sums_a: &f.sums_a,
-            sums_b: &f.sums_b,
-            sums_c: &f.sums_c,
-        };
-        record_passes(r, inputs, &self.sizes, |r, pass, tiles| {
-            let push = blend_backward::Push {
-                image_width: pass.image_width,
-                image_height: pass.image_height,
-                tiles_per_row: pass.tiles_per_row,
-                tile_count: pass.tile_count,
-                first_entry: pass.first_entry,
-                max_entries: pass.max_entries,
-                background: inputs.settings.background,
-                splat_stride: pass.splat_stride,
-            };
-            r.dispatch(kernel, &bind, &push, tiles);
+        record_passes(r, inputs, &self.sizes, |r, pass, tiles| match kernel {
+            Blend::Regions(kernel) => {
+                let (bind, push) = blend_backward_arguments!(blend_backward, self, inputs, pass);
+                r.dispatch(kernel, &bind, &push, tiles);
+            }
+            Blend::Alone(kernel) => {
+                let (bind, push) = blend_backward_arguments!(blend_backward_alone, self, inputs, pass);
+                r.dispatch(kernel, &bind, &push, tiles);
+            }
         });
     }
 

@@ -45,6 +45,8 @@ pub struct Blocks {
     pub tile: u32,
     /// Regions of a tile that one subgroup blends forward.
     pub blend_parts: u32,
+    /// Whether one subgroup blends all regions of a tile backward.
+    pub blend_backward_alone: bool,
     /// Invocations of a tile's workgroup that blends from shared memory: at most one per pixel, or per column of them.
     pub tile_shared: u32,
     /// Whether opacities follow from one another along a column of pixels instead of an exponential each.
@@ -89,7 +91,8 @@ impl Blocks {
         let regions = if limits.subgroup_size <= 64 { 4 } else { 2 };
         // A processor has its pixels in memory anyway, and fetches a Gaussian once instead of once per region. Below 8
         // lanes the code would be too long to compile.
-        let usual_parts = if limits.is_cpu && limits.subgroup_size >= 8 { regions } else { 1 };
+        let whole_tiles = limits.is_cpu && limits.subgroup_size >= 8;
+        let usual_parts = if whole_tiles { regions } else { 1 };
         let blend_parts = size("forward", "PARTS", usual_parts).min(regions);
         Self {
             stream,
@@ -105,6 +108,7 @@ impl Blocks {
             expand_items: if limits.is_cpu { 16 } else { 4 },
             tile: regions * limits.subgroup_size,
             blend_parts,
+            blend_backward_alone: whole_tiles,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
             tile_shared: stream.min(if limits.is_cpu { CHAINED_COLUMNS } else { TILE_SIZE * TILE_SIZE }),
             // A processor computes exp2 by some twenty instructions, a GPU by one.

@@ -31,42 +31,9 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
 // See blending.glsl.
 layout(constant_id = 3) const bool COLUMN_CHAIN = false;
-// Training has nothing but splats, and inverse depth.
-const bool DEPTH_LIMIT = false;
-const bool LINEAR_DEPTH = false;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
-UINT_READS(1, SortedVisible, sorted_visible);
-UINT_READS(2, SortedSlots, sorted_slots);
-VEC4_READS(3, Mean2dExtent, mean2d_extent);
-VEC4_READS(4, ConicOpacity, conic_opacity);
-VEC4_READS(5, ColorInverseDepth, color_inverse_depth);
-VEC4_READS(6, Accumulated, accumulated);
-FLOAT_READS(7, InverseDepth, inverse_depth);
-UINT_READS(8, LastEntries, last_entries);
-VEC4_READS(9, ImageGradient, image_gradient);
-layout(set = 0, binding = 10, scalar) buffer Running { vec2 running[]; };
-layout(set = 0, binding = 11, scalar) writeonly buffer SumsA { vec4 sums_a[]; };
-layout(set = 0, binding = 12, scalar) writeonly buffer SumsB { vec4 sums_b[]; };
-layout(set = 0, binding = 13, scalar) writeonly buffer SumsC { vec2 sums_c[]; };
-
-layout(push_constant, scalar) uniform Push {
-    uint image_width;
-    uint image_height;
-    uint tiles_per_row;
-    uint tile_count;
-    uint first_entry;
-    uint max_entries;
-    vec3 background;
-    uint splat_stride;
-};
-
-#include "splat_record.glsl"
-
-#include "tile_region.glsl"
-#include "blending.glsl"
-#include "splat_shuffle.glsl"
+#include "blend_gradient.glsl"
 #include "dispatch.glsl"
 #include "subgroup.glsl"
 
@@ -95,12 +62,11 @@ float add_across(float value, uint first_bit) {
 
 // Adds ten values over the subgroup and stores them at partial[base]: each exchange halves the values per lane
 // instead of moving all of them, so ten sums cost about as many shuffles as two would.
-void store_sums(uint base, float v0, float v1, float v2, float v3, float v4, float v5, float v6, float v7, float v8,
-    float v9) {
+void store_sums(uint base, Sums s) {
     uint lane = gl_SubgroupInvocationID;
-    float a = keep_or_give(keep_or_give(v0, v1, 1), keep_or_give(v2, v3, 1), 2);
-    float b = keep_or_give(keep_or_give(v4, v5, 1), keep_or_give(v6, v7, 1), 2);
-    float c = keep_or_give(v8, v9, 1);
+    float a = keep_or_give(keep_or_give(s.linear.x, s.linear.y, 1), keep_or_give(s.linear.z, s.quadratic.x, 1), 2);
+    float b = keep_or_give(keep_or_give(s.quadratic.y, s.quadratic.z, 1), keep_or_give(s.value.x, s.value.y, 1), 2);
+    float c = keep_or_give(s.value.z, s.value.w, 1);
     c += subgroupShuffleXor(c, 2);
     c = add_across(c, 4);
     if (SUBGROUP_SIZE == 4) {
@@ -128,37 +94,8 @@ void main() {
     uvec2 corner = origin + lane_offset();
     vec2 corner_px = vec2(corner);
 
-    float transmittance[PIXELS];
-    float rest[PIXELS];
-    vec4 gradient[PIXELS];
-    uint last[PIXELS];
-    uint lane_last = 0;
-    [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-        uvec2 pixel = corner + pixel_step(k);
-        bool inside = tile_exists && pixel.x < image_width && pixel.y < image_height;
-        uint index = inside ? pixel.y * image_width + pixel.x : 0;
-        vec4 pixel_color = VEC4_AT(accumulated, index);
-        gradient[k] = VEC4_AT(image_gradient, index);
-        if (!INVERSE_DEPTH) {
-            gradient[k].w = 0.0;
-        }
-        transmittance[k] = 1.0;
-        rest[k] = dot(gradient[k].xyz, pixel_color.xyz + pixel_color.w * background);
-        if (INVERSE_DEPTH) {
-            rest[k] += gradient[k].w * FLOAT_AT(inverse_depth, index);
-        }
-        last[k] = inside ? UINT_AT(last_entries, index) : 0;
-        lane_last = max(lane_last, last[k]);
-    }
-    if (first_entry > 0) {
-        [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-            uvec2 pixel = corner + pixel_step(k);
-            bool inside = tile_exists && pixel.x < image_width && pixel.y < image_height;
-            vec2 before = running[inside ? pixel.y * image_width + pixel.x : 0];
-            transmittance[k] = before.x;
-            rest[k] = before.y;
-        }
-    }
+    GradientPixel pixels[MAX_PIXELS];
+    uint lane_last = load_pixels(corner, tile_exists, pixels);
     uint own_last = subgroupMax(lane_last);
     if (gl_SubgroupInvocationID == 0) {
         region_last[gl_SubgroupID] = own_last;
@@ -192,43 +129,10 @@ void main() {
                     uint lane = findLSB(bits) + 32 * word;
                     bits &= bits - 1;
                     Splat splat = shuffled(own, lane);
-                    vec4 value = vec4(splat.rgb, splat.inverse_z);
-                    vec2 d0 = splat.mean - corner_px;
                     uint place = batch + step * SUBGROUP_SIZE + lane + 1;
-                    float sum_1 = 0.0, sum_x = 0.0, sum_y = 0.0, sum_xx = 0.0, sum_xy = 0.0, sum_yy = 0.0;
-                    vec4 sum_value = vec4(0.0);
-                    [[unroll]] for (uint column = 0; column < COLUMNS; ++column) {
-                        float dx = d0.x - float(column * LANES_X);
-                        float alphas[MAX_COLUMN_ROWS];
-                        column_alphas(splat, corner_px + vec2(column * LANES_X, 0), alphas);
-                        float column_1 = 0.0, column_y = 0.0, column_yy = 0.0;
-                        [[unroll]] for (uint row = 0; row < ROWS; ++row) {
-                            uint k = column * ROWS + row;
-                            float dy = d0.y - float(row * LANES_Y);
-                            float unclamped = place <= last[k] ? alphas[row] : 0.0;
-                            float alpha = min(ALPHA_MAX, unclamped);
-                            float weight = alpha * transmittance[k];
-                            float shade_gradient = dot(gradient[k], value);
-                            rest[k] -= weight * shade_gradient;
-                            float d_alpha = transmittance[k] * shade_gradient - rest[k] / (1.0 - alpha);
-                            float d_power = unclamped <= ALPHA_MAX ? alpha * d_alpha : 0.0;
-                            precise float next = transmittance[k] * (1.0 - alpha);
-                            transmittance[k] = next;
-                            sum_value += weight * gradient[k];
-                            column_1 += d_power;
-                            column_y += d_power * dy;
-                            column_yy += d_power * dy * dy;
-                        }
-                        sum_1 += column_1;
-                        sum_x += column_1 * dx;
-                        sum_y += column_y;
-                        sum_xx += column_1 * dx * dx;
-                        sum_xy += column_y * dx;
-                        sum_yy += column_yy;
-                    }
+                    Sums sums = blend_backward(splat, place, corner_px, pixels);
                     uint base = ((step * SUBGROUP_SIZE + lane) * REGIONS + gl_SubgroupID) * INSTANCE_SUMS;
-                    store_sums(base, sum_1, sum_x, sum_y, sum_xx, sum_xy, sum_yy, sum_value.x, sum_value.y, sum_value.z,
-                        sum_value.w);
+                    store_sums(base, sums);
                     if (bits == 0) {
                         break;
                     }
@@ -252,10 +156,8 @@ void main() {
                         sums[k] += hit ? value : 0.0;
                     }
                 }
-                uint target = UINT_AT(sorted_slots, range.x + entry);
-                sums_a[target] = vec4(sums[0], sums[1], sums[2], sums[3]);
-                sums_b[target] = vec4(sums[4], sums[5], sums[6], sums[7]);
-                sums_c[target] = vec2(sums[8], sums[9]);
+                store_instance(range.x + entry, Sums(vec3(sums[0], sums[1], sums[2]), vec3(sums[3], sums[4], sums[5]),
+                    vec4(sums[6], sums[7], sums[8], sums[9])));
             }
         }
         barrier();
@@ -264,18 +166,10 @@ void main() {
     // Entries behind the last that any pixel blended owe nothing, but their slots are read.
     uint batches = (max(work_end, begin) - begin + BATCH - 1) / BATCH;
     for (uint entry = begin + batches * BATCH + gl_LocalInvocationID.x; entry < end; entry += WORKGROUP_SIZE) {
-        uint target = UINT_AT(sorted_slots, range.x + entry);
-        sums_a[target] = vec4(0.0);
-        sums_b[target] = vec4(0.0);
-        sums_c[target] = vec2(0.0);
+        store_instance(range.x + entry, no_sums());
     }
 
     if (entries > end) {
-        [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-            uvec2 pixel = corner + pixel_step(k);
-            if (tile_exists && pixel.x < image_width && pixel.y < image_height) {
-                running[pixel.y * image_width + pixel.x] = vec2(transmittance[k], rest[k]);
-            }
-        }
+        store_pixels(corner, tile_exists, pixels);
     }
 }

@@ -1,6 +1,6 @@
 //! The two blending kernels over tile lists.
 
-use ashsplat::kernels::backward::blend_backward;
+use ashsplat::kernels::backward::{blend_backward, blend_backward_alone};
 use ashsplat::kernels::forward::{blend, blend_shared};
 use ashsplat::vk::Buffer;
 
@@ -137,7 +137,68 @@ pub fn forward_shared_limited(
     blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass, limits)
 }
 
-/// The sums of each slot for a gradient per pixel (r, g, b, inverse depth).
+/// A backward kernel over lists.
+macro_rules! backward_of_lists {
+    ($kernel:ident, $gpu:expr, $lists:expr, $blended:expr, $gradient:expr, $how:expr, $workgroup_size:expr) => {{
+        let (gpu, lists, blended) = ($gpu, $lists, $blended);
+        let How { inverse_depth, column_chain, entries_per_pass, .. } = $how;
+        let (workgroup_size, subgroup_size) = ($workgroup_size, gpu.subgroup());
+        let spec = $kernel::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain };
+        let kernel = gpu.kernel::<$kernel::Interface>(&spec);
+        let (pixels, slots) = (lists.view.pixels(), lists.slots.len());
+        let image_gradient = match $gradient {
+            Some(gradient) => gpu.buffer("image_gradient", gradient),
+            None => gpu.zeros::<[f32; 4]>("image_gradient", pixels),
+        };
+        let running = gpu.untouched::<[f32; 2]>("running", pixels);
+        let [sums_a, sums_b] = ["sums_a", "sums_b"].map(|name| gpu.untouched::<[f32; 4]>(name, slots));
+        let sums_c = gpu.untouched::<[f32; 2]>("sums_c", slots);
+        let bind = $kernel::Bind {
+            tile_ranges: &lists.tile_ranges,
+            sorted_visible: &lists.sorted_visible,
+            sorted_slots: &lists.sorted_slots,
+            mean2d_extent: &lists.frame.mean2d_extent,
+            conic_opacity: &lists.frame.conic_opacity,
+            color_inverse_depth: &lists.frame.color_inverse_depth,
+            accumulated: &blended.accumulated,
+            inverse_depth: &blended.inverse_depth,
+            last_entries: &blended.last_entries,
+            image_gradient: &image_gradient,
+            running: &running,
+            sums_a: &sums_a,
+            sums_b: &sums_b,
+            sums_c: &sums_c,
+        };
+        let [tiles_per_row, rows] = lists.view.tiles();
+        gpu.run(|recorder| {
+            for pass in 0..passes(lists, entries_per_pass) {
+                recorder.barrier();
+                let push = $kernel::Push {
+                    image_width: lists.view.size_px[0],
+                    image_height: lists.view.size_px[1],
+                    tiles_per_row,
+                    tile_count: tiles_per_row * rows,
+                    first_entry: pass * entries_per_pass,
+                    max_entries: entries_per_pass,
+                    background: lists.view.background.map(|x| x as f32),
+                    splat_stride: 1,
+                };
+                recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
+            }
+        });
+        let (a, b) = (gpu.read::<[f32; 4]>(&sums_a, slots), gpu.read::<[f32; 4]>(&sums_b, slots));
+        let c = gpu.read::<[f32; 2]>(&sums_c, slots);
+        let sums = (0..slots)
+            .map(|slot| {
+                let all = [a[slot].as_slice(), &b[slot], &c[slot]].concat();
+                std::array::from_fn(|k| f64::from(all[k]))
+            })
+            .collect();
+        SlotSums { sums }
+    }};
+}
+
+/// The sums of each slot for a gradient per pixel (r, g, b, inverse depth), by `backward/blend_backward`.
 pub fn backward(
     gpu: &Gpu,
     lists: &Lists,
@@ -145,60 +206,18 @@ pub fn backward(
     gradient: Option<&[[f32; 4]]>,
     how: How,
 ) -> SlotSums {
-    let (workgroup_size, subgroup_size) = (workgroup(gpu), gpu.subgroup());
-    let How { inverse_depth, column_chain, entries_per_pass, .. } = how;
-    let spec = blend_backward::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain };
-    let kernel = gpu.kernel::<blend_backward::Interface>(&spec);
-    let (pixels, slots) = (lists.view.pixels(), lists.slots.len());
-    let image_gradient = match gradient {
-        Some(gradient) => gpu.buffer("image_gradient", gradient),
-        None => gpu.zeros::<[f32; 4]>("image_gradient", pixels),
-    };
-    let running = gpu.untouched::<[f32; 2]>("running", pixels);
-    let [sums_a, sums_b] = ["sums_a", "sums_b"].map(|name| gpu.untouched::<[f32; 4]>(name, slots));
-    let sums_c = gpu.untouched::<[f32; 2]>("sums_c", slots);
-    let bind = blend_backward::Bind {
-        tile_ranges: &lists.tile_ranges,
-        sorted_visible: &lists.sorted_visible,
-        sorted_slots: &lists.sorted_slots,
-        mean2d_extent: &lists.frame.mean2d_extent,
-        conic_opacity: &lists.frame.conic_opacity,
-        color_inverse_depth: &lists.frame.color_inverse_depth,
-        accumulated: &blended.accumulated,
-        inverse_depth: &blended.inverse_depth,
-        last_entries: &blended.last_entries,
-        image_gradient: &image_gradient,
-        running: &running,
-        sums_a: &sums_a,
-        sums_b: &sums_b,
-        sums_c: &sums_c,
-    };
-    let [tiles_per_row, rows] = lists.view.tiles();
-    gpu.run(|recorder| {
-        for pass in 0..passes(lists, entries_per_pass) {
-            recorder.barrier();
-            let push = blend_backward::Push {
-                image_width: lists.view.size_px[0],
-                image_height: lists.view.size_px[1],
-                tiles_per_row,
-                tile_count: tiles_per_row * rows,
-                first_entry: pass * entries_per_pass,
-                max_entries: entries_per_pass,
-                background: lists.view.background.map(|x| x as f32),
-                splat_stride: 1,
-            };
-            recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
-        }
-    });
-    let (a, b) = (gpu.read::<[f32; 4]>(&sums_a, slots), gpu.read::<[f32; 4]>(&sums_b, slots));
-    let c = gpu.read::<[f32; 2]>(&sums_c, slots);
-    let sums = (0..slots)
-        .map(|slot| {
-            let all = [a[slot].as_slice(), &b[slot], &c[slot]].concat();
-            std::array::from_fn(|k| f64::from(all[k]))
-        })
-        .collect();
-    SlotSums { sums }
+    backward_of_lists!(blend_backward, gpu, lists, blended, gradient, how, workgroup(gpu))
+}
+
+/// The same by `backward/blend_backward_alone`.
+pub fn backward_alone(
+    gpu: &Gpu,
+    lists: &Lists,
+    blended: &Blended,
+    gradient: Option<&[[f32; 4]]>,
+    how: How,
+) -> SlotSums {
+    backward_of_lists!(blend_backward_alone, gpu, lists, blended, gradient, how, gpu.subgroup())
 }
 
 fn passes(lists: &Lists, entries_per_pass: u32) -> u32 {

@@ -1,6 +1,6 @@
 //! `backward/blend_backward` against its twin.
 
-use crate::common::blending::{CHAINED, How, SlotSums, UNCHAINED, backward, forward};
+use crate::common::blending::{Blended, CHAINED, How, SlotSums, UNCHAINED, backward, forward};
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, small_view};
@@ -72,56 +72,79 @@ pub fn compare(actual: &[SplatGradient], expected: &[SplatGradient]) {
     }
 }
 
-fn check(gpu: &Gpu, lists: &Lists, entries_per_pass: u32) {
+/// One of the backward kernels over lists.
+pub type Kernel = fn(&Gpu, &Lists, &Blended, Option<&[[f32; 4]]>, How) -> SlotSums;
+
+fn check(kernel: Kernel, gpu: &Gpu, lists: &Lists, entries_per_pass: u32) {
     let d_pixels = image_gradient(lists);
     let expected = expected(lists, &d_pixels);
     for how in [UNCHAINED, CHAINED].map(|how| How { entries_per_pass, ..how }) {
         let blended = forward(gpu, lists, how);
-        let sums = backward(gpu, lists, &blended, Some(&d_pixels), how);
+        let sums = kernel(gpu, lists, &blended, Some(&d_pixels), how);
         compare(&actual(lists, &sums), &expected);
     }
 }
 
-#[test]
-fn blend_backward_equals_its_twin_on_lists_of_all_lengths() {
+pub fn on_lists_of_all_lengths(kernel: Kernel) {
     let gpu = Gpu::new();
     let subgroup = gpu.subgroup() as usize;
     for entries in [0, 1, subgroup - 1, subgroup, subgroup + 1, 31, 32, 33, 300] {
-        check(&gpu, &Lists::long(&gpu, entries, [0.02, 0.6], &small_view([37, 21])), u32::MAX);
+        check(kernel, &gpu, &Lists::long(&gpu, entries, [0.02, 0.6], &small_view([37, 21])), u32::MAX);
     }
 }
 
-#[test]
-fn blend_backward_equals_its_twin_on_images_of_all_sizes() {
+pub fn on_images_of_all_sizes(kernel: Kernel) {
     let gpu = Gpu::new();
     for size in [[1, 1], [17, 5], [16, 16], [15, 33], [64, 48]] {
-        check(&gpu, &Lists::long(&gpu, 40, [0.02, 0.9], &small_view(size)), u32::MAX);
+        check(kernel, &gpu, &Lists::long(&gpu, 40, [0.02, 0.9], &small_view(size)), u32::MAX);
     }
 }
 
-#[test]
-fn blend_backward_of_opaque_layers() {
+pub fn of_opaque_layers(kernel: Kernel) {
     let gpu = Gpu::new();
-    check(&gpu, &Lists::long(&gpu, 50, [0.98, 1.0], &small_view([37, 21])), u32::MAX);
+    check(kernel, &gpu, &Lists::long(&gpu, 50, [0.98, 1.0], &small_view([37, 21])), u32::MAX);
 }
 
-#[test]
-fn blend_backward_in_passes() {
+pub fn in_passes(kernel: Kernel) {
     let gpu = Gpu::new();
     for opacity in [[0.005, 0.03], [0.5, 1.0]] {
         let lists = Lists::long(&gpu, 301, opacity, &small_view([37, 21]));
         for entries_per_pass in [64, 96, 320] {
-            check(&gpu, &lists, entries_per_pass);
+            check(kernel, &gpu, &lists, entries_per_pass);
         }
     }
 }
 
 /// Every slot is written, also where no pixel has a gradient.
-#[test]
-fn blend_backward_of_nothing_is_zero() {
+pub fn of_nothing(kernel: Kernel) {
     let gpu = Gpu::new();
     let lists = Lists::long(&gpu, 70, [0.5, 1.0], &small_view([37, 21]));
     let blended = forward(&gpu, &lists, CHAINED);
-    let sums = backward(&gpu, &lists, &blended, None, CHAINED);
+    let sums = kernel(&gpu, &lists, &blended, None, CHAINED);
     assert!(sums.sums.iter().flatten().all(|&sum| sum == 0.0));
+}
+
+#[test]
+fn blend_backward_equals_its_twin_on_lists_of_all_lengths() {
+    on_lists_of_all_lengths(backward);
+}
+
+#[test]
+fn blend_backward_equals_its_twin_on_images_of_all_sizes() {
+    on_images_of_all_sizes(backward);
+}
+
+#[test]
+fn blend_backward_of_opaque_layers() {
+    of_opaque_layers(backward);
+}
+
+#[test]
+fn blend_backward_in_passes() {
+    in_passes(backward);
+}
+
+#[test]
+fn blend_backward_of_nothing_is_zero() {
+    of_nothing(backward);
 }

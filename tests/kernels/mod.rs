@@ -4,6 +4,7 @@ mod adam;
 mod adam_texels;
 mod blend;
 mod blend_backward;
+mod blend_backward_alone;
 mod blend_shared;
 mod compact;
 mod compose_rgba16f;

@@ -10,6 +10,7 @@ pub mod adam;
 pub mod adam_texels;
 pub mod blend;
 pub mod blend_backward;
+pub mod blend_backward_alone;
 pub mod blend_shared;
 pub mod compact;
 pub mod compose_rgba16f;

@@ -1,0 +1,156 @@
+// Blending's backward over the pixels of a lane: buffers, push constants, and what one Gaussian owes to them. The same in all
+// variants of the kernel, which differ in how they add over lanes and regions; see blend_backward.comp for the derivative.
+// Needs constants.glsl, reads.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, COLUMN_CHAIN, GL_KHR_shader_subgroup_basic and _shuffle.
+
+// Training has nothing but splats, and inverse depth.
+const bool DEPTH_LIMIT = false;
+const bool LINEAR_DEPTH = false;
+
+layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
+UINT_READS(1, SortedVisible, sorted_visible);
+UINT_READS(2, SortedSlots, sorted_slots);
+VEC4_READS(3, Mean2dExtent, mean2d_extent);
+VEC4_READS(4, ConicOpacity, conic_opacity);
+VEC4_READS(5, ColorInverseDepth, color_inverse_depth);
+VEC4_READS(6, Accumulated, accumulated);
+FLOAT_READS(7, InverseDepth, inverse_depth);
+UINT_READS(8, LastEntries, last_entries);
+VEC4_READS(9, ImageGradient, image_gradient);
+layout(set = 0, binding = 10, scalar) buffer Running { vec2 running[]; };
+layout(set = 0, binding = 11, scalar) writeonly buffer SumsA { vec4 sums_a[]; };
+layout(set = 0, binding = 12, scalar) writeonly buffer SumsB { vec4 sums_b[]; };
+layout(set = 0, binding = 13, scalar) writeonly buffer SumsC { vec2 sums_c[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint image_width;
+    uint image_height;
+    uint tiles_per_row;
+    uint tile_count;
+    uint first_entry;
+    uint max_entries;
+    vec3 background;
+    uint splat_stride;
+};
+
+#include "splat_record.glsl"
+#include "tile_region.glsl"
+#include "blending.glsl"
+#include "splat_shuffle.glsl"
+
+// Most pixels of a lane in a region; a literal, as MAX_COLUMN_ROWS.
+const uint MAX_PIXELS = 16;
+
+struct GradientPixel {
+    float transmittance;
+    // What the rest of the list adds to gradient . pixel.
+    float rest;
+    // dL/d(r, g, b, inverse depth).
+    vec4 gradient;
+    uint last;
+};
+
+// An instance's sums over pixels, see blend_backward.comp.
+struct Sums {
+    // dL/dpower times 1, dx, dy; dx^2, dx dy, dy^2.
+    vec3 linear;
+    vec3 quadratic;
+    // r, g, b, inverse depth.
+    vec4 value;
+};
+
+bool is_pixel(uvec2 at) {
+    return at.x < image_width && at.y < image_height;
+}
+
+// The pixels of a lane in a region as this pass finds them; returns 1 + the last place that counts for any of them.
+uint load_pixels(uvec2 corner, bool tile_exists, out GradientPixel pixels[MAX_PIXELS]) {
+    uint lane_last = 0;
+    [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
+        uvec2 at = corner + pixel_step(k);
+        bool inside = tile_exists && is_pixel(at);
+        uint index = inside ? at.y * image_width + at.x : 0;
+        vec4 color = VEC4_AT(accumulated, index);
+        vec4 gradient = VEC4_AT(image_gradient, index);
+        if (!INVERSE_DEPTH) {
+            gradient.w = 0.0;
+        }
+        float rest = dot(gradient.xyz, color.xyz + color.w * background);
+        if (INVERSE_DEPTH) {
+            rest += gradient.w * FLOAT_AT(inverse_depth, index);
+        }
+        uint last = inside ? UINT_AT(last_entries, index) : 0;
+        pixels[k] = GradientPixel(1.0, rest, gradient, last);
+        lane_last = max(lane_last, last);
+    }
+    if (first_entry > 0) {
+        [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
+            uvec2 at = corner + pixel_step(k);
+            vec2 before = running[tile_exists && is_pixel(at) ? at.y * image_width + at.x : 0];
+            pixels[k].transmittance = before.x;
+            pixels[k].rest = before.y;
+        }
+    }
+    return lane_last;
+}
+
+// What the next pass finds.
+void store_pixels(uvec2 corner, bool tile_exists, GradientPixel pixels[MAX_PIXELS]) {
+    [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
+        uvec2 at = corner + pixel_step(k);
+        if (tile_exists && is_pixel(at)) {
+            running[at.y * image_width + at.x] = vec2(pixels[k].transmittance, pixels[k].rest);
+        }
+    }
+}
+
+// What the Gaussian at a place of the tile's list owes to the pixels of a lane, which it is then blended over.
+Sums blend_backward(Splat splat, uint place, vec2 corner_px, inout GradientPixel pixels[MAX_PIXELS]) {
+    vec4 value = vec4(splat.rgb, splat.inverse_z);
+    vec2 d0 = splat.mean - corner_px;
+    float sum_1 = 0.0, sum_x = 0.0, sum_y = 0.0, sum_xx = 0.0, sum_xy = 0.0, sum_yy = 0.0;
+    vec4 sum_value = vec4(0.0);
+    [[unroll]] for (uint column = 0; column < COLUMNS; ++column) {
+        float dx = d0.x - float(column * LANES_X);
+        float alphas[MAX_COLUMN_ROWS];
+        column_alphas(splat, corner_px + vec2(column * LANES_X, 0), alphas);
+        float column_1 = 0.0, column_y = 0.0, column_yy = 0.0;
+        [[unroll]] for (uint row = 0; row < ROWS; ++row) {
+            uint k = column * ROWS + row;
+            float dy = d0.y - float(row * LANES_Y);
+            float unclamped = place <= pixels[k].last ? alphas[row] : 0.0;
+            float alpha = min(ALPHA_MAX, unclamped);
+            float transmittance = pixels[k].transmittance;
+            float weight = alpha * transmittance;
+            float shade_gradient = dot(pixels[k].gradient, value);
+            float rest = pixels[k].rest - weight * shade_gradient;
+            pixels[k].rest = rest;
+            float d_alpha = transmittance * shade_gradient - rest / (1.0 - alpha);
+            float d_power = unclamped <= ALPHA_MAX ? alpha * d_alpha : 0.0;
+            precise float next = transmittance * (1.0 - alpha);
+            pixels[k].transmittance = next;
+            sum_value += weight * pixels[k].gradient;
+            column_1 += d_power;
+            column_y += d_power * dy;
+            column_yy += d_power * dy * dy;
+        }
+        sum_1 += column_1;
+        sum_x += column_1 * dx;
+        sum_y += column_y;
+        sum_xx += column_1 * dx * dx;
+        sum_xy += column_y * dx;
+        sum_yy += column_yy;
+    }
+    return Sums(vec3(sum_1, sum_x, sum_y), vec3(sum_xx, sum_xy, sum_yy), sum_value);
+}
+
+// To the instance's own slot: (1, dx, dy, dx dx), (dx dy, dy dy, r, g), (b, inverse depth).
+void store_instance(uint place, Sums sums) {
+    uint target = UINT_AT(sorted_slots, place);
+    sums_a[target] = vec4(sums.linear, sums.quadratic.x);
+    sums_b[target] = vec4(sums.quadratic.yz, sums.value.xy);
+    sums_c[target] = sums.value.zw;
+}
+
+Sums no_sums() {
+    return Sums(vec3(0.0), vec3(0.0), vec4(0.0));
+}
