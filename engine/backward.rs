@@ -57,6 +57,7 @@ macro_rules! blend_backward_arguments {
             sums_a: &f.sums_a,
             sums_b: &f.sums_b,
             sums_c: &f.sums_c,
+            state: &f.state,
         };
         let push = $kernel::Push {
             image_width: $pass.image_width,
@@ -95,12 +96,22 @@ impl Backward {
             let Blocks { tile, column_chain, blend_backward_alone: alone, .. } = self.sizes;
             *slot = Some(if alone {
                 let workgroup_size = subgroup_size;
-                let spec =
-                    blend_backward_alone::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain };
+                let spec = blend_backward_alone::Spec {
+                    workgroup_size,
+                    subgroup_size,
+                    inverse_depth,
+                    column_chain,
+                    count_hits: false,
+                };
                 Blend::Alone(Kernel::new(&self.context, &spec)?)
             } else {
-                let spec =
-                    blend_backward::Spec { workgroup_size: tile, subgroup_size, inverse_depth, column_chain };
+                let spec = blend_backward::Spec {
+                    workgroup_size: tile,
+                    subgroup_size,
+                    inverse_depth,
+                    column_chain,
+                    count_hits: false,
+                };
                 Blend::Regions(Kernel::new(&self.context, &spec)?)
             });
         }

@@ -44,8 +44,8 @@ pub use compose::Behind;
 pub use error::{Error, Result};
 pub use forward::{Blending, Extent, JacobianLimit, RenderSettings};
 pub use renderer::{
-    DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, Occluder, PixelReport, Placed,
-    RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport, Target, TileReport, Update,
+    BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, Occluder, PixelReport,
+    Placed, RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport, Target, TileReport, Update,
 };
 pub use scene::{Camera, Gaussians};
 pub use trainer::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

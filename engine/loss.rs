@@ -8,7 +8,7 @@ use crate::plan::{Blocks, blocks, tile_grid};
 use crate::vk::{Buffer, Context, Kernel, Limits, Recorder, TexelFormat};
 
 /// Most rows of one invocation of [`Windowing::Sweeps`]: it reads ten more.
-const SWEEP_ROWS: u32 = 48;
+const SWEEP_ROWS: u32 = 80;
 
 /// How SSIM's window is computed: the same numbers but for rounding, at a cost that depends on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -55,6 +55,16 @@ pub struct Frame {
     pub stats: FrameStats,
 }
 
+/// Samples, each a Gaussian at a pixel, that the blending kernels compute, also those that turn out not to count. 0 but in a
+/// context whose overrides set `COUNT_HITS` (see [`crate::vk::SpecOverride`]), and for [`crate::Blending::SharedMemory`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BlendSamples {
+    /// Of the forward pass.
+    pub forward: u64,
+    /// Of the backward pass.
+    pub backward: u64,
+}
+
 /// Counts and times of a frame.
 #[derive(Clone, Debug, Default)]
 pub struct FrameStats {
@@ -66,6 +76,8 @@ pub struct FrameStats {
     pub instances: u32,
     /// Entries of the fullest tile.
     pub longest_tile: u32,
+    /// Samples of blending, where they are counted.
+    pub samples: BlendSamples,
     /// Device time per stage.
     pub scopes: Vec<ScopeTime>,
     /// Times the frame was run again because a capacity had to grow.

@@ -1,7 +1,8 @@
 //! What a picture must not depend on.
 
-use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
-use ashsplat::{Frame, Renderer};
+use ashsplat::io::Photo;
+use ashsplat::vk::{Context, ContextOptions, LimitsOverride, SpecOverride};
+use ashsplat::{BlendSamples, Frame, Renderer, TrainSettings, TrainView, Trainer};
 
 use crate::common::engine::{camera, gaussians, renderer, settings};
 use crate::common::gpu::Gpu;
@@ -163,4 +164,40 @@ fn invariant_under_the_limits_of_the_device() {
         assert!(gradients == strict_gradients, "{limits:?}");
         crate::common::assert_silent(&strict);
     }
+}
+
+/// Gaussians that cover the picture are blended over each of its pixels, forward and backward; nothing is counted unless asked
+/// for, and counting changes nothing.
+#[test]
+fn invariant_under_counting_samples() {
+    let view = View {
+        camera_from_world: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        ..small_view([64, 48])
+    };
+    let mut scene = small_scene(&mut Random::new(6), 3, 1);
+    for gaussian in &mut scene {
+        gaussian.log_scale = [4.0; 3];
+        gaussian.opacity_logit = -3.0;
+        gaussian.mean = [0.0, 0.0, 5.0];
+    }
+    let run = |overrides: Vec<SpecOverride>| {
+        let context = Context::new(&ContextOptions { overrides, ..options() }).expect("a device");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.upload(&gaussians(&scene)).expect("upload");
+        let frame = renderer.render(&camera(&view), &settings(&view)).expect("a frame");
+        let photo = Photo { width: 64, height: 48, rgb: vec![100; 64 * 48 * 3] };
+        let views = vec![TrainView { camera: camera(&view), photo }];
+        let settings = TrainSettings { sh_degree: 0, ..TrainSettings::default() };
+        let mut trainer =
+            Trainer::new(&context, views, &gaussians(&scene), 5.0, settings).expect("a trainer");
+        let step = trainer.step().expect("a step");
+        (frame.color, frame.stats.samples, step.samples, step.loss.to_bits())
+    };
+    let count = SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 };
+    let (counted, silent) = (run(vec![count]), run(Vec::new()));
+    let samples = 3 * 64 * 48;
+    assert_eq!(counted.1, BlendSamples { forward: samples, backward: 0 });
+    assert_eq!(counted.2, BlendSamples { forward: samples, backward: samples });
+    assert_eq!((silent.1, silent.2), Default::default());
+    assert!(counted.0 == silent.0 && counted.3 == silent.3);
 }

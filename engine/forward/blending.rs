@@ -84,6 +84,7 @@ impl Blend {
                     linear_depth,
                     column_chain,
                     parts,
+                    count_hits: false,
                 };
                 self.regions[variant] = Some(Kernel::new(context, &spec)?);
             }

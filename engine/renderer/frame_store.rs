@@ -1,5 +1,6 @@
 //! The buffers of a frame, and how they grow.
 
+use super::BlendSamples;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::plan::{Blocks, FrameBuffers, FrameCapacity, check_grids, frame_requests, initial_instances};
@@ -28,6 +29,8 @@ pub struct State {
     pub non_finite: u32,
     /// Whether a capacity was too small, so that the frame is not valid.
     pub overflow: bool,
+    /// Samples of the blending kernels, where they were counted.
+    pub samples: BlendSamples,
 }
 
 impl State {
@@ -41,6 +44,10 @@ impl State {
             longest_tile: word(c::STATE_LONGEST_TILE),
             non_finite: word(c::STATE_NON_FINITE),
             overflow: word(c::STATE_OVERFLOW) != 0,
+            samples: BlendSamples {
+                forward: u64::from(word(c::STATE_BLEND_HITS)) * 64,
+                backward: u64::from(word(c::STATE_BLEND_BACKWARD_HITS)) * 64,
+            },
         }
     }
 }

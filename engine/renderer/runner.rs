@@ -123,6 +123,7 @@ impl FrameRunner {
             visible: ran.state.visible,
             instances: ran.state.instances,
             longest_tile: ran.state.longest_tile,
+            samples: ran.state.samples,
             scopes: ran.report.scopes,
             retries: ran.retries,
         };

@@ -23,7 +23,7 @@ use crate::io::Photo;
 use crate::loss::{Loss, PhotoFormat};
 use crate::optimizer::{Moments, Optimizer};
 use crate::planes;
-use crate::renderer::{Frame, FrameRunner};
+use crate::renderer::{BlendSamples, Frame, FrameRunner};
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Buffer, Context, MemoryKind, ScopeTime};
 use photos::Photos;
@@ -56,6 +56,8 @@ pub struct StepReport {
     pub instances: u32,
     /// Instances of the fullest tile of the step's view.
     pub longest_tile: u32,
+    /// Samples of blending, where they are counted.
+    pub samples: BlendSamples,
     /// Gaussians that were left alone because their gradient was not finite.
     pub skipped_non_finite: u32,
     /// Wall time of the step.

@@ -121,6 +121,7 @@ impl Trainer {
             visible: ran.state.visible,
             instances: ran.state.instances,
             longest_tile: ran.state.longest_tile,
+            samples: ran.state.samples,
             skipped_non_finite: ran.state.non_finite,
             milliseconds: start.elapsed().as_secs_f64() * 1e3,
             view,

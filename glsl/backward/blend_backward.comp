@@ -12,7 +12,8 @@
 // in: tile_ranges, sorted_visible, sorted_slots, PerVisible attributes; PerPixel: accumulated, inverse_depth,
 //     last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
 // out, PerInstance: sums_a (1, dx, dy, dx dx), sums_b (dx dy, dy dy, r, g), sums_c (b, inverse depth)
-// in/out, PerPixel: running (T, R) between passes over very long tiles, see blend
+// in/out, PerPixel: running (T, R) between passes over very long tiles, see blend; state[STATE_BLEND_BACKWARD_HITS] where
+//     COUNT_HITS asks for it
 // shared: BATCH * REGIONS * INSTANCE_SUMS words and masks; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -31,6 +32,8 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
 // See blending.glsl.
 layout(constant_id = 3) const bool COLUMN_CHAIN = false;
+// See blend.comp.
+layout(constant_id = 4) const bool COUNT_HITS = false;
 layout(local_size_x_id = 0) in;
 
 #include "blend_gradient.glsl"
@@ -119,6 +122,7 @@ void main() {
             uvec4 hits = subgroupBallot(exists && meets_region(mean2d, own.form, own.opacity, origin));
             [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
                 uint bits = hits[word];
+                if (COUNT_HITS) hit_count += bitCount(bits);
                 if (gl_SubgroupInvocationID == 0) {
                     uint mask_word = gl_SubgroupID * MASK_WORDS + step * SUBGROUP_SIZE / 32 + word;
                     uint shift = step * SUBGROUP_SIZE % 32;
@@ -172,4 +176,5 @@ void main() {
     if (entries > end) {
         store_pixels(corner, tile_exists, pixels);
     }
+    note_hits();
 }

@@ -23,6 +23,8 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
 // See blending.glsl.
 layout(constant_id = 3) const bool COLUMN_CHAIN = false;
+// See blend.comp.
+layout(constant_id = 4) const bool COUNT_HITS = false;
 layout(local_size_x_id = 0) in;
 
 #include "blend_gradient.glsl"
@@ -53,6 +55,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
     uvec4 hits = subgroupBallot(exists && meets_region(mean2d, own.form, own.opacity, origin));
     [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
         uint bits = hits[word];
+        if (COUNT_HITS) hit_count += bitCount(bits);
         // Tested at its end: see blend.comp.
         if (bits != 0) for (;;) {
             uint lane = findLSB(bits) + 32 * word;
@@ -137,4 +140,5 @@ void main() {
         if (REGIONS > 2) store_pixels(origin_2 + lane_offset(), true, pixels_2);
         if (REGIONS > 2) store_pixels(origin_3 + lane_offset(), true, pixels_3);
     }
+    note_hits();
 }

@@ -35,6 +35,8 @@ layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 layout(constant_id = 5) const bool COLUMN_CHAIN = false;
 // Regions of a subgroup, 1, 2 or 4: with more of them a Gaussian is fetched fewer times, and a lane has more pixels.
 layout(constant_id = 6) const uint PARTS = 1;
+// Counts the pixels that Gaussians are blended over, to compare what the kernel computes with what the device could.
+layout(constant_id = 7) const bool COUNT_HITS = false;
 layout(local_size_x_id = 0) in;
 
 #include "tile_region.glsl"
@@ -47,6 +49,9 @@ layout(local_size_x_id = 0) in;
 // Most pixels of a lane in a region; a literal, as MAX_COLUMN_ROWS.
 const uint MAX_PIXELS = 16;
 
+// Gaussians blended over a region, with COUNT_HITS.
+uint hit_count = 0;
+
 // Tests each lane's splat against a region and blends the hits over it.
 void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout Pixel pixels[MAX_PIXELS],
     inout bool alive) {
@@ -54,6 +59,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
     uvec4 hits = subgroupBallot(exists && alive && meets_region(mean2d, own.form, own.opacity, origin));
     [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
         uint bits = hits[word];
+        if (COUNT_HITS) hit_count += bitCount(bits);
         if (bits != 0) for (;;) {
             uint lane = findLSB(bits) + 32 * word;
             bits &= bits - 1;
@@ -146,4 +152,7 @@ void main() {
     if (PARTS > 1) store_region(origin_1 + lane_offset(), pixels_1, entries > end);
     if (PARTS > 2) store_region(origin_2 + lane_offset(), pixels_2, entries > end);
     if (PARTS > 2) store_region(origin_3 + lane_offset(), pixels_3, entries > end);
+    if (COUNT_HITS && gl_SubgroupInvocationID == 0) {
+        atomicAdd(state[STATE_BLEND_HITS], hit_count * (REGION_HEIGHT / 8));
+    }
 }

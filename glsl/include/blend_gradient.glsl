@@ -1,6 +1,6 @@
 // Blending's backward over the pixels of a lane: buffers, push constants, and what one Gaussian owes to them. The same in all
 // variants of the kernel, which differ in how they add over lanes and regions; see blend_backward.comp for the derivative.
-// Needs constants.glsl, reads.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, COLUMN_CHAIN, GL_KHR_shader_subgroup_basic and _shuffle.
+// Needs constants.glsl, reads.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, COLUMN_CHAIN, COUNT_HITS, GL_KHR_shader_subgroup_basic and _shuffle.
 
 // Training has nothing but splats, and inverse depth.
 const bool DEPTH_LIMIT = false;
@@ -21,6 +21,8 @@ layout(set = 0, binding = 11, scalar) writeonly buffer SumsA { vec4 sums_a[]; };
 layout(set = 0, binding = 12, scalar) writeonly buffer SumsB { vec4 sums_b[]; };
 layout(set = 0, binding = 13, scalar) writeonly buffer SumsC { vec2 sums_c[]; };
 
+layout(set = 0, binding = 14, scalar) buffer State { uint state[]; };
+
 layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
@@ -39,6 +41,15 @@ layout(push_constant, scalar) uniform Push {
 
 // Most pixels of a lane in a region; a literal, as MAX_COLUMN_ROWS.
 const uint MAX_PIXELS = 16;
+
+// Gaussians blended over a region, with COUNT_HITS.
+uint hit_count = 0;
+
+void note_hits() {
+    if (COUNT_HITS && gl_SubgroupInvocationID == 0) {
+        atomicAdd(state[STATE_BLEND_BACKWARD_HITS], hit_count * (REGION_HEIGHT / 8));
+    }
+}
 
 struct GradientPixel {
     float transmittance;

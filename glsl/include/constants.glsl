@@ -49,7 +49,10 @@ const uint STATE_INSTANCES = 3;
 const uint STATE_LONGEST_TILE = 4;
 const uint STATE_NON_FINITE = 5;
 const uint STATE_OVERFLOW = 6;
-const uint STATE_WORDS = 8;
+// Gaussians blended over 8 x 8 pixels, forward and backward, where COUNT_HITS asks for it.
+const uint STATE_BLEND_HITS = 7;
+const uint STATE_BLEND_BACKWARD_HITS = 8;
+const uint STATE_WORDS = 9;
 
 // Indirect dispatch arguments, 16 bytes apart.
 const uint ARGUMENTS_VISIBLE = 0;

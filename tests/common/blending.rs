@@ -108,6 +108,7 @@ pub fn forward_limited(
         linear_depth,
         column_chain,
         parts,
+        count_hits: false,
     };
     blend_lists!(gpu, lists, blend, spec, entries_per_pass, limits)
 }
@@ -143,7 +144,8 @@ macro_rules! backward_of_lists {
         let (gpu, lists, blended) = ($gpu, $lists, $blended);
         let How { inverse_depth, column_chain, entries_per_pass, .. } = $how;
         let (workgroup_size, subgroup_size) = ($workgroup_size, gpu.subgroup());
-        let spec = $kernel::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain };
+        let count_hits = false;
+        let spec = $kernel::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain, count_hits };
         let kernel = gpu.kernel::<$kernel::Interface>(&spec);
         let (pixels, slots) = (lists.view.pixels(), lists.slots.len());
         let image_gradient = match $gradient {
@@ -168,6 +170,7 @@ macro_rules! backward_of_lists {
             sums_a: &sums_a,
             sums_b: &sums_b,
             sums_c: &sums_c,
+            state: &lists.state,
         };
         let [tiles_per_row, rows] = lists.view.tiles();
         gpu.run(|recorder| {

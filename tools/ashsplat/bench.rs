@@ -8,6 +8,7 @@ pub mod machine;
 pub mod measure;
 pub mod plot;
 mod primitives;
+mod samples;
 mod scaling;
 pub mod schema;
 mod synthetic;
@@ -158,8 +159,13 @@ fn measure_all(
     let tasks = tasks(&context)?;
     let yardsticks = Yardsticks::measure(&context)?;
     let mut runs = Vec::new();
+    let counting = output.device.context_with(|options| options.overrides.push(samples::counting()))?;
     for task in tasks {
-        runs.extend(task.run(&context, seed, yardsticks.copy.as_ref())?);
+        let mut results = task.run(&context, seed, yardsticks.copy.as_ref())?;
+        if let (Some(samples), [run]) = (samples::of(&task, &counting, seed)?, results.as_mut_slice()) {
+            samples::enter(run, samples, context.limits(), yardsticks.arithmetic.as_ref());
+        }
+        runs.extend(results);
     }
     name_apart(&mut runs);
     let report = assemble(&context, iterations, seed, (yardsticks, runs));

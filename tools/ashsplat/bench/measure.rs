@@ -191,6 +191,9 @@ impl Measured {
                     bytes_written: written,
                     gigabytes_per_second: None,
                     share_of_copy_bandwidth: None,
+                    operations: None,
+                    gigaoperations_per_second: None,
+                    share_of_arithmetic: None,
                 }),
             }
         }

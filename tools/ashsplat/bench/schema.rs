@@ -193,6 +193,15 @@ pub struct KernelResult {
     pub gigabytes_per_second: Option<f64>,
     /// That over the device's own copy bandwidth.
     pub share_of_copy_bandwidth: Option<f64>,
+    /// Additions, multiplications and divisions per iteration, of the blending kernels; null for others.
+    #[serde(default)]
+    pub operations: Option<u64>,
+    /// That by the median time.
+    #[serde(default)]
+    pub gigaoperations_per_second: Option<f64>,
+    /// That over the device's own rate of multiplications and additions.
+    #[serde(default)]
+    pub share_of_arithmetic: Option<f64>,
 }
 
 /// Device memory of one arena.

@@ -128,6 +128,16 @@ fn one_run(out: &mut String, run: &Run) {
         let _ = writeln!(out, "  cost of measuring: wall {}{processor}", percent(&cost.wall));
     }
     kernels_table(out, run);
+    for k in &run.kernels {
+        if let (Some(rate), Some(share)) = (k.gigaoperations_per_second, k.share_of_arithmetic) {
+            let _ = writeln!(
+                out,
+                "  {}: {rate:.1} GFLOP/s, {:.0} % of the arithmetic above",
+                k.kernel,
+                100.0 * share
+            );
+        }
+    }
     for cpu in &run.cpu {
         let threads =
             if cpu.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", cpu.threads) };
@@ -191,7 +201,7 @@ fn kernels_table(out: &mut String, run: &Run) {
 pub fn csv(report: &Report) -> String {
     let mut out = String::from(
         "run,stage,kernel,calls,workgroups,time_us_min,time_us_median,time_us_p90,bytes_read,bytes_written,\
-         gigabytes_per_second,share_of_copy_bandwidth\n",
+         gigabytes_per_second,share_of_copy_bandwidth,share_of_arithmetic\n",
     );
     for run in &report.runs {
         for k in &run.kernels {
@@ -200,7 +210,7 @@ pub fn csv(report: &Report) -> String {
             let groups = k.workgroups.map_or_else(String::new, |n| n.to_string());
             let _ = writeln!(
                 out,
-                "{},{},{},{},{groups},{},{},{},{},{},{},{}",
+                "{},{},{},{},{groups},{},{},{},{},{},{},{},{}",
                 run.name,
                 k.scope,
                 k.kernel,
@@ -211,7 +221,8 @@ pub fn csv(report: &Report) -> String {
                 k.bytes_read,
                 k.bytes_written,
                 optional(k.gigabytes_per_second),
-                optional(k.share_of_copy_bandwidth)
+                optional(k.share_of_copy_bandwidth),
+                optional(k.share_of_arithmetic)
             );
         }
     }

@@ -1,0 +1,87 @@
+//! How much of the device's arithmetic the blending kernels reach: their samples are counted, in a run of its own, and the
+//! operations of a sample are known.
+
+use super::frames;
+use super::schema::{ArithmeticRate, Run};
+use super::tasks::Task;
+use super::workload::Scene;
+use ashsplat::plan::Blocks;
+use ashsplat::vk::{Context, Limits, SpecOverride};
+use ashsplat::{BlendSamples, RenderSettings, Renderer, Result};
+
+/// What makes the kernels count.
+pub fn counting() -> SpecOverride {
+    SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 }
+}
+
+/// Counts the samples of a task's frame on a context with [`counting`]; None for tasks that blend nothing, and for training,
+/// which blends something else in each iteration.
+pub fn of(task: &Task, context: &Context, seed: u64) -> Result<Option<BlendSamples>> {
+    match task {
+        Task::Render(scene, _) => Ok(Some(of_frame(context, scene)?)),
+        Task::TrainStep(scene, _) => Ok(Some(of_step(context, scene, seed)?)),
+        Task::Scan(..) | Task::Sort(..) | Task::Train(_) => Ok(None),
+    }
+}
+
+fn of_frame(context: &Context, scene: &Scene) -> Result<BlendSamples> {
+    let mut renderer = Renderer::new(context)?;
+    renderer.upload(&scene.gaussians)?;
+    Ok(renderer.render(&scene.camera, &RenderSettings::default())?.stats.samples)
+}
+
+fn of_step(context: &Context, scene: &Scene, seed: u64) -> Result<BlendSamples> {
+    let mut trainer = frames::trainer(context, scene, seed)?;
+    frames::reach_full_degree(&mut trainer)?;
+    Ok(trainer.step()?.samples)
+}
+
+/// Additions, subtractions, multiplications and divisions of a sample in glsl/include/blending.glsl (comparisons, minima,
+/// selections, shuffles and exp2 do not count): what follows from the opacity, and the opacity itself.
+struct Operations {
+    forward: f64,
+    backward: f64,
+}
+
+impl Operations {
+    fn on(limits: &Limits) -> Self {
+        // Pixels of a lane in one column: region_shape.glsl.
+        let side = if limits.subgroup_size <= 64 { 8 } else { 16 };
+        let rows = f64::from(side / (limits.subgroup_size / limits.subgroup_size.min(8)).max(1));
+        let opacity = if Blocks::new(limits).column_chain && rows > 2.0 {
+            // 16 at the middle of a column and for its two quotients, then two products a row.
+            (16.0 + 2.0 * (rows - 1.0)) / rows
+        } else {
+            // dy, the form, the product; three more per column.
+            6.0 + 3.0 / rows
+        };
+        // 1 - alpha, T (1 - alpha), the weight, three colours by product and sum.
+        let forward = opacity + 9.0;
+        // 1 - alpha, the weight, g . c (5), the rest (2), dL/dalpha (3), dL/dpower, T, three colours (6), dy and the column's
+        // moments (6); dx and the sums over columns, 10 a column.
+        let backward = opacity + 26.0 + 10.0 / rows;
+        Self { forward, backward }
+    }
+}
+
+/// Enters the operations of the blending kernels into a task's results.
+pub fn enter(run: &mut Run, samples: BlendSamples, limits: &Limits, arithmetic: Option<&ArithmeticRate>) {
+    let operations = Operations::on(limits);
+    for kernel in &mut run.kernels {
+        let counted = match kernel.kernel.as_str() {
+            "forward/blend" => samples.forward as f64 * operations.forward,
+            name if name.starts_with("backward/blend_backward") => {
+                samples.backward as f64 * operations.backward
+            }
+            _ => 0.0,
+        };
+        if counted == 0.0 {
+            continue;
+        }
+        kernel.operations = Some(counted as u64);
+        kernel.gigaoperations_per_second = kernel.time_us.map(|time| counted / time.median * 1e-3);
+        let best = arithmetic.map(|rate| rate.gigaoperations_per_second);
+        kernel.share_of_arithmetic =
+            kernel.gigaoperations_per_second.zip(best).map(|(rate, best)| rate / best);
+    }
+}
