@@ -53,6 +53,10 @@ impl Windows {
 pub enum PhotoFormat {
     /// Four bytes per pixel, (r, g, b, unused), 255 being 1.
     Rgba8,
+    /// Four bytes per pixel, (r, g, b, mask), 255 being 1: where the mask is 0, the pixel does not count. The loss is that
+    /// of both pictures times the mask (as in nerfstudio's Splatfacto; the reference implementation multiplies the
+    /// rendered one), its means go over all pixels, and its gradient is exactly 0 where the mask is.
+    MaskedRgba8,
     /// Three f32 per pixel: for targets that 8 bits cannot hold.
     Float,
 }
@@ -149,21 +153,22 @@ impl Loss {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn with_windowing(context: &Context, photos: PhotoFormat, windowing: Windowing) -> Result<Self> {
-        let float_photo = photos == PhotoFormat::Float;
+        let (float_photo, masked) = (photos == PhotoFormat::Float, photos == PhotoFormat::MaskedRgba8);
         let limits = context.limits();
         let subgroup_size = limits.subgroup_size;
         let sizes = Blocks::new(limits);
         let windows = match windowing {
             Windowing::Blocks => {
                 let (workgroup_size, strip) = (sizes.loss, sizes.loss_strip);
-                let forward = ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo };
-                let backward = ssim_backward::Spec { workgroup_size, strip, float_photo };
+                let forward =
+                    ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo, masked };
+                let backward = ssim_backward::Spec { workgroup_size, strip, float_photo, masked };
                 Windows::Blocks(Kernel::new(context, &forward)?, Kernel::new(context, &backward)?)
             }
             Windowing::Sweeps => {
                 let (workgroup_size, strip) = (sizes.loss_sweep, sizes.loss_sweep_strip);
-                let forward = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo };
-                let backward = ssim_backward_sweep::Spec { workgroup_size, strip, float_photo };
+                let forward = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo, masked };
+                let backward = ssim_backward_sweep::Spec { workgroup_size, strip, float_photo, masked };
                 Windows::Sweeps(Kernel::new(context, &forward)?, Kernel::new(context, &backward)?)
             }
         };

@@ -25,13 +25,27 @@ const C2: f64 = 9e-4;
 /// [`Error::Argument`] for pictures of different or no size.
 pub fn psnr(image: &[[f32; 3]], reference: &[[f32; 3]]) -> Result<f64> {
     check_sizes(image.len(), reference.len())?;
-    let squared: f64 = image
-        .as_flattened()
-        .iter()
-        .zip(reference.as_flattened())
-        .map(|(&a, &b)| (clamped(a) - clamped(b)).powi(2))
-        .sum();
-    Ok(-10.0 * (squared / (3 * image.len()) as f64).log10())
+    Ok(decibels(image.iter().zip(reference)))
+}
+
+/// [`psnr`] over the pixels that count: where the mask, one byte per pixel, is not 0.
+///
+/// # Errors
+/// As [`psnr`], and for a mask of another size or that hides everything.
+pub fn masked_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8]) -> Result<f64> {
+    check_sizes(image.len(), reference.len())?;
+    check_mask(image.len(), mask)?;
+    let pixels = image.iter().zip(reference).zip(mask);
+    Ok(decibels(pixels.filter(|(_, counts)| **counts != 0).map(|(pixel, _)| pixel)))
+}
+
+fn decibels<'a>(pixels: impl Iterator<Item = (&'a [f32; 3], &'a [f32; 3])>) -> f64 {
+    let (mut squared, mut values) = (0.0, 0.0);
+    for (a, b) in pixels {
+        squared += a.iter().zip(b).map(|(&a, &b)| (clamped(a) - clamped(b)).powi(2)).sum::<f64>();
+        values += 3.0;
+    }
+    -10.0 * (squared / values).log10()
 }
 
 /// Structural similarity (Wang et al. 2004): mean over all pixels and channels.
@@ -43,6 +57,33 @@ pub fn psnr(image: &[[f32; 3]], reference: &[[f32; 3]]) -> Result<f64> {
 /// [`Error::Argument`] for pictures of different or no size, or a size that is no multiple of the width.
 pub fn ssim(image: &[[f32; 3]], reference: &[[f32; 3]], width: u32) -> Result<f64> {
     check_sizes(image.len(), reference.len())?;
+    let map = ssim_rows(image, reference, width, &|_| true)?;
+    Ok(map / (3 * image.len()) as f64)
+}
+
+/// SSIM of both pictures times the mask (one byte per pixel; 0: does not count), mean over the pixels that count and all
+/// channels.
+///
+/// # Errors
+/// As [`ssim`], and for a mask of another size or that hides everything.
+pub fn masked_ssim(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8], width: u32) -> Result<f64> {
+    check_sizes(image.len(), reference.len())?;
+    check_mask(image.len(), mask)?;
+    let times_mask = |picture: &[[f32; 3]]| -> Vec<[f32; 3]> {
+        picture.iter().zip(mask).map(|(&rgb, &counts)| if counts == 0 { [0.0; 3] } else { rgb }).collect()
+    };
+    let counting = mask.iter().filter(|&&counts| counts != 0).count();
+    let map = ssim_rows(&times_mask(image), &times_mask(reference), width, &|pixel| mask[pixel] != 0)?;
+    Ok(map / (3 * counting) as f64)
+}
+
+/// The sum of the SSIM map over the pixels that count and all channels.
+fn ssim_rows(
+    image: &[[f32; 3]],
+    reference: &[[f32; 3]],
+    width: u32,
+    counts: &(dyn Fn(usize) -> bool + Sync),
+) -> Result<f64> {
     let width = width as usize;
     if width == 0 || !image.len().is_multiple_of(width) {
         let problem = format!("{} pixels are no multiple of the width {width}", image.len());
@@ -50,15 +91,21 @@ pub fn ssim(image: &[[f32; 3]], reference: &[[f32; 3]], width: u32) -> Result<f6
     }
     let rows: Vec<f64> = (0..image.len() / width)
         .into_par_iter()
-        .map_init(Vec::new, |moments, y| row_sum(image, reference, width, y, moments))
+        .map_init(Vec::new, |moments, y| {
+            column_sums(image, reference, width, y, moments);
+            let weights = window();
+            let columns = (0..width).filter(|x| counts(y * width + x));
+            columns
+                .flat_map(|x| (0..3).map(move |c| (x, c)))
+                .map(|(x, c)| ssim_at(moments, &weights, x, c))
+                .sum()
+        })
         .collect();
-    Ok(rows.iter().sum::<f64>() / (3 * image.len()) as f64)
+    Ok(rows.iter().sum())
 }
 
-/// The sum of the SSIM map over one row of pixels and all channels.
-///
-/// `moments` is scratch: the window's column sums of a, b, a², b², ab for each pixel and channel of the row.
-fn row_sum(a: &[[f32; 3]], b: &[[f32; 3]], width: usize, y: usize, moments: &mut Vec<[f64; 5]>) -> f64 {
+/// The window's column sums of a, b, a², b², ab for each pixel and channel of a row.
+fn column_sums(a: &[[f32; 3]], b: &[[f32; 3]], width: usize, y: usize, moments: &mut Vec<[f64; 5]>) {
     let weights = window();
     let height = a.len() / width;
     moments.clear();
@@ -74,7 +121,6 @@ fn row_sum(a: &[[f32; 3]], b: &[[f32; 3]], width: usize, y: usize, moments: &mut
             }
         }
     }
-    (0..width).flat_map(|x| (0..3).map(move |c| (x, c))).map(|(x, c)| ssim_at(moments, &weights, x, c)).sum()
 }
 
 /// SSIM at a pixel and channel from the column sums around it.
@@ -103,6 +149,16 @@ fn window() -> [f64; WINDOW] {
 
 fn clamped(value: f32) -> f64 {
     f64::from(value).clamp(0.0, 1.0)
+}
+
+fn check_mask(pixels: usize, mask: &[u8]) -> Result<()> {
+    if mask.len() != pixels {
+        return Err(Error::argument("mask", format!("{} pixels, the image has {pixels}", mask.len())));
+    }
+    if mask.iter().all(|&counts| counts == 0) {
+        return Err(Error::argument("mask", "hides the whole photo: there is nothing to compare"));
+    }
+    Ok(())
 }
 
 fn check_sizes(image: usize, reference: usize) -> Result<()> {

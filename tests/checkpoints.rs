@@ -36,7 +36,7 @@ pub fn views(count: u32, gray: u8) -> Vec<TrainView> {
         .map(|i| {
             let turned = View { camera_from_world: rotation_about_y(f64::from(i)), ..small_view([40, 30]) };
             let rgb = (0..40 * 30 * 3).map(|k| gray.wrapping_add((k * (i + 3)) as u8)).collect();
-            TrainView { camera: camera(&turned), photo: Photo { width: 40, height: 30, rgb } }
+            TrainView { camera: camera(&turned), photo: Photo { width: 40, height: 30, rgb }.into() }
         })
         .collect()
 }

@@ -67,7 +67,8 @@ fn assert_points_are_seen(dataset: &Dataset) {
     let (mut difference, mut mirrored) = (0, 0);
     for view in dataset.views() {
         let (width, height) = (view.photo.width as usize, view.photo.height as usize);
-        let pixel = |x: usize, y: usize| &view.photo.rgb[3 * (y * width + x)..][..3];
+        let photo = view.photo.photo().unwrap();
+        let pixel = |x: usize, y: usize| &photo.rgb[3 * (y * width + x)..][..3];
         let distance =
             |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(&a, &b)| u64::from(a.abs_diff(b))).sum::<u64>();
         let mut seen = 0;

@@ -16,6 +16,7 @@ mod host;
 mod invariants;
 mod kernels;
 mod limits;
+mod photos;
 mod profile;
 mod properties;
 mod reference;

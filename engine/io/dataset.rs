@@ -5,19 +5,20 @@ mod plan;
 mod unpacked;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
 use super::cameras_json::{self, NamedCamera};
-use super::images::{Photo, Resolution};
+use super::images::{PhotoFile, PhotoMemory, Resolution, StoredPhoto};
 use super::progress::Progress;
 use crate::Result;
 use crate::scene::init::{RANDOM_POINTS, random_points, seen_box};
 use crate::scene::{Bounds, Camera, Gaussians, PointCloud, scene_extent};
 
 pub use inspect::DatasetReport;
-use plan::Plan;
+use plan::{Plan, PlannedView};
 use unpacked::Unpacked;
 
 /// How to load a data set.
@@ -34,6 +35,8 @@ pub struct DatasetOptions {
     pub test_every: u32,
     /// Whether what is transparent in a photo becomes white rather than black.
     pub white_background: bool,
+    /// Bounds the memory of the photos: more of them stay in a file. None: all are held in memory.
+    pub photo_memory: Option<PhotoMemory>,
 }
 
 impl Default for DatasetOptions {
@@ -44,6 +47,7 @@ impl Default for DatasetOptions {
             eval: false,
             test_every: 8,
             white_background: false,
+            photo_memory: None,
         }
     }
 }
@@ -80,10 +84,8 @@ pub struct View {
     pub camera: Camera,
     /// The camera at the photo's size in its file.
     pub original_camera: Camera,
-    /// The photo, undistorted and scaled by [`DatasetOptions::resolution`].
-    pub photo: Photo,
-    /// 255 where the photo counts and 0 where it does not, one byte per pixel; none where all of it counts.
-    pub mask: Option<Vec<u8>>,
+    /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and what of it counts.
+    pub photo: StoredPhoto,
 }
 
 /// A data set in memory.
@@ -143,6 +145,7 @@ impl Dataset {
         let split = plan.check_split(options);
         let planned = std::mem::take(&mut plan.views).into_iter().collect::<Result<Vec<_>>>()?;
         split?;
+        let file = photo_file(&planned, options, &mut plan.warnings)?;
         let done = AtomicUsize::new(0);
         let total = planned.len();
         progress.step(0, total);
@@ -150,7 +153,10 @@ impl Dataset {
             .into_par_iter()
             .map(|planned| {
                 progress.check()?;
-                let view = planned.load(options)?;
+                let mut view = planned.load(options)?;
+                if let Some(file) = &file {
+                    view.photo = file.store(&view.photo)?;
+                }
                 progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
                 Ok(view)
             })
@@ -168,10 +174,6 @@ impl Dataset {
         if extent == 0.0 {
             warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());
             extent = 1.0;
-        }
-        let masked = train.iter().filter(|view| view.mask.is_some()).count();
-        if masked > 0 {
-            warnings.push(format!("{masked} training views have masks, which training does not use yet"));
         }
         if points.is_empty() {
             warnings.push(format!("no points to start from; {RANDOM_POINTS} random ones stand in for them"));
@@ -234,4 +236,23 @@ impl Dataset {
     ) -> DatasetReport {
         inspect::inspect(path.as_ref(), options, progress)
     }
+}
+
+/// The file for photos that need more memory than they may have.
+fn photo_file(
+    planned: &[PlannedView],
+    options: &DatasetOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Option<Arc<PhotoFile>>> {
+    let Some(memory) = &options.photo_memory else { return Ok(None) };
+    let needed: u64 = planned.iter().map(|view| view.texel_bytes(options)).sum();
+    if needed <= memory.bytes {
+        return Ok(None);
+    }
+    let (mib, allowed) = (needed.div_ceil(1 << 20), memory.bytes >> 20);
+    warnings.push(format!(
+        "the photos need {mib} MiB and may have {allowed}: they are kept in a file in {} and read when needed",
+        memory.folder.display()
+    ));
+    PhotoFile::create(memory).map(Some)
 }

@@ -1,6 +1,7 @@
 //! Photographs: decoding, checking, scaling.
 
 mod decode;
+mod stored;
 mod undistort;
 
 use std::path::Path;
@@ -14,6 +15,7 @@ use crate::scene::camera::MAX_IMAGE_SIDE;
 use crate::{Error, Result};
 
 pub use decode::{photo_size, shown_size};
+pub use stored::{PhotoFile, PhotoMemory, StoredPhoto, existing_folder};
 
 /// Widest picture that [`Resolution::Auto`] leaves as it is, pixels.
 pub const AUTO_MAX_WIDTH: u32 = 1600;

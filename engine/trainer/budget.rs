@@ -16,9 +16,8 @@ pub(super) fn sets_bytes(plan: &ScenePlan) -> u64 {
     SETS * plan.chunk_bytes() * u64::from(plan.chunks) + STATISTICS_BYTES * u64::from(plan.capacity)
 }
 
-/// Bytes of everything else that a run begins with: photographs, the loss, a frame.
+/// Bytes of everything else that a run begins with: the loss, a frame.
 fn other_bytes(context: &Context, cameras: &[Camera], gaussians: u32) -> u64 {
-    let pixels = |c: &Camera| u64::from(c.width) * u64::from(c.height);
     let largest = |f: &dyn Fn(&Camera) -> u64| cameras.iter().map(f).max().unwrap_or(0);
     let (width, height) = (largest(&|c| c.width.into()) as u32, largest(&|c| c.height.into()) as u32);
     let capacity = FrameCapacity {
@@ -29,8 +28,7 @@ fn other_bytes(context: &Context, cameras: &[Camera], gaussians: u32) -> u64 {
         blend_passes: 1,
         backward: true,
     };
-    cameras.iter().map(|camera| pixels(camera) * 4).sum::<u64>()
-        + largest(&|c| loss::scratch_bytes(context.limits(), c.width, c.height))
+    largest(&|c| loss::scratch_bytes(context.limits(), c.width, c.height))
         + frame_bytes(&capacity, &Blocks::new(context.limits()))
 }
 
@@ -41,6 +39,7 @@ fn other_bytes(context: &Context, cameras: &[Camera], gaussians: u32) -> u64 {
 pub(super) fn initial_capacity(
     context: &Context,
     cameras: &[Camera],
+    photo_bytes: u64,
     count: u32,
     sh_degree: u32,
 ) -> Result<u32> {
@@ -60,7 +59,7 @@ pub(super) fn initial_capacity(
     let free = limit.saturating_sub(context.memory_total().bytes);
     let needed = |capacity: u32| -> Result<u64> {
         let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
-        Ok(sets_bytes(&plan) + other_bytes(context, cameras, capacity))
+        Ok(sets_bytes(&plan) + photo_bytes + other_bytes(context, cameras, capacity))
     };
     if needed(wanted)? <= free {
         return Ok(wanted);
@@ -70,7 +69,7 @@ pub(super) fn initial_capacity(
         return Ok(count);
     }
     let what = format!(
-        "training {count} Gaussians of SH degree {sh_degree} on {} photographs (fewer or smaller ones need less)",
+        "training {count} Gaussians of SH degree {sh_degree} on {} photographs (fewer or smaller ones need less, or --photo-memory)",
         cameras.len()
     );
     Err(Error::TooLarge { what, needed: least, unit: "bytes", limit: free, limit_name })

@@ -213,7 +213,7 @@ pub(super) fn fingerprint_of(views: &[TrainView]) -> u64 {
         print.add(bytemuck::cast_slice(&translation.to_array()));
         print.add(bytemuck::cast_slice(&[fx, fy, cx, cy]));
         print.add(bytemuck::cast_slice(&[width, height]));
-        print.add(&view.photo.rgb);
+        print.add(bytemuck::bytes_of(&view.photo.fingerprint()));
         print.finish()
     };
     let each: Vec<u64> = views.par_iter().map(of_view).collect();

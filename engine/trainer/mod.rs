@@ -8,6 +8,7 @@ mod budget;
 pub mod checkpoint;
 mod density;
 mod photos;
+mod schedule;
 pub mod settings;
 mod step;
 pub mod verify;
@@ -19,7 +20,7 @@ use crate::backward::Backward;
 use crate::densify::Densify;
 use crate::error::{Error, Result};
 use crate::forward::{RenderSettings, SceneBuffers};
-use crate::io::Photo;
+use crate::io::StoredPhoto;
 use crate::loss::{Loss, PhotoFormat};
 use crate::optimizer::{Moments, Optimizer};
 use crate::planes;
@@ -33,8 +34,9 @@ use photos::Photos;
 pub struct TrainView {
     /// The camera; its size is the photo's.
     pub camera: Camera,
-    /// The photo, kept on the device as 8 bits per channel.
-    pub photo: Photo,
+    /// The photo, kept on the device as 8 bits per channel; what its mask hides carries no loss. Photos in a file are
+    /// read ahead of the iterations that need them.
+    pub photo: StoredPhoto,
 }
 
 /// What a step did.
@@ -105,6 +107,8 @@ pub struct Trainer {
     photos: Photos,
     runner: FrameRunner,
     loss: Loss,
+    /// For views with masks.
+    masked_loss: Option<Loss>,
     backward: Backward,
     optimizer: Optimizer,
     densify: Densify,
@@ -174,19 +178,22 @@ impl Trainer {
         }
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         let count = crate::plan::to_u32(initial.len() as u64)?;
-        let capacity = budget::initial_capacity(context, &cameras, count, settings.sh_degree)?;
-        let photos = Photos::upload(context, &views)?;
+        let photo_bytes = photos::device_bytes(&views)?;
+        let capacity = budget::initial_capacity(context, &cameras, photo_bytes, count, settings.sh_degree)?;
+        let photos = Photos::new(context, &views, settings.seed)?;
         let views_fingerprint = checkpoint::fingerprint_of(&views);
         drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, settings.sh_degree)?;
         let training = Training::new(context, scene)?;
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
         let loss = Loss::new(context, PhotoFormat::Rgba8)?;
+        let masked = photos.any_masked().then(|| Loss::new(context, PhotoFormat::MaskedRgba8));
         Ok(Self {
             scratch: LossScratch::new(context, &loss, &cameras)?,
             order: step::ViewOrder::new(settings.seed, cameras.len()),
             runner: FrameRunner::new(context)?,
             loss,
+            masked_loss: masked.transpose()?,
             backward: Backward::new(context),
             optimizer: Optimizer::new(context, sparse),
             densify: Densify::new(context)?,

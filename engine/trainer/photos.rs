@@ -1,42 +1,201 @@
-//! Photographs on the device, 8 bits per channel.
+//! Photographs on the device: all of them, or those that are needed next.
+
+use std::sync::mpsc::{Receiver, sync_channel};
 
 use super::TrainView;
+use super::schedule::{Schedule, Use};
+use super::step::ViewOrder;
 use crate::error::{Error, Result};
+use crate::io::StoredPhoto;
 use crate::vk::{Buffer, Context, MemoryKind};
 
-/// One buffer of RGBA8 texels per view.
-pub(super) struct Photos(Vec<Buffer>);
+/// Photographs that wait on the host for their turn, read by a thread.
+const AHEAD: u64 = 2;
+/// Photographs on the host at a time: those that wait, one that is being read, one that is being uploaded.
+const ON_HOST: u64 = AHEAD + 2;
+
+/// RGBA8 texels of the views' photographs, the fourth byte being the mask.
+pub(super) enum Photos {
+    Resident { texels: Vec<Buffer>, masked: Vec<bool> },
+    Streamed(Stream),
+}
+
+/// How much of the photographs is on the device at a time.
+enum Residence {
+    All,
+    Slots { count: usize, bytes: u64 },
+}
+
+impl Residence {
+    /// All of them, unless they lie in a file: then as many as fit its budget beside those that wait on the host.
+    fn of(views: &[TrainView]) -> Result<Self> {
+        let Some(file) = views.iter().find_map(|view| view.photo.file()) else { return Ok(Self::All) };
+        let bytes = views.iter().map(|view| view.photo.bytes()).max().unwrap_or(0).max(4);
+        let held = file.memory_bytes() / bytes;
+        if held <= ON_HOST {
+            return Err(Error::TooLarge {
+                what: format!("reading ahead ({} of the largest photograph at a time)", ON_HOST + 1),
+                needed: (ON_HOST + 1) * bytes,
+                unit: "bytes",
+                limit: file.memory_bytes(),
+                limit_name: "the memory for photographs",
+            });
+        }
+        let count = usize::try_from(held - ON_HOST).unwrap_or(usize::MAX).min(views.len());
+        Ok(Self::Slots { count, bytes })
+    }
+}
+
+/// Bytes of device memory that the views' photographs take.
+///
+/// # Errors
+/// [`Error::TooLarge`] when their budget is too small to read ahead.
+pub(super) fn device_bytes(views: &[TrainView]) -> Result<u64> {
+    Ok(match Residence::of(views)? {
+        Residence::All => views.iter().map(|view| view.photo.bytes()).sum(),
+        Residence::Slots { count, bytes } => count as u64 * bytes,
+    })
+}
+
+fn check(views: &[TrainView]) -> Result<()> {
+    for (index, TrainView { camera, photo }) in views.iter().enumerate() {
+        camera.check()?;
+        if (photo.width, photo.height) != (camera.width, camera.height) {
+            let problem = format!(
+                "the photo has {}x{} pixels, its camera {}x{}; they must agree",
+                photo.width, photo.height, camera.width, camera.height
+            );
+            return Err(Error::argument(format!("view {index}"), problem));
+        }
+        photo.check().map_err(|problem| Error::argument(format!("view {index}"), problem))?;
+    }
+    Ok(())
+}
 
 impl Photos {
-    /// Uploads the views' photographs.
-    pub fn upload(context: &Context, views: &[TrainView]) -> Result<Self> {
-        for (index, TrainView { camera, photo }) in views.iter().enumerate() {
-            camera.check()?;
-            if (photo.width, photo.height) != (camera.width, camera.height) {
-                let problem = format!(
-                    "the photo has {}x{} pixels, its camera {}x{}; they must agree",
-                    photo.width, photo.height, camera.width, camera.height
-                );
-                return Err(Error::argument(format!("view {index}"), problem));
+    /// Uploads the views' photographs, or makes room for some of them; they are needed in the order of a seed.
+    pub fn new(context: &Context, views: &[TrainView], seed: u32) -> Result<Self> {
+        check(views)?;
+        let (count, bytes) = match Residence::of(views)? {
+            Residence::Slots { count, bytes } => (count, bytes),
+            Residence::All => {
+                let requests: Vec<(&'static str, u64)> =
+                    views.iter().map(|view| ("photo", view.photo.bytes())).collect();
+                let texels = context.allocate("photos", &requests, MemoryKind::Device)?;
+                for (buffer, view) in texels.iter().zip(views) {
+                    context.upload(buffer, &view.photo.texels()?)?;
+                }
+                let masked = views.iter().map(|view| view.photo.is_masked()).collect();
+                return Ok(Self::Resident { texels, masked });
             }
-            if photo.rgb.len() != photo.width as usize * photo.height as usize * 3 {
-                let problem = format!("the photo has {} bytes, not three per pixel", photo.rgb.len());
-                return Err(Error::argument(format!("view {index}"), problem));
-            }
-        }
-        let bytes = |view: &TrainView| u64::from(view.photo.width) * u64::from(view.photo.height) * 4;
-        let requests: Vec<(&'static str, u64)> = views.iter().map(|view| ("photo", bytes(view))).collect();
-        let buffers = context.allocate("photos", &requests, MemoryKind::Device)?;
-        for (buffer, view) in buffers.iter().zip(views) {
-            let texels: Vec<u8> =
-                view.photo.rgb.chunks_exact(3).flat_map(|rgb| [rgb[0], rgb[1], rgb[2], 255]).collect();
-            context.upload(buffer, &texels)?;
-        }
-        Ok(Self(buffers))
+        };
+        let slots = context.allocate("photos", &vec![("photo", bytes); count], MemoryKind::Device)?;
+        let photos = views.iter().map(|view| view.photo.clone()).collect();
+        Ok(Self::Streamed(Stream { photos, slots, seed, running: None }))
     }
 
-    /// The texels of a view.
+    /// Sees to it that the photograph of an iteration is on the device. No submission that uses another may be pending.
+    pub fn prepare(&mut self, context: &Context, iteration: u32) -> Result<()> {
+        match self {
+            Self::Resident { .. } => Ok(()),
+            Self::Streamed(stream) => stream.prepare(context, iteration),
+        }
+    }
+
+    /// The texels of a view, which [`Photos::prepare`] has prepared.
     pub fn of(&self, view: usize) -> &Buffer {
-        &self.0[view]
+        match self {
+            Self::Resident { texels, .. } => &texels[view],
+            Self::Streamed(stream) => match &stream.running {
+                Some(running) if running.at.view == view => &stream.slots[running.at.slot],
+                _ => panic!("view {view} is not the one that was prepared"),
+            },
+        }
+    }
+
+    /// Whether parts of a view do not count.
+    pub fn is_masked(&self, view: usize) -> bool {
+        match self {
+            Self::Resident { masked, .. } => masked[view],
+            Self::Streamed(stream) => stream.photos[view].is_masked(),
+        }
+    }
+
+    /// Whether parts of any view do not count.
+    pub fn any_masked(&self) -> bool {
+        match self {
+            Self::Resident { masked, .. } => masked.contains(&true),
+            Self::Streamed(stream) => stream.photos.iter().any(StoredPhoto::is_masked),
+        }
+    }
+}
+
+/// Photographs that come from a file while training runs. A thread reads them in the order in which they will be missed,
+/// which both sides work out by themselves.
+pub(super) struct Stream {
+    photos: Vec<StoredPhoto>,
+    slots: Vec<Buffer>,
+    seed: u32,
+    running: Option<Running>,
+}
+
+struct Running {
+    schedule: Schedule,
+    /// The iteration that is prepared.
+    iteration: u32,
+    at: Use,
+    /// Texels in the order of the loads; the thread ends when nobody receives any more.
+    texels: Receiver<Result<Vec<u8>>>,
+}
+
+impl Stream {
+    fn prepare(&mut self, context: &Context, iteration: u32) -> Result<()> {
+        if self.running.as_ref().is_some_and(|running| running.iteration == iteration) {
+            return Ok(());
+        }
+        // Anew at the start, from a checkpoint and after a failure.
+        let mut running = match self.running.take() {
+            Some(running) if running.iteration + 1 == iteration => running,
+            _ => self.start(iteration)?,
+        };
+        running.iteration = iteration;
+        running.at = running.schedule.advance();
+        if running.at.load {
+            let texels = running.texels.recv().map_err(|_| {
+                Error::argument(
+                    "photographs",
+                    "the thread that reads them has ended; go on from a checkpoint",
+                )
+            })??;
+            context.upload(&self.slots[running.at.slot].range(0, texels.len() as u64), &texels)?;
+        }
+        self.running = Some(running);
+        Ok(())
+    }
+
+    fn start(&self, iteration: u32) -> Result<Running> {
+        let order = ViewOrder::new(self.seed, self.photos.len());
+        let schedule = Schedule::new(order, self.slots.len(), iteration);
+        let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
+        let (sender, texels) = sync_channel(AHEAD as usize);
+        // Where all fit, none is read twice.
+        let mut left = if self.slots.len() < photos.len() { usize::MAX } else { photos.len() };
+        let read = move || {
+            while left > 0 {
+                let next = ahead.advance();
+                if next.load {
+                    let texels = photos[next.view].texels();
+                    left = if texels.is_ok() { left - 1 } else { 0 };
+                    if sender.send(texels).is_err() {
+                        return;
+                    }
+                }
+            }
+        };
+        std::thread::Builder::new()
+            .name("photographs".into())
+            .spawn(read)
+            .map_err(|e| Error::argument("photographs", format!("no thread to read them: {e}")))?;
+        Ok(Running { schedule, iteration, at: Use { view: 0, slot: 0, load: false }, texels })
     }
 }

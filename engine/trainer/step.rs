@@ -18,6 +18,7 @@ const STREAM_VIEWS: u64 = 1;
 const STREAM_BACKGROUND: u64 = 2;
 
 /// Each view once per epoch, in random order.
+#[derive(Clone)]
 pub(super) struct ViewOrder {
     seed: u32,
     views: usize,
@@ -28,6 +29,11 @@ pub(super) struct ViewOrder {
 impl ViewOrder {
     pub fn new(seed: u32, views: usize) -> Self {
         Self { seed, views, epoch: u64::MAX, order: Vec::new() }
+    }
+
+    /// Number of views.
+    pub fn views(&self) -> usize {
+        self.views
     }
 
     /// The view of an iteration, from 1: depends on nothing but the seed and the iteration.
@@ -104,6 +110,7 @@ impl Trainer {
             optimizes: !s.densifies_at(iteration) && iteration < s.iterations,
         };
         let view = self.order.view(iteration);
+        self.photos.prepare(&self.context, iteration)?;
         let ran = self.run_step(iteration, view, plan)?;
         if plan.optimizes {
             self.steps += 1;
@@ -174,9 +181,20 @@ impl Trainer {
         self.backward.prepare(sh_degree, settings.inverse_depth)?;
         self.optimizer.prepare(sh_degree)?;
         let Self {
-            runner, loss, backward, optimizer, training, scratch, photos, cameras, settings: s, ..
+            runner,
+            loss,
+            masked_loss,
+            backward,
+            optimizer,
+            training,
+            scratch,
+            photos,
+            cameras,
+            settings: s,
+            ..
         } = self;
         let camera = &cameras[view];
+        let loss = if photos.is_masked(view) { masked_loss.as_ref().unwrap_or(loss) } else { loss };
         let statistics = Statistics { buffer: &training.statistics, accumulate: plan.collects };
         let record = |r: &mut Recorder, inputs: &FrameInputs| {
             r.barrier();

@@ -16,6 +16,8 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 2) const uint STRIP = 4;
 // The photograph is three floats per pixel instead of RGBA8.
 layout(constant_id = 3) const bool FLOAT_PHOTO = false;
+// The fourth byte of a photograph's pixel is 0 where it does not count.
+layout(constant_id = 4) const bool MASKED = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
@@ -50,7 +52,8 @@ void finish(vec3 windowed, uvec2 pixel, uint channel) {
         float scale = 1.0 / (3.0 * float(image_width) * float(image_height));
         uint index = pixel.y * image_width + pixel.x;
         vec2 value = rendered_and_photo(index, channel);
-        image_gradient[4 * index + channel] = loss_gradient(windowed, value, scale, lambda_dssim);
+        float gradient = loss_gradient(windowed, value, scale, lambda_dssim);
+        image_gradient[4 * index + channel] = counts(index) ? gradient : 0.0;
     }
 }
 

@@ -17,6 +17,8 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 32;
 layout(constant_id = 2) const uint STRIP = 8;
 // The photograph is three floats per pixel instead of RGBA8.
 layout(constant_id = 3) const bool FLOAT_PHOTO = false;
+// The fourth byte of a photograph's pixel is 0 where it does not count.
+layout(constant_id = 4) const bool MASKED = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0) uniform textureBuffer accumulated;

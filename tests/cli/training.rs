@@ -315,3 +315,30 @@ fn ctrl_c_saves() {
     succeed(&[typed.as_slice(), &more].concat());
     assert!(out.join(format!("point_cloud/iteration_{next}/point_cloud.ply")).is_file());
 }
+
+/// Photographs that do not fit are read while training runs, and nothing else changes.
+#[test]
+fn photos_may_stay_on_disk() {
+    let folder = tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    write_dataset(&data);
+    let train = |name: &str, more: &[&str]| {
+        let model = folder.path().join(name);
+        let run = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--iterations", "25", "--quiet"];
+        let run = finish(program().args([&run[..], more].concat()));
+        assert_eq!(run.code, Some(0), "{}", run.stderr);
+        let read = |file: &str| std::fs::read(model.join(file)).expect(file);
+        let files = ["point_cloud/iteration_25/point_cloud.ply", "results.json", "test/ours_25/gt/00001.png"];
+        (files.map(read), run.stderr)
+    };
+    let (in_memory, said) = train("memory", &[]);
+    assert!(!said.contains("kept in a file"), "{said}");
+    let (on_disk, said) = train("disk", &["--photo-memory", "40K"]);
+    assert!(said.contains("are kept in a file in"), "{said}");
+    assert!(in_memory == on_disk);
+    let left = std::fs::read_dir(folder.path()).expect("the folder").count();
+    assert_eq!(left, 3, "the file goes with the program");
+    let model = folder.path().join("refused");
+    let run = ["train", "-s", text(&data), "-m", text(&model), "--photo-memory", "20K"];
+    assert_refused(&finish(program().args(run)), &["reading ahead", "30720 bytes", "20480"]);
+}

@@ -16,6 +16,8 @@ pub struct Pictures {
     pub accumulated: Vec<[f32; 4]>,
     /// RGBA8.
     pub photo: Vec<u32>,
+    /// Whether the photograph's fourth byte is a mask.
+    pub masked: bool,
 }
 
 impl Pictures {
@@ -35,7 +37,28 @@ impl Pictures {
             // The fourth byte is nobody's.
             photo.push(bytes[0] | bytes[1] << 8 | bytes[2] << 16 | random.below(256) << 24);
         }
-        Pictures { size, accumulated, photo }
+        Pictures { size, accumulated, photo, masked: false }
+    }
+
+    /// The same with a mask of blocks and single pixels, which leaves about half of them.
+    pub fn masked(size: [u32; 2]) -> Pictures {
+        let mut pictures = Pictures { masked: true, ..Pictures::random(size) };
+        let mut random = Random::new(7 + u64::from(size[0]));
+        for (i, word) in pictures.photo.iter_mut().enumerate() {
+            let (x, y) = (i as u32 % size[0], i as u32 / size[0]);
+            let counts = match (x / 13 + y / 13) % 3 {
+                0 => true,
+                1 => false,
+                _ => random.below(2) == 0,
+            };
+            *word = *word & 0x00FF_FFFF | if counts { 0xFF00_0000 } else { 0 };
+        }
+        pictures
+    }
+
+    /// Whether a pixel counts.
+    pub fn counts(&self, pixel: usize) -> bool {
+        !self.masked || self.photo[pixel] >> 24 != 0
     }
 
     pub fn pixels(&self) -> usize {
@@ -47,10 +70,10 @@ impl Pictures {
         let [width, height] = self.size.map(|n| n as usize);
         let rendered = |t: &[f32; 4]| f64::from(t[channel]) + f64::from(t[3]) * BACKGROUND[channel];
         let taken = |word: &u32| f64::from(word >> (8 * channel) & 0xFF) / 255.0;
-        [
-            Plane { width, height, values: self.accumulated.iter().map(rendered).collect() },
-            Plane { width, height, values: self.photo.iter().map(taken).collect() },
-        ]
+        let times_mask = |(i, value)| if self.counts(i) { value } else { 0.0 };
+        let rendered = self.accumulated.iter().map(rendered).enumerate().map(times_mask).collect();
+        let taken = self.photo.iter().map(taken).enumerate().map(times_mask).collect();
+        [Plane { width, height, values: rendered }, Plane { width, height, values: taken }]
     }
 
     /// Workgroups: blocks of 16×16 and the channel.
@@ -95,11 +118,11 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffe
     let loss_partials = gpu.untouched::<[f32; 2]>("loss_partials", count);
     let [image_width, image_height] = pictures.size;
     let background = BACKGROUND.map(|x| x as f32);
-    let (workgroup_size, float_photo) = (gpu.workgroup(64), false);
+    let (workgroup_size, float_photo, masked) = (gpu.workgroup(64), false, pictures.masked);
     match window {
         Window::Block { strip } => {
             let subgroup_size = gpu.subgroup();
-            let spec = ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo };
+            let spec = ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo, masked };
             let kernel = gpu.kernel::<ssim_forward::Interface>(&spec);
             let bind = ssim_forward::Bind {
                 accumulated,
@@ -111,7 +134,7 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffe
             gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
         }
         Window::Sweep { strip, rows } => {
-            let spec = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo };
+            let spec = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo, masked };
             let kernel = gpu.kernel::<ssim_forward_sweep::Interface>(&spec);
             let bind = ssim_forward_sweep::Bind {
                 accumulated,
@@ -149,9 +172,10 @@ pub fn backward(
     let [image_width, image_height] = pictures.size;
     let background = BACKGROUND.map(|x| x as f32);
     let (workgroup_size, float_photo, first_channel) = (gpu.workgroup(64), false, 0);
+    let masked = pictures.masked;
     match window {
         Window::Block { strip } => {
-            let spec = ssim_backward::Spec { workgroup_size, strip, float_photo };
+            let spec = ssim_backward::Spec { workgroup_size, strip, float_photo, masked };
             let kernel = gpu.kernel::<ssim_backward::Interface>(&spec);
             let bind =
                 ssim_backward::Bind { accumulated, photo, derivatives, image_gradient: &image_gradient };
@@ -160,7 +184,7 @@ pub fn backward(
             gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
         }
         Window::Sweep { strip, rows } => {
-            let spec = ssim_backward_sweep::Spec { workgroup_size, strip, float_photo };
+            let spec = ssim_backward_sweep::Spec { workgroup_size, strip, float_photo, masked };
             let kernel = gpu.kernel::<ssim_backward_sweep::Interface>(&spec);
             let bind = ssim_backward_sweep::Bind {
                 accumulated,

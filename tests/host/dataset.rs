@@ -51,7 +51,7 @@ fn views_come_by_name_with_their_cameras_and_photos() {
         assert!(view.camera.position().abs_diff_eq(camera.position(), 1e-5));
         assert_eq!(view.camera.intrinsics(), camera.intrinsics());
         assert_eq!(view.image_id, 100 - index as u32);
-        assert!(view.photo.rgb.iter().all(|&v| v == index as u8));
+        assert!(view.photo.photo().unwrap().rgb.iter().all(|&v| v == index as u8));
     }
     assert_eq!(dataset.points.len(), 4);
     assert!((dataset.scene_extent - 3.3).abs() < 1e-4);
@@ -99,9 +99,9 @@ fn another_images_folder_and_background() {
     let clear = image::RgbaImage::new(20, 12);
     clear.save(folder.path().join("images_2/000.png")).unwrap();
     let mut options = DatasetOptions { images: "images_2".into(), ..DatasetOptions::default() };
-    assert!(load(folder.path(), &options).train[0].photo.rgb.iter().all(|&v| v == 0));
+    assert!(load(folder.path(), &options).train[0].photo.photo().unwrap().rgb.iter().all(|&v| v == 0));
     options.white_background = true;
-    assert!(load(folder.path(), &options).train[0].photo.rgb.iter().all(|&v| v == 255));
+    assert!(load(folder.path(), &options).train[0].photo.photo().unwrap().rgb.iter().all(|&v| v == 255));
     let message =
         Dataset::load(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap_err().to_string();
     assert!(message.contains("images: there is no folder with photos"), "{message}");

@@ -220,7 +220,8 @@ fn colmap_undistorts_the_same() {
         for (x, y) in [(i.fx, j.fx), (i.fy, j.fy), (i.cx, j.cx), (i.cy, j.cy)] {
             assert!((x - y).abs() < 1e-3, "{i:?} {j:?}");
         }
-        let psnr = metrics::psnr(&a.photo.to_f32(), &b.photo.to_f32()).unwrap();
+        let psnr =
+            metrics::psnr(&a.photo.photo().unwrap().to_f32(), &b.photo.photo().unwrap().to_f32()).unwrap();
         assert!(psnr > 45.0, "{}: {psnr} dB", a.name);
     }
 }

@@ -1,6 +1,6 @@
 //! PSNR and SSIM against direct loops.
 
-use ashsplat::metrics::{psnr, ssim};
+use ashsplat::metrics::{masked_psnr, masked_ssim, psnr, ssim};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -70,4 +70,26 @@ fn sizes_that_do_not_fit_are_refused() {
     let [a, b] = [vec![[0.0; 3]; 6], vec![[0.0; 3]; 5]];
     assert!(psnr(&a, &b).is_err() && psnr(&[], &[]).is_err());
     assert!(ssim(&a, &b, 1).is_err() && ssim(&a, &a, 4).is_err() && ssim(&a, &a, 0).is_err());
+}
+
+#[test]
+fn masks_in_metrics() {
+    let (a, b) = (noise(31 * 23, 3), noise(31 * 23, 4));
+    let all = vec![255; a.len()];
+    assert_eq!(masked_psnr(&a, &b, &all).unwrap(), psnr(&a, &b).unwrap());
+    assert_eq!(masked_ssim(&a, &b, &all, 31).unwrap(), ssim(&a, &b, 31).unwrap());
+    // The right third does not count: nothing there matters.
+    let mask: Vec<u8> = (0..a.len()).map(|i| if i % 31 < 20 { 255 } else { 0 }).collect();
+    let changed: Vec<[f32; 3]> =
+        a.iter().zip(&mask).map(|(&rgb, &counts)| if counts == 0 { [0.77; 3] } else { rgb }).collect();
+    assert_eq!(masked_psnr(&a, &b, &mask).unwrap(), masked_psnr(&changed, &b, &mask).unwrap());
+    assert_eq!(masked_ssim(&a, &b, &mask, 31).unwrap(), masked_ssim(&changed, &b, &mask, 31).unwrap());
+    // What counts, cut out: the zeros that stand for the rest are those of the border.
+    let cut = |picture: &[[f32; 3]]| -> Vec<[f32; 3]> {
+        picture.iter().enumerate().filter(|(i, _)| i % 31 < 20).map(|(_, &rgb)| rgb).collect()
+    };
+    let near = |x: f64, y: f64| assert!((x - y).abs() < 1e-12, "{x} {y}");
+    near(masked_psnr(&a, &b, &mask).unwrap(), psnr(&cut(&a), &cut(&b)).unwrap());
+    near(masked_ssim(&a, &b, &mask, 31).unwrap(), ssim(&cut(&a), &cut(&b), 20).unwrap());
+    assert!(masked_psnr(&a, &b, &mask[1..]).is_err() && masked_psnr(&a, &b, &vec![0; a.len()]).is_err());
 }

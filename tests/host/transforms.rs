@@ -84,7 +84,7 @@ fn synthetic_scenes_have_their_own_split() {
         {
             assert!((a - b).abs() < 1e-4);
         }
-        assert!(view.photo.rgb.iter().all(|&v| u32::from(v) == index));
+        assert!(view.photo.photo().unwrap().rgb.iter().all(|&v| u32::from(v) == index));
     }
     // Without points, random ones where the cameras look.
     assert!(dataset.points.is_empty() && dataset.may_lack_points());
@@ -108,8 +108,9 @@ fn transparent_photos_show_the_background() {
         let view =
             load(folder.path(), &DatasetOptions { white_background, ..Default::default() }).train.remove(0);
         // It is the background that counts there, not nothing.
-        assert!(view.mask.is_none());
-        [view.photo.rgb[0], view.photo.rgb[1], view.photo.rgb[2]]
+        assert!(!view.photo.is_masked());
+        let photo = view.photo.photo().unwrap();
+        [photo.rgb[0], photo.rgb[1], photo.rgb[2]]
     };
     assert_eq!(first(false), [40, 20, 0]);
     assert_eq!(first(true), [244, 224, 204]);
@@ -201,12 +202,13 @@ fn masks_and_alpha_say_what_counts() {
         .unwrap();
     image::GrayImage::from_pixel(20, 12, image::Luma([255])).save(place("masks/2.png.png")).unwrap();
     let dataset = load(folder.path(), &DatasetOptions::default());
-    let masks: Vec<_> = dataset.train.iter().map(|view| view.mask.as_ref()).collect();
-    assert!(masks[0].unwrap() == half(true).as_raw() && masks[1].unwrap() == half(false).as_raw());
+    let masks: Vec<_> = dataset.train.iter().map(|view| view.photo.mask().unwrap()).collect();
+    let shown = |i: usize| masks[i].as_ref().unwrap().to_vec();
+    assert!(shown(0) == *half(true).as_raw() && shown(1) == *half(false).as_raw());
     assert_eq!(masks[2..], [None, None]);
     // With the photo's size changes the mask's.
     let options = DatasetOptions { resolution: "2".parse().unwrap(), ..Default::default() };
-    let small = load(folder.path(), &options).train.remove(0).mask.unwrap();
+    let small = load(folder.path(), &options).train.remove(0).photo.mask().unwrap().unwrap();
     assert_eq!((small.len(), small[0], small[9]), (60, 255, 0));
     image::GrayImage::new(3, 3).save(place("masks/3.png")).unwrap();
     assert!(refusal(folder.path()).contains("masks/3.png: is 3x3 pixels, its camera 20x12"));
@@ -236,7 +238,7 @@ fn photos_on_their_side_are_turned_when_the_camera_stands_upright() {
     let document = json!({ "fl_x": 21.0, "w": 20, "h": 12, "frames": list });
     write_json(&folder.path().join("transforms.json"), &document);
     let dataset = load(folder.path(), &DatasetOptions::default());
-    let photo = &dataset.train[0].photo;
+    let photo = dataset.train[0].photo.photo().unwrap();
     assert_eq!((photo.width, photo.height), (20, 12));
     // Left becomes top.
     assert!(
@@ -244,7 +246,7 @@ fn photos_on_their_side_are_turned_when_the_camera_stands_upright() {
     );
     // Stored upright for its camera, it stays as it is.
     sideways_jpeg(&folder.path().join("images/phone.jpg"), 20, 12);
-    let photo = load(folder.path(), &DatasetOptions::default()).train.remove(0).photo;
+    let photo = load(folder.path(), &DatasetOptions::default()).train.remove(0).photo.photo().unwrap();
     assert!(photo.rgb[0] < 60 && photo.rgb[57] > 200);
 }
 

@@ -6,11 +6,11 @@ use crate::common::loss::{Pictures, SIZES, Window, backward};
 use crate::reference::ssim_backward::ssim_backward;
 use crate::reference::ssim_forward::{SsimPlane, ssim_forward};
 
-const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 2e-5, max_over_max: 2e-5 };
+/// Of a gradient in f32.
+pub const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 2e-5, max_over_max: 2e-5 };
 
 /// Compares the gradient of either kernel with the twin's.
-pub fn check(gpu: &Gpu, size: [u32; 2], window: Window) {
-    let pictures = Pictures::random(size);
+pub fn check(gpu: &Gpu, pictures: &Pictures, window: Window) {
     let count = pictures.pixels();
     // From the twin's derivatives, so that only this kernel is judged.
     let twins: Vec<SsimPlane> = (0..3)
@@ -29,7 +29,7 @@ pub fn check(gpu: &Gpu, size: [u32; 2], window: Window) {
     }
     let derivatives = gpu.buffer("derivatives", &derivatives);
     for lambda in [0.2, 0.0, 1.0] {
-        let actual = backward(gpu, &pictures, &derivatives, window, lambda);
+        let actual = backward(gpu, pictures, &derivatives, window, lambda);
         assert!(actual.iter().all(|d| d[3].to_bits() == UNTOUCHED));
         for channel in 0..3 {
             let [x, y] = pictures.planes(channel);
@@ -37,6 +37,10 @@ pub fn check(gpu: &Gpu, size: [u32; 2], window: Window) {
             let mut expected = ssim_backward(&x, &y, &twins[channel], lambda, 3 * count);
             let mut actual: Vec<f64> = actual.iter().map(|d| f64::from(d[channel])).collect();
             for i in 0..count {
+                if !pictures.counts(i) {
+                    assert_eq!(actual[i], 0.0, "gradient where the mask is");
+                    expected[i] = 0.0;
+                }
                 // The sign of a difference within rounding of zero.
                 if (x.values[i] - y.values[i]).abs() < 1e-6 {
                     (expected[i], actual[i]) = (0.0, 0.0);
@@ -52,6 +56,7 @@ pub fn check(gpu: &Gpu, size: [u32; 2], window: Window) {
 fn ssim_backward_equals_its_twin() {
     let gpu = Gpu::new();
     for (size, strip) in SIZES.into_iter().flat_map(|size| [(size, 2), (size, 4), (size, 8)]) {
-        check(&gpu, size, Window::Block { strip });
+        check(&gpu, &Pictures::random(size), Window::Block { strip });
+        check(&gpu, &Pictures::masked(size), Window::Block { strip });
     }
 }

@@ -1,9 +1,11 @@
 //! `loss/ssim_backward_sweep` against its twin, and the loss as a whole in all its forms.
 
-use super::ssim_backward::check;
+use super::ssim_backward::{TOLERANCE, check};
+use crate::common::compare::{elementwise, gradient};
 use crate::common::gpu::Gpu;
 use crate::common::loss::{BACKGROUND, Pictures, SIZES, SWEEPS, Window};
 use crate::common::options;
+use crate::reference::loss_reduce::loss;
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride, MemoryKind};
 
@@ -12,7 +14,8 @@ fn ssim_backward_sweep_equals_its_twin() {
     let gpu = Gpu::new();
     for size in SIZES {
         for (strip, rows) in SWEEPS {
-            check(&gpu, size, Window::Sweep { strip, rows });
+            check(&gpu, &Pictures::random(size), Window::Sweep { strip, rows });
+            check(&gpu, &Pictures::masked(size), Window::Sweep { strip, rows });
         }
     }
 }
@@ -22,7 +25,8 @@ fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) 
     let limits = LimitsOverride { max_storage_buffer_range: largest, ..LimitsOverride::default() };
     let options = ContextOptions { limits_override: Some(limits), ..options() };
     let context = Context::new(&options).expect("a device");
-    let loss = Loss::with_windowing(&context, PhotoFormat::Rgba8, windowing).expect("kernels");
+    let format = if pictures.masked { PhotoFormat::MaskedRgba8 } else { PhotoFormat::Rgba8 };
+    let loss = Loss::with_windowing(&context, format, windowing).expect("kernels");
     let [width, height] = pictures.size;
     let pixels = pictures.pixels() as u64;
     let mut requests = loss.derivative_requests(width, height);
@@ -73,6 +77,51 @@ fn loss_in_one_buffer_or_three() {
         let (losses, gradient) = engine_loss(&pictures, windowing, None);
         let (losses_3, gradient_3) = engine_loss(&pictures, windowing, Some(50_000));
         assert!(losses == losses_3 && gradient == gradient_3, "{windowing:?}");
+    }
+}
+
+/// A mask that leaves everything changes nothing, to the bit; what is under a mask does not matter, to the bit.
+#[test]
+fn loss_under_masks() {
+    for windowing in [Windowing::Blocks, Windowing::Sweeps] {
+        let mut pictures = Pictures::random([67, 41]);
+        let unmasked = engine_loss(&pictures, windowing, None);
+        pictures.masked = true;
+        pictures.photo.iter_mut().for_each(|word| *word |= 0xFF00_0000);
+        assert!(engine_loss(&pictures, windowing, None) == unmasked, "{windowing:?}");
+        let mut pictures = Pictures::masked([67, 41]);
+        let masked = engine_loss(&pictures, windowing, None);
+        assert!(masked != unmasked);
+        let hidden: Vec<usize> = (0..pictures.pixels()).filter(|&i| !pictures.counts(i)).collect();
+        for i in hidden {
+            pictures.photo[i] = 0x0055_AA11;
+            pictures.accumulated[i] = [0.9, 0.1, 1.5, 0.7];
+            assert_eq!(masked.1[4 * i..4 * i + 3], [0.0; 3]);
+        }
+        assert!(engine_loss(&pictures, windowing, None) == masked, "{windowing:?}");
+    }
+}
+
+/// Loss and gradient as a whole against both pictures times the mask, in f64.
+#[test]
+fn loss_under_a_mask_is_that_of_the_pictures_times_the_mask() {
+    let pictures = Pictures::masked([67, 41]);
+    let count = pictures.pixels();
+    let interleaved = |which: usize| -> Vec<f64> {
+        let planes = [0, 1, 2].map(|channel| pictures.planes(channel)[which].values.clone());
+        (0..count).flat_map(|i| [planes[0][i], planes[1][i], planes[2][i]]).collect()
+    };
+    let twin = loss(&interleaved(0), &interleaved(1), 67, 41);
+    let by_mask = |i: usize| if pictures.counts(i / 3) { 1.0 } else { 0.0 };
+    let expected: Vec<f64> = twin.gradient.iter().enumerate().map(|(i, d)| d * by_mask(i)).collect();
+    for windowing in [Windowing::Blocks, Windowing::Sweeps] {
+        let (losses, actual) = engine_loss(&pictures, windowing, None);
+        let losses: Vec<f32> = bytemuck::pod_collect_to_vec(&losses);
+        let losses = [0, 1, 2].map(|k| f64::from(losses[k]));
+        elementwise("loss", &losses, &[twin.loss, twin.l1, twin.ssim], 1e-6, 1e-5).expect("losses");
+        let actual = (0..3 * count).map(|i| f64::from(actual[i / 3 * 4 + i % 3])).collect::<Vec<f64>>();
+        let skip = vec![false; count];
+        gradient("image", &actual, &expected, &skip, TOLERANCE).expect("gradient under a mask");
     }
 }
 

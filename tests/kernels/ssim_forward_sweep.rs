@@ -2,14 +2,15 @@
 
 use super::ssim_forward::check;
 use crate::common::gpu::Gpu;
-use crate::common::loss::{SIZES, SWEEPS, Window};
+use crate::common::loss::{Pictures, SIZES, SWEEPS, Window};
 
 #[test]
 fn ssim_forward_sweep_equals_its_twin() {
     let gpu = Gpu::new();
     for size in SIZES {
         for (strip, rows) in SWEEPS {
-            check(&gpu, size, Window::Sweep { strip, rows });
+            check(&gpu, &Pictures::random(size), Window::Sweep { strip, rows });
+            check(&gpu, &Pictures::masked(size), Window::Sweep { strip, rows });
         }
     }
 }

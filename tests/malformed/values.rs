@@ -127,6 +127,7 @@ fn check_counts(path: &Path, views: usize, points: usize) {
     for View { camera, photo, .. } in &dataset.train {
         camera.check().unwrap();
         assert_eq!((camera.width, camera.height), (photo.width, photo.height));
+        let photo = photo.photo().unwrap();
         assert_eq!(photo.rgb.len(), 3 * (photo.width * photo.height) as usize);
         // Real pictures are not flat.
         assert!(photo.rgb.iter().max() > photo.rgb.iter().min().map(|v| v + 100).as_ref());
@@ -185,7 +186,7 @@ fn check_pixels(view: &View, seed: u8, name: &str) {
     assert_eq!((width, height), (64, 48));
     let grey = name == "ok_png_kinds" && seed == 0;
     let seed = if name == "ok_png_kinds" { 0 } else { u32::from(seed) };
-    for (index, &pixel) in view.photo.rgb.as_chunks::<3>().0.iter().enumerate() {
+    for (index, &pixel) in view.photo.photo().unwrap().rgb.as_chunks::<3>().0.iter().enumerate() {
         let (x, y) = (index as u32 % width, index as u32 / width);
         let [r, g, b] = [x * 4 + 40 * seed, y * 5, x + y].map(|v| (v % 256) as u8);
         assert_eq!(pixel, if grey { [r; 3] } else { [r, g, b] }, "{} ({x}, {y})", view.name);

@@ -58,7 +58,7 @@ pub struct DeviceArguments {
 }
 
 /// Bytes of a number with a unit: K, M or G, powers of 1024.
-fn bytes(text: &str) -> Result<u64, String> {
+pub fn bytes(text: &str) -> Result<u64, String> {
     let units = [('K', 10), ('M', 20), ('G', 30)];
     let upper = text.trim().to_uppercase();
     let unit = units.iter().find(|(unit, _)| upper.ends_with(*unit));

@@ -118,7 +118,7 @@ fn finish(run: &mut Run, folder: &Path, iterations: u32) -> Result<()> {
     let mut rows = Vec::with_capacity(quality.len());
     for (view, (psnr, ssim)) in run.test_views().to_vec().into_iter().zip(quality) {
         let frame = run.trainer().render(&view.camera, &settings)?;
-        rows.push(sheet::Row { render: output::to_photo(&frame)?, photo: view.photo, psnr, ssim });
+        rows.push(sheet::Row { render: output::to_photo(&frame)?, photo: view.photo.photo()?, psnr, ssim });
     }
     output::write_png(&folder.join("contact_sheet.png"), &sheet::contact_sheet(&rows))?;
     output::write_json(&folder.join("metrics.json"), &metrics)

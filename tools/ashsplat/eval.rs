@@ -12,7 +12,7 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 
-/// PSNR and SSIM of a trained scene on a data set.
+/// PSNR and SSIM of a trained scene on a data set. What masks hide does not count.
 ///
 /// For a model folder the data set, the size of the photos and the split are those of its training; results go
 /// to its results.json and per_view.json.
@@ -98,7 +98,12 @@ pub fn evaluate(
     mut draw: impl FnMut(&Camera) -> Result<Frame>,
 ) -> Result<Evaluation> {
     let mut results = Vec::with_capacity(views.len());
-    for (index, view) in views.iter().enumerate() {
+    for view in views {
+        if view.photo.mask()?.is_some_and(|mask| mask.iter().all(|&counts| counts == 0)) {
+            tell!("warning: {}: its mask hides all of it: not measured", view.name);
+            continue;
+        }
+        let index = results.len();
         let frame = draw(&view.camera)?;
         results.push(measure(view, &frame)?);
         if let Some(folder) = save_to {
@@ -106,20 +111,25 @@ pub fn evaluate(
                 &output::numbered(&folder.join("renders"), index, "png"),
                 &output::to_photo(&frame)?,
             )?;
-            output::write_png(&output::numbered(&folder.join("gt"), index, "png"), &view.photo)?;
+            let photo = view.photo.photo()?;
+            output::write_png(&output::numbered(&folder.join("gt"), index, "png"), &photo)?;
         }
     }
     Ok(Evaluation { views: results })
 }
 
-/// PSNR and SSIM of a frame, clamped to [0, 1], against the view's photo.
+/// PSNR and SSIM of a frame, clamped to [0, 1], against what of the view's photo counts.
 fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
-    let photo = view.photo.to_f32();
-    Ok(ViewResult {
-        name: view.name.clone(),
-        psnr: metrics::psnr(&frame.color, &photo)?,
-        ssim: metrics::ssim(&frame.color, &photo, frame.width)?,
-    })
+    let photo = view.photo.photo()?.to_f32();
+    let mask = view.photo.mask()?;
+    let (psnr, ssim) = match &mask {
+        None => (metrics::psnr(&frame.color, &photo)?, metrics::ssim(&frame.color, &photo, frame.width)?),
+        Some(mask) => (
+            metrics::masked_psnr(&frame.color, &photo, mask)?,
+            metrics::masked_ssim(&frame.color, &photo, mask, frame.width)?,
+        ),
+    };
+    Ok(ViewResult { name: view.name.clone(), psnr, ssim })
 }
 
 /// Adds an iteration's results to a model folder's results.json and per_view.json, keeping those of others.

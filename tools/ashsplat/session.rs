@@ -47,7 +47,7 @@ impl DataArguments {
     }
 }
 
-/// The options that the settings mean.
+/// The options that the settings mean; all photos are held in memory.
 pub fn options(data: &DataSettings, white_background: bool) -> Result<DatasetOptions> {
     Ok(DatasetOptions {
         resolution: data.resolution.to_string().parse()?,
@@ -60,14 +60,18 @@ pub fn options(data: &DataSettings, white_background: bool) -> Result<DatasetOpt
 
 /// Loads a data set with progress.
 pub fn load(data: &DataSettings, white_background: bool, quiet: bool) -> Result<Dataset> {
-    let options = options(data, white_background)?;
+    load_within(data, &options(data, white_background)?, quiet)
+}
+
+/// As [`load`] with options of one's own.
+pub fn load_within(data: &DataSettings, options: &DatasetOptions, quiet: bool) -> Result<Dataset> {
     let bar = counting("reading photos", 0, quiet);
     let report = |done: usize, total: usize| {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
     };
     let progress = Progress { report: Some(&report), interrupted: None };
-    let dataset = Dataset::load(&data.source_path, &options, progress);
+    let dataset = Dataset::load(&data.source_path, options, progress);
     bar.finish_and_clear();
     dataset
 }

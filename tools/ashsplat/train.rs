@@ -6,14 +6,15 @@ mod log;
 mod prepared;
 mod verify;
 
-use crate::args::DeviceArguments;
+use crate::args::{DeviceArguments, bytes};
 use crate::config::{Overrides, Settings};
 use crate::eval::{self, Evaluation};
 use crate::measure::{Cost, Stopwatch};
 use crate::model;
 use crate::progress::{State, TrainProgress, thousands};
 use crate::{output, render, session};
-use ashsplat::io::{self, Dataset, View};
+use ashsplat::io::images::existing_folder;
+use ashsplat::io::{self, Dataset, PhotoMemory, View};
 use ashsplat::scene::Gaussians;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
@@ -22,7 +23,7 @@ use checkpoints::Start;
 use clap::Args;
 use log::TrainLog;
 use prepared::Prepared;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -44,6 +45,10 @@ pub struct Arguments {
     /// Go on from this checkpoint, or from the newest of the model folder; all else must be as it was
     #[arg(long, value_name = "FILE|latest")]
     start_checkpoint: Option<PathBuf>,
+    /// Most memory for photos, with a unit: 800M, 6G; more of them are kept in a file beside the model folder and read
+    /// while training runs, with the same result [default: half of what the device gives or --max-memory says]
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    photo_memory: Option<u64>,
     /// Instead of training: run so many iterations twice, compare hashes after each, and name the first kernel whose
     /// output differs
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
@@ -75,7 +80,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let context = arguments.device.context()?;
     let start = arguments.start_checkpoint.as_ref();
     let start = start.map(|asked| Start::read(asked, &settings.data.model_path)).transpose()?;
-    let dataset = session::load(&settings.data, settings.train.white_background, arguments.quiet)?;
+    let mut options = session::options(&settings.data, settings.train.white_background)?;
+    options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
+    let dataset = session::load_within(&settings.data, &options, arguments.quiet)?;
     let may_be_random = arguments.random_points || dataset.may_lack_points() || start.is_some();
     if dataset.points.is_empty() && !may_be_random {
         let remedy = "register the photos with COLMAP's mapper or point_triangulator, or use --random-points";
@@ -99,6 +106,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     say!("written to {}", folder.display());
     arguments.device.report_validation(&context);
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }
+}
+
+/// What photos may take of the memory: what was asked for, or half of what there is, where that is known.
+fn photo_memory(context: &Context, asked: Option<u64>, model: &Path) -> Option<PhotoMemory> {
+    let bytes = asked.or_else(|| context.memory_limit().map(|(limit, _)| limit / 2))?;
+    Some(PhotoMemory { bytes, folder: existing_folder(model) })
 }
 
 /// The test after an iteration.
@@ -414,7 +427,7 @@ mod tests {
         let photo = Photo { width: 16, height: 16, rgb: vec![0; 16 * 16 * 3] };
         let (name, original_camera) = ("a.png".into(), camera);
         let dataset = Dataset {
-            train: vec![View { name, image_id: 1, camera, original_camera, photo, mask: None }],
+            train: vec![View { name, image_id: 1, camera, original_camera, photo: photo.into() }],
             test: Vec::new(),
             points: PointCloud { positions: vec![[0.0; 3]; 4], colors: vec![[9; 3]; 4] },
             scene_extent: 0.0,

@@ -7,7 +7,7 @@ use glam::{Mat3, Vec3};
 
 use super::{DatasetOptions, View};
 use crate::io::colmap::{self, ColmapCamera, ColmapImage, Model};
-use crate::io::images::{Photo, photo_size, shown_size};
+use crate::io::images::{Photo, StoredPhoto, photo_size, shown_size};
 use crate::io::transforms::{self, Frame, Transforms};
 use crate::scene::lens::Lens;
 use crate::scene::{Camera, Intrinsics, PointCloud};
@@ -300,6 +300,14 @@ impl PlannedView {
         Ok((lens, lens.inscribed_pinhole().unwrap_or(lens.intrinsics())))
     }
 
+    /// Bytes of the photo on a device, before anybody looked at it.
+    pub(super) fn texel_bytes(&self, options: &DatasetOptions) -> u64 {
+        let divided = |side: u32| (side / options.divisor()).max(1);
+        let (width, height) =
+            options.resolution.apply(divided(self.pinhole.width), divided(self.pinhole.height));
+        4 * u64::from(width) * u64::from(height)
+    }
+
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
         let (photo, mask, original_camera) = self.read_photo(options)?;
         let (width, height) = options.resolution.apply(photo.width, photo.height);
@@ -310,8 +318,7 @@ impl PlannedView {
             image_id: self.image_id,
             camera: original_camera.scaled_to(width, height),
             original_camera,
-            photo: photo.scaled_to(width, height)?,
-            mask,
+            photo: StoredPhoto::new(photo.scaled_to(width, height)?, mask),
         })
     }
 }

@@ -94,7 +94,10 @@ impl Training {
         hash.gaussians(&self.initial);
         for view in &self.views {
             hash.camera(&view.camera);
-            hash.add(&view.photo.rgb);
+            // In memory: it cannot fail.
+            if let Ok(photo) = view.photo.photo() {
+                hash.add(&photo.rgb);
+            }
         }
         hash.add(format!("{settings:?} {end}").as_bytes());
         let camera = self.views.first().map(|view| view.camera);

@@ -223,7 +223,10 @@ impl Scene {
         hash.camera(c);
         hash.add(format!("{settings:?}").as_bytes());
         if let Some(view) = &self.view {
-            hash.add(&view.photo.rgb);
+            // In memory: it cannot fail.
+            if let Ok(photo) = view.photo.photo() {
+                hash.add(&photo.rgb);
+            }
         }
         Workload {
             source: self.source.clone(),

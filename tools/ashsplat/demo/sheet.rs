@@ -14,7 +14,7 @@ const INK: [u8; 3] = [225, 225, 225];
 
 /// One held-out view.
 pub struct Row {
-    pub photo: Photo,
+    pub photo: std::sync::Arc<Photo>,
     pub render: Photo,
     pub psnr: f64,
     pub ssim: f64,
@@ -33,7 +33,7 @@ pub fn contact_sheet(rows: &[Row]) -> Photo {
             format!("RENDER {:.2} DB  SSIM {:.3}", row.psnr, row.ssim),
             format!("DIFFERENCE X{DIFFERENCE_GAIN}"),
         ];
-        let pictures = [&row.photo, &row.render, &difference(&row.photo, &row.render)];
+        let pictures = [&*row.photo, &row.render, &difference(&row.photo, &row.render)];
         for (column, (picture, caption)) in pictures.into_iter().zip(&captions).enumerate() {
             let left = MARGIN + column as u32 * (row.photo.width + MARGIN);
             write_text(&mut sheet, left, top, caption);

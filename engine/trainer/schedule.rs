@@ -1,0 +1,124 @@
+//! Which photograph lies where while there is room for a few only.
+
+use super::step::ViewOrder;
+
+/// The photograph of an iteration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Use {
+    pub view: usize,
+    /// Where it is kept.
+    pub slot: usize,
+    /// Whether it must be brought there.
+    pub load: bool,
+}
+
+/// Belady's choice: as the order is known, the photograph that makes room is the one that is needed last.
+#[derive(Clone)]
+pub(super) struct Schedule {
+    order: ViewOrder,
+    /// The iteration that comes next, from 1.
+    iteration: u32,
+    /// View in each slot.
+    slots: Vec<Option<usize>>,
+    /// Iterations at which each view is next needed: the epoch's and the next one's.
+    uses: Vec<[u32; 2]>,
+    /// The iteration from which on `uses` is to be worked out anew.
+    epoch_end: u32,
+}
+
+impl Schedule {
+    /// From an iteration on, with nothing in the slots.
+    pub fn new(order: ViewOrder, slots: usize, iteration: u32) -> Self {
+        let uses = vec![[0; 2]; order.views()];
+        Self { order, iteration, slots: vec![None; slots], uses, epoch_end: 0 }
+    }
+
+    /// The next iteration's photograph.
+    pub fn advance(&mut self) -> Use {
+        let iteration = self.iteration;
+        self.iteration += 1;
+        if iteration >= self.epoch_end {
+            self.look_ahead(iteration);
+        }
+        let view = self.order.view(iteration);
+        if let Some(slot) = self.slots.iter().position(|&held| held == Some(view)) {
+            return Use { view, slot, load: false };
+        }
+        let farthest =
+            |&slot: &usize| self.slots[slot].map_or(u32::MAX, |held| self.next_use(held, iteration));
+        let slot = (0..self.slots.len()).max_by_key(farthest).unwrap_or(0);
+        self.slots[slot] = Some(view);
+        Use { view, slot, load: true }
+    }
+
+    /// Notes when each view comes in the epoch of an iteration and in the next.
+    fn look_ahead(&mut self, iteration: u32) {
+        let views = self.uses.len() as u32;
+        let first = (iteration - 1) / views * views + 1;
+        for epoch in [1, 0] {
+            for at in first + epoch * views..first + (epoch + 1) * views {
+                self.uses[self.order.view(at)][epoch as usize] = at;
+            }
+        }
+        self.epoch_end = first + views;
+    }
+
+    fn next_use(&self, view: usize, iteration: u32) -> u32 {
+        let [this, next] = self.uses[view];
+        if this > iteration { this } else { next }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Loads in so many epochs.
+    fn loads(views: usize, slots: usize, epochs: u32) -> u32 {
+        let mut schedule = Schedule::new(ViewOrder::new(3, views), slots, 1);
+        let mut order = ViewOrder::new(3, views);
+        let mut held = vec![None; slots];
+        let mut loads = 0;
+        for iteration in 1..=epochs * views as u32 {
+            let at = schedule.advance();
+            assert_eq!(at.view, order.view(iteration));
+            if at.load {
+                assert!(!held.contains(&Some(at.view)), "it was there");
+                held[at.slot] = Some(at.view);
+                loads += 1;
+            }
+            assert_eq!(held[at.slot], Some(at.view));
+        }
+        loads
+    }
+
+    #[test]
+    fn what_fits_is_loaded_once() {
+        assert_eq!(loads(17, 17, 10), 17);
+        assert_eq!(loads(17, 1, 10), 170 - repeats(17, 10));
+    }
+
+    /// Views that come last in an epoch and first in the next.
+    fn repeats(views: usize, epochs: u32) -> u32 {
+        let mut order = ViewOrder::new(3, views);
+        let ends = (1..epochs).map(|epoch| epoch * views as u32);
+        ends.filter(|&at| order.view(at) == order.view(at + 1)).count() as u32
+    }
+
+    /// Least recently used would load nearly all of them in every epoch.
+    #[test]
+    fn half_the_room_saves_more_than_half_the_loads() {
+        let of_all = f64::from(loads(40, 20, 20)) / 800.0;
+        assert!(of_all < 0.5, "{of_all}");
+    }
+
+    /// A run from a checkpoint has the same views.
+    #[test]
+    fn it_begins_anywhere() {
+        let mut schedule = Schedule::new(ViewOrder::new(3, 9), 4, 14);
+        let mut order = ViewOrder::new(3, 9);
+        for iteration in 14..60 {
+            assert_eq!(schedule.advance().view, order.view(iteration));
+        }
+    }
+}

@@ -1,0 +1,182 @@
+//! Photographs in training: what masks hide carries no loss, and those that are read while training runs change nothing.
+
+use ashsplat::io::images::PhotoFile;
+use ashsplat::io::{Photo, PhotoMemory, StoredPhoto};
+use ashsplat::trainer::{TrainView, Trainer};
+use ashsplat::{Gaussians, TrainSettings, metrics};
+use std::sync::Arc;
+
+use crate::checkpoints;
+use crate::common::engine::{camera, gaussians, renderer, settings};
+use crate::common::gpu::Gpu;
+use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
+use crate::reference::types::View;
+
+const EXTENT: f32 = 5.0;
+
+/// The views with their photographs in a file, of which so many may be held at a time.
+fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
+    let largest = views.iter().map(|view| view.photo.bytes()).max().expect("views");
+    let memory = PhotoMemory { bytes: held * largest, folder: std::env::temp_dir() };
+    let file = PhotoFile::create(&memory).expect("a file");
+    let stored = |view: &TrainView| file.store(&view.photo).expect("stored");
+    views.iter().map(|view| TrainView { photo: stored(view), ..view.clone() }).collect()
+}
+
+fn short() -> TrainSettings {
+    TrainSettings {
+        iterations: 40,
+        sh_degree: 2,
+        sh_degree_interval: 12,
+        densify_from_iter: 10,
+        densification_interval: 15,
+        densify_until_iter: 38,
+        densify_grad_threshold: 2e-5,
+        seed: 6,
+        ..TrainSettings::default()
+    }
+}
+
+/// Ten photographs, every third with a mask.
+fn views() -> Vec<TrainView> {
+    let mut views = checkpoints::views(10, 9);
+    for (i, view) in views.iter_mut().enumerate().filter(|(i, _)| i % 3 == 0) {
+        let photo = view.photo.photo().expect("in memory");
+        let mask = (0..40 * 30).map(|k| if (k / 7 + i) % 3 == 0 { 0 } else { 255 }).collect();
+        view.photo = StoredPhoto::new(Photo::clone(&photo), Some(mask));
+    }
+    views
+}
+
+fn train(gpu: &Gpu, views: Vec<TrainView>, until: u32) -> (Trainer, Vec<f32>) {
+    let mut trainer =
+        Trainer::new(gpu.context, views, &checkpoints::start(), EXTENT, short()).expect("a trainer");
+    let losses = (0..until).map(|_| trainer.step().expect("a step").loss).collect();
+    (trainer, losses)
+}
+
+#[test]
+fn photos_from_a_file_give_the_same_bits() {
+    let gpu = Gpu::new();
+    let views = views();
+    let (trainer, losses) = train(&gpu, views.clone(), 40);
+    let expected = trainer.gaussians().expect("the Gaussians");
+    let of_photos = |trainer: &Trainer| {
+        trainer.memory().iter().find(|arena| arena.name == "photos").map(|arena| arena.bytes)
+    };
+    let resident = of_photos(&trainer);
+    drop(trainer);
+    for held in [5, 8, 14] {
+        let (trainer, streamed) = train(&gpu, in_a_file(&views, held), 40);
+        assert_eq!(streamed, losses, "{held} held");
+        assert!(trainer.gaussians().expect("the Gaussians") == expected, "{held} held");
+        assert!(held == 14 || of_photos(&trainer) < resident);
+    }
+    // A checkpoint does not know where the photographs were.
+    let (trainer, _) = train(&gpu, views.clone(), 17);
+    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    drop(trainer);
+    let mut resumed =
+        Trainer::resume(gpu.context, in_a_file(&views, 6), EXTENT, short(), &checkpoint).expect("resumed");
+    let rest: Vec<f32> = (17..40).map(|_| resumed.step().expect("a step").loss).collect();
+    assert!(rest == losses[17..] && resumed.gaussians().expect("the Gaussians") == expected);
+    // Another mask is another data set.
+    let mut others = views;
+    others[0].photo = StoredPhoto::from(Photo::clone(&others[0].photo.photo().expect("in memory")));
+    let refused = Trainer::resume(gpu.context, others, EXTENT, short(), &checkpoint).err().expect("refused");
+    assert!(refused.to_string().contains("other photographs"), "{refused}");
+}
+
+#[test]
+fn photos_without_memory_to_read_ahead_are_refused() {
+    let gpu = Gpu::new();
+    let views = in_a_file(&views(), 4);
+    let refused = Trainer::new(gpu.context, views, &checkpoints::start(), EXTENT, short()).err();
+    let message = refused.expect("refused").to_string();
+    assert!(message.contains("24000 bytes, more than 19200 (the memory for photographs)"), "{message}");
+}
+
+#[test]
+fn photos_in_a_file_are_what_they_were() {
+    let views = views();
+    for (view, kept) in views.iter().zip(in_a_file(&views, 9)) {
+        assert_eq!(kept.photo.photo().expect("read"), view.photo.photo().expect("in memory"));
+        assert_eq!(kept.photo.mask().expect("read"), view.photo.mask().expect("in memory"));
+        assert_eq!(kept.photo.texels().expect("read"), view.photo.texels().expect("in memory"));
+    }
+}
+
+#[test]
+fn photos_and_masks_of_wrong_sizes_are_refused() {
+    let gpu = Gpu::new();
+    let refusal = |photo: StoredPhoto| {
+        let view = TrainView { photo, ..checkpoints::views(1, 3).remove(0) };
+        let refused = Trainer::new(gpu.context, vec![view], &checkpoints::start(), EXTENT, short()).err();
+        refused.expect("refused").to_string()
+    };
+    let photo = |bytes: usize| Photo { width: 40, height: 30, rgb: vec![5; bytes] };
+    assert!(refusal(photo(77).into()).contains("has 77 bytes, not three per pixel"));
+    let masked = StoredPhoto::new(photo(3600), Some(vec![255; 3]));
+    assert!(refusal(masked).contains("the mask has 3 bytes, not one per pixel"));
+}
+
+const SIZE: [u32; 2] = [70, 50];
+
+/// A scene seen from around it; `occluder` puts something bright before it, elsewhere in each view, under a mask or not.
+fn seen(indices: impl Iterator<Item = u32>, occluder: Option<bool>) -> Vec<TrainView> {
+    let scene = gaussians(&small_scene(&mut Random::new(11), 120, 4));
+    let mut renderer = renderer();
+    renderer.upload(&scene).expect("upload");
+    let of_view = |i: u32| {
+        let turned = View { camera_from_world: rotation_about_y(0.25 * f64::from(i)), ..small_view(SIZE) };
+        let frame = renderer.render(&camera(&turned), &settings(&turned)).expect("a photograph");
+        let mut photo = Photo::from_f32(SIZE[0], SIZE[1], &frame.color).expect("a photo");
+        let mut mask = vec![255; photo.rgb.len() / 3];
+        let (left, top) = (13 * i % 45, 7 * i % 28);
+        for (x, y) in (top..top + 22).flat_map(|y| (left..left + 25).map(move |x| (x, y))) {
+            let at = (y * SIZE[0] + x) as usize;
+            if occluder.is_some() {
+                photo.rgb[3 * at..3 * at + 3].copy_from_slice(&[250, 30, 220]);
+                mask[at] = 0;
+            }
+        }
+        let mask = (occluder == Some(true)).then_some(mask);
+        TrainView { camera: camera(&turned), photo: StoredPhoto::new(photo, mask) }
+    };
+    indices.map(of_view).collect()
+}
+
+/// Mean PSNR of views that were not trained on.
+fn held_out_psnr(gpu: &Gpu, train: Vec<TrainView>, start: &Gaussians) -> f64 {
+    let settings = TrainSettings {
+        iterations: 400,
+        sh_degree: 1,
+        feature_lr: 0.01,
+        scaling_lr: 0.01,
+        densify_until_iter: 0,
+        opacity_reset_interval: u32::MAX,
+        ..TrainSettings::default()
+    };
+    let mut trainer = Trainer::new(gpu.context, train, start, EXTENT, settings).expect("a trainer");
+    (0..400).for_each(|_| drop(trainer.step().expect("a step")));
+    let settings = trainer.render_settings();
+    let held_out = seen((0..24).filter(|i| i % 4 == 3), None);
+    let psnrs = held_out.iter().map(|view| {
+        let frame = trainer.render(&view.camera, &settings).expect("a frame");
+        let photo: Arc<Photo> = view.photo.photo().expect("in memory");
+        metrics::psnr(&frame.color, &photo.to_f32()).expect("equal sizes")
+    });
+    psnrs.sum::<f64>() / held_out.len() as f64
+}
+
+/// Something moves before the scene: hidden by masks, it does no harm.
+#[test]
+fn masks_keep_a_moving_occluder_out_of_the_scene() {
+    let gpu = Gpu::new();
+    let mut start = gaussians(&small_scene(&mut Random::new(11), 120, 4));
+    start.sh.as_flattened_mut().iter_mut().for_each(|c| *c *= 0.3);
+    let [clean, masked, unmasked] = [None, Some(true), Some(false)]
+        .map(|occluder| held_out_psnr(&gpu, seen((0..24).filter(|i| i % 4 != 3), occluder), &start));
+    println!("held out: {clean:.2} dB clean, {masked:.2} dB masked, {unmasked:.2} dB with the occluder");
+    assert!(masked > unmasked + 1.5 && masked > clean - 0.8, "{clean:.2} {masked:.2} {unmasked:.2}");
+}
