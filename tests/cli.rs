@@ -5,6 +5,7 @@ mod checkpoints;
 mod commands;
 mod convert;
 mod inspect;
+mod layouts;
 mod training;
 
 use ashsplat::io::Photo;

@@ -45,6 +45,9 @@ pub fn trials() -> Vec<Trial> {
     for format in [Format::Ply, Format::CompressedPly] {
         cases.push((format!("playcanvas_shows_our_{}", name(format)), playcanvas::shows_the_same));
     }
+    cases.push(("playcanvas_shows_a_trained_scene_ply".into(), |modules, _| {
+        playcanvas::shows_a_trained_scene(modules, &trained_scene());
+    }));
     let wanted = std::env::var("ASHSPLAT_NPM").unwrap_or_default();
     let modules = Arc::new(OnceLock::new());
     cases
@@ -53,6 +56,9 @@ pub fn trials() -> Vec<Trial> {
             let full = format!("ecosystem_{name}");
             if wanted.is_empty() {
                 return absent(&full, "ASHSPLAT_NPM is not set (1, or a node_modules folder)");
+            }
+            if full.contains("trained") && !trained_scene().is_file() {
+                return absent(&full, format!("{} is not there", trained_scene().display()));
             }
             let (wanted, modules) = (wanted.clone(), modules.clone());
             Trial::test(full, move || {
@@ -67,6 +73,11 @@ pub fn trials() -> Vec<Trial> {
             })
         })
         .collect()
+}
+
+/// 185,761 Gaussians of SH degree 3.
+fn trained_scene() -> PathBuf {
+    crate::common::shared_folder().join("data/trained/yushimatenjin_186k_sh3.inria.ply")
 }
 
 /// The folder with the packages.

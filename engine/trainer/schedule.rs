@@ -105,11 +105,12 @@ mod tests {
         ends.filter(|&at| order.view(at) == order.view(at + 1)).count() as u32
     }
 
-    /// Least recently used would load nearly all of them in every epoch.
+    /// Where the least recently used makes room, nearly all are loaded in every epoch.
     #[test]
-    fn half_the_room_saves_more_than_half_the_loads() {
+    fn half_the_room_saves_half_the_loads() {
         let of_all = f64::from(loads(40, 20, 20)) / 800.0;
-        assert!(of_all < 0.5, "{of_all}");
+        // All in the first epoch, half in the others.
+        assert!(of_all <= (40.0 + 19.0 * 20.0) / 800.0, "{of_all}");
     }
 
     /// A run from a checkpoint has the same views.

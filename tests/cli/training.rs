@@ -46,6 +46,7 @@ fn leaves_what_the_reference_leaves() {
         "input.ply",
         "last_iteration",
         "per_view.json",
+        "report.html",
         "results.json",
         "settings.toml",
         "train_log.csv",

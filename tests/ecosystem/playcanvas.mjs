@@ -2,7 +2,9 @@
 //
 // node playcanvas.mjs MODULES SCENE CAMERA.json OUT.png
 //   MODULES: a node_modules folder with playcanvas; CAMERA: { width, height, fov_y_degrees, eye: [x, y, z],
-//   quat: [x, y, z, w] of the rotation from a camera with y up and z backward to the file's own axes }
+//   quat: [x, y, z, w] of the rotation from a camera with y up and z backward to the file's own axes,
+//   reference_dilation: whether to widen splats by 0.3 pixels squared as the reference does. The engine adds its 0.3 to a
+//   covariance in units of half pixels, which is a quarter of that, and its small splats are sharper for it }
 import { spawn } from 'node:child_process';
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { createServer } from 'node:http';
@@ -13,6 +15,17 @@ const TIMEOUT_SECONDS = 240;
 const [modules, scene, cameraFile, output] = process.argv.slice(2);
 const camera = JSON.parse(readFileSync(cameraFile, 'utf8'));
 const sceneName = basename(scene);
+
+const engine = () => {
+    let text = readFileSync(join(modules, 'playcanvas/build/playcanvas.mjs'), 'utf8');
+    if (!camera.reference_dilation) return text;
+    for (const [name, place] of [['diagonal1', 'cov[0][0]'], ['diagonal2', 'cov[1][1]']]) {
+        const own = `float ${name} = ${place} + 0.3;`;
+        if (!text.includes(own)) throw new Error(`the engine has no '${own}'`);
+        text = text.replaceAll(own, `float ${name} = ${place} + 1.2;`);
+    }
+    return text;
+};
 
 const page = `<!DOCTYPE html><meta charset="utf-8"><canvas id="c" width="${camera.width}" height="${camera.height}"></canvas>
 <script type="module">
@@ -64,7 +77,7 @@ await say('/done', last);
 
 const files = {
     '/': ['text/html', () => page],
-    '/playcanvas.mjs': ['text/javascript', () => readFileSync(join(modules, 'playcanvas/build/playcanvas.mjs'))],
+    '/playcanvas.mjs': ['text/javascript', engine],
     ['/' + sceneName]: ['application/octet-stream', () => readFileSync(scene)]
 };
 const profile = mkdtempSync(join(tmpdir(), 'ashsplat-chromium-'));

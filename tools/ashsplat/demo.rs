@@ -30,6 +30,12 @@ pub struct Arguments {
     /// Number of iterations; the schedule stretches with it
     #[arg(long, value_name = "N", default_value_t = ITERATIONS, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: u32,
+    /// How the data set lies on disk
+    #[arg(long, value_enum, default_value_t)]
+    layout: dataset::Layout,
+    /// Only write the data set
+    #[arg(long)]
+    dataset_only: bool,
     /// Seed of everything random
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u32,
@@ -46,11 +52,17 @@ const ITERATIONS: u32 = 1200;
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let start = Instant::now();
-    // The device first: without one, nothing should be written.
-    let context = arguments.device.context()?;
     let folder = &arguments.out;
     let data = folder.join("dataset");
-    dataset::write(&data, u64::from(arguments.seed), arguments.quiet)?;
+    let write = || dataset::write(&data, arguments.layout, u64::from(arguments.seed), arguments.quiet);
+    if arguments.dataset_only {
+        write()?;
+        say!("data set        {}", data.display());
+        return Ok(());
+    }
+    // The device first: without one, nothing should be written.
+    let context = arguments.device.context()?;
+    write()?;
     let settings = settings(&data, &folder.join("model"), arguments.iterations, arguments.seed);
     settings.train.check()?;
     let loaded = session::load(&settings.data, false, arguments.quiet)?;

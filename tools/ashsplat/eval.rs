@@ -50,6 +50,7 @@ pub const RESULTS_FILE: &str = "results.json";
 pub const PER_VIEW_FILE: &str = "per_view.json";
 
 /// Quality of one view.
+#[derive(Clone)]
 pub struct ViewResult {
     pub name: String,
     pub psnr: f64,
@@ -57,6 +58,7 @@ pub struct ViewResult {
 }
 
 /// Quality of all views of a test.
+#[derive(Clone)]
 pub struct Evaluation {
     pub views: Vec<ViewResult>,
 }

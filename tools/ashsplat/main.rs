@@ -22,6 +22,7 @@ mod cpu_time;
 mod demo;
 mod devices;
 mod eval;
+mod html;
 mod info;
 mod inspect;
 mod measure;

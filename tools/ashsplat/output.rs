@@ -158,6 +158,16 @@ pub fn write_png(path: &Path, picture: &Photo) -> Result<()> {
     in_folder(path, |path| picture.write_png(path))
 }
 
+/// An 8-bit PNG with opacity.
+pub fn write_rgba_png(path: &Path, picture: &image::RgbaImage) -> Result<()> {
+    use image::ImageEncoder;
+    write_whole(path, |out| {
+        let encoder = image::codecs::png::PngEncoder::new(out);
+        let color = image::ExtendedColorType::Rgba8;
+        encoder.write_image(picture, picture.width(), picture.height(), color).map_err(std::io::Error::other)
+    })
+}
+
 /// A frame's colour as 8 bits per channel.
 pub fn to_photo(frame: &Frame) -> Result<Photo> {
     Photo::from_f32(frame.width, frame.height, &frame.color)

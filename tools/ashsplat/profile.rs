@@ -2,7 +2,7 @@
 
 mod ab;
 mod dump;
-mod page;
+pub mod page;
 mod spec;
 mod subject;
 mod trace;

@@ -7,6 +7,8 @@ use ashsplat::io::{Dataset, DatasetOptions, Progress};
 use ashsplat::{Error, Result};
 use clap::Args;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Which data set a command uses, and how.
 #[derive(Args)]
@@ -86,4 +88,17 @@ pub fn warn(dataset: &Dataset) {
 /// The cameras of a data set by name, at the photos' own sizes; the photos are not looked at.
 pub fn cameras(dataset: &Path) -> Result<Vec<NamedCamera>> {
     Dataset::cameras(dataset, &DatasetOptions::default())
+}
+
+/// A flag that Ctrl-C raises; a second Ctrl-C ends the program at once.
+pub fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    let handler = move || {
+        if flag.swap(true, Ordering::Relaxed) {
+            std::process::exit(i32::from(crate::INTERRUPTED));
+        }
+    };
+    ctrlc::set_handler(handler).map_err(|e| Error::argument("Ctrl-C", format!("cannot be caught: {e}")))?;
+    Ok(stop)
 }

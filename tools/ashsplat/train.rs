@@ -4,6 +4,7 @@ mod checkpoints;
 mod folder;
 mod log;
 mod prepared;
+mod report;
 mod verify;
 
 use crate::args::{DeviceArguments, bytes};
@@ -13,8 +14,7 @@ use crate::measure::{Cost, Stopwatch};
 use crate::model;
 use crate::progress::{State, TrainProgress, thousands};
 use crate::{output, render, session};
-use ashsplat::io::images::existing_folder;
-use ashsplat::io::{self, Dataset, PhotoMemory, View};
+use ashsplat::io::{self, Dataset, View};
 use ashsplat::scene::Gaussians;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
@@ -22,9 +22,9 @@ use ashsplat::{Error, Result};
 use checkpoints::Start;
 use clap::Args;
 use log::TrainLog;
-use prepared::Prepared;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use prepared::{Prepared, photo_memory};
+use report::KernelTimes;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Train a scene from a COLMAP data set.
@@ -108,12 +108,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-/// What photos may take of the memory: what was asked for, or half of what there is, where that is known.
-fn photo_memory(context: &Context, asked: Option<u64>, model: &Path) -> Option<PhotoMemory> {
-    let bytes = asked.or_else(|| context.memory_limit().map(|(limit, _)| limit / 2))?;
-    Some(PhotoMemory { bytes, folder: existing_folder(model) })
-}
-
 /// The test after an iteration.
 pub struct Tested {
     iteration: u32,
@@ -142,6 +136,7 @@ pub struct Run {
     started: u32,
     /// Iteration whose scene was saved last.
     saved: Option<u32>,
+    kernels: KernelTimes,
 }
 
 impl Run {
@@ -155,7 +150,7 @@ impl Run {
         let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
         folder::begin(&settings, &data.cameras, Some(&points))?;
         let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
-        Ok(Run::new(settings, trainer, log, (data.test, data.held_out), quiet))
+        Ok(Run::new(context, settings, trainer, log, (data.test, data.held_out), quiet))
     }
 
     /// As [`Run::prepare`], from a checkpoint.
@@ -170,10 +165,11 @@ impl Run {
         let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
         folder::begin(&settings, &data.cameras, None)?;
         let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
-        Ok(Run::new(settings, trainer, log, (data.test, data.held_out), quiet))
+        Ok(Run::new(context, settings, trainer, log, (data.test, data.held_out), quiet))
     }
 
     fn new(
+        context: &Context,
         settings: Settings,
         trainer: Trainer,
         log: TrainLog,
@@ -195,12 +191,13 @@ impl Run {
             skipped: 0,
             limited: false,
             saved: None,
+            kernels: KernelTimes::new(context),
         }
     }
 
     /// Trains to the end, or until Ctrl-C: then the answer is true. After a failure, too, scene and log are saved.
     pub fn train(&mut self) -> Result<bool> {
-        let stop = stop_on_ctrl_c()?;
+        let stop = session::stop_on_ctrl_c()?;
         let mut watch = Stopwatch::start();
         let result = self.iterate(&stop, &mut watch);
         let total = watch.cost(self.trainer.iteration() - self.started);
@@ -215,12 +212,25 @@ impl Run {
             tell!("warning: {error}");
         }
         let interrupted = result?;
-        log.map(|()| interrupted)
+        log?;
+        if let Err(error) = report::write(self, interrupted) {
+            self.progress.warn(&format!("warning: no report: {error}"));
+        }
+        Ok(interrupted)
+    }
+
+    /// An iteration, for some of them with the time of each kernel.
+    fn timed_step(&mut self) -> Result<StepReport> {
+        let iteration = self.trainer.iteration() + 1;
+        self.kernels.before(iteration);
+        let report = self.trainer.step();
+        self.kernels.after(iteration);
+        report
     }
 
     fn iterate(&mut self, stop: &AtomicBool, watch: &mut Stopwatch) -> Result<bool> {
         for _ in self.started..self.settings.train.iterations {
-            let report = self.trainer.step()?;
+            let report = self.timed_step()?;
             let stopping = stop.load(Ordering::Relaxed);
             self.account(&report);
             if report.iteration - self.started == FIRST_ITERATIONS {
@@ -392,19 +402,6 @@ impl Run {
     pub fn test_views(&self) -> &[View] {
         &self.test
     }
-}
-
-/// A flag that Ctrl-C raises; a second Ctrl-C ends the program at once.
-fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = stop.clone();
-    let handler = move || {
-        if flag.swap(true, Ordering::Relaxed) {
-            std::process::exit(i32::from(crate::INTERRUPTED));
-        }
-    };
-    ctrlc::set_handler(handler).map_err(|e| Error::argument("Ctrl-C", format!("cannot be caught: {e}")))?;
-    Ok(stop)
 }
 
 #[cfg(test)]

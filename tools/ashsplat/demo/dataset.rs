@@ -1,4 +1,5 @@
-//! The demo's data set: photographs from two circles and a sparse, noisy point cloud, as a COLMAP folder.
+//! The demo's data set: photographs from two circles, with a sparse, noisy point cloud as a COLMAP folder, or as the
+//! synthetic scenes of the NeRF paper lie.
 
 use super::raycast::{self, Ray};
 use super::scene::Scene;
@@ -10,6 +11,7 @@ use ashsplat::scene::{Camera, Intrinsics, PointCloud};
 use glam::{Vec3, vec3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde_json::json;
 use std::path::Path;
 
 /// Size of the photographs, pixels.
@@ -32,8 +34,57 @@ const NOISE: f32 = 0.004;
 /// Of the points that would lie on the sky, one in so many is kept: it has few features.
 const SKY_SHARE: u32 = 3;
 
-/// Photographs the scene and writes the COLMAP folder; the same files for the same seed.
-pub fn write(folder: &Path, seed: u64, quiet: bool) -> Result<()> {
+/// How the data set lies on disk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Layout {
+    /// images/ and sparse/0/, photographs with the sky, points
+    #[default]
+    Colmap,
+    /// transforms_{train,val,test}.json, transparent photographs without the sky, no points
+    NerfSynthetic,
+}
+
+/// Photographs the scene and writes it; the same files for the same seed.
+pub fn write(folder: &Path, layout: Layout, seed: u64, quiet: bool) -> Result<()> {
+    match layout {
+        Layout::Colmap => write_colmap(folder, seed, quiet),
+        Layout::NerfSynthetic => write_nerf_synthetic(folder, quiet),
+    }
+}
+
+/// Every so manieth view is held out, as it would be in the COLMAP folder.
+const TEST_EVERY: usize = 8;
+
+/// Cameras by the angle that they see and by matrices from camera to world, the camera's y up and z backward.
+fn write_nerf_synthetic(folder: &Path, quiet: bool) -> Result<()> {
+    let scene = Scene::demo();
+    let cameras = cameras();
+    let bar = counting("photographs", cameras.len() as u64, quiet);
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for (index, camera) in cameras.iter().enumerate() {
+        let (part, frames) =
+            if index.is_multiple_of(TEST_EVERY) { ("test", &mut test) } else { ("train", &mut train) };
+        let name = format!("{part}/r_{index:03}");
+        let photo = raycast::photograph_cutout(&scene, camera);
+        output::write_rgba_png(&folder.join(format!("{name}.png")), &photo)?;
+        let axes = camera.camera_from_world.transpose();
+        let eye = camera.position();
+        let rows: Vec<[f32; 4]> = (0..3)
+            .map(|r| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], eye[r]])
+            .chain([[0.0, 0.0, 0.0, 1.0]])
+            .collect();
+        frames.push(json!({ "file_path": format!("./{name}"), "rotation": 0.0, "transform_matrix": rows }));
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    for (part, frames) in [("train", &train), ("val", &test), ("test", &test)] {
+        let document = json!({ "camera_angle_x": FOV_X, "frames": frames });
+        output::write_json(&folder.join(format!("transforms_{part}.json")), &document)?;
+    }
+    Ok(())
+}
+
+fn write_colmap(folder: &Path, seed: u64, quiet: bool) -> Result<()> {
     let scene = Scene::demo();
     let cameras = cameras();
     let bar = counting("photographs", cameras.len() as u64, quiet);

@@ -4,6 +4,7 @@ use super::scene::{Object, SKY_RADIUS, Scene, Shape};
 use ashsplat::io::Photo;
 use ashsplat::scene::Camera;
 use glam::{Mat3, Vec3, vec3};
+use image::RgbaImage;
 use rayon::prelude::*;
 
 /// Rays per pixel and axis: 9 rays each, on a regular grid, each with its own point of the sun's disc.
@@ -57,15 +58,43 @@ pub fn photograph(scene: &Scene, camera: &Camera) -> Photo {
     Photo { width, height, rgb }
 }
 
+/// Photographs what is not sky: 8-bit sRGB and, as opacity, the share of each pixel that is not sky; colours are those of
+/// that share, as a renderer of transparent pictures leaves them.
+pub fn photograph_cutout(scene: &Scene, camera: &Camera) -> RgbaImage {
+    let pixels = (0..camera.height).into_par_iter().flat_map_iter(|y| (0..camera.width).map(move |x| (x, y)));
+    let rgba = pixels.flat_map_iter(|(x, y)| {
+        let (mut sum, mut hits) = (Vec3::ZERO, 0.0);
+        for (sample, ray) in rays(camera, x, y) {
+            if first_hit(scene, &ray).is_some() {
+                sum += light(scene, &ray, sun_sample(sample, x, y));
+                hits += 1.0;
+            }
+        }
+        let [r, g, b] = encode(sum / f32::max(hits, 1.0));
+        [r, g, b, (255.0 * hits / (GRID * GRID) as f32).round() as u8]
+    });
+    RgbaImage::from_raw(camera.width, camera.height, rgba.collect()).unwrap_or_default()
+}
+
+/// The rays of a pixel, by number.
+fn rays(camera: &Camera, x: u32, y: u32) -> impl Iterator<Item = (u32, Ray)> {
+    (0..GRID * GRID).map(move |sample| {
+        let offset = |index: u32| (index as f32 + 0.5) / GRID as f32;
+        let place = (x as f32 + offset(sample % GRID), y as f32 + offset(sample / GRID));
+        (sample, Ray::through_pixel(camera, place.0, place.1))
+    })
+}
+
+/// 7 is coprime to 9: the sun's points are in another order than the rays, which decorrelates them.
+fn sun_sample(sample: u32, x: u32, y: u32) -> u32 {
+    (sample * 7 + x * 3 + y * 5) % (GRID * GRID)
+}
+
 /// Light that arrives at a pixel, linear: the mean of a grid of rays.
 pub fn pixel_light(scene: &Scene, camera: &Camera, x: u32, y: u32) -> Vec3 {
     let mut sum = Vec3::ZERO;
-    for sample in 0..GRID * GRID {
-        let (i, j) = (sample % GRID, sample / GRID);
-        let offset = |index: u32| (index as f32 + 0.5) / GRID as f32;
-        let ray = Ray::through_pixel(camera, x as f32 + offset(i), y as f32 + offset(j));
-        // 7 is coprime to 9: the sun's points are in another order than the rays, which decorrelates them.
-        sum += light(scene, &ray, (sample * 7 + x * 3 + y * 5) % (GRID * GRID));
+    for (sample, ray) in rays(camera, x, y) {
+        sum += light(scene, &ray, sun_sample(sample, x, y));
     }
     sum / (GRID * GRID) as f32
 }

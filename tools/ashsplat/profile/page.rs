@@ -6,24 +6,15 @@ mod timeline;
 
 use crate::bench::machine;
 use crate::bench::measure::{Iteration, Measured, commands};
-use crate::bench::plot::escape;
 use crate::bench::schema::{Run, Split};
 use crate::bench::table::describe;
 use crate::bench::workload::Scene;
+use crate::html::{self, escape, section};
 use ashsplat::vk::Context;
 use ashsplat::{RenderSettings, Renderer, Result};
 use std::fmt::Write;
 
 const STYLE: &str = "
-:root { color-scheme: light dark; --line: #8884; --text: #222; --page: #fff; --soft: #666; }
-@media (prefers-color-scheme: dark) { :root { --text: #ddd; --page: #181818; --soft: #999; } }
-body { font: 14px/1.45 sans-serif; color: var(--text); background: var(--page); max-width: 1160px; margin: 1.5em auto; padding: 0 1em; }
-h1 { font-size: 1.4em; margin-bottom: 0; } h2 { font-size: 1.1em; margin: 1.8em 0 .4em; }
-p.note { color: var(--soft); margin: .2em 0 .6em; } svg { display: block; } svg text { fill: currentColor; font: 11px sans-serif; }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; font-size: 12px; }
-td, th { padding: 2px 7px; text-align: right; border-bottom: 1px solid var(--line); } td.name, th.name { text-align: left; }
-.key { display: inline-block; margin-right: 1em; } .key i { display: inline-block; width: .8em; height: .8em; margin-right: .35em; }
-.row { display: flex; flex-wrap: wrap; gap: 1.2em; } figure { margin: 0; } figcaption { color: var(--soft); font-size: 12px; }
 img { image-rendering: pixelated; width: 350px; display: block; } .zoom { overflow-x: auto; border: 1px solid var(--line); }
 ";
 
@@ -95,9 +86,10 @@ pub fn page(
     let filled = renderer.tiles(&scene.camera, &settings)?;
     let title = format!("ashsplat profile: {}", run.name);
     let mut out = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}</style></head>\n\
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title><style>{1}{STYLE}</style></head>\n\
          <body><h1>{0}</h1>\n",
-        escape(&title)
+        escape(&title),
+        html::STYLE
     );
     let device = context.description();
     let _ = writeln!(
@@ -141,10 +133,6 @@ pub fn page(
     out.push_str(&tiles::histograms(&filled, &scene.gaussians));
     let _ = writeln!(out, "<script>{SCRIPT}</script></body></html>");
     Ok(out)
-}
-
-fn section(out: &mut String, title: &str, note: &str) {
-    let _ = writeln!(out, "<h2>{title}</h2><p class=\"note\">{note}</p>");
 }
 
 fn split(s: &Split) -> String {

@@ -86,6 +86,41 @@ impl TrainLog {
     }
 }
 
+/// The log as columns; where there is no number, NaN.
+#[derive(Default)]
+pub struct Rows {
+    pub iterations: Vec<f64>,
+    pub loss: Vec<f64>,
+    pub psnr: Vec<f64>,
+    pub gaussians: Vec<f64>,
+    pub milliseconds: Vec<f64>,
+    pub peak_bytes: Vec<f64>,
+}
+
+impl Rows {
+    /// Reads what is on disk, also of the runs before a checkpoint.
+    pub fn read(path: &Path) -> Result<Rows> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let mut lines = text.lines();
+        let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+        let column = |wanted: &str| names.iter().position(|name| *name == wanted).unwrap_or(usize::MAX);
+        let [iteration, loss, psnr, gaussians, ms, peak] =
+            ["iteration", "loss", "psnr", "gaussians", "ms", "total_peak_bytes"].map(column);
+        let mut rows = Rows::default();
+        for line in lines {
+            let fields: Vec<&str> = line.split(',').collect();
+            let number = |at: usize| fields.get(at).and_then(|f| f.parse().ok()).unwrap_or(f64::NAN);
+            rows.iterations.push(number(iteration));
+            rows.loss.push(number(loss));
+            rows.psnr.push(number(psnr));
+            rows.gaussians.push(number(gaussians));
+            rows.milliseconds.push(number(ms));
+            rows.peak_bytes.push(number(peak));
+        }
+        Ok(rows)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -134,6 +169,9 @@ mod tests {
         let text = std::fs::read_to_string(&path).expect("the log");
         let numbers: Vec<&str> = text.lines().skip(1).filter_map(|line| line.split(',').next()).collect();
         assert_eq!(numbers, ["1", "2", "3", "4", "5", "6", "7", "8"]);
+        let rows = Rows::read(&path).expect("the log");
+        assert_eq!((rows.iterations.len(), rows.gaussians[7], rows.milliseconds[0]), (8, 7.0, 1.25));
+        assert!(rows.psnr.iter().all(|psnr| psnr.is_nan()));
     }
 
     /// The device that is always full.

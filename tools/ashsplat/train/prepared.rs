@@ -1,8 +1,11 @@
 //! A data set as a run uses it.
 
-use ashsplat::io::{Dataset, View};
+use ashsplat::io::images::existing_folder;
+use ashsplat::io::{Dataset, PhotoMemory, View};
 use ashsplat::scene::Camera;
 use ashsplat::trainer::TrainView;
+use ashsplat::vk::Context;
+use std::path::Path;
 
 /// Views of the training set that stand in for a test set where none is held out.
 const STAND_IN_VIEWS: usize = 5;
@@ -33,4 +36,10 @@ impl Prepared {
 fn sample(train: &[View]) -> Vec<View> {
     let step = train.len().div_ceil(STAND_IN_VIEWS).max(1);
     train.iter().step_by(step).cloned().collect()
+}
+
+/// What photos may take of the memory: what was asked for, or half of what there is, where that is known.
+pub fn photo_memory(context: &Context, asked: Option<u64>, model: &Path) -> Option<PhotoMemory> {
+    let bytes = asked.or_else(|| context.memory_limit().map(|(limit, _)| limit / 2))?;
+    Some(PhotoMemory { bytes, folder: existing_folder(model) })
 }

@@ -1,0 +1,247 @@
+//! `report.html`: a run on one page that needs nothing else.
+
+mod curves;
+mod kernels;
+mod views;
+
+use super::log::Rows;
+use super::{LOG_FILE, Run};
+use crate::config::Settings;
+use crate::eval::{self, Evaluation};
+use crate::html::{self, escape, section};
+use crate::progress::thousands;
+use crate::{output, render};
+use ashsplat::Result;
+use ashsplat::io::View;
+use ashsplat::scene::Gaussians;
+use std::fmt::Write;
+
+pub use kernels::KernelTimes;
+
+/// The page's name in the model folder.
+pub const REPORT_FILE: &str = "report.html";
+
+/// Tables side by side.
+const SETTINGS_COLUMNS: usize = 3;
+
+const STYLE: &str = "
+:root { --a: #2563c9; --b: #1e8a5a; --c: #b4570f; --d: #7a3fb0; --card: #f5f6f8; --edge: #e2e5ea; }
+@media (prefers-color-scheme: dark) { :root { --a: #6ea3ff; --b: #52c893; --c: #f0a05a; --d: #c08cf2; --card: #222327; --edge: #34363c; } }
+body { font-family: system-ui, sans-serif; margin-bottom: 4em; } h1 { font-size: 1.6em; margin: 0; } h2 { font-size: 1.2em; margin-top: 2.4em; }
+.badge { font-size: 12px; font-weight: 600; padding: 2px 9px; border-radius: 9px; margin-left: .7em; vertical-align: .35em; color: #fff; background: #1e8a5a; }
+.badge.stopped { background: #b4570f; }
+.cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(132px, 1fr)); gap: 10px; margin: 1.3em 0; }
+.card { background: var(--card); border: 1px solid var(--edge); border-radius: 8px; padding: 9px 13px; }
+.card b { display: block; font-size: 1.45em; font-weight: 600; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.card span { color: var(--soft); font-size: 12px; }
+.charts { display: grid; grid-template-columns: repeat(auto-fit, minmax(420px, 1fr)); gap: 14px; }
+.chart { background: var(--card); border: 1px solid var(--edge); border-radius: 8px; padding: 10px 12px 4px; }
+.chart svg { width: 100%; height: auto; } .chart figcaption { display: flex; gap: .8em; align-items: baseline; color: var(--text); }
+.chart figcaption span { color: var(--soft); } .chart output { margin-left: auto; font-variant-numeric: tabular-nums; font-weight: 600; white-space: nowrap; }
+.sheet { display: grid; grid-template-columns: repeat(auto-fit, minmax(480px, 1fr)); gap: 8px 18px; }
+.view { display: grid; align-content: start; grid-template-columns: repeat(3, 1fr); gap: 4px; margin-bottom: 14px; } .view p { grid-column: 1 / -1; margin: 0; font-size: 12px; }
+.view img { width: 100%; border-radius: 3px; display: block; } .scale { display: inline-block; width: 110px; height: .75em; border-radius: 2px; }
+.bar { width: 34%; } td.bar i { display: block; height: .75em; border-radius: 2px; background: var(--a); opacity: .75; }
+tr.sum td { font-weight: 600; border-bottom: none; } tr.own td { font-weight: 600; } td { overflow-wrap: anywhere; }
+.settings { display: grid; grid-template-columns: repeat(auto-fit, minmax(320px, 1fr)); gap: 0 28px; align-items: start; } code { font-size: .93em; }
+.histograms svg { background: var(--card); border: 1px solid var(--edge); border-radius: 8px; padding: 5px 0; }
+@media print { .chart, .view { break-inside: avoid; } }
+";
+
+/// The value under the pointer.
+const SCRIPT: &str = "
+document.querySelectorAll('.chart').forEach(chart => {
+  const svg = chart.querySelector('svg'), data = svg.querySelector('script'), output = chart.querySelector('output');
+  if (!data) return;
+  const points = JSON.parse(data.textContent), last = output.textContent, [line, dot] = svg.querySelectorAll('.cursor');
+  svg.addEventListener('pointermove', event => {
+    const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse()).x;
+    const [x, y, iteration, value] = points.reduce((a, b) => Math.abs(b[0] - at) < Math.abs(a[0] - at) ? b : a);
+    line.setAttribute('d', `M${x} 12V192`); dot.setAttribute('cx', x); dot.setAttribute('cy', y); dot.setAttribute('r', 4);
+    output.textContent = `${iteration}: ${value}${svg.dataset.unit}`;
+  });
+  svg.addEventListener('pointerleave', () => { line.setAttribute('d', ''); dot.setAttribute('r', 0); output.textContent = last; });
+});
+";
+
+/// Writes the page of a run that is over, or was stopped.
+pub fn write(run: &mut Run, interrupted: bool) -> Result<()> {
+    let path = run.settings.data.model_path.join(REPORT_FILE);
+    let rows = Rows::read(&run.settings.data.model_path.join(LOG_FILE))?;
+    let page = page(run, &rows, interrupted)?;
+    output::write_text(&path, &page)
+}
+
+fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
+    let iteration = run.trainer.iteration();
+    let tested = run.evaluations.last().filter(|tested| tested.iteration == iteration);
+    let (chosen, evaluation) = match tested {
+        Some(tested) => (run.test.clone(), tested.evaluation.clone()),
+        // Someone who stops a run does not want to wait for all of its views.
+        None => measure_some(run)?,
+    };
+    let kind = if run.held_out { "held-out" } else { "training" };
+    let gaussians = run.trainer.gaussians()?;
+    let mut out = head(run, interrupted);
+    out.push_str(&cards(run, rows, &evaluation, gaussians.len()));
+    section(
+        &mut out,
+        "Curves",
+        "the line is the mean of neighbouring iterations, the band goes from the least to the most of them",
+    );
+    out.push_str(&curves::charts(rows, kind));
+    sheet(&mut out, run, &evaluation, &chosen)?;
+    let note = format!("{} {kind} views, worst first", evaluation.views.len());
+    section(&mut out, "Views", &note);
+    out.push_str(&views::table(&evaluation));
+    let note =
+        "LPIPS is not computed: it needs the weights of a network, which do not come with this program.";
+    let _ = writeln!(out, "<p class=\"note\">{note}</p>");
+    histograms(&mut out, &gaussians);
+    section(&mut out, "Kernels", &run.kernels.note());
+    out.push_str(&run.kernels.table());
+    memory(&mut out, run);
+    section(&mut out, "Settings", "bold: not the default; settings.toml has them for <code>--config</code>");
+    out.push_str(&settings(&run.settings)?);
+    let _ = writeln!(out, "<script>{SCRIPT}</script></body></html>");
+    Ok(out)
+}
+
+/// A few of the views, evenly spread, and their quality.
+fn measure_some(run: &mut Run) -> Result<(Vec<View>, Evaluation)> {
+    let views: Vec<View> = views::spread(&run.test.iter().collect::<Vec<_>>()).into_iter().cloned().collect();
+    let settings = render::settings_of(&run.settings);
+    let evaluation = eval::evaluate(&views, None, |camera| run.trainer.render(camera, &settings))?;
+    Ok((views, evaluation))
+}
+
+fn head(run: &Run, interrupted: bool) -> String {
+    let data = &run.settings.data;
+    let name = |path: &std::path::Path| {
+        path.file_name().map_or_else(|| path.to_owned(), Into::into).display().to_string()
+    };
+    let title = format!("Training of {}", name(&data.source_path));
+    let (done, of) = (run.trainer.iteration(), run.settings.train.iterations);
+    let (class, state) = match (interrupted, done < of) {
+        (false, false) => ("", format!("{} iterations", thousands(done.into()))),
+        _ => (
+            " stopped",
+            format!("stopped after {} of {} iterations", thousands(done.into()), thousands(of.into())),
+        ),
+    };
+    let device = run.kernels.device();
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
+         <title>{0}</title><style>{1}{STYLE}</style></head>\n<body><h1>{0}<span class=\"badge{class}\">{state}</span></h1>\n\
+         <p class=\"note\">{2} → {3}<br>{4}<br>ashsplat {5}</p>\n",
+        escape(&title),
+        html::STYLE,
+        escape(&data.source_path.display().to_string()),
+        escape(&data.model_path.display().to_string()),
+        escape(&device),
+        env!("CARGO_PKG_VERSION"),
+    )
+}
+
+fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> String {
+    let kind = if run.held_out { "held out" } else { "on training views" };
+    let seconds = rows.milliseconds.iter().sum::<f64>() * 1e-3;
+    let speed = rows.milliseconds.len() as f64 / seconds.max(1e-9);
+    let peak = rows.peak_bytes.iter().copied().fold(0.0, f64::max) / 1_048_576.0;
+    let time = match seconds as u64 {
+        s if s >= 3600 => format!("{}:{:02}:{:02} h", s / 3600, s / 60 % 60, s % 60),
+        s if s >= 60 => format!("{}:{:02} min", s / 60, s % 60),
+        _ => format!("{seconds:.1} s"),
+    };
+    let cards = [
+        (format!("{:.2} dB", evaluation.psnr()), format!("PSNR, {kind}")),
+        (format!("{:.4}", evaluation.ssim()), format!("SSIM, {kind}")),
+        (thousands(gaussians as u64), "Gaussians".into()),
+        (time, "in iterations".into()),
+        (format!("{speed:.1} it/s"), "on average".into()),
+        (format!("{peak:.0} MiB"), "device memory, peak".into()),
+    ];
+    let mut out = String::from("<div class=\"cards\">");
+    for (value, label) in cards {
+        let _ = write!(out, "<div class=\"card\"><b>{value}</b><span>{label}</span></div>");
+    }
+    out.push_str("</div>\n");
+    out
+}
+
+fn sheet(out: &mut String, run: &mut Run, evaluation: &Evaluation, all: &[View]) -> Result<()> {
+    let order = views::worst_first(&evaluation.views);
+    let shown = views::spread(&order);
+    let note = match (shown.len(), order.len()) {
+        (some, all) if some < all => {
+            format!("{some} of {all} views from the worst to the best: photo, render, error")
+        }
+        _ => "photo, render, error, worst first; striped: hidden by a mask".to_owned(),
+    };
+    section(out, "Contact sheet", &note);
+    out.push_str(&views::key());
+    out.push_str("<div class=\"sheet\">\n");
+    let settings = render::settings_of(&run.settings);
+    for result in shown.into_iter().map(|place| &evaluation.views[place]) {
+        let Some(view) = all.iter().find(|view| view.name == result.name) else { continue };
+        let frame = run.trainer.render(&view.camera, &settings)?;
+        views::row(out, view, &frame, result)?;
+    }
+    out.push_str("</div>\n");
+    Ok(())
+}
+
+fn histograms(out: &mut String, gaussians: &Gaussians) {
+    section(out, "Gaussians", "how many have which opacity, size (σ, world units) and shape");
+    let opacities: Vec<f64> =
+        gaussians.opacity_logits.iter().map(|&o| 1.0 / (1.0 + (-f64::from(o)).exp())).collect();
+    let log10 = |log: f32| f64::from(log) / std::f64::consts::LN_10;
+    let ends = |s: &[f32; 3]| (s[0].min(s[1]).min(s[2]), s[0].max(s[1]).max(s[2]));
+    let largest: Vec<f64> = gaussians.log_scales.iter().map(|s| log10(ends(s).1)).collect();
+    let smallest: Vec<f64> = gaussians.log_scales.iter().map(|s| log10(ends(s).0)).collect();
+    let ratio: Vec<f64> = gaussians.log_scales.iter().map(|s| log10(ends(s).1) - log10(ends(s).0)).collect();
+    out.push_str("<div class=\"row histograms\">");
+    html::histogram(out, "opacity", &opacities);
+    html::histogram(out, "log10 of the largest σ", &largest);
+    html::histogram(out, "log10 of the smallest σ", &smallest);
+    html::histogram(out, "log10 of largest : smallest", &ratio);
+    out.push_str("</div>\n");
+}
+
+fn memory(out: &mut String, run: &Run) {
+    section(out, "Device memory", "most that each arena ever held");
+    let mut arenas: Vec<_> = run.trainer.memory().into_iter().filter(|arena| arena.name != "total").collect();
+    arenas.sort_by_key(|arena| std::cmp::Reverse(arena.peak_bytes));
+    let most = arenas.first().map_or(1, |arena| arena.peak_bytes.max(1)) as f64;
+    out.push_str("<table><tr><th class=\"name\">arena</th><th>MiB</th><th class=\"name bar\"></th></tr>\n");
+    for arena in arenas.iter().filter(|arena| arena.peak_bytes > 0) {
+        let bytes = arena.peak_bytes as f64;
+        let _ = writeln!(
+            out,
+            "<tr><td class=\"name\">{}</td><td>{:.2}</td><td class=\"name bar\"><i style=\"width:{:.1}%\"></i></td></tr>",
+            escape(&arena.name),
+            bytes / 1_048_576.0,
+            100.0 * bytes / most
+        );
+    }
+    out.push_str("</table>\n");
+}
+
+fn settings(settings: &Settings) -> Result<String> {
+    let (text, usual) = (settings.to_toml()?, Settings::default().to_toml()?);
+    let rows: Vec<String> = text
+        .lines()
+        .filter_map(|line| {
+            let (name, value) = line.split_once(" = ")?;
+            let class = if usual.lines().any(|other| other == line) { "" } else { " class=\"own\"" };
+            let (name, value) = (escape(name), escape(value));
+            Some(format!("<tr{class}><td class=\"name\">{name}</td><td>{value}</td></tr>\n"))
+        })
+        .collect();
+    let mut out = String::from("<div class=\"settings\">");
+    for part in rows.chunks(rows.len().div_ceil(SETTINGS_COLUMNS).max(1)) {
+        let _ = writeln!(out, "<table>{}</table>", part.concat());
+    }
+    out.push_str("</div>\n");
+    Ok(out)
+}

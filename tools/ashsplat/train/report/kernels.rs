@@ -1,0 +1,125 @@
+//! Times of every kernel of a few iterations.
+
+use crate::html::escape;
+use crate::profile::page::shown;
+use ashsplat::vk::{Context, Profile};
+use std::fmt::Write;
+
+/// One iteration in so many is timed command by command.
+const INTERVAL: u32 = 50;
+/// Which of them: none that densifies.
+const OFFSET: u32 = 7;
+/// Memory that must be left over for timing: it is not what a run may fail for.
+const SPARE_BYTES: u64 = 16 << 20;
+
+/// What has been timed so far.
+pub struct KernelTimes {
+    context: Context,
+    profile: Option<Profile>,
+    timed: u32,
+    kernels: Vec<Kernel>,
+}
+
+struct Kernel {
+    stage: String,
+    name: &'static str,
+    calls: u32,
+    nanoseconds: Option<f64>,
+}
+
+impl KernelTimes {
+    pub fn new(context: &Context) -> Self {
+        Self { context: context.clone(), profile: None, timed: 0, kernels: Vec::new() }
+    }
+
+    /// Before each iteration.
+    pub fn before(&mut self, iteration: u32) {
+        let used = self.context.memory_total().bytes;
+        let tight = self.context.memory_limit().is_some_and(|(limit, _)| limit < used + SPARE_BYTES);
+        if iteration % INTERVAL == OFFSET && !tight {
+            match &self.profile {
+                Some(profile) => self.context.set_profile(Some(profile)),
+                None => self.profile = Some(self.context.profile()),
+            }
+        }
+    }
+
+    /// After it.
+    pub fn after(&mut self, iteration: u32) {
+        let Some(profile) = self.profile.as_ref().filter(|_| iteration % INTERVAL == OFFSET) else { return };
+        self.context.set_profile(None);
+        self.timed += 1;
+        for command in profile.take().iter().flat_map(|submission| &submission.commands) {
+            let same = |kernel: &&mut Kernel| kernel.stage == command.scope && kernel.name == command.name;
+            match self.kernels.iter_mut().find(same) {
+                Some(kernel) => {
+                    kernel.calls += 1;
+                    kernel.nanoseconds =
+                        kernel.nanoseconds.zip(command.nanoseconds).map(|(sum, ns)| sum + ns);
+                }
+                None => self.kernels.push(Kernel {
+                    stage: command.scope.clone(),
+                    name: command.name,
+                    calls: 1,
+                    nanoseconds: command.nanoseconds,
+                }),
+            }
+        }
+    }
+
+    /// The device, in words.
+    pub fn device(&self) -> String {
+        let device = self.context.description();
+        format!("{} ({}), {}, Vulkan {}", device.name, device.kind, device.driver, device.api_version)
+    }
+
+    /// What was measured, in words.
+    pub fn note(&self) -> String {
+        match (self.timed, self.context.has_timestamps()) {
+            (_, false) => "this device has no timestamps: kernels cannot be timed".into(),
+            (0, _) => {
+                "the run was too short to time any: <code>ashsplat profile train-step</code> does".into()
+            }
+            (n, _) => format!(
+                "device time per iteration, mean of {n} that were timed (every {INTERVAL}th); \
+                 <code>ashsplat profile train-step</code> and <code>bench train</code> measure more closely"
+            ),
+        }
+    }
+
+    /// The table, dearest first.
+    pub fn table(&self) -> String {
+        let mut rows: Vec<(&Kernel, f64)> =
+            self.kernels.iter().filter_map(|kernel| Some((kernel, kernel.nanoseconds?))).collect();
+        if rows.is_empty() {
+            return String::new();
+        }
+        rows.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let all: f64 = rows.iter().map(|row| row.1).sum();
+        let most = rows[0].1.max(1.0);
+        let mut out = String::from(
+            "<table><tr><th class=\"name\">stage</th><th class=\"name\">kernel</th><th>calls</th><th>µs</th>\
+             <th>share</th><th class=\"name bar\"></th></tr>\n",
+        );
+        let n = f64::from(self.timed.max(1));
+        for (kernel, ns) in rows {
+            let _ = writeln!(
+                out,
+                "<tr><td class=\"name\">{}</td><td class=\"name\">{}</td><td>{:.1}</td><td>{:.1}</td><td>{:.1} %</td>\
+                 <td class=\"name bar\"><i style=\"width:{:.1}%\"></i></td></tr>",
+                escape(shown(&kernel.stage)),
+                escape(kernel.name),
+                f64::from(kernel.calls) / n,
+                ns / n * 1e-3,
+                100.0 * ns / all.max(1.0),
+                100.0 * ns / most
+            );
+        }
+        let _ = writeln!(
+            out,
+            "<tr class=\"sum\"><td class=\"name\">all</td><td></td><td></td><td>{:.1}</td><td></td><td></td></tr></table>",
+            all / n * 1e-3
+        );
+        out
+    }
+}

@@ -1,0 +1,131 @@
+//! Views side by side with their photos, and how good each is.
+
+use crate::eval::{Evaluation, ViewResult};
+use crate::html::{self, escape, heat};
+use crate::output;
+use ashsplat::io::{Photo, View};
+use ashsplat::{Frame, Result};
+use std::fmt::Write;
+
+/// Views of the contact sheet at most.
+pub const SHOWN: usize = 12;
+/// Pictures are scaled down to this width, pixels.
+const WIDTH: u32 = 480;
+/// Absolute difference, mean over the channels, at which the error's colour is the brightest.
+const BRIGHTEST: f64 = 0.25;
+
+/// Places of the results from the worst to the best.
+pub fn worst_first(views: &[ViewResult]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..views.len()).collect();
+    order.sort_by(|&a, &b| views[a].psnr.total_cmp(&views[b].psnr));
+    order
+}
+
+/// Of so many at most [`SHOWN`], evenly spread, the first and the last among them.
+pub fn spread<T: Copy>(all: &[T]) -> Vec<T> {
+    let shown = all.len().min(SHOWN);
+    (0..shown).map(|i| all[i * (all.len() - 1) / (shown - 1).max(1)]).collect()
+}
+
+/// A row of the contact sheet.
+pub fn row(out: &mut String, view: &View, frame: &Frame, result: &ViewResult) -> Result<()> {
+    let (photo, mask) = (view.photo.photo()?, view.photo.mask()?);
+    let counts = |i: usize| mask.as_ref().is_none_or(|mask| mask[i] != 0);
+    let mut shown = Photo::clone(&photo);
+    for (i, rgb) in shown.rgb.as_chunks_mut::<3>().0.iter_mut().enumerate().filter(|(i, _)| !counts(*i)) {
+        // Hidden: dim, with stripes.
+        let stripe = (i % photo.width as usize + i / photo.width as usize) / 6 % 2 == 0;
+        *rgb = rgb.map(|c| c / 4 + if stripe { 24 } else { 0 });
+    }
+    let error = error(frame, &photo.to_f32(), counts);
+    let pictures = [shown, output::to_photo(frame)?, error];
+    let _ = write!(
+        out,
+        "<div class=\"view\"><p><b>{}</b> {:.2} dB, SSIM {:.4}</p>",
+        escape(&result.name),
+        result.psnr,
+        result.ssim
+    );
+    for (picture, name) in pictures.into_iter().zip(["photo", "render", "error"]) {
+        let address = html::jpeg(&small(picture)?)?;
+        let _ = write!(
+            out,
+            "<img alt=\"{name} of {}\" title=\"{name}\" src=\"{address}\">",
+            escape(&result.name)
+        );
+    }
+    out.push_str("</div>\n");
+    Ok(())
+}
+
+fn small(picture: Photo) -> Result<Photo> {
+    let (width, height) = (picture.width, picture.height);
+    if width <= WIDTH {
+        return Ok(picture);
+    }
+    picture.scaled_to(WIDTH, (u64::from(height) * u64::from(WIDTH) / u64::from(width)).max(1) as u32)
+}
+
+fn error(frame: &Frame, photo: &[[f32; 3]], counts: impl Fn(usize) -> bool) -> Photo {
+    let difference = |(i, (a, b)): (usize, (&[f32; 3], &[f32; 3]))| {
+        let sum: f32 = a.iter().zip(b).map(|(a, b)| (a.clamp(0.0, 1.0) - b).abs()).sum();
+        heat(if counts(i) { f64::from(sum) / 3.0 / BRIGHTEST } else { 0.0 })
+    };
+    let rgb = frame.color.iter().zip(photo).enumerate().flat_map(difference).collect();
+    Photo { width: frame.width, height: frame.height, rgb }
+}
+
+/// What the error's colours mean.
+pub fn key() -> String {
+    let colors: Vec<String> = (0..=4)
+        .map(|i| {
+            let [r, g, b] = heat(f64::from(i) / 4.0);
+            format!("rgb({r},{g},{b})")
+        })
+        .collect();
+    format!(
+        "<p class=\"note\">error: mean absolute difference of the channels, 0 <i class=\"scale\" style=\"background:linear-gradient(90deg,{})\"></i> {BRIGHTEST} and more</p>\n",
+        colors.join(",")
+    )
+}
+
+/// The table, worst first.
+pub fn table(evaluation: &Evaluation) -> String {
+    let mut out = String::from(
+        "<table><tr><th>#</th><th class=\"name\">view</th><th>PSNR</th><th class=\"name bar\"></th><th>SSIM</th></tr>\n",
+    );
+    let best = evaluation.views.iter().map(|v| v.psnr).filter(|p| p.is_finite()).fold(1.0, f64::max);
+    for (rank, place) in worst_first(&evaluation.views).into_iter().enumerate() {
+        let view = &evaluation.views[place];
+        let _ = writeln!(
+            out,
+            "<tr><td>{}</td><td class=\"name\">{}</td><td>{:.2}</td><td class=\"name bar\"><i style=\"width:{:.1}%\"></i></td><td>{:.4}</td></tr>",
+            rank + 1,
+            escape(&view.name),
+            view.psnr,
+            100.0 * view.psnr.clamp(0.0, best) / best,
+            view.ssim
+        );
+    }
+    let _ = writeln!(
+        out,
+        "<tr class=\"sum\"><td></td><td class=\"name\">mean</td><td>{:.2}</td><td></td><td>{:.4}</td></tr></table>",
+        evaluation.psnr(),
+        evaluation.ssim()
+    );
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_and_last_are_shown() {
+        let all: Vec<usize> = (0..100).collect();
+        let shown = spread(&all);
+        assert_eq!((shown.len(), shown[0], shown[SHOWN - 1]), (SHOWN, 0, 99));
+        assert_eq!(spread(&[7]), [7]);
+        assert!(spread::<usize>(&[]).is_empty());
+    }
+}
