@@ -6,6 +6,7 @@ mod commands;
 mod convert;
 mod inspect;
 mod layouts;
+mod report;
 mod training;
 
 use ashsplat::io::Photo;

@@ -8,13 +8,13 @@ use std::sync::OnceLock;
 use tempfile::tempdir;
 
 /// A data set, and a model trained on it for a few iterations; made once.
-struct Trained {
+pub(super) struct Trained {
     data: PathBuf,
-    model: PathBuf,
+    pub(super) model: PathBuf,
     stdout: String,
 }
 
-fn trained() -> &'static Trained {
+pub(super) fn trained() -> &'static Trained {
     static TRAINED: OnceLock<Trained> = OnceLock::new();
     TRAINED.get_or_init(|| {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("cli");
@@ -308,6 +308,8 @@ fn ctrl_c_saves() {
     let saved = out.join(format!("point_cloud/iteration_{last}/point_cloud.ply"));
     assert!(saved.is_file(), "{:?}", files_below(&out));
     assert!(out.join(format!("chkpnt{last}.safetensors")).is_file(), "{:?}", files_below(&out));
+    let report = || std::fs::read_to_string(out.join("report.html")).expect("the report");
+    assert!(report().contains(&format!("stopped after {last} of 1,000,000 iterations")));
     let advice = rest.iter().find(|line| line.starts_with("interrupted: to go on, ")).expect("how to go on");
     // What it says works: up to a Ctrl-C of its own.
     let typed: Vec<&str> = advice.split(", ashsplat ").nth(1).expect("a command").split(' ').collect();
@@ -315,6 +317,8 @@ fn ctrl_c_saves() {
     let more = ["--iterations", &next.to_string(), "--quiet"];
     succeed(&[typed.as_slice(), &more].concat());
     assert!(out.join(format!("point_cloud/iteration_{next}/point_cloud.ply")).is_file());
+    // The curves begin where the first run did.
+    assert!(report().contains(&format!("\">{next} iterations</span>")) && report().contains(",1,\""));
 }
 
 /// Photographs that do not fit are read while training runs, and nothing else changes.
