@@ -124,6 +124,5 @@ mod tests {
         let photo = Photo { width: 2, height: 1, rgb: vec![9; 6] };
         assert!(jpeg(&photo).expect("a picture").starts_with("data:image/jpeg;base64,/9j/"));
         assert!(png(2, 1, &photo.rgb).expect("a picture").starts_with("data:image/png;base64,iVBORw0KGgo"));
-        assert!(png(2, 2, &photo.rgb).is_err());
     }
 }
