@@ -112,7 +112,7 @@ impl Dataset {
     /// # Errors
     /// [`crate::Error::Io`] and [`crate::Error::Input`] for the first problem of cameras or photos: see
     /// [`super::colmap::find`], [`super::colmap::Model::read`], [`super::colmap::Model::camera_of`],
-    /// [`super::transforms::Transforms::read`] and [`Photo::read_sized`]; no registered images; no training views left
+    /// [`super::transforms::Transforms::read`] and [`super::Photo::read_sized`]; no registered images; no training views left
     /// by the split. [`crate::Error::Interrupted`] when `progress` says so.
     pub fn load(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref())?;

@@ -42,7 +42,7 @@ body { font-family: system-ui, sans-serif; margin-bottom: 4em; } h1 { font-size:
 .view { display: grid; align-content: start; grid-template-columns: repeat(3, 1fr); gap: 4px; margin-bottom: 14px; } .view p { grid-column: 1 / -1; margin: 0; font-size: 12px; }
 .view img { width: 100%; border-radius: 3px; display: block; } .scale { display: inline-block; width: 110px; height: .75em; border-radius: 2px; }
 .bar { width: 34%; } td.bar i { display: block; height: .75em; border-radius: 2px; background: var(--a); opacity: .75; }
-tr.sum td { font-weight: 600; border-bottom: none; } tr.own td { font-weight: 600; } td { overflow-wrap: anywhere; }
+.settings td.name { white-space: nowrap; overflow-wrap: normal; } tr.sum td { font-weight: 600; border-bottom: none; } tr.own td { font-weight: 600; } td { overflow-wrap: anywhere; }
 .settings { display: grid; grid-template-columns: repeat(auto-fit, minmax(320px, 1fr)); gap: 0 28px; align-items: start; } code { font-size: .93em; }
 .histograms svg { background: var(--card); border: 1px solid var(--edge); border-radius: 8px; padding: 5px 0; }
 @media print { .chart, .view { break-inside: avoid; } }

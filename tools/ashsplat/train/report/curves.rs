@@ -193,7 +193,7 @@ struct Axis {
 
 impl Axis {
     fn new(low: f64, high: f64) -> Self {
-        let span = (high - low).max(high.abs() * 1e-3).max(1e-6);
+        let span = (high - low).max(high.abs() * 0.05).max(1e-6);
         let rough = span / MARKS;
         let power = 10f64.powf(rough.log10().floor());
         let step =

@@ -1,5 +1,6 @@
 //! Times of every kernel of a few iterations.
 
+use crate::bench::schema::Spread;
 use crate::html::escape;
 use crate::profile::page::shown;
 use ashsplat::vk::{Context, Profile};
@@ -24,7 +25,8 @@ struct Kernel {
     stage: String,
     name: &'static str,
     calls: u32,
-    nanoseconds: Option<f64>,
+    /// Of each timed iteration that it was in; nothing without timestamps.
+    microseconds: Vec<f64>,
 }
 
 impl KernelTimes {
@@ -49,20 +51,20 @@ impl KernelTimes {
         let Some(profile) = self.profile.as_ref().filter(|_| iteration % INTERVAL == OFFSET) else { return };
         self.context.set_profile(None);
         self.timed += 1;
+        let before: Vec<usize> = self.kernels.iter().map(|kernel| kernel.microseconds.len()).collect();
         for command in profile.take().iter().flat_map(|submission| &submission.commands) {
-            let same = |kernel: &&mut Kernel| kernel.stage == command.scope && kernel.name == command.name;
-            match self.kernels.iter_mut().find(same) {
-                Some(kernel) => {
-                    kernel.calls += 1;
-                    kernel.nanoseconds =
-                        kernel.nanoseconds.zip(command.nanoseconds).map(|(sum, ns)| sum + ns);
-                }
-                None => self.kernels.push(Kernel {
-                    stage: command.scope.clone(),
-                    name: command.name,
-                    calls: 1,
-                    nanoseconds: command.nanoseconds,
-                }),
+            let same = |kernel: &Kernel| kernel.stage == command.scope && kernel.name == command.name;
+            let place = self.kernels.iter().position(same).unwrap_or_else(|| {
+                let (stage, name) = (command.scope.clone(), command.name);
+                self.kernels.push(Kernel { stage, name, calls: 0, microseconds: Vec::new() });
+                self.kernels.len() - 1
+            });
+            let kernel = &mut self.kernels[place];
+            kernel.calls += 1;
+            let Some(us) = command.nanoseconds.map(|ns| ns * 1e-3) else { continue };
+            match kernel.microseconds.get_mut(before.get(place).copied().unwrap_or(0)) {
+                Some(sum) => *sum += us,
+                None => kernel.microseconds.push(us),
             }
         }
     }
@@ -81,7 +83,7 @@ impl KernelTimes {
                 "the run was too short to time any: <code>ashsplat profile train-step</code> does".into()
             }
             (n, _) => format!(
-                "device time per iteration, mean of {n} that were timed (every {INTERVAL}th); \
+                "device time per iteration, median of the {n} that were timed (every {INTERVAL}th); \
                  <code>ashsplat profile train-step</code> and <code>bench train</code> measure more closely"
             ),
         }
@@ -89,20 +91,23 @@ impl KernelTimes {
 
     /// The table, dearest first.
     pub fn table(&self) -> String {
-        let mut rows: Vec<(&Kernel, f64)> =
-            self.kernels.iter().filter_map(|kernel| Some((kernel, kernel.nanoseconds?))).collect();
+        let mut rows: Vec<(&Kernel, f64)> = self
+            .kernels
+            .iter()
+            .filter_map(|kernel| Some((kernel, Spread::of(kernel.microseconds.clone())?.median)))
+            .collect();
         if rows.is_empty() {
             return String::new();
         }
         rows.sort_by(|a, b| b.1.total_cmp(&a.1));
         let all: f64 = rows.iter().map(|row| row.1).sum();
-        let most = rows[0].1.max(1.0);
+        let most = rows[0].1.max(1e-9);
         let mut out = String::from(
             "<table><tr><th class=\"name\">stage</th><th class=\"name\">kernel</th><th>calls</th><th>µs</th>\
              <th>share</th><th class=\"name bar\"></th></tr>\n",
         );
         let n = f64::from(self.timed.max(1));
-        for (kernel, ns) in rows {
+        for (kernel, us) in rows {
             let _ = writeln!(
                 out,
                 "<tr><td class=\"name\">{}</td><td class=\"name\">{}</td><td>{:.1}</td><td>{:.1}</td><td>{:.1} %</td>\
@@ -110,15 +115,15 @@ impl KernelTimes {
                 escape(shown(&kernel.stage)),
                 escape(kernel.name),
                 f64::from(kernel.calls) / n,
-                ns / n * 1e-3,
-                100.0 * ns / all.max(1.0),
-                100.0 * ns / most
+                us,
+                100.0 * us / all.max(1e-9),
+                100.0 * us / most
             );
         }
         let _ = writeln!(
             out,
             "<tr class=\"sum\"><td class=\"name\">all</td><td></td><td></td><td>{:.1}</td><td></td><td></td></tr></table>",
-            all / n * 1e-3
+            all
         );
         out
     }

@@ -34,8 +34,8 @@ pub fn row(out: &mut String, view: &View, frame: &Frame, result: &ViewResult) ->
     let mut shown = Photo::clone(&photo);
     for (i, rgb) in shown.rgb.as_chunks_mut::<3>().0.iter_mut().enumerate().filter(|(i, _)| !counts(*i)) {
         // Hidden: dim, with stripes.
-        let stripe = (i % photo.width as usize + i / photo.width as usize) / 6 % 2 == 0;
-        *rgb = rgb.map(|c| c / 4 + if stripe { 24 } else { 0 });
+        let stripe = (i % photo.width as usize + i / photo.width as usize) / 6;
+        *rgb = rgb.map(|c| c / 4 + if stripe.is_multiple_of(2) { 24 } else { 0 });
     }
     let error = error(frame, &photo.to_f32(), counts);
     let pictures = [shown, output::to_photo(frame)?, error];
