@@ -10,6 +10,7 @@ mod comparators;
 mod determinism;
 mod extremes;
 mod faults;
+mod fuzzing;
 mod gradients;
 mod hard_cases;
 mod host;

@@ -23,3 +23,10 @@ pub fn folder(name: &str) -> PathBuf {
     std::fs::create_dir_all(&folder).expect("a folder for the inputs");
     folder
 }
+
+/// Puts a valid input where the fuzzer begins: into the folder `ASHSPLAT_FUZZ_SEEDS`, if it is set.
+pub fn leave_seed(name: &str, bytes: &[u8]) {
+    if let Some(folder) = std::env::var_os("ASHSPLAT_FUZZ_SEEDS") {
+        std::fs::write(PathBuf::from(folder).join(name), bytes).expect("a seed");
+    }
+}

@@ -1,0 +1,54 @@
+//! Any bytes as a transforms.json, a cameras.json or the ZIP of a data set.
+#![no_main]
+
+use ashsplat_fuzz::io::transforms::{self, Transforms};
+use ashsplat_fuzz::io::{Dataset, DatasetOptions, Photo, Progress, cameras_json};
+use ashsplat_fuzz::{folder, leave_seed};
+use libfuzzer_sys::fuzz_target;
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("dataset"));
+
+const TRANSFORMS: &str = r#"{"fl_x": 9.5, "w": 4, "h": 3, "k1": 0.01, "frames": [{"file_path": "a.png",
+ "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,2],[0,0,0,1]]}]}"#;
+const CAMERAS: &str = r#"[{"id": 0, "img_name": "a.png", "width": 4, "height": 3, "position": [0,0,1],
+ "rotation": [[1,0,0],[0,1,0],[0,0,1]], "fx": 4.0, "fy": 4.0}]"#;
+
+/// A valid file of each kind; the folder's photo is the one that they name.
+fn seeds() {
+    let photo = FOLDER.join("a.png");
+    Photo { width: 4, height: 3, rgb: vec![9; 36] }.write_png(&photo).expect("a photo");
+    leave_seed("transforms", &[&[0], TRANSFORMS.as_bytes()].concat());
+    leave_seed("cameras", &[&[1], CAMERAS.as_bytes()].concat());
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    let photo = std::fs::read(photo).expect("there");
+    for (name, bytes) in [("transforms.json", TRANSFORMS.as_bytes()), ("a.png", &photo)] {
+        zip.start_file(name, stored).expect("an entry");
+        std::io::Write::write_all(&mut zip, bytes).expect("packed");
+    }
+    let archive = zip.finish().expect("an archive").into_inner();
+    leave_seed("archive", &[&[2], &archive[..]].concat());
+}
+
+fn is_one_line<T>(result: Result<T, ashsplat_fuzz::Error>) -> Option<T> {
+    result.map_err(|error| assert!(!error.to_string().contains('\n'), "{error}")).ok()
+}
+
+fuzz_target!(init: seeds(), |data: &[u8]| {
+    let [kind, bytes @ ..] = data else { return };
+    let name = ["transforms.json", "cameras.json", "archive.zip"][usize::from(*kind) % 3];
+    let path = FOLDER.join(name);
+    std::fs::write(&path, bytes).expect("written");
+    match name {
+        "cameras.json" => drop(is_one_line(cameras_json::read(&path))),
+        "archive.zip" => drop(is_one_line(Dataset::cameras(&path, &DatasetOptions::default()))),
+        _ => {
+            let files = transforms::find(&FOLDER).expect("it is there");
+            if is_one_line(Transforms::read(&files)).is_some() {
+                is_one_line(Dataset::load(&*FOLDER, &DatasetOptions::default(), Progress::default()));
+            }
+        }
+    }
+});

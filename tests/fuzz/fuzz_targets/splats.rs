@@ -1,0 +1,58 @@
+//! Any bytes as a file of Gaussians in any format.
+#![no_main]
+
+use ashsplat_fuzz::io::splats::{self, ReadOptions, WriteOptions};
+use ashsplat_fuzz::scene::{Gaussians, PointCloud};
+use ashsplat_fuzz::{folder, leave_seed};
+use flate2::{Compression, write::GzEncoder};
+use libfuzzer_sys::fuzz_target;
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+/// By the first byte of an input; of the last, the rest of it is what an SPZ holds when it is unpacked.
+const NAMES: [&str; 7] = ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "packed.spz"];
+
+static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("splats"));
+
+/// A valid file of each format.
+fn seeds() {
+    let points = PointCloud { positions: vec![[0.0; 3], [1.0, 2.0, 3.0]], colors: vec![[1, 2, 3]; 2] };
+    for degree in [0, 1] {
+        let gaussians = Gaussians::from_points(&points, degree).expect("Gaussians");
+        for (kind, name) in NAMES.iter().enumerate().filter(|(_, name)| name.starts_with("a.")) {
+            let path = FOLDER.join(name);
+            splats::write(&path, &gaussians, &WriteOptions::default()).expect("written");
+            let bytes = std::fs::read(&path).expect("there");
+            leave_seed(&format!("{name}{degree}"), &[&[kind as u8], &bytes[..]].concat());
+        }
+    }
+    for version in [2u32, 3] {
+        let mut unpacked = vec![NAMES.len() as u8 - 1];
+        unpacked.extend(b"NGSP");
+        unpacked.extend(version.to_le_bytes());
+        unpacked.extend(2u32.to_le_bytes());
+        unpacked.extend([0, 12, 0, 0]);
+        unpacked.extend([7; 2 * 20]);
+        leave_seed(&format!("packed{version}"), &unpacked);
+    }
+}
+
+fuzz_target!(init: seeds(), |data: &[u8]| {
+    let [kind, bytes @ ..] = data else { return };
+    let name = NAMES[usize::from(*kind) % NAMES.len()];
+    let path = FOLDER.join(name);
+    if name.starts_with("packed") {
+        let mut packed = GzEncoder::new(Vec::new(), Compression::fast());
+        packed.write_all(bytes).expect("packed");
+        std::fs::write(&path, packed.finish().expect("packed")).expect("written");
+    } else {
+        std::fs::write(&path, bytes).expect("written");
+    }
+    for drop_invalid in [false, true] {
+        match splats::read(&path, &ReadOptions { drop_invalid }) {
+            Ok(scene) => scene.gaussians.check_shapes().expect("shapes that fit together"),
+            Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
+        }
+    }
+});

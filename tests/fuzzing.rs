@@ -1,0 +1,40 @@
+//! The crate that fuzzes the readers (tests/fuzz) is built by hand, with another compiler: what can be said of it here.
+
+use std::path::Path;
+
+/// What the readers are made of; the fuzzing crate compiles them from their own place.
+const READERS: [&str; 4] = ["engine/io", "engine/scene", "engine/error.rs", "engine/metrics.rs"];
+
+fn sources(path: &Path, found: &mut String) {
+    if path.is_dir() {
+        for entry in std::fs::read_dir(path).expect("a folder") {
+            sources(&entry.expect("an entry").path(), found);
+        }
+    } else if path.extension().is_some_and(|extension| extension == "rs") {
+        *found += &std::fs::read_to_string(path).expect("a source");
+    }
+}
+
+/// Lines of `[dependencies]`: name and the rest.
+fn dependencies(manifest: &str) -> Vec<(&str, &str)> {
+    let lines = manifest.lines().skip_while(|line| *line != "[dependencies]").skip(1);
+    lines.take_while(|line| !line.starts_with('[')).filter_map(|line| line.split_once(" = ")).collect()
+}
+
+/// What the readers use and the fuzzing crate has not, or has in another version.
+fn missing<'a>(own: &[(&'a str, &str)], fuzzing: &[(&str, &str)], sources: &str) -> Vec<&'a str> {
+    let used = own.iter().filter(|(name, _)| sources.contains(&format!("{}::", name.replace('-', "_"))));
+    used.filter(|dependency| !fuzzing.contains(dependency)).map(|(name, _)| *name).collect()
+}
+
+#[test]
+fn fuzzing_has_the_readers_dependencies() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let manifest = |path: &str| std::fs::read_to_string(root.join(path)).expect("a manifest");
+    let (own, fuzzing) = (manifest("Cargo.toml"), manifest("tests/fuzz/Cargo.toml"));
+    let mut readers = String::new();
+    READERS.iter().for_each(|path| sources(&root.join(path), &mut readers));
+    let (own, fuzzing) = (dependencies(&own), dependencies(&fuzzing));
+    assert_eq!(missing(&own, &fuzzing, &readers), [""; 0], "add it to tests/fuzz/Cargo.toml");
+    assert!(missing(&own, &[], &readers).contains(&"serde_json"), "the rule finds nothing");
+}
