@@ -131,7 +131,14 @@ impl Forward {
         let f = inputs.frame;
         // Culling touches neither: the barrier behind it serves both.
         r.scope("clear", |r| {
-            r.fill(&f.state, 0);
+            let overflow = 4 * u64::from(c::STATE_OVERFLOW);
+            match inputs.keeps_overflow {
+                false => r.fill(&f.state, 0),
+                true => {
+                    r.fill(&f.state.range(0, overflow), 0);
+                    r.fill(&f.state.range(overflow + 4, f.state.bytes() - overflow - 4), 0);
+                }
+            }
             r.fill(&f.tile_ranges, 0);
         });
         r.scope("cull", |r| self.record_visibility(r, inputs));

@@ -8,7 +8,8 @@
 //! ```
 //!
 //! - [`Renderer`] and [`Trainer`] own their submissions: they record, submit, wait and read back.
-//! - [`Renderer::record`] is the door for a host engine: its device, its command buffer, its images.
+//! - [`Renderer::record`] and [`Trainer::record_step`] are the doors for a host engine: its device, its command buffer,
+//!   its images.
 //! - [`forward`], [`backward`], [`loss`], [`optimizer`], [`densify`] only *record*, into a [`vk::Recorder`].
 //! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`]; [`arithmetic`] measures a device.
 //! - [`scene`], [`io`] and [`metrics`] know no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.

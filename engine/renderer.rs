@@ -12,6 +12,7 @@ mod slots;
 mod tiles;
 
 pub use device_scene::DeviceScene;
+pub(crate) use frame_store::State;
 pub use gradients::Gradients;
 pub use inspect::{PixelReport, Sample};
 pub use record::{DepthTarget, HostImage, Occluder, Placed, RecordedFrame, Release, Target, Update};

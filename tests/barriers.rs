@@ -109,6 +109,7 @@ impl Training {
             others: &[],
             depth_limits: None,
             linear_depth: false,
+            keeps_overflow: false,
         };
         let [photo, partials, losses, statistics, mean2d_gradients, derivatives @ ..] = &self.others[..]
         else {

@@ -26,6 +26,8 @@ pub struct FrameInputs<'a> {
     pub depth_limits: Option<&'a Buffer>,
     /// Sum weights * z in place of weights / z.
     pub linear_depth: bool,
+    /// Leave STATE_OVERFLOW as the frame before has left it: what follows one that overflowed is void as well.
+    pub keeps_overflow: bool,
 }
 
 impl FrameInputs<'_> {

@@ -65,6 +65,11 @@ impl DeviceScene {
         Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, plan, count } })
     }
 
+    /// A scene that is on the device already.
+    pub(crate) fn of(context: &Context, buffers: SceneBuffers) -> Self {
+        Self { context: context.clone(), buffers }
+    }
+
     /// How the parameters of `capacity` Gaussians are laid out on this device.
     ///
     /// # Errors

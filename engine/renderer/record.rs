@@ -210,6 +210,7 @@ impl Renderer {
             others: &others,
             depth_limits: frame.occluder.as_ref().and(slot.depth_limits.as_ref()),
             linear_depth: frame.depth.is_some(),
+            keeps_overflow: false,
         };
         forward.record(r, &inputs);
         r.barrier();

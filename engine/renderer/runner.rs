@@ -27,6 +27,23 @@ pub(crate) struct Request<'a> {
     pub backward: bool,
 }
 
+impl<'a> Request<'a> {
+    fn inputs(&self, frame: &'a FrameBuffers, capacity: &'a FrameCapacity) -> FrameInputs<'a> {
+        FrameInputs {
+            scene: self.scene,
+            frame,
+            capacity,
+            camera: self.camera,
+            settings: self.settings,
+            sh_degree: self.sh_degree,
+            others: &[],
+            depth_limits: None,
+            linear_depth: false,
+            keeps_overflow: false,
+        }
+    }
+}
+
 /// What came of it.
 pub(crate) struct Ran {
     pub state: State,
@@ -54,17 +71,7 @@ impl FrameRunner {
         let mut retries = 0;
         loop {
             let (frame, capacity) = self.store.ensure(scene.plan.capacity, camera, backward)?;
-            let inputs = FrameInputs {
-                scene,
-                frame: &frame,
-                capacity: &capacity,
-                camera,
-                settings,
-                sh_degree,
-                others: &[],
-                depth_limits: None,
-                linear_depth: false,
-            };
+            let inputs = request.inputs(&frame, &capacity);
             let report = self.context.run("frame", |r| {
                 self.forward.record(r, &inputs);
                 record_more(r, &inputs)?;
@@ -77,6 +84,44 @@ impl FrameRunner {
             }
             retries += 1;
         }
+    }
+
+    /// Makes sure of buffers for these cameras and of the kernels up to an SH degree, for [`FrameRunner::record`].
+    pub fn reserve(&mut self, gaussians: u32, cameras: &[Camera], sh_degree: u32) -> Result<()> {
+        for degree in 0..=sh_degree {
+            self.forward.prepare(degree, false)?;
+        }
+        for camera in cameras {
+            self.store.ensure(gaussians, camera, true)?;
+        }
+        Ok(())
+    }
+
+    /// Makes room for what frames turned out to need; whether there was too little.
+    pub fn grow(&mut self, needed: &State) -> Result<bool> {
+        self.store.grow(needed, &self.forward.sizes)
+    }
+
+    /// Starts the capacity for instances at this number, unless it is larger already.
+    pub fn set_instances_at_least(&mut self, instances: u32) {
+        if instances > self.store.capacity().instances {
+            self.store.set_instances(instances);
+        }
+    }
+
+    /// Records a frame into the buffers at hand and nothing else: what [`FrameRunner::reserve`] was for. The overflow
+    /// of a frame before is kept.
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        request: &Request,
+        record_more: impl FnOnce(&mut Recorder, &FrameInputs),
+    ) -> Result<()> {
+        let (frame, capacity) = (self.store.current()?, self.store.capacity());
+        let inputs = FrameInputs { keeps_overflow: true, ..request.inputs(frame, &capacity) };
+        self.forward.record(r, &inputs);
+        record_more(r, &inputs);
+        Ok(())
     }
 
     /// The buffers of the last frame.

@@ -7,7 +7,7 @@
 mod file;
 
 use super::settings::TrainSettings;
-use super::step::Due;
+use super::step::{Due, Progress};
 use super::{TrainView, Trainer};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
@@ -64,9 +64,10 @@ impl Trainer {
     /// Downloads everything that [`Trainer::resume`] needs to go on from here.
     ///
     /// # Errors
-    /// When the device is lost.
+    /// [`Error::Argument`] while recorded steps are in flight; when the device is lost.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
-        let training = &self.training;
+        self.check_settled()?;
+        let (training, progress) = (&self.training, &self.progress);
         let planes_of = |chunks: &[Buffer]| {
             planes::download(
                 &self.context,
@@ -88,11 +89,11 @@ impl Trainer {
             views: self.cameras.len() as u64,
             views_fingerprint: self.views_fingerprint,
             scene_extent: self.scene_extent,
-            iteration: self.iteration,
-            optimizer_steps: self.steps,
-            opacity_steps: self.opacity_steps,
-            densification_due: self.due.densifies,
-            opacity_reset_due: self.due.resets,
+            iteration: progress.iteration,
+            optimizer_steps: progress.steps,
+            opacity_steps: progress.opacity_steps,
+            densification_due: progress.due.densifies,
+            opacity_reset_due: progress.due.resets,
             gaussians: self.gaussians()?,
             first_moments: planes_of(&training.moments.first)?,
             second_moments: planes_of(&training.moments.second)?,
@@ -120,10 +121,12 @@ impl Trainer {
             scene_extent,
         })?;
         let mut trainer = Trainer::new(context, views, &from.gaussians, scene_extent, settings)?;
-        trainer.iteration = from.iteration;
-        trainer.steps = from.optimizer_steps;
-        trainer.opacity_steps = from.opacity_steps;
-        trainer.due = Due { densifies: from.densification_due, resets: from.opacity_reset_due };
+        trainer.progress = Progress {
+            iteration: from.iteration,
+            steps: from.optimizer_steps,
+            opacity_steps: from.opacity_steps,
+            due: Due { densifies: from.densification_due, resets: from.opacity_reset_due },
+        };
         let training = &trainer.training;
         let moments = [
             (&training.moments.first, &from.first_moments),

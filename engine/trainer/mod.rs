@@ -1,6 +1,6 @@
 //! Training: from photographs and a sparse point cloud to Gaussians.
 //!
-//! One step is one submission: forward, loss, backward, Adam. A densification or an opacity reset that an iteration
+//! One step is one submission: forward, loss, backward, Adam; or it is recorded into a host's command buffer. A densification or an opacity reset that an iteration
 //! asks for comes at the start of the next step, so that between steps the scene is what the reference would save.
 //! A step whose frame overflowed its buffers changes nothing and is run again with more room.
 
@@ -8,12 +8,14 @@ mod budget;
 pub mod checkpoint;
 mod density;
 mod photos;
+mod record;
 mod schedule;
 pub mod settings;
 mod step;
 pub mod verify;
 
 pub use checkpoint::Checkpoint;
+pub use record::{Maintenance, RecordedStep, StepOutcome, StepReservation};
 pub use settings::{OptimizerType, TrainSettings};
 
 use crate::backward::Backward;
@@ -62,11 +64,12 @@ pub struct StepReport {
     pub samples: BlendSamples,
     /// Gaussians that were left alone because their gradient was not finite.
     pub skipped_non_finite: u32,
-    /// Wall time of the step.
+    /// Wall time of the step; 0 for a recorded one.
     pub milliseconds: f64,
     /// Index of the view.
     pub view: usize,
-    /// What the densification before the step did, if the iteration before asked for one.
+    /// What the densification before the step did, if the iteration before asked for one; of recorded steps, see
+    /// [`Maintenance`].
     pub densified: Option<Densified>,
     /// Device time per stage.
     pub scopes: Vec<ScopeTime>,
@@ -115,11 +118,8 @@ pub struct Trainer {
     training: Training,
     scratch: LossScratch,
     order: step::ViewOrder,
-    iteration: u32,
-    due: step::Due,
-    /// Steps of the optimiser: iterations that densify have none.
-    steps: u64,
-    opacity_steps: u64,
+    progress: step::Progress,
+    recording: record::Recording,
     /// Whether a submission that changes the scene may or may not have come to pass.
     broken: bool,
 }
@@ -204,10 +204,8 @@ impl Trainer {
             views_fingerprint,
             photos,
             training,
-            iteration: 0,
-            due: step::Due::default(),
-            steps: 0,
-            opacity_steps: 0,
+            progress: step::Progress::default(),
+            recording: record::Recording::default(),
             broken: false,
         })
     }
@@ -217,19 +215,29 @@ impl Trainer {
         &self.settings
     }
 
-    /// Iterations done.
+    /// Iterations done. Recorded ones count once they have finished and [`Trainer::settle`] has taken note.
     pub fn iteration(&self) -> u32 {
-        self.iteration
+        self.progress.iteration
+    }
+
+    /// The SH degree in use at this iteration.
+    pub fn sh_degree(&self) -> u32 {
+        self.settings.sh_degree_at(self.progress.iteration)
     }
 
     /// Renders the scene as it stands; with `settings.sh_degree` None, at the degree in use at this iteration.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a camera that makes no sense; memory or device failures.
+    /// [`Error::Argument`] for a camera that makes no sense, and while recorded steps are in flight; memory or device
+    /// failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
-        let sh_degree = settings.sh_degree.unwrap_or_else(|| self.settings.sh_degree_at(self.iteration));
+        self.check_settled()?;
+        let sh_degree = settings.sh_degree.unwrap_or_else(|| self.sh_degree());
         let settings = RenderSettings { sh_degree: Some(sh_degree), ..*settings };
-        self.runner.render(&self.training.scene, camera, &settings)
+        let capacity = self.runner.capacity();
+        let rendered = self.runner.render(&self.training.scene, camera, &settings);
+        self.recording.frame_is_ready &= rendered.is_ok() && self.runner.capacity() == capacity;
+        rendered
     }
 
     /// How views are rendered in training, but for a random background.
@@ -244,8 +252,9 @@ impl Trainer {
     /// Downloads the Gaussians.
     ///
     /// # Errors
-    /// When the device is lost.
+    /// [`Error::Argument`] while recorded steps are in flight; when the device is lost.
     pub fn gaussians(&self) -> Result<Gaussians> {
+        self.check_settled()?;
         planes::download(&self.context, &self.training.scene)
     }
 

@@ -4,14 +4,14 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Densified, StepReport, Trainer};
-use crate::backward::Statistics;
+use super::{Densified, LossScratch, StepReport, Trainer, Training};
+use crate::backward::{Backward, Statistics};
 use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, RenderSettings};
-use crate::loss::LossInputs;
-use crate::optimizer::{Rates, Step};
-use crate::renderer::{Ran, Request};
-use crate::vk::Recorder;
+use crate::loss::{Loss, LossInputs};
+use crate::optimizer::{Optimizer, Rates, Step};
+use crate::renderer::{Ran, Request, State};
+use crate::vk::{Buffer, Recorder};
 
 /// Streams of random numbers of a run, all from its seed.
 const STREAM_VIEWS: u64 = 1;
@@ -65,13 +65,93 @@ pub(super) struct Due {
     pub resets: bool,
 }
 
-/// What an iteration does behind the backward pass.
-#[derive(Clone, Copy)]
-struct Plan {
+/// Where a run is between two iterations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Progress {
+    /// Iterations done.
+    pub iteration: u32,
+    /// Steps of the optimiser: iterations that densify have none.
+    pub steps: u64,
+    pub opacity_steps: u64,
+    pub due: Due,
+}
+
+impl Progress {
+    /// Behind an iteration.
+    pub fn after(&self, plan: &Plan) -> Self {
+        Self {
+            iteration: plan.iteration,
+            steps: self.steps + u64::from(plan.optimizes),
+            opacity_steps: self.opacity_steps + u64::from(plan.optimizes && !plan.due.resets),
+            due: plan.due,
+        }
+    }
+}
+
+/// What an iteration is going to do.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Plan {
+    pub iteration: u32,
+    pub view: usize,
     collects: bool,
-    densifies: bool,
-    resets: bool,
     optimizes: bool,
+    pub due: Due,
+    pub sh_degree: u32,
+    pub settings: RenderSettings,
+    step: Step,
+}
+
+impl Plan {
+    /// Everything that any iteration does, of some view: for a recording that is never executed.
+    pub fn rehearsal(self, view: usize) -> Self {
+        Self { view, optimizes: true, ..self }
+    }
+}
+
+/// What an iteration records behind its frame.
+pub(super) struct Tail<'a> {
+    pub loss: &'a Loss,
+    pub backward: &'a Backward,
+    pub optimizer: &'a Optimizer,
+    pub training: &'a Training,
+    pub scratch: &'a LossScratch,
+    pub photo: &'a Buffer,
+    pub lambda_dssim: f32,
+    pub plan: &'a Plan,
+}
+
+impl Tail<'_> {
+    /// Records loss, backward and the optimiser's step; `losses` is a copy that the host can read. Nothing that lasts
+    /// changes when the frame overflowed.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, losses: &Buffer) {
+        let Self { training, scratch, plan, .. } = self;
+        r.barrier();
+        let f = inputs.frame;
+        self.loss.record(
+            r,
+            &LossInputs {
+                accumulated: &f.accumulated,
+                photo: self.photo,
+                derivatives: &scratch.derivatives,
+                partials: &scratch.partials,
+                losses: &scratch.losses,
+                slot: 0,
+                image_gradient: &f.image_gradient,
+                width: inputs.camera.width,
+                height: inputs.camera.height,
+                background: inputs.settings.background,
+                lambda_dssim: self.lambda_dssim,
+            },
+        );
+        r.barrier();
+        let statistics = Statistics { buffer: &training.statistics, accumulate: plan.collects };
+        self.backward.record(r, inputs, statistics);
+        if plan.optimizes {
+            r.barrier();
+            self.optimizer.record(r, inputs, &training.moments, &plan.step);
+        }
+        r.copy(&scratch.losses, losses);
+    }
 }
 
 impl Trainer {
@@ -82,72 +162,80 @@ impl Trainer {
     /// device is lost or too slow ([`Error::DeviceLost`], [`Error::Timeout`]): what has become of them is unknown, and
     /// every later step is refused; go on from a checkpoint.
     pub fn step(&mut self) -> Result<StepReport> {
+        self.check_whole()?;
+        let result = self.run_iteration();
+        self.recording.frame_is_ready = false;
+        self.note_failure(&result);
+        result
+    }
+
+    /// Whether the scene is known to be what it should be.
+    pub(super) fn check_whole(&self) -> Result<()> {
         if self.broken {
             let problem = "an earlier step was not finished; go on from a checkpoint, or anew";
             return Err(Error::argument("trainer", problem));
         }
-        let result = self.run_iteration();
-        // What went wrong while waiting may or may not have been done.
-        self.broken = match &result {
+        Ok(())
+    }
+
+    /// What went wrong while waiting may or may not have been done.
+    pub(super) fn note_failure<T>(&mut self, result: &Result<T>) {
+        self.broken = match result {
             Err(Error::DeviceLost { .. } | Error::Timeout { .. }) => true,
             Err(Error::Vulkan { call, .. }) => *call == "vkWaitForFences",
             _ => false,
         };
-        result
     }
 
     fn run_iteration(&mut self) -> Result<StepReport> {
         let start = std::time::Instant::now();
+        self.check_settled()?;
         let densified = self.catch_up()?;
-        let iteration = self.iteration + 1;
-        let s = &self.settings;
-        let plan = Plan {
-            collects: s.collects_statistics_at(iteration),
-            densifies: s.densifies_at(iteration),
-            resets: s.resets_opacity_at(iteration),
-            // The reference's parameters lose their gradient when densification replaces them, and its last iteration
-            // only saves.
-            optimizes: !s.densifies_at(iteration) && iteration < s.iterations,
-        };
-        let view = self.order.view(iteration);
-        self.photos.prepare(&self.context, iteration)?;
-        let ran = self.run_step(iteration, view, plan)?;
-        if plan.optimizes {
-            self.steps += 1;
-            self.opacity_steps += u64::from(!plan.resets);
-        }
-        self.iteration = iteration;
-        self.due = Due { densifies: plan.densifies, resets: plan.resets };
-        let [loss, l1, ssim] = self.read_loss()?;
+        let progress = self.progress;
+        let plan = self.plan_after(&progress);
+        self.photos.prepare(&self.context, plan.iteration)?;
+        let ran = self.run_step(&plan)?;
+        self.progress = self.progress.after(&plan);
+        let losses = read_losses(&self.scratch.readback)?;
         Ok(StepReport {
-            iteration,
-            loss,
-            l1,
-            ssim,
-            gaussians: self.training.scene.count,
-            visible: ran.state.visible,
-            instances: ran.state.instances,
-            longest_tile: ran.state.longest_tile,
-            samples: ran.state.samples,
-            skipped_non_finite: ran.state.non_finite,
             milliseconds: start.elapsed().as_secs_f64() * 1e3,
-            view,
             densified,
             scopes: ran.report.scopes,
+            ..StepReport::new(&plan, self.training.scene.count, losses, &ran.state)
         })
+    }
+
+    /// The iteration that follows.
+    pub(super) fn plan_after(&mut self, progress: &Progress) -> Plan {
+        let iteration = progress.iteration + 1;
+        let view = self.order.view(iteration);
+        let s = &self.settings;
+        let due = Due { densifies: s.densifies_at(iteration), resets: s.resets_opacity_at(iteration) };
+        Plan {
+            iteration,
+            view,
+            collects: s.collects_statistics_at(iteration),
+            // The reference's parameters lose their gradient when densification replaces them, and its last iteration
+            // only saves.
+            optimizes: !due.densifies && iteration < s.iterations,
+            due,
+            sh_degree: s.sh_degree_at(iteration),
+            settings: RenderSettings { background: self.background(iteration), ..self.render_settings() },
+            step: self.optimizer_step(iteration, progress, due),
+        }
     }
 
     /// Densifies and resets as the iteration before asked for. The reference tests and saves before it does so: between
     /// steps, the scene is what it would save.
-    fn catch_up(&mut self) -> Result<Option<Densified>> {
+    pub(super) fn catch_up(&mut self) -> Result<Option<Densified>> {
         let mut densified = None;
-        if self.due.densifies {
-            densified = Some(self.run_densification(self.iteration)?);
-            self.due.densifies = false;
+        if self.progress.due.densifies {
+            densified = Some(self.run_densification(self.progress.iteration)?);
+            self.progress.due.densifies = false;
         }
-        if self.due.resets {
+        if self.progress.due.resets {
             self.run_opacity_reset()?;
-            self.due.resets = false;
+            self.progress.due.resets = false;
         }
         Ok(densified)
     }
@@ -160,88 +248,69 @@ impl Trainer {
         self.render_settings().background
     }
 
-    fn rates(&self, iteration: u32, plan: Plan) -> Rates {
+    /// Forward, loss, backward and the optimiser's step in one submission.
+    fn run_step(&mut self, plan: &Plan) -> Result<Ran> {
+        self.backward.prepare(plan.sh_degree, plan.settings.inverse_depth)?;
+        self.optimizer.prepare(plan.sh_degree)?;
+        let Self { runner, loss, backward, optimizer, training, scratch, photos, cameras, .. } = self;
+        let (photo, lambda_dssim) = (photos.of(plan.view), self.settings.lambda_dssim as f32);
+        let tail = Tail { loss, backward, optimizer, training, scratch, photo, lambda_dssim, plan };
+        let request = Request {
+            scene: &training.scene,
+            camera: &cameras[plan.view],
+            settings: &plan.settings,
+            sh_degree: plan.sh_degree,
+            backward: true,
+        };
+        runner.run(&request, |r, inputs| {
+            tail.record(r, inputs, &scratch.readback);
+            Ok(())
+        })
+    }
+
+    fn optimizer_step(&self, iteration: u32, progress: &Progress, due: Due) -> Step {
         let s = &self.settings;
-        Rates {
+        let rates = Rates {
             mean: s.position_lr(iteration) * f64::from(self.scene_extent),
             // A reset replaces the opacities, which then have no gradient in the reference.
-            opacity: if plan.resets { 0.0 } else { s.opacity_lr },
+            opacity: if due.resets { 0.0 } else { s.opacity_lr },
             quat: s.rotation_lr,
             log_scale: s.scaling_lr,
             sh_dc: s.feature_lr,
             sh_rest: s.feature_rest_lr(),
-        }
-    }
-
-    /// Forward, loss, backward and the optimiser's step in one submission.
-    fn run_step(&mut self, iteration: u32, view: usize, plan: Plan) -> Result<Ran> {
-        let sh_degree = self.settings.sh_degree_at(iteration);
-        let settings = RenderSettings { background: self.background(iteration), ..self.render_settings() };
-        let step = self.optimizer_step(iteration, plan);
-        self.backward.prepare(sh_degree, settings.inverse_depth)?;
-        self.optimizer.prepare(sh_degree)?;
-        let Self {
-            runner,
-            loss,
-            masked_loss,
-            backward,
-            optimizer,
-            training,
-            scratch,
-            photos,
-            cameras,
-            settings: s,
-            ..
-        } = self;
-        let camera = &cameras[view];
-        let loss = if photos.is_masked(view) { masked_loss.as_ref().unwrap_or(loss) } else { loss };
-        let statistics = Statistics { buffer: &training.statistics, accumulate: plan.collects };
-        let record = |r: &mut Recorder, inputs: &FrameInputs| {
-            r.barrier();
-            let f = inputs.frame;
-            loss.record(
-                r,
-                &LossInputs {
-                    accumulated: &f.accumulated,
-                    photo: photos.of(view),
-                    derivatives: &scratch.derivatives,
-                    partials: &scratch.partials,
-                    losses: &scratch.losses,
-                    slot: 0,
-                    image_gradient: &f.image_gradient,
-                    width: camera.width,
-                    height: camera.height,
-                    background: settings.background,
-                    lambda_dssim: s.lambda_dssim as f32,
-                },
-            );
-            r.barrier();
-            backward.record(r, inputs, statistics);
-            if plan.optimizes {
-                r.barrier();
-                optimizer.record(r, inputs, &training.moments, &step);
-            }
-            r.copy(&scratch.losses, &scratch.readback);
-            Ok(())
         };
-        let request =
-            Request { scene: &training.scene, camera, settings: &settings, sh_degree, backward: true };
-        runner.run(&request, record)
-    }
-
-    fn optimizer_step(&self, iteration: u32, plan: Plan) -> Step {
-        let rates = self.rates(iteration, plan);
-        match self.settings.optimizer_type {
+        match s.optimizer_type {
             super::OptimizerType::SparseAdam => Step { rates, count: 0, opacity_count: 0 },
             super::OptimizerType::Default => {
-                Step { rates, count: self.steps + 1, opacity_count: self.opacity_steps + 1 }
+                Step { rates, count: progress.steps + 1, opacity_count: progress.opacity_steps + 1 }
             }
         }
     }
+}
 
-    fn read_loss(&self) -> Result<[f32; 3]> {
-        let mut bytes = [0u8; 12];
-        self.scratch.readback.read(0, &mut bytes)?;
-        Ok(bytemuck::pod_read_unaligned(&bytes))
+impl StepReport {
+    /// Of a step that has finished; times are not in it.
+    pub(super) fn new(plan: &Plan, gaussians: u32, [loss, l1, ssim]: [f32; 3], state: &State) -> Self {
+        Self {
+            iteration: plan.iteration,
+            loss,
+            l1,
+            ssim,
+            gaussians,
+            visible: state.visible,
+            instances: state.instances,
+            longest_tile: state.longest_tile,
+            samples: state.samples,
+            skipped_non_finite: state.non_finite,
+            view: plan.view,
+            ..Self::default()
+        }
     }
+}
+
+/// Loss, L1 and SSIM.
+pub(super) fn read_losses(readback: &Buffer) -> Result<[f32; 3]> {
+    let mut bytes = [0u8; 12];
+    readback.read(0, &mut bytes)?;
+    Ok(bytemuck::pod_read_unaligned(&bytes))
 }

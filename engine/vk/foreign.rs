@@ -218,6 +218,11 @@ impl RecordSlot {
         status.map_err(vk_error("vkGetEventStatus"))
     }
 
+    /// Whether something was recorded through the slot and not discarded.
+    pub fn is_recorded(&self) -> bool {
+        self.recorded
+    }
+
     /// Forgets a recording that will never be executed.
     ///
     /// # Safety

@@ -21,3 +21,4 @@ mod pictures;
 mod scenes;
 mod stage;
 mod table;
+mod training;

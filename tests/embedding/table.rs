@@ -7,10 +7,11 @@ use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, camera, cloud, guest, options, with_host};
 use ashsplat::ash::{self, vk};
 use ashsplat::scene::Gaussians;
+use ashsplat::trainer::{StepOutcome, StepReservation};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageUse};
 use ashsplat::{
     Behind, DeviceScene, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
-    Target, Update,
+    Target, TrainSettings, Update,
 };
 use std::collections::BTreeSet;
 use std::ffi::{CStr, c_void};
@@ -73,6 +74,8 @@ counted! {
     "vkDestroyBuffer" destroy_buffer(d: Device, b: u64, c: Callbacks) -> ();
     "vkGetBufferMemoryRequirements" buffer_needs(d: Device, b: u64, o: *mut c_void) -> ();
     "vkBindBufferMemory" bind_buffer(d: Device, b: u64, m: u64, o: u64) -> i32;
+    "vkCreateBufferView" create_texels(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
+    "vkDestroyBufferView" destroy_texels(d: Device, v: u64, c: Callbacks) -> ();
     "vkCreateImageView" create_view(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
     "vkDestroyImageView" destroy_view(d: Device, v: u64, c: Callbacks) -> ();
     "vkCreateShaderModule" create_module(d: Device, i: *const c_void, c: Callbacks, o: *mut u64) -> i32;
@@ -173,6 +176,7 @@ fn record_and_count(host_options: &HostOptions) {
             assert!(asked.iter().all(|(name, _)| allowed(name)), "asking for statistics: {asked:?}");
         }
         many_scenes(host, &context, &mut renderer, &in_flight);
+        training_steps(host, &context, &in_flight);
         in_flight.destroy(host);
         drop(renderer);
         images.destroy(host);
@@ -196,6 +200,41 @@ fn many_scenes(host: &Host, context: &Context, renderer: &mut Renderer, in_fligh
     assert_eq!(take_calls(), [], "record only records");
     in_flight.submit(host).expect("a submission");
     in_flight.wait(host).expect("done");
+}
+
+/// Steps of training, before and after a densification and an opacity reset.
+fn training_steps(host: &Host, context: &Context, in_flight: &InFlight) {
+    let settings = TrainSettings {
+        iterations: 20,
+        densify_from_iter: 0,
+        densification_interval: 3,
+        opacity_reset_interval: 5,
+        densify_grad_threshold: 1e-6,
+        sh_degree_interval: 4,
+        ..TrainSettings::default()
+    };
+    let mut trainer = crate::training::trainer(context, settings);
+    trainer.reserve_steps(&StepReservation { slots: 1, instances: 0 }).expect("memory");
+    let mut maintained = 0;
+    for iteration in 1..=12 {
+        if trainer.maintenance_is_due().expect("an answer") {
+            trainer.maintain().expect("maintained");
+            maintained += 1;
+            assert!(!take_calls().is_empty(), "maintenance submits");
+        }
+        in_flight.begin(host).expect("recording");
+        let commands = adopt(context, in_flight);
+        take_calls();
+        trainer.record_step(commands, 0).expect("a recording");
+        assert_eq!(take_calls(), [], "iteration {iteration}: record_step only records");
+        in_flight.submit(host).expect("a submission");
+        in_flight.wait(host).expect("done");
+        let outcome = trainer.step_outcome(0).expect("an outcome").expect("finished");
+        assert!(matches!(&outcome, StepOutcome::Done(r) if r.iteration == iteration), "{outcome:?}");
+        let asked = take_calls();
+        assert!(asked.iter().all(|(name, _)| *name == "vkGetQueryPoolResults"), "asking: {asked:?}");
+    }
+    assert_eq!(maintained, 5, "densified after 3, 6, 9, reset after 5 and 10");
 }
 
 /// The most that a frame can ask for: updates, a host's depth, a host's image.

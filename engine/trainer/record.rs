@@ -1,0 +1,388 @@
+//! Training steps in a host's command buffer: nothing is submitted, waited for, allocated, mapped or read back.
+//!
+//! What a step cannot do by recording alone is done between steps, by [`Trainer::maintain`]: densification, which needs
+//! memory and numbers from the device, opacity resets, and more room after a step that had too little. A step without
+//! room, and whatever was recorded behind it, changes nothing: the device keeps its overflow flag until then.
+
+use super::step::{Plan, Progress, Tail, read_losses};
+use super::{Densified, StepReport, Trainer};
+use crate::error::{Error, Result};
+use crate::kernels::constants as c;
+use crate::renderer::{DeviceScene, Release, Request, State};
+use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder};
+use ash::vk;
+use std::collections::VecDeque;
+
+/// What is allocated ahead for recording steps: see [`Trainer::reserve_steps`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StepReservation {
+    /// Steps that may be recorded before the first of them has finished. They use the same memory one after the other,
+    /// but for a few words each.
+    pub slots: u32,
+    /// (tile, Gaussian) instances of a step at least; 0 for a guess. [`Trainer::maintain`] makes more room.
+    pub instances: u32,
+}
+
+impl Default for StepReservation {
+    fn default() -> Self {
+        Self { slots: 2, instances: 0 }
+    }
+}
+
+/// A step that was recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct RecordedStep {
+    /// Its iteration, from 1.
+    pub iteration: u32,
+    /// Index of its view.
+    pub view: usize,
+    /// What whoever uses the Gaussians next waits for; there are no images.
+    pub release: Release,
+}
+
+/// What came of a recorded step that has finished.
+#[derive(Clone, Debug)]
+pub enum StepOutcome {
+    /// It is done.
+    Done(StepReport),
+    /// It changed nothing, because its frame, or that of a step before it, had too little room. [`Trainer::maintain`]
+    /// makes more; then its iteration is recorded again.
+    Overflowed {
+        /// The iteration that is still to be done.
+        iteration: u32,
+        /// (tile, Gaussian) instances that the step needs.
+        instances_needed: u32,
+        /// Instances that there was room for.
+        instance_capacity: u32,
+    },
+}
+
+/// What [`Trainer::maintain`] did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Maintenance {
+    /// What a densification did, if one was due.
+    pub densified: Option<Densified>,
+    /// Whether opacities were reset.
+    pub opacities_reset: bool,
+    /// Whether there is more room now, after a step that overflowed.
+    pub grown: bool,
+}
+
+/// The steps that a host records.
+#[derive(Default)]
+pub(super) struct Recording {
+    slots: Vec<StepSlot>,
+    in_flight: VecDeque<InFlight>,
+    /// What the steps that overflowed need, until there is room.
+    overflow: Option<State>,
+    /// Whether the frame's buffers are such as the next recorded step may use.
+    pub frame_is_ready: bool,
+}
+
+struct StepSlot {
+    record: RecordSlot,
+    state: Buffer,
+    losses: Buffer,
+    outcome: Option<StepOutcome>,
+    /// That it has room for.
+    dispatches: usize,
+}
+
+struct InFlight {
+    slot: usize,
+    plan: Plan,
+    after: Progress,
+    gaussians: u32,
+}
+
+impl StepSlot {
+    fn new(context: &Context, dispatches: usize) -> Result<Self> {
+        let host = [("state_readback", u64::from(c::STATE_WORDS) * 4), ("loss_readback", 16)];
+        let host = context.allocate("step slot", &host, MemoryKind::HostVisible)?;
+        let Ok([state, losses]) = <[Buffer; 2]>::try_from(host) else {
+            unreachable!("one buffer per request")
+        };
+        Ok(Self { record: RecordSlot::new(context, dispatches)?, state, losses, outcome: None, dispatches })
+    }
+
+    fn state(&self) -> Result<State> {
+        let mut bytes = [0u8; c::STATE_WORDS as usize * 4];
+        self.state.read(0, &mut bytes)?;
+        Ok(State::of(&bytes))
+    }
+}
+
+impl Trainer {
+    /// Builds all kernels and allocates everything that recorded steps need, in place of the reservation before. Submits
+    /// and waits.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] without slots or while recorded steps are in flight, [`Error::TooLarge`] for what the device
+    /// cannot hold; memory or device failures.
+    pub fn reserve_steps(&mut self, wanted: &StepReservation) -> Result<()> {
+        if wanted.slots == 0 {
+            return Err(Error::argument("reservation", "no slots for steps"));
+        }
+        if self.settle()? > 0 {
+            return Err(Error::argument("training steps", "are in flight: wait for them first"));
+        }
+        self.recording.slots.clear();
+        self.recording.frame_is_ready = false;
+        self.runner.set_instances_at_least(wanted.instances);
+        for sh_degree in 0..=self.settings.sh_degree {
+            self.backward.prepare(sh_degree, false)?;
+            self.optimizer.prepare(sh_degree)?;
+        }
+        let dispatches = self.step_dispatches();
+        let slots: Result<_> = (0..wanted.slots).map(|_| StepSlot::new(&self.context, dispatches)).collect();
+        self.recording.slots = slots?;
+        self.make_ready(true)
+    }
+
+    /// Records the next iteration into a host's command buffer. The bits are those of [`Trainer::step`].
+    ///
+    /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything back, and
+    /// everything is checked before the first command. Afterwards the slot is in flight until the device has executed
+    /// the recording. Recorded steps have to be executed in the order in which they were recorded; between them the host
+    /// may render [`Trainer::scene`] with [`Renderer::record`](crate::Renderer::record), after waiting for the
+    /// [`Release`].
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a slot that is not reserved or still in flight, commands of another device, while
+    /// maintenance is due ([`Trainer::maintenance_is_due`]), and as [`Trainer::step`] for a trainer whose state is unknown.
+    pub fn record_step(&mut self, commands: ForeignCommands, slot: u32) -> Result<RecordedStep> {
+        self.check_whole()?;
+        if !commands.belongs_to(&self.context) {
+            return Err(Error::argument("command buffer", "it belongs to another device"));
+        }
+        if self.recording.slots.is_empty() {
+            return Err(Error::argument("training steps", "none are reserved: call Trainer::reserve_steps"));
+        }
+        let index = self.slot_index(slot)?;
+        if !self.recording.slots[index].record.finished()? {
+            return Err(Error::argument("step slot", "its last recording is still in flight"));
+        }
+        if self.maintenance_is_due()? {
+            let problem =
+                "maintenance is due first: wait for the steps in flight, then call Trainer::maintain";
+            return Err(Error::argument("training step", problem));
+        }
+        let progress = self.recording.in_flight.back().map_or(self.progress, |last| last.after);
+        let plan = self.plan_after(&progress);
+        let mut recorder = self.recording.slots[index].record.begin(commands, "ashsplat training step")?;
+        let slot = &self.recording.slots[index];
+        self.record_plan(&mut recorder, &plan, [&slot.state, &slot.losses])?;
+        let slot = &mut self.recording.slots[index];
+        slot.record.end(recorder);
+        slot.outcome = None;
+        let (after, gaussians) = (progress.after(&plan), self.training.scene.count);
+        self.recording.in_flight.push_back(InFlight { slot: index, plan, after, gaussians });
+        let release = Release {
+            stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
+            accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
+            color: None,
+            occluder: None,
+            depth: None,
+        };
+        Ok(RecordedStep { iteration: plan.iteration, view: plan.view, release })
+    }
+
+    /// A step, and the copies of its counts and its loss to where the host reads them.
+    fn record_plan(&self, r: &mut Recorder, plan: &Plan, [state, losses]: [&Buffer; 2]) -> Result<()> {
+        let Self { runner, loss, backward, optimizer, training, scratch, photos, cameras, .. } = self;
+        let (photo, lambda_dssim) = (photos.of(plan.view), self.settings.lambda_dssim as f32);
+        let tail = Tail { loss, backward, optimizer, training, scratch, photo, lambda_dssim, plan };
+        let request = Request {
+            scene: &training.scene,
+            camera: &cameras[plan.view],
+            settings: &plan.settings,
+            sh_degree: plan.sh_degree,
+            backward: true,
+        };
+        runner.record(r, &request, |r, inputs| {
+            tail.record(r, inputs, losses);
+            r.barrier();
+            r.copy(&inputs.frame.state, state);
+        })
+    }
+
+    /// Takes note of the recorded steps that have finished, and returns how many have not. Never waits.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn settle(&mut self) -> Result<u32> {
+        let settled = self.settle_finished();
+        self.broken |= settled.is_err();
+        settled
+    }
+
+    fn settle_finished(&mut self) -> Result<u32> {
+        self.forget_discarded()?;
+        while let Some(first) = self.recording.in_flight.front() {
+            let slot = &mut self.recording.slots[first.slot];
+            if !slot.record.finished()? {
+                break;
+            }
+            let state = slot.state()?;
+            slot.outcome = Some(if state.overflow {
+                let most = self.recording.overflow.get_or_insert(state);
+                most.instances = most.instances.max(state.instances);
+                most.longest_tile = most.longest_tile.max(state.longest_tile);
+                StepOutcome::Overflowed {
+                    iteration: first.plan.iteration,
+                    instances_needed: state.instances,
+                    instance_capacity: self.runner.capacity().instances,
+                }
+            } else {
+                self.progress = first.after;
+                let losses = read_losses(&slot.losses)?;
+                let scopes = slot.record.times()?;
+                let report = StepReport::new(&first.plan, first.gaussians, losses, &state);
+                StepOutcome::Done(StepReport { scopes, ..report })
+            });
+            self.recording.in_flight.pop_front();
+        }
+        Ok(self.recording.in_flight.len() as u32)
+    }
+
+    /// Forgets steps whose command buffers were thrown away.
+    fn forget_discarded(&mut self) -> Result<()> {
+        let Recording { slots, in_flight, .. } = &mut self.recording;
+        let is_recorded = |step: &InFlight| slots[step.slot].record.is_recorded();
+        let Some(first) = in_flight.iter().position(|step| !is_recorded(step)) else { return Ok(()) };
+        if in_flight.range(first..).any(is_recorded) {
+            self.broken = true;
+            let problem = "a step was thrown away, but not those recorded behind it; go on from a checkpoint";
+            return Err(Error::argument("training steps", problem));
+        }
+        in_flight.truncate(first);
+        Ok(())
+    }
+
+    /// What came of the last step of a slot: None while it is in flight, and where there was none. Never waits.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a slot that is not reserved; when the device is lost.
+    pub fn step_outcome(&mut self, slot: u32) -> Result<Option<StepOutcome>> {
+        self.settle()?;
+        let index = self.slot_index(slot)?;
+        Ok(self.recording.slots[index].outcome.clone())
+    }
+
+    /// Whether [`Trainer::maintain`] has to be called before another step can be recorded. Never waits.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn maintenance_is_due(&mut self) -> Result<bool> {
+        self.settle()?;
+        let recording = &self.recording;
+        let due = recording.in_flight.back().map_or(self.progress, |last| last.after).due;
+        let fits = self.runner.capacity().gaussians >= self.training.scene.plan.capacity;
+        Ok(due.densifies || due.resets || recording.overflow.is_some() || !recording.frame_is_ready || !fits)
+    }
+
+    /// Does what recorded steps cannot: densifies and resets opacities where the iteration before asks for it, makes room
+    /// after a step that overflowed. Submits, waits and allocates; without anything due it does nothing.
+    ///
+    /// Another set of buffers holds the Gaussians afterwards: ask for [`Trainer::scene`] again.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] while recorded steps are in flight or without a queue; as [`Trainer::step`].
+    pub fn maintain(&mut self) -> Result<Maintenance> {
+        self.check_whole()?;
+        if self.settle()? > 0 {
+            return Err(Error::argument("training steps", "are in flight: wait for them first"));
+        }
+        if !self.maintenance_is_due()? {
+            return Ok(Maintenance::default());
+        }
+        let done = self.run_maintenance();
+        self.note_failure(&done);
+        done
+    }
+
+    fn run_maintenance(&mut self) -> Result<Maintenance> {
+        let mut done = Maintenance::default();
+        self.recording.frame_is_ready = false;
+        if let Some(needed) = self.recording.overflow {
+            done.grown = self.runner.grow(&needed)?;
+            self.recording.overflow = None;
+        }
+        done.opacities_reset = self.progress.due.resets;
+        done.densified = self.catch_up()?;
+        self.make_ready(false)?;
+        Ok(done)
+    }
+
+    /// Buffers for all views with nothing of an earlier frame in them, and slots for as many dispatches. Whatever is made
+    /// when it is first used is made here, by recordings that nobody submits.
+    fn make_ready(&mut self, every_view: bool) -> Result<()> {
+        let gaussians = self.training.scene.plan.capacity;
+        self.runner.reserve(gaussians, &self.cameras, self.settings.sh_degree)?;
+        let frame = self.runner.frame()?;
+        self.context.run("clear state", |r| {
+            r.fill(&frame.state, 0);
+            Ok(())
+        })?;
+        let dispatches = self.step_dispatches();
+        for slot in self.recording.slots.iter_mut().filter(|slot| slot.dispatches < dispatches) {
+            slot.record = RecordSlot::new(&self.context, dispatches)?;
+            slot.dispatches = dispatches;
+        }
+        let progress = self.progress;
+        let plan = self.plan_after(&progress);
+        // Views differ by their photographs alone, which stay where they are.
+        let views = if every_view { 0..self.cameras.len() } else { plan.view..plan.view + 1 };
+        if let Some(slot) = self.recording.slots.first() {
+            for view in views {
+                let mut recorder = self.context.begin("rehearsal")?;
+                self.record_plan(&mut recorder, &plan.rehearsal(view), [&slot.state, &slot.losses])?;
+            }
+        }
+        self.recording.frame_is_ready = true;
+        Ok(())
+    }
+
+    /// Dispatches of a step, at most.
+    fn step_dispatches(&self) -> usize {
+        const PER_STEP: u32 = 64;
+        // Per chunk of parameters: culling, projection, its backward, the optimiser.
+        (PER_STEP + 4 * self.training.scene.plan.chunks + 2 * self.runner.capacity().blend_passes) as usize
+    }
+
+    /// The Gaussians as they lie on the device, for [`Renderer::record`](crate::Renderer::record) behind recorded steps,
+    /// until the next [`Trainer::maintain`] or [`Trainer::step`]. `RenderSettings::sh_degree` should be
+    /// [`Trainer::sh_degree`].
+    pub fn scene(&self) -> DeviceScene {
+        DeviceScene::of(&self.context, self.training.scene.clone())
+    }
+
+    /// A slot's own recording state, for a host that has thrown its command buffer away
+    /// ([`RecordSlot::discard`]): then those of all steps recorded behind it have to be thrown away as well.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a slot that is not reserved.
+    pub fn step_recording(&mut self, slot: u32) -> Result<&mut RecordSlot> {
+        let index = self.slot_index(slot)?;
+        Ok(&mut self.recording.slots[index].record)
+    }
+
+    /// Fails while recorded steps are in flight, or have finished and nobody has taken note.
+    pub(super) fn check_settled(&self) -> Result<()> {
+        if self.recording.in_flight.is_empty() {
+            return Ok(());
+        }
+        let problem = "recorded steps may be in flight: wait for them, then call Trainer::settle";
+        Err(Error::argument("trainer", problem))
+    }
+
+    fn slot_index(&self, slot: u32) -> Result<usize> {
+        let count = self.recording.slots.len();
+        if slot as usize >= count {
+            return Err(Error::argument("step slot", format!("{slot}: {count} are reserved")));
+        }
+        Ok(slot as usize)
+    }
+}

@@ -1,0 +1,280 @@
+//! Training steps in a host's command buffer.
+
+use crate::host::{Host, HostOptions, InFlight};
+use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, with_host};
+use ashsplat::io::Photo;
+use ashsplat::trainer::{StepOutcome, StepReservation, Trainer};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{
+    Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings, TrainView,
+};
+
+/// Densifies after 40, 80, 120, 160, resets opacities after 100.
+fn settings() -> TrainSettings {
+    TrainSettings {
+        iterations: 200,
+        sh_degree: 2,
+        sh_degree_interval: 30,
+        densify_from_iter: 20,
+        densification_interval: 40,
+        densify_until_iter: 170,
+        opacity_reset_interval: 100,
+        densify_grad_threshold: 2e-5,
+        random_background: true,
+        seed: 3,
+        ..TrainSettings::default()
+    }
+}
+
+/// What is learnt does not matter: photographs of different sizes with a few patterns.
+pub fn views() -> Vec<TrainView> {
+    let view = |number: u32| {
+        let (width, height) = (40 + 8 * number, 36);
+        let rgb = (0..width * height * 3).map(|k| (k * (number + 2) / 7) as u8).collect();
+        TrainView { camera: camera(number as f32, width, height), photo: Photo { width, height, rgb } }
+    };
+    (0..4).map(view).collect()
+}
+
+pub fn trainer(context: &Context, settings: TrainSettings) -> Trainer {
+    Trainer::new(context, views(), &cloud(300, 5), 4.0, settings).expect("a trainer")
+}
+
+/// What a device of our own makes of the same steps.
+fn owned(push_descriptors: bool) -> Trainer {
+    let options = ContextOptions { push_descriptors, ..ContextOptions::default() };
+    trainer(&Context::new(&options).expect("a device"), settings())
+}
+
+fn done(trainer: &mut Trainer, slot: u32) -> StepReport {
+    match trainer.step_outcome(slot).expect("an outcome").expect("finished") {
+        StepOutcome::Done(report) => report,
+        StepOutcome::Overflowed { .. } => panic!("no room"),
+    }
+}
+
+/// Records and executes one step in slot 0.
+fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &InFlight) -> StepReport {
+    in_flight.begin(host).expect("recording");
+    trainer.record_step(adopt(context, in_flight), 0).expect("a recording");
+    in_flight.submit(host).expect("a submission");
+    in_flight.wait(host).expect("done");
+    done(trainer, 0)
+}
+
+/// As many steps in flight as there are slots, and maintenance whenever it is due.
+fn train_recorded(host: &Host, push_descriptors: bool) {
+    const SLOTS: usize = 3;
+    let context = guest(host);
+    let (mut recorded, mut expected) = (trainer(&context, settings()), owned(push_descriptors));
+    recorded.reserve_steps(&StepReservation { slots: SLOTS as u32, instances: 0 }).expect("memory");
+    let frames = [0; SLOTS].map(|_| InFlight::new(host).expect("a command buffer"));
+    let (mut pending, mut densifications) = (Vec::<(usize, u32)>::new(), 0);
+    let check = |trainer: &mut Trainer, expected: &mut Trainer, (slot, iteration): (usize, u32)| {
+        frames[slot].wait(host).expect("done");
+        let (got, wanted) = (done(trainer, slot as u32), expected.step().expect("a step"));
+        assert_eq!((got.iteration, got.iteration), (iteration, wanted.iteration));
+        let numbers = |r: &StepReport| {
+            (r.loss.to_bits(), r.gaussians, r.visible, r.instances, r.view, r.skipped_non_finite)
+        };
+        assert_eq!(numbers(&got), numbers(&wanted), "iteration {iteration}");
+    };
+    for number in 0..200 {
+        let slot = number % SLOTS;
+        if recorded.maintenance_is_due().expect("an answer") {
+            for step in pending.drain(..) {
+                check(&mut recorded, &mut expected, step);
+            }
+            let maintenance = recorded.maintain().expect("maintained");
+            densifications += u32::from(maintenance.densified.is_some_and(|d| d.cloned + d.split > 0));
+            assert!(!recorded.maintenance_is_due().expect("an answer"));
+            assert_eq!(recorded.maintain().expect("nothing to do"), Default::default());
+        } else if pending.len() == SLOTS {
+            check(&mut recorded, &mut expected, pending.remove(0));
+        }
+        frames[slot].begin(host).expect("recording");
+        let step = recorded.record_step(adopt(&context, &frames[slot]), slot as u32).expect("a recording");
+        frames[slot].submit(host).expect("a submission");
+        pending.push((slot, step.iteration));
+    }
+    for step in pending.drain(..) {
+        check(&mut recorded, &mut expected, step);
+    }
+    assert!(densifications >= 3, "{densifications} densifications changed something");
+    assert_eq!(recorded.settle().expect("an answer"), 0);
+    let (got, wanted) = (recorded.checkpoint().expect("a state"), expected.checkpoint().expect("a state"));
+    assert!(got == wanted, "after {} iterations: other bits", got.iteration);
+    frames.into_iter().for_each(|frame| frame.destroy(host));
+}
+
+#[test]
+fn recorded_training_is_the_owned_paths_to_the_bit() {
+    for push_descriptors in [true, false] {
+        with_host(&HostOptions { push_descriptors, ..options() }, |host| {
+            train_recorded(host, push_descriptors)
+        });
+    }
+}
+
+/// A step without room leaves everything as it was, and so do those behind it that were recorded before anybody knew.
+#[test]
+fn steps_without_room_change_nothing() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (mut recorded, mut expected) = (trainer(&context, settings()), owned(true));
+        let before = recorded.checkpoint().expect("a state");
+        recorded.reserve_steps(&StepReservation { slots: 3, instances: 20 }).expect("memory");
+        let frames = [0; 3].map(|_| InFlight::new(host).expect("a command buffer"));
+        for (slot, frame) in (0..).zip(&frames) {
+            frame.begin(host).expect("recording");
+            recorded.record_step(adopt(&context, frame), slot).expect("a recording");
+            frame.submit(host).expect("a submission");
+        }
+        frames.iter().for_each(|frame| frame.wait(host).expect("done"));
+        for slot in 0..3 {
+            let outcome = recorded.step_outcome(slot).expect("an outcome").expect("finished");
+            let StepOutcome::Overflowed { iteration, instances_needed, instance_capacity } = outcome else {
+                panic!("{outcome:?}");
+            };
+            assert_eq!((iteration, instance_capacity), (slot + 1, 20));
+            assert!(instances_needed > 20);
+        }
+        assert_eq!(recorded.iteration(), 0);
+        assert!(
+            recorded.checkpoint().expect("a state") == before,
+            "a step without room has changed something"
+        );
+        assert!(recorded.maintenance_is_due().expect("an answer"));
+        frames[0].begin(host).expect("recording");
+        let error = recorded.record_step(adopt(&context, &frames[0]), 0).expect_err("no room");
+        assert!(error.to_string().contains("maintain"), "{error}");
+        assert!(recorded.maintain().expect("room").grown);
+        for frame in &frames[1..] {
+            step(host, &mut recorded, &context, frame);
+            expected.step().expect("a step");
+        }
+        let (got, wanted) =
+            (recorded.checkpoint().expect("a state"), expected.checkpoint().expect("a state"));
+        assert!(got == wanted, "other bits after more room");
+        frames.into_iter().for_each(|frame| frame.destroy(host));
+    });
+}
+
+/// The Gaussians are rendered in the command buffer that trains them.
+#[test]
+fn a_host_renders_what_it_trains() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (mut recorded, mut expected) = (trainer(&context, settings()), owned(true));
+        recorded.reserve_steps(&StepReservation::default()).expect("memory");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&Reservation::new(4096, 2, 80, 60)).expect("memory");
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        let view = camera(0.7, 80, 60);
+        for _ in 0..42 {
+            if recorded.maintenance_is_due().expect("an answer") {
+                recorded.maintain().expect("maintained");
+            }
+            in_flight.begin(host).expect("recording");
+            recorded.record_step(adopt(&context, &in_flight), 0).expect("a recording");
+            let (scene, settings) = (recorded.scene(), RenderSettings::default());
+            let placed = [Placed::from(&scene)];
+            let frame = RecordedFrame::new(&placed, &view, &settings);
+            renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
+            in_flight.submit(host).expect("a submission");
+            in_flight.wait(host).expect("done");
+            assert_eq!(done(&mut recorded, 0).iteration, expected.step().expect("a step").iteration);
+        }
+        let settings = RenderSettings { sh_degree: Some(recorded.sh_degree()), ..RenderSettings::default() };
+        let wanted = expected.render(&view, &settings).expect("a frame");
+        assert_eq!(recorded.render(&view, &settings).expect("a frame").color, wanted.color);
+        let (scene, placed);
+        scene = recorded.scene();
+        placed = [Placed::from(&scene)];
+        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &view, &settings));
+        assert_same(&pixels, &wanted, settings.background);
+        in_flight.destroy(host);
+    });
+}
+
+#[test]
+fn bad_steps_are_refused_before_anything_is_recorded() {
+    with_host(&options(), |host| {
+        let (context, other) = (guest(host), guest(host));
+        let quick = TrainSettings { densify_from_iter: 0, densification_interval: 2, ..settings() };
+        let mut training = trainer(&context, quick);
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        in_flight.begin(host).expect("recording");
+        let mut refused = |training: &mut Trainer, context: &Context, slot: u32, expected: &str| {
+            let error = training.record_step(adopt(context, &in_flight), slot).expect_err(expected);
+            assert!(matches!(error, Error::Argument { .. }), "{error:?}");
+            assert!(error.to_string().contains(expected), "{error}");
+        };
+        refused(&mut training, &context, 0, "reserve_steps");
+        let none = training.reserve_steps(&StepReservation { slots: 0, instances: 0 }).expect_err("none");
+        assert!(none.to_string().contains("no slots"), "{none}");
+        training.reserve_steps(&StepReservation::default()).expect("memory");
+        refused(&mut training, &other, 0, "another device");
+        refused(&mut training, &context, 2, "2: 2 are reserved");
+        training.record_step(adopt(&context, &in_flight), 0).expect("a recording");
+        refused(&mut training, &context, 0, "still in flight");
+        training.record_step(adopt(&context, &in_flight), 1).expect("a recording");
+        let unsettled = [
+            training.step().err(),
+            training.gaussians().err(),
+            training.checkpoint().err(),
+            training.maintain().err(),
+            training.reserve_steps(&StepReservation::default()).err(),
+            training.render(&camera(0.0, 8, 8), &RenderSettings::default()).err(),
+        ];
+        for error in unsettled {
+            assert!(error.expect("refused").to_string().contains("in flight"));
+        }
+        in_flight.submit(host).expect("a submission");
+        in_flight.wait(host).expect("done");
+        assert_eq!(done(&mut training, 1).iteration, 2);
+        in_flight.begin(host).expect("recording");
+        refused(&mut training, &context, 0, "maintenance is due");
+        assert!(training.maintain().expect("maintained").densified.is_some());
+        training.record_step(adopt(&context, &in_flight), 0).expect("a recording");
+        in_flight.submit(host).expect("a submission");
+        in_flight.wait(host).expect("done");
+        assert_eq!(done(&mut training, 0).iteration, 3);
+        in_flight.destroy(host);
+    });
+}
+
+/// A command buffer that is thrown away takes its steps back; those behind it may not stay.
+#[test]
+fn steps_that_are_thrown_away_are_recorded_again() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (mut recorded, mut expected) = (trainer(&context, settings()), owned(true));
+        recorded.reserve_steps(&StepReservation::default()).expect("memory");
+        let frames = [0; 2].map(|_| InFlight::new(host).expect("a command buffer"));
+        let begin = |trainer: &mut Trainer| {
+            for (slot, frame) in (0..).zip(&frames) {
+                frame.begin(host).expect("recording");
+                trainer.record_step(adopt(&context, frame), slot).expect("a recording");
+            }
+        };
+        begin(&mut recorded);
+        for slot in 0..2 {
+            // SAFETY: neither command buffer is submitted: both are begun anew.
+            unsafe { recorded.step_recording(slot).expect("a slot").discard() };
+        }
+        assert_eq!((recorded.settle().expect("none"), recorded.iteration()), (0, 0));
+        for _ in 0..2 {
+            let wanted = expected.step().expect("a step");
+            let got = step(host, &mut recorded, &context, &frames[0]);
+            assert_eq!((got.iteration, got.loss.to_bits()), (wanted.iteration, wanted.loss.to_bits()));
+        }
+        begin(&mut recorded);
+        // SAFETY: as above.
+        unsafe { recorded.step_recording(0).expect("a slot").discard() };
+        let error = recorded.settle().expect_err("the second is still there");
+        assert!(error.to_string().contains("thrown away"), "{error}");
+        assert!(recorded.step().is_err());
+        frames.into_iter().for_each(|frame| frame.destroy(host));
+    });
+}
