@@ -110,6 +110,7 @@ impl Training {
             depth_limits: None,
             linear_depth: false,
             keeps_overflow: false,
+            scale: 1.0,
         };
         let [photo, partials, losses, statistics, mean2d_gradients, derivatives @ ..] = &self.others[..]
         else {

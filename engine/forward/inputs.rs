@@ -18,6 +18,8 @@ pub struct FrameInputs<'a> {
     pub camera: &'a Camera,
     /// How to render.
     pub settings: &'a RenderSettings,
+    /// World units per unit of the scene.
+    pub scale: f32,
     /// SH degree that is evaluated.
     pub sh_degree: u32,
     /// Scenes that are rendered together with `scene`, each with its own place.
@@ -46,8 +48,10 @@ impl FrameInputs<'_> {
 pub struct PlacedScene<'a> {
     /// The scene.
     pub scene: &'a SceneBuffers,
-    /// The frame's camera in the scene's own coordinates: same image, same scale.
+    /// The frame's camera against the scene's own axes and origin, in world units.
     pub camera: Camera,
+    /// World units per unit of the scene.
+    pub scale: f32,
     /// SH degree that is evaluated.
     pub sh_degree: u32,
     /// Index of its first Gaussian among all of the frame: behind the scene before, a multiple of
@@ -61,6 +65,7 @@ pub(super) struct Part<'a> {
     pub(super) scene: &'a SceneBuffers,
     pub(super) frame: &'a FrameBuffers,
     pub(super) camera: Camera,
+    pub(super) scale: f32,
     pub(super) settings: &'a RenderSettings,
     pub(super) sh_degree: u32,
     pub(super) range: GaussianRange,
@@ -71,8 +76,8 @@ pub(super) struct Part<'a> {
 impl<'a> FrameInputs<'a> {
     /// The scenes, each with its place.
     pub(super) fn placed(&self) -> impl Iterator<Item = PlacedScene<'a>> + use<'a> {
-        let first =
-            PlacedScene { scene: self.scene, camera: *self.camera, sh_degree: self.sh_degree, first: 0 };
+        let &Self { scene, camera, scale, sh_degree, .. } = self;
+        let first = PlacedScene { scene, camera: *camera, scale, sh_degree, first: 0 };
         std::iter::once(first).chain(self.others.iter().copied())
     }
 
@@ -80,11 +85,11 @@ impl<'a> FrameInputs<'a> {
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
         let (frame, settings) = (self.frame, self.settings);
         self.placed().flat_map(move |placed| {
-            let PlacedScene { scene, camera, sh_degree, first } = placed;
+            let PlacedScene { scene, camera, scale, sh_degree, first } = placed;
             let ranges = scene.plan.ranges(scene.count);
             ranges.map(move |range| {
                 let first = first + range.first;
-                Part { scene, frame, camera, settings, sh_degree, range, first }
+                Part { scene, frame, camera, scale, settings, sh_degree, range, first }
             })
         })
     }

@@ -83,7 +83,7 @@ pub(crate) fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4]
 macro_rules! camera_push {
     ($push:path, $inputs:expr, $range:expr $(, $extra:ident: $value:expr)*) => {{
         let camera = &$inputs.camera;
-        let rows = camera.camera_from_world.transpose();
+        let rows = camera.camera_from_world.transpose() * $inputs.scale;
         $push {
             camera_row_x: rows.x_axis.to_array(),
             camera_row_y: rows.y_axis.to_array(),
@@ -101,6 +101,7 @@ macro_rules! camera_push {
             extent: $inputs.settings.extent_word(),
             antialias: $inputs.settings.antialias.into(),
             splat_stride: $inputs.frame.splats().stride,
+            inverse_scale_squared: ($inputs.scale * $inputs.scale).recip(),
             $($extra: $value,)*
         }
     }};

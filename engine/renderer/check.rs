@@ -22,9 +22,7 @@ impl Renderer {
             if !placed.scene.belongs_to(context) {
                 return Err(Error::argument("scene", "it belongs to another device"));
             }
-            placed.pose.camera_in_object(frame.camera).check().map_err(|_| {
-                Error::argument("pose", "is not a rotation and a translation of finite numbers")
-            })?;
+            placed.pose.check()?;
             let degree = placed.scene.buffers.active_degree(frame.settings);
             if degree > reserved.sh_degree {
                 let problem = format!("{degree}, reserved is {}", reserved.sh_degree);

@@ -206,6 +206,7 @@ impl Renderer {
             capacity: &slot.capacity,
             camera: &first.camera,
             settings: &settings,
+            scale: first.scale,
             sh_degree: first.sh_degree,
             others: &others,
             depth_limits: frame.occluder.as_ref().and(slot.depth_limits.as_ref()),
@@ -266,7 +267,7 @@ fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32) -> [Vec<PlacedScene<'a>>
         first = (begin + scene.count).next_multiple_of(alignment);
         let (camera, sh_degree) =
             (placed.pose.camera_in_object(frame.camera), scene.active_degree(frame.settings));
-        PlacedScene { scene, camera, sh_degree, first: begin }
+        PlacedScene { scene, camera, scale: placed.pose.scale, sh_degree, first: begin }
     });
     [all.next().into_iter().collect(), all.collect()]
 }

@@ -35,6 +35,7 @@ impl<'a> Request<'a> {
             capacity,
             camera: self.camera,
             settings: self.settings,
+            scale: 1.0,
             sh_degree: self.sh_degree,
             others: &[],
             depth_limits: None,

@@ -152,11 +152,16 @@ impl Camera {
             return Some("pose is not finite".into());
         }
         let r = self.camera_from_world;
-        if !(r * r.transpose()).abs_diff_eq(Mat3::IDENTITY, ORTHONORMAL_TOLERANCE) || r.determinant() < 0.0 {
+        if !is_rotation(r) {
             return Some("camera_from_world is not a rotation (orthonormal, determinant 1)".into());
         }
         None
     }
+}
+
+/// Whether a matrix is orthonormal with determinant 1, but for rounding.
+pub(super) fn is_rotation(r: Mat3) -> bool {
+    (r * r.transpose()).abs_diff_eq(Mat3::IDENTITY, ORTHONORMAL_TOLERANCE) && r.determinant() > 0.0
 }
 
 /// Scene extent: 1.1 × the largest distance of a camera to the cameras' mean, world units; 0 for no or one

@@ -4,8 +4,9 @@
 //! whether clip space points up or down, whether depth is reversed and where the far plane is. So nothing has to be
 //! told but the matrices themselves, and which way the viewport flips.
 
-use glam::{Mat3, Mat4, Vec3};
+use glam::{Mat3, Mat4, Vec3, Vec4};
 
+use super::camera::is_rotation;
 use super::{Camera, Intrinsics};
 use crate::{Error, Result};
 
@@ -114,23 +115,66 @@ impl HostView {
     }
 }
 
-/// Where an object stands in the world: `x_world = rotation * x_object + translation`.
+/// Where an object stands in the world: `x_world = scale * rotation * x_object + translation`.
+///
+/// A scale is the same in all directions: under any other, Gaussians would need other rotations and extents, and their
+/// colours would change with the angle; [`Gaussians::transform`](super::Gaussians::transform) changes the Gaussians themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Rotation from object to world.
     pub world_from_object: Mat3,
     /// Position of the object's origin, world units.
     pub translation: Vec3,
+    /// World units per unit of the object: positive.
+    pub scale: f32,
 }
 
 impl Pose {
     /// Object and world are the same.
-    pub const IDENTITY: Self = Self { world_from_object: Mat3::IDENTITY, translation: Vec3::ZERO };
+    pub const IDENTITY: Self = 
+        Self { world_from_object: Mat3::IDENTITY, translation: Vec3::ZERO, scale: 1.0 };
 
-    /// The camera in the object's coordinates: seen from there, the object itself has not moved, and neither have its
-    /// spherical harmonics.
+    /// A rotation, a uniform scale and a translation.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a matrix that does anything else: mirrors, shears, or scales one direction more than
+    /// another.
+    pub fn from_matrix(world_from_object: Mat4) -> Result<Self> {
+        let m = Mat3::from_mat4(world_from_object);
+        let scale = m.determinant().abs().cbrt();
+        let affine = world_from_object.row(3) == Vec4::W;
+        let pose =
+            Self { world_from_object: m * scale.recip(), translation: world_from_object.w_axis.truncate(), scale };
+        match affine {
+            true => pose.check().map(|()| pose),
+            false => Err(Error::argument("pose", "the matrix's last row is not (0, 0, 0, 1)")),
+        }
+    }
+
+    /// Checks that an object can stand there.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for numbers that are not finite, a scale that is not positive, and what is no rotation.
+    pub fn check(&self) -> Result<()> {
+        let bad = |problem: &str| Err(Error::argument("pose", problem));
+        let r = self.world_from_object;
+        if !(r.is_finite() && self.translation.is_finite()) {
+            return bad("holds numbers that are not finite");
+        }
+        let squared = self.scale * self.scale;
+        if !(self.scale > 0.0 && squared.is_normal() && squared.recip().is_normal()) {
+            return bad(&format!("a scale of {} is not possible", self.scale));
+        }
+        if !is_rotation(r) {
+            return bad("is not a rotation, a uniform scale and a translation");
+        }
+        Ok(())
+    }
+
+    /// The camera against the object's axes and origin, in world units: seen from there, the object has not been turned
+    /// or moved, and neither have its spherical harmonics; it is `scale` times as large.
     pub fn camera_in_object(&self, camera: &Camera) -> Camera {
-        if *self == Self::IDENTITY {
+        if (Self { scale: 1.0, ..*self }) == Self::IDENTITY {
             return *camera;
         }
         Camera {

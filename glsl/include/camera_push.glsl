@@ -2,7 +2,7 @@
 // A kernel with more to say defines CAMERA_PUSH_EXTRA, which is appended.
 // Frame: x_camera = R x_world + t, x right, y down, z forward; pixel centres are the integers.
 layout(push_constant, scalar) uniform Push {
-    // Rows of R (camera from world).
+    // Rows of R (camera from world), times the object's scale where an object has one of its own.
     vec3 camera_row_x;
     vec3 camera_row_y;
     vec3 camera_row_z;
@@ -21,6 +21,8 @@ layout(push_constant, scalar) uniform Push {
     uint extent;
     uint antialias;
     uint splat_stride;
+    // 1 / scale^2.
+    float inverse_scale_squared;
 #ifdef CAMERA_PUSH_EXTRA
     CAMERA_PUSH_EXTRA
 #endif

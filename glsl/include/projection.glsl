@@ -3,7 +3,7 @@
 
 struct Projection {
     vec3 mean_camera;      // R mean + t
-    mat3 axes_camera;      // R R(q), columns: the Gaussian's axes in camera space
+    mat3 axes_camera;      // R R(q), columns: the Gaussian's axes in camera space, as long as the object's scale
     vec3 scale;            // exp(log_scale)
     vec4 quat;             // unit, or zero
     float inverse_norm;    // 1 / |q|, or 0 for a zero quaternion
@@ -34,7 +34,8 @@ vec3 from_camera(vec3 v) {
 }
 
 vec3 camera_position() {
-    return -from_camera(camera_translation);
+    // The transpose of a scaled rotation is its inverse times scale^2.
+    return -from_camera(camera_translation) * inverse_scale_squared;
 }
 
 Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {

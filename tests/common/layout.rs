@@ -96,6 +96,7 @@ macro_rules! camera_push {
             extent: $crate::common::layout::extent_word(view),
             antialias: u32::from(view.antialias),
             splat_stride: 1,
+            inverse_scale_squared: 1.0,
             $($field: $value,)*
         }
     }};

@@ -151,6 +151,8 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let sheared =
             Pose { world_from_object: Mat3::from_diagonal(Vec3::new(1.0, 2.0, 1.0)), ..Pose::IDENTITY };
         let lost = Pose { translation: Vec3::NAN, ..Pose::IDENTITY };
+        let inside_out = Pose { scale: -1.0, ..Pose::IDENTITY };
+        let vanished = Pose { scale: 0.0, ..Pose::IDENTITY };
         let depth = HostImage { image: &images[3], from: ImageState::UNDEFINED, offset: [0; 2] };
         let mapping = ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0 };
         let new = cloud(10, 2);
@@ -158,8 +160,8 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let beyond = [Update { scene: &scene, first: 100_000, gaussians: &new }];
         let two = [Placed::from(&scene), Placed::from(&scene)];
         let (of_other, too_large) = ([Placed::from(&foreign)], [Placed::from(&large)]);
-        let (stretched, nowhere) =
-            ([Placed { pose: sheared, ..placed[0] }], [Placed { pose: lost, ..placed[0] }]);
+        let [stretched, nowhere, inside_out, vanished] =
+            [sheared, lost, inside_out, vanished].map(|pose| [Placed { pose, ..placed[0] }]);
         let depth_settings = RenderSettings { inverse_depth: true, ..settings };
         let bad = [
             (RecordedFrame { camera: &nan, ..good }, "focal length"),
@@ -169,7 +171,9 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (RecordedFrame { scenes: &of_other, ..good }, "another device"),
             (RecordedFrame { scenes: &too_large, ..good }, "201 Gaussians"),
             (RecordedFrame { scenes: &two, ..good }, "Gaussians, more than 200 (reserved)"),
-            (RecordedFrame { scenes: &stretched, ..good }, "pose"),
+            (RecordedFrame { scenes: &stretched, ..good }, "a uniform scale"),
+            (RecordedFrame { scenes: &inside_out, ..good }, "a scale of -1 is not possible"),
+            (RecordedFrame { scenes: &vanished, ..good }, "a scale of 0 is not possible"),
             (RecordedFrame { scenes: &nowhere, ..good }, "pose"),
             (RecordedFrame { settings: &depth_settings, ..good }, "not reserved"),
             (RecordedFrame { target: into(&images[0]), ..good }, "exceed its 40 x 48"),

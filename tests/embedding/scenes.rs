@@ -4,7 +4,7 @@ use crate::host::Host;
 use crate::memory::{HostBuffer, HostTexture};
 use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
 use ashsplat::ash::vk;
-use ashsplat::scene::{Gaussians, Pose};
+use ashsplat::scene::{Gaussians, Pose, Similarity};
 use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse};
 use ashsplat::{
     DepthTarget, DeviceScene, Frame, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
@@ -83,7 +83,7 @@ fn a_pose_moves_a_scene() {
         let scene = DeviceScene::upload(&context, &object, 0).expect("a scene");
         let mut renderer = renderer(&context, 400, 0);
         let (settings, camera) = (RenderSettings::default(), camera(0.7, 110, 70));
-        let pose = Pose { world_from_object: Mat3::from_quat(turn), translation: shift };
+        let pose = Pose { world_from_object: Mat3::from_quat(turn), translation: shift, scale: 1.0 };
         let placed = [Placed { scene: &scene, pose }];
         let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
         let expected = owned(&moved, &camera, &settings);
@@ -102,6 +102,43 @@ fn a_pose_moves_a_scene() {
         let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &turned, &settings));
         let expected = owned(&object, &camera, &settings);
         assert_nearly_equal(&pixels, &expected);
+    });
+}
+
+/// A uniform scale is the same as larger Gaussians farther apart, also for what lies before and behind them.
+#[test]
+fn a_pose_scales_a_scene() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let turn = Quat::from_euler(glam::EulerRot::XYZ, -0.3, 0.5, 0.2);
+        let (object, other) = (cloud(400, 8), cloud(300, 9));
+        let scenes = [&object, &other].map(|g| DeviceScene::upload(&context, g, 0).expect("a scene"));
+        let mut renderer = renderer(&context, 2000, 0);
+        renderer
+            .reserve(&Reservation { scenes: 2, expected_depth: true, ..Reservation::new(2000, 1, 110, 70) })
+            .expect("memory");
+        let settings = RenderSettings { inverse_depth: true, ..RenderSettings::default() };
+        let camera = camera(0.7, 110, 70);
+        for scale in [0.25f32, 0.7, 1.0, 1.9] {
+            let shift = Vec3::new(0.3, -0.2, 0.5);
+            let mut both = object.clone();
+            both.transform(&Similarity {
+                rotation: turn.as_dquat(),
+                scale: scale.into(),
+                translation: shift.as_dvec3(),
+            });
+            both.append(&other);
+            let expected = owned(&both, &camera, &settings);
+            let matrix = glam::Mat4::from_scale_rotation_translation(Vec3::splat(scale), turn, shift);
+            let pose = Pose::from_matrix(matrix).expect("a uniform scale");
+            assert!((pose.scale - scale).abs() < 1e-6 * scale);
+            // The scaled one first, and behind the other: they are sorted together either way.
+            let scaled = Placed { scene: &scenes[0], pose };
+            for placed in [[scaled, (&scenes[1]).into()], [(&scenes[1]).into(), scaled]] {
+                let frame = RecordedFrame::new(&placed, &camera, &settings);
+                assert_nearly_equal(&rendered(host, &mut renderer, &frame), &expected);
+            }
+        }
     });
 }
 

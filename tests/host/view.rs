@@ -1,8 +1,8 @@
 //! A host's matrices as a camera and a depth mapping, for all conventions.
 
-use ashsplat::scene::{ClipY, HostView};
+use ashsplat::scene::{ClipY, HostView, Pose};
 use glam::camera::{lh, rh};
-use glam::{Mat4, Vec3, Vec4};
+use glam::{Mat3, Mat4, Quat, Vec3, Vec4};
 
 const SIZE: (u32, u32) = (640, 360);
 const EYE: Vec3 = Vec3::new(1.0, 2.0, 5.0);
@@ -133,5 +133,35 @@ fn host_views_that_cannot_be_are_refused() {
     for (expected, view) in bad {
         let error = view.camera().expect_err(expected).to_string();
         assert!(error.contains(expected) && !error.contains('\n'), "{error} (expected {expected})");
+    }
+}
+
+#[test]
+fn poses_come_from_matrices_that_scale_uniformly() {
+    let (turn, shift) = (Quat::from_euler(glam::EulerRot::XYZ, 0.3, 1.2, -0.7), Vec3::new(1.0, -2.0, 3.0));
+    for scale in [1e-3f32, 0.5, 1.0, 40.0] {
+        let matrix = Mat4::from_scale_rotation_translation(Vec3::splat(scale), turn, shift);
+        let pose = Pose::from_matrix(matrix).expect("a pose");
+        assert!((pose.scale / scale - 1.0).abs() < 1e-6 && pose.translation == shift);
+        assert!(pose.world_from_object.abs_diff_eq(Mat3::from_quat(turn), 1e-6));
+    }
+    let scaled = |x, y, z| Mat4::from_scale_rotation_translation(Vec3::new(x, y, z), turn, shift);
+    let mut projective = Mat4::IDENTITY;
+    projective.x_axis.w = 0.1;
+    let bad = [
+        ("a uniform scale", scaled(1.0, 2.0, 1.0)),
+        ("a uniform scale", scaled(-1.0, 1.0, 1.0)),
+        ("a uniform scale", scaled(1.0, 1.01, 1.0)),
+        ("not finite", Mat4::from_translation(Vec3::NAN)),
+        ("not finite", scaled(0.0, 0.0, 0.0)),
+        ("last row", projective),
+    ];
+    for (expected, matrix) in bad {
+        let error = Pose::from_matrix(matrix).expect_err(expected).to_string();
+        assert!(error.contains(expected) && !error.contains('\n'), "{error} (expected {expected})");
+    }
+    for scale in [0.0, -2.0, f32::NAN, f32::INFINITY, 1e-30, 1e30] {
+        let error = Pose { scale, ..Pose::IDENTITY }.check().expect_err("no scale").to_string();
+        assert!(error.contains("a scale of"), "{error}");
     }
 }
