@@ -131,7 +131,7 @@ pub struct Pose {
 
 impl Pose {
     /// Object and world are the same.
-    pub const IDENTITY: Self = 
+    pub const IDENTITY: Self =
         Self { world_from_object: Mat3::IDENTITY, translation: Vec3::ZERO, scale: 1.0 };
 
     /// A rotation, a uniform scale and a translation.
@@ -143,8 +143,11 @@ impl Pose {
         let m = Mat3::from_mat4(world_from_object);
         let scale = m.determinant().abs().cbrt();
         let affine = world_from_object.row(3) == Vec4::W;
-        let pose =
-            Self { world_from_object: m * scale.recip(), translation: world_from_object.w_axis.truncate(), scale };
+        let pose = Self {
+            world_from_object: m * scale.recip(),
+            translation: world_from_object.w_axis.truncate(),
+            scale,
+        };
         match affine {
             true => pose.check().map(|()| pose),
             false => Err(Error::argument("pose", "the matrix's last row is not (0, 0, 0, 1)")),

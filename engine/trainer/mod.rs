@@ -210,6 +210,11 @@ impl Trainer {
         })
     }
 
+    /// The device that it trains on.
+    pub fn context(&self) -> &Context {
+        &self.context
+    }
+
     /// The settings.
     pub fn settings(&self) -> &TrainSettings {
         &self.settings

@@ -2,18 +2,17 @@
 
 use super::{
     AshsplatBehind, AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatFrame, AshsplatHost,
-    AshsplatHostImage, AshsplatImageState, AshsplatRelease, AshsplatRenderer, AshsplatReport,
-    AshsplatReservation, AshsplatStatus, borrowed, borrowed_mut, give, guarded, slice, take,
+    AshsplatHostImage, AshsplatImageState, AshsplatPlaced, AshsplatRelease, AshsplatRenderer, AshsplatReport,
+    AshsplatReservation, AshsplatStatus, borrowed, borrowed_mut, give, guarded, scenes, slice, take,
 };
 use ashsplat::ash::{self, vk, vk::Handle};
-use ashsplat::scene::{ClipY, HostView, Pose};
-use ashsplat::vk::{
-    Context, ContextOptions, Features, ForeignDevice, ForeignImage, Image, ImageState, ImageUse,
-};
+use ashsplat::scene::{ClipY, HostView};
+use ashsplat::vk::{Context, ContextOptions, Features, ForeignDevice, ForeignImage, Image, ImageUse};
 use ashsplat::{
-    Behind, Error, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Reservation, Result, Target,
+    Behind, DepthTarget, Error, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Reservation,
+    Result, Target,
 };
-use glam::{Mat3, Mat4, Vec3};
+use glam::Mat4;
 use std::ffi::{CStr, c_char, c_void};
 
 /// A view of a host's image.
@@ -197,6 +196,8 @@ pub unsafe extern "C" fn ashsplat_reserve(
             scenes: w.scenes,
             instances: w.instances,
             occlusion: w.occlusion,
+            expected_depth: w.expected_depth,
+            staging_bytes: w.staging_bytes,
             ..Reservation::new(w.gaussians, w.sh_degree, w.width, w.height)
         })
     })
@@ -221,18 +222,17 @@ pub unsafe extern "C" fn ashsplat_record(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let (renderer, f) = (borrowed_mut(renderer, "renderer")?, borrowed(frame, "frame")?);
-        let scenes: Result<Vec<Placed<'_>>> = slice(f.scenes, f.scene_count as usize, "scenes")?
-            .iter()
-            .map(|placed| {
-                let world_from_object = Mat3::from_cols_array(&placed.world_from_object).transpose();
-                let pose = Pose { world_from_object, translation: Vec3::from(placed.translation) };
-                Ok(Placed { scene: &borrowed(placed.scene, "scene")?.scene, pose })
-            })
-            .collect();
-        let scenes = scenes?;
+        let place = |placed: &AshsplatPlaced| {
+            Ok(Placed { scene: &borrowed(placed.scene, "scene")?.scene, pose: placed.pose() })
+        };
+        let scenes: Result<Vec<Placed<'_>>> =
+            slice(f.scenes, f.scene_count as usize, "scenes")?.iter().map(place).collect();
+        let copied = scenes::copied(slice(f.updates, f.update_count as usize, "updates")?)?;
+        let (scenes, updates) = (scenes?, scenes::updates(&copied));
         let (camera, settings) = ((&f.camera).into(), RenderSettings::default());
-        let mut recorded = RecordedFrame::new(&scenes, &camera, &settings);
-        let used = |image, s: AshsplatImageState| HostImage { image, from: state(s), offset: [0; 2] };
+        let mut recorded =
+            RecordedFrame { updates: &updates, ..RecordedFrame::new(&scenes, &camera, &settings) };
+        let used = |image, s: AshsplatImageState| HostImage { image, from: s.into(), offset: [0; 2] };
         if let Some(image) = f.target.as_ref() {
             let behind = match f.behind {
                 AshsplatBehind::Color => Behind::Color(f.background),
@@ -245,31 +245,18 @@ pub unsafe extern "C" fn ashsplat_record(
             let depth = used(&image.0, f.depth_from);
             recorded.occluder = Some(Occluder { depth, mapping: f.depth_mapping.into() });
         }
+        if let Some(image) = f.expected_depth.as_ref() {
+            let to = used(&image.0, f.expected_depth_from);
+            recorded.depth = Some(DepthTarget { to, min_weight: f.min_weight, empty: f.empty_depth });
+        }
         let commands = vk::CommandBuffer::from_raw(commands as u64);
         let commands = renderer.0.context().adopt_commands(commands)?;
         let left = renderer.0.record(commands, slot, &recorded)?;
         if let Some(release) = release.as_mut() {
-            *release = AshsplatRelease {
-                stages: left.stages.as_raw(),
-                accesses: left.accesses.as_raw(),
-                target: left.color.map(from_state).unwrap_or_default(),
-                depth: left.occluder.map(from_state).unwrap_or_default(),
-            };
+            *release = (&left).into();
         }
         Ok(())
     })
-}
-
-fn state(s: AshsplatImageState) -> ImageState {
-    ImageState {
-        layout: vk::ImageLayout::from_raw(s.layout),
-        stages: vk::PipelineStageFlags2::from_raw(s.stages),
-        accesses: vk::AccessFlags2::from_raw(s.accesses),
-    }
-}
-
-fn from_state(s: ImageState) -> AshsplatImageState {
-    AshsplatImageState { layout: s.layout.as_raw(), stages: s.stages.as_raw(), accesses: s.accesses.as_raw() }
 }
 
 /// What the last frame of a slot was made of, once it has finished. Never waits.

@@ -5,9 +5,13 @@
 //! C on 64-bit machines: dispatchable ones as pointers, the others as 64-bit numbers.
 
 mod foreign;
+mod scenes;
+mod training;
 mod types;
 
 pub use foreign::*;
+pub use scenes::*;
+pub use training::*;
 pub use types::*;
 
 use ashsplat::io::{Photo, ply};

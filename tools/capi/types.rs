@@ -1,7 +1,9 @@
 //! The structs and codes of the C interface.
 
-use ashsplat::scene::DepthMapping;
-use ashsplat::{Camera, SlotReport};
+use ashsplat::ash::vk;
+use ashsplat::scene::{DepthMapping, Pose};
+use ashsplat::vk::ImageState;
+use ashsplat::{Camera, Release, SlotReport};
 use glam::{Mat3, Vec3};
 use std::ffi::{c_char, c_void};
 
@@ -170,9 +172,74 @@ pub struct AshsplatReservation {
     pub height: u32,
     /// Whether frames will be hidden behind a host's depth image.
     pub occlusion: bool,
+    /// Whether frames will render expected depth.
+    pub expected_depth: bool,
+    /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
+    pub staging_bytes: u64,
 }
 
-/// A scene and where it stands: x_world = rotation x_object + translation.
+/// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference implementation's
+/// files, before their activations.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatGaussians {
+    /// How many.
+    pub count: u32,
+    /// Degree of the spherical harmonics, 0 to 3.
+    pub sh_degree: u32,
+    /// x, y, z each, units of the scene.
+    pub means: *const f32,
+    /// w, x, y, z each, of any length but 0.
+    pub quats: *const f32,
+    /// Logarithms of the standard deviations, three each.
+    pub log_scales: *const f32,
+    /// Opacities before the sigmoid.
+    pub opacity_logits: *const f32,
+    /// Red, green and blue of (sh_degree + 1)^2 coefficients each.
+    pub sh: *const f32,
+}
+
+/// How parameters lie in a host's own buffers: plane p of the i-th Gaussian of a chunk at 16 * (p * stride + i) bytes,
+/// four floats. Planes: mean and opacity logit; quaternion (w, x, y, z); log-scales and 0; then the coefficients of the
+/// spherical harmonics, red, green and blue one after the other, filled up with zeros.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatScenePlan {
+    /// Buffers.
+    pub chunks: u32,
+    /// Planes of a buffer.
+    pub planes: u32,
+    /// Gaussians of a buffer.
+    pub stride: u32,
+    /// Bytes of a buffer.
+    pub chunk_bytes: u64,
+}
+
+/// A range of a host's buffer.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatHostBuffer {
+    /// VkBuffer.
+    pub buffer: u64,
+    /// A multiple of 256.
+    pub offset: u64,
+    /// A multiple of 4.
+    pub bytes: u64,
+}
+
+/// New parameters for some of a scene's Gaussians, copied before the frame is rendered.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct AshsplatUpdate {
+    /// The scene.
+    pub scene: *const super::AshsplatScene,
+    /// Index of the first Gaussian that is replaced.
+    pub first: u32,
+    /// The new ones; harmonics above the scene's degree are dropped, missing ones are zero.
+    pub gaussians: AshsplatGaussians,
+}
+
+/// A scene and where it stands: x_world = scale rotation x_object + translation.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct AshsplatPlaced {
@@ -182,6 +249,19 @@ pub struct AshsplatPlaced {
     pub world_from_object: [f32; 9],
     /// World units.
     pub translation: [f32; 3],
+    /// World units per unit of the scene, the same in all directions: 1 where nothing is to be scaled.
+    pub scale: f32,
+}
+
+impl AshsplatPlaced {
+    /// Where the scene stands.
+    pub fn pose(&self) -> Pose {
+        Pose {
+            world_from_object: Mat3::from_cols_array(&self.world_from_object).transpose(),
+            translation: Vec3::from(self.translation),
+            scale: self.scale,
+        }
+    }
 }
 
 /// What lies behind the splats.
@@ -220,6 +300,18 @@ pub struct AshsplatFrame {
     pub depth_from: AshsplatImageState,
     /// How to read it.
     pub depth_mapping: AshsplatDepthMapping,
+    /// The r32f image that expected depth is written to, or NULL.
+    pub expected_depth: *const super::AshsplatImage,
+    /// What the host does with that image before.
+    pub expected_depth_from: AshsplatImageState,
+    /// Where the splats' weights sum to less, a pixel of expected depth is empty.
+    pub min_weight: f32,
+    /// The expected depth of empty pixels.
+    pub empty_depth: f32,
+    /// What changes before.
+    pub updates: *const AshsplatUpdate,
+    /// How many changes.
+    pub update_count: u32,
 }
 
 /// What a recording leaves behind: what uses its results next waits for these stages and accesses, and finds the images
@@ -235,6 +327,37 @@ pub struct AshsplatRelease {
     pub target: AshsplatImageState,
     /// How the depth image was used last.
     pub depth: AshsplatImageState,
+    /// How the image of expected depth was used last.
+    pub expected_depth: AshsplatImageState,
+}
+
+impl From<ImageState> for AshsplatImageState {
+    fn from(s: ImageState) -> Self {
+        Self { layout: s.layout.as_raw(), stages: s.stages.as_raw(), accesses: s.accesses.as_raw() }
+    }
+}
+
+impl From<AshsplatImageState> for ImageState {
+    fn from(s: AshsplatImageState) -> Self {
+        Self {
+            layout: vk::ImageLayout::from_raw(s.layout),
+            stages: vk::PipelineStageFlags2::from_raw(s.stages),
+            accesses: vk::AccessFlags2::from_raw(s.accesses),
+        }
+    }
+}
+
+impl From<&Release> for AshsplatRelease {
+    fn from(r: &Release) -> Self {
+        let state = |s: Option<ImageState>| s.map(AshsplatImageState::from).unwrap_or_default();
+        Self {
+            stages: r.stages.as_raw(),
+            accesses: r.accesses.as_raw(),
+            target: state(r.color),
+            depth: state(r.occluder),
+            expected_depth: state(r.depth),
+        }
+    }
 }
 
 /// What a recorded frame was made of.

@@ -1,11 +1,11 @@
 //! The header is what the sources say, and C programs that include it work.
 
 use ashsplat::io::ply;
-use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
 use ashsplat::vk::{Context, ContextOptions};
-use ashsplat::{RenderSettings, Renderer};
+use ashsplat::{Frame, RenderSettings, Renderer};
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, Language};
-use glam::Vec3;
+use glam::{DQuat, DVec3, Mat3, Vec3};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -30,7 +30,8 @@ fn the_header_is_what_the_sources_say() {
         enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
         ..Config::default()
     };
-    let sources = ["types.rs", "lib.rs", "foreign.rs"].map(|name| folder().join(name));
+    let sources =
+        ["types.rs", "lib.rs", "scenes.rs", "foreign.rs", "training.rs"].map(|name| folder().join(name));
     let builder = sources.iter().fold(Builder::new().with_config(config), |b, path| b.with_src(path));
     let mut made = Vec::new();
     builder.generate().expect("a header").write(&mut made);
@@ -132,16 +133,115 @@ fn a_c_program_renders_what_rust_renders() {
     }
 }
 
+/// Compiles and runs a host in C on the scene of these tests; what it says.
+fn host_in_c(name: &str, arguments: &[&Path]) -> String {
+    let folder = tempfile::tempdir().expect("a folder");
+    let program = folder.path().join(name);
+    let link = [argument(&library(".so")), "-ldl".into()];
+    compile(&self::folder().join(format!("tests/{name}.c")), &program, &link);
+    let output = run(&program, arguments);
+    let (said, failed) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{:?}: {said}{failed}", output.status);
+    said.into_owned()
+}
+
 #[test]
 fn a_host_in_c_records_into_its_own_command_buffer() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (scene, program) = (folder.path().join("scene.ply"), folder.path().join("record"));
+    let scene = folder.path().join("scene.ply");
     ply::write(&scene, &cloud()).expect("a PLY");
-    let link = [argument(&library(".so")), "-ldl".into()];
-    compile(&self::folder().join("tests/record.c"), &program, &link);
-    let output = run(&program, &[&scene]);
-    let (said, failed) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.success(), "{:?}: {said}{failed}", output.status);
+    let said = host_in_c("record", &[&scene]);
     let visible: u32 = said.split(' ').next().and_then(|n| n.parse().ok()).expect("a number");
     assert!(visible > 100 && said.contains("of 500 Gaussians visible, scale 10.0, offset 0.0"), "{said}");
+}
+
+/// The grid of scenes.c, with spherical harmonics of degree 1 that are zero.
+fn grid(z: f32) -> Gaussians {
+    let mut grid = Gaussians { sh_degree: 1, ..Gaussians::default() };
+    for i in 0..64 {
+        let (x, y) = ((i % 8) as f32 / 4.0 - 0.875, (i / 8) as f32 / 4.0 - 0.875);
+        grid.means.push([x, y, z]);
+        grid.quats.push([1.0, 0.0, 0.0, 0.0]);
+        grid.log_scales.push([-2.5; 3]);
+        grid.opacity_logits.push(2.0);
+        let (red, blue) = if y < 0.0 { (1.5, -1.5) } else { (-1.5, 1.5) };
+        grid.sh.extend([[red, -1.0, blue], [0.0; 3], [0.0; 3], [0.0; 3]]);
+    }
+    grid
+}
+
+/// What scenes.c should show, from one scene that was put together here.
+fn expected_of_scenes(mut file: Gaussians) -> (Frame, Camera) {
+    let update = grid(0.2);
+    file.means[10..74].copy_from_slice(&update.means);
+    file.quats[10..74].copy_from_slice(&update.quats);
+    file.log_scales[10..74].copy_from_slice(&update.log_scales);
+    file.opacity_logits[10..74].copy_from_slice(&update.opacity_logits);
+    file.sh[40..296].copy_from_slice(&update.sh);
+    let mut all = file.clone();
+    let moved = |mut gaussians: Gaussians, rotation, scale, translation| {
+        gaussians.transform(&Similarity { rotation, scale, translation });
+        gaussians
+    };
+    let quarter = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
+    all.append(&moved(file, quarter, 0.25, DVec3::new(-0.8, 0.4, -0.5)));
+    all.append(&grid(0.9));
+    let half = grid(-0.9).select(&(0..32).collect::<Vec<_>>());
+    all.append(&moved(half, DQuat::IDENTITY, 0.5, DVec3::new(0.3, 0.0, 0.0)));
+    // Behind the wall.
+    all.retain(|all, i| all.means[i][2] + 4.0 < 4.2);
+    let intrinsics = Intrinsics { fx: 160.0, fy: 160.0, cx: 80.0, cy: 60.0, width: 160, height: 120 };
+    let camera = Camera::with_pose(Mat3::IDENTITY, Vec3::new(0.0, 0.0, 4.0), intrinsics);
+    let context = Context::new(&ContextOptions::default()).expect("a device");
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    renderer.upload(&all).expect("uploaded");
+    let settings = RenderSettings { background: [0.1, 0.2, 0.3], ..RenderSettings::default() };
+    (renderer.render(&camera, &settings).expect("a frame"), camera)
+}
+
+#[test]
+fn a_host_in_c_has_scenes_of_its_own() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [scene, picture, depth] =
+        ["scene.ply", "picture.png", "depth.bin"].map(|name| folder.path().join(name));
+    ply::write(&scene, &cloud()).expect("a PLY");
+    let said = host_in_c("scenes", &[&scene, &picture, &depth]);
+    assert!(said.contains("of 1096 Gaussians visible"), "{said}");
+    if let Some(kept) = std::env::var_os("ASHSPLAT_KEEP") {
+        std::fs::copy(&picture, Path::new(&kept).join("c_scenes.png")).expect("copied");
+    }
+    let read = ply::read(&scene, &ply::PlyOptions::default()).expect("a scene").gaussians;
+    let (expected, camera) = expected_of_scenes(read);
+    let png = image::open(&picture).expect("a picture").into_rgb8();
+    assert_eq!(png.dimensions(), (camera.width, camera.height));
+    let far = |(pixel, color): &(&image::Rgb<u8>, &[f32; 3])| {
+        pixel.0.iter().zip(*color).any(|(b, v)| (f32::from(*b) - 255.0 * v.clamp(0.0, 1.0)).abs() > 1.0)
+    };
+    let different = png.pixels().zip(&expected.color).filter(far).count();
+    assert!(different < 20, "{different} of {} pixels differ", expected.color.len());
+    // Neither nothing nor everything is hidden, and what is there is before the wall.
+    let bytes = std::fs::read(&depth).expect("depths");
+    let depths = bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+    let (mut seen, mut empty) = (0, 0);
+    for (z, transmittance) in depths.zip(&expected.transmittance) {
+        let clearly = (transmittance - 0.5).abs() > 0.01;
+        assert!(
+            !clearly || (z == -1.0) == (*transmittance > 0.5),
+            "{z} at a transmittance of {transmittance}"
+        );
+        assert!(z == -1.0 || (2.0..4.2).contains(&z), "{z}");
+        seen += u32::from(z != -1.0);
+        empty += u32::from(z == -1.0);
+    }
+    assert!(seen > 1000 && empty > 1000, "{seen} pixels with depth, {empty} without");
+}
+
+#[test]
+fn a_host_in_c_trains() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let result = folder.path().join("result.ply");
+    let said = host_in_c("train", &[&result]);
+    assert!(said.contains("30 iterations"), "{said}");
+    let trained = ply::read(&result, &ply::PlyOptions::default()).expect("a scene").gaussians;
+    assert!(trained.len() > 10 && said.contains(&format!("{} Gaussians", trained.len())), "{said}");
 }

@@ -1,0 +1,149 @@
+//! Scenes that a host makes, changes and owns, in C.
+
+use super::{
+    AshsplatContext, AshsplatGaussians, AshsplatHostBuffer, AshsplatScene, AshsplatScenePlan, AshsplatStatus,
+    AshsplatUpdate, borrowed, borrowed_mut, give, guarded, slice,
+};
+use ashsplat::ash::{vk, vk::Handle};
+use ashsplat::scene::Gaussians;
+use ashsplat::vk::Buffer;
+use ashsplat::{DeviceScene, Error, Reservation, Result, Update};
+
+/// A host's Gaussians as the library's.
+///
+/// # Safety
+/// The arrays have as many elements as the count and the degree say.
+pub(super) unsafe fn gaussians(host: &AshsplatGaussians) -> Result<Gaussians> {
+    if host.sh_degree > 3 {
+        return Err(Error::argument("SH degree", format!("{} is above 3", host.sh_degree)));
+    }
+    let (count, coefficients) = (host.count as usize, (host.sh_degree as usize + 1).pow(2));
+    // SAFETY: as promised.
+    unsafe {
+        let floats = |pointer, per_gaussian: usize, what| slice(pointer, per_gaussian * count, what);
+        Ok(Gaussians {
+            sh_degree: host.sh_degree,
+            means: floats(host.means, 3, "means")?.as_chunks().0.to_vec(),
+            quats: floats(host.quats, 4, "quats")?.as_chunks().0.to_vec(),
+            log_scales: floats(host.log_scales, 3, "log_scales")?.as_chunks().0.to_vec(),
+            opacity_logits: floats(host.opacity_logits, 1, "opacity_logits")?.to_vec(),
+            sh: floats(host.sh, 3 * coefficients, "sh")?.as_chunks().0.to_vec(),
+        })
+    }
+}
+
+/// A frame's updates, with the Gaussians that they copy.
+///
+/// # Safety
+/// As [`gaussians`], for each; the scenes are alive.
+pub(super) unsafe fn copied(updates: &[AshsplatUpdate]) -> Result<Vec<(&DeviceScene, u32, Gaussians)>> {
+    // SAFETY: as promised.
+    let copy = |u: &AshsplatUpdate| unsafe {
+        Ok((&borrowed(u.scene, "update's scene")?.scene, u.first, gaussians(&u.gaussians)?))
+    };
+    updates.iter().map(copy).collect()
+}
+
+/// The same as the library sees them.
+pub(super) fn updates<'a>(copied: &'a [(&'a DeviceScene, u32, Gaussians)]) -> Vec<Update<'a>> {
+    copied.iter().map(|&(scene, first, ref gaussians)| Update { scene, first, gaussians }).collect()
+}
+
+/// Uploads a scene from a host's arrays, with room for `capacity` Gaussians if that is more: AshsplatUpdate and
+/// ashsplat_scene_set_count change it later. Of no Gaussians, an empty scene; then nothing is submitted.
+///
+/// # Safety
+/// `context` is alive, `gaussians` is valid with arrays as long as it says, `scene` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scene_new(
+    context: *const AshsplatContext,
+    gaussians: *const AshsplatGaussians,
+    capacity: u32,
+    scene: *mut *mut AshsplatScene,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (context, host) = (borrowed(context, "context")?, borrowed(gaussians, "gaussians")?);
+        give(scene, "scene", || {
+            let made = match host.count {
+                0 => DeviceScene::empty(&context.0, capacity, host.sh_degree),
+                _ => DeviceScene::upload(&context.0, &self::gaussians(host)?, capacity),
+            };
+            made.map(|scene| AshsplatScene { scene })
+        })
+    })
+}
+
+/// How the parameters of `capacity` Gaussians lie in a host's own buffers.
+///
+/// # Safety
+/// `context` is alive, `plan` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scene_plan(
+    context: *const AshsplatContext,
+    capacity: u32,
+    sh_degree: u32,
+    plan: *mut AshsplatScenePlan,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let made = DeviceScene::plan_for(&borrowed(context, "context")?.0, capacity, sh_degree)?;
+        *borrowed_mut(plan, "plan")? = AshsplatScenePlan {
+            chunks: made.chunks,
+            planes: made.planes,
+            stride: made.stride,
+            chunk_bytes: made.chunk_bytes(),
+        };
+        Ok(())
+    })
+}
+
+/// A scene of `count` Gaussians in buffers of the host's own, one for each chunk of ashsplat_scene_plan for the same
+/// capacity and degree. Whoever writes them signals as for any buffer that compute shaders read.
+///
+/// # Safety
+/// - `context` is alive, `buffers` has `buffer_count` elements, `scene` is valid for a write;
+/// - each buffer is of the context's device, bound to memory, as large as it says, and has the usages STORAGE_BUFFER,
+///   TRANSFER_SRC and TRANSFER_DST; it lives until the scene is freed and the last recording that uses it has been
+///   executed; no two overlap.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scene_from_buffers(
+    context: *const AshsplatContext,
+    capacity: u32,
+    sh_degree: u32,
+    count: u32,
+    buffers: *const AshsplatHostBuffer,
+    buffer_count: u32,
+    scene: *mut *mut AshsplatScene,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let context = &borrowed(context, "context")?.0;
+        let buffers = slice(buffers, buffer_count as usize, "buffers")?;
+        give(scene, "scene", || {
+            let adopt = |b: &AshsplatHostBuffer| {
+                Buffer::adopt(context, "host's planes", vk::Buffer::from_raw(b.buffer), b.offset, b.bytes)
+            };
+            let chunks: Result<Vec<Buffer>> = buffers.iter().map(adopt).collect();
+            let plan = DeviceScene::plan_for(context, capacity, sh_degree)?;
+            let scene = DeviceScene::from_buffers(context, plan, chunks?, count)?;
+            Ok(AshsplatScene { scene })
+        })
+    })
+}
+
+/// Renders only the first `count` Gaussians of a scene from the next recording on.
+///
+/// # Safety
+/// `scene` is alive.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scene_set_count(scene: *mut AshsplatScene, count: u32) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe { borrowed_mut(scene, "scene")?.scene.set_count(count) })
+}
+
+/// Staging memory that an update of so many Gaussians of a scene of this degree takes, for AshsplatReservation.
+#[unsafe(no_mangle)]
+pub extern "C" fn ashsplat_update_bytes(gaussians: u32, sh_degree: u32) -> u64 {
+    Reservation::update_bytes(gaussians, sh_degree.min(3))
+}

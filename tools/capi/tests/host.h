@@ -1,0 +1,237 @@
+/* A host in C: the few declarations of vulkan_core.h that these programs need, so that no Vulkan headers have to be there,
+ * and a device that ashsplat has opened, lent back to it as a host's. What matters here are the calls. */
+#ifndef HOST_H
+#define HOST_H
+
+#include "../ashsplat.h"
+#include <dlfcn.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+typedef void (*Function)(void);
+typedef Function (*GetProc)(void *, const char *);
+typedef struct { int type; const void *next; uint32_t flags, queue_family; } PoolInfo;
+typedef struct { int type; const void *next; uint64_t pool; int level; uint32_t count; } AllocateInfo;
+typedef struct { int type; const void *next; uint32_t flags; const void *inheritance; } BeginInfo;
+typedef struct {
+    int type; const void *next;
+    uint32_t wait_count; const uint64_t *waits; const uint32_t *stages;
+    uint32_t command_count; void *const *commands;
+    uint32_t signal_count; const uint64_t *signals;
+} SubmitInfo;
+typedef struct {
+    int type; const void *next; uint32_t flags; uint64_t bytes; uint32_t usage; int sharing;
+    uint32_t family_count; const uint32_t *families;
+} BufferInfo;
+typedef struct {
+    int type; const void *next; uint32_t flags; int kind, format; uint32_t width, height, depth, levels, layers;
+    int samples, tiling; uint32_t usage; int sharing; uint32_t family_count; const uint32_t *families; int layout;
+} ImageInfo;
+typedef struct { uint64_t bytes, alignment; uint32_t types; } Needs;
+typedef struct { int type; const void *next; uint64_t bytes; uint32_t kind; } MemoryInfo;
+typedef struct { uint32_t type_count; struct { uint32_t flags, heap; } types[32]; uint8_t heaps[512]; } MemoryTypes;
+typedef struct { uint32_t aspect, level, level_count, layer, layer_count; } Range;
+typedef struct {
+    int type; const void *next; uint32_t from_access, to_access; int from_layout, to_layout;
+    uint32_t from_family, to_family; uint64_t image; Range range;
+} ImageBarrier;
+typedef struct { int type; const void *next; uint32_t from_access, to_access; } MemoryBarrier;
+typedef struct { uint64_t from, to, bytes; } BufferCopy;
+typedef struct {
+    uint64_t offset; uint32_t row, rows; uint32_t aspect, level, layer, layer_count; int32_t x, y, z; uint32_t width, height, depth;
+} ImageCopy;
+typedef struct { float depth; uint32_t stencil; } ClearDepth;
+
+enum {
+    FORMAT_RGBA8 = 37, FORMAT_R32F = 100, FORMAT_D32 = 126,
+    USAGE_IMAGE_COPY_FROM = 1, USAGE_IMAGE_COPY_TO = 2, USAGE_IMAGE_SAMPLED = 4, USAGE_IMAGE_STORAGE = 8,
+    USAGE_IMAGE_DEPTH = 32,
+    USAGE_BUFFER_COPIES = 3, USAGE_BUFFER_STORAGE = 32,
+    LAYOUT_UNDEFINED = 0, LAYOUT_COPY_FROM = 6, LAYOUT_COPY_TO = 7,
+    ASPECT_COLOR = 1, ASPECT_DEPTH = 2,
+    STAGE_TRANSFER = 0x1000, STAGE_HOST = 0x4000, STAGE_ALL = 0x10000,
+    ACCESS_TRANSFER_READ = 0x800, ACCESS_TRANSFER_WRITE = 0x1000, ACCESS_HOST_READ = 0x2000, ACCESS_MEMORY_WRITE = 0x10000,
+};
+
+/* Vulkan's functions of the device, by their names without "vk". */
+#define FUNCTIONS(F) \
+    F(int, CreateCommandPool, (void *, const PoolInfo *, const void *, uint64_t *)) \
+    F(void, DestroyCommandPool, (void *, uint64_t, const void *)) \
+    F(int, AllocateCommandBuffers, (void *, const AllocateInfo *, void **)) \
+    F(int, BeginCommandBuffer, (void *, const BeginInfo *)) \
+    F(int, EndCommandBuffer, (void *)) \
+    F(int, QueueSubmit, (void *, uint32_t, const SubmitInfo *, uint64_t)) \
+    F(int, QueueWaitIdle, (void *)) \
+    F(int, CreateBuffer, (void *, const BufferInfo *, const void *, uint64_t *)) \
+    F(void, DestroyBuffer, (void *, uint64_t, const void *)) \
+    F(int, CreateImage, (void *, const ImageInfo *, const void *, uint64_t *)) \
+    F(void, DestroyImage, (void *, uint64_t, const void *)) \
+    F(void, GetBufferMemoryRequirements, (void *, uint64_t, Needs *)) \
+    F(void, GetImageMemoryRequirements, (void *, uint64_t, Needs *)) \
+    F(int, AllocateMemory, (void *, const MemoryInfo *, const void *, uint64_t *)) \
+    F(void, FreeMemory, (void *, uint64_t, const void *)) \
+    F(int, BindBufferMemory, (void *, uint64_t, uint64_t, uint64_t)) \
+    F(int, BindImageMemory, (void *, uint64_t, uint64_t, uint64_t)) \
+    F(int, MapMemory, (void *, uint64_t, uint64_t, uint64_t, uint32_t, void **)) \
+    F(void, CmdPipelineBarrier, (void *, uint32_t, uint32_t, uint32_t, uint32_t, const MemoryBarrier *, uint32_t, \
+        const void *, uint32_t, const ImageBarrier *)) \
+    F(void, CmdClearDepthStencilImage, (void *, uint64_t, int, const ClearDepth *, uint32_t, const Range *)) \
+    F(void, CmdCopyImageToBuffer, (void *, uint64_t, int, uint64_t, uint32_t, const ImageCopy *)) \
+    F(void, CmdCopyBuffer, (void *, uint64_t, uint64_t, uint32_t, const BufferCopy *))
+
+#define DECLARE(result, name, arguments) result(*name) arguments;
+typedef struct {
+    AshsplatContext *owner;
+    AshsplatHost handles;
+    uint64_t vulkan12[64], vulkan13[64];
+    uint64_t pool;
+    void *commands;
+    MemoryTypes memory;
+    FUNCTIONS(DECLARE)
+} Host;
+
+typedef struct { uint64_t raw, memory; void *mapped; } HostBuffer;
+typedef struct { uint64_t raw, memory; AshsplatHostImage description; } HostTexture;
+
+static void check(AshsplatStatus status, const char *what) {
+    if (status != AshsplatStatus_Ok) {
+        fprintf(stderr, "error %d: %s: %s\n", (int)status, what, ashsplat_last_error());
+        exit(2);
+    }
+}
+
+static void require(int result, const char *what) {
+    if (result != 0) {
+        fprintf(stderr, "%s: %d\n", what, result);
+        exit(3);
+    }
+}
+
+/* What was expected, or the line where it was not. */
+#define EXPECT(condition) \
+    do { \
+        if (!(condition)) { \
+            fprintf(stderr, "%s:%d: not so: %s (%s)\n", __FILE__, __LINE__, #condition, ashsplat_last_error()); \
+            exit(4); \
+        } \
+    } while (0)
+
+static GetProc as_get_proc(void *symbol) {
+    GetProc function = NULL;
+    memcpy(&function, &symbol, sizeof function);
+    return function;
+}
+
+static void host_open(Host *host) {
+    memset(host, 0, sizeof *host);
+    void *library = dlopen("libvulkan.so.1", RTLD_NOW);
+    EXPECT(library != NULL);
+    GetProc instance_proc = as_get_proc(dlsym(library, "vkGetInstanceProcAddr"));
+    check(ashsplat_context_new(NULL, &host->owner), "opening a device");
+    AshsplatHost *h = &host->handles;
+    check(ashsplat_context_handles(host->owner, &h->instance, &h->physical_device, &h->device, &h->queue_family),
+          "asking for the handles");
+    memcpy(&h->get_instance_proc_addr, &instance_proc, sizeof instance_proc);
+    check(ashsplat_merge_features(host->vulkan12, host->vulkan13), "merging the features");
+    h->vulkan12_features = host->vulkan12;
+    h->vulkan13_features = host->vulkan13;
+    GetProc device_proc = (GetProc)instance_proc(h->instance, "vkGetDeviceProcAddr");
+    void (*get_queue)(void *, uint32_t, uint32_t, void **) =
+        (void (*)(void *, uint32_t, uint32_t, void **))device_proc(h->device, "vkGetDeviceQueue");
+    get_queue(h->device, h->queue_family, 0, &h->queue);
+    void (*get_memory)(void *, MemoryTypes *) =
+        (void (*)(void *, MemoryTypes *))instance_proc(h->instance, "vkGetPhysicalDeviceMemoryProperties");
+    get_memory(h->physical_device, &host->memory);
+#define LOAD(result, name, arguments) host->name = (result(*) arguments)device_proc(h->device, "vk" #name);
+    FUNCTIONS(LOAD)
+    PoolInfo pool_info = {39, NULL, 2, h->queue_family};
+    require(host->CreateCommandPool(h->device, &pool_info, NULL, &host->pool), "vkCreateCommandPool");
+    AllocateInfo allocate_info = {40, NULL, host->pool, 0, 1};
+    require(host->AllocateCommandBuffers(h->device, &allocate_info, &host->commands), "vkAllocateCommandBuffers");
+}
+
+static void host_close(Host *host) {
+    host->DestroyCommandPool(host->handles.device, host->pool, NULL);
+    ashsplat_context_free(host->owner);
+}
+
+static void *host_begin(Host *host) {
+    BeginInfo begin_info = {42, NULL, 1, NULL};
+    require(host->BeginCommandBuffer(host->commands, &begin_info), "vkBeginCommandBuffer");
+    return host->commands;
+}
+
+static void host_submit_and_wait(Host *host) {
+    require(host->EndCommandBuffer(host->commands), "vkEndCommandBuffer");
+    SubmitInfo submit_info = {4, NULL, 0, NULL, NULL, 1, &host->commands, 0, NULL};
+    require(host->QueueSubmit(host->handles.queue, 1, &submit_info, 0), "vkQueueSubmit");
+    require(host->QueueWaitIdle(host->handles.queue), "vkQueueWaitIdle");
+}
+
+/* Memory of a type with these properties (2: the host sees it, 4: coherently). */
+static inline uint64_t host_memory(Host *host, Needs needs, uint32_t properties) {
+    for (uint32_t kind = 0; kind < host->memory.type_count; ++kind) {
+        if ((needs.types >> kind & 1) && (host->memory.types[kind].flags & properties) == properties) {
+            MemoryInfo info = {5, NULL, needs.bytes, kind};
+            uint64_t memory = 0;
+            require(host->AllocateMemory(host->handles.device, &info, NULL, &memory), "vkAllocateMemory");
+            return memory;
+        }
+    }
+    exit(5);
+}
+
+static inline HostBuffer host_buffer(Host *host, uint64_t bytes, uint32_t usage) {
+    HostBuffer buffer = {0, 0, NULL};
+    void *device = host->handles.device;
+    BufferInfo info = {12, NULL, 0, bytes, usage, 0, 0, NULL};
+    require(host->CreateBuffer(device, &info, NULL, &buffer.raw), "vkCreateBuffer");
+    Needs needs;
+    host->GetBufferMemoryRequirements(device, buffer.raw, &needs);
+    buffer.memory = host_memory(host, needs, 2 | 4);
+    require(host->BindBufferMemory(device, buffer.raw, buffer.memory, 0), "vkBindBufferMemory");
+    require(host->MapMemory(device, buffer.memory, 0, bytes, 0, &buffer.mapped), "vkMapMemory");
+    return buffer;
+}
+
+static inline void host_free_buffer(Host *host, HostBuffer *buffer) {
+    host->DestroyBuffer(host->handles.device, buffer->raw, NULL);
+    host->FreeMemory(host->handles.device, buffer->memory, NULL);
+}
+
+static inline HostTexture host_texture(Host *host, int format, uint32_t usage, uint32_t width, uint32_t height) {
+    HostTexture texture;
+    void *device = host->handles.device;
+    ImageInfo info = {14, NULL, 0, 1, format, width, height, 1, 1, 1, 1, 0, usage, 0, 0, NULL, LAYOUT_UNDEFINED};
+    require(host->CreateImage(device, &info, NULL, &texture.raw), "vkCreateImage");
+    Needs needs;
+    host->GetImageMemoryRequirements(device, texture.raw, &needs);
+    texture.memory = host_memory(host, needs, 0);
+    require(host->BindImageMemory(device, texture.raw, texture.memory, 0), "vkBindImageMemory");
+    AshsplatHostImage description = {texture.raw, format, usage, width, height, 0, 0};
+    texture.description = description;
+    return texture;
+}
+
+static inline void host_free_texture(Host *host, HostTexture *texture) {
+    host->DestroyImage(host->handles.device, texture->raw, NULL);
+    host->FreeMemory(host->handles.device, texture->memory, NULL);
+}
+
+/* Records a change of layout, waiting for everything before. */
+static inline void host_transition(Host *host, HostTexture *texture, uint32_t aspect, int from, int to, uint32_t access) {
+    ImageBarrier barrier = {45, NULL, ACCESS_MEMORY_WRITE, access, from, to, ~0u, ~0u, texture->raw, {aspect, 0, 1, 0, 1}};
+    host->CmdPipelineBarrier(host->commands, STAGE_ALL, STAGE_TRANSFER, 0, 0, NULL, 0, NULL, 1, &barrier);
+}
+
+/* Records a copy of a texture of four bytes per pixel, as the release has left it, to where the host can read it. */
+static inline void host_read(Host *host, HostTexture *texture, int layout, HostBuffer *to) {
+    host_transition(host, texture, ASPECT_COLOR, layout, LAYOUT_COPY_FROM, ACCESS_TRANSFER_READ);
+    ImageCopy copy = {0, 0, 0, ASPECT_COLOR, 0, 0, 1, 0, 0, 0, texture->description.width, texture->description.height, 1};
+    host->CmdCopyImageToBuffer(host->commands, texture->raw, LAYOUT_COPY_FROM, to->raw, 1, &copy);
+    MemoryBarrier barrier = {46, NULL, ACCESS_TRANSFER_WRITE, ACCESS_HOST_READ};
+    host->CmdPipelineBarrier(host->commands, STAGE_TRANSFER, STAGE_HOST, 0, 1, &barrier, 0, NULL, 0, NULL);
+}
+
+#endif

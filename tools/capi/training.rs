@@ -1,0 +1,306 @@
+//! Training in C: steps that submit and wait, and steps in a host's command buffer.
+
+use super::scenes::gaussians;
+use super::{
+    AshsplatCamera, AshsplatContext, AshsplatGaussians, AshsplatRelease, AshsplatScene, AshsplatStatus,
+    borrowed, borrowed_mut, give, guarded, slice, take, text,
+};
+use ashsplat::ash::{vk, vk::Handle};
+use ashsplat::io::{Photo, ply};
+use ashsplat::trainer::{Maintenance, StepOutcome, StepReservation};
+use ashsplat::{Error, Result, StepReport, TrainSettings, TrainView, Trainer};
+use std::ffi::{c_char, c_void};
+
+/// Trains Gaussians on photographs.
+pub struct AshsplatTrainer(Trainer);
+
+/// A photograph to train on and where it was taken from.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatTrainView {
+    /// The camera; its size is the photograph's.
+    pub camera: AshsplatCamera,
+    /// Red, green and blue of each pixel, a byte each, row by row.
+    pub rgb: *const u8,
+}
+
+/// What a step of training did.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct AshsplatStep {
+    /// Whether the step has finished; nothing else is said before.
+    pub finished: bool,
+    /// Whether it changed nothing, because there was too little room: ashsplat_trainer_maintain makes more, then the
+    /// iteration is recorded again.
+    pub overflow: bool,
+    /// Its iteration, from 1.
+    pub iteration: u32,
+    /// The loss before it.
+    pub loss: f32,
+    /// Gaussians in it.
+    pub gaussians: u32,
+    /// Visible in its view.
+    pub visible: u32,
+    /// (tile, Gaussian) instances that its view needs.
+    pub instances: u32,
+    /// Index of its view.
+    pub view: u32,
+}
+
+impl From<&StepReport> for AshsplatStep {
+    fn from(r: &StepReport) -> Self {
+        Self {
+            finished: true,
+            overflow: false,
+            iteration: r.iteration,
+            loss: r.loss,
+            gaussians: r.gaussians,
+            visible: r.visible,
+            instances: r.instances,
+            view: r.view as u32,
+        }
+    }
+}
+
+impl From<&StepOutcome> for AshsplatStep {
+    fn from(outcome: &StepOutcome) -> Self {
+        match outcome {
+            StepOutcome::Done(report) => report.into(),
+            &StepOutcome::Overflowed { iteration, instances_needed: instances, .. } => {
+                Self { finished: true, overflow: true, iteration, instances, ..Self::default() }
+            }
+        }
+    }
+}
+
+/// What happened between two recorded steps.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct AshsplatMaintenance {
+    /// Whether Gaussians were added and removed.
+    pub densified: bool,
+    /// Whether opacities were reset.
+    pub opacities_reset: bool,
+    /// Whether there is more room now.
+    pub grown: bool,
+}
+
+impl From<Maintenance> for AshsplatMaintenance {
+    fn from(m: Maintenance) -> Self {
+        Self { densified: m.densified.is_some(), opacities_reset: m.opacities_reset, grown: m.grown }
+    }
+}
+
+/// Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the largest distance
+/// of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the names of the reference
+/// implementation's settings, `{"iterations": 7000}`; what is missing keeps its default, and so does everything for NULL.
+///
+/// # Safety
+/// `context` is alive, `views` has `view_count` elements with bytes as the cameras say, `initial` is valid with arrays as
+/// long as it says, `settings_json` is NULL or a C string, `trainer` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_new(
+    context: *const AshsplatContext,
+    views: *const AshsplatTrainView,
+    view_count: u32,
+    initial: *const AshsplatGaussians,
+    scene_extent: f32,
+    settings_json: *const c_char,
+    trainer: *mut *mut AshsplatTrainer,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (context, initial) = (borrowed(context, "context")?, borrowed(initial, "initial")?);
+        let views = slice(views, view_count as usize, "views")?;
+        give(trainer, "trainer", || {
+            let views: Result<Vec<TrainView>> = views.iter().map(|view| train_view(view)).collect();
+            let (views, initial) = (views?, gaussians(initial)?);
+            let settings = match settings_json.is_null() {
+                true => TrainSettings::default(),
+                false => settings_of(text(settings_json, "settings_json")?)?,
+            };
+            let extent = match scene_extent {
+                0.0 => ashsplat::scene::scene_extent(views.iter().map(|view| view.camera.position())),
+                extent => extent,
+            };
+            Trainer::new(&context.0, views, &initial, extent, settings).map(AshsplatTrainer)
+        })
+    })
+}
+
+fn settings_of(json: &str) -> Result<TrainSettings> {
+    serde_json::from_str(json).map_err(|error| Error::argument("settings_json", error.to_string()))
+}
+
+/// # Safety
+/// The photograph has three bytes for each of the camera's pixels.
+unsafe fn train_view(view: &AshsplatTrainView) -> Result<TrainView> {
+    let camera: ashsplat::Camera = (&view.camera).into();
+    camera.check()?;
+    let (width, height) = (camera.width, camera.height);
+    // SAFETY: as promised.
+    let rgb = unsafe { slice(view.rgb, 3 * width as usize * height as usize, "view's rgb")? };
+    Ok(TrainView { camera, photo: Photo { width, height, rgb: rgb.to_vec() } })
+}
+
+/// Frees a trainer. No recorded step of it may still be executed.
+///
+/// # Safety
+/// `trainer` is NULL or of this library and not used afterwards.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_free(trainer: *mut AshsplatTrainer) {
+    // SAFETY: as promised.
+    unsafe { take(trainer) }
+}
+
+/// Runs one iteration: submits and waits.
+///
+/// # Safety
+/// `trainer` is alive, `step` is NULL or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_step(
+    trainer: *mut AshsplatTrainer,
+    step: *mut AshsplatStep,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let report = borrowed_mut(trainer, "trainer")?.0.step()?;
+        if let Some(step) = step.as_mut() {
+            *step = (&report).into();
+        }
+        Ok(())
+    })
+}
+
+/// Builds all kernels and allocates everything that recorded steps need: `slots` of them may be in flight, with room for
+/// `instances` (tile, Gaussian) pairs at least, or 0 for a guess. Submits and waits.
+///
+/// # Safety
+/// `trainer` is alive.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_reserve(
+    trainer: *mut AshsplatTrainer,
+    slots: u32,
+    instances: u32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        borrowed_mut(trainer, "trainer")?.0.reserve_steps(&StepReservation { slots, instances })
+    })
+}
+
+/// Records the next iteration into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is
+/// wrong is said before anything is recorded, also that maintenance is due. The slot is in flight until the device has
+/// executed it.
+///
+/// # Safety
+/// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
+///   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
+/// - the trainer lives until its execution is over;
+/// - `release` is NULL or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_record(
+    trainer: *mut AshsplatTrainer,
+    commands: *mut c_void,
+    slot: u32,
+    release: *mut AshsplatRelease,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let trainer = &mut borrowed_mut(trainer, "trainer")?.0;
+        let commands = trainer.context().adopt_commands(vk::CommandBuffer::from_raw(commands as u64))?;
+        let step = trainer.record_step(commands, slot)?;
+        if let Some(release) = release.as_mut() {
+            *release = (&step.release).into();
+        }
+        Ok(())
+    })
+}
+
+/// What came of the last recorded step of a slot. Never waits.
+///
+/// # Safety
+/// `trainer` is alive, `step` valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_outcome(
+    trainer: *mut AshsplatTrainer,
+    slot: u32,
+    step: *mut AshsplatStep,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let outcome = borrowed_mut(trainer, "trainer")?.0.step_outcome(slot)?;
+        *borrowed_mut(step, "step")? = outcome.as_ref().map(AshsplatStep::from).unwrap_or_default();
+        Ok(())
+    })
+}
+
+/// Whether ashsplat_trainer_maintain has to be called before another step can be recorded. Never waits.
+///
+/// # Safety
+/// `trainer` is alive, `is_due` valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_maintenance_is_due(
+    trainer: *mut AshsplatTrainer,
+    is_due: *mut bool,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        *borrowed_mut(is_due, "is_due")? = borrowed_mut(trainer, "trainer")?.0.maintenance_is_due()?;
+        Ok(())
+    })
+}
+
+/// Does what recorded steps cannot: densifies and resets opacities where that is due, makes room after a step that
+/// overflowed. Submits, waits and allocates; no recorded step may be in flight. Scenes of ashsplat_trainer_scene are out
+/// of date afterwards.
+///
+/// # Safety
+/// `trainer` is alive, `done` is NULL or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_maintain(
+    trainer: *mut AshsplatTrainer,
+    done: *mut AshsplatMaintenance,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let maintenance = borrowed_mut(trainer, "trainer")?.0.maintain()?;
+        if let Some(done) = done.as_mut() {
+            *done = maintenance.into();
+        }
+        Ok(())
+    })
+}
+
+/// The Gaussians as they lie on the device, for ashsplat_record behind recorded steps, until the next
+/// ashsplat_trainer_maintain or ashsplat_trainer_step.
+///
+/// # Safety
+/// `trainer` is alive, `scene` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_scene(
+    trainer: *const AshsplatTrainer,
+    scene: *mut *mut AshsplatScene,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let trainer = borrowed(trainer, "trainer")?;
+        give(scene, "scene", || Ok(AshsplatScene { scene: trainer.0.scene() }))
+    })
+}
+
+/// Reads the Gaussians back and writes them as PLY in the reference implementation's layout. Submits and waits.
+///
+/// # Safety
+/// `trainer` is alive, `path` is a C string.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_save(
+    trainer: *const AshsplatTrainer,
+    path: *const c_char,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let trainer = borrowed(trainer, "trainer")?;
+        ply::write(text(path, "path")?, &trainer.0.gaussians()?)
+    })
+}
