@@ -1,6 +1,7 @@
 //! Binds what a dispatch works on: by push descriptors, or by a set that was allocated ahead.
 
 use super::buffer::Buffer;
+use super::descriptors::{self, BUFFERS};
 use super::image::Image;
 use super::kernel::{MAX_BINDINGS, Pipeline};
 use super::recorder::Recorder;
@@ -56,7 +57,18 @@ impl Recorder {
                 .descriptor_type(info.purpose.descriptor_type())
                 .image_info(std::slice::from_ref(slot));
         }
-        let count = bound.buffers.len() + bound.images.len();
+        let mut count = bound.buffers.len() + bound.images.len();
+        if self.inner.shared_layouts.is_some() && !bound.buffers.is_empty() {
+            // Nothing of what the set was used for before may remain in it: see the module `descriptors`.
+            let missing = |binding: &u32| pipeline.bindings.iter().all(|info| info.binding != *binding);
+            for binding in (0..BUFFERS).filter(missing) {
+                writes[count] = vk::WriteDescriptorSet::default()
+                    .dst_binding(binding)
+                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                    .buffer_info(&buffers[..1]);
+                count += 1;
+            }
+        }
         self.kept.pipeline(pipeline);
         self.bind(pipeline, &mut writes[..count], push);
     }
@@ -104,10 +116,13 @@ impl Recorder {
 
     fn bind(&mut self, pipeline: &Pipeline, writes: &mut [vk::WriteDescriptorSet<'_>], push: &[u8]) {
         let set = match self.commands.descriptors() {
-            Some(sets) if !writes.is_empty() => match sets.next(&self.inner) {
-                Ok(set) => Some(set),
-                Err(error) => panic!("{}: {error}", pipeline.name),
-            },
+            Some(sets) if !writes.is_empty() => {
+                let kind = descriptors::kind_of(pipeline.images).unwrap_or_default();
+                match sets.next(&self.inner, kind) {
+                    Ok(set) => Some(set),
+                    Err(error) => panic!("{}: {error}", pipeline.name),
+                }
+            }
             _ => None,
         };
         let (raw, device, point) = (self.raw(), &self.inner.device, vk::PipelineBindPoint::COMPUTE);

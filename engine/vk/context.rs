@@ -96,10 +96,10 @@ pub struct Context(pub(super) Arc<Inner>);
 
 pub(super) struct Inner {
     pub(super) device: ash::Device,
-    /// None: descriptor sets of `shared_layout` are bound instead.
+    /// None: descriptor sets of `shared_layouts` are bound instead.
     pub(super) push_descriptor: Option<ash::khr::push_descriptor::Device>,
     /// Present where push descriptors are not.
-    pub(super) shared_layout: Option<vk::DescriptorSetLayout>,
+    pub(super) shared_layouts: Option<descriptors::SharedLayouts>,
     pub(super) names: Names,
     /// None on a device of somebody else's who keeps the queue to himself.
     pub(super) queue: Option<Mutex<vk::Queue>>,
@@ -234,9 +234,9 @@ impl Context {
             }
             limits.max_texels = 0;
             limits.max_push_descriptors = descriptors::BUFFERS;
-            Ok((limits, Some(descriptors::shared_layout(&device)?)))
+            Ok((limits, Some(descriptors::shared_layouts(&device)?)))
         });
-        let (limits, shared_layout) = opened.inspect_err(|_| {
+        let (limits, shared_layouts) = opened.inspect_err(|_| {
             if let Owner::Us(_) = owner {
                 // SAFETY: nothing was made from it yet.
                 unsafe { device.destroy_device(None) }
@@ -245,7 +245,7 @@ impl Context {
         })?;
         Ok(Self(Arc::new(Inner {
             push_descriptor: push.then(|| ash::khr::push_descriptor::Device::new(instance, &device)),
-            shared_layout,
+            shared_layouts,
             clock: Clock::new(instance, &device, candidate.features.calibrated_timestamps),
             names: Names::new(instance, &device, debug_utils),
             device,
@@ -350,8 +350,8 @@ impl Drop for Inner {
             }
             slots.iter().for_each(|slot| slot.destroy(self));
             sets.iter_mut().for_each(|sets| sets.destroy(self));
-            if let Some(layout) = self.shared_layout {
-                self.device.destroy_descriptor_set_layout(layout, None);
+            if let Some(layouts) = &self.shared_layouts {
+                descriptors::destroy_layouts(&self.device, layouts);
             }
             if ours {
                 self.device.destroy_device(None);

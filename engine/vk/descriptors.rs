@@ -1,7 +1,13 @@
-//! Descriptor sets where push descriptors are missing: all kernels share one layout, so that sets can be allocated
-//! ahead without knowing which kernel will need them.
+//! Descriptor sets where push descriptors are missing: kernels share a few layouts, so that sets can be allocated ahead
+//! without knowing which kernels will need them.
+//!
+//! Every descriptor of a set is written each time that the set is used, also those that the kernel does not have: what a
+//! set was used for before may be gone, and drivers look at descriptors that no shader uses (lavapipe counts references
+//! to the buffers of the whole set).
 
 use super::context::Inner;
+use super::image::ImageUse;
+use super::kernel::ImageInfo;
 use super::vk_error;
 use crate::Result;
 use ash::vk;
@@ -13,8 +19,8 @@ pub(super) const STORAGE_IMAGE: u32 = 16;
 /// The binding of a kernel's sampled image.
 pub(super) const SAMPLED_IMAGE: u32 = 17;
 
-/// Sets of one pool.
-const POOL_SETS: u32 = 128;
+/// Sets of one pool: of kernels with buffers alone, and of those with an image.
+const POOL_SETS: [u32; 2] = [128, 16];
 
 /// One resource of a kernel in the layout of its set.
 pub(super) fn slot(binding: u32, kind: vk::DescriptorType) -> vk::DescriptorSetLayoutBinding<'static> {
@@ -25,62 +31,103 @@ pub(super) fn slot(binding: u32, kind: vk::DescriptorType) -> vk::DescriptorSetL
         .stage_flags(vk::ShaderStageFlags::COMPUTE)
 }
 
-/// The layout that every kernel's set has.
-pub(super) fn shared_layout(device: &ash::Device) -> Result<vk::DescriptorSetLayout> {
-    let mut slots: Vec<_> = (0..BUFFERS).map(|b| slot(b, vk::DescriptorType::STORAGE_BUFFER)).collect();
-    slots.push(slot(STORAGE_IMAGE, vk::DescriptorType::STORAGE_IMAGE));
-    slots.push(slot(SAMPLED_IMAGE, vk::DescriptorType::SAMPLED_IMAGE));
-    let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&slots);
-    // SAFETY: a valid create info.
-    let layout = unsafe { device.create_descriptor_set_layout(&info, None) };
-    layout.map_err(vk_error("vkCreateDescriptorSetLayout"))
+/// The kinds of sets: buffers alone, and buffers with one image.
+const KINDS: [Option<ImageUse>; 3] = [None, Some(ImageUse::Storage), Some(ImageUse::Sampled)];
+
+/// The layout of each kind.
+pub(super) type SharedLayouts = [vk::DescriptorSetLayout; KINDS.len()];
+
+/// Which kind of set a kernel with these images needs; None where there is no such.
+pub(super) fn kind_of(images: &[ImageInfo]) -> Option<usize> {
+    let image = match images {
+        [] => None,
+        [image] => Some(image.purpose),
+        _ => return None,
+    };
+    KINDS.iter().position(|kind| *kind == image)
 }
 
-/// Sets of the shared layout, handed out one after the other during a recording. Whoever has them calls
+/// The layouts that kernels share.
+pub(super) fn shared_layouts(device: &ash::Device) -> Result<SharedLayouts> {
+    let mut layouts = SharedLayouts::default();
+    for (layout, image) in layouts.iter_mut().zip(KINDS) {
+        let mut slots: Vec<_> = (0..BUFFERS).map(|b| slot(b, vk::DescriptorType::STORAGE_BUFFER)).collect();
+        slots.extend(image.map(|purpose| {
+            let binding = if purpose == ImageUse::Storage { STORAGE_IMAGE } else { SAMPLED_IMAGE };
+            slot(binding, purpose.descriptor_type())
+        }));
+        let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&slots);
+        // SAFETY: a valid create info.
+        let created = unsafe { device.create_descriptor_set_layout(&info, None) };
+        match created {
+            Ok(created) => *layout = created,
+            Err(error) => {
+                destroy_layouts(device, &layouts);
+                return Err(vk_error("vkCreateDescriptorSetLayout")(error));
+            }
+        }
+    }
+    Ok(layouts)
+}
+
+/// Destroys layouts that nothing is made from any more.
+pub(super) fn destroy_layouts(device: &ash::Device, layouts: &SharedLayouts) {
+    for layout in layouts {
+        // SAFETY: as the caller sees to; null handles are allowed.
+        unsafe { device.destroy_descriptor_set_layout(*layout, None) }
+    }
+}
+
+/// Sets of the shared layouts, handed out one after the other during a recording. Whoever has them calls
 /// [`DescriptorSets::destroy`] at the end.
 pub(super) struct DescriptorSets {
-    layout: vk::DescriptorSetLayout,
+    layouts: SharedLayouts,
     pools: Vec<vk::DescriptorPool>,
-    sets: Vec<vk::DescriptorSet>,
-    used: usize,
+    sets: [Vec<vk::DescriptorSet>; KINDS.len()],
+    used: [usize; KINDS.len()],
 }
 
 impl DescriptorSets {
     /// None where there are push descriptors.
     pub(super) fn new(inner: &Inner) -> Option<Self> {
-        let layout = inner.shared_layout?;
-        Some(Self { layout, pools: Vec::new(), sets: Vec::new(), used: 0 })
+        let layouts = inner.shared_layouts?;
+        Some(Self { layouts, pools: Vec::new(), sets: Default::default(), used: Default::default() })
     }
 
     /// Starts over: the sets of the recording before are free again.
     pub(super) fn reset(&mut self) {
-        self.used = 0;
+        self.used = Default::default();
     }
 
-    /// Makes sure of a number of sets for one recording.
+    /// Makes sure of a number of sets for one recording, and of some with images.
     pub(super) fn reserve(&mut self, inner: &Inner, count: usize) -> Result<()> {
-        while self.sets.len() < count {
-            self.add_pool(inner)?;
+        for kind in 0..KINDS.len() {
+            self.reserve_kind(inner, kind, if kind == 0 { count } else { POOL_SETS[1] as usize })?;
         }
         Ok(())
     }
 
-    /// A set that this recording has not used yet, allocated if need be.
-    pub(super) fn next(&mut self, inner: &Inner) -> Result<vk::DescriptorSet> {
-        self.reserve(inner, self.used + 1)?;
-        self.used += 1;
-        Ok(self.sets[self.used - 1])
+    fn reserve_kind(&mut self, inner: &Inner, kind: usize, count: usize) -> Result<()> {
+        while self.sets[kind].len() < count {
+            self.add_pool(inner, kind)?;
+        }
+        Ok(())
     }
 
-    fn add_pool(&mut self, inner: &Inner) -> Result<()> {
+    /// A set of a kind that this recording has not used yet, allocated if need be.
+    pub(super) fn next(&mut self, inner: &Inner, kind: usize) -> Result<vk::DescriptorSet> {
+        self.reserve_kind(inner, kind, self.used[kind] + 1)?;
+        self.used[kind] += 1;
+        Ok(self.sets[kind][self.used[kind] - 1])
+    }
+
+    fn add_pool(&mut self, inner: &Inner, kind: usize) -> Result<()> {
+        let count = POOL_SETS[usize::from(kind > 0)];
         let size = |kind, count| vk::DescriptorPoolSize::default().ty(kind).descriptor_count(count);
-        let sizes = [
-            size(vk::DescriptorType::STORAGE_BUFFER, POOL_SETS * BUFFERS),
-            size(vk::DescriptorType::STORAGE_IMAGE, POOL_SETS),
-            size(vk::DescriptorType::SAMPLED_IMAGE, POOL_SETS),
-        ];
-        let info = vk::DescriptorPoolCreateInfo::default().max_sets(POOL_SETS).pool_sizes(&sizes);
-        let layouts = [self.layout; POOL_SETS as usize];
+        let mut sizes = vec![size(vk::DescriptorType::STORAGE_BUFFER, count * BUFFERS)];
+        sizes.extend(KINDS[kind].map(|purpose| size(purpose.descriptor_type(), count)));
+        let info = vk::DescriptorPoolCreateInfo::default().max_sets(count).pool_sizes(&sizes);
+        let layouts = vec![self.layouts[kind]; count as usize];
         // SAFETY: valid create infos; the pool has room for exactly these sets, and is kept as long as they are.
         unsafe {
             let pool = inner.device.create_descriptor_pool(&info, None);
@@ -89,14 +136,14 @@ impl DescriptorSets {
             self.pools.push(pool);
             let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
             let sets = inner.device.allocate_descriptor_sets(&info);
-            self.sets.extend(sets.map_err(vk_error("vkAllocateDescriptorSets"))?);
+            self.sets[kind].extend(sets.map_err(vk_error("vkAllocateDescriptorSets"))?);
         }
         Ok(())
     }
 
     /// Destroys the pools. No recording that uses a set is under way.
     pub(super) fn destroy(&mut self, inner: &Inner) {
-        self.sets.clear();
+        self.sets.iter_mut().for_each(Vec::clear);
         for pool in self.pools.drain(..) {
             // SAFETY: idle, as the caller sees to; destroyed once.
             unsafe { inner.device.destroy_descriptor_pool(pool, None) }

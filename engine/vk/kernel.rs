@@ -347,12 +347,18 @@ impl Pipeline {
             .bindings(&slots);
         // SAFETY: valid create infos; the number of bindings and push bytes was checked against the limits.
         unsafe {
-            if self.inner.shared_layout.is_none() {
-                self.set_layout = device
-                    .create_descriptor_set_layout(&set, None)
-                    .map_err(vk_error("vkCreateDescriptorSetLayout"))?;
-            }
-            let sets = [self.inner.shared_layout.unwrap_or(self.set_layout)];
+            let sets = match (&self.inner.shared_layouts, descriptors::kind_of(self.images)) {
+                (Some(layouts), Some(kind)) => [layouts[kind]],
+                (Some(_), None) => {
+                    let problem = "has several images, which takes VK_KHR_push_descriptor";
+                    return Err(Error::argument(format!("kernel {}", self.name), problem));
+                }
+                (None, _) => {
+                    let layout = device.create_descriptor_set_layout(&set, None);
+                    self.set_layout = layout.map_err(vk_error("vkCreateDescriptorSetLayout"))?;
+                    [self.set_layout]
+                }
+            };
             let ranges = [vk::PushConstantRange::default()
                 .stage_flags(vk::ShaderStageFlags::COMPUTE)
                 .size(push_bytes)];

@@ -18,6 +18,7 @@ mod allocator;
 mod bad_input;
 mod frames;
 mod pictures;
+mod resident;
 mod scenes;
 mod stage;
 mod table;

@@ -115,7 +115,7 @@ fn a_pose_scales_a_scene() {
         let scenes = [&object, &other].map(|g| DeviceScene::upload(&context, g, 0).expect("a scene"));
         let mut renderer = renderer(&context, 2000, 0);
         renderer
-            .reserve(&Reservation { scenes: 2, expected_depth: true, ..Reservation::new(2000, 1, 110, 70) })
+            .reserve(&Reservation { scenes: 2, inverse_depth: true, ..Reservation::new(2000, 1, 110, 70) })
             .expect("memory");
         let settings = RenderSettings { inverse_depth: true, ..RenderSettings::default() };
         let camera = camera(0.7, 110, 70);

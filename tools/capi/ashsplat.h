@@ -51,6 +51,9 @@ typedef struct AshsplatRenderer AshsplatRenderer;
 // Gaussians on a device.
 typedef struct AshsplatScene AshsplatScene;
 
+// Trains Gaussians on photographs.
+typedef struct AshsplatTrainer AshsplatTrainer;
+
 // A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z + cy), where the
 // centre of the first pixel is (0.5, 0.5).
 typedef struct AshsplatCamera {
@@ -144,9 +147,13 @@ typedef struct AshsplatReservation {
   uint32_t height;
   // Whether frames will be hidden behind a host's depth image.
   bool occlusion;
+  // Whether frames will render expected depth.
+  bool expected_depth;
+  // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
+  uint64_t staging_bytes;
 } AshsplatReservation;
 
-// A scene and where it stands: x_world = rotation x_object + translation.
+// A scene and where it stands: x_world = scale rotation x_object + translation.
 typedef struct AshsplatPlaced {
   // The scene.
   const struct AshsplatScene *scene;
@@ -154,6 +161,8 @@ typedef struct AshsplatPlaced {
   float world_from_object[9];
   // World units.
   float translation[3];
+  // World units per unit of the scene, the same in all directions: 1 where nothing is to be scaled.
+  float scale;
 } AshsplatPlaced;
 
 // How an image is being used at some point of a command buffer.
@@ -165,6 +174,35 @@ typedef struct AshsplatImageState {
   // VkAccessFlags2.
   uint64_t accesses;
 } AshsplatImageState;
+
+// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference implementation's
+// files, before their activations.
+typedef struct AshsplatGaussians {
+  // How many.
+  uint32_t count;
+  // Degree of the spherical harmonics, 0 to 3.
+  uint32_t sh_degree;
+  // x, y, z each, units of the scene.
+  const float *means;
+  // w, x, y, z each, of any length but 0.
+  const float *quats;
+  // Logarithms of the standard deviations, three each.
+  const float *log_scales;
+  // Opacities before the sigmoid.
+  const float *opacity_logits;
+  // Red, green and blue of (sh_degree + 1)^2 coefficients each.
+  const float *sh;
+} AshsplatGaussians;
+
+// New parameters for some of a scene's Gaussians, copied before the frame is rendered.
+typedef struct AshsplatUpdate {
+  // The scene.
+  const struct AshsplatScene *scene;
+  // Index of the first Gaussian that is replaced.
+  uint32_t first;
+  // The new ones; harmonics above the scene's degree are dropped, missing ones are zero.
+  struct AshsplatGaussians gaussians;
+} AshsplatUpdate;
 
 // A frame to record.
 typedef struct AshsplatFrame {
@@ -188,6 +226,18 @@ typedef struct AshsplatFrame {
   struct AshsplatImageState depth_from;
   // How to read it.
   struct AshsplatDepthMapping depth_mapping;
+  // The r32f image that expected depth is written to, or NULL.
+  const struct AshsplatImage *expected_depth;
+  // What the host does with that image before.
+  struct AshsplatImageState expected_depth_from;
+  // Where the splats' weights sum to less, a pixel of expected depth is empty.
+  float min_weight;
+  // The expected depth of empty pixels.
+  float empty_depth;
+  // What changes before.
+  const struct AshsplatUpdate *updates;
+  // How many changes.
+  uint32_t update_count;
 } AshsplatFrame;
 
 // What a recording leaves behind: what uses its results next waits for these stages and accesses, and finds the images
@@ -201,6 +251,8 @@ typedef struct AshsplatRelease {
   struct AshsplatImageState target;
   // How the depth image was used last.
   struct AshsplatImageState depth;
+  // How the image of expected depth was used last.
+  struct AshsplatImageState expected_depth;
 } AshsplatRelease;
 
 // What a recorded frame was made of.
@@ -222,6 +274,69 @@ typedef struct AshsplatReport {
   // Time on the device, nanoseconds; 0 where it has no clock.
   double nanoseconds;
 } AshsplatReport;
+
+// How parameters lie in a host's own buffers: plane p of the i-th Gaussian of a chunk at 16 * (p * stride + i) bytes,
+// four floats. Planes: mean and opacity logit; quaternion (w, x, y, z); log-scales and 0; then the coefficients of the
+// spherical harmonics, red, green and blue one after the other, filled up with zeros.
+typedef struct AshsplatScenePlan {
+  // Buffers.
+  uint32_t chunks;
+  // Planes of a buffer.
+  uint32_t planes;
+  // Gaussians of a buffer.
+  uint32_t stride;
+  // Bytes of a buffer.
+  uint64_t chunk_bytes;
+} AshsplatScenePlan;
+
+// A range of a host's buffer.
+typedef struct AshsplatHostBuffer {
+  // VkBuffer.
+  uint64_t buffer;
+  // A multiple of 256.
+  uint64_t offset;
+  // A multiple of 4.
+  uint64_t bytes;
+} AshsplatHostBuffer;
+
+// A photograph to train on and where it was taken from.
+typedef struct AshsplatTrainView {
+  // The camera; its size is the photograph's.
+  struct AshsplatCamera camera;
+  // Red, green and blue of each pixel, a byte each, row by row.
+  const uint8_t *rgb;
+} AshsplatTrainView;
+
+// What a step of training did.
+typedef struct AshsplatStep {
+  // Whether the step has finished; nothing else is said before.
+  bool finished;
+  // Whether it changed nothing, because there was too little room: ashsplat_trainer_maintain makes more, then the
+  // iteration is recorded again.
+  bool overflow;
+  // Its iteration, from 1.
+  uint32_t iteration;
+  // The loss before it.
+  float loss;
+  // Gaussians in it.
+  uint32_t gaussians;
+  // Visible in its view.
+  uint32_t visible;
+  // (tile, Gaussian) instances that its view needs.
+  uint32_t instances;
+  // Index of its view.
+  uint32_t view;
+} AshsplatStep;
+
+// What happened between two recorded steps.
+typedef struct AshsplatMaintenance {
+  // Whether Gaussians were added and removed.
+  bool densified;
+  // Whether opacities were reset.
+  bool opacities_reset;
+  // Whether there is more room now.
+  bool grown;
+} AshsplatMaintenance;
 
 #ifdef __cplusplus
 extern "C" {
@@ -411,6 +526,184 @@ enum AshsplatStatus ashsplat_context_handles(const struct AshsplatContext *conte
                                              void **device,
                                              uint32_t *queue_family);
 
+// Uploads a scene from a host's arrays, with room for `capacity` Gaussians if that is more: AshsplatUpdate and
+// ashsplat_scene_set_count change it later. Of no Gaussians, an empty scene; then nothing is submitted.
+//
+// # Safety
+// `context` is alive, `gaussians` is valid with arrays as long as it says, `scene` is valid for a write.
+enum AshsplatStatus ashsplat_scene_new(const struct AshsplatContext *context,
+                                       const struct AshsplatGaussians *gaussians,
+                                       uint32_t capacity,
+                                       struct AshsplatScene **scene);
+
+// How the parameters of `capacity` Gaussians lie in a host's own buffers.
+//
+// # Safety
+// `context` is alive, `plan` is valid for a write.
+enum AshsplatStatus ashsplat_scene_plan(const struct AshsplatContext *context,
+                                        uint32_t capacity,
+                                        uint32_t sh_degree,
+                                        struct AshsplatScenePlan *plan);
+
+// A scene of `count` Gaussians in buffers of the host's own, one for each chunk of ashsplat_scene_plan for the same
+// capacity and degree. Whoever writes them signals as for any buffer that compute shaders read.
+//
+// # Safety
+// - `context` is alive, `buffers` has `buffer_count` elements, `scene` is valid for a write;
+// - each buffer is of the context's device, bound to memory, as large as it says, and has the usages STORAGE_BUFFER,
+//   TRANSFER_SRC and TRANSFER_DST; it lives until the scene is freed and the last recording that uses it has been
+//   executed; no two overlap.
+enum AshsplatStatus ashsplat_scene_from_buffers(const struct AshsplatContext *context,
+                                                uint32_t capacity,
+                                                uint32_t sh_degree,
+                                                uint32_t count,
+                                                const struct AshsplatHostBuffer *buffers,
+                                                uint32_t buffer_count,
+                                                struct AshsplatScene **scene);
+
+// Renders only the first `count` Gaussians of a scene from the next recording on.
+//
+// # Safety
+// `scene` is alive.
+enum AshsplatStatus ashsplat_scene_set_count(struct AshsplatScene *scene, uint32_t count);
+
+// Staging memory that an update of so many Gaussians of a scene of this degree takes, for AshsplatReservation.
+uint64_t ashsplat_update_bytes(uint32_t gaussians,
+                               uint32_t sh_degree);
+
+// Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the largest distance
+// of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the names of the reference
+// implementation's settings, `{"iterations": 7000}`; what is missing keeps its default, and so does everything for NULL.
+//
+// # Safety
+// `context` is alive, `views` has `view_count` elements with bytes as the cameras say, `initial` is valid with arrays as
+// long as it says, `settings_json` is NULL or a C string, `trainer` is valid for a write.
+enum AshsplatStatus ashsplat_trainer_new(const struct AshsplatContext *context,
+                                         const struct AshsplatTrainView *views,
+                                         uint32_t view_count,
+                                         const struct AshsplatGaussians *initial,
+                                         float scene_extent,
+                                         const char *settings_json,
+                                         struct AshsplatTrainer **trainer);
+
+// Frees a trainer. No recorded step of it may still be executed.
+//
+// # Safety
+// `trainer` is NULL or of this library and not used afterwards.
+void ashsplat_trainer_free(struct AshsplatTrainer *trainer);
+
+// Runs one iteration: submits and waits.
+//
+// # Safety
+// `trainer` is alive, `step` is NULL or valid for a write.
+enum AshsplatStatus ashsplat_trainer_step(struct AshsplatTrainer *trainer, struct AshsplatStep *step);
+
+// Builds all kernels and allocates everything that recorded steps need: `slots` of them may be in flight, with room for
+// `instances` (tile, Gaussian) pairs at least, or 0 for a guess. Submits and waits.
+//
+// # Safety
+// `trainer` is alive.
+enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
+                                             uint32_t slots,
+                                             uint32_t instances);
+
+// Records the next iteration into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is
+// wrong is said before anything is recorded, also that maintenance is due. The slot is in flight until the device has
+// executed it.
+//
+// # Safety
+// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
+//   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
+// - the trainer lives until its execution is over;
+// - `release` is NULL or valid for a write.
+enum AshsplatStatus ashsplat_trainer_record(struct AshsplatTrainer *trainer,
+                                            void *commands,
+                                            uint32_t slot,
+                                            struct AshsplatRelease *release);
+
+// What came of the last recorded step of a slot. Never waits.
+//
+// # Safety
+// `trainer` is alive, `step` valid for a write.
+enum AshsplatStatus ashsplat_trainer_outcome(struct AshsplatTrainer *trainer,
+                                             uint32_t slot,
+                                             struct AshsplatStep *step);
+
+// Whether ashsplat_trainer_maintain has to be called before another step can be recorded. Never waits.
+//
+// # Safety
+// `trainer` is alive, `is_due` valid for a write.
+enum AshsplatStatus ashsplat_trainer_maintenance_is_due(struct AshsplatTrainer *trainer, bool *is_due);
+
+// Does what recorded steps cannot: densifies and resets opacities where that is due, makes room after a step that
+// overflowed. Submits, waits and allocates; no recorded step may be in flight. Scenes of ashsplat_trainer_scene are out
+// of date afterwards.
+//
+// # Safety
+// `trainer` is alive, `done` is NULL or valid for a write.
+enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
+                                              struct AshsplatMaintenance *done);
+
+// The Gaussians as they lie on the device, for ashsplat_record behind recorded steps, until the next
+// ashsplat_trainer_maintain or ashsplat_trainer_step.
+//
+// # Safety
+// `trainer` is alive, `scene` is valid for a write.
+enum AshsplatStatus ashsplat_trainer_scene(const struct AshsplatTrainer *trainer,
+                                           struct AshsplatScene **scene);
+
+// Reads the Gaussians back and writes them as PLY in the reference implementation's layout. Submits and waits.
+//
+// # Safety
+// `trainer` is alive, `path` is a C string.
+enum AshsplatStatus ashsplat_trainer_save(const struct AshsplatTrainer *trainer,
+                                          const char *path);
+
+// Uploads a scene from a host's arrays, with room for `capacity` Gaussians if that is more: AshsplatUpdate and
+// ashsplat_scene_set_count change it later. Of no Gaussians, an empty scene; then nothing is submitted.
+//
+// # Safety
+// `context` is alive, `gaussians` is valid with arrays as long as it says, `scene` is valid for a write.
+enum AshsplatStatus ashsplat_scene_new(const struct AshsplatContext *context,
+                                       const struct AshsplatGaussians *gaussians,
+                                       uint32_t capacity,
+                                       struct AshsplatScene **scene);
+
+// How the parameters of `capacity` Gaussians lie in a host's own buffers.
+//
+// # Safety
+// `context` is alive, `plan` is valid for a write.
+enum AshsplatStatus ashsplat_scene_plan(const struct AshsplatContext *context,
+                                        uint32_t capacity,
+                                        uint32_t sh_degree,
+                                        struct AshsplatScenePlan *plan);
+
+// A scene of `count` Gaussians in buffers of the host's own, one for each chunk of ashsplat_scene_plan for the same
+// capacity and degree. Whoever writes them signals as for any buffer that compute shaders read.
+//
+// # Safety
+// - `context` is alive, `buffers` has `buffer_count` elements, `scene` is valid for a write;
+// - each buffer is of the context's device, bound to memory, as large as it says, and has the usages STORAGE_BUFFER,
+//   TRANSFER_SRC and TRANSFER_DST; it lives until the scene is freed and the last recording that uses it has been
+//   executed; no two overlap.
+enum AshsplatStatus ashsplat_scene_from_buffers(const struct AshsplatContext *context,
+                                                uint32_t capacity,
+                                                uint32_t sh_degree,
+                                                uint32_t count,
+                                                const struct AshsplatHostBuffer *buffers,
+                                                uint32_t buffer_count,
+                                                struct AshsplatScene **scene);
+
+// Renders only the first `count` Gaussians of a scene from the next recording on.
+//
+// # Safety
+// `scene` is alive.
+enum AshsplatStatus ashsplat_scene_set_count(struct AshsplatScene *scene, uint32_t count);
+
+// Staging memory that an update of so many Gaussians of a scene of this degree takes, for AshsplatReservation.
+uint64_t ashsplat_update_bytes(uint32_t gaussians,
+                               uint32_t sh_degree);
+
 // What a host has to enable, as text for people.
 const char *ashsplat_requirements(void);
 
@@ -510,6 +803,94 @@ enum AshsplatStatus ashsplat_context_handles(const struct AshsplatContext *conte
                                              void **physical_device,
                                              void **device,
                                              uint32_t *queue_family);
+
+// Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the largest distance
+// of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the names of the reference
+// implementation's settings, `{"iterations": 7000}`; what is missing keeps its default, and so does everything for NULL.
+//
+// # Safety
+// `context` is alive, `views` has `view_count` elements with bytes as the cameras say, `initial` is valid with arrays as
+// long as it says, `settings_json` is NULL or a C string, `trainer` is valid for a write.
+enum AshsplatStatus ashsplat_trainer_new(const struct AshsplatContext *context,
+                                         const struct AshsplatTrainView *views,
+                                         uint32_t view_count,
+                                         const struct AshsplatGaussians *initial,
+                                         float scene_extent,
+                                         const char *settings_json,
+                                         struct AshsplatTrainer **trainer);
+
+// Frees a trainer. No recorded step of it may still be executed.
+//
+// # Safety
+// `trainer` is NULL or of this library and not used afterwards.
+void ashsplat_trainer_free(struct AshsplatTrainer *trainer);
+
+// Runs one iteration: submits and waits.
+//
+// # Safety
+// `trainer` is alive, `step` is NULL or valid for a write.
+enum AshsplatStatus ashsplat_trainer_step(struct AshsplatTrainer *trainer, struct AshsplatStep *step);
+
+// Builds all kernels and allocates everything that recorded steps need: `slots` of them may be in flight, with room for
+// `instances` (tile, Gaussian) pairs at least, or 0 for a guess. Submits and waits.
+//
+// # Safety
+// `trainer` is alive.
+enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
+                                             uint32_t slots,
+                                             uint32_t instances);
+
+// Records the next iteration into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is
+// wrong is said before anything is recorded, also that maintenance is due. The slot is in flight until the device has
+// executed it.
+//
+// # Safety
+// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
+//   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
+// - the trainer lives until its execution is over;
+// - `release` is NULL or valid for a write.
+enum AshsplatStatus ashsplat_trainer_record(struct AshsplatTrainer *trainer,
+                                            void *commands,
+                                            uint32_t slot,
+                                            struct AshsplatRelease *release);
+
+// What came of the last recorded step of a slot. Never waits.
+//
+// # Safety
+// `trainer` is alive, `step` valid for a write.
+enum AshsplatStatus ashsplat_trainer_outcome(struct AshsplatTrainer *trainer,
+                                             uint32_t slot,
+                                             struct AshsplatStep *step);
+
+// Whether ashsplat_trainer_maintain has to be called before another step can be recorded. Never waits.
+//
+// # Safety
+// `trainer` is alive, `is_due` valid for a write.
+enum AshsplatStatus ashsplat_trainer_maintenance_is_due(struct AshsplatTrainer *trainer, bool *is_due);
+
+// Does what recorded steps cannot: densifies and resets opacities where that is due, makes room after a step that
+// overflowed. Submits, waits and allocates; no recorded step may be in flight. Scenes of ashsplat_trainer_scene are out
+// of date afterwards.
+//
+// # Safety
+// `trainer` is alive, `done` is NULL or valid for a write.
+enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
+                                              struct AshsplatMaintenance *done);
+
+// The Gaussians as they lie on the device, for ashsplat_record behind recorded steps, until the next
+// ashsplat_trainer_maintain or ashsplat_trainer_step.
+//
+// # Safety
+// `trainer` is alive, `scene` is valid for a write.
+enum AshsplatStatus ashsplat_trainer_scene(const struct AshsplatTrainer *trainer,
+                                           struct AshsplatScene **scene);
+
+// Reads the Gaussians back and writes them as PLY in the reference implementation's layout. Submits and waits.
+//
+// # Safety
+// `trainer` is alive, `path` is a C string.
+enum AshsplatStatus ashsplat_trainer_save(const struct AshsplatTrainer *trainer,
+                                          const char *path);
 
 #ifdef __cplusplus
 }  // extern "C"
