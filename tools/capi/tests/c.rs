@@ -172,7 +172,7 @@ fn grid(z: f32) -> Gaussians {
 
 /// What scenes.c should show, from one scene that was put together here.
 fn expected_of_scenes(mut file: Gaussians) -> (Frame, Camera) {
-    let update = grid(0.2);
+    let update = grid(-0.4);
     file.means[10..74].copy_from_slice(&update.means);
     file.quats[10..74].copy_from_slice(&update.quats);
     file.log_scales[10..74].copy_from_slice(&update.log_scales);
@@ -185,7 +185,7 @@ fn expected_of_scenes(mut file: Gaussians) -> (Frame, Camera) {
     };
     let quarter = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
     all.append(&moved(file, quarter, 0.25, DVec3::new(-0.8, 0.4, -0.5)));
-    all.append(&grid(0.9));
+    all.append(&grid(0.15));
     let half = grid(-0.9).select(&(0..32).collect::<Vec<_>>());
     all.append(&moved(half, DQuat::IDENTITY, 0.5, DVec3::new(0.3, 0.0, 0.0)));
     // Behind the wall.

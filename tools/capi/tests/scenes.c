@@ -55,7 +55,7 @@ int main(int count, char **arguments) {
     check(ashsplat_scene_plan(context, OWN, 0, &plan), "planning");
     EXPECT(plan.chunks == 1 && plan.planes == 4 && plan.stride >= OWN && plan.chunk_bytes == 64u * plan.stride);
     HostBuffer planes = host_buffer(&host, plan.chunk_bytes, USAGE_BUFFER_COPIES | USAGE_BUFFER_STORAGE);
-    grid(0.9f);
+    grid(0.15f);
     fill_planes(planes.mapped, &plan, OWN);
     AshsplatHostBuffer chunk = {planes.raw, 0, plan.chunk_bytes};
     AshsplatHostBuffer bad = {0, 0, plan.chunk_bytes}, small = {planes.raw, 0, 256};
@@ -115,7 +115,7 @@ int main(int count, char **arguments) {
         {own, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1},
         {made, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0.3f, 0, 0}, 0.5f},
     };
-    arrays = grid(0.2f);
+    arrays = grid(-0.4f);
     AshsplatUpdate update = {file, 10, arrays};
     AshsplatFrame frame;
     memset(&frame, 0, sizeof frame);
