@@ -60,6 +60,9 @@ impl Renderer {
         }
         if let Some(occluder) = &frame.occluder {
             check(&occluder.depth, ImageUse::Sampled)?;
+            if !(occluder.mapping.scale.is_finite() && occluder.mapping.offset.is_finite()) {
+                return Err(Error::argument("depth mapping", "holds numbers that are not finite"));
+            }
         }
         let variant = BlendVariant {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),

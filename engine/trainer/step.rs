@@ -160,7 +160,7 @@ impl Trainer {
     /// # Errors
     /// When memory does not suffice: the Gaussians are then as before the iteration, and it may be tried again. When the
     /// device is lost or too slow ([`Error::DeviceLost`], [`Error::Timeout`]): what has become of them is unknown, and
-    /// every later step is refused; go on from a checkpoint.
+    /// every later step is refused; go on from a checkpoint. [`Error::Argument`] while recorded steps are in flight.
     pub fn step(&mut self) -> Result<StepReport> {
         self.check_whole()?;
         let result = self.run_iteration();

@@ -133,8 +133,6 @@ pub fn forward_shared_limited(
         inverse_depth,
         depth_limit: limits.is_some(),
         linear_depth: false,
-        keeps_overflow: false,
-        scale: 1.0,
         column_chain,
     };
     blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass, limits)

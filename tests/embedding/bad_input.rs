@@ -155,6 +155,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let vanished = Pose { scale: 0.0, ..Pose::IDENTITY };
         let depth = HostImage { image: &images[3], from: ImageState::UNDEFINED, offset: [0; 2] };
         let mapping = ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0 };
+        let unknown = ashsplat::scene::DepthMapping { scale: f32::NAN, ..mapping };
         let new = cloud(10, 2);
         let update = [Update { scene: &scene, first: 0, gaussians: &new }];
         let beyond = [Update { scene: &scene, first: 100_000, gaussians: &new }];
@@ -181,6 +182,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (RecordedFrame { target: into(&images[2]), ..good }, "another device"),
             (RecordedFrame { target: into(&images[3]), ..good }, "not adopted for Storage"),
             (RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..good }, "not reserved"),
+            (RecordedFrame { occluder: Some(Occluder { depth, mapping: unknown }), ..good }, "depth mapping"),
             (RecordedFrame { updates: &update, ..good }, "staging_bytes"),
             (RecordedFrame { updates: &beyond, ..good }, "exceed the scene's"),
         ];

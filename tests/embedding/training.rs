@@ -4,7 +4,7 @@ use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, with_host};
 use ashsplat::io::Photo;
 use ashsplat::trainer::{StepOutcome, StepReservation, Trainer};
-use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::vk::{Context, ContextOptions, ForeignDevice};
 use ashsplat::{
     Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings, TrainView,
 };
@@ -243,6 +243,19 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
         in_flight.wait(host).expect("done");
         assert_eq!(done(&mut training, 0).iteration, 3);
         in_flight.destroy(host);
+    });
+}
+
+/// A trainer has to submit by itself now and then.
+#[test]
+fn a_trainer_needs_a_queue() {
+    with_host(&options(), |host| {
+        let foreign = ForeignDevice { queue: None, ..host.foreign() };
+        // SAFETY: as in `guest`.
+        let context =
+            unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
+        let error = Trainer::new(&context, views(), &cloud(10, 1), 4.0, settings()).err().expect("refused");
+        assert!(error.to_string().contains("queue") && matches!(error, Error::Argument { .. }), "{error}");
     });
 }
 
