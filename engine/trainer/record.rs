@@ -141,7 +141,7 @@ impl Trainer {
         self.make_ready(true)
     }
 
-    /// Records the next iteration into a host's command buffer. The bits are those of [`Trainer::step`].
+    /// Records the next iteration into a host's command buffer. The bits are those of [`Trainer::step`] on the same context.
     ///
     /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything back, and
     /// everything is checked before the first command. Afterwards the slot is in flight until the device has executed

@@ -40,12 +40,6 @@ pub fn trainer(context: &Context, settings: TrainSettings) -> Trainer {
     Trainer::new(context, views(), &cloud(300, 5), 4.0, settings).expect("a trainer")
 }
 
-/// What a device of our own makes of the same steps.
-fn owned(push_descriptors: bool) -> Trainer {
-    let options = ContextOptions { push_descriptors, ..ContextOptions::default() };
-    trainer(&Context::new(&options).expect("a device"), settings())
-}
-
 fn done(trainer: &mut Trainer, slot: u32) -> StepReport {
     match trainer.step_outcome(slot).expect("an outcome").expect("finished") {
         StepOutcome::Done(report) => report,
@@ -63,11 +57,11 @@ fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &InFli
 }
 
 /// As many steps in flight as there are slots, and maintenance whenever it is due.
-fn train_recorded(host: &Host, push_descriptors: bool) {
+fn train_recorded(host: &Host) {
     const SLOTS: usize = 3;
-    let mut owned = owned(push_descriptors);
-    let expected: Vec<StepReport> = (0..200).map(|_| owned.step().expect("a step")).collect();
     let context = guest(host);
+    let mut owned = trainer(&context, settings());
+    let expected: Vec<StepReport> = (0..200).map(|_| owned.step().expect("a step")).collect();
     let mut recorded = trainer(&context, settings());
     recorded.reserve_steps(&StepReservation { slots: SLOTS as u32, instances: 0 }).expect("memory");
     let frames = [0; SLOTS].map(|_| InFlight::new(host).expect("a command buffer"));
@@ -112,9 +106,7 @@ fn train_recorded(host: &Host, push_descriptors: bool) {
 #[test]
 fn recorded_training_is_the_owned_paths_to_the_bit() {
     for push_descriptors in [true, false] {
-        with_host(&HostOptions { push_descriptors, ..options() }, |host| {
-            train_recorded(host, push_descriptors)
-        });
+        with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host));
     }
 }
 
@@ -123,7 +115,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
 fn steps_without_room_change_nothing() {
     with_host(&options(), |host| {
         let context = guest(host);
-        let (mut recorded, mut expected) = (trainer(&context, settings()), owned(true));
+        let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
         let before = recorded.checkpoint().expect("a state");
         recorded.reserve_steps(&StepReservation { slots: 3, instances: 20 }).expect("memory");
         let frames = [0; 3].map(|_| InFlight::new(host).expect("a command buffer"));
@@ -167,7 +159,7 @@ fn steps_without_room_change_nothing() {
 fn a_host_renders_what_it_trains() {
     with_host(&options(), |host| {
         let context = guest(host);
-        let (mut recorded, mut expected) = (trainer(&context, settings()), owned(true));
+        let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
         recorded.reserve_steps(&StepReservation::default()).expect("memory");
         let mut renderer = Renderer::new(&context).expect("kernels");
         renderer.reserve(&Reservation::new(4096, 2, 80, 60)).expect("memory");
@@ -264,7 +256,7 @@ fn a_trainer_needs_a_queue() {
 fn steps_that_are_thrown_away_are_recorded_again() {
     with_host(&options(), |host| {
         let context = guest(host);
-        let (mut recorded, mut expected) = (trainer(&context, settings()), owned(true));
+        let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
         recorded.reserve_steps(&StepReservation::default()).expect("memory");
         let record_and_throw_away = |trainer: &mut Trainer| {
             for slot in 0..2 {
