@@ -106,7 +106,7 @@ fn train_recorded(host: &Host) {
 #[test]
 fn recorded_training_is_the_owned_paths_to_the_bit() {
     for push_descriptors in [true, false] {
-        with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host));
+        with_host(&HostOptions { push_descriptors, ..options() }, train_recorded);
     }
 }
 
