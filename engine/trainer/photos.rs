@@ -94,6 +94,11 @@ impl Photos {
         Ok(Self::Streamed(Stream { photos, slots, seed, running: None }))
     }
 
+    /// Whether all are on the device all along.
+    pub fn are_resident(&self) -> bool {
+        matches!(self, Self::Resident { .. })
+    }
+
     /// Sees to it that the photograph of an iteration is on the device. No submission that uses another may be pending.
     pub fn prepare(&mut self, context: &Context, iteration: u32) -> Result<()> {
         match self {

@@ -4,7 +4,7 @@
 //! memory and numbers from the device, opacity resets, and more room after a step that had too little. A step without
 //! room, and whatever was recorded behind it, changes nothing: the device keeps its overflow flag until then.
 
-use super::step::{Plan, Progress, Tail, read_losses};
+use super::step::{Plan, Progress, Tail, loss_of, read_losses};
 use super::{Densified, StepReport, Trainer};
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
@@ -119,11 +119,16 @@ impl Trainer {
     /// and waits.
     ///
     /// # Errors
-    /// [`Error::Argument`] without slots or while recorded steps are in flight, [`Error::TooLarge`] for what the device
+    /// [`Error::Argument`] without slots, for photographs that lie in a file or while recorded steps are in flight,
+    /// [`Error::TooLarge`] for what the device
     /// cannot hold; memory or device failures.
     pub fn reserve_steps(&mut self, wanted: &StepReservation) -> Result<()> {
         if wanted.slots == 0 {
             return Err(Error::argument("reservation", "no slots for steps"));
+        }
+        if !self.photos.are_resident() {
+            let problem = "lie in a file: recorded steps need all of them on the device";
+            return Err(Error::argument("photographs", problem));
         }
         if self.settle()? > 0 {
             return Err(Error::argument("training steps", "are in flight: wait for them first"));
@@ -191,7 +196,10 @@ impl Trainer {
 
     /// A step, and the copies of its counts and its loss to where the host reads them.
     fn record_plan(&self, r: &mut Recorder, plan: &Plan, [state, losses]: [&Buffer; 2]) -> Result<()> {
-        let Self { runner, loss, backward, optimizer, training, scratch, photos, cameras, .. } = self;
+        let Self {
+            runner, loss, masked_loss, backward, optimizer, training, scratch, photos, cameras, ..
+        } = self;
+        let loss = loss_of(photos.is_masked(plan.view), loss, masked_loss);
         let (photo, lambda_dssim) = (photos.of(plan.view), self.settings.lambda_dssim as f32);
         let tail = Tail { loss, backward, optimizer, training, scratch, photo, lambda_dssim, plan };
         let request = Request {

@@ -252,7 +252,10 @@ impl Trainer {
     fn run_step(&mut self, plan: &Plan) -> Result<Ran> {
         self.backward.prepare(plan.sh_degree, plan.settings.inverse_depth)?;
         self.optimizer.prepare(plan.sh_degree)?;
-        let Self { runner, loss, backward, optimizer, training, scratch, photos, cameras, .. } = self;
+        let Self {
+            runner, loss, masked_loss, backward, optimizer, training, scratch, photos, cameras, ..
+        } = self;
+        let loss = loss_of(photos.is_masked(plan.view), loss, masked_loss);
         let (photo, lambda_dssim) = (photos.of(plan.view), self.settings.lambda_dssim as f32);
         let tail = Tail { loss, backward, optimizer, training, scratch, photo, lambda_dssim, plan };
         let request = Request {
@@ -306,6 +309,11 @@ impl StepReport {
             ..Self::default()
         }
     }
+}
+
+/// The loss for a view with a mask or without.
+pub(super) fn loss_of<'a>(is_masked: bool, loss: &'a Loss, masked: &'a Option<Loss>) -> &'a Loss {
+    if is_masked { masked.as_ref().unwrap_or(loss) } else { loss }
 }
 
 /// Loss, L1 and SSIM.

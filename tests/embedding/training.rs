@@ -2,7 +2,7 @@
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, with_host};
-use ashsplat::io::Photo;
+use ashsplat::io::{Photo, StoredPhoto};
 use ashsplat::trainer::{StepOutcome, StepReservation, Trainer};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice};
 use ashsplat::{
@@ -26,12 +26,16 @@ fn settings() -> TrainSettings {
     }
 }
 
-/// What is learnt does not matter: photographs of different sizes with a few patterns.
+/// What is learnt does not matter: photographs of different sizes with a few patterns, one with a mask.
 pub fn views() -> Vec<TrainView> {
     let view = |number: u32| {
         let (width, height) = (40 + 8 * number, 36);
+        let mask = (number == 2).then(|| (0..width * height).map(|k| 255 * u8::from(k % 5 > 0)).collect());
         let rgb = (0..width * height * 3).map(|k| (k * (number + 2) / 7) as u8).collect();
-        TrainView { camera: camera(number as f32, width, height), photo: Photo { width, height, rgb } }
+        TrainView {
+            camera: camera(number as f32, width, height),
+            photo: StoredPhoto::new(Photo { width, height, rgb }, mask),
+        }
     };
     (0..4).map(view).collect()
 }
