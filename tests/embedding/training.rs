@@ -2,7 +2,8 @@
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, with_host};
-use ashsplat::io::{Photo, StoredPhoto};
+use ashsplat::io::images::PhotoFile;
+use ashsplat::io::{Photo, PhotoMemory, StoredPhoto};
 use ashsplat::trainer::{StepOutcome, StepReservation, Trainer};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice};
 use ashsplat::{
@@ -252,6 +253,23 @@ fn a_trainer_needs_a_queue() {
             unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
         let error = Trainer::new(&context, views(), &cloud(10, 1), 4.0, settings()).err().expect("refused");
         assert!(error.to_string().contains("queue") && matches!(error, Error::Argument { .. }), "{error}");
+    });
+}
+
+/// Photographs that are read while training runs cannot be recorded ahead.
+#[test]
+fn photographs_in_a_file_are_refused() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (mut views, folder) = (views(), tempfile::tempdir().expect("a folder"));
+        let memory = PhotoMemory { bytes: 1 << 20, folder: folder.path().to_owned() };
+        let file = PhotoFile::create(&memory).expect("a file");
+        for view in &mut views {
+            view.photo = file.store(&view.photo).expect("stored");
+        }
+        let mut trainer = Trainer::new(&context, views, &cloud(10, 1), 4.0, settings()).expect("a trainer");
+        let error = trainer.reserve_steps(&StepReservation::default()).expect_err("refused");
+        assert!(error.to_string().contains("lie in a file"), "{error}");
     });
 }
 
