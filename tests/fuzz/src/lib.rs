@@ -5,6 +5,8 @@
 
 #[path = "../../../engine/error.rs"]
 pub mod error;
+#[path = "../../../engine/fingerprint.rs"]
+pub mod fingerprint;
 #[path = "../../../engine/io/mod.rs"]
 pub mod io;
 #[path = "../../../engine/metrics.rs"]
