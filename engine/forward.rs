@@ -8,12 +8,15 @@
 mod blending;
 mod inputs;
 mod settings;
+mod shape;
 
 pub(crate) use blending::record_passes;
 pub use blending::{BlendVariant, Blending};
 pub use inputs::{FrameInputs, PlacedScene};
 pub use settings::{Extent, JacobianLimit, RenderSettings};
 pub(crate) use settings::{camera_push, jacobian_limits};
+pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
+pub(crate) use shape::{ShapePush, shape_push};
 
 use crate::error::Result;
 use crate::kernels::constants as c;
@@ -161,7 +164,7 @@ impl Forward {
         }
         for part in inputs.parts() {
             let range = GaussianRange { first: part.first, ..part.range };
-            let push = camera_push!(cull::Push, &part, range);
+            let push = shape_push!(cull::Push, &part, range);
             let bind = cull::Bind {
                 parameters: &part.scene.chunks[range.chunk],
                 visible_flags: &f.visible_flags,
@@ -255,7 +258,7 @@ impl Forward {
                 panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
             };
             let range = GaussianRange { first: part.first, ..part.range };
-            let push = camera_push!(project::Push, &part, range);
+            let push = shape_push!(project::Push, &part, range);
             let bind = project::Bind {
                 parameters: &part.scene.chunks[range.chunk],
                 visible_ranges: &f.visible_ranges,

@@ -1,4 +1,5 @@
-//! Other people's programs beside ours: PlayCanvas' splat-transform and engine, Khronos' glTF validator.
+//! Other people's programs beside ours: PlayCanvas' splat-transform and engine, Khronos' glTF validator; and our page in
+//! other people's browser.
 //!
 //! They come from npm: `ASHSPLAT_NPM=1` installs them below `target`, `ASHSPLAT_NPM=FOLDER` uses those of a
 //! `node_modules`; without it, the trials are skipped by name.
@@ -7,6 +8,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod playcanvas;
+mod viewer;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -21,8 +23,12 @@ use crate::absent;
 use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
 
 /// What is installed.
-const PACKAGES: [&str; 3] =
-    ["@playcanvas/splat-transform@2.7.1", "playcanvas@2.23.3", "gltf-validator@2.0.0-dev.3.10"];
+const PACKAGES: [&str; 4] = [
+    "@playcanvas/splat-transform@2.7.1",
+    "playcanvas@2.23.3",
+    "gltf-validator@2.0.0-dev.3.10",
+    "playwright-core@1.56.1",
+];
 
 const KEEP: ReadOptions = ReadOptions { drop_invalid: false };
 
@@ -48,6 +54,7 @@ pub fn trials() -> Vec<Trial> {
     cases.push(("playcanvas_shows_a_trained_scene_ply".into(), |modules, _| {
         playcanvas::shows_a_trained_scene(modules, &trained_scene());
     }));
+    cases.push(("viewer_in_chromium_ply".into(), viewer::works_in_chromium));
     let wanted = std::env::var("ASHSPLAT_NPM").unwrap_or_default();
     let modules = Arc::new(OnceLock::new());
     cases

@@ -27,4 +27,5 @@ mod sort;
 mod splats;
 mod subgroup_widths;
 mod training;
+mod viewer;
 mod vk;

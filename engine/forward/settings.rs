@@ -1,5 +1,7 @@
 //! How a frame is rendered, and what the kernels are told of it.
 
+use super::shape::Shape;
+use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::scene::Camera;
 
@@ -38,6 +40,10 @@ pub struct RenderSettings {
     pub sh_degree: Option<u32>,
     /// Also render the sum of weights / z.
     pub inverse_depth: bool,
+    /// What is drawn of each Gaussian.
+    pub shape: Shape,
+    /// Factor of all scales: 1 for the scene as it is.
+    pub scale_modifier: f32,
 }
 
 impl Default for RenderSettings {
@@ -49,11 +55,30 @@ impl Default for RenderSettings {
             background: [0.0; 3],
             sh_degree: None,
             inverse_depth: false,
+            shape: Shape::default(),
+            scale_modifier: 1.0,
         }
     }
 }
 
 impl RenderSettings {
+    /// Checks that the numbers make sense.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a scale modifier that is negative or not finite.
+    pub fn check(&self) -> Result<()> {
+        if !(self.scale_modifier.is_finite() && self.scale_modifier >= 0.0) {
+            let problem = format!("is {}, must be finite and not negative", self.scale_modifier);
+            return Err(Error::argument("scale modifier", problem));
+        }
+        Ok(())
+    }
+
+    /// Whether the picture is that of the Gaussians themselves, which can be differentiated.
+    pub fn is_faithful(&self) -> bool {
+        self.shape == Shape::Gaussian && self.scale_modifier == 1.0
+    }
+
     pub(crate) fn extent_word(&self) -> u32 {
         match self.extent {
             Extent::Exact => c::EXTENT_EXACT,

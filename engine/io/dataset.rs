@@ -1,5 +1,6 @@
 //! A data set to train on: photographs with their cameras, and points to start from.
 
+mod gallery;
 mod inspect;
 mod plan;
 mod unpacked;
@@ -17,6 +18,7 @@ use crate::Result;
 use crate::scene::init::{RANDOM_POINTS, random_points, seen_box};
 use crate::scene::{Bounds, Camera, Gaussians, PointCloud, scene_extent};
 
+pub use gallery::Gallery;
 pub use inspect::DatasetReport;
 use plan::{Plan, PlannedView};
 use unpacked::Unpacked;

@@ -14,6 +14,6 @@ mod sniff;
 pub mod splats;
 pub mod transforms;
 
-pub use dataset::{Dataset, DatasetOptions, DatasetReport, View};
+pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
 pub use images::{Photo, PhotoMemory, Resolution, StoredPhoto};
 pub use progress::Progress;

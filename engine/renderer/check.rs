@@ -14,6 +14,7 @@ impl Renderer {
     /// Everything that can be wrong with a frame, before anything is recorded.
     pub(super) fn check_frame(&self, frame: &RecordedFrame<'_>, reserved: &Reservation) -> Result<()> {
         frame.camera.check()?;
+        frame.settings.check()?;
         let context = &self.context;
         if frame.scenes.is_empty() {
             return Err(Error::argument("scenes", "there are none"));

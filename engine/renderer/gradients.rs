@@ -24,7 +24,8 @@ impl Renderer {
     ///
     /// # Errors
     /// [`Error::Argument`] when a gradient does not have one entry per pixel, or an inverse-depth gradient comes without
-    /// `settings.inverse_depth`; as [`Renderer::render`].
+    /// `settings.inverse_depth`, or for settings that are not [faithful](RenderSettings::is_faithful); as
+    /// [`Renderer::render`].
     pub fn gradients(
         &mut self,
         camera: &Camera,
@@ -39,6 +40,11 @@ impl Renderer {
         }
         if inverse_depth_gradient.is_some() && !settings.inverse_depth {
             return Err(Error::argument("inverse-depth gradient", "needs settings.inverse_depth"));
+        }
+        if !settings.is_faithful() {
+            let problem =
+                "gradients are those of the Gaussians as they are: no other shape, no scale modifier";
+            return Err(Error::argument("settings", problem));
         }
         let scene = self.scene.clone().ok_or_else(super::no_scene)?;
         let sh_degree = scene.active_degree(settings);

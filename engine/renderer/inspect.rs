@@ -1,8 +1,8 @@
 //! Which Gaussians make up a pixel.
 
-use super::Renderer;
+use super::{FrameRunner, Renderer, no_scene};
 use crate::error::{Error, Result};
-use crate::forward::{Forward, RenderSettings};
+use crate::forward::{Forward, RenderSettings, SceneBuffers};
 use crate::kernels::constants as c;
 use crate::plan::tile_grid;
 use crate::scene::Camera;
@@ -51,18 +51,31 @@ impl Renderer {
         settings: &RenderSettings,
         pixel: [u32; 2],
     ) -> Result<PixelReport> {
+        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
+        self.runner.inspect(scene, camera, settings, pixel)
+    }
+}
+
+impl FrameRunner {
+    /// See [`Renderer::inspect`].
+    pub(crate) fn inspect(
+        &mut self,
+        scene: &SceneBuffers,
+        camera: &Camera,
+        settings: &RenderSettings,
+        pixel: [u32; 2],
+    ) -> Result<PixelReport> {
         let [x, y] = pixel;
         if x >= camera.width || y >= camera.height {
             let problem = format!("({x}, {y}) lies outside the image of {}x{}", camera.width, camera.height);
             return Err(Error::argument("pixel", problem));
         }
-        self.render(camera, settings)?;
-        let f = self.runner.frame()?;
+        self.render(scene, camera, settings)?;
+        let f = self.frame()?;
         let (columns, _) = tile_grid(camera.width, camera.height);
         let tile = u64::from(y / c::TILE_SIZE * columns + x / c::TILE_SIZE);
         let range: Vec<u32> = self.read(&f.tile_ranges, tile * 8, 8)?;
-        let sorted_visible =
-            Forward::sorted_visible(&self.runner.forward.sizes, f, &self.runner.capacity(), camera);
+        let sorted_visible = Forward::sorted_visible(&self.forward.sizes, f, &self.capacity(), camera);
         let entries: Vec<u32> =
             self.read(sorted_visible, u64::from(range[0]) * 4, u64::from(range[1] - range[0]) * 4)?;
         let splats = f.splats();

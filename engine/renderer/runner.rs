@@ -10,7 +10,7 @@ use crate::vk::{Context, Recorder, RunReport};
 
 /// The forward pass with buffers of its own.
 pub(crate) struct FrameRunner {
-    context: Context,
+    pub(super) context: Context,
     pub(super) forward: Forward,
     pub(super) store: FrameStore,
 }
@@ -68,6 +68,7 @@ impl FrameRunner {
     ) -> Result<Ran> {
         let Request { scene, camera, settings, sh_degree, backward } = *request;
         camera.check()?;
+        settings.check()?;
         self.forward.prepare(sh_degree, settings.inverse_depth)?;
         let mut retries = 0;
         loop {

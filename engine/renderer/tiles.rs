@@ -1,6 +1,6 @@
 //! How full the tiles of a frame are.
 
-use super::Renderer;
+use super::{Frame, FrameRunner, Renderer, no_scene};
 use crate::error::Result;
 use crate::forward::RenderSettings;
 use crate::kernels::constants::TILE_SIZE;
@@ -26,8 +26,29 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::render`].
     pub fn tiles(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<TileReport> {
-        self.render(camera, settings)?;
-        let frame = self.runner.frame()?;
+        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
+        self.runner.render(scene, camera, settings)?;
+        self.runner.tiles(camera)
+    }
+
+    /// As [`Renderer::render`] and [`Renderer::tiles`], of one frame.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn render_with_tiles(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(Frame, TileReport)> {
+        let frame = self.render(camera, settings)?;
+        Ok((frame, self.runner.tiles(camera)?))
+    }
+}
+
+impl FrameRunner {
+    /// How full the tiles of the last frame are, which was rendered with this camera.
+    pub(crate) fn tiles(&self, camera: &Camera) -> Result<TileReport> {
+        let frame = self.frame()?;
         let (columns, rows) = tile_grid(camera.width, camera.height);
         let tiles = u64::from(columns) * u64::from(rows);
         let pixels = u64::from(camera.width) * u64::from(camera.height);

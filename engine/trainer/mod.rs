@@ -26,7 +26,7 @@ use crate::io::StoredPhoto;
 use crate::loss::{Loss, PhotoFormat};
 use crate::optimizer::{Moments, Optimizer};
 use crate::planes;
-use crate::renderer::{BlendSamples, Frame, FrameRunner};
+use crate::renderer::{BlendSamples, Frame, FrameRunner, PixelReport, TileReport};
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Buffer, Context, MemoryKind, ScopeTime};
 use photos::Photos;
@@ -236,13 +236,49 @@ impl Trainer {
     /// [`Error::Argument`] for a camera that makes no sense, and while recorded steps are in flight; memory or device
     /// failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
+        let settings = self.at_present_degree(settings);
+        self.drawing(|runner, scene| runner.render(scene, camera, &settings))
+    }
+
+    /// As [`Trainer::render`], and how full the frame's tiles are.
+    ///
+    /// # Errors
+    /// As [`Trainer::render`].
+    pub fn render_with_tiles(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(Frame, TileReport)> {
+        let frame = self.render(camera, settings)?;
+        Ok((frame, self.runner.tiles(camera)?))
+    }
+
+    /// The Gaussians blended at a pixel, as [`crate::Renderer::inspect`] lists them, of the scene as it stands.
+    ///
+    /// # Errors
+    /// As [`crate::Renderer::inspect`].
+    pub fn inspect(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        pixel: [u32; 2],
+    ) -> Result<PixelReport> {
+        let settings = self.at_present_degree(settings);
+        self.drawing(|runner, scene| runner.inspect(scene, camera, &settings, pixel))
+    }
+
+    /// Draws between two steps; a recorded step prepares its frame anew where the buffers have changed.
+    fn drawing<T>(&mut self, draw: impl FnOnce(&mut FrameRunner, &SceneBuffers) -> Result<T>) -> Result<T> {
         self.check_settled()?;
-        let sh_degree = settings.sh_degree.unwrap_or_else(|| self.sh_degree());
-        let settings = RenderSettings { sh_degree: Some(sh_degree), ..*settings };
         let capacity = self.runner.capacity();
-        let rendered = self.runner.render(&self.training.scene, camera, &settings);
-        self.recording.frame_is_ready &= rendered.is_ok() && self.runner.capacity() == capacity;
-        rendered
+        let drawn = draw(&mut self.runner, &self.training.scene);
+        self.recording.frame_is_ready &= drawn.is_ok() && self.runner.capacity() == capacity;
+        drawn
+    }
+
+    fn at_present_degree(&self, settings: &RenderSettings) -> RenderSettings {
+        let sh_degree = settings.sh_degree.unwrap_or_else(|| self.sh_degree());
+        RenderSettings { sh_degree: Some(sh_degree), ..*settings }
     }
 
     /// How views are rendered in training, but for a random background.

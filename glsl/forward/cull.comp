@@ -21,6 +21,7 @@ VEC4_READS(0, Parameters, parameters);
 layout(set = 0, binding = 1, scalar) writeonly buffer VisibleFlags { uint visible_flags[]; };
 layout(set = 0, binding = 2, scalar) writeonly buffer BlockCounts { uint block_counts[]; };
 
+#define CAMERA_PUSH_SHAPE
 #include "camera_push.glsl"
 #include "dispatch.glsl"
 #include "workgroup_scan.glsl"

@@ -27,6 +27,7 @@ layout(set = 0, binding = 6, scalar) writeonly buffer DepthKeys { uint depth_key
 layout(set = 0, binding = 7, scalar) writeonly buffer Footprints { uvec4 footprints[]; };
 layout(set = 0, binding = 8, scalar) writeonly buffer VisibleTiles { uint visible_tiles[]; };
 
+#define CAMERA_PUSH_SHAPE
 #include "camera_push.glsl"
 #include "dispatch.glsl"
 #include "splat_record.glsl"

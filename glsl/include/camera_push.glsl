@@ -23,6 +23,13 @@ layout(push_constant, scalar) uniform Push {
     uint splat_stride;
     // 1 / scale^2.
     float inverse_scale_squared;
+#ifdef CAMERA_PUSH_SHAPE
+    // What is drawn (engine/forward/shape.rs): factor of the scales; added to both variances on the screen; if not 0
+    // the opacity of all in place of their own, if negative only of those with ELLIPSOID_LEAST_OPACITY or more.
+    float scale_modifier;
+    float dilation_px2;
+    float opacity_drawn;
+#endif
 #ifdef CAMERA_PUSH_EXTRA
     CAMERA_PUSH_EXTRA
 #endif

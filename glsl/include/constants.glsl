@@ -11,6 +11,8 @@ const float ALPHA_MIN = 0.00392156862745098;
 const float TRANSMITTANCE_MIN = 1e-4;
 const float ANTIALIAS_MIN_RATIO = 2.5e-5;
 const float QUAT_NORM_MIN = 1e-12;
+// Opacity of the faintest Gaussians that are drawn as ellipsoids.
+const float ELLIPSOID_LEAST_OPACITY = 0.2;
 
 // Extent modes: how a Gaussian's tiles are found.
 const uint EXTENT_EXACT = 0;

@@ -1,10 +1,17 @@
 // EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and backward.
-// Needs constants.glsl, camera_push.glsl, tile_span.glsl and `parameters`.
+// Needs constants.glsl, camera_push.glsl, tile_span.glsl and `parameters`. Kernels that can draw something else in place of
+// the Gaussians themselves define CAMERA_PUSH_SHAPE.
+
+#ifndef CAMERA_PUSH_SHAPE
+const float scale_modifier = 1.0;
+const float dilation_px2 = DILATION_PX2;
+const float opacity_drawn = 0.0;
+#endif
 
 struct Projection {
     vec3 mean_camera;      // R mean + t
     mat3 axes_camera;      // R R(q), columns: the Gaussian's axes in camera space, as long as the object's scale
-    vec3 scale;            // exp(log_scale)
+    vec3 scale;            // exp(log_scale), by the modifier
     vec4 quat;             // unit, or zero
     float inverse_norm;    // 1 / |q|, or 0 for a zero quaternion
     vec2 slope;            // x/z and y/z, clamped to the Jacobian limits
@@ -44,7 +51,7 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     float norm = length(quat);
     p.inverse_norm = norm > QUAT_NORM_MIN ? 1.0 / norm : 0.0;
     p.quat = quat * p.inverse_norm;
-    p.scale = exp(log_scale);
+    p.scale = exp(log_scale) * scale_modifier;
     mat3 axes = rotation_of(p.quat);
     p.axes_camera = mat3(to_camera(axes[0]), to_camera(axes[1]), to_camera(axes[2]));
 
@@ -66,8 +73,8 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     float yy = dot(p.row_y, p.row_y);
     vec3 minors = cross(p.row_x, p.row_y);
     p.det_raw = dot(minors, minors);
-    p.cov2d = vec3(xx + DILATION_PX2, dot(p.row_x, p.row_y), yy + DILATION_PX2);
-    p.det = p.det_raw + DILATION_PX2 * (xx + yy) + DILATION_PX2 * DILATION_PX2;
+    p.cov2d = vec3(xx + dilation_px2, dot(p.row_x, p.row_y), yy + dilation_px2);
+    p.det = p.det_raw + dilation_px2 * (xx + yy + dilation_px2);
     return p;
 }
 
@@ -92,7 +99,12 @@ bool is_finite(float x) {
 Footprint footprint_of(Projection p, float opacity_logit) {
     Footprint f;
     float ratio = p.det_raw / p.det;
-    f.opacity = sigmoid(opacity_logit) * (antialias != 0 ? sqrt(max(ANTIALIAS_MIN_RATIO, ratio)) : 1.0);
+    f.opacity = sigmoid(opacity_logit);
+    if (opacity_drawn != 0.0) {
+        f.opacity = f.opacity >= (opacity_drawn > 0.0 ? 0.0 : ELLIPSOID_LEAST_OPACITY) ? abs(opacity_drawn) : 0.0;
+    } else {
+        f.opacity *= antialias != 0 ? sqrt(max(ANTIALIAS_MIN_RATIO, ratio)) : 1.0;
+    }
     f.mean2d_px = focal_px * p.mean_camera.xy / p.mean_camera.z + center_px;
     bool valid = p.mean_camera.z > NEAR_PLANE && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
         && is_finite(p.cov2d.z) && is_finite(f.mean2d_px.x) && is_finite(f.mean2d_px.y) && is_finite(f.opacity);

@@ -67,6 +67,7 @@ pub fn settings(view: &View) -> RenderSettings {
         background: view.background.map(|x| x as f32),
         sh_degree: Some(view.sh_degree),
         inverse_depth: true,
+        ..RenderSettings::default()
     }
 }
 

@@ -5,7 +5,7 @@ use ashsplat::kernels::forward::project;
 use ashsplat::vk::Buffer;
 
 use super::gpu::{Gpu, UNTOUCHED};
-use super::layout::{SplatPlanes, camera_push, pack, pack_splats, rounded};
+use super::layout::{SplatPlanes, pack, pack_splats, rounded, shape_push};
 use super::scenes::{Random, mixed_scene};
 use crate::reference::project as twin;
 use crate::reference::tiles::{touched, touches_by_pixels};
@@ -74,7 +74,7 @@ impl Projected {
             footprints: &footprints,
             visible_tiles: &visible_tiles,
         };
-        let push = camera_push!(project::Push, view, gaussians.len(), stride);
+        let push = shape_push!(project::Push, view, gaussians.len(), stride);
         let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
         let behind = |buffer: Buffer, bytes: u64| {

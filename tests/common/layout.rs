@@ -104,6 +104,24 @@ macro_rules! camera_push {
 #[allow(unused_imports)]
 pub(crate) use camera_push;
 
+/// The push constants of a kernel of the forward pass that projects: the Gaussians as they are.
+#[allow(unused_macros)]
+macro_rules! shape_push {
+    ($push:path, $view:expr, $count:expr, $stride:expr) => {
+        $crate::common::layout::camera_push!(
+            $push,
+            $view,
+            $count,
+            $stride,
+            scale_modifier: 1.0,
+            dilation_px2: ashsplat::kernels::constants::DILATION_PX2,
+            opacity_drawn: 0.0
+        )
+    };
+}
+#[allow(unused_imports)]
+pub(crate) use shape_push;
+
 /// EXTENT_EXACT or EXTENT_REFERENCE.
 pub fn extent_word(view: &View) -> u32 {
     use crate::reference::types::Extent;

@@ -3,7 +3,7 @@
 use ashsplat::kernels::forward::cull::{Bind, Interface, Push, Spec};
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{camera_push, pack};
+use crate::common::layout::{pack, shape_push};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::cull::cull;
 use crate::reference::project::project;
@@ -40,7 +40,7 @@ fn cull_equals_its_twin() {
         let flags = gpu.untouched::<u32>("visible_flags", size + 2);
         let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
         let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-        let push = camera_push!(Push, &view, size, stride);
+        let push = shape_push!(Push, &view, size, stride);
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
 
         let flags = gpu.read::<u32>(&flags, size + 2);
@@ -94,7 +94,7 @@ fn cull_of_non_finite_parameters() {
     let flags = gpu.untouched::<u32>("visible_flags", cases.len());
     let counts = gpu.untouched::<u32>("block_counts", 1);
     let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-    let push = camera_push!(Push, &view, cases.len(), cases.len());
+    let push = shape_push!(Push, &view, cases.len(), cases.len());
     gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
     assert_eq!(gpu.read::<u32>(&flags, cases.len()), expected);
 }

@@ -1,6 +1,6 @@
 //! The command line: what all commands share, and how it is read.
 
-use crate::{bench, convert, demo, devices, eval, info, inspect, output, profile, render, train};
+use crate::{bench, convert, demo, devices, eval, info, inspect, output, profile, render, train, view};
 use ashsplat::Result;
 use ashsplat::vk::{Context, ContextOptions};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -25,6 +25,8 @@ pub enum Command {
     Train(Box<train::Arguments>),
     /// Render a trained scene: a data set's views, an orbit or a camera path
     Render(render::Arguments),
+    /// Look at a scene, a model or a data set in a browser
+    View(view::Arguments),
     /// PSNR and SSIM of a trained scene on a data set
     Eval(eval::Arguments),
     /// What is in a file of Gaussians, a model folder or a data set, and whether it can be used

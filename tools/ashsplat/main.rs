@@ -33,6 +33,7 @@ mod progress;
 mod render;
 mod session;
 mod train;
+mod view;
 
 use ashsplat::{Error, Result};
 use std::process::ExitCode;
@@ -70,6 +71,7 @@ fn run(command: args::Command) -> Result<ExitCode> {
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Bench(arguments) => return bench::run(&arguments),
+        Command::View(arguments) => view::run(&arguments),
         Command::Profile(arguments) => profile::run(&arguments),
     };
     done.map(|()| ExitCode::SUCCESS)

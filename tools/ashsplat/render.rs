@@ -269,7 +269,7 @@ const ORBIT_REACH: f32 = 2.0;
 
 /// A circle around the middle nine tenths of the Gaussians, far enough to see nearly all of them, and none so near
 /// that it would be culled.
-fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Intrinsics) -> Orbit {
+pub fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Intrinsics) -> Orbit {
     let statistics = gaussians.statistics();
     let bounds = statistics.central_bounds;
     let center = bounds.map_or(Vec3::ZERO, |b| b.center());

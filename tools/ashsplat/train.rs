@@ -2,6 +2,7 @@
 
 mod checkpoints;
 mod folder;
+mod live;
 mod log;
 mod prepared;
 mod report;
@@ -21,6 +22,7 @@ use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use checkpoints::Start;
 use clap::Args;
+use live::{Live, LiveArguments};
 use log::TrainLog;
 use prepared::{Prepared, photo_memory};
 use report::KernelTimes;
@@ -53,6 +55,8 @@ pub struct Arguments {
     /// output differs
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     verify_determinism: Option<u32>,
+    #[command(flatten)]
+    live: LiveArguments,
     #[command(flatten)]
     device: DeviceArguments,
     /// No progress; only results and errors
@@ -101,6 +105,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         None => Run::prepare(&context, dataset, settings, arguments.quiet)?,
         Some(start) => Run::resume(&context, dataset, settings, &start, arguments.quiet)?,
     };
+    run.look_on(&arguments.live, &context)?;
     let interrupted = run.train()?;
     run.report();
     say!("written to {}", folder.display());
@@ -137,6 +142,8 @@ pub struct Run {
     /// Iteration whose scene was saved last.
     saved: Option<u32>,
     kernels: KernelTimes,
+    /// Who looks on.
+    live: Option<Live>,
 }
 
 impl Run {
@@ -192,6 +199,7 @@ impl Run {
             limited: false,
             saved: None,
             kernels: KernelTimes::new(context),
+            live: None,
         }
     }
 
@@ -200,6 +208,7 @@ impl Run {
         let stop = session::stop_on_ctrl_c()?;
         let mut watch = Stopwatch::start();
         let result = self.iterate(&stop, &mut watch);
+        let result = result.and_then(|interrupted| self.end_show(&stop).map(|()| interrupted));
         let total = watch.cost(self.trainer.iteration() - self.started);
         self.total = Some(total);
         self.first.get_or_insert(total);
@@ -231,6 +240,7 @@ impl Run {
     fn iterate(&mut self, stop: &AtomicBool, watch: &mut Stopwatch) -> Result<bool> {
         for _ in self.started..self.settings.train.iterations {
             let report = self.timed_step()?;
+            self.show(&report, stop, watch)?;
             let stopping = stop.load(Ordering::Relaxed);
             self.account(&report);
             if report.iteration - self.started == FIRST_ITERATIONS {
@@ -349,6 +359,7 @@ impl Run {
         }
         let psnr = evaluation.psnr();
         self.progress.tested(psnr);
+        self.show_test(iteration, psnr);
         let tested = Tested { iteration, gaussians: self.gaussians, evaluation };
         self.progress.note(&self.describe(&tested));
         self.evaluations.push(tested);

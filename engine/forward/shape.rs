@@ -1,0 +1,80 @@
+//! What is drawn of each Gaussian, and what the kernels are told of it.
+
+use super::RenderSettings;
+use crate::kernels::constants as c;
+
+/// What is drawn of each Gaussian.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Shape {
+    /// The Gaussian itself.
+    #[default]
+    Gaussian,
+    /// An opaque ellipsoid in its colour: its surface lies at [`ELLIPSOID_SIGMAS`] standard deviations, with a soft rim of
+    /// a few percent of that. Gaussians of an opacity below [`c::ELLIPSOID_LEAST_OPACITY`] are left out. On the screen it
+    /// lies at its mean's depth, as the Gaussian does.
+    Ellipsoid,
+    /// An opaque dot in its colour at its mean, about [`POINT_RADIUS_PX`] pixels in radius.
+    Point,
+}
+
+/// Standard deviations at which the surface of [`Shape::Ellipsoid`] lies.
+pub const ELLIPSOID_SIGMAS: f32 = 2.0;
+/// Radius of [`Shape::Point`], pixels.
+pub const POINT_RADIUS_PX: f32 = 1.5;
+
+/// Logarithm of the opacity that makes a Gaussian a disc: `exp(STEEPNESS - d²/2)` stays above 1 until d = √(2 STEEPNESS)
+/// and is below 1/255 at √(2 (STEEPNESS + ln 255)), 7 % farther out. Well within float32.
+const STEEPNESS: f32 = 40.0;
+/// The same for points, whose rim is as wide as a pixel.
+const POINT_STEEPNESS: f32 = 3.75;
+
+/// The push constants of CAMERA_PUSH_SHAPE.
+pub(crate) struct ShapePush {
+    pub scale_modifier: f32,
+    pub dilation_px2: f32,
+    pub opacity_drawn: f32,
+}
+
+impl ShapePush {
+    pub fn of(settings: &RenderSettings) -> Self {
+        let scale_modifier = settings.scale_modifier;
+        match settings.shape {
+            Shape::Gaussian => Self { scale_modifier, dilation_px2: c::DILATION_PX2, opacity_drawn: 0.0 },
+            Shape::Ellipsoid => {
+                // Standard deviations out to where the alpha is about one half.
+                let reach = (2.0 * (STEEPNESS + 0.5f32.recip().ln())).sqrt();
+                let shrink = ELLIPSOID_SIGMAS / reach;
+                Self {
+                    scale_modifier: scale_modifier * shrink,
+                    dilation_px2: c::DILATION_PX2 * shrink * shrink,
+                    // Negative: not the faint ones.
+                    opacity_drawn: -STEEPNESS.exp(),
+                }
+            }
+            Shape::Point => {
+                let reach2 = 2.0 * (POINT_STEEPNESS + 0.5f32.recip().ln());
+                Self {
+                    scale_modifier: 0.0,
+                    dilation_px2: POINT_RADIUS_PX * POINT_RADIUS_PX / reach2,
+                    opacity_drawn: POINT_STEEPNESS.exp(),
+                }
+            }
+        }
+    }
+}
+
+/// As `camera_push`, for the kernels with CAMERA_PUSH_SHAPE.
+macro_rules! shape_push {
+    ($push:path, $inputs:expr, $range:expr) => {{
+        let shape = crate::forward::ShapePush::of($inputs.settings);
+        crate::forward::camera_push!(
+            $push,
+            $inputs,
+            $range,
+            scale_modifier: shape.scale_modifier,
+            dilation_px2: shape.dilation_px2,
+            opacity_drawn: shape.opacity_drawn
+        )
+    }};
+}
+pub(crate) use shape_push;

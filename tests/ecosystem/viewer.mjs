@@ -1,0 +1,209 @@
+// Looks through the viewer in headless Chromium as a person would: a model, then a training.
+//
+// node viewer.mjs MODULES PROGRAM FOLDER
+//   MODULES: a node_modules folder with playwright-core; PROGRAM: ashsplat; FOLDER: one that `ashsplat demo` filled, for
+//   the screenshots too
+import assert from 'node:assert/strict';
+import { spawn } from 'node:child_process';
+import { createRequire } from 'node:module';
+import { join, resolve } from 'node:path';
+import { createInterface } from 'node:readline';
+
+const [modules, program, folder] = process.argv.slice(2);
+const { chromium } = createRequire(join(resolve(modules), 'x.js'))('playwright-core');
+const PATIENCE = 120_000;
+const children = new Set();
+
+/** Starts the program; resolves with its page's address. */
+function serve(...args) {
+    const child = spawn(program, args, { stdio: ['ignore', 'pipe', 'inherit'] });
+    children.add(child);
+    child.on('exit', () => children.delete(child));
+    return new Promise((done, fail) => {
+        child.on('error', fail);
+        child.on('exit', (code) => fail(new Error(`${args.join(' ')} ended with ${code}`)));
+        createInterface({ input: child.stdout }).on('line', (line) => {
+            const address = /^viewer at (http:\S+)/.exec(line)?.[1];
+            if (address) done({ child, address, port: new URL(address).port });
+        });
+    });
+}
+
+function end(child) {
+    const gone = new Promise((done) => child.on('exit', done));
+    child.kill('SIGKILL');
+    return gone;
+}
+
+const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: ['--no-sandbox'] });
+const errors = [];
+async function open(address) {
+    const page = await browser.newPage({ viewport: { width: 1280, height: 720 } });
+    page.setDefaultTimeout(PATIENCE);
+    page.on('pageerror', (error) => errors.push(error.stack));
+    // A connection that breaks is an error to the console, and meant here.
+    page.on('console', (message) => { if (message.type() === 'error' && !/WebSocket|ERR_CONNECTION/.test(message.text())) errors.push(message.text()); });
+    await page.goto(address);
+    return page;
+}
+
+const sharp = (page) => page.waitForFunction(() => window.ashsplat?.shown?.sharp && ashsplat.frames.sharp && !ashsplat.frames.dirty && ashsplat.shown.seq === ashsplat.frames.seq);
+const state = (page) => page.evaluate(() => ({ position: ashsplat.camera.position, pivot: ashsplat.camera.pivot, seq: ashsplat.shown.seq }));
+const shot = (page, name) => page.screenshot({ path: join(folder, `viewer_${name}.png`) });
+/** Mean and deviation of the picture's brightness, and its pixels' sum weighted by place: another picture has another. */
+const picture = (page) => page.evaluate(() => {
+    const canvas = document.getElementById('picture');
+    const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+    let sum = 0, squares = 0, places = 0;
+    for (let i = 0; i < data.length; i += 4) { sum += data[i]; squares += data[i] ** 2; places += data[i] * ((i / 4) % 997); }
+    const n = data.length / 4;
+    return { mean: sum / n, deviation: Math.sqrt(squares / n - (sum / n) ** 2), places };
+});
+
+async function looksThrough(page) {
+    await sharp(page);
+    const first = await picture(page);
+    assert(first.deviation > 8, 'an empty picture');
+    await shot(page, 'model');
+
+    // Orbit: the view moves, frames become coarse, and sharp again at rest.
+    const before = await state(page);
+    const widths = await page.evaluateHandle(() => { const seen = new Set(); ashsplat.link.on('frame', (h) => seen.add(h.width)); return seen; });
+    await page.mouse.move(560, 360);
+    await page.mouse.down();
+    for (let i = 1; i <= 12; ++i) {
+        await page.mouse.move(560 + 14 * i, 360 + 4 * i);
+        await page.waitForTimeout(40);
+    }
+    await page.mouse.up();
+    await sharp(page);
+    const after = await state(page);
+    assert.notDeepEqual(after.position, before.position);
+    const distance = (s) => Math.hypot(...s.position.map((v, i) => v - s.pivot[i]));
+    assert(Math.abs(distance(after) - distance(before)) < 1e-3 * distance(before), 'an orbit keeps its distance');
+    assert((await widths.evaluate((seen) => Math.min(...seen))) < 1280, 'no coarse frames');
+    assert.notEqual((await picture(page)).places, first.places);
+
+    // Pan, zoom, fly.
+    for (const act of [
+        async () => { await page.mouse.move(500, 300); await page.mouse.down({ button: 'right' }); await page.mouse.move(540, 320, { steps: 4 }); await page.mouse.up({ button: 'right' }); },
+        () => page.mouse.wheel(0, -300),
+        () => page.keyboard.press('w', { delay: 120 }),
+        () => page.keyboard.press('ArrowLeft', { delay: 120 })
+    ]) {
+        const old = await state(page);
+        await act();
+        await page.waitForFunction((p) => String(ashsplat.camera.position) !== p, String(old.position));
+    }
+    await page.keyboard.press('Home');
+    await sharp(page);
+    assert.equal((await picture(page)).places, first.places, 'Home is the first view');
+
+    // Each mode looks different.
+    const seen = new Set([first.places]);
+    for (const mode of ['centres', 'ellipsoids', 'depth', 'tiles']) {
+        await page.click(`[data-mode=${mode}]`);
+        await sharp(page);
+        seen.add((await picture(page)).places);
+        assert.equal(await page.isVisible('#legend'), ['depth', 'tiles'].includes(mode));
+        await shot(page, mode);
+    }
+    assert.equal(seen.size, 5);
+    await page.keyboard.press('1');
+
+    // To a photo; wipe; away from it again.
+    await page.click('#photo-list button:nth-child(5)');
+    await page.waitForFunction(() => { const p = document.getElementById('photo'); return !p.hidden && p.naturalWidth > 0; });
+    await sharp(page);
+    const clip = () => page.evaluate(() => document.getElementById('photo').style.clipPath);
+    const half = await clip();
+    const box = await page.locator('#wipe').boundingBox();
+    await page.mouse.move(box.x + box.width / 2, 360);
+    await page.mouse.down();
+    await page.mouse.move(box.x + 60, 360, { steps: 5 });
+    await page.mouse.up();
+    assert.notEqual(await clip(), half);
+    await shot(page, 'photo');
+    await page.keyboard.press(']');
+    await page.waitForFunction(() => ashsplat.photos.current === 5);
+    await page.keyboard.press('Escape');
+    await page.waitForSelector('#photo', { state: 'hidden' });
+
+    // A pixel, and the pivot below the pointer.
+    await page.click('#inspect');
+    await page.mouse.click(640, 380);
+    await page.waitForSelector('#picked-table tbody tr');
+    await shot(page, 'pixel');
+    await page.click('#inspect');
+    const pivot = (await state(page)).pivot;
+    await page.waitForTimeout(500);
+    await page.mouse.dblclick(600, 400);
+    await page.waitForFunction((p) => String(ashsplat.camera.pivot) !== p, String(pivot));
+
+    // A film of two keys.
+    await page.keyboard.press('k');
+    await page.keyboard.press('ArrowRight', { delay: 200 });
+    await page.keyboard.press('k');
+    await page.fill('#film-seconds', '0.5');
+    await page.click('#film-render');
+    await page.waitForFunction(() => document.querySelector('#film-result img')?.naturalWidth > 0);
+    await page.locator('#film-result').scrollIntoViewIfNeeded();
+    await shot(page, 'film');
+
+    // A screenshot is a PNG of the whole picture.
+    const [saved] = await Promise.all([page.waitForEvent('download'), page.click('#shot')]);
+    assert.match(saved.suggestedFilename(), /^ashsplat-.*\.png$/);
+}
+
+/** The program goes and comes back; the page too. */
+async function comesBack(page, served, args) {
+    await end(served.child);
+    await page.waitForSelector('#connection.bad');
+    await shot(page, 'broken');
+    const again = await serve(...args, '--port', served.port);
+    await page.waitForSelector('#connection:not(.bad)');
+    await page.evaluate(() => { ashsplat.shown = null; });
+    await sharp(page);
+    await end(again.child);
+}
+
+async function steersTraining() {
+    const served = await serve('train', '-s', join(folder, 'dataset'), '-m', join(folder, 'watched'), '--iterations', '1000000', '--eval', '--view=0', '--quiet');
+    const page = await open(served.address);
+    await sharp(page);
+    const iteration = () => page.evaluate(() => Number(document.getElementById('training-text').textContent.split('/')[0].replace(/\D/g, '')));
+    await page.waitForFunction(() => ashsplat.training.curves.loss.length > 30 && ashsplat.training.curves.rate.length > 1 && ashsplat.training.curves.psnr.length > 0);
+    await shot(page, 'training');
+    await page.click('#train-pause');
+    await page.waitForFunction(() => ashsplat.training.paused);
+    await page.waitForTimeout(1500);
+    const at = await iteration();
+    await page.waitForTimeout(1500);
+    assert.equal(await iteration(), at, 'it waits');
+    await page.click('#train-step');
+    await page.waitForFunction((old) => Number(document.getElementById('training-text').textContent.split('/')[0].replace(/\D/g, '')) === old + 1, at);
+    await page.locator('#overlay').focus();
+    await page.keyboard.press('Space');
+    await page.waitForFunction(() => !ashsplat.training.paused);
+    const gone = new Promise((done) => served.child.on('exit', done));
+    await page.click('#train-stop');
+    assert.equal(await gone, 130);
+}
+
+let failed = null;
+try {
+    const args = ['view', join(folder, 'model'), '-o', join(folder, 'films')];
+    const served = await serve(...args, '--port', '0');
+    const page = await open(served.address);
+    await looksThrough(page);
+    await comesBack(page, served, args);
+    await page.close();
+    await steersTraining();
+    assert.deepEqual(errors, []);
+} catch (error) {
+    failed = error;
+    console.error(error.stack, errors.join('\n'));
+}
+for (const child of children) child.kill('SIGKILL');
+await browser.close();
+process.exit(failed ? 1 : 0);

@@ -1,0 +1,188 @@
+//! Frames, picks and films.
+
+use super::*;
+use crate::cli::succeed;
+use crate::common::engine::renderer;
+use ashsplat::io::Photo;
+use ashsplat::{RenderSettings, Shape};
+use tempfile::tempdir;
+
+/// The picture that the library renders.
+fn expected(count: usize, camera: &Camera, settings: &RenderSettings) -> Vec<u8> {
+    let mut renderer = renderer();
+    renderer.upload(&ball(count)).expect("uploaded");
+    let frame = renderer.render(camera, settings).expect("a frame");
+    Photo::from_f32(frame.width, frame.height, &frame.color).expect("a picture").rgb
+}
+
+#[test]
+fn viewer_shows_what_the_library_renders() {
+    let folder = tempdir().expect("a temporary folder");
+    let server = Server::view(&write_ball(folder.path(), 800), &[]);
+    let mut page = server.page();
+    assert_eq!(page.greeting["sh_degree"], 1);
+    let camera = camera(0.3);
+    let plain = RenderSettings::default();
+    let shown = page.look(&camera, &json!({ "quality": 0 }));
+    assert_eq!(shown.header["format"], "image/png");
+    assert_eq!(shown.rgb(), expected(800, &camera, &plain));
+    let changed = json!({ "quality": 0, "background": [0.5, 0.25, 1.0], "sh_degree": 0, "scale": 0.5 });
+    let settings =
+        RenderSettings { background: [0.5, 0.25, 1.0], sh_degree: Some(0), scale_modifier: 0.5, ..plain };
+    assert_eq!(page.look(&camera, &changed).rgb(), expected(800, &camera, &settings));
+    let centres = RenderSettings { shape: Shape::Point, ..plain };
+    let shown = page.look(&camera, &json!({ "quality": 0, "mode": "centres" }));
+    assert_eq!(shown.rgb(), expected(800, &camera, &centres));
+    let jpeg = page.look(&camera, &json!({ "quality": 95 }));
+    assert_eq!(jpeg.header["format"], "image/jpeg");
+    let (close, exact) = (jpeg.rgb(), expected(800, &camera, &plain));
+    let error: f64 = close.iter().zip(&exact).map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+    assert!(error / (exact.len() as f64) < 3.0, "{error}");
+}
+
+#[test]
+fn viewer_has_modes_with_legends() {
+    let folder = tempdir().expect("a temporary folder");
+    let server = Server::view(&write_ball(folder.path(), 800), &["--validation"]);
+    let mut page = server.page();
+    let camera = camera(0.0);
+    let mut seen = Vec::new();
+    for mode in ["splats", "centres", "ellipsoids", "depth", "tiles"] {
+        let shown = page.look(&camera, &json!({ "quality": 0, "mode": mode }));
+        let legend = shown.header["legend"]
+            .as_array()
+            .map(|values| values.iter().map(|value| value.as_f64().expect("a number")).collect::<Vec<_>>());
+        match mode {
+            "depth" => assert!(legend.is_some_and(|l| l[0] > 2.0 && l[0] < l[1] && l[1] < 7.0)),
+            "tiles" => {
+                let longest = shown.header["stats"]["longest_tile"].as_f64().expect("a number");
+                assert_eq!(legend, Some(vec![0.0, longest]));
+            }
+            _ => assert_eq!(legend, None),
+        }
+        let rgb = shown.rgb();
+        assert!(seen.iter().all(|other| *other != rgb), "{mode} looks like another");
+        seen.push(rgb);
+    }
+    #[cfg(unix)]
+    {
+        let (code, stderr) = server.end();
+        assert_eq!((code, stderr.as_str()), (Some(0), ""));
+    }
+}
+
+#[test]
+fn viewer_sends_the_newest_view_only() {
+    let folder = tempdir().expect("a temporary folder");
+    let server = Server::view(&write_ball(folder.path(), 300), &[]);
+    let (mut slow, mut quick) = (server.page(), server.page());
+    for seq in 1..=30 {
+        slow.send(&view(seq, &camera(seq as f32 * 0.01), &json!({})));
+    }
+    let first = slow.frame().header["seq"].as_u64().expect("a number");
+    assert!(slow.is_silent(), "the first frame was not acknowledged");
+    // Another page does not wait for it.
+    for _ in 0..5 {
+        quick.look(&camera(0.0), &json!({}));
+    }
+    slow.send(&json!({ "type": "ack" }));
+    if first < 30 {
+        assert_eq!(slow.frame().header["seq"], 30);
+        slow.send(&json!({ "type": "ack" }));
+    }
+    assert!(slow.is_silent(), "nothing has changed");
+}
+
+#[test]
+fn viewer_picks_what_inspect_lists() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = write_ball(folder.path(), 800);
+    let server = Server::view(&path, &[]);
+    let mut page = server.page();
+    let camera = camera(0.0);
+    page.send(&json!({ "type": "pick", "id": 5, "camera": message(&camera), "pixel": [48, 32] }));
+    let picked = page.wait_for("picked");
+    let cameras = folder.path().join("cameras.json");
+    ashsplat::io::cameras_json::write(&cameras, [("one", &camera)]).expect("written");
+    let said = succeed(&["inspect", text(&path), "--path", text(&cameras), "--pixel", "48,32", "--json"]);
+    let inspected: Value = serde_json::from_str(&said).expect("JSON");
+    assert_eq!((&picked["id"], &picked["pixel"]), (&json!(5), &json!([48, 32])));
+    let ids = |of: &Value| -> Vec<Value> {
+        of["samples"].as_array().expect("samples").iter().map(|sample| sample["id"].clone()).collect()
+    };
+    assert_eq!(ids(&picked), ids(&inspected));
+    assert!(ids(&picked).len() > 3, "{picked}");
+    let depth = picked["depth"].as_f64().expect("a depth");
+    assert!((2.0..6.5).contains(&depth), "{depth}");
+    // Beside the ball is nothing to turn around.
+    page.send(&json!({ "type": "pick", "id": 6, "camera": message(&camera), "pixel": [0, 0] }));
+    assert_eq!(page.wait_for("picked")["depth"], Value::Null);
+}
+
+#[test]
+fn viewer_complains_of_nonsense_and_goes_on() {
+    let folder = tempdir().expect("a temporary folder");
+    let server = Server::view(&write_ball(folder.path(), 100), &[]);
+    let mut page = server.page();
+    let mut bad = message(&camera(0.0));
+    bad["width"] = json!(60_000);
+    bad["height"] = json!(60_000);
+    let outside = json!({ "type": "pick", "id": 1, "camera": message(&camera(0.0)), "pixel": [96, 0] });
+    let cases = [
+        (json!({ "type": "dance" }), "not understood"),
+        (json!(7), "not understood"),
+        (json!({ "type": "view", "seq": 1, "camera": bad }), "pixels"),
+        (view(1, &camera(0.0), &json!({ "scale": -1 })), "scale modifier"),
+        (outside, "outside"),
+        (
+            json!({ "type": "film", "keys": [], "seconds": 1, "frames_per_second": 1, "width": 9, "height": 9 }),
+            "keys",
+        ),
+    ];
+    for (message, word) in cases {
+        page.send(&message);
+        let problem = page.wait_for_problem();
+        assert!(problem.contains(word), "{message}: {problem}");
+    }
+    assert!(!page.look(&camera(0.0), &json!({})).picture.is_empty());
+}
+
+#[test]
+fn viewer_makes_films() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = write_ball(folder.path(), 200);
+    let out = folder.path().join("films");
+    let server = Server::view(&path, &["-o", text(&out)]);
+    let mut page = server.page();
+    let key = |turn: f32| {
+        let camera = camera(turn);
+        let rows = message(&camera)["rotation"].clone();
+        json!({ "position": camera.position().to_array(), "rotation": rows, "fov_y": 0.7 })
+    };
+    let keys = [key(0.0), key(0.5), key(1.0)];
+    page.send(&json!({
+        "type": "film", "keys": keys, "seconds": 1, "frames_per_second": 6, "width": 64, "height": 48,
+    }));
+    let files = loop {
+        let film = page.wait_for("film");
+        if film["files"].is_object() {
+            break film["files"].clone();
+        }
+    };
+    let (code, head, gif) = server.get(&format!("/film/{}", files["gif"].as_str().expect("a GIF")), &[]);
+    assert!(code == 200 && head.contains("image/gif"), "{head}");
+    let decoder = image::codecs::gif::GifDecoder::new(std::io::Cursor::new(gif)).expect("a GIF");
+    let frames = image::AnimationDecoder::into_frames(decoder).collect_frames().expect("frames");
+    assert_eq!((frames.len(), frames[5].buffer().dimensions()), (6, (64, 48)));
+    // Either a film, or why there is none.
+    assert!(files["mp4"].is_string() != files["note"].is_string(), "{files}");
+    // The path is one for `render`, which makes the same frames of it.
+    let cameras = out.join(files["path"].as_str().expect("a path"));
+    let again = folder.path().join("again");
+    succeed(&["render", text(&path), "--path", text(&cameras), "-o", text(&again)]);
+    let bytes = |folder: &Path, index: u32| {
+        image::open(folder.join(format!("{index:05}.png"))).expect("a PNG").to_rgb8().into_raw()
+    };
+    let film = Path::new(files["frames"].as_str().expect("a folder"));
+    (0..6).for_each(|index| assert_eq!(bytes(film, index), bytes(&again, index)));
+}

@@ -1,0 +1,118 @@
+//! The page, tokens, ports, photos.
+
+use super::*;
+use crate::cli::{refuse, write_dataset};
+use std::net::TcpListener;
+use tempfile::tempdir;
+
+#[test]
+fn viewer_without_a_scene_says_what_to_do() {
+    let server = Server::start(&["view", "--port", "0"]);
+    let (code, head, body) = server.get("/", &[]);
+    assert_eq!(code, 200, "{head}");
+    assert!(head.contains("text/html") && String::from_utf8_lossy(&body).contains("/main.js"), "{head}");
+    let (code, head, _) = server.get("/main.js", &[]);
+    assert!(code == 200 && head.contains("text/javascript"), "{head}");
+    assert_eq!(server.get("/nothing", &[]).0, 404);
+    assert_eq!(server.get("/film/..%2f..%2fetc%2fpasswd", &[]).0, 404);
+    let mut page = server.page();
+    assert_eq!(page.greeting["empty"], true);
+    assert!(page.greeting["note"].as_str().expect("a note").contains("ashsplat view scene.ply"));
+    // Whatever it is asked then is answered in words.
+    page.send(&view(1, &camera(0.0), &json!({})));
+    let problem = page.wait_for_problem();
+    assert!(problem.contains("scene"), "{problem}");
+}
+
+impl Page {
+    /// The next complaint.
+    pub fn wait_for_problem(&mut self) -> String {
+        loop {
+            if let Message::Text(text) = self.socket.read().expect("a message") {
+                let message: Value = serde_json::from_str(text.as_str()).expect("JSON");
+                if message["type"] == "problem" {
+                    return message["message"].as_str().expect("words").to_owned();
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn viewer_lets_in_who_knows_the_token() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = write_ball(folder.path(), 50);
+    refuse(&["view", text(&path), "--host", "0.0.0.0", "--port", "0"], &["--host", "0.0.0.0", "--token"]);
+    refuse(&["view", text(&path), "--host", "0.0.0.0", "--port", "0", "--token", ""], &["--token"]);
+    let mut server = Server::view(&path, &["--host", "0.0.0.0", "--token", "sesame"]);
+    server.host = server.host.replace("0.0.0.0", "127.0.0.1");
+    for (path, headers) in [
+        ("/", vec![]),
+        ("/?token=sesam", vec![]),
+        ("/main.js?token=sesamesesame", vec![]),
+        ("/socket", vec![]),
+        ("/photo/0", vec![("Cookie", "ashsplat_token=wrong")]),
+    ] {
+        let (code, _, body) = server.get(path, &headers);
+        assert_eq!(code, 401, "{path}");
+        assert!(String::from_utf8_lossy(&body).contains("token"), "{path}");
+    }
+    let (code, head, _) = server.get("/?token=sesame", &[]);
+    assert!(code == 200 && head.contains("ashsplat_token=sesame; HttpOnly; SameSite=Strict"), "{head}");
+    assert_eq!(server.get("/main.js", &[("Cookie", "other=1; ashsplat_token=sesame")]).0, 200);
+    assert!(server.page_with("").err().expect("refused").contains("401"));
+    let page = server.page_with("?token=sesame").expect("let in");
+    assert_eq!(page.greeting["gaussians"], 50);
+}
+
+#[test]
+fn viewer_refuses_foreign_pages() {
+    let folder = tempdir().expect("a temporary folder");
+    let server = Server::view(&write_ball(folder.path(), 50), &[]);
+    assert_eq!(server.get("/", &[("Host", "rebound.example:80")]).0, 403);
+    let key = ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ==");
+    let upgrade = [("Upgrade", "websocket"), ("Sec-WebSocket-Version", "13"), key];
+    let foreign = [&upgrade[..], &[("Origin", "http://elsewhere.example")]].concat();
+    // Not "Connection: Upgrade", so that a page let in would see 400 and not 403.
+    assert_ne!(server.get("/socket", &foreign).0, 101);
+}
+
+#[test]
+fn viewer_names_a_busy_port() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = write_ball(folder.path(), 50);
+    let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = taken.local_addr().expect("its address").port().to_string();
+    refuse(&["view", text(&path), "--port", &port], &[&port, "in use", "--port"]);
+    let data = folder.path().join("data");
+    write_dataset(&data);
+    let model = folder.path().join("model");
+    let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "5", "--quiet"];
+    refuse(&[&train[..], &[&format!("--view={port}")]].concat(), &[&port, "in use"]);
+    refuse(&[&train[..], &["--ip", "127.0.0.1", "--port", &port]].concat(), &[&port, "in use"]);
+}
+
+#[test]
+fn viewer_shows_a_data_set_and_its_photos() {
+    let folder = tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    write_dataset(&data);
+    let server = Server::view(&data, &[]);
+    let page = server.page();
+    assert_eq!((&page.greeting["gaussians"], &page.greeting["empty"]), (&json!(400), &json!(false)));
+    let cameras = page.greeting["cameras"].as_array().expect("cameras");
+    assert_eq!((cameras.len(), cameras[1]["name"].as_str()), (9, Some("02.png")));
+    let (code, head, body) = server.get("/photo/1", &[]);
+    assert!(code == 200 && head.contains("image/jpeg"), "{head}");
+    let shown = image::load_from_memory(&body).expect("a JPEG").to_rgb8();
+    let stored = image::open(data.join("images/02.png")).expect("a PNG").to_rgb8();
+    let differences = shown.iter().zip(stored.iter()).map(|(a, b)| f64::from(a.abs_diff(*b)));
+    assert!(shown.dimensions() == (48, 32) && differences.sum::<f64>() / f64::from(48 * 32 * 3) < 4.0);
+    assert_eq!(server.get("/thumbnail/8", &[]).0, 200);
+    assert_eq!(server.get("/photo/9", &[]).0, 404);
+    // A photo that has gone is told in words, and nothing else ends.
+    std::fs::remove_file(data.join("images/03.png")).expect("removed");
+    let (code, _, body) = server.get("/photo/2", &[]);
+    assert!(code == 422 && String::from_utf8_lossy(&body).contains("03.png"), "{code}");
+    assert_eq!(server.get("/photo/1", &[]).0, 200);
+}

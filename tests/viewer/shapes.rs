@@ -1,0 +1,107 @@
+//! What is drawn in place of the Gaussians: scale modifier, ellipsoids, points.
+
+use crate::common::engine::renderer;
+use ashsplat::forward::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, sh};
+use ashsplat::{Frame, RenderSettings, Shape};
+use glam::{Mat3, Vec3};
+
+/// A camera at the origin that looks along +z.
+fn camera() -> Camera {
+    Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, Intrinsics::from_fov_x(1.0, 128, 96))
+}
+
+/// One Gaussian on the optical axis: standard deviations, opacity.
+fn one(scales: [f32; 3], opacity: f32) -> Gaussians {
+    Gaussians {
+        sh_degree: 0,
+        means: vec![[0.0, 0.0, 4.0]],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]],
+        log_scales: vec![scales.map(f32::ln)],
+        opacity_logits: vec![(opacity / (1.0 - opacity)).ln()],
+        sh: vec![[0.9, 0.5, 0.2].map(sh::rgb_to_sh_dc)],
+    }
+}
+
+fn render(gaussians: &Gaussians, settings: &RenderSettings) -> Frame {
+    let mut renderer = renderer();
+    renderer.upload(gaussians).expect("uploaded");
+    renderer.render(&camera(), settings).expect("a frame")
+}
+
+/// Half the width and half the height of what is more than half opaque, pixels.
+fn half_extent(frame: &Frame) -> [f32; 2] {
+    let width = frame.width as usize;
+    let hit = |index: &usize| frame.transmittance[*index] < 0.5;
+    let hits: Vec<usize> = (0..frame.transmittance.len()).filter(hit).collect();
+    let extent = |of: &dyn Fn(usize) -> usize| {
+        let (low, high) = (hits.iter().map(|&i| of(i)).min(), hits.iter().map(|&i| of(i)).max());
+        low.zip(high).map_or(0.0, |(low, high)| 0.5 * (high - low + 1) as f32)
+    };
+    [extent(&|index| index % width), extent(&|index| index / width)]
+}
+
+#[test]
+fn scale_modifier_equals_a_scene_with_other_scales() {
+    let scene = super::ball(500);
+    let mut smaller = scene.clone();
+    smaller.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s += 0.4f32.ln());
+    let view = super::camera(0.2);
+    let mut renderer = renderer();
+    renderer.upload(&smaller).expect("uploaded");
+    let expected = renderer.render(&view, &RenderSettings::default()).expect("a frame");
+    renderer.upload(&scene).expect("uploaded");
+    let modified = RenderSettings { scale_modifier: 0.4, ..RenderSettings::default() };
+    let actual = renderer.render(&view, &modified).expect("a frame");
+    let error =
+        actual.color.as_flattened().iter().zip(expected.color.as_flattened()).map(|(a, b)| (a - b).abs());
+    assert!(error.fold(0.0, f32::max) < 2e-3);
+    let unchanged = renderer.render(&view, &RenderSettings::default()).expect("a frame");
+    assert_ne!(unchanged.color, actual.color);
+}
+
+#[test]
+fn ellipsoids_are_opaque_up_to_their_surface() {
+    let settings = RenderSettings { shape: Shape::Ellipsoid, ..RenderSettings::default() };
+    let focal = camera().fx;
+    let frame = render(&one([0.3, 0.15, 0.2], 0.4), &settings);
+    let radius = |sigma: f32| ELLIPSOID_SIGMAS * sigma * focal / 4.0;
+    let [x, y] = half_extent(&frame);
+    assert!((x - radius(0.3)).abs() < 1.5 && (y - radius(0.15)).abs() < 1.5, "{x} {y}, {}", radius(0.3));
+    // In its own colour, whatever its opacity.
+    let middle = frame.color[(48 * 128 + 64) as usize];
+    middle.iter().zip([0.9, 0.5, 0.2]).for_each(|(a, b)| assert!((a - b * 0.99).abs() < 0.01, "{middle:?}"));
+    // Half-opaque pixels are few: the rim is narrow.
+    let rim = frame.transmittance.iter().filter(|t| (0.05..0.95).contains(*t)).count();
+    let inside = frame.transmittance.iter().filter(|t| **t <= 0.05).count();
+    assert!(rim * 4 < inside, "{rim} of {inside}");
+    assert_eq!(half_extent(&render(&one([0.3; 3], 0.15), &settings)), [0.0; 2], "too faint");
+}
+
+#[test]
+fn points_are_dots_of_one_size() {
+    let settings = RenderSettings { shape: Shape::Point, ..RenderSettings::default() };
+    for scale in [1e-4, 0.05, 0.7] {
+        for opacity in [0.01, 0.95] {
+            let frame = render(&one([scale; 3], opacity), &settings);
+            let [x, y] = half_extent(&frame);
+            assert!((x - POINT_RADIUS_PX).abs() <= 0.6 && x == y, "{scale} {opacity}: {x} {y}");
+        }
+    }
+}
+
+#[test]
+fn shapes_that_make_no_sense_are_refused() {
+    let camera = camera();
+    let mut renderer = renderer();
+    renderer.upload(&one([0.3; 3], 0.5)).expect("uploaded");
+    for scale_modifier in [-1.0, f32::NAN, f32::INFINITY] {
+        let settings = RenderSettings { scale_modifier, ..RenderSettings::default() };
+        let error = renderer.render(&camera, &settings).err().expect("refused");
+        assert!(error.to_string().contains("scale modifier"), "{error}");
+    }
+    let gradient = vec![[1.0; 3]; 128 * 96];
+    let settings = RenderSettings { shape: Shape::Point, ..RenderSettings::default() };
+    let error = renderer.gradients(&camera, &settings, &gradient, None).err().expect("refused");
+    assert!(error.to_string().contains("as they are"), "{error}");
+}

@@ -1,0 +1,81 @@
+//! The reference implementation's network viewer, as its `network_gui.py` hears it.
+
+use super::training::Training;
+use super::*;
+
+/// SIBR's remote viewer, but for its window.
+struct Remote(TcpStream);
+
+impl Remote {
+    fn connect(training: &Training) -> Remote {
+        let said = training.server.said.iter().find_map(|line| line.strip_prefix("network viewer at "));
+        let stream = TcpStream::connect(said.expect("its address")).expect("connected");
+        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        Remote(stream)
+    }
+
+    /// Sends a message; the picture, if one was asked for, and the path.
+    fn ask(&mut self, message: &Value) -> (Vec<u8>, String) {
+        let text = message.to_string();
+        self.0.write_all(&u32::try_from(text.len()).expect("short").to_le_bytes()).expect("sent");
+        self.0.write_all(text.as_bytes()).expect("sent");
+        let side = |name: &str| message[name].as_u64().expect("a size") as usize;
+        let mut rgb = vec![0; 3 * side("resolution_x") * side("resolution_y")];
+        self.0.read_exact(&mut rgb).expect("a picture");
+        let mut length = [0; 4];
+        self.0.read_exact(&mut length).expect("a length");
+        let mut path = vec![0; u32::from_le_bytes(length) as usize];
+        self.0.read_exact(&mut path).expect("a path");
+        (rgb, String::from_utf8(path).expect("text"))
+    }
+}
+
+/// As the viewer has it: OpenGL's axes, vectors from the left.
+fn of_camera(camera: &Camera, train: bool) -> Value {
+    let (r, t) = (camera.camera_from_world, camera.translation);
+    let column = |j: usize| [r.col(j).x, -r.col(j).y, -r.col(j).z, 0.0];
+    let matrix = [column(0), column(1), column(2), [t.x, -t.y, -t.z, 1.0]].concat();
+    let fov = |size: u32, focal: f32| 2.0 * (0.5 * size as f32 / focal).atan();
+    json!({
+        "resolution_x": camera.width, "resolution_y": camera.height, "train": train,
+        "fov_y": fov(camera.height, camera.fy), "fov_x": fov(camera.width, camera.fx), "z_far": 100.0,
+        "z_near": 0.01, "shs_python": false, "rot_scale_python": false, "keep_alive": false,
+        "scaling_modifier": 1.0, "view_matrix": matrix, "view_projection_matrix": matrix,
+    })
+}
+
+#[test]
+fn viewer_speaks_sibrs_protocol() {
+    let training =
+        Training::start(&["1000000", "--view=0", "--ip", "127.0.0.1", "--port", "0"], "network viewer");
+    let mut remote = Remote::connect(&training);
+    // Without a size, only the path.
+    let mut nothing = of_camera(&camera(0.0), true);
+    (nothing["resolution_x"], nothing["resolution_y"]) = (json!(0), json!(0));
+    let (rgb, path) = remote.ask(&nothing);
+    assert!(rgb.is_empty() && path.ends_with("data"), "{path}");
+    // It stops training; then its picture is the page's.
+    let view_of = camera(0.2);
+    remote.ask(&of_camera(&view_of, false));
+    let mut page = training.server.page();
+    let at = page.rest();
+    let (rgb, _) = remote.ask(&of_camera(&view_of, false));
+    let shown = page.look(&view_of, &json!({ "quality": 0 })).rgb();
+    let worst = rgb.iter().zip(&shown).map(|(a, b)| a.abs_diff(*b)).max().expect("pixels");
+    assert!(worst <= 1, "{worst}");
+    assert!(rgb.iter().any(|&v| v > 60), "an empty picture proves nothing");
+    // A scale makes another picture.
+    let mut smaller = of_camera(&view_of, false);
+    smaller["scaling_modifier"] = json!(0.3);
+    assert_ne!(remote.ask(&smaller).0, rgb);
+    assert_eq!(page.rest(), at);
+    // When it goes, training goes on; nonsense ends its connection and nothing else.
+    remote.0.write_all(&[0xFF; 64]).expect("sent");
+    assert!(matches!(remote.0.read(&mut [0; 1]), Ok(0) | Err(_)));
+    let start = Instant::now();
+    while page.status(0)["iteration"].as_u64() <= Some(at) {
+        assert!(start.elapsed() < PATIENCE);
+    }
+    let (again, _) = Remote::connect(&training).ask(&of_camera(&view_of, true));
+    assert_eq!(again.len(), rgb.len());
+}

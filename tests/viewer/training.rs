@@ -1,0 +1,121 @@
+//! Looking on while training runs.
+
+use super::*;
+use crate::cli::write_dataset;
+use std::path::PathBuf;
+use tempfile::{TempDir, tempdir};
+
+/// A training that never ends by itself.
+pub struct Training {
+    pub folder: TempDir,
+    pub server: Server,
+}
+
+impl Training {
+    pub fn start(more: &[&str], last: &str) -> Training {
+        let folder = tempdir().expect("a temporary folder");
+        let (data, model) = (folder.path().join("data"), folder.path().join("model"));
+        write_dataset(&data);
+        let train = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--quiet", "--iterations"];
+        let server = Server::start_until(&[&train[..], more].concat(), last);
+        Training { folder, server }
+    }
+
+    pub fn model(&self) -> PathBuf {
+        self.folder.path().join("model")
+    }
+}
+
+impl Page {
+    pub fn status(&mut self, since: u64) -> Value {
+        self.send(&json!({ "type": "status", "since": since }));
+        self.wait_for("status")
+    }
+
+    fn act(&mut self, action: &str) {
+        self.send(&json!({ "type": "train", "action": action }));
+    }
+
+    /// The iteration at which it has come to rest.
+    pub fn rest(&mut self) -> u64 {
+        loop {
+            let first = self.status(0);
+            std::thread::sleep(Duration::from_millis(300));
+            let second = self.status(0);
+            if first["iteration"] == second["iteration"] {
+                return first["iteration"].as_u64().expect("a number");
+            }
+        }
+    }
+}
+
+#[test]
+fn viewer_of_a_training_shows_and_steers_it() {
+    let mut training = Training::start(&["1000000", "--view=0"], "viewer at ");
+    let mut page = training.server.page();
+    assert_eq!(page.greeting["training"], 1_000_000);
+    assert_eq!(page.greeting["cameras"].as_array().map(Vec::len), Some(9));
+    assert_eq!(training.server.get("/photo/0", &[]).0, 200);
+    // Frames of the scene as it stands, renewed while training goes on.
+    let mut request = view(1, &camera(0.0), &json!({}));
+    request["follow"] = json!(true);
+    page.send(&request);
+    let iteration = |shown: &Shown| shown.header["iteration"].as_u64().expect("an iteration");
+    let first = iteration(&page.frame());
+    page.send(&json!({ "type": "ack" }));
+    let second = iteration(&page.frame());
+    assert!(second > first, "{first} {second}");
+    // It waits, and goes on by one.
+    page.act("pause");
+    let at = page.rest();
+    let status = page.status(0);
+    assert_eq!(status["paused"], true);
+    let loss = status["points"]["loss"].as_array().expect("points");
+    assert!(!loss.is_empty() && loss.last().expect("a point")[1].as_f64() < loss[0][1].as_f64(), "{loss:?}");
+    page.act("step");
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(page.rest(), at + 1);
+    // A picture of a training that waits.
+    let pick = json!({ "type": "pick", "id": 1, "camera": message(&camera(0.0)), "pixel": [48, 32] });
+    page.send(&pick);
+    assert!(page.wait_for("picked")["samples"].is_array());
+    page.act("save");
+    let ply = training.model().join(format!("point_cloud/iteration_{}/point_cloud.ply", at + 1));
+    let start = Instant::now();
+    while !ply.is_file() {
+        assert!(start.elapsed() < PATIENCE, "{}", ply.display());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert_eq!(page.rest(), at + 1, "a save leaves it waiting");
+    page.act("resume");
+    let start = Instant::now();
+    while page.status(0)["iteration"].as_u64() <= Some(at + 1) {
+        assert!(start.elapsed() < PATIENCE);
+    }
+    page.act("stop");
+    let (code, stderr) = training.server.wait();
+    assert_eq!(code, Some(130), "{stderr}");
+    let model = training.model();
+    let last = std::fs::read_to_string(model.join("last_iteration")).expect("a note");
+    assert!(model.join(format!("chkpnt{}.safetensors", last.trim())).is_file());
+}
+
+/// Whoever looks on changes nothing: the same bits with and without.
+#[test]
+fn viewer_does_not_change_a_training() {
+    let cloud = |watched: bool| {
+        let more = ["200", "--densify_from_iter", "5", "--densification_interval", "10", "--view=0"];
+        let mut training = Training::start(&more, "viewer at ");
+        let mut page = watched.then(|| training.server.page());
+        if let Some(page) = &mut page {
+            let mut request = view(1, &camera(0.0), &json!({ "mode": "tiles" }));
+            request["follow"] = json!(true);
+            page.send(&request);
+            page.frame();
+        }
+        let (code, stderr) = training.server.wait();
+        assert_eq!(code, Some(0), "{stderr}");
+        std::fs::read(training.model().join("point_cloud/iteration_200/point_cloud.ply")).expect("a PLY")
+    };
+    assert!(cloud(true) == cloud(false), "looking on has changed the training");
+}

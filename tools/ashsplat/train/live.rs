@@ -1,0 +1,337 @@
+//! `train --view` and `--ip`: who looks on while training runs, and what they may cost.
+
+mod curves;
+
+use super::Run;
+use crate::measure::Stopwatch;
+use crate::output;
+use crate::view::hub::Hub;
+use crate::view::protocol::{ToPage, TrainAction};
+use crate::view::server::{self, ServeArguments, Site};
+use crate::view::sibr::{self, Wishes};
+use crate::view::studio::Studio;
+use crate::view::{self, Painter, Photos, Subject};
+use ashsplat::io::View;
+use ashsplat::trainer::{StepReport, Trainer};
+use ashsplat::vk::Context;
+use ashsplat::{Result, metrics};
+use clap::Args;
+use curves::Curves;
+use serde_json::json;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Looking on while training runs.
+#[derive(Args, Clone, Debug)]
+pub struct LiveArguments {
+    /// Serve a page that shows the training (see `ashsplat view`), at this port [default port: 8090; 0 takes a free one]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8090")]
+    view: Option<u16>,
+    /// Address of that page; another than this machine's own needs --view-token
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1", requires = "view")]
+    view_host: String,
+    /// Whoever opens the page must know this word: http://HOST:PORT/?token=WORD
+    #[arg(long, value_name = "WORD", requires = "view")]
+    view_token: Option<String>,
+    /// Most of the time that all who look on may take of training's time, 0.01 to 0.9
+    #[arg(long, value_name = "SHARE", default_value_t = 0.2, value_parser = share)]
+    view_share: f64,
+    /// Answer the reference implementation's network viewer (SIBR) at this address
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1")]
+    ip: Option<String>,
+    /// Port for it; 0 takes a free one
+    #[arg(long, value_name = "N", default_value_t = 6009)]
+    port: u16,
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|share| (0.01..=0.9).contains(share));
+    number.ok_or_else(|| "expected a number from 0.01 to 0.9".into())
+}
+
+impl LiveArguments {
+    fn is_wanted(&self) -> bool {
+        self.view.is_some() || self.ip.is_some()
+    }
+}
+
+/// What is known of a training before it begins.
+struct About<'a> {
+    subject: Subject,
+    device: &'a str,
+    iterations: u32,
+    model: &'a Path,
+    source: &'a Path,
+}
+
+/// Iterations between two measurements of a test view, while a page is open.
+const TEST_INTERVAL: u32 = 100;
+/// Pages that follow the training get a new picture no more often.
+const RENEWAL: Duration = Duration::from_millis(500);
+/// How long a paused training waits before it looks whether it is to end.
+const REST: Duration = Duration::from_millis(100);
+
+/// What whoever looks on wants of the training.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Wish {
+    save: bool,
+    stop: bool,
+}
+
+/// Those who look on.
+pub struct Live {
+    studio: Studio,
+    hub: Arc<Hub>,
+    wishes: Option<Arc<Wishes>>,
+    curves: Arc<Mutex<Curves>>,
+    share: f64,
+    /// Before this, training has the device to itself.
+    next_turn: Instant,
+    renewed: Instant,
+    paused: bool,
+    /// Iterations that a paused training is to do.
+    steps: u32,
+    tested: usize,
+    /// Iteration from which on the next view is measured.
+    next_test: u32,
+}
+
+impl Live {
+    /// Opens the ports.
+    fn start(arguments: &LiveArguments, about: About) -> Result<Live> {
+        let hub = Arc::new(Hub::default());
+        let About { subject, device, iterations, model, source } = about;
+        hub.greet_with(subject.greeting(device, Some(iterations)).to_string());
+        let curves = Arc::new(Mutex::new(Curves::new(iterations)));
+        let asked = curves.clone();
+        hub.set_status(move |since| {
+            asked.lock().unwrap_or_else(PoisonError::into_inner).status(since).to_string()
+        });
+        let films = model.join("films");
+        let base = subject.base;
+        if let Some(port) = arguments.view {
+            let serve = ServeArguments {
+                host: arguments.view_host.clone(),
+                port,
+                token: arguments.view_token.clone(),
+            };
+            let (photos, token) = (subject.photos, serve.token.clone());
+            let site = Site { hub: hub.clone(), photos, films: films.clone(), token };
+            view::announce(server::start(&serve, site)?, &serve);
+        }
+        let mut wishes = None;
+        if let Some(ip) = &arguments.ip {
+            let (address, shared) =
+                sibr::listen(ip, arguments.port, hub.clone(), source.to_string_lossy().into_owned())?;
+            say!("network viewer at {address}");
+            wishes = Some(shared);
+        }
+        Ok(Live {
+            studio: Studio::new(hub.clone(), base, films),
+            hub,
+            wishes,
+            curves,
+            share: arguments.view_share,
+            next_turn: Instant::now(),
+            renewed: Instant::now(),
+            paused: false,
+            steps: 0,
+            tested: 0,
+            next_test: 0,
+        })
+    }
+
+    /// Notes an iteration and serves whoever looks on, within the share.
+    fn after_step(&mut self, trainer: &mut Trainer, report: &StepReport, test: &[View]) -> Result<Wish> {
+        self.note(|curves| curves.step(report));
+        let due = self.hub.pages() > 0 && report.iteration >= self.next_test;
+        if self.is_turn() && due && !test.is_empty() {
+            self.next_test = report.iteration + TEST_INTERVAL;
+            self.timed(|live| live.measure(trainer, &test[live.tested % test.len()]))?;
+        }
+        if self.renewed.elapsed() >= RENEWAL {
+            self.renewed = Instant::now();
+            self.hub.renew();
+        }
+        if self.is_turn() && self.studio.is_wanted() {
+            self.timed(|live| live.studio.serve(trainer, Duration::ZERO).map(|_| ()))?;
+        }
+        Ok(self.heed())
+    }
+
+    /// Whether training is to wait after an iteration.
+    fn holds(&mut self) -> bool {
+        let holds = self.waits();
+        self.steps = self.steps.saturating_sub(1);
+        holds
+    }
+
+    /// Serves while training waits: until something is wanted of it, or `stop`.
+    fn hold(&mut self, trainer: &mut Trainer, stop: &AtomicBool) -> Result<Wish> {
+        self.hub.renew();
+        self.note(|curves| curves.pause(true));
+        loop {
+            self.studio.serve(trainer, REST)?;
+            let wish = self.heed();
+            let stop = stop.load(Ordering::Relaxed);
+            if wish != Wish::default() || stop || !self.waits() {
+                self.note(|curves| curves.pause(self.paused));
+                // A save leaves it waiting.
+                if !self.waits() {
+                    self.steps = self.steps.saturating_sub(1);
+                }
+                return Ok(Wish { stop: wish.stop || stop, ..wish });
+            }
+        }
+    }
+
+    fn waits(&self) -> bool {
+        let forbidden = self.wishes.as_ref().is_some_and(|wishes| !wishes.may_train());
+        forbidden || self.paused && self.steps == 0
+    }
+
+    /// When training is over: the network viewer looks on as long as it wants.
+    fn end(&mut self, trainer: &mut Trainer, stop: &AtomicBool) -> Result<()> {
+        let message = "training has ended; `ashsplat view MODEL` shows the result";
+        self.hub.broadcast(&ToPage::json(&json!({ "type": "ended", "message": message })));
+        while self.wishes.as_ref().is_some_and(|w| w.wants_to_stay()) && !stop.load(Ordering::Relaxed) {
+            self.studio.serve(trainer, REST)?;
+        }
+        Ok(())
+    }
+
+    /// The result of a test that training itself made.
+    fn tested(&self, iteration: u32, psnr: f64) {
+        self.note(|curves| curves.psnr(iteration, psnr));
+    }
+
+    fn note(&self, change: impl FnOnce(&mut Curves)) {
+        change(&mut self.curves.lock().unwrap_or_else(PoisonError::into_inner));
+    }
+
+    fn is_turn(&self) -> bool {
+        Instant::now() >= self.next_turn
+    }
+
+    /// Does something that counts: then training has its own share before the next.
+    fn timed(&mut self, task: impl FnOnce(&mut Live) -> Result<()>) -> Result<()> {
+        let start = Instant::now();
+        let result = task(self);
+        let spent = start.elapsed();
+        self.next_turn = Instant::now() + spent.mul_f64((1.0 - self.share) / self.share);
+        result
+    }
+
+    /// PSNR of one of the test views, each in its turn.
+    fn measure(&mut self, trainer: &mut Trainer, view: &View) -> Result<()> {
+        let frame = Painter::render(trainer, &view.camera, &trainer.render_settings())?;
+        let rendered = output::to_photo(&frame)?;
+        let psnr = metrics::psnr(&rendered.to_f32(), &view.photo.to_f32())?;
+        self.tested += 1;
+        self.note(|curves| curves.psnr(trainer.iteration(), psnr));
+        Ok(())
+    }
+
+    /// What the pages ask of the training.
+    fn heed(&mut self) -> Wish {
+        let mut wish = Wish::default();
+        for action in self.hub.actions() {
+            match action {
+                TrainAction::Pause => self.paused = true,
+                TrainAction::Resume => (self.paused, self.steps) = (false, 0),
+                TrainAction::Step => (self.paused, self.steps) = (true, self.steps + 1),
+                TrainAction::Save => wish.save = true,
+                TrainAction::Stop => wish.stop = true,
+            }
+        }
+        self.note(|curves| curves.pause(self.paused));
+        wish
+    }
+}
+
+impl Run {
+    /// Lets others look on, if that was asked for.
+    pub fn look_on(&mut self, arguments: &LiveArguments, context: &Context) -> Result<()> {
+        if !arguments.is_wanted() {
+            return Ok(());
+        }
+        let (data, train) = (&self.settings.data, &self.settings.train);
+        let gallery = view::photos_of(data, train.white_background);
+        if let Err(error) = &gallery {
+            tell!("warning: the viewer has no photos: {error}");
+        }
+        let gallery = gallery.ok();
+        let subject = Subject {
+            name: data.model_path.display().to_string(),
+            gaussians: self.trainer.gaussians()?,
+            base: self.trainer.render_settings(),
+            cameras: gallery.as_ref().map(|gallery| gallery.cameras()).unwrap_or_default(),
+            photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
+            note: Some("in training".into()),
+        };
+        let about = About {
+            subject,
+            device: context.device_name(),
+            iterations: train.iterations,
+            model: &data.model_path,
+            source: &data.source_path,
+        };
+        self.live = Some(Live::start(arguments, about)?);
+        Ok(())
+    }
+
+    /// Shows an iteration to whoever looks on and does what they ask; `stop` is raised when they ask for the end.
+    pub(super) fn show(
+        &mut self,
+        report: &StepReport,
+        stop: &AtomicBool,
+        watch: &mut Stopwatch,
+    ) -> Result<()> {
+        let Some(mut live) = self.live.take() else { return Ok(()) };
+        let result = self.show_to(&mut live, report, stop, watch);
+        self.live = Some(live);
+        result
+    }
+
+    fn show_to(
+        &mut self,
+        live: &mut Live,
+        report: &StepReport,
+        stop: &AtomicBool,
+        watch: &mut Stopwatch,
+    ) -> Result<()> {
+        let mut wish = live.after_step(&mut self.trainer, report, &self.test)?;
+        let mut holds = live.holds();
+        loop {
+            if wish.save && self.saved != Some(report.iteration) {
+                watch.paused(|| self.save(report.iteration, ""))?;
+                live.hub.broadcast(&ToPage::problem(&format!("saved iteration {}", report.iteration)));
+            }
+            if wish.stop {
+                stop.store(true, Ordering::Relaxed);
+            }
+            if !holds || wish.stop {
+                return Ok(());
+            }
+            wish = watch.paused(|| live.hold(&mut self.trainer, stop))?;
+            holds = wish.save && live.waits();
+        }
+    }
+
+    /// The result of a test.
+    pub(super) fn show_test(&self, iteration: u32, psnr: f64) {
+        if let Some(live) = &self.live {
+            live.tested(iteration, psnr);
+        }
+    }
+
+    /// Lets them go.
+    pub(super) fn end_show(&mut self, stop: &AtomicBool) -> Result<()> {
+        match self.live.take() {
+            Some(mut live) => live.end(&mut self.trainer, stop),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,172 @@
+//! The curves of a training: bounded in memory, however long it runs.
+
+use ashsplat::trainer::StepReport;
+use serde_json::{Value, json};
+use std::time::Instant;
+
+/// Most points of a curve; then every second is dropped.
+const MOST_POINTS: usize = 1024;
+/// Weight of the newest loss in the running mean.
+const LOSS_WEIGHT: f64 = 0.05;
+/// Seconds over which the speed is measured.
+const RATE_WINDOW: f64 = 0.5;
+
+/// One curve: (iteration, value).
+#[derive(Default)]
+struct Curve {
+    points: Vec<(u32, f64)>,
+}
+
+/// See the module.
+pub struct Curves {
+    iterations: u32,
+    iteration: u32,
+    paused: bool,
+    /// Iterations between two points of the curves that have one in each.
+    stride: u32,
+    /// Iteration up to which points were thinned: pages that know fewer get all anew.
+    thinned_at: u32,
+    loss: Curve,
+    psnr: Curve,
+    gaussians: Curve,
+    rate: Curve,
+    mean_loss: Option<f64>,
+    window: (Instant, u32),
+    last_rate: f64,
+    last_gaussians: u32,
+}
+
+impl Curves {
+    pub fn new(iterations: u32) -> Curves {
+        Curves {
+            iterations,
+            iteration: 0,
+            paused: false,
+            stride: 1,
+            thinned_at: 0,
+            loss: Curve::default(),
+            psnr: Curve::default(),
+            gaussians: Curve::default(),
+            rate: Curve::default(),
+            mean_loss: None,
+            window: (Instant::now(), 0),
+            last_rate: 0.0,
+            last_gaussians: 0,
+        }
+    }
+
+    /// After an iteration.
+    pub fn step(&mut self, report: &StepReport) {
+        if self.iteration == 0 {
+            self.window = (Instant::now(), report.iteration - 1);
+        }
+        self.iteration = report.iteration;
+        self.last_gaussians = report.gaussians;
+        let loss = f64::from(report.loss);
+        let mean = self.mean_loss.map_or(loss, |mean| mean + LOSS_WEIGHT * (loss - mean));
+        self.mean_loss = Some(mean);
+        let seconds = self.window.0.elapsed().as_secs_f64();
+        if seconds > RATE_WINDOW {
+            self.last_rate = f64::from(report.iteration - self.window.1) / seconds;
+            self.rate.points.push((report.iteration, self.last_rate));
+            self.window = (Instant::now(), report.iteration);
+        }
+        if report.iteration.is_multiple_of(self.stride) {
+            self.loss.points.push((report.iteration, mean));
+            self.gaussians.points.push((report.iteration, f64::from(report.gaussians)));
+        }
+        self.thin();
+    }
+
+    /// A view was measured.
+    pub fn psnr(&mut self, iteration: u32, psnr: f64) {
+        if psnr.is_finite() {
+            self.psnr.points.push((iteration, psnr));
+        }
+    }
+
+    /// Whether training waits; its speed is not measured then.
+    pub fn pause(&mut self, paused: bool) {
+        if self.paused != paused {
+            self.paused = paused;
+            self.window = (Instant::now(), self.iteration);
+        }
+    }
+
+    fn thin(&mut self) {
+        for curve in [&mut self.psnr, &mut self.rate] {
+            if curve.points.len() > MOST_POINTS {
+                curve.halve();
+                self.thinned_at = self.iteration;
+            }
+        }
+        if self.loss.points.len() > MOST_POINTS {
+            self.stride *= 2;
+            self.loss.halve();
+            self.gaussians.halve();
+            self.thinned_at = self.iteration;
+        }
+    }
+
+    /// For a page that knows everything up to an iteration.
+    pub fn status(&self, since: u32) -> Value {
+        let fresh = since < self.thinned_at || since > self.iteration;
+        let after = |curve: &Curve| {
+            let news = curve.points.iter().filter(|(at, _)| fresh || *at > since);
+            news.map(|(at, value)| json!([at, value])).collect::<Vec<_>>()
+        };
+        let psnr = self.psnr.points.last().map(|(_, psnr)| *psnr);
+        json!({
+            "type": "status", "iteration": self.iteration, "iterations": self.iterations, "paused": self.paused,
+            "points": {
+                "fresh": fresh, "until": self.iteration, "loss": after(&self.loss), "psnr": after(&self.psnr),
+                "gaussians": after(&self.gaussians), "rate": after(&self.rate),
+            },
+            "last": {
+                "loss": self.mean_loss, "psnr": psnr, "gaussians": self.last_gaussians,
+                "rate": if self.paused { 0.0 } else { self.last_rate },
+            },
+        })
+    }
+}
+
+impl Curve {
+    /// Every second point goes.
+    fn halve(&mut self) {
+        let mut index = 0;
+        self.points.retain(|_| {
+            index += 1;
+            index % 2 == 0
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn step(iteration: u32) -> StepReport {
+        StepReport { iteration, loss: 1.0 / iteration as f32, gaussians: iteration, ..StepReport::default() }
+    }
+
+    #[test]
+    fn pages_get_what_they_lack() {
+        let mut curves = Curves::new(10_000);
+        (1..=20).for_each(|iteration| curves.step(&step(iteration)));
+        let loss = |since: u32| curves.status(since)["points"]["loss"].as_array().map(Vec::len);
+        assert_eq!((loss(0), loss(15), loss(20)), (Some(20), Some(5), Some(0)));
+        assert_eq!(curves.status(15)["points"]["fresh"], false);
+    }
+
+    #[test]
+    fn long_trainings_stay_small() {
+        let mut curves = Curves::new(100_000);
+        (1..=100_000).for_each(|iteration| curves.step(&step(iteration)));
+        let status = curves.status(0);
+        let points = status["points"]["loss"].as_array().expect("points");
+        assert!((MOST_POINTS / 2..=MOST_POINTS + 1).contains(&points.len()), "{}", points.len());
+        assert_eq!(status["points"]["fresh"], true);
+        let at = |index: usize| points[index][0].as_u64().expect("an iteration");
+        assert!(at(0) < 1000 && at(points.len() - 1) > 99_000);
+    }
+}

@@ -1,0 +1,101 @@
+//! `ashsplat view`, and what `train --view` shares with it.
+
+mod assets;
+mod draw;
+mod film;
+pub mod hub;
+mod photos;
+pub mod protocol;
+pub mod server;
+pub mod sibr;
+pub mod studio;
+mod subject;
+
+pub use draw::Painter;
+pub use photos::Photos;
+pub use subject::{Subject, photos_of};
+
+use crate::args::DeviceArguments;
+use crate::render::LookArguments;
+use ashsplat::{Error, Renderer, Result};
+use clap::Args;
+use hub::Hub;
+use server::{ServeArguments, Site};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use studio::Studio;
+
+/// Look at a scene, a trained model or a data set in a browser, also on a machine without a screen.
+///
+/// The pictures are rendered here and streamed to the page, as many as each page can take. From elsewhere, forward the
+/// port (ssh -L 8090:localhost:8090 HOST), or use --host with --token.
+#[derive(Args)]
+pub struct Arguments {
+    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), a model folder, or a data set (its points)
+    #[arg(value_name = "PATH")]
+    path: Option<PathBuf>,
+    /// Photos and cameras of this data set [default: that of the training]
+    #[arg(short, long, value_name = "DATASET")]
+    source_path: Option<PathBuf>,
+    /// Iteration of the model folder's PLY [default: what was saved last]
+    #[arg(long, value_name = "N")]
+    iteration: Option<u32>,
+    #[command(flatten)]
+    serve: ServeArguments,
+    /// Folder for camera paths and films
+    #[arg(short, long, value_name = "DIR", default_value = "out/view")]
+    out: PathBuf,
+    #[command(flatten)]
+    look: LookArguments,
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+/// How long a thread that has nothing to do waits before it looks whether it is to end.
+const REST: Duration = Duration::from_millis(200);
+
+/// Runs the command until Ctrl-C.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let subject = match &arguments.path {
+        Some(path) => {
+            let source = arguments.source_path.as_deref();
+            Subject::load(path, source, arguments.iteration, &arguments.look)?
+        }
+        None => Subject::nothing(),
+    };
+    let context = arguments.device.context()?;
+    let mut renderer = Renderer::new(&context)?;
+    if !subject.gaussians.is_empty() {
+        renderer.upload(&subject.gaussians)?;
+    }
+    let hub = Arc::new(Hub::default());
+    hub.greet_with(subject.greeting(context.device_name(), None).to_string());
+    let base = subject.base;
+    let site = Site {
+        hub: hub.clone(),
+        photos: subject.photos,
+        films: arguments.out.clone(),
+        token: arguments.serve.token.clone(),
+    };
+    announce(server::start(&arguments.serve, site)?, &arguments.serve);
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
+        .map_err(|e| Error::argument("Ctrl-C", format!("cannot be caught: {e}")))?;
+    let mut studio = Studio::new(hub, base, arguments.out.clone());
+    while !stop.load(Ordering::Relaxed) {
+        studio.serve(&mut renderer, REST)?;
+    }
+    arguments.device.report_validation(&context);
+    Ok(())
+}
+
+/// Says where the page is.
+pub fn announce(address: SocketAddr, arguments: &ServeArguments) {
+    let name = if address.ip().is_loopback() { "localhost".into() } else { address.ip().to_string() };
+    let word = if arguments.token.is_some() { "?token=WORD" } else { "" };
+    say!("viewer at http://{name}:{}/{word}", address.port());
+}

@@ -1,0 +1,55 @@
+//! The page's files, which are part of the program: it loads nothing from elsewhere.
+
+macro_rules! files {
+    ($($name:literal: $kind:literal),* $(,)?) => {
+        &[$((concat!("/", $name), $kind, include_str!(concat!("web/", $name)))),*]
+    };
+}
+
+const HTML: &str = "/index.html";
+
+/// Path, MIME type, contents.
+const FILES: &[(&str, &str, &str)] = files! {
+    "index.html": "text/html; charset=utf-8",
+    "style.css": "text/css; charset=utf-8",
+    "icon.svg": "image/svg+xml",
+    "main.js": "text/javascript; charset=utf-8",
+    "maths.js": "text/javascript; charset=utf-8",
+    "camera.js": "text/javascript; charset=utf-8",
+    "controls.js": "text/javascript; charset=utf-8",
+    "link.js": "text/javascript; charset=utf-8",
+    "frames.js": "text/javascript; charset=utf-8",
+    "overlay.js": "text/javascript; charset=utf-8",
+    "panel.js": "text/javascript; charset=utf-8",
+    "photos.js": "text/javascript; charset=utf-8",
+    "pick.js": "text/javascript; charset=utf-8",
+    "film.js": "text/javascript; charset=utf-8",
+    "training.js": "text/javascript; charset=utf-8",
+};
+
+/// MIME type and contents of what lies under a path.
+pub fn find(path: &str) -> Option<(&'static str, &'static str)> {
+    let path = if path == "/" { HTML } else { path };
+    FILES.iter().find(|(name, ..)| *name == path).map(|&(_, kind, text)| (kind, text))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whatever a file of the page names is another one of them.
+    #[test]
+    fn nothing_is_loaded_from_elsewhere() {
+        for (name, _, text) in FILES {
+            for start in ["from './", "import './", "href=\"/", "src=\"/"] {
+                for rest in text.split(start).skip(1) {
+                    let target = rest.split(['\'', '"']).next().unwrap_or_default();
+                    assert!(find(&format!("/{target}")).is_some(), "{name} names {target}");
+                }
+            }
+            let foreign = text.replace("http://www.w3.org/", "");
+            assert!(!foreign.contains("http://") && !foreign.contains("https://"), "{name}");
+        }
+        assert!(find("/").is_some() && find("/nothing").is_none());
+    }
+}

@@ -1,0 +1,366 @@
+//! Where the pages' wishes wait for the one thread that renders.
+//!
+//! Of each page only the newest camera is kept, and a page has at most one frame on the way: the next is rendered when it
+//! has said that the last has come. So a slow page gets fewer frames, and never old ones. Pages take turns.
+
+use super::protocol::{CameraMessage, FilmRequest, Look, ToPage, TrainAction, ViewRequest};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Condvar, Mutex, MutexGuard};
+use std::time::{Duration, Instant};
+use tokio::sync::mpsc::UnboundedSender;
+
+/// Picks of one page that may wait; more are refused.
+const MOST_PICKS: usize = 4;
+
+/// Which pixel of which picture a page asks about.
+#[derive(Clone, Copy, Debug)]
+pub struct Pick {
+    pub id: u64,
+    pub camera: CameraMessage,
+    pub look: Look,
+    pub pixel: [u32; 2],
+}
+
+/// A picture for a program that speaks the reference's protocol; the answer is its RGB bytes.
+#[derive(Debug)]
+pub struct RemoteRequest {
+    pub camera: ashsplat::Camera,
+    pub scale: f32,
+    pub answer: std::sync::mpsc::Sender<Vec<u8>>,
+}
+
+/// What the rendering thread is to do next.
+#[derive(Debug)]
+pub enum Task {
+    Frame { client: u64, request: ViewRequest },
+    Pick { client: u64, pick: Pick },
+    Remote(RemoteRequest),
+}
+
+/// One page.
+struct Client {
+    out: UnboundedSender<ToPage>,
+    /// The newest camera.
+    view: Option<ViewRequest>,
+    /// Whether it has not been rendered since it, or the scene, changed.
+    stale: bool,
+    /// Whether a frame is on the way.
+    on_the_way: bool,
+    picks: VecDeque<Pick>,
+    /// Counts turns.
+    served: u64,
+}
+
+#[derive(Default)]
+struct State {
+    clients: BTreeMap<u64, Client>,
+    next_client: u64,
+    turn: u64,
+    remote: VecDeque<RemoteRequest>,
+    actions: VecDeque<TrainAction>,
+    film: Option<(u64, FilmRequest)>,
+    cancelled: bool,
+    /// The message that every page gets first.
+    greeting: String,
+    /// How training goes; see [`Hub::set_status`].
+    status: Option<Box<dyn Fn(u32) -> String + Send>>,
+}
+
+/// See the module.
+#[derive(Default)]
+pub struct Hub {
+    state: Mutex<State>,
+    wake: Condvar,
+}
+
+impl Hub {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // A panic of another thread leaves nothing half-done here.
+        self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+
+    fn change<T>(&self, change: impl FnOnce(&mut State) -> T) -> T {
+        let result = change(&mut self.lock());
+        self.wake.notify_all();
+        result
+    }
+
+    /// What every page is told first.
+    pub fn greet_with(&self, greeting: String) {
+        self.change(|state| state.greeting = greeting);
+    }
+
+    /// How to answer a page that asks how training goes, from an iteration on.
+    pub fn set_status(&self, status: impl Fn(u32) -> String + Send + 'static) {
+        self.change(|state| state.status = Some(Box::new(status)));
+    }
+
+    /// A page has come.
+    pub fn join(&self, out: UnboundedSender<ToPage>) -> u64 {
+        self.change(|state| {
+            state.next_client += 1;
+            out.send(ToPage::Text(state.greeting.clone())).ok();
+            let client = Client {
+                out,
+                view: None,
+                stale: false,
+                on_the_way: false,
+                picks: VecDeque::new(),
+                served: 0,
+            };
+            state.clients.insert(state.next_client, client);
+            state.next_client
+        })
+    }
+
+    /// A page has gone.
+    pub fn leave(&self, client: u64) {
+        self.change(|state| {
+            state.clients.remove(&client);
+            if state.film.as_ref().is_some_and(|(owner, _)| *owner == client) {
+                state.film = None;
+            }
+        });
+    }
+
+    /// Pages that are there.
+    pub fn pages(&self) -> usize {
+        self.lock().clients.len()
+    }
+
+    /// The newest camera of a page.
+    pub fn set_view(&self, client: u64, view: ViewRequest) {
+        self.change(|state| {
+            if let Some(client) = state.clients.get_mut(&client) {
+                client.view = Some(view);
+                client.stale = true;
+            }
+        });
+    }
+
+    /// A page's frame has come.
+    pub fn acknowledge(&self, client: u64) {
+        self.change(|state| {
+            if let Some(client) = state.clients.get_mut(&client) {
+                client.on_the_way = false;
+            }
+        });
+    }
+
+    /// A page asks about a pixel; false when it has asked too much already.
+    pub fn pick(&self, client: u64, pick: Pick) -> bool {
+        self.change(|state| match state.clients.get_mut(&client) {
+            Some(client) if client.picks.len() < MOST_PICKS => {
+                client.picks.push_back(pick);
+                true
+            }
+            _ => false,
+        })
+    }
+
+    /// Another program asks for a picture.
+    pub fn ask_remotely(&self, request: RemoteRequest) {
+        self.change(|state| state.remote.push_back(request));
+    }
+
+    /// The scene has changed: pages that follow it need a new frame.
+    pub fn renew(&self) {
+        self.change(|state| {
+            for client in state.clients.values_mut() {
+                client.stale |= client.view.is_some_and(|view| view.follow);
+            }
+        });
+    }
+
+    /// What training is to do.
+    pub fn act(&self, action: TrainAction) {
+        self.change(|state| state.actions.push_back(action));
+    }
+
+    /// What training was told since it last asked.
+    pub fn actions(&self) -> Vec<TrainAction> {
+        self.lock().actions.drain(..).collect()
+    }
+
+    /// Asks for a film; false when another is waiting.
+    pub fn film(&self, client: u64, request: FilmRequest) -> bool {
+        self.change(|state| {
+            let free = state.film.is_none();
+            if free {
+                state.film = Some((client, request));
+                state.cancelled = false;
+            }
+            free
+        })
+    }
+
+    /// No film after all.
+    pub fn cancel_film(&self) {
+        self.change(|state| {
+            state.film = None;
+            state.cancelled = true;
+        });
+    }
+
+    /// The film that is asked for.
+    pub fn take_film(&self) -> Option<(u64, FilmRequest)> {
+        self.lock().film.take()
+    }
+
+    /// Whether the film was called off since it was last asked.
+    pub fn film_cancelled(&self) -> bool {
+        std::mem::take(&mut self.lock().cancelled)
+    }
+
+    /// Sends to one page.
+    pub fn send(&self, client: u64, message: ToPage) {
+        if let Some(client) = self.lock().clients.get(&client) {
+            client.out.send(message).ok();
+        }
+    }
+
+    /// Sends to all pages.
+    pub fn broadcast(&self, message: &ToPage) {
+        for client in self.lock().clients.values() {
+            client.out.send(message.clone()).ok();
+        }
+    }
+
+    /// How training goes, for a page; none where nothing is being trained.
+    pub fn status(&self, since: u32) -> Option<String> {
+        self.lock().status.as_ref().map(|status| status(since))
+    }
+
+    /// Whether anybody waits for anything.
+    pub fn is_wanted(&self) -> bool {
+        let state = self.lock();
+        !state.remote.is_empty() || state.film.is_some() || state.clients.values().any(Client::waits)
+    }
+
+    /// The next task; waits for one at most so long.
+    pub fn next(&self, longest: Duration) -> Option<Task> {
+        let end = Instant::now() + longest;
+        let mut state = self.lock();
+        loop {
+            if let Some(task) = state.take_task() {
+                return Some(task);
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() || state.film.is_some() || !state.actions.is_empty() {
+                return None;
+            }
+            state = match self.wake.wait_timeout(state, left) {
+                Ok((state, _)) => state,
+                Err(poisoned) => poisoned.into_inner().0,
+            };
+        }
+    }
+}
+
+impl Client {
+    fn waits(&self) -> bool {
+        !self.picks.is_empty() || self.stale && !self.on_the_way
+    }
+}
+
+impl State {
+    /// What was asked by whoever has waited for longest for a turn.
+    fn take_task(&mut self) -> Option<Task> {
+        if let Some(request) = self.remote.pop_front() {
+            return Some(Task::Remote(request));
+        }
+        self.turn += 1;
+        let waiting = self.clients.iter_mut().filter(|(_, client)| client.waits());
+        let (&id, client) = waiting.min_by_key(|(_, client)| client.served)?;
+        client.served = self.turn;
+        if let Some(pick) = client.picks.pop_front() {
+            return Some(Task::Pick { client: id, pick });
+        }
+        client.stale = false;
+        client.on_the_way = true;
+        client.view.map(|request| Task::Frame { client: id, request })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::sync::mpsc::unbounded_channel;
+
+    fn view(seq: u64) -> ViewRequest {
+        let camera = CameraMessage {
+            rotation: [[0.0; 3]; 3],
+            translation: [0.0; 3],
+            fx: 1.0,
+            fy: 1.0,
+            cx: 0.0,
+            cy: 0.0,
+            width: 1,
+            height: 1,
+        };
+        ViewRequest { seq, camera, look: Look::default(), follow: seq == 100 }
+    }
+
+    fn next(hub: &Hub) -> Option<(u64, u64)> {
+        match hub.next(Duration::ZERO) {
+            Some(Task::Frame { client, request }) => Some((client, request.seq)),
+            _ => None,
+        }
+    }
+
+    #[test]
+    fn the_newest_camera_wins_and_nothing_waits_behind_a_frame() {
+        let hub = Hub::default();
+        let (out, _page) = unbounded_channel();
+        let client = hub.join(out);
+        assert_eq!(next(&hub), None);
+        (1..=5).for_each(|seq| hub.set_view(client, view(seq)));
+        assert_eq!(next(&hub), Some((client, 5)));
+        hub.set_view(client, view(6));
+        hub.set_view(client, view(7));
+        assert_eq!(next(&hub), None, "the frame before has not come yet");
+        hub.acknowledge(client);
+        assert_eq!(next(&hub), Some((client, 7)));
+        hub.acknowledge(client);
+        assert_eq!(next(&hub), None, "nothing has changed");
+        hub.renew();
+        assert_eq!(next(&hub), None, "it does not follow");
+        hub.set_view(client, view(100));
+        assert!(next(&hub).is_some());
+        hub.acknowledge(client);
+        hub.renew();
+        assert_eq!(next(&hub), Some((client, 100)));
+    }
+
+    #[test]
+    fn pages_take_turns() {
+        let hub = Hub::default();
+        let (out, _page) = unbounded_channel();
+        let [a, b, c] = [(); 3].map(|()| hub.join(out.clone()));
+        let mut served = Vec::new();
+        // The first is quick and asks for ten frames while the others ask for two.
+        for round in 0..10 {
+            hub.set_view(a, view(round));
+            if round < 2 {
+                hub.set_view(b, view(round));
+                hub.set_view(c, view(round));
+            }
+            let (client, _) = next(&hub).expect("a frame");
+            served.push(client);
+            hub.acknowledge(client);
+        }
+        assert_eq!(served[..6], [a, b, c, a, a, a], "{served:?}");
+        hub.leave(a);
+        assert_eq!(next(&hub), None);
+    }
+
+    #[test]
+    fn picks_are_bounded() {
+        let hub = Hub::default();
+        let (out, _page) = unbounded_channel();
+        let client = hub.join(out);
+        let pick = Pick { id: 1, camera: view(1).camera, look: Look::default(), pixel: [0, 0] };
+        let taken = (0..10).filter(|_| hub.pick(client, pick)).count();
+        assert_eq!(taken, MOST_PICKS);
+    }
+}

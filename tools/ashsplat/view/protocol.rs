@@ -1,0 +1,257 @@
+//! What page and program say to each other over the WebSocket: JSON, but for frames, which are binary: the length of a
+//! JSON header (u32, little-endian), the header, the encoded picture.
+
+use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::{Error, PixelReport, Result, Shape};
+use glam::{Mat3, Vec3};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+/// Most pixels of a picture that a page may ask for.
+const MOST_PIXELS: u64 = 3840 * 2400;
+
+/// A camera as the page has it: x right, y down, z forward.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+pub struct CameraMessage {
+    /// Rows of the rotation from world to camera.
+    pub rotation: [[f32; 3]; 3],
+    /// Translation from world to camera, world units.
+    pub translation: [f32; 3],
+    /// Focal lengths and principal point, pixels; the first pixel's centre at 0.5.
+    pub fx: f32,
+    pub fy: f32,
+    pub cx: f32,
+    pub cy: f32,
+    /// Size of the picture, pixels.
+    pub width: u32,
+    pub height: u32,
+}
+
+impl CameraMessage {
+    /// Checked.
+    pub fn camera(&self) -> Result<Camera> {
+        let Self { fx, fy, cx, cy, width, height, .. } = *self;
+        let intrinsics = Intrinsics { fx, fy, cx, cy, width, height };
+        let rotation = Mat3::from_cols_array_2d(&self.rotation).transpose();
+        let camera = Camera::with_pose(rotation, Vec3::from_array(self.translation), intrinsics);
+        camera.check()?;
+        if u64::from(width) * u64::from(height) > MOST_PIXELS {
+            let problem = format!("{width}x{height} pixels are more than {MOST_PIXELS}");
+            return Err(Error::argument("picture", problem));
+        }
+        Ok(camera)
+    }
+
+    /// Of a camera.
+    pub fn of(camera: &Camera) -> Self {
+        let rows = camera.camera_from_world.transpose().to_cols_array_2d();
+        let Intrinsics { fx, fy, cx, cy, width, height } = camera.intrinsics();
+        Self { rotation: rows, translation: camera.translation.to_array(), fx, fy, cx, cy, width, height }
+    }
+}
+
+/// What is shown of the scene.
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// The picture.
+    #[default]
+    Splats,
+    /// A dot at each mean.
+    Centres,
+    /// Opaque ellipsoids.
+    Ellipsoids,
+    /// Expected depth in colours, near is red.
+    Depth,
+    /// How many Gaussians each tile has, in colours.
+    Tiles,
+}
+
+impl Mode {
+    pub fn shape(self) -> Shape {
+        match self {
+            Mode::Centres => Shape::Point,
+            Mode::Ellipsoids => Shape::Ellipsoid,
+            _ => Shape::Gaussian,
+        }
+    }
+}
+
+/// How a page wants the scene to look.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(default)]
+pub struct Look {
+    pub mode: Mode,
+    /// None: as the scene was trained.
+    pub background: Option<[f32; 3]>,
+    /// None: all that there is.
+    pub sh_degree: Option<u32>,
+    pub scale: f32,
+    /// JPEG's quality, 1 to 100; 0 for PNG.
+    pub quality: u8,
+}
+
+impl Default for Look {
+    fn default() -> Self {
+        Self { mode: Mode::Splats, background: None, sh_degree: None, scale: 1.0, quality: 90 }
+    }
+}
+
+/// A picture that a page asks for.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub struct ViewRequest {
+    /// Comes back with the frame.
+    pub seq: u64,
+    pub camera: CameraMessage,
+    #[serde(default)]
+    pub look: Look,
+    /// Whether the frame is to be renewed as training goes on.
+    #[serde(default)]
+    pub follow: bool,
+}
+
+/// A key of a camera path.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+pub struct PathKey {
+    pub position: [f32; 3],
+    /// Rows of the rotation from world to camera.
+    pub rotation: [[f32; 3]; 3],
+    /// Vertical field of view, radians.
+    pub fov_y: f32,
+}
+
+/// A film to make.
+#[derive(Clone, Debug, Deserialize)]
+pub struct FilmRequest {
+    pub keys: Vec<PathKey>,
+    pub seconds: f32,
+    pub frames_per_second: u32,
+    /// Whether the path goes back to its first key.
+    #[serde(default)]
+    pub closed: bool,
+    pub width: u32,
+    pub height: u32,
+    #[serde(default)]
+    pub look: Look,
+}
+
+/// What a page says.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(tag = "type", rename_all = "lowercase")]
+pub enum FromPage {
+    /// The newest camera; older ones that are still waiting are forgotten.
+    View(ViewRequest),
+    /// A frame has come; the next may be sent.
+    Ack {},
+    /// Which Gaussians make up a pixel, (column, row).
+    Pick {
+        id: u64,
+        camera: CameraMessage,
+        #[serde(default)]
+        look: Look,
+        pixel: [u32; 2],
+    },
+    /// How training goes: the curves from this iteration on.
+    Status {
+        #[serde(default)]
+        since: u32,
+    },
+    /// What training is to do.
+    Train { action: TrainAction },
+    /// A film along a path.
+    Film(FilmRequest),
+    /// No film after all.
+    Cancel,
+}
+
+/// What a page can make training do.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "lowercase")]
+pub enum TrainAction {
+    Pause,
+    Resume,
+    /// One iteration, and pause again.
+    Step,
+    Save,
+    Stop,
+}
+
+/// What is sent to a page.
+#[derive(Clone, Debug)]
+pub enum ToPage {
+    Text(String),
+    Binary(Vec<u8>),
+}
+
+impl ToPage {
+    pub fn json(value: &Value) -> Self {
+        Self::Text(value.to_string())
+    }
+
+    /// A frame.
+    pub fn frame(header: &Value, picture: &[u8]) -> Self {
+        let header = header.to_string();
+        let length = u32::try_from(header.len()).unwrap_or_default();
+        Self::Binary([&length.to_le_bytes(), header.as_bytes(), picture].concat())
+    }
+
+    /// What could not be done, for people.
+    pub fn problem(message: &str) -> Self {
+        Self::json(&json!({ "type": "problem", "message": message }))
+    }
+}
+
+/// The answer to a pick; `depth` is where half of the light is blocked, none where nothing is hit.
+pub fn picked(id: u64, pixel: [u32; 2], report: &PixelReport) -> Value {
+    let samples: Vec<Value> = report
+        .samples
+        .iter()
+        .enumerate()
+        .map(|(rank, s)| {
+            json!({
+                "rank": rank, "id": s.gaussian, "depth": s.depth, "alpha": s.alpha, "weight": s.weight,
+                "transmittance_left": s.transmittance_after, "color": s.color,
+            })
+        })
+        .collect();
+    json!({
+        "type": "picked", "id": id, "pixel": pixel, "samples": samples, "color": report.color,
+        "transmittance": report.transmittance, "depth": pivot_depth(report),
+    })
+}
+
+/// Where the transmittance falls below one half of what is blocked in all, if that is worth mentioning.
+fn pivot_depth(report: &PixelReport) -> Option<f32> {
+    let blocked = 1.0 - report.transmittance;
+    if blocked < 0.1 {
+        return None;
+    }
+    let half = 1.0 - 0.5 * blocked;
+    report.samples.iter().find(|s| s.transmittance_after <= half).map(|s| s.depth)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_go_there_and_back() {
+        let intrinsics = Intrinsics::from_fov_x(0.9, 64, 48);
+        let camera = Camera::look_at(Vec3::new(1.0, -2.0, -3.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+        let text = serde_json::to_string(&CameraMessage::of(&camera)).expect("JSON");
+        let message: CameraMessage = serde_json::from_str(&text).expect("a camera");
+        assert_eq!(message.camera().expect("sound"), camera);
+        let huge = CameraMessage { width: 60_000, height: 60_000, ..message };
+        assert!(huge.camera().is_err());
+        let crooked = CameraMessage { rotation: [[1.0; 3]; 3], ..message };
+        assert!(crooked.camera().is_err());
+    }
+
+    #[test]
+    fn frames_carry_their_header() {
+        let ToPage::Binary(bytes) = ToPage::frame(&json!({ "seq": 7 }), &[1, 2, 3]) else { panic!("binary") };
+        let length = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) as usize;
+        assert_eq!(&bytes[4..4 + length], br#"{"seq":7}"#);
+        assert_eq!(bytes[4 + length..], [1, 2, 3]);
+    }
+}

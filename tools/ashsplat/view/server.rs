@@ -1,0 +1,308 @@
+//! The page and its WebSocket, over HTTP: on threads of its own, which never touch the device.
+
+use super::assets;
+use super::hub::{Hub, Pick};
+use super::photos::{Photos, Size};
+use super::protocol::{FromPage, ToPage};
+use ashsplat::{Error, Result};
+use axum::Router;
+use axum::body::Body;
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::{Path as UrlPath, Request, State};
+use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use clap::Args;
+use std::net::{IpAddr, SocketAddr, TcpListener, ToSocketAddrs};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::mpsc::unbounded_channel;
+
+/// Where the page is served.
+#[derive(Args, Clone, Debug)]
+pub struct ServeArguments {
+    /// Address to listen at; another than this machine's own needs --token
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    pub host: String,
+    /// Port of the page; 0 takes a free one
+    #[arg(long, value_name = "N", default_value_t = 8090)]
+    pub port: u16,
+    /// Whoever opens the page must know this word: http://HOST:PORT/?token=WORD
+    #[arg(long, value_name = "WORD")]
+    pub token: Option<String>,
+}
+
+/// A page that does not take a message within this time is given up.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// Longest message of a page.
+const LONGEST_MESSAGE: usize = 256 * 1024;
+
+/// What requests are answered from.
+pub struct Site {
+    pub hub: Arc<Hub>,
+    pub photos: Option<Arc<Photos>>,
+    /// Where films lie.
+    pub films: PathBuf,
+    pub token: Option<String>,
+}
+
+/// Starts to serve; the address at which the page is.
+pub fn start(arguments: &ServeArguments, site: Site) -> Result<SocketAddr> {
+    let listener = bind(arguments)?;
+    let failed = |e: std::io::Error| Error::argument("viewer", format!("cannot listen: {e}"));
+    let address = listener.local_addr().map_err(failed)?;
+    listener.set_nonblocking(true).map_err(failed)?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
+    let serve = async move {
+        match tokio::net::TcpListener::from_std(listener) {
+            Ok(listener) => axum::serve(listener, router(Arc::new(site))).await,
+            Err(error) => Err(error),
+        }
+    };
+    let thread = std::thread::Builder::new().name("viewer".into());
+    let run = move || {
+        if let Err(error) = runtime.block_on(serve) {
+            tell!("warning: the viewer's server has ended: {error}");
+        }
+    };
+    thread.spawn(run).map_err(failed)?;
+    Ok(address)
+}
+
+/// Opens the port; an address that others can reach wants a token.
+fn bind(arguments: &ServeArguments) -> Result<TcpListener> {
+    let ServeArguments { host, port, token } = arguments;
+    let addresses = (host.as_str(), *port).to_socket_addrs();
+    let addresses: Vec<SocketAddr> = addresses
+        .map_err(|e| Error::argument("--host", format!("'{host}' is no address of this machine: {e}")))?
+        .collect();
+    let open = addresses.iter().any(|address| !address.ip().is_loopback());
+    if open && token.as_ref().is_none_or(|token| token.is_empty()) {
+        let problem = format!("'{host}' can be reached by others: give a secret word with --token WORD");
+        return Err(Error::argument("--host", problem));
+    }
+    TcpListener::bind(addresses.as_slice()).map_err(|e| {
+        let problem = match e.kind() {
+            std::io::ErrorKind::AddrInUse => {
+                format!("port {port} of {host} is in use by another program; choose another with --port N")
+            }
+            _ => format!("cannot listen at {host}:{port}: {e}"),
+        };
+        Error::argument("--port", problem)
+    })
+}
+
+fn router(site: Arc<Site>) -> Router {
+    Router::new()
+        .route("/socket", get(socket))
+        .route("/photo/{index}", get(photo))
+        .route("/thumbnail/{index}", get(thumbnail))
+        .route("/film/{name}", get(film))
+        .fallback(asset)
+        .layer(middleware::from_fn_with_state(site.clone(), guard))
+        .with_state(site)
+}
+
+/// Lets in who knows the token; without one, only pages that were opened under a name of this machine itself, so that
+/// no foreign page can have its name point here.
+async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
+    let headers = request.headers();
+    if let Some(token) = &site.token {
+        let given = query_value(request.uri(), "token").or_else(|| cookie(headers));
+        if !given.is_some_and(|given| equal(given.as_bytes(), token.as_bytes())) {
+            let text = "401: this viewer wants a token: open http://HOST:PORT/?token=WORD with the word that was given to --token\n";
+            return (StatusCode::UNAUTHORIZED, text).into_response();
+        }
+    } else if !header_text(headers, header::HOST).is_some_and(is_own_name) {
+        let text = "403: open this page as http://localhost:PORT/\n";
+        return (StatusCode::FORBIDDEN, text).into_response();
+    }
+    let from_query = query_value(request.uri(), "token").filter(|_| site.token.is_some());
+    let mut response = next.run(request).await;
+    let headers = response.headers_mut();
+    let mut set = |name, value: &str| {
+        if let Ok(value) = value.parse() {
+            headers.insert(name, value);
+        }
+    };
+    set(header::X_CONTENT_TYPE_OPTIONS, "nosniff");
+    set(header::REFERRER_POLICY, "no-referrer");
+    set(
+        header::CONTENT_SECURITY_POLICY,
+        "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'",
+    );
+    if let Some(token) = from_query {
+        set(header::SET_COOKIE, &format!("ashsplat_token={token}; HttpOnly; SameSite=Strict; Path=/"));
+    }
+    response
+}
+
+/// Whether a Host header names this machine from within.
+fn is_own_name(host: &str) -> bool {
+    let name = match host.rsplit_once(':') {
+        Some((name, port)) if port.chars().all(|c| c.is_ascii_digit()) => name,
+        _ => host,
+    };
+    let bare = name.trim_start_matches('[').trim_end_matches(']');
+    name == "localhost" || bare.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
+}
+
+fn header_text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
+    headers.get(name)?.to_str().ok()
+}
+
+fn cookie(headers: &HeaderMap) -> Option<String> {
+    let all = header_text(headers, header::COOKIE)?;
+    let find = |part: &str| part.trim().strip_prefix("ashsplat_token=").map(str::to_owned);
+    all.split(';').find_map(find)
+}
+
+fn query_value(uri: &Uri, name: &str) -> Option<String> {
+    let find = |part: &str| Some(part.strip_prefix(name)?.strip_prefix('=')?.to_owned());
+    uri.query()?.split('&').find_map(find)
+}
+
+/// Takes as long for a wrong word as for the right one.
+fn equal(a: &[u8], b: &[u8]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).fold(0, |differs, (a, b)| differs | (a ^ b)) == 0
+}
+
+async fn asset(uri: Uri) -> Response {
+    match assets::find(uri.path()) {
+        Some((kind, text)) => {
+            ([(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, "no-cache")], text).into_response()
+        }
+        None => (StatusCode::NOT_FOUND, "404: there is nothing of this name\n").into_response(),
+    }
+}
+
+/// A photo of the data set as JPEG.
+async fn photo(State(site): State<Arc<Site>>, UrlPath(index): UrlPath<usize>) -> Response {
+    send_photo(site, index, Size::Full).await
+}
+
+/// The same, small.
+async fn thumbnail(State(site): State<Arc<Site>>, UrlPath(index): UrlPath<usize>) -> Response {
+    send_photo(site, index, Size::Thumbnail).await
+}
+
+async fn send_photo(site: Arc<Site>, index: usize, size: Size) -> Response {
+    let Some(photos) = site.photos.clone() else { return StatusCode::NOT_FOUND.into_response() };
+    match tokio::task::spawn_blocking(move || photos.jpeg(index, size)).await {
+        Ok(Some(Ok(bytes))) => {
+            let kind = [(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, "max-age=3600")];
+            (kind, Body::from(bytes.as_ref().clone())).into_response()
+        }
+        Ok(Some(Err(problem))) => (StatusCode::UNPROCESSABLE_ENTITY, problem).into_response(),
+        _ => StatusCode::NOT_FOUND.into_response(),
+    }
+}
+
+/// A file that a film left.
+async fn film(State(site): State<Arc<Site>>, UrlPath(name): UrlPath<String>) -> Response {
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '.' || c == '_' || c == '-';
+    if !name.chars().all(plain) || name.starts_with('.') {
+        return StatusCode::NOT_FOUND.into_response();
+    }
+    let kind = match name.rsplit_once('.') {
+        Some((_, "gif")) => "image/gif",
+        Some((_, "mp4")) => "video/mp4",
+        Some((_, "json")) => "application/json",
+        _ => "application/octet-stream",
+    };
+    let path = site.films.join(&name);
+    match tokio::task::spawn_blocking(move || std::fs::read(path)).await {
+        Ok(Ok(bytes)) => ([(header::CONTENT_TYPE, kind)], Body::from(bytes)).into_response(),
+        _ => StatusCode::NOT_FOUND.into_response(),
+    }
+}
+
+async fn socket(State(site): State<Arc<Site>>, headers: HeaderMap, upgrade: WebSocketUpgrade) -> Response {
+    // A page of another site may open a WebSocket to anywhere; browsers say whose page it is.
+    let own = match (header_text(&headers, header::ORIGIN), header_text(&headers, header::HOST)) {
+        (Some(origin), Some(host)) => origin.split_once("://").is_some_and(|(_, name)| name == host),
+        _ => true,
+    };
+    if !own {
+        return (StatusCode::FORBIDDEN, "403: a page of another site\n").into_response();
+    }
+    let upgrade = upgrade.max_message_size(LONGEST_MESSAGE).max_frame_size(LONGEST_MESSAGE);
+    upgrade.on_upgrade(move |socket| converse(socket, site.hub.clone()))
+}
+
+/// One page, from its coming to its going.
+async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
+    let (sender, mut outgoing) = unbounded_channel();
+    let client = hub.join(sender);
+    loop {
+        tokio::select! {
+            message = outgoing.recv() => {
+                let message = match message {
+                    Some(ToPage::Text(text)) => Message::Text(text.into()),
+                    Some(ToPage::Binary(bytes)) => Message::Binary(bytes.into()),
+                    None => break,
+                };
+                if !matches!(tokio::time::timeout(PATIENCE, socket.send(message)).await, Ok(Ok(()))) {
+                    break;
+                }
+            }
+            message = socket.recv() => match message {
+                Some(Ok(Message::Text(text))) => heed(&hub, client, text.as_str()),
+                Some(Ok(Message::Close(_)) | Err(_)) | None => break,
+                Some(Ok(_)) => {}
+            },
+        }
+    }
+    hub.leave(client);
+}
+
+/// Does what a page says, or notes it for the thread that renders.
+fn heed(hub: &Hub, client: u64, text: &str) {
+    let refuse = |message: &str| hub.send(client, ToPage::problem(message));
+    match serde_json::from_str(text) {
+        Ok(FromPage::View(view)) => hub.set_view(client, view),
+        Ok(FromPage::Ack {}) => hub.acknowledge(client),
+        Ok(FromPage::Pick { id, camera, look, pixel }) => {
+            if !hub.pick(client, Pick { id, camera, look, pixel }) {
+                refuse("too many pixels asked for at once");
+            }
+        }
+        Ok(FromPage::Status { since }) => {
+            if let Some(status) = hub.status(since) {
+                hub.send(client, ToPage::Text(status));
+            }
+        }
+        Ok(FromPage::Train { action }) => hub.act(action),
+        Ok(FromPage::Film(request)) => {
+            if !hub.film(client, request) {
+                refuse("another film is being made");
+            }
+        }
+        Ok(FromPage::Cancel) => hub.cancel_film(),
+        Err(error) => refuse(&format!("not understood: {error}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_this_machine() {
+        for own in ["localhost", "localhost:8090", "127.0.0.1:1", "[::1]:8090", "::1"] {
+            assert!(is_own_name(own), "{own}");
+        }
+        for foreign in ["example.org", "evil.localhost.example:80", "10.0.0.7:8090", ""] {
+            assert!(!is_own_name(foreign), "{foreign}");
+        }
+    }
+
+    #[test]
+    fn values_are_found() {
+        let uri: Uri = "/a?x=1&token=secret&tokens=2".parse().expect("a URI");
+        assert_eq!(query_value(&uri, "token").as_deref(), Some("secret"));
+        assert!(equal(b"secret", b"secret") && !equal(b"secret", b"secre") && !equal(b"secret", b"sEcret"));
+    }
+}

@@ -1,0 +1,149 @@
+//! What is looked at: Gaussians, how they look, and the cameras and photos that belong to them.
+
+use super::photos::Photos;
+use super::protocol::CameraMessage;
+use crate::config::{CAMERAS_FILE, DataSettings};
+use crate::model::Model;
+use crate::render::{self, LookArguments};
+use crate::session;
+use ashsplat::io::cameras_json::{self, NamedCamera};
+use ashsplat::io::{DatasetOptions, Gallery};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
+use ashsplat::{RenderSettings, Result};
+use glam::Vec3;
+use serde_json::{Value, json};
+use std::path::Path;
+use std::sync::Arc;
+
+/// SH degree of a data set's points: they have one colour each.
+const POINTS_SH_DEGREE: u32 = 0;
+/// Where a page begins to look, before it asks for its own size.
+const START_SIZE: [u32; 2] = [1280, 720];
+
+/// Something to look at.
+pub struct Subject {
+    pub name: String,
+    pub gaussians: Gaussians,
+    /// How it looks as it was trained.
+    pub base: RenderSettings,
+    /// Of the photos, where there are any.
+    pub cameras: Vec<NamedCamera>,
+    pub photos: Option<Arc<Photos>>,
+    /// What the page says when there is nothing to see, and below the name otherwise.
+    pub note: Option<String>,
+}
+
+impl Subject {
+    /// Before anything is chosen.
+    pub fn nothing() -> Subject {
+        let note = "No scene is open. Start the viewer with something to look at: `ashsplat view scene.ply`, \
+                    `ashsplat view MODEL` (a folder as `ashsplat train -m` leaves it) or `ashsplat view DATASET`.";
+        Subject {
+            name: "nothing".into(),
+            gaussians: Gaussians::default(),
+            base: RenderSettings::default(),
+            cameras: Vec::new(),
+            photos: None,
+            note: Some(note.into()),
+        }
+    }
+
+    /// A file of Gaussians, a model folder, or a data set, of which the points are shown.
+    pub fn load(
+        path: &Path,
+        source: Option<&Path>,
+        iteration: Option<u32>,
+        look: &LookArguments,
+    ) -> Result<Subject> {
+        let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"));
+        if is_archive || path.is_dir() && !path.join("point_cloud").is_dir() {
+            return Subject::of_dataset(path);
+        }
+        let model = Model::locate(path, iteration)?;
+        let scene = look.load(&model.ply)?;
+        let mut data = model.settings.data.clone();
+        if let Some(source) = source {
+            data.source_path = source.to_owned();
+        }
+        let gallery = match (source, photos_of(&data, model.settings.train.white_background)) {
+            (Some(_), gallery) => Some(gallery?),
+            // What the training had may have gone.
+            (None, gallery) => gallery.ok(),
+        };
+        let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
+        let cameras = match (&gallery, own.filter(|own| own.is_file())) {
+            (Some(gallery), _) => gallery.cameras(),
+            (None, Some(own)) => cameras_json::read(own)?,
+            (None, None) => Vec::new(),
+        };
+        Ok(Subject {
+            name: path.display().to_string(),
+            base: look.settings(&model.settings, &scene.header)?,
+            gaussians: scene.gaussians,
+            cameras,
+            photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
+            note: model.folder.map(|(_, iteration)| format!("iteration {iteration}")),
+        })
+    }
+
+    fn of_dataset(path: &Path) -> Result<Subject> {
+        let gallery = Gallery::open(path, &DatasetOptions::default())?;
+        let points = gallery.points();
+        let (gaussians, note) = if points.is_empty() {
+            (Gaussians::default(), "This data set has no points to show; its photos are on the right.")
+        } else {
+            (
+                Gaussians::from_points(points, POINTS_SH_DEGREE)?,
+                "the data set's points: nothing is trained yet",
+            )
+        };
+        Ok(Subject {
+            name: path.display().to_string(),
+            gaussians,
+            base: RenderSettings::default(),
+            cameras: gallery.cameras(),
+            photos: Some(Arc::new(Photos::new(gallery))),
+            note: Some(note.into()),
+        })
+    }
+
+    /// What a page is told first.
+    pub fn greeting(&self, device: &str, training: Option<u32>) -> Value {
+        let [width, height] = START_SIZE;
+        let intrinsics = Intrinsics::from_fov_x(1.0, width, height);
+        let cameras: Vec<Camera> = self.cameras.iter().map(|named| named.camera).collect();
+        let middle = self.gaussians.statistics().central_bounds.map(|bounds| bounds.center());
+        let orbit = Orbit::around_scene(&cameras, middle, 1, intrinsics);
+        let orbit =
+            orbit.unwrap_or_else(|| render::orbit_around(&self.gaussians, Vec3::NEG_Y, 1, intrinsics));
+        let start = cameras.first().copied().or_else(|| orbit.cameras().first().copied());
+        let photo =
+            |named: &NamedCamera| json!({ "name": named.name, "camera": CameraMessage::of(&named.camera) });
+        json!({
+            "type": "scene",
+            "name": self.name,
+            "note": self.note,
+            "empty": self.gaussians.is_empty(),
+            "gaussians": self.gaussians.len(),
+            "sh_degree": self.gaussians.sh_degree,
+            "background": self.base.background,
+            "device": device,
+            "version": env!("CARGO_PKG_VERSION"),
+            "cameras": self.cameras.iter().map(photo).collect::<Vec<_>>(),
+            "has_photos": self.photos.is_some(),
+            "start": start.map(|camera| CameraMessage::of(&camera)),
+            "pivot": orbit.center.to_array(),
+            "up": orbit.up.to_array(),
+            "radius": orbit.radius,
+            "training": training,
+        })
+    }
+}
+
+/// The photos of a training's data set, at the size at which it uses them.
+pub fn photos_of(data: &DataSettings, white_background: bool) -> Result<Gallery> {
+    if data.source_path.as_os_str().is_empty() {
+        return Err(ashsplat::Error::argument("data set", "is not known"));
+    }
+    Gallery::open(&data.source_path, &session::options(data, white_background)?)
+}

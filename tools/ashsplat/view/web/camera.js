@@ -1,0 +1,166 @@
+// The camera that the page moves: x right, y down, z forward, as the engine's.
+
+import { add, clamp, dot, length, looking, normalize, orthonormal, quaternion, rows, slerp, sub, times, turn } from './maths.js';
+
+/** How near the poles an orbit may come, radians. */
+const POLE = 0.02;
+
+export class Camera {
+    constructor() {
+        this.position = [0, 0, -3];
+        this.rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+        this.fovY = 0.9;
+        this.pivot = [0, 0, 0];
+        this.up = [0, -1, 0];
+        /** World units of a stride. */
+        this.radius = 3;
+        /** A photo's own camera while the view is exactly its. */
+        this.lens = null;
+        this.changed = () => {};
+    }
+
+    get right() { return this.rotation[0]; }
+    get down() { return this.rotation[1]; }
+    get forward() { return this.rotation[2]; }
+    get distance() { return Math.max(1e-4, length(sub(this.pivot, this.position))); }
+
+    touch() {
+        this.lens = null;
+        this.rotation = orthonormal(this.rotation);
+        this.changed();
+    }
+
+    /** Takes over a camera of the engine's form; its lens is kept until the view changes. */
+    take(camera, photo = false) {
+        this.rotation = camera.rotation;
+        this.position = times(this.toWorld(camera.translation), -1);
+        this.fovY = 2 * Math.atan(0.5 * camera.height / camera.fy);
+        // Turning goes on around what the axis passes nearest to.
+        const ahead = dot(sub(this.pivot, this.position), this.forward);
+        this.pivot = add(this.position, times(this.forward, ahead > 0.05 * this.radius ? ahead : this.radius));
+        this.lens = photo ? camera : null;
+        this.changed();
+    }
+
+    toWorld(v) {
+        const [x, y, z] = this.rotation;
+        return add(add(times(x, v[0]), times(y, v[1])), times(z, v[2]));
+    }
+
+    toCamera(world) {
+        const p = sub(world, this.position);
+        return this.rotation.map((row) => dot(row, p));
+    }
+
+    /** Around the pivot: `yaw` about up, `pitch` about the camera's right. */
+    orbit(yaw, pitch) {
+        this.turnAbout(this.pivot, yaw, pitch);
+    }
+
+    /** Looks around where it stands. */
+    look(yaw, pitch) {
+        this.turnAbout(this.position, yaw, pitch);
+        this.pivot = add(this.position, times(this.forward, this.distance));
+    }
+
+    turnAbout(center, yaw, pitch) {
+        const above = Math.acos(clamp(dot(this.forward, this.up), -1, 1));
+        pitch = clamp(pitch, POLE - (Math.PI - above), above - POLE);
+        const spin = (v) => turn(turn(v, this.right, pitch), this.up, yaw);
+        const arm = spin(sub(this.position, center));
+        this.rotation = this.rotation.map(spin);
+        this.position = add(center, arm);
+        this.touch();
+    }
+
+    /** By pixels of a picture of a height, so that what the pivot shows follows the pointer. */
+    pan(x, y, height) {
+        const scale = 2 * this.distance * Math.tan(0.5 * this.fovY) / height;
+        const move = add(times(this.right, -x * scale), times(this.down, -y * scale));
+        this.position = add(this.position, move);
+        this.pivot = add(this.pivot, move);
+        this.touch();
+    }
+
+    /** Closer to the pivot by a factor. */
+    dolly(factor) {
+        const arm = times(sub(this.position, this.pivot), clamp(factor, 0.2, 5));
+        this.position = add(this.pivot, length(arm) < 1e-3 * this.radius ? times(normalize(arm, this.forward), 1e-3 * this.radius) : arm);
+        this.touch();
+    }
+
+    /** Along its own axes, in world units. */
+    fly(v) {
+        const move = this.toWorld(v);
+        this.position = add(this.position, move);
+        this.pivot = add(this.pivot, move);
+        this.touch();
+    }
+
+    face(point) {
+        this.pivot = point;
+        this.rotation = looking(sub(point, this.position), this.up);
+        this.touch();
+    }
+
+    key() {
+        return { position: this.position, rotation: this.rotation, fov_y: this.fovY };
+    }
+
+    takeKey(key) {
+        this.position = key.position;
+        this.rotation = key.rotation;
+        this.fovY = key.fov_y;
+        this.pivot = add(this.position, times(this.forward, this.distance));
+        this.touch();
+    }
+
+    /** Where the photo lies in a picture of a size: scale and corner. */
+    frame(width, height) {
+        const { width: w, height: h } = this.lens;
+        const scale = Math.min(width / w, height / h);
+        return { scale, x: 0.5 * (width - w * scale), y: 0.5 * (height - h * scale), width: w * scale, height: h * scale };
+    }
+
+    /** As the engine wants it, for a picture of a size. */
+    message(width, height) {
+        const common = { rotation: this.rotation, translation: this.rotation.map((row) => -dot(row, this.position)), width, height };
+        if (this.lens) {
+            const { scale, x, y } = this.frame(width, height);
+            const { fx, fy, cx, cy } = this.lens;
+            return { ...common, fx: fx * scale, fy: fy * scale, cx: x + cx * scale, cy: y + cy * scale };
+        }
+        const f = 0.5 * height / Math.tan(0.5 * this.fovY);
+        return { ...common, fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height };
+    }
+
+    /** Pixel of a point; null behind the camera. */
+    project(world, width, height) {
+        const [x, y, z] = this.toCamera(world);
+        if (z < 1e-3) return null;
+        const { fx, fy, cx, cy } = this.message(width, height);
+        return [fx * x / z + cx, fy * y / z + cy];
+    }
+
+    /** The point at a depth (z) under a pixel. */
+    unproject(px, py, depth, width, height) {
+        const { fx, fy, cx, cy } = this.message(width, height);
+        return add(this.position, this.toWorld([(px - cx) / fx * depth, (py - cy) / fy * depth, depth]));
+    }
+}
+
+/** A view between the keys of a path, as the engine's films have it: Catmull-Rom positions, the shortest way round. */
+export function between(keys, at, closed) {
+    const n = keys.length, spans = closed ? n : n - 1;
+    const span = Math.min(Math.floor(at * spans), spans - 1), t = at * spans - span;
+    const index = (offset) => closed ? (span + offset + n) % n : clamp(span + offset, 0, n - 1);
+    const [a, b, c, d] = [-1, 0, 1, 2].map((offset) => keys[index(offset)].position);
+    const position = a.map((_, i) => 0.5 * (2 * b[i] + (c[i] - a[i]) * t + (2 * a[i] - 5 * b[i] + 4 * c[i] - d[i]) * t * t
+        + (3 * b[i] - a[i] - 3 * c[i] + d[i]) * t * t * t));
+    const [from, to] = [keys[index(0)], keys[index(1)]];
+    return {
+        position,
+        rotation: rows(slerp(quaternion(from.rotation), quaternion(to.rotation), t)),
+        fov_y: from.fov_y + t * (to.fov_y - from.fov_y)
+    };
+}

@@ -1,0 +1,110 @@
+// A camera path: keys, a preview here, frames and a film from the program.
+
+import { between } from './camera.js';
+import { download } from './frames.js';
+
+const find = (id) => document.getElementById(id);
+
+export class Film {
+    constructor(link, camera, look) {
+        Object.assign(this, { link, camera, look, keys: [], playing: false, rendering: false });
+        find('film-add').onclick = () => this.add();
+        find('film-clear').onclick = () => { this.keys = []; this.list(); };
+        find('film-preview').onclick = () => this.preview();
+        find('film-render').onclick = () => this.render();
+        find('film-save').onclick = () => download(new Blob([JSON.stringify({ ashsplat_path: 1, ...this.settings(), keys: this.keys }, null, 1)], { type: 'application/json' }), 'camera_path.json');
+        find('film-load').onclick = () => find('film-file').click();
+        find('film-file').onchange = () => this.load();
+        link.on('film', (progress) => this.progress(progress));
+        link.on('problem', () => { if (this.rendering) this.stopped(); });
+        link.on('close', () => this.stopped());
+        this.list();
+    }
+
+    settings() {
+        const [width, height] = find('film-size').value.split('x').map(Number);
+        return { seconds: Number(find('film-seconds').value), frames_per_second: Number(find('film-fps').value), closed: find('film-closed').checked, width, height };
+    }
+
+    add() {
+        this.keys.push(this.camera.key());
+        this.list();
+    }
+
+    list() {
+        find('film-count').textContent = this.keys.length ? `${this.keys.length} keys` : 'add keys as you look around';
+        find('film-keys').replaceChildren(...this.keys.map((key, index) => {
+            const box = document.createElement('span');
+            const go = Object.assign(document.createElement('button'), { textContent: index + 1, title: 'Go there', onclick: () => this.camera.takeKey(key) });
+            const drop = Object.assign(document.createElement('button'), { textContent: '×', title: 'Remove', onclick: () => { this.keys.splice(index, 1); this.list(); } });
+            box.append(go, drop);
+            return box;
+        }));
+        for (const id of ['film-preview', 'film-render']) find(id).disabled = this.keys.length < 2;
+        for (const id of ['film-clear', 'film-save']) find(id).disabled = this.keys.length < 1;
+    }
+
+    async load() {
+        const [file] = find('film-file').files;
+        find('film-file').value = '';
+        try {
+            const path = JSON.parse(await file.text());
+            const sound = (key) => key.position.length === 3 && key.rotation.length === 3 && key.fov_y > 0;
+            if (!path.keys.every(sound)) throw new Error('its keys are not whole');
+            this.keys = path.keys;
+            if (path.seconds) find('film-seconds').value = path.seconds;
+            if (path.frames_per_second) find('film-fps').value = path.frames_per_second;
+            find('film-closed').checked = Boolean(path.closed);
+            this.list();
+        } catch (error) {
+            this.link.emit('problem', { message: `${file.name} is not a camera path of this page: ${error.message}` });
+        }
+    }
+
+    preview() {
+        this.playing = !this.playing;
+        this.from = performance.now();
+        find('film-preview').textContent = this.playing ? 'Stop' : 'Preview';
+    }
+
+    tick(now) {
+        if (!this.playing) return;
+        const at = Math.max(0, now - this.from) / 1000 / this.settings().seconds;
+        this.camera.takeKey(between(this.keys, Math.min(at, 0.9999), find('film-closed').checked));
+        if (at >= 1) this.preview();
+    }
+
+    render() {
+        if (this.rendering) return this.link.send({ type: 'cancel' });
+        find('film-result').replaceChildren();
+        if (!this.link.send({ type: 'film', keys: this.keys, look: this.look(), ...this.settings() })) return;
+        this.rendering = true;
+        find('film-render').textContent = 'Cancel';
+        find('film-progress').hidden = false;
+        this.bar(0, 1, 'waiting');
+    }
+
+    bar(done, total, text) {
+        find('film-progress').querySelector('i').style.width = `${100 * done / total}%`;
+        find('film-progress').querySelector('span').textContent = text;
+    }
+
+    stopped() {
+        this.rendering = false;
+        find('film-render').textContent = 'Render film';
+        find('film-progress').hidden = true;
+    }
+
+    progress({ done, total, files, cancelled }) {
+        if (cancelled) return this.stopped();
+        this.bar(done, total, done === total && !files ? 'putting it together' : `frame ${done} of ${total}`);
+        if (!files) return;
+        this.stopped();
+        const saved = (name, text) => Object.assign(document.createElement('a'), { href: `/film/${name}`, download: name, textContent: text });
+        const picture = Object.assign(new Image(), { src: `/film/${files.gif}`, alt: 'the film' });
+        const links = [saved(files.gif, 'GIF'), saved(files.path, 'path')];
+        if (files.mp4) links.unshift(saved(files.mp4, 'MP4'));
+        const note = Object.assign(document.createElement('p'), { textContent: `Frames in ${files.frames}${files.note ? `; ${files.note}` : ''}` });
+        find('film-result').replaceChildren(picture, ...links, note);
+    }
+}

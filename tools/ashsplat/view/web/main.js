@@ -1,0 +1,148 @@
+// The page: puts its parts together.
+
+import { Camera } from './camera.js';
+import { Controls } from './controls.js';
+import { Film } from './film.js';
+import { Frames } from './frames.js';
+import { Link } from './link.js';
+import { Overlay } from './overlay.js';
+import { Panel } from './panel.js';
+import { Photos } from './photos.js';
+import { Picker } from './pick.js';
+import { Training } from './training.js';
+
+export const find = (id) => document.getElementById(id);
+
+const link = new Link();
+const camera = new Camera();
+const panel = new Panel();
+const frames = new Frames(link, camera, find('picture'), () => panel.look());
+const overlay = new Overlay(find('overlay'), camera);
+const picker = new Picker(link, camera, frames, () => panel.look(), overlay);
+const photos = new Photos(camera, overlay, frames);
+const film = new Film(link, camera, () => panel.look());
+const training = new Training(link);
+let scene = null;
+
+const controls = new Controls(find('overlay'), camera, {
+    click(x, y, event) {
+        if (panel.inspecting || event.altKey) picker.pick(x, y);
+        else photos.jumpTo(overlay.cameraAt(x, y));
+    },
+    double: (x, y) => picker.pivot(x, y),
+    key
+});
+
+camera.changed = () => {
+    frames.touch();
+    photos.follow();
+    panel.showFov(camera.fovY);
+    overlay.draw();
+};
+panel.changed = () => frames.touch();
+panel.leapt = () => frames.leap();
+panel.fovChanged = (fov) => { camera.fovY = fov; camera.touch(); };
+panel.toggled = (name, on) => {
+    if (name === 'fly') controls.flying = on;
+    if (name === 'cameras') { overlay.showsCameras = on; overlay.draw(); }
+    find('overlay').classList.toggle('inspecting', panel.inspecting);
+};
+panel.rendering = ({ resolution, quality }) => { Object.assign(frames, { resolution, quality }); frames.leap(); };
+find('home').onclick = home;
+find('shot').onclick = () => frames.screenshot();
+find('help').onclick = () => find('keys').showModal();
+find('panel-toggle').onclick = () => document.body.classList.toggle('bare');
+addEventListener('resize', () => { frames.touch(); photos.follow(); overlay.draw(); });
+
+function home() {
+    if (!scene?.start) return;
+    camera.pivot = scene.pivot;
+    camera.take(scene.start);
+    camera.touch();
+    frames.leap();
+}
+
+function key(code, event) {
+    const digit = /^(?:Digit|Numpad)([1-5])$/.exec(code);
+    if (digit) panel.choose(['splats', 'centres', 'ellipsoids', 'depth', 'tiles'][digit[1] - 1]);
+    else if (event.key === '?') find('keys').showModal();
+    else if (code === 'KeyV') panel.toggle('fly');
+    else if (code === 'KeyI') panel.toggle('inspect');
+    else if (code === 'KeyC') panel.toggle('cameras');
+    else if (code === 'KeyH') document.body.classList.toggle('bare');
+    else if (code === 'KeyP') frames.screenshot();
+    else if (code === 'KeyK') film.add();
+    else if (code === 'KeyF') camera.face(scene?.pivot ?? camera.pivot);
+    else if (code === 'Home') home();
+    else if (code === 'BracketLeft') photos.step(-1);
+    else if (code === 'BracketRight') photos.step(1);
+    else if (code === 'Escape') { photos.close(); picker.close(); }
+    else if (code === 'Space' && scene?.training !== null) training.toggle();
+    else return false;
+    return true;
+}
+
+link.on('open', () => {
+    find('connection').textContent = 'connected';
+    find('connection').classList.remove('bad');
+});
+link.on('close', () => {
+    find('connection').textContent = 'connection lost, trying again';
+    find('connection').classList.add('bad');
+});
+link.on('scene', (message) => {
+    const first = scene === null || scene.name !== message.name;
+    scene = message;
+    find('scene-name').textContent = `\u200e${message.name}`;
+    find('scene-name').title = message.name;
+    find('scene-note').textContent = message.empty ? '' : message.note ?? `${message.gaussians.toLocaleString('en')} Gaussians`;
+    document.title = `${message.name.split('/').filter(Boolean).at(-1) ?? ''} · ashsplat`;
+    find('device').textContent = message.device;
+    find('welcome').hidden = !message.empty;
+    if (message.empty) find('welcome').querySelector('p').replaceChildren(...marked(message.note ?? ''));
+    frames.follow = message.training !== null;
+    panel.open(message);
+    training.open(message.training);
+    if (first) {
+        Object.assign(camera, { up: message.up, radius: message.radius || 1 });
+        photos.open(message);
+        overlay.cameras = message.cameras;
+        home();
+    }
+    frames.leap();
+});
+link.on('problem', ({ message }) => say(message));
+frames.onShown = (header) => {
+    panel.showFrame(header, frames.framesPerSecond);
+    window.ashsplat.shown = header;
+};
+
+/** Text in which what stands between backquotes is code. */
+function marked(text) {
+    return text.split('`').map((part, index) => {
+        if (index % 2 === 0) return document.createTextNode(part);
+        return Object.assign(document.createElement('code'), { textContent: part });
+    });
+}
+
+let silence = 0;
+/** Says something for a while. */
+export function say(text) {
+    const box = find('message');
+    box.textContent = text;
+    box.hidden = false;
+    clearTimeout(silence);
+    silence = setTimeout(() => { box.hidden = true; }, 6000);
+}
+
+function tick(now) {
+    controls.tick(now);
+    film.tick(now);
+    if (scene && !scene.empty) frames.tick(now, controls.busy || film.playing);
+    requestAnimationFrame(tick);
+}
+
+// For tests, and for the curious.
+window.ashsplat = { camera, frames, link, panel, photos, picker, film, training, overlay, shown: null };
+link.open();
+requestAnimationFrame(tick);

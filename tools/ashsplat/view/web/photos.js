@@ -1,0 +1,80 @@
+// The data set's photos: a jump to where one was taken, and the photo over the render, wiped.
+
+const find = (id) => document.getElementById(id);
+
+export class Photos {
+    constructor(camera, overlay, frames) {
+        Object.assign(this, { camera, overlay, frames, entries: [], hasPhotos: false, share: 0.5, current: -1 });
+        const wipe = find('wipe');
+        wipe.onpointerdown = (e) => { wipe.setPointerCapture(e.pointerId); this.dragging = true; };
+        wipe.onpointermove = (e) => {
+            if (!this.dragging) return;
+            this.share = Math.min(1, Math.max(0, (e.clientX - this.place.x) / this.place.width));
+            this.layOut();
+        };
+        wipe.onpointerup = wipe.onpointercancel = () => { this.dragging = false; };
+        find('photo-previous').onclick = () => this.step(-1);
+        find('photo-next').onclick = () => this.step(1);
+        find('photo-close').onclick = () => this.close();
+    }
+
+    open({ cameras, has_photos: hasPhotos }) {
+        this.entries = cameras;
+        this.hasPhotos = hasPhotos;
+        find('photos').hidden = cameras.length === 0;
+        find('cameras').hidden = cameras.length === 0;
+        find('photo-count').textContent = cameras.length;
+        find('photo-list').replaceChildren(...cameras.map(({ name }, index) => {
+            const button = document.createElement('button');
+            button.title = name;
+            button.onclick = () => this.jumpTo(index);
+            const label = Object.assign(document.createElement('span'), { textContent: name.split('/').at(-1) });
+            if (hasPhotos) button.append(Object.assign(new Image(), { loading: 'lazy', decoding: 'async', src: `/thumbnail/${index}`, alt: '' }));
+            else button.classList.add('plain');
+            button.append(label);
+            return button;
+        }));
+    }
+
+    step(by) {
+        const { length } = this.entries;
+        if (length) this.jumpTo(((this.current < 0 ? (by > 0 ? -1 : 0) : this.current) + by + length) % length);
+    }
+
+    jumpTo(index) {
+        const entry = this.entries[index];
+        if (!entry) return;
+        this.current = this.overlay.current = index;
+        this.camera.take(entry.camera, true);
+        this.frames.leap();
+        [...find('photo-list').children].forEach((button, i) => button.classList.toggle('on', i === index));
+        find('photo-list').children[index].scrollIntoView({ block: 'nearest' });
+        if (this.hasPhotos) {
+            find('photo').src = `/photo/${index}`;
+            this.shown = true;
+        }
+        this.follow();
+    }
+
+    /** The photo is there as long as the view is exactly its own. */
+    follow() {
+        const visible = this.shown && this.camera.lens !== null;
+        find('photo').hidden = find('wipe').hidden = !visible;
+        if (visible) this.layOut();
+    }
+
+    layOut() {
+        const place = this.place = this.camera.frame(innerWidth, innerHeight);
+        const photo = find('photo');
+        Object.assign(photo.style, { left: `${place.x}px`, top: `${place.y}px`, width: `${place.width}px`, height: `${place.height}px`, clipPath: `inset(0 ${100 * (1 - this.share)}% 0 0)` });
+        find('wipe').style.left = `${place.x + this.share * place.width}px`;
+    }
+
+    close() {
+        this.shown = false;
+        this.current = this.overlay.current = -1;
+        for (const button of find('photo-list').children) button.classList.remove('on');
+        this.follow();
+        this.overlay.draw();
+    }
+}
