@@ -25,14 +25,14 @@ fn viewer_shows_what_the_library_renders() {
     let plain = RenderSettings::default();
     let shown = page.look(&camera, &json!({ "quality": 0 }));
     assert_eq!(shown.header["format"], "image/png");
-    assert_eq!(shown.rgb(), expected(800, &camera, &plain));
+    assert!(shown.rgb() == expected(800, &camera, &plain));
     let changed = json!({ "quality": 0, "background": [0.5, 0.25, 1.0], "sh_degree": 0, "scale": 0.5 });
     let settings =
         RenderSettings { background: [0.5, 0.25, 1.0], sh_degree: Some(0), scale_modifier: 0.5, ..plain };
-    assert_eq!(page.look(&camera, &changed).rgb(), expected(800, &camera, &settings));
+    assert!(page.look(&camera, &changed).rgb() == expected(800, &camera, &settings));
     let centres = RenderSettings { shape: Shape::Point, ..plain };
     let shown = page.look(&camera, &json!({ "quality": 0, "mode": "centres" }));
-    assert_eq!(shown.rgb(), expected(800, &camera, &centres));
+    assert!(shown.rgb() == expected(800, &camera, &centres));
     let jpeg = page.look(&camera, &json!({ "quality": 95 }));
     assert_eq!(jpeg.header["format"], "image/jpeg");
     let (close, exact) = (jpeg.rgb(), expected(800, &camera, &plain));
@@ -184,5 +184,10 @@ fn viewer_makes_films() {
         image::open(folder.join(format!("{index:05}.png"))).expect("a PNG").to_rgb8().into_raw()
     };
     let film = Path::new(files["frames"].as_str().expect("a folder"));
-    (0..6).for_each(|index| assert_eq!(bytes(film, index), bytes(&again, index)));
+    for index in 0..6 {
+        // Its cameras went through text: rounding may differ.
+        let (a, b) = (bytes(film, index), bytes(&again, index));
+        let worst = a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(worst <= Some(2) && a.len() == b.len(), "frame {index}: {worst:?}");
+    }
 }

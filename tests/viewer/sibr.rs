@@ -67,7 +67,7 @@ fn viewer_speaks_sibrs_protocol() {
     // A scale makes another picture.
     let mut smaller = of_camera(&view_of, false);
     smaller["scaling_modifier"] = json!(0.3);
-    assert_ne!(remote.ask(&smaller).0, rgb);
+    assert!(remote.ask(&smaller).0 != rgb);
     assert_eq!(page.rest(), at);
     // When it goes, training goes on; nonsense ends its connection and nothing else.
     remote.0.write_all(&[0xFF; 64]).expect("sent");

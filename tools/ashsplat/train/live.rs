@@ -307,7 +307,8 @@ impl Run {
         loop {
             if wish.save && self.saved != Some(report.iteration) {
                 watch.paused(|| self.save(report.iteration, ""))?;
-                live.hub.broadcast(&ToPage::problem(&format!("saved iteration {}", report.iteration)));
+                let message = format!("saved iteration {}", report.iteration);
+                live.hub.broadcast(&ToPage::json(&json!({ "type": "note", "message": message })));
             }
             if wish.stop {
                 stop.store(true, Ordering::Relaxed);

@@ -123,6 +123,11 @@ impl Hub {
         });
     }
 
+    /// Whether a page is there.
+    pub fn has(&self, client: u64) -> bool {
+        self.lock().clients.contains_key(&client)
+    }
+
     /// Pages that are there.
     pub fn pages(&self) -> usize {
         self.lock().clients.len()

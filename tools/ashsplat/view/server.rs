@@ -74,12 +74,17 @@ pub fn start(arguments: &ServeArguments, site: Site) -> Result<SocketAddr> {
 /// Opens the port; an address that others can reach wants a token.
 fn bind(arguments: &ServeArguments) -> Result<TcpListener> {
     let ServeArguments { host, port, token } = arguments;
+    let plain = |word: &str| word.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c));
+    if token.as_ref().is_some_and(|token| token.is_empty() || !plain(token)) {
+        let problem = "must be of letters, digits, '-', '_' and '.', since it stands in the page's address";
+        return Err(Error::argument("--token", problem));
+    }
     let addresses = (host.as_str(), *port).to_socket_addrs();
     let addresses: Vec<SocketAddr> = addresses
         .map_err(|e| Error::argument("--host", format!("'{host}' is no address of this machine: {e}")))?
         .collect();
     let open = addresses.iter().any(|address| !address.ip().is_loopback());
-    if open && token.as_ref().is_none_or(|token| token.is_empty()) {
+    if open && token.is_none() {
         let problem = format!("'{host}' can be reached by others: give a secret word with --token WORD");
         return Err(Error::argument("--host", problem));
     }
@@ -291,7 +296,7 @@ mod tests {
 
     #[test]
     fn names_of_this_machine() {
-        for own in ["localhost", "localhost:8090", "127.0.0.1:1", "[::1]:8090", "::1"] {
+        for own in ["localhost", "localhost:8090", "127.0.0.1:1", "[::1]:8090", "[::1]"] {
             assert!(is_own_name(own), "{own}");
         }
         for foreign in ["example.org", "evil.localhost.example:80", "10.0.0.7:8090", ""] {

@@ -95,7 +95,7 @@ impl Studio {
             return Ok(true);
         }
         let Some(mut film) = self.film.take() else { return Ok(false) };
-        if self.hub.film_cancelled() {
+        if self.hub.film_cancelled() || !self.hub.has(film.client()) {
             self.hub.send(film.client(), ToPage::json(&json!({ "type": "film", "cancelled": true })));
             return Ok(true);
         }

@@ -37,6 +37,7 @@ camera.changed = () => {
     frames.touch();
     photos.follow();
     panel.showFov(camera.fovY);
+    overlay.pixel = null;
     overlay.draw();
 };
 panel.changed = () => frames.touch();
@@ -112,6 +113,7 @@ link.on('scene', (message) => {
     frames.leap();
 });
 link.on('problem', ({ message }) => say(message));
+link.on('note', ({ message }) => say(message));
 frames.onShown = (header) => {
     panel.showFrame(header, frames.framesPerSecond);
     window.ashsplat.shown = header;
