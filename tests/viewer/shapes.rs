@@ -97,11 +97,11 @@ fn shapes_that_make_no_sense_are_refused() {
     renderer.upload(&one([0.3; 3], 0.5)).expect("uploaded");
     for scale_modifier in [-1.0, f32::NAN, f32::INFINITY] {
         let settings = RenderSettings { scale_modifier, ..RenderSettings::default() };
-        let error = renderer.render(&camera, &settings).err().expect("refused");
+        let error = renderer.render(&camera, &settings).expect_err("refused");
         assert!(error.to_string().contains("scale modifier"), "{error}");
     }
     let gradient = vec![[1.0; 3]; 128 * 96];
     let settings = RenderSettings { shape: Shape::Point, ..RenderSettings::default() };
-    let error = renderer.gradients(&camera, &settings, &gradient, None).err().expect("refused");
+    let error = renderer.gradients(&camera, &settings, &gradient, None).expect_err("refused");
     assert!(error.to_string().contains("as they are"), "{error}");
 }

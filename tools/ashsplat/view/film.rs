@@ -140,7 +140,7 @@ fn cameras(request: &FilmRequest) -> Result<Vec<Camera>> {
     if keys.len() < 2 {
         return bad("needs two keys at least: look around and add some");
     }
-    if !(1..=60).contains(frames_per_second) || !(seconds.is_finite() && *seconds > 0.0) {
+    if !((1..=60).contains(frames_per_second) && seconds.is_finite() && *seconds > 0.0) {
         return bad("needs 1 to 60 frames per second and a positive length");
     }
     let frames = (seconds * *frames_per_second as f32).round().max(1.0);
