@@ -17,14 +17,15 @@ pub use subject::{Subject, photos_of};
 
 use crate::args::DeviceArguments;
 use crate::render::LookArguments;
-use ashsplat::{Error, Renderer, Result};
+use crate::session;
+use ashsplat::{Renderer, Result};
 use clap::Args;
 use hub::Hub;
 use server::{ServeArguments, Site};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 use studio::Studio;
 
@@ -81,10 +82,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         token: arguments.serve.token.clone(),
     };
     announce(server::start(&arguments.serve, site)?, &arguments.serve);
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = stop.clone();
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
-        .map_err(|e| Error::argument("Ctrl-C", format!("cannot be caught: {e}")))?;
+    let stop = session::stop_on_ctrl_c()?;
     let mut studio = Studio::new(hub, base, arguments.out.clone());
     while !stop.load(Ordering::Relaxed) {
         studio.serve(&mut renderer, REST)?;

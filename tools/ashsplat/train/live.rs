@@ -4,7 +4,6 @@ mod curves;
 
 use super::Run;
 use crate::measure::Stopwatch;
-use crate::output;
 use crate::view::hub::Hub;
 use crate::view::protocol::{ToPage, TrainAction};
 use crate::view::server::{self, ServeArguments, Site};
@@ -227,8 +226,11 @@ impl Live {
     /// PSNR of one of the test views, each in its turn.
     fn measure(&mut self, trainer: &mut Trainer, view: &View) -> Result<()> {
         let frame = Painter::render(trainer, &view.camera, &trainer.render_settings())?;
-        let rendered = output::to_photo(&frame)?;
-        let psnr = metrics::psnr(&rendered.to_f32(), &view.photo.to_f32())?;
+        let photo = view.photo.photo()?.to_f32();
+        let psnr = match view.photo.mask()? {
+            None => metrics::psnr(&frame.color, &photo)?,
+            Some(mask) => metrics::masked_psnr(&frame.color, &photo, &mask)?,
+        };
         self.tested += 1;
         self.note(|curves| curves.psnr(trainer.iteration(), psnr));
         Ok(())

@@ -40,7 +40,7 @@ impl Photos {
         if let Some((.., bytes)) = kept().iter().find(|(i, s, _)| (*i, *s) == (index, size)) {
             return Some(Ok(bytes.clone()));
         }
-        let encoded = self.gallery.view(index)?.and_then(|view| encode(view.photo, size));
+        let encoded = self.gallery.view(index)?.and_then(|view| encode(&*view.photo.photo()?, size));
         Some(encoded.map_err(|error| error.to_string()).map(|bytes| {
             let bytes = Arc::new(bytes);
             let mut kept = kept();
@@ -53,13 +53,13 @@ impl Photos {
     }
 }
 
-fn encode(photo: Photo, size: Size) -> Result<Vec<u8>> {
+fn encode(photo: &Photo, size: Size) -> Result<Vec<u8>> {
     match size {
-        Size::Full => draw::encode(&photo, QUALITY),
+        Size::Full => draw::encode(photo, QUALITY),
         Size::Thumbnail => {
             let width = photo.width.min(THUMBNAIL_WIDTH);
             let height = (photo.height * width / photo.width).max(1);
-            draw::encode(&photo.scaled_to(width, height)?, THUMBNAIL_QUALITY)
+            draw::encode(&photo.clone().scaled_to(width, height)?, THUMBNAIL_QUALITY)
         }
     }
 }
