@@ -3,12 +3,14 @@
 use ashsplat::io::images::PhotoFile;
 use ashsplat::io::{Photo, PhotoMemory, StoredPhoto};
 use ashsplat::trainer::{TrainView, Trainer};
+use ashsplat::vk::Context;
 use ashsplat::{Gaussians, TrainSettings, metrics};
 use std::sync::Arc;
 
 use crate::checkpoints;
 use crate::common::engine::{camera, gaussians, renderer, settings};
 use crate::common::gpu::Gpu;
+use crate::common::options;
 use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
 use crate::reference::types::View;
 
@@ -48,18 +50,19 @@ fn views() -> Vec<TrainView> {
     views
 }
 
-fn train(gpu: &Gpu, views: Vec<TrainView>, until: u32) -> (Trainer, Vec<f32>) {
+fn train(context: &Context, views: Vec<TrainView>, until: u32) -> (Trainer, Vec<f32>) {
     let mut trainer =
-        Trainer::new(gpu.context, views, &checkpoints::start(), EXTENT, short()).expect("a trainer");
+        Trainer::new(context, views, &checkpoints::start(), EXTENT, short()).expect("a trainer");
     let losses = (0..until).map(|_| trainer.step().expect("a step").loss).collect();
     (trainer, losses)
 }
 
 #[test]
 fn photos_from_a_file_give_the_same_bits() {
-    let gpu = Gpu::new();
+    // Of its own: other tests' photographs would be counted too.
+    let context = Context::new(&options()).expect("a device");
     let views = views();
-    let (trainer, losses) = train(&gpu, views.clone(), 40);
+    let (trainer, losses) = train(&context, views.clone(), 40);
     let expected = trainer.gaussians().expect("the Gaussians");
     let of_photos = |trainer: &Trainer| {
         trainer.memory().iter().find(|arena| arena.name == "photos").map(|arena| arena.bytes)
@@ -67,23 +70,23 @@ fn photos_from_a_file_give_the_same_bits() {
     let resident = of_photos(&trainer);
     drop(trainer);
     for held in [5, 8, 14] {
-        let (trainer, streamed) = train(&gpu, in_a_file(&views, held), 40);
+        let (trainer, streamed) = train(&context, in_a_file(&views, held), 40);
         assert_eq!(streamed, losses, "{held} held");
         assert!(trainer.gaussians().expect("the Gaussians") == expected, "{held} held");
         assert!(held == 14 || of_photos(&trainer) < resident);
     }
     // A checkpoint does not know where the photographs were.
-    let (trainer, _) = train(&gpu, views.clone(), 17);
+    let (trainer, _) = train(&context, views.clone(), 17);
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
     drop(trainer);
     let mut resumed =
-        Trainer::resume(gpu.context, in_a_file(&views, 6), EXTENT, short(), &checkpoint).expect("resumed");
+        Trainer::resume(&context, in_a_file(&views, 6), EXTENT, short(), &checkpoint).expect("resumed");
     let rest: Vec<f32> = (17..40).map(|_| resumed.step().expect("a step").loss).collect();
     assert!(rest == losses[17..] && resumed.gaussians().expect("the Gaussians") == expected);
     // Another mask is another data set.
     let mut others = views;
     others[0].photo = StoredPhoto::from(Photo::clone(&others[0].photo.photo().expect("in memory")));
-    let refused = Trainer::resume(gpu.context, others, EXTENT, short(), &checkpoint).err().expect("refused");
+    let refused = Trainer::resume(&context, others, EXTENT, short(), &checkpoint).err().expect("refused");
     assert!(refused.to_string().contains("other photographs"), "{refused}");
 }
 

@@ -1,49 +1,8 @@
-//! The command line: what all commands share, and how it is read.
+//! The arguments that all commands share.
 
-use crate::{bench, convert, demo, devices, eval, info, inspect, output, profile, render, train, view};
 use ashsplat::Result;
 use ashsplat::vk::{Context, ContextOptions};
-use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{Args, CommandFactory, Parser, Subcommand};
-use std::ffi::OsString;
-use std::process::ExitCode;
-
-/// 3D Gaussian Splatting on any Vulkan device: train, render, examine.
-///
-/// Names may be written with hyphens or underscores (--sh-degree, --sh_degree).
-#[derive(Parser)]
-#[command(name = "ashsplat", version)]
-struct CommandLine {
-    #[command(subcommand)]
-    command: Command,
-}
-
-/// What to do.
-#[derive(Subcommand)]
-pub enum Command {
-    /// Train a scene from a COLMAP data set
-    Train(Box<train::Arguments>),
-    /// Render a trained scene: a data set's views, an orbit or a camera path
-    Render(render::Arguments),
-    /// Look at a scene, a model or a data set in a browser
-    View(view::Arguments),
-    /// PSNR and SSIM of a trained scene on a data set
-    Eval(eval::Arguments),
-    /// What is in a file of Gaussians, a model folder or a data set, and whether it can be used
-    Info(info::Arguments),
-    /// Convert Gaussians between PLY, compressed PLY, .splat, SPZ and glTF; crop, move, thin out
-    Convert(convert::Arguments),
-    /// The Gaussians blended at one pixel, front to back
-    Inspect(inspect::Arguments),
-    /// The Vulkan devices of this machine, with the limits that matter
-    Devices(devices::Arguments),
-    /// Make a small data set, train on it and show the result
-    Demo(demo::Arguments),
-    /// Time of every kernel: scan, sort, render, train-step; comparisons, scaling
-    Bench(Box<bench::Arguments>),
-    /// One frame or training step, kernel by kernel: page, trace, other constants, edited shaders
-    Profile(Box<profile::Arguments>),
-}
+use clap::Args;
 
 /// Which device, and how closely it is watched.
 #[derive(Args, Clone, Default)]
@@ -96,105 +55,6 @@ impl DeviceArguments {
     pub fn report_validation(&self, context: &Context) {
         for message in context.validation_messages() {
             tell!("validation: {message}");
-        }
-    }
-}
-
-/// Reads the command line; the error is the exit code of a run that is over already (`--help`, or a mistake,
-/// which has been printed as one line).
-pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitCode> {
-    match CommandLine::try_parse_from(arguments.map(hyphenated)) {
-        Ok(line) => Ok(line.command),
-        Err(error) if is_request(error.kind()) => {
-            // A closed pipe (`ashsplat --help | head`) is no failure.
-            output::note(error.print());
-            Err(match output::check_stdout() {
-                Ok(()) => ExitCode::SUCCESS,
-                Err(error) => {
-                    tell!("error: {}", crate::one_line(&error.to_string()));
-                    ExitCode::from(crate::FAILURE)
-                }
-            })
-        }
-        Err(error) => {
-            tell!("{}", summary(&error));
-            Err(ExitCode::from(crate::FAILURE))
-        }
-    }
-}
-
-fn is_request(kind: ErrorKind) -> bool {
-    matches!(kind, ErrorKind::DisplayHelp | ErrorKind::DisplayVersion)
-}
-
-/// Clap's message up to its first empty line, as one line.
-fn summary(error: &clap::Error) -> String {
-    if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        return "error: no command given; `ashsplat --help` lists them".into();
-    }
-    let text = error.to_string();
-    let first = crate::one_line(text.split("\n\n").next().unwrap_or_default());
-    let owners = match (error.kind(), error.get(ContextKind::InvalidArg)) {
-        (ErrorKind::UnknownArgument, Some(ContextValue::String(option))) => owners(option),
-        _ => Vec::new(),
-    };
-    if owners.is_empty() {
-        return format!("{first}; see --help");
-    }
-    format!("{first}: it is an option of `{}`; leave it out here, see --help", owners.join("`, `"))
-}
-
-/// The commands that know an option ("--windows").
-fn owners(option: &str) -> Vec<String> {
-    fn collect(command: &clap::Command, path: &str, name: &str, found: &mut Vec<String>) {
-        if command.get_arguments().any(|argument| argument.get_long() == Some(name)) {
-            found.push(path.to_owned());
-        }
-        for next in command.get_subcommands() {
-            collect(next, format!("{path} {}", next.get_name()).trim(), name, found);
-        }
-    }
-    let mut found = Vec::new();
-    if let Some(name) = option.strip_prefix("--") {
-        collect(&CommandLine::command(), "", name.split('=').next().unwrap_or(name), &mut found);
-    }
-    found
-}
-
-/// `--sh_degree=3` as `--sh-degree=3`: the reference's names have underscores.
-fn hyphenated(argument: OsString) -> OsString {
-    let Some(text) = argument.to_str().filter(|text| text.starts_with("--")) else { return argument };
-    match text.split_once('=') {
-        Some((name, value)) => format!("{}={value}", name.replace('_', "-")).into(),
-        None => text.replace('_', "-").into(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn definition_is_consistent() {
-        CommandLine::command().debug_assert();
-    }
-
-    #[test]
-    fn options_name_their_commands() {
-        assert_eq!(owners("--windows"), ["bench train", "bench all"]);
-        assert_eq!(owners("--windows=3"), owners("--windows"));
-        assert!(owners("--no-such-option").is_empty() && owners("-x").is_empty());
-    }
-
-    #[test]
-    fn underscores_become_hyphens_in_names_only() {
-        let cases = [
-            ("--sh_degree", "--sh-degree"),
-            ("--images=my_photos", "--images=my_photos"),
-            ("my_data", "my_data"),
-        ];
-        for (given, expected) in cases {
-            assert_eq!(hyphenated(given.into()), OsString::from(expected));
         }
     }
 }

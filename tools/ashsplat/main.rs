@@ -16,6 +16,7 @@ macro_rules! tell {
 
 mod args;
 mod bench;
+mod command_line;
 mod config;
 mod convert;
 mod cpu_time;
@@ -44,7 +45,7 @@ const FAILURE: u8 = 2;
 const INTERRUPTED: u8 = 130;
 
 fn main() -> ExitCode {
-    let command = match args::parse(std::env::args_os()) {
+    let command = match command_line::parse(std::env::args_os()) {
         Ok(command) => command,
         Err(stop) => return stop,
     };
@@ -59,8 +60,8 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(command: args::Command) -> Result<ExitCode> {
-    use args::Command;
+fn run(command: command_line::Command) -> Result<ExitCode> {
+    use command_line::Command;
     let done = match command {
         Command::Train(arguments) => train::run(&arguments),
         Command::Render(arguments) => render::run(&arguments),
