@@ -100,6 +100,14 @@ impl Registry {
         }
     }
 
+    fn reset_peaks(&self) {
+        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let (arenas, total) = &mut *all;
+        // Blocks that are alive have bytes in their arena: none of them misses it.
+        arenas.retain(|_, (now, _)| *now > 0);
+        arenas.values_mut().chain([total]).for_each(|(now, peak)| *peak = *now);
+    }
+
     fn all(&self) -> Vec<ArenaMemory> {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         all.0
@@ -438,12 +446,18 @@ impl Context {
         Ok(buffers)
     }
 
-    /// What is allocated in each arena, and the most that ever was.
+    /// Lets the peaks of [`Context::memory`] and [`Context::memory_total`] begin anew at what is allocated now; arenas that
+    /// hold nothing are forgotten. For measurements of one piece of work after another on the same context.
+    pub fn reset_memory_peaks(&self) {
+        self.0.registry.reset_peaks();
+    }
+
+    /// What is allocated in each arena, and the most that ever was, or was since [`Context::reset_memory_peaks`].
     pub fn memory(&self) -> Vec<ArenaMemory> {
         self.0.registry.all()
     }
 
-    /// What is allocated in all arenas together, and the most that ever was at a time.
+    /// What is allocated in all arenas together, and the most that ever was at a time (as in [`Context::memory`]).
     pub fn memory_total(&self) -> ArenaMemory {
         self.0.registry.total()
     }

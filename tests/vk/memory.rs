@@ -74,6 +74,13 @@ fn arenas_are_counted() {
     assert_eq!(arena("frame").bytes, 512, "a part keeps the whole alive");
     drop(part);
     assert_eq!(arena("frame").bytes, 0);
+    let third = context.allocate("step", &[("c", 256)], MemoryKind::Device).expect("memory");
+    context.reset_memory_peaks();
+    assert_eq!(context.memory_total().peak_bytes, 256, "peaks begin anew");
+    assert_eq!(context.memory().len(), 1, "arenas that hold nothing are forgotten");
+    assert_eq!((arena("step").bytes, arena("step").peak_bytes), (256, 256));
+    drop(third);
+    assert_eq!((arena("step").bytes, arena("step").peak_bytes), (0, 256));
 }
 
 /// Bytes that differ at every place.

@@ -36,13 +36,15 @@ pub struct Measured {
     pub cost: Option<Cost>,
 }
 
-/// Runs `iterate` with and without timestamps in turn; `prepare` before each, which does not count.
+/// Runs `iterate` with and without timestamps in turn; `prepare` before each, which does not count. The peaks of memory
+/// begin anew: those of [`Measured::run`] are this workload's own.
 pub fn measure(
     context: &Context,
     iterations: Iterations,
     mut prepare: impl FnMut() -> Result<()>,
     mut iterate: impl FnMut() -> Result<()>,
 ) -> Result<Measured> {
+    context.reset_memory_peaks();
     for _ in 0..iterations.warmup {
         prepare()?;
         iterate()?;
@@ -62,7 +64,7 @@ pub fn measure(
         iterate()?;
         let untimed = begun.elapsed();
         all_untimed.push(untimed.as_secs_f64() * 1e3);
-        let spent = cpu_begun.zip(process_seconds()).map(|(before, now)| now - before);
+        let spent = cpu_begun.zip(process_seconds()).map(spent_between);
         cpu = cpu.zip(spent).map(|(mut all, spent)| {
             all.push(spent);
             all
@@ -74,7 +76,7 @@ pub fn measure(
         let (begun, cpu_begun) = (Instant::now(), process_seconds());
         iterate()?;
         let wall = begun.elapsed();
-        let timed = cpu_begun.zip(process_seconds()).map(|(before, now)| now - before);
+        let timed = cpu_begun.zip(process_seconds()).map(spent_between);
         cpu_ratios = cpu_ratios.zip(timed.zip(spent)).map(|(mut all, (timed, untimed))| {
             all.push(timed / untimed.max(1e-9));
             all
@@ -88,6 +90,11 @@ pub fn measure(
     let ratios = if iterations.timed { ratios } else { Vec::new() };
     measured.cost = Spread::of(ratios).map(|wall| Cost { wall, processor: cpu_ratios.and_then(Spread::of) });
     Ok(measured)
+}
+
+/// The clock knows living threads only: it goes back when one ends.
+fn spent_between((before, now): (f64, f64)) -> f64 {
+    (now - before).max(0.0)
 }
 
 impl Measured {
@@ -313,7 +320,7 @@ fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
     }))
 }
 
-/// The arenas of a context, with the most that each ever held.
+/// The arenas of a context, with the most that each held since the measurement began.
 fn memory(context: &Context) -> Vec<Arena> {
     let arenas = context
         .memory()
