@@ -149,6 +149,11 @@ fn profile_lists_what_exists_when_a_name_is_wrong() {
     refuse(&["profile", "--spec", "sort.ITEMS=x"], &["'x'"]);
     refuse(&["profile", "--ab", "-", "sort.WHAT=1"], &["WHAT"]);
     refuse(&["profile", "--ab", "", "-"], &["--ab", "write - for none"]);
+    refuse(&["profile", "--ab", ",", "-"], &["--ab", "setting is empty"]);
+    refuse(&["profile", "--spec", "sort.ITEMS=4", "--spec", "sort.ITEMS=8"], &["sort.ITEMS=8", "twice"]);
+    refuse(&["profile", "--spec", "arithmetic.ROUNDS=0"], &["arithmetic", "yardstick"]);
+    refuse(&["profile", "--spec", "ROUNDS=0"], &["no constant 'ROUNDS'"]);
+    refuse(&["profile", "--gaussians", "4294967295"], &["--gaussians", "67108864"]);
 }
 
 #[cfg(not(feature = "hot-reload"))]

@@ -65,6 +65,12 @@ pub fn is_kernel_of(kernel: &str, named: &str) -> bool {
     kernel.strip_prefix(named).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
 
+/// Whether a kernel, or a folder of kernels, is the measurement that others are judged by: overrides do not reach it, for its
+/// operations are counted at its own constants.
+pub fn is_yardstick(kernel: &str) -> bool {
+    is_kernel_of(kernel, "arithmetic")
+}
+
 /// Constants that the host counts workgroups with: it chooses them itself (and asks [`Limits::overridden`]), so that
 /// shader and host cannot differ.
 pub(super) const CHOSEN_BY_HOST: [&str; 7] =
@@ -102,11 +108,15 @@ impl Limits {
         self.is_cpu && self.max_storage_buffer_range / super::TexelFormat::R32Uint.bytes() <= self.max_texels
     }
 
-    /// What [`Limits::overrides`] say of a constant of a kernel or of a folder of kernels; the last one counts.
+    /// What [`Limits::overrides`] say of a constant of a kernel or of a folder of kernels; the last one counts. The kernel that
+    /// the others are measured by, [`crate::arithmetic`], keeps its own.
     pub fn overridden(&self, kernel: &str, constant: &str) -> Option<u32> {
         let meant = |o: &&SpecOverride| {
             o.constant == constant && (o.kernel.is_empty() || is_kernel_of(kernel, &o.kernel))
         };
+        if is_yardstick(kernel) {
+            return None;
+        }
         self.overrides.iter().rev().find(meant).map(|o| o.bits)
     }
 

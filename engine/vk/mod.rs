@@ -81,7 +81,7 @@ pub use instance::validation_available;
 pub use kernel::{
     Access, BindingInfo, ConstantInfo, ConstantKind, Form, ImageInfo, Kernel, KernelInterface, KernelVisitor,
 };
-pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of};
+pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of, is_yardstick};
 pub use memory::{ArenaMemory, MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use profile::{BoundBuffer, CommandRecord, Profile, Submission};
 pub use profiler::ScopeTime;

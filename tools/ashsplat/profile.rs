@@ -140,7 +140,7 @@ impl Arguments {
     }
 
     fn overrides(&self) -> Result<Vec<SpecOverride>> {
-        self.spec.iter().map(|text| spec::parse(text)).collect()
+        spec::parse_given(&self.spec)
     }
 }
 

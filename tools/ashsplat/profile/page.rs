@@ -103,7 +103,7 @@ pub fn page(
         context.limits().subgroup_size
     );
     let program = machine::program();
-    let commit = program.commit.as_deref().unwrap_or("no checkout");
+    let commit = program.commit.as_deref().unwrap_or("commit unknown");
     let _ = writeln!(out, "<p class=\"note\">ashsplat {} ({commit}, {})</p>", program.version, program.build);
     if !constants.is_empty() {
         let _ = writeln!(out, "<p>with {}</p>", escape(&constants.join(", ")));

@@ -2,7 +2,7 @@
 
 use ashsplat::kernels::visit_all;
 use ashsplat::vk::{
-    ConstantKind, ContextOptions, KernelInterface, KernelVisitor, SpecOverride, is_kernel_of,
+    ConstantKind, ContextOptions, KernelInterface, KernelVisitor, SpecOverride, is_kernel_of, is_yardstick,
 };
 use ashsplat::{Error, Result};
 
@@ -19,6 +19,9 @@ struct Constants(Vec<Constant>);
 
 impl KernelVisitor for Constants {
     fn visit<K: KernelInterface>(&mut self) {
+        if is_yardstick(K::NAME) {
+            return;
+        }
         let own = K::CONSTANTS.iter().map(|c| Constant { kernel: K::NAME, name: c.name, kind: c.kind });
         self.0.extend(own);
     }
@@ -42,13 +45,37 @@ pub fn parse_list(text: &str) -> Result<Vec<SpecOverride>> {
     match text.trim() {
         "-" => Ok(Vec::new()),
         "" => Err(Error::argument("--ab", "a setting is empty; write - for none")),
-        text => text.split(',').map(|setting| parse(setting.trim())).collect(),
+        text => parse_all("--ab", text.split(',')),
     }
 }
 
+/// The settings of --spec.
+pub fn parse_given(settings: &[String]) -> Result<Vec<SpecOverride>> {
+    parse_all("--spec", settings.iter().map(String::as_str))
+}
+
+/// Settings that an option names, each constant at most once.
+fn parse_all<'a>(option: &str, settings: impl Iterator<Item = &'a str>) -> Result<Vec<SpecOverride>> {
+    let mut all: Vec<SpecOverride> = Vec::new();
+    for setting in settings {
+        let one = parse(option, setting.trim())?;
+        if all.iter().any(|o| (&o.kernel, &o.constant) == (&one.kernel, &one.constant)) {
+            return Err(Error::argument(
+                format!("{option} {setting}"),
+                "the constant is set twice; set it once",
+            ));
+        }
+        all.push(one);
+    }
+    Ok(all)
+}
+
 /// One setting, "backward/project_backward.LANE_SLOTS=32", "sort.ITEMS=8" or "WORKGROUP_SIZE=128".
-pub fn parse(text: &str) -> Result<SpecOverride> {
-    let argument = |problem: String| Error::argument(format!("--spec {text}"), problem);
+fn parse(option: &str, text: &str) -> Result<SpecOverride> {
+    if text.is_empty() {
+        return Err(Error::argument(option, "a setting is empty; write [KERNEL.]NAME=VALUE"));
+    }
+    let argument = |problem: String| Error::argument(format!("{option} {text}"), problem);
     let Some((place, value)) = text.split_once('=') else {
         return Err(argument("expected [KERNEL.]NAME=VALUE".into()));
     };
@@ -56,6 +83,10 @@ pub fn parse(text: &str) -> Result<SpecOverride> {
     let mut all = Constants::default();
     visit_all(&mut all);
     let of_kernel = |c: &&Constant| kernel.is_empty() || is_kernel_of(c.kernel, kernel);
+    if is_yardstick(kernel) {
+        let problem = "is the yardstick of the other kernels and keeps its constants; name another kernel";
+        return Err(argument(format!("{kernel} {problem}")));
+    }
     if !kernels().iter().any(|k| is_kernel_of(k, kernel)) && !kernel.is_empty() {
         let known = kernels().join(", ");
         return Err(argument(format!("there is no kernel or folder '{kernel}'; there are: {known}")));
@@ -135,8 +166,9 @@ mod tests {
 
     #[test]
     fn settings_are_read() {
-        let read =
-            |text: &str| parse(text).map(|o| (o.kernel, o.constant, o.bits)).map_err(|e| e.to_string());
+        let read = |text: &str| {
+            parse("--spec", text).map(|o| (o.kernel, o.constant, o.bits)).map_err(|e| e.to_string())
+        };
         assert_eq!(read("sort.ITEMS=8"), Ok(("sort".into(), "ITEMS".into(), 8)));
         assert_eq!(read("WORKGROUP_SIZE=128"), Ok((String::new(), "WORKGROUP_SIZE".into(), 128)));
         let lanes = read("backward/project_backward.LANE_SLOTS=32").expect("a constant");
@@ -144,17 +176,28 @@ mod tests {
         assert_eq!(read("optimizer.SPARSE=true").expect("a constant").2, 1);
         assert_eq!(parse_list("sort.ITEMS=8, scan.ITEMS=2").map(|list| list.len()).ok(), Some(2));
         assert_eq!(parse_list("-").map(|list| list.len()).ok(), Some(0));
+        let twice = ["sort.ITEMS=8".to_owned(), "sort.ITEMS=9".to_owned()];
+        assert!(
+            parse_given(&twice)
+                .is_err_and(|e| e.to_string().contains("--spec sort.ITEMS=9: the constant is set twice"))
+        );
+        assert_eq!(parse_given(&twice[..1]).map(|list| list.len()).ok(), Some(1));
+        assert!(parse_list(",").is_err_and(|e| e.to_string().starts_with("--ab: a setting is empty")));
+        assert!(parse_list("sort.WHAT=1").is_err_and(|e| e.to_string().starts_with("--ab sort.WHAT=1")));
         assert!(parse_list(" ").is_err_and(|e| e.to_string().contains("write - for none")));
     }
 
     #[test]
     fn mistakes_list_what_there_is() {
-        let error = |text: &str| parse(text).expect_err("a mistake").to_string();
+        let error = |text: &str| parse("--spec", text).expect_err("a mistake").to_string();
         assert!(error("sorting.ITEMS=8").contains("sort/sort_scatter"));
         assert!(error("sort.ITEM=8").contains("ITEMS, SUBGROUP_SIZE"), "{}", error("sort.ITEM=8"));
         assert!(error("sort.ITEMS=many").contains("Uint"));
         assert!(error("sort.ITEMS").contains("=VALUE"));
         assert!(error("WORKGROUP_SIZE=65536").contains("1 to 1024"));
+        assert!(error("arithmetic.ROUNDS=0").contains("yardstick"));
+        assert!(error("arithmetic/multiply_add.ROUNDS=2").contains("yardstick"));
+        assert!(error("ROUNDS=2").contains("no constant 'ROUNDS'"));
         assert!(error("sort.ITEMS=0").contains("1 to 16384"));
         assert!(error("WORKGROUP_SIZE=96").contains("power of two"));
         assert!(error("sort/sort_count.ITEMS=8").contains("sort.ITEMS, scan.ITEMS"));
