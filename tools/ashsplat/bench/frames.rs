@@ -126,7 +126,7 @@ pub fn train_step(job: &Job) -> Result<(Run, Measured)> {
     let count = report.gaussians;
     let capacity = count.saturating_add(count / 2).max(1 << 12);
     let counts = job.counts(capacity)?.seen(report.visible, report.instances);
-    let workload = job.scene.workload(&trainer.render_settings());
+    let workload = job.scene.training_workload(&trainer.render_settings(), job.seed);
     let workload = Workload { longest_tile: Some(report.longest_tile), ..workload };
     Ok((job.run("train-step", workload, &measured, counts), measured))
 }

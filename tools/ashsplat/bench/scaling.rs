@@ -5,7 +5,7 @@ use super::frames;
 use super::measure::{Iterations, Yardsticks};
 use super::plot::{Panel, Series};
 use super::schema::{KernelResult, Report, Run};
-use super::workload::SyntheticArguments;
+use super::workload::{MOST_GAUSSIANS, SyntheticArguments};
 use super::{assemble, plot, table};
 use crate::output;
 use ashsplat::Result;
@@ -18,7 +18,7 @@ use std::path::PathBuf;
 #[derive(Args)]
 pub struct Arguments {
     /// Numbers of Gaussians
-    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [10_000, 30_000, 100_000, 300_000, 1_000_000], value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [10_000, 30_000, 100_000, 300_000, 1_200_000], value_parser = clap::value_parser!(u32).range(1..=MOST_GAUSSIANS))]
     counts: Vec<u32>,
     /// Width of the pictures meanwhile, pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 960, value_parser = clap::value_parser!(u32).range(1..))]
@@ -27,7 +27,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [256, 512, 1024, 1920, 3840], value_parser = clap::value_parser!(u32).range(1..))]
     widths: Vec<u32>,
     /// Gaussians meanwhile
-    #[arg(long, value_name = "N", default_value_t = SyntheticArguments::GAUSSIANS, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = SyntheticArguments::GAUSSIANS, value_parser = clap::value_parser!(u32).range(1..=MOST_GAUSSIANS))]
     gaussians: u32,
     /// SH degree of all
     #[arg(long, value_name = "N", default_value_t = SyntheticArguments::SH_DEGREE, value_parser = clap::value_parser!(u32).range(0..=3))]
@@ -50,6 +50,9 @@ type Sweep = Vec<(f64, Run)>;
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.output.check(&[("--plot", arguments.plot.as_deref())])?;
+    for &count in arguments.counts.iter().chain([&arguments.gaussians]) {
+        arguments.scene(count, arguments.width).check()?;
+    }
     let context = arguments.output.context()?;
     let yardsticks = Yardsticks::measure(&context)?;
     let (mut by_count, mut by_pixels): (Sweep, Sweep) = (Vec::new(), Vec::new());
@@ -91,6 +94,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 impl Arguments {
+    fn scene(&self, gaussians: u32, width: u32) -> SyntheticArguments {
+        SyntheticArguments {
+            gaussians: Some(gaussians),
+            sh_degree: Some(self.sh_degree),
+            width: Some(width),
+            height: Some(height_of(width)),
+            seed: Some(self.seed),
+        }
+    }
+
     /// A frame of so many Gaussians and so wide.
     fn measure(
         &self,
@@ -98,14 +111,7 @@ impl Arguments {
         yardsticks: &Yardsticks,
         (gaussians, width): (u32, u32),
     ) -> Result<Run> {
-        let scene = SyntheticArguments {
-            gaussians: Some(gaussians),
-            sh_degree: Some(self.sh_degree),
-            width: Some(width),
-            height: Some(height_of(width)),
-            seed: Some(self.seed),
-        };
-        let scene = scene.load()?;
+        let scene = self.scene(gaussians, width).load()?;
         let iterations: Iterations = self.iterations.get();
         let (copy, seed) = (yardsticks.copy.as_ref(), self.seed);
         let (run, _) = frames::render(&frames::Job { context, iterations, copy, scene: &scene, seed })?;

@@ -6,7 +6,7 @@ use super::measure::Iterations;
 use super::primitives;
 use super::schema::{CopyBandwidth, Run};
 use super::training::Training;
-use super::workload::{Scene, SceneArguments, SyntheticArguments};
+use super::workload::{MOST_GAUSSIANS, Scene, SceneArguments, SyntheticArguments};
 use ashsplat::Result;
 use ashsplat::vk::Context;
 use std::path::Path;
@@ -58,6 +58,9 @@ impl std::str::FromStr for FrameSize {
             Some((gaussians.parse().ok()?, width.parse().ok()?, height.parse().ok()?))
         });
         match parsed {
+            Some((gaussians, ..)) if i64::from(gaussians) > MOST_GAUSSIANS => {
+                Err(format!("{gaussians} Gaussians are more than {MOST_GAUSSIANS}"))
+            }
             Some((gaussians @ 1.., width @ 1.., height @ 1..)) => Ok(Self { gaussians, width, height }),
             _ => Err("give Gaussians and size, as in 1140000@1280x720".to_owned()),
         }
@@ -89,30 +92,31 @@ pub fn of_training(dataset: &Path, windows: &[u32], sh_degree: u32) -> Result<Ve
 /// The primitives at two sizes, synthetic frames and steps, and the trained scene and the data set where given.
 pub fn of_all(arguments: &AllArguments, is_cpu: bool) -> Result<Vec<Task>> {
     let own = &arguments.synthetic;
+    let of_size = |&FrameSize { gaussians, width, height }: &FrameSize| SyntheticArguments {
+        gaussians: Some(gaussians),
+        width: Some(width),
+        height: Some(height),
+        ..own.clone()
+    };
+    arguments.frames.iter().try_for_each(|size| of_size(size).check())?;
     let synthetic = Rc::new(own.load()?);
     let (few, iterations) = (arguments.elements.div_ceil(4), arguments.iterations.get());
-    // So few pairs that timing each command would show.
-    let as_a_whole = Iterations { timed: false, ..iterations };
+    // So few pairs that timing each command would show, where a timestamp ends a batch of the driver's work.
+    let smaller = Iterations { timed: !is_cpu, ..iterations };
     let mut tasks = vec![
         Task::Scan(arguments.elements.saturating_mul(VALUES_PER_PAIR).min(1 << 28), iterations),
-        Task::Sort(few, as_a_whole),
+        Task::Sort(few, smaller),
         Task::Sort(arguments.elements, iterations),
         Task::Render(synthetic.clone(), iterations),
     ];
-    for &FrameSize { gaussians, width, height } in &arguments.frames {
-        let frame = SyntheticArguments {
-            gaussians: Some(gaussians),
-            width: Some(width),
-            height: Some(height),
-            ..own.clone()
-        };
+    for size in &arguments.frames {
         let few = Iterations {
             measured: iterations.measured.min(FEW_ITERATIONS),
             warmup: iterations.warmup.min(1),
             ..iterations
         };
-        let iterations = if is_cpu && gaussians > MANY { few } else { iterations };
-        tasks.push(Task::Render(Rc::new(frame.load()?), iterations));
+        let iterations = if is_cpu && size.gaussians > MANY { few } else { iterations };
+        tasks.push(Task::Render(Rc::new(of_size(size).load()?), iterations));
     }
     if let Some(file) = &arguments.scene {
         let trained = SceneArguments::of_file(file, arguments.camera.as_deref(), (own.width, own.height));

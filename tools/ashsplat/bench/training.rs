@@ -99,7 +99,7 @@ impl Training {
                 hash.add(&photo.rgb);
             }
         }
-        hash.add(format!("{settings:?} {end}").as_bytes());
+        hash.add(format!("{settings:?} {} {end}", self.scene_extent).as_bytes());
         let camera = self.views.first().map(|view| view.camera);
         Workload {
             source: format!("{}, iterations {} to {end}", self.source, end - WINDOW + 1),

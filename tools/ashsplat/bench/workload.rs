@@ -5,17 +5,21 @@ use super::synthetic;
 use crate::session;
 use ashsplat::io::cameras_json;
 use ashsplat::io::{Dataset, DatasetOptions, Progress, splats};
+use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, RenderSettings, Result, TrainView};
 use clap::Args;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
 
+/// Most Gaussians of a synthetic scene.
+pub const MOST_GAUSSIANS: i64 = 1 << 26;
+
 /// A synthetic scene and its picture.
 #[derive(Args, Clone)]
 pub struct SyntheticArguments {
     /// Gaussians of the synthetic scene [default: 300000]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=MOST_GAUSSIANS))]
     pub gaussians: Option<u32>,
     /// SH degree of the synthetic scene, and of what starts from a data set's points [default: 3]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=3))]
@@ -45,8 +49,25 @@ impl SyntheticArguments {
         self.seed.unwrap_or(0)
     }
 
+    /// Refuses a scene that this machine's memory cannot hold.
+    pub fn check(&self) -> Result<()> {
+        let count = self.gaussians.unwrap_or(Self::GAUSSIANS);
+        let coefficients = sh_coefficients(self.sh_degree());
+        // Mean, rotation, scales, opacity, coefficients.
+        let floats = 3 + 4 + 3 + 1 + 3 * coefficients;
+        // Here, and once more where the device is a processor; asked for and given back, for an allocation that fails later
+        // would end the program.
+        if Vec::<f32>::new().try_reserve_exact((2 * floats).saturating_mul(count as usize)).is_ok() {
+            return Ok(());
+        }
+        let gigabytes = 8e-9 * floats as f64 * f64::from(count);
+        let problem = format!("take {gigabytes:.1} GB, more than this machine's memory; give fewer");
+        Err(Error::argument(format!("{count} Gaussians"), problem))
+    }
+
     /// Makes the scene.
     pub fn load(&self) -> Result<Scene> {
+        self.check()?;
         let (count, seed) = (self.gaussians.unwrap_or(Self::GAUSSIANS), self.seed());
         let (width, height) = (self.width.unwrap_or(1920), self.height.unwrap_or(1080));
         let scene = Scene {
@@ -215,13 +236,26 @@ impl Scene {
         Ok(self)
     }
 
+    /// As [`Scene::workload`], with what else training depends on: the sizes of steps go by the extent, and the seed disturbs
+    /// what is trained on its own picture.
+    pub fn training_workload(&self, settings: &RenderSettings, seed: u64) -> Workload {
+        let disturbed_by = if self.view.is_none() { Some(seed) } else { None };
+        let more = format!("{} {disturbed_by:?}", self.scene_extent);
+        self.workload_with(settings, more.as_bytes())
+    }
+
     /// For the result file; counts of a frame are filled in by whoever renders it.
     pub fn workload(&self, settings: &RenderSettings) -> Workload {
+        self.workload_with(settings, &[])
+    }
+
+    fn workload_with(&self, settings: &RenderSettings, more: &[u8]) -> Workload {
         let mut hash = Fnv::default();
         let (g, c) = (&self.gaussians, &self.camera);
         hash.gaussians(g);
         hash.camera(c);
         hash.add(format!("{settings:?}").as_bytes());
+        hash.add(more);
         if let Some(view) = &self.view {
             // In memory: it cannot fail.
             if let Ok(photo) = view.photo.photo() {
