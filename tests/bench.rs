@@ -56,15 +56,29 @@ fn bench_all_follows_its_schema() {
     let names: Vec<&str> = runs(&report).iter().filter_map(|run| run["name"].as_str()).collect();
     assert_eq!(names, ["scan", "sort", "sort-3000", "render", "render-900@64x64", "train-step"]);
     assert_eq!(runs(&report)[4]["workload"]["gaussians"], 900);
-    // The smaller sort is timed as a whole only.
-    assert!(
-        runs(&report)[1]["split"]["kernels_ms"].is_null()
-            && number(&runs(&report)[1]["untimed_ms"]["min"]) > 0.0
-    );
-    for run in runs(&report).iter().enumerate().filter(|(place, _)| *place != 1).map(|(_, run)| run) {
-        check_run(run);
+    // On a processor the smaller sort is timed as a whole only.
+    let whole = report["device"]["kind"] == "CPU";
+    assert_eq!(runs(&report)[1]["split"]["kernels_ms"].is_null(), whole);
+    assert!(number(&runs(&report)[1]["untimed_ms"]["min"]) > 0.0);
+    for (place, run) in runs(&report).iter().enumerate() {
+        if !(whole && place == 1) {
+            check_run(run);
+        }
+        let arenas: Vec<&str> = run["memory"]
+            .as_array()
+            .expect("arenas")
+            .iter()
+            .filter_map(|arena| arena["name"].as_str())
+            .collect();
+        assert_eq!(arenas.contains(&"primitive"), place < 3, "another run's memory: {arenas:?}");
     }
-    let lines = std::fs::read_to_string(&csv).expect("a file").lines().count();
+    let csv = std::fs::read_to_string(&csv).expect("a file");
+    let columns = |line: &str| line.split(',').count();
+    assert!(
+        csv.starts_with("run,") && csv.contains("operations,gigaoperations_per_second,share_of_arithmetic")
+    );
+    assert!(csv.lines().all(|line| columns(line) == 15), "{csv}");
+    let lines = csv.lines().count();
     let kernels: usize = runs(&report).iter().map(|run| run["kernels"].as_array().map_or(0, Vec::len)).sum();
     assert_eq!(lines, 1 + kernels);
     let sorts = runs(&report)[1]["cpu"].as_array().expect("sorts of the processor");
@@ -134,7 +148,7 @@ fn bench_compare_names_what_became_slower() {
     assert!(succeed(&["bench", "compare", text(&a), text(&b)]).contains("only in A: sort sort/sort_"));
     refuse(
         &["bench", "compare", text(&a), text(&b), "--fail-above", "9"],
-        &["cannot be compared", "sort/sort_"],
+        &["times that cannot be compared", "sort/sort_"],
     );
     report["settings"]["clock"] = Value::from("host");
     write(&b, &report);
@@ -160,6 +174,30 @@ fn bench_compare_refuses_what_cannot_be_compared() {
     refuse(&["bench", "compare", text(&a), text(&b)], &["runs differ", "scan", "sort"]);
     std::fs::write(&b, "no JSON").expect("written");
     refuse(&["bench", "compare", text(&a), text(&b)], &["b.json", "JSON"]);
+    let edited: [(&str, Value, &[&str]); 5] = [
+        ("/runs/0/device_ms", Value::Null, &["device's times of scan", "only A"]),
+        ("/runs/0/wall_ms/min", (-1.0).into(), &["b.json", "wall_ms of scan", "min -1"]),
+        ("/runs/0/kernels/0/time_us/median", 1e12.into(), &["b.json", "scan/", "no spread"]),
+        ("/runs/0/device_ms/p90", Value::Null, &["b.json", "does not follow"]),
+        ("/runs/0/workload/elements", 9.into(), &["workloads of scan differ", "9 elements"]),
+    ];
+    for (place, value, words) in edited {
+        let mut report = read(&a);
+        *report.pointer_mut(place).expect(place) = value;
+        write(&b, &report);
+        refuse(&["bench", "compare", text(&a), text(&b)], words);
+    }
+    let mut report = read(&a);
+    report["runs"][0]["cpu_seconds"] = Value::Null;
+    write(&b, &report);
+    // A system need not tell processor time.
+    if !read(&a)["runs"][0]["cpu_seconds"].is_null() {
+        assert!(
+            succeed(&["bench", "compare", text(&a), text(&b)]).contains("only in A: scan processor time")
+        );
+        let limit = ["bench", "compare", text(&a), text(&b), "--fail-above", "9"];
+        refuse(&limit, &["cannot be compared", "processor time"]);
+    }
     refuse(&["bench", "compare", text(&a), "missing.json"], &["missing.json"]);
     refuse(&["bench", "compare", text(&a), text(&a), "--fail-above", "0"], &["--fail-above"]);
 }
@@ -224,6 +262,19 @@ fn bench_measures_files_and_refuses_bad_ones() {
     refuse(&["bench", "render", "--scene", text(&ply), "--camera", &place], &["cameras.json"]);
     refuse(&["bench", "render", "--scene", "missing.ply"], &["missing.ply"]);
     refuse(&["bench", "render", "--gaussians", "0"], &["no Gaussians"]);
+    let most = u32::MAX.to_string();
+    refuse(&["bench", "render", "--gaussians", &most], &["--gaussians", "67108864"]);
+    refuse(&["bench", "scaling", "--counts", &most], &["--counts", "67108864"]);
+    refuse(&["bench", "scaling", "--gaussians", &most], &["--gaussians", "67108864"]);
+    refuse(&["bench", "all", "--frames", &format!("{most}@9x9")], &["--frames", "67108864"]);
+    // The seed disturbs what is trained on its own picture.
+    let hash = |seed: &str| {
+        let json = folder.path().join("step.json");
+        let one = ["bench", "train-step", "--scene", text(&ply), "--seed", seed, "--json", text(&json)];
+        succeed(&[&one[..], &small].concat());
+        runs(&read(&json))[0]["workload"]["hash"].clone()
+    };
+    assert_ne!(hash("1"), hash("2"));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The device that everything runs on.
 
 use super::allocator::HostAllocator;
+use super::arenas::Registry;
 use super::audit;
 use super::clock::Clock;
 use super::debug::{Messages, Names};
@@ -10,7 +11,6 @@ use super::faults::{self, Faults};
 use super::guards::Guarded;
 use super::instance::Instance;
 use super::limits::{Limits, LimitsOverride, SpecOverride};
-use super::memory::Registry;
 use super::profile::Log;
 use super::requirements::Features;
 use super::submit::Slot;

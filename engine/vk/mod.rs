@@ -43,6 +43,7 @@
 #![allow(unsafe_code)]
 
 mod allocator;
+mod arenas;
 mod audit;
 mod bind;
 mod budget;
@@ -70,6 +71,7 @@ mod texels;
 mod transfer;
 
 pub use allocator::{HostAllocator, HostMemory, MemoryRequest};
+pub use arenas::ArenaMemory;
 pub use audit::{Audit, AuditRecord};
 pub use buffer::Buffer;
 pub use context::{Context, ContextOptions};
@@ -82,7 +84,7 @@ pub use kernel::{
     Access, BindingInfo, ConstantInfo, ConstantKind, Form, ImageInfo, Kernel, KernelInterface, KernelVisitor,
 };
 pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of, is_yardstick};
-pub use memory::{ArenaMemory, MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
+pub use memory::{MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use profile::{BoundBuffer, CommandRecord, Profile, Submission};
 pub use profiler::ScopeTime;
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};

@@ -124,7 +124,7 @@ fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
     let (a, b) = (compare::read(&files.a)?, compare::read(&files.b)?);
     let lines = compare::compare(&a, &b)?;
     for (name, report) in [("A", &a), ("B", &b)] {
-        let commit = report.program.commit.as_deref().unwrap_or("no checkout");
+        let commit = report.program.commit.as_deref().unwrap_or("commit unknown");
         say!(
             "{name}: {}, {}, ashsplat {} ({commit}, {})",
             report.device.name,
@@ -138,7 +138,7 @@ fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
     unpaired.iter().for_each(|kernel| say!("{kernel}"));
     let Some(limit) = files.fail_above else { return Ok(ExitCode::SUCCESS) };
     if !unpaired.is_empty() {
-        return Err(Error::argument("kernels that cannot be compared", unpaired.join(", ")));
+        return Err(Error::argument("times that cannot be compared", unpaired.join(", ")));
     }
     let slow = compare::slower(&lines, limit);
     if slow.is_empty() {
@@ -174,6 +174,7 @@ fn measure_all(
         say!("{}", table::render(&report).trim_end());
     }
     output.device.report_validation(&context);
+    output.device.report_validation(&counting);
     Ok(())
 }
 

@@ -1,6 +1,6 @@
 //! `bench compare`: two result files, kernel by kernel.
 
-use super::schema::{KernelResult, Report, Run, SCHEMA, Spread};
+use super::schema::{KernelResult, Report, Run, SCHEMA, Spread, Workload};
 use ashsplat::{Error, Result};
 use serde_json::Value;
 use std::path::Path;
@@ -72,8 +72,35 @@ pub fn read(path: &Path) -> Result<Report> {
             remedy,
         ));
     }
-    serde_json::from_value(value)
-        .map_err(|e| Error::input(path, format!("does not follow {SCHEMA}: {e}"), ""))
+    let report: Report = serde_json::from_value(value)
+        .map_err(|e| Error::input(path, format!("does not follow {SCHEMA}: {e}"), ""))?;
+    match report.runs.iter().find_map(broken_spread) {
+        Some(problem) => Err(Error::input(path, problem, "measure again; the file was changed or damaged")),
+        None => Ok(report),
+    }
+}
+
+/// A spread of a run that no measurement gives, named; none where all are well.
+fn broken_spread(run: &Run) -> Option<String> {
+    let cost = run.cost_of_measuring;
+    let whole = [
+        ("wall_ms", Some(run.wall_ms)),
+        ("device_ms", run.device_ms),
+        ("between_submissions_ms", run.between_submissions_ms),
+        ("untimed_ms", run.untimed_ms),
+        ("cpu_seconds", run.cpu_seconds),
+        ("cost_of_measuring", cost.map(|cost| cost.wall)),
+        ("cost_of_measuring", cost.and_then(|cost| cost.processor)),
+    ];
+    let of_kernels = run.kernels.iter().map(|kernel| (kernel.kernel.as_str(), kernel.time_us));
+    let of_processor = run.cpu.iter().map(|sort| (sort.name.as_str(), Some(sort.time_ms)));
+    let mut all = whole.into_iter().chain(of_kernels).chain(of_processor);
+    let (name, Spread { min, median, p90, mean }) =
+        all.find_map(|(name, spread)| Some((name, spread.filter(|spread| !spread.is_plausible())?)))?;
+    Some(format!(
+        "{} of {} is no spread of times: min {min}, median {median}, p90 {p90}, mean {mean}",
+        name, run.name
+    ))
 }
 
 /// Pairs two reports up; those of different workloads are refused.
@@ -94,8 +121,16 @@ pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
     let mut lines = Vec::new();
     for (a, b) in a.runs.iter().zip(&b.runs) {
         check_workloads(a, b)?;
-        let device = |run: &Run| run.device_ms.unwrap_or(run.wall_ms).times(1e3);
-        lines.push(Line::whole(&a.name, "all", device(a), device(b)));
+        let (all_a, all_b) = match (a.device_ms, b.device_ms) {
+            (Some(a), Some(b)) => (a, b),
+            (None, None) => (a.wall_ms, b.wall_ms),
+            (one, _) => {
+                let which = if one.is_some() { "A" } else { "B" };
+                let problem = format!("only {which} has them; measure both by the same clock");
+                return Err(Error::argument(format!("the device's times of {}", a.name), problem));
+            }
+        };
+        lines.push(Line::whole(&a.name, "all", all_a.times(1e3), all_b.times(1e3)));
         if let (Some(cpu_a), Some(cpu_b)) = (a.cpu_seconds, b.cpu_seconds) {
             lines.push(Line::whole(&a.name, "processor time", cpu_a.times(1e6), cpu_b.times(1e6)));
         }
@@ -104,13 +139,16 @@ pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
     Ok(lines)
 }
 
-/// Kernels whose time only one of the reports has: "only in A: ...".
+/// Kernels whose time only one of the reports has, and processor times: "only in A: ...".
 pub fn unpaired(a: &Report, b: &Report) -> Vec<String> {
     let mut found = Vec::new();
     for (name, one, other) in [("A", a, b), ("B", b, a)] {
         for (one, other) in one.runs.iter().zip(&other.runs) {
             let timed = one.kernels.iter().filter(|k| k.time_us.is_some());
             let alone = timed.filter(|k| time_of_twin(k, &other.kernels).is_none());
+            if one.cpu_seconds.is_some() && other.cpu_seconds.is_none() {
+                found.push(format!("only in {name}: {} processor time", one.name));
+            }
             found
                 .extend(alone.map(|k| format!("only in {name}: {} {} in '{}'", one.name, k.kernel, k.scope)));
         }
@@ -137,7 +175,11 @@ pub fn kernels(run: &str, a: &[KernelResult], b: &[KernelResult]) -> Vec<Line> {
 
 fn check_workloads(a: &Run, b: &Run) -> Result<()> {
     let (wa, wb) = (&a.workload, &b.workload);
-    if wa.hash == wb.hash {
+    // Training from points ends with as many Gaussians as it makes.
+    let grows = a.name.starts_with("train") && !a.name.starts_with("train-step");
+    let gaussians = |w: &Workload| if grows { None } else { w.gaussians };
+    let size = |w: &Workload| (w.elements, gaussians(w), w.sh_degree, w.width, w.height);
+    if wa.hash == wb.hash && size(wa) == size(wb) {
         return Ok(());
     }
     let (da, db) = (super::table::describe(wa), super::table::describe(wb));

@@ -4,6 +4,7 @@ use super::schema::{Device, Host, Program};
 use ashsplat::vk::Context;
 use std::collections::BTreeMap;
 use std::process::Command;
+use std::time::{Duration, UNIX_EPOCH};
 
 /// Variables that change what the common drivers do.
 const VARIABLES: [&str; 6] = [
@@ -24,7 +25,7 @@ pub fn program() -> Program {
     }
 }
 
-/// The commit of the checkout that the program was built in, as it stands now.
+/// The commit of the checkout that the program was built in, as it stands now; None where the program is older than it.
 fn commit() -> Option<String> {
     let git = |arguments: &[&str]| {
         let output = Command::new("git").arg("-C").arg(env!("CARGO_MANIFEST_DIR")).args(arguments).output();
@@ -32,6 +33,11 @@ fn commit() -> Option<String> {
         Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
     };
     let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
+    let committed = git(&["log", "-1", "--format=%ct"])?.parse::<u64>().ok()?;
+    let built = std::fs::metadata(std::env::current_exe().ok()?).ok()?.modified().ok()?;
+    if built < UNIX_EPOCH + Duration::from_secs(committed) {
+        return None;
+    }
     let dirty = git(&["status", "--porcelain", "--untracked-files=no"])?;
     Some(if dirty.is_empty() { commit } else { format!("{commit}-dirty") })
 }

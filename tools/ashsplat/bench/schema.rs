@@ -30,7 +30,8 @@ pub struct Report {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Program {
     pub version: String,
-    /// Commit of the checkout it was built in, with "-dirty" behind it where files differ; null outside of one.
+    /// Commit of the checkout it was built in, with "-dirty" behind it where files differ; null outside of one, and where the
+    /// program is older than the commit.
     pub commit: Option<String>,
     /// "release" or "debug".
     pub build: String,
@@ -219,7 +220,7 @@ pub struct CpuResult {
     pub time_ms: Spread,
 }
 
-/// Least, median, 90th percentile and mean.
+/// Least, median (of an even number, the mean of the two in the middle), 90th percentile by nearest rank, and mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     pub min: f64,
@@ -234,10 +235,18 @@ impl Spread {
     /// None without values.
     pub fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_unstable_by(f64::total_cmp);
-        let last = values.len().checked_sub(1)?;
-        let at = |share: f64| values[(share * last as f64).round() as usize];
-        let mean = values.iter().sum::<f64>() / values.len() as f64;
-        Some(Self { min: values[0], median: at(0.5), p90: at(0.9), mean })
+        let n = values.len();
+        let min = *values.first()?;
+        // The same value twice where their number is odd.
+        let median = 0.5 * (values[(n - 1) / 2] + values[n / 2]);
+        let p90 = values[(9 * n).div_ceil(10) - 1];
+        Some(Self { min, median, p90, mean: values.iter().sum::<f64>() / n as f64 })
+    }
+
+    /// Whether times can have it: finite, not negative, in order.
+    pub fn is_plausible(&self) -> bool {
+        let Self { min, median, p90, mean } = *self;
+        0.0 <= min && min <= median && median <= p90 && p90.is_finite() && mean.is_finite() && mean >= 0.0
     }
 
     /// Every value times a factor.
@@ -261,5 +270,25 @@ mod tests {
         assert_eq!(Spread::of(values), Some(Spread { min: 0.0, median: 5.0, p90: 9.0, mean: 5.0 }));
         assert_eq!(Spread::of(vec![2.0]), Some(Spread { min: 2.0, median: 2.0, p90: 2.0, mean: 2.0 }));
         assert_eq!(Spread::of(vec![]), None);
+        let even = Spread::of(vec![4.0, 1.0, 3.0, 2.0]);
+        assert_eq!(even, Some(Spread { min: 1.0, median: 2.5, p90: 4.0, mean: 2.5 }));
+        // The nearest rank of 15 is the 14th, ceil(0.9 · 15); of 10 the 9th.
+        let p90 = |n: u32| Spread::of((1..=n).map(f64::from).collect()).map(|spread| spread.p90);
+        assert_eq!([p90(15), p90(10), p90(20), p90(5)], [Some(14.0), Some(9.0), Some(18.0), Some(5.0)]);
+    }
+
+    #[test]
+    fn spreads_that_no_measurement_gives_are_seen() {
+        let plausible = |[min, median, p90]: [f64; 3]| Spread { min, median, p90, mean: 1.0 }.is_plausible();
+        assert!(plausible([0.0, 0.0, 0.0]) && plausible([1.0, 2.0, 3.0]));
+        for bad in [
+            [-1.0, 2.0, 3.0],
+            [2.0, 1.0, 3.0],
+            [1.0, 3.0, 2.0],
+            [1.0, f64::NAN, 2.0],
+            [1.0, 2.0, f64::INFINITY],
+        ] {
+            assert!(!plausible(bad), "{bad:?}");
+        }
     }
 }

@@ -47,7 +47,7 @@ pub fn render(report: &Report) -> String {
         "{} ({}), {}, Vulkan {}, subgroups of {}",
         d.name, d.kind, d.driver, d.api_version, d.subgroup_size
     );
-    let commit = report.program.commit.as_deref().unwrap_or("no checkout");
+    let commit = report.program.commit.as_deref().unwrap_or("commit unknown");
     let _ = writeln!(out, "ashsplat {} ({commit}, {})", report.program.version, report.program.build);
     if let Some(copy) = &report.copy_bandwidth {
         let _ = writeln!(
@@ -201,7 +201,8 @@ fn kernels_table(out: &mut String, run: &Run) {
 pub fn csv(report: &Report) -> String {
     let mut out = String::from(
         "run,stage,kernel,calls,workgroups,time_us_min,time_us_median,time_us_p90,bytes_read,bytes_written,\
-         gigabytes_per_second,share_of_copy_bandwidth,share_of_arithmetic\n",
+         gigabytes_per_second,share_of_copy_bandwidth,operations,gigaoperations_per_second,\
+         share_of_arithmetic\n",
     );
     for run in &report.runs {
         for k in &run.kernels {
@@ -210,7 +211,7 @@ pub fn csv(report: &Report) -> String {
             let groups = k.workgroups.map_or_else(String::new, |n| n.to_string());
             let _ = writeln!(
                 out,
-                "{},{},{},{},{groups},{},{},{},{},{},{},{},{}",
+                "{},{},{},{},{groups},{},{},{},{},{},{},{},{},{},{}",
                 run.name,
                 k.scope,
                 k.kernel,
@@ -222,6 +223,8 @@ pub fn csv(report: &Report) -> String {
                 k.bytes_written,
                 optional(k.gigabytes_per_second),
                 optional(k.share_of_copy_bandwidth),
+                k.operations.map_or_else(String::new, |n| n.to_string()),
+                optional(k.gigaoperations_per_second),
                 optional(k.share_of_arithmetic)
             );
         }
