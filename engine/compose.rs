@@ -39,10 +39,30 @@ pub struct Compose {
     expected_depth: Kernel<expected_depth::Interface>,
 }
 
+fn check_format(image: &Image, possible: &[vk::Format]) -> Result<()> {
+    if possible.contains(&image.format()) {
+        return Ok(());
+    }
+    let problem = format!("format {:?} is not one of {possible:?}", image.format());
+    Err(Error::argument(format!("image '{}'", image.name()), problem))
+}
+
 impl Compose {
     /// Formats of colour images.
     pub const COLOR_FORMATS: [vk::Format; 3] =
         [vk::Format::R8G8B8A8_UNORM, vk::Format::R16G16B16A16_SFLOAT, vk::Format::R32G32B32A32_SFLOAT];
+    /// Formats of a host's depth image, each read as one float.
+    pub const HOST_DEPTH_FORMATS: [vk::Format; 9] = [
+        vk::Format::D16_UNORM,
+        vk::Format::X8_D24_UNORM_PACK32,
+        vk::Format::D32_SFLOAT,
+        vk::Format::D16_UNORM_S8_UINT,
+        vk::Format::D24_UNORM_S8_UINT,
+        vk::Format::D32_SFLOAT_S8_UINT,
+        vk::Format::R16_UNORM,
+        vk::Format::R16_SFLOAT,
+        vk::Format::R32_SFLOAT,
+    ];
     /// Format of an image of expected depth.
     pub const DEPTH_FORMAT: vk::Format = vk::Format::R32_SFLOAT;
 
@@ -67,12 +87,15 @@ impl Compose {
     /// # Errors
     /// [`Error::Argument`] for another format than [`Compose::COLOR_FORMATS`].
     pub fn check_color(image: &Image) -> Result<()> {
-        let possible = Self::COLOR_FORMATS;
-        if possible.contains(&image.format()) {
-            return Ok(());
-        }
-        let problem = format!("format {:?} is not one of {possible:?}", image.format());
-        Err(Error::argument(format!("image '{}'", image.name()), problem))
+        check_format(image, &Self::COLOR_FORMATS)
+    }
+
+    /// Whether a host's depth can be read from an image.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a format that holds no depth, or nothing that is read as a float.
+    pub fn check_depth(image: &Image) -> Result<()> {
+        check_format(image, &Self::HOST_DEPTH_FORMATS)
     }
 
     fn workgroups(&self, [width, height]: [u32; 2]) -> u64 {

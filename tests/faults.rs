@@ -268,6 +268,7 @@ fn faults_of_timeouts_in_training() {
                         assert!(is_of(Fault::Timeout, &error), "{error}");
                         let error = trainer.step().expect_err("unknown state").to_string();
                         assert!(error.contains("checkpoint"), "{error}");
+                        assert!(trainer.checkpoint().is_err(), "of a state that nobody knows");
                     }
                     // The waits that are left are those of reading the result, which changes nothing.
                     None => {

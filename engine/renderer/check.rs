@@ -19,6 +19,10 @@ impl Renderer {
         if frame.scenes.is_empty() {
             return Err(Error::argument("scenes", "there are none"));
         }
+        if frame.scenes.len() > reserved.scenes as usize {
+            let problem = format!("{} of them, {} are reserved", frame.scenes.len(), reserved.scenes);
+            return Err(Error::argument("scenes", problem));
+        }
         for placed in frame.scenes {
             if !placed.scene.belongs_to(context) {
                 return Err(Error::argument("scene", "it belongs to another device"));
@@ -61,6 +65,7 @@ impl Renderer {
         }
         if let Some(occluder) = &frame.occluder {
             check(&occluder.depth, ImageUse::Sampled)?;
+            Compose::check_depth(occluder.depth.image)?;
             if !(occluder.mapping.scale.is_finite() && occluder.mapping.offset.is_finite()) {
                 return Err(Error::argument("depth mapping", "holds numbers that are not finite"));
             }

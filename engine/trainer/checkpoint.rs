@@ -64,9 +64,11 @@ impl Trainer {
     /// Downloads everything that [`Trainer::resume`] needs to go on from here.
     ///
     /// # Errors
-    /// [`Error::Argument`] while recorded steps are in flight; when the device is lost.
+    /// [`Error::Argument`] while recorded steps are in flight, and after a step of which nobody knows whether it came to
+    /// pass; when the device is lost.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
         self.check_settled()?;
+        self.check_whole()?;
         let (training, progress) = (&self.training, &self.progress);
         let planes_of = |chunks: &[Buffer]| {
             planes::download(

@@ -155,6 +155,9 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let vanished = Pose { scale: 0.0, ..Pose::IDENTITY };
         let depth = HostImage { image: &images[3], from: ImageState::UNDEFINED, offset: [0; 2] };
         let mapping = ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0 };
+        let integers = HostTexture::new(host, vk::Format::R32_UINT, usage, [64, 48]).expect("an image");
+        let no_depth_view = view(&context, &integers, ImageUse::Sampled);
+        let no_depth = HostImage { image: &no_depth_view, from: ImageState::UNDEFINED, offset: [0; 2] };
         let unknown = ashsplat::scene::DepthMapping { scale: f32::NAN, ..mapping };
         let new = cloud(10, 2);
         let update = [Update { scene: &scene, first: 0, gaussians: &new }];
@@ -171,7 +174,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (RecordedFrame { scenes: &[], ..good }, "there are none"),
             (RecordedFrame { scenes: &of_other, ..good }, "another device"),
             (RecordedFrame { scenes: &too_large, ..good }, "201 Gaussians"),
-            (RecordedFrame { scenes: &two, ..good }, "Gaussians, more than 200 (reserved)"),
+            (RecordedFrame { scenes: &two, ..good }, "2 of them, 1 are reserved"),
             (RecordedFrame { scenes: &stretched, ..good }, "a uniform scale"),
             (RecordedFrame { scenes: &inside_out, ..good }, "a scale of -1 is not possible"),
             (RecordedFrame { scenes: &vanished, ..good }, "a scale of 0 is not possible"),
@@ -183,6 +186,10 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (RecordedFrame { target: into(&images[3]), ..good }, "not adopted for Storage"),
             (RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..good }, "not reserved"),
             (RecordedFrame { occluder: Some(Occluder { depth, mapping: unknown }), ..good }, "depth mapping"),
+            (
+                RecordedFrame { occluder: Some(Occluder { depth: no_depth, mapping }), ..good },
+                "R32_UINT is not",
+            ),
             (RecordedFrame { updates: &update, ..good }, "staging_bytes"),
             (RecordedFrame { updates: &beyond, ..good }, "exceed the scene's"),
         ];
@@ -207,9 +214,10 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         in_flight.wait(host).expect("done");
         assert!(renderer.slot_report(0).expect("a report").expect("finished").visible > 50);
         in_flight.destroy(host);
-        drop((renderer, images));
+        drop((renderer, images, no_depth_view));
         small.destroy(host);
         single.destroy(host);
+        integers.destroy(host);
     });
 }
 
