@@ -108,7 +108,8 @@ impl Context {
     /// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass, and
     ///   nobody else records into it until the recording that is begun with it has ended;
     /// - it is submitted at most once before it is recorded again, and to a queue of the context's queue family;
-    /// - the slot that it is recorded through lives until its execution is over.
+    /// - the slot that it is recorded through lives until its execution is over, and is recorded through again only then: once
+    ///   a fence of the submission was waited for (a slot knows when its own commands are done, not when the buffer is).
     ///
     /// Pipeline, descriptors and push constants of the compute bind point are not what they were afterwards.
     pub unsafe fn adopt_commands(&self, commands: vk::CommandBuffer) -> Result<ForeignCommands> {

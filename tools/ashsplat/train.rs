@@ -291,8 +291,8 @@ impl Run {
             self.limited = true;
             let (count, used) = (thousands(u64::from(report.gaussians)), self.trainer.memory_bytes() >> 20);
             self.progress.warn(&format!(
-                "warning: iteration {}: no memory for more than {count} Gaussians ({used} MiB in use); from here on, \
-                 densification only removes",
+                "warning: iteration {}: no memory for the Gaussians that densification would add to {count} \
+                 ({used} MiB in use): where they do not fit, it only removes",
                 report.iteration
             ));
         }
