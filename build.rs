@@ -114,48 +114,57 @@ fn compile_all(root: &Path, glsl: &Path, out: &Path, shaders: &[PathBuf]) -> Vec
 fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) -> Compiled {
     let name = display.trim_start_matches("glsl/").trim_end_matches(".comp").to_owned();
     let source = fs::read_to_string(path).map_err(|e| format!("{display}: cannot read: {e}"))?;
-    let flat = name.replace('/', "__");
-    let form = |flat: &str, texels: bool| form(glsl, out, flat, (path, display, &source), texels, validator);
-    let (spirv_file, shader) = form(&flat, false)?;
-    let texels = has_texel_form(glsl, path).then(|| form(&format!("{flat}__texels"), true)).transpose()?;
-    Ok(generate::Kernel { name, source, shader, spirv_file, texels })
-}
-
-/// Compiles one form (or takes it from the cache), reflects it, and writes the module as a Rust array.
-fn form(
-    glsl: &Path,
-    out: &Path,
-    flat: &str,
-    (path, display, source): (&Path, &str, &str),
-    texels: bool,
-    validator: bool,
-) -> Result<(String, reflect::Shader), String> {
+    let files = files_with_includes(glsl, path);
     let mut hasher = DefaultHasher::new();
     (EXTENSIONS, validator).hash(&mut hasher);
-    for file in files_with_includes(glsl, path) {
+    for file in &files {
         fs::read(file).unwrap_or_default().hash(&mut hasher);
     }
-    let cached = out.join(format!("{flat}.{:016x}.spv", hasher.finish()));
-    let spirv = match fs::read(&cached) {
-        Ok(bytes) => bytes.chunks_exact(4).map(|c| u32::from_le_bytes(c.try_into().unwrap())).collect(),
-        Err(_) => {
-            let spirv = compile(glsl, path, display, source, texels)?;
-            let bytes: Vec<u8> = spirv.iter().flat_map(|w| w.to_le_bytes()).collect();
-            if validator {
-                validate(&bytes, &out.join(format!("{flat}.unchecked.spv")), display)?;
+    let shader = Source { glsl, out, path, display, text: &source, hash: hasher.finish(), validator };
+    let flat = name.replace('/', "__");
+    let (spirv_file, plain) = shader.form(&flat, false)?;
+    let texels = has_texel_form(&files).then(|| shader.form(&format!("{flat}__texels"), true)).transpose()?;
+    Ok(generate::Kernel { name, source, shader: plain, spirv_file, texels })
+}
+
+/// A shader as written.
+struct Source<'a> {
+    glsl: &'a Path,
+    out: &'a Path,
+    path: &'a Path,
+    display: &'a str,
+    text: &'a str,
+    /// Of everything that goes into it.
+    hash: u64,
+    validator: bool,
+}
+
+impl Source<'_> {
+    /// Compiles one form (or takes it from the cache), reflects it, and writes the module as a Rust array.
+    fn form(&self, flat: &str, texels: bool) -> Result<(String, reflect::Shader), String> {
+        let Self { out, display, .. } = self;
+        let cached = out.join(format!("{flat}.{:016x}.spv", self.hash));
+        let spirv = match fs::read(&cached) {
+            Ok(bytes) => bytes.chunks_exact(4).map(|c| u32::from_le_bytes(c.try_into().unwrap())).collect(),
+            Err(_) => {
+                let spirv = compile(self.glsl, self.path, display, self.text, texels)?;
+                let bytes: Vec<u8> = spirv.iter().flat_map(|w| w.to_le_bytes()).collect();
+                if self.validator {
+                    validate(&bytes, &out.join(format!("{flat}.unchecked.spv")), display)?;
+                }
+                forget_older(out, flat);
+                fs::write(&cached, bytes).unwrap();
+                spirv
             }
-            forget_older(out, flat);
-            fs::write(&cached, bytes).unwrap();
-            spirv
+        };
+        let spirv_file = format!("{flat}.spv.rs");
+        let array = format!("{spirv:?}");
+        if fs::read_to_string(out.join(&spirv_file)).ok().as_ref() != Some(&array) {
+            fs::write(out.join(&spirv_file), array).unwrap();
         }
-    };
-    let spirv_file = format!("{flat}.spv.rs");
-    let array = format!("{spirv:?}");
-    if fs::read_to_string(out.join(&spirv_file)).ok().as_ref() != Some(&array) {
-        fs::write(out.join(&spirv_file), array).unwrap();
+        let shader = reflect::reflect(&spirv).map_err(|e| format!("{display}: {e}"))?;
+        Ok((spirv_file, shader))
     }
-    let shader = reflect::reflect(&spirv).map_err(|e| format!("{display}: {e}"))?;
-    Ok((spirv_file, shader))
 }
 
 fn validate(spirv: &[u8], scratch: &Path, display: &str) -> Result<(), String> {

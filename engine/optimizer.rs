@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::forward::{FrameInputs, SceneBuffers};
-use crate::kernels::optimizer::{adam, adam_texels};
+use crate::kernels::optimizer::adam;
 use crate::plan::{Blocks, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -55,13 +55,7 @@ pub struct Optimizer {
     context: Context,
     sizes: Blocks,
     sparse: bool,
-    adam: [Option<Adam>; 4],
-}
-
-/// The same step to the bit, reading its inputs as the device likes best.
-enum Adam {
-    Stored(Kernel<adam::Interface>),
-    Texels(Kernel<adam_texels::Interface>),
+    adam: [Option<Kernel<adam::Interface>>; 4],
 }
 
 impl Optimizer {
@@ -78,14 +72,8 @@ impl Optimizer {
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
         let slot = &mut self.adam[sh_degree as usize];
         if slot.is_none() {
-            let (workgroup_size, sparse) = (self.sizes.stream, self.sparse);
-            *slot = Some(if self.context.limits().prefers_texels() {
-                let spec = adam_texels::Spec { workgroup_size, sh_degree, sparse };
-                Adam::Texels(Kernel::new(&self.context, &spec)?)
-            } else {
-                let spec = adam::Spec { workgroup_size, sh_degree, sparse };
-                Adam::Stored(Kernel::new(&self.context, &spec)?)
-            });
+            let spec = adam::Spec { workgroup_size: self.sizes.stream, sh_degree, sparse: self.sparse };
+            *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         Ok(())
     }
@@ -101,32 +89,21 @@ impl Optimizer {
                 if range.chunk > 0 {
                     r.barrier();
                 }
-                let (parameters, state) = (&scene.chunks[range.chunk], &inputs.frame.state);
-                let (visible_index, gradients) = (&inputs.frame.visible_index, &inputs.frame.gradients);
+                let parameters = &scene.chunks[range.chunk];
                 let (moments_1, moments_2) = (&moments.first[range.chunk], &moments.second[range.chunk]);
+                let bind = adam::Bind {
+                    parameters,
+                    moments_1,
+                    moments_2,
+                    visible_index: &inputs.frame.visible_index,
+                    gradients: &inputs.frame.gradients,
+                    state: &inputs.frame.state,
+                    old_parameters: parameters,
+                    old_moments_1: moments_1,
+                    old_moments_2: moments_2,
+                };
                 let push = push(inputs, step, range.first, range.count);
-                let workgroups = blocks(range.count.into(), self.sizes.stream.into());
-                match kernel {
-                    Adam::Stored(kernel) => {
-                        let bind =
-                            adam::Bind { parameters, moments_1, moments_2, visible_index, gradients, state };
-                        r.dispatch(kernel, &bind, &push, workgroups);
-                    }
-                    Adam::Texels(kernel) => {
-                        let bind = adam_texels::Bind {
-                            parameters,
-                            moments_1,
-                            moments_2,
-                            visible_index,
-                            gradients,
-                            state,
-                            parameter_texels: parameters,
-                            moment_1_texels: moments_1,
-                            moment_2_texels: moments_2,
-                        };
-                        r.dispatch(kernel, &bind, &bytemuck::cast(push), workgroups);
-                    }
-                }
+                r.dispatch(kernel, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
             }
         });
     }

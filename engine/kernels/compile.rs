@@ -25,9 +25,9 @@ pub const EXTENSIONS: &str = "\
 /// The macro of the form of a shader that reads texels: see [`has_texel_form`].
 const TEXELS: &str = "#define TEXELS\n";
 
-/// Whether a shader exists in two forms, one that reads storage buffers and one that reads texels.
-pub fn has_texel_form(glsl: &Path, path: &Path) -> bool {
-    files_with_includes(glsl, path).iter().any(|file| file.ends_with("include/reads.glsl"))
+/// Whether a shader of these files exists in two forms, one that reads storage buffers and one that reads texels.
+pub fn has_texel_form(files: &[PathBuf]) -> bool {
+    files.iter().any(|file| file.ends_with("include/reads.glsl"))
 }
 
 /// Compiles a shader for Vulkan 1.3, its stage by its extension, in its form that reads texels if `texels` says so; `display`

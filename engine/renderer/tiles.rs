@@ -2,7 +2,7 @@
 
 use super::{Frame, FrameRunner, Renderer, no_scene};
 use crate::error::Result;
-use crate::forward::RenderSettings;
+use crate::forward::{RenderSettings, SceneBuffers};
 use crate::kernels::constants::TILE_SIZE;
 use crate::plan::tile_grid;
 use crate::scene::Camera;
@@ -26,9 +26,7 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::render`].
     pub fn tiles(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<TileReport> {
-        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
-        self.runner.render(scene, camera, settings)?;
-        self.runner.tiles(camera)
+        Ok(self.render_with_tiles(camera, settings)?.1)
     }
 
     /// As [`Renderer::render`] and [`Renderer::tiles`], of one frame.
@@ -40,14 +38,25 @@ impl Renderer {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<(Frame, TileReport)> {
-        let frame = self.render(camera, settings)?;
-        Ok((frame, self.runner.tiles(camera)?))
+        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
+        self.runner.render_with_tiles(scene, camera, settings)
     }
 }
 
 impl FrameRunner {
+    /// A frame, and how full its tiles are.
+    pub(crate) fn render_with_tiles(
+        &mut self,
+        scene: &SceneBuffers,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(Frame, TileReport)> {
+        let frame = self.render(scene, camera, settings)?;
+        Ok((frame, self.tiles(camera)?))
+    }
+
     /// How full the tiles of the last frame are, which was rendered with this camera.
-    pub(crate) fn tiles(&self, camera: &Camera) -> Result<TileReport> {
+    fn tiles(&self, camera: &Camera) -> Result<TileReport> {
         let frame = self.frame()?;
         let (columns, rows) = tile_grid(camera.width, camera.height);
         let tiles = u64::from(columns) * u64::from(rows);

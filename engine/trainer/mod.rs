@@ -249,8 +249,8 @@ impl Trainer {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<(Frame, TileReport)> {
-        let frame = self.render(camera, settings)?;
-        Ok((frame, self.runner.tiles(camera)?))
+        let settings = self.at_present_degree(settings);
+        self.drawing(|runner, scene| runner.render_with_tiles(scene, camera, &settings))
     }
 
     /// The Gaussians blended at a pixel, as [`crate::Renderer::inspect`] lists them, of the scene as it stands.

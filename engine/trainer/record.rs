@@ -4,11 +4,11 @@
 //! memory and numbers from the device, opacity resets, and more room after a step that had too little. A step without
 //! room, and whatever was recorded behind it, changes nothing: the device keeps its overflow flag until then.
 
-use super::step::{Plan, Progress, Tail, loss_of, read_losses};
+use super::step::{Plan, Progress, read_losses, step_parts};
 use super::{Densified, StepReport, Trainer};
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
-use crate::renderer::{DeviceScene, Release, Request, State};
+use crate::renderer::{DeviceScene, Release, State};
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder};
 use ash::vk;
 use std::collections::VecDeque;
@@ -196,19 +196,7 @@ impl Trainer {
 
     /// A step, and the copies of its counts and its loss to where the host reads them.
     fn record_plan(&self, r: &mut Recorder, plan: &Plan, [state, losses]: [&Buffer; 2]) -> Result<()> {
-        let Self {
-            runner, loss, masked_loss, backward, optimizer, training, scratch, photos, cameras, ..
-        } = self;
-        let loss = loss_of(photos.is_masked(plan.view), loss, masked_loss);
-        let (photo, lambda_dssim) = (photos.of(plan.view), self.settings.lambda_dssim as f32);
-        let tail = Tail { loss, backward, optimizer, training, scratch, photo, lambda_dssim, plan };
-        let request = Request {
-            scene: &training.scene,
-            camera: &cameras[plan.view],
-            settings: &plan.settings,
-            sh_degree: plan.sh_degree,
-            backward: true,
-        };
+        let (runner, request, tail) = step_parts!(self, plan);
         runner.record(r, &request, |r, inputs| {
             tail.record(r, inputs, losses);
             r.barrier();

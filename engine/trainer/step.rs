@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, RenderSettings};
 use crate::loss::{Loss, LossInputs};
 use crate::optimizer::{Optimizer, Rates, Step};
-use crate::renderer::{Ran, Request, State};
+use crate::renderer::{Ran, State};
 use crate::vk::{Buffer, Recorder};
 
 /// Streams of random numbers of a run, all from its seed.
@@ -119,6 +119,46 @@ pub(super) struct Tail<'a> {
     pub lambda_dssim: f32,
     pub plan: &'a Plan,
 }
+
+/// What runs a trainer's frames, and of a planned iteration the frame and what follows it. A macro, because the first is
+/// borrowed as the trainer is, beside its other fields.
+macro_rules! step_parts {
+    ($trainer:expr, $plan:expr) => {{
+        let $crate::trainer::Trainer {
+            runner,
+            loss,
+            masked_loss,
+            backward,
+            optimizer,
+            training,
+            scratch,
+            photos,
+            cameras,
+            settings,
+            ..
+        } = $trainer;
+        let masked = masked_loss.as_ref().filter(|_| photos.is_masked($plan.view));
+        let tail = $crate::trainer::step::Tail {
+            loss: masked.unwrap_or(loss),
+            backward,
+            optimizer,
+            training,
+            scratch,
+            photo: photos.of($plan.view),
+            lambda_dssim: settings.lambda_dssim as f32,
+            plan: $plan,
+        };
+        let request = $crate::renderer::Request {
+            scene: &training.scene,
+            camera: &cameras[$plan.view],
+            settings: &$plan.settings,
+            sh_degree: $plan.sh_degree,
+            backward: true,
+        };
+        (runner, request, tail)
+    }};
+}
+pub(super) use step_parts;
 
 impl Tail<'_> {
     /// Records loss, backward and the optimiser's step; `losses` is a copy that the host can read. Nothing that lasts
@@ -252,21 +292,9 @@ impl Trainer {
     fn run_step(&mut self, plan: &Plan) -> Result<Ran> {
         self.backward.prepare(plan.sh_degree, plan.settings.inverse_depth)?;
         self.optimizer.prepare(plan.sh_degree)?;
-        let Self {
-            runner, loss, masked_loss, backward, optimizer, training, scratch, photos, cameras, ..
-        } = self;
-        let loss = loss_of(photos.is_masked(plan.view), loss, masked_loss);
-        let (photo, lambda_dssim) = (photos.of(plan.view), self.settings.lambda_dssim as f32);
-        let tail = Tail { loss, backward, optimizer, training, scratch, photo, lambda_dssim, plan };
-        let request = Request {
-            scene: &training.scene,
-            camera: &cameras[plan.view],
-            settings: &plan.settings,
-            sh_degree: plan.sh_degree,
-            backward: true,
-        };
+        let (runner, request, tail) = step_parts!(self, plan);
         runner.run(&request, |r, inputs| {
-            tail.record(r, inputs, &scratch.readback);
+            tail.record(r, inputs, &tail.scratch.readback);
             Ok(())
         })
     }
@@ -309,11 +337,6 @@ impl StepReport {
             ..Self::default()
         }
     }
-}
-
-/// The loss for a view with a mask or without.
-pub(super) fn loss_of<'a>(is_masked: bool, loss: &'a Loss, masked: &'a Option<Loss>) -> &'a Loss {
-    if is_masked { masked.as_ref().unwrap_or(loss) } else { loss }
 }
 
 /// Loss, L1 and SSIM.

@@ -8,7 +8,8 @@
 //
 // invocation: one Gaussian
 // in: visible_index, gradients (PerVisible planes), state
-// in/out: parameters, moments_1, moments_2 (PerGaussian planes); state[STATE_NON_FINITE] counts the skipped
+// in/out: parameters, moments_1, moments_2 (PerGaussian planes), each bound a second time to be read; state[STATE_NON_FINITE]
+//     counts the skipped
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -16,37 +17,102 @@
 #extension GL_GOOGLE_include_directive : require
 
 #include "constants.glsl"
+#include "reads.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SPARSE = false;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) buffer Parameters { vec4 parameters[]; };
-layout(set = 0, binding = 1, scalar) buffer Moments1 { vec4 moments_1[]; };
-layout(set = 0, binding = 2, scalar) buffer Moments2 { vec4 moments_2[]; };
-layout(set = 0, binding = 3, scalar) readonly buffer VisibleIndex { uint visible_index[]; };
-layout(set = 0, binding = 4, scalar) readonly buffer Gradients { vec4 gradients[]; };
+layout(set = 0, binding = 0, scalar) writeonly buffer Parameters { vec4 parameters[]; };
+layout(set = 0, binding = 1, scalar) writeonly buffer Moments1 { vec4 moments_1[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer Moments2 { vec4 moments_2[]; };
+UINT_READS(3, VisibleIndex, visible_index);
+VEC4_READS(4, Gradients, gradients);
 layout(set = 0, binding = 5, scalar) buffer State { uint state[]; };
+// The same memory as the first three: an invocation reads what is its own before it writes it.
+VEC4_READS(6, OldParameters, old_parameters);
+VEC4_READS(7, OldMoments1, old_moments_1);
+VEC4_READS(8, OldMoments2, old_moments_2);
 
-vec4 parameter_at(uint at) {
-    return parameters[at];
+layout(push_constant, scalar) uniform Push {
+    vec3 camera_position;
+    uint first;
+    uint count;
+    uint stride;
+    uint gradient_stride;
+    float beta_1;
+    float beta_2;
+    // 1 - b, rounded once: 1 - 0.999 in float32 is off by 5e-5.
+    float one_minus_beta_1;
+    float one_minus_beta_2;
+    float epsilon;
+    // Learning rates, already divided by 1 - b1^t.
+    float rate_mean;
+    float rate_opacity;
+    float rate_quat;
+    float rate_log_scale;
+    float rate_sh_dc;
+    float rate_sh_rest;
+    // 1 / sqrt(1 - b2^t): for all parameters but the opacity, whose steps may be fewer, and for the opacity.
+    float inverse_bias_2;
+    float inverse_bias_2_opacity;
+};
+
+#include "dispatch.glsl"
+#include "sh.glsl"
+#include "sh_gradient.glsl"
+
+void update(uint plane, uint index, vec4 g, vec4 rate, vec4 inverse_bias) {
+    uint at = plane * stride + index;
+    vec4 m = beta_1 * VEC4_AT(old_moments_1, at) + one_minus_beta_1 * g;
+    vec4 v = beta_2 * VEC4_AT(old_moments_2, at) + one_minus_beta_2 * g * g;
+    moments_1[at] = m;
+    moments_2[at] = v;
+    parameters[at] = VEC4_AT(old_parameters, at) - rate * (m / (sqrt(v) * inverse_bias + epsilon));
 }
 
-vec4 moment_1_at(uint at) {
-    return moments_1[at];
+bool finite(vec4 g) {
+    uvec4 exponent = floatBitsToUint(g) & 0x7F800000u;
+    return all(notEqual(exponent, uvec4(0x7F800000u)));
 }
 
-vec4 moment_2_at(uint at) {
-    return moments_2[at];
-}
+void main() {
+    uint index = linear_invocation();
+    if (index >= count || state[STATE_OVERFLOW] != 0) {
+        return;
+    }
+    uint visible = UINT_AT(visible_index, first + index);
+    bool seen = visible != NOT_VISIBLE;
+    if (SPARSE && !seen) {
+        return;
+    }
+    uint row = seen ? visible : 0;
+    vec4 d_mean_opacity = VEC4_AT(gradients, GRADIENT_MEAN_OPACITY * gradient_stride + row);
+    vec4 d_quat = VEC4_AT(gradients, GRADIENT_QUAT * gradient_stride + row);
+    vec4 d_log_scale = vec4(VEC4_AT(gradients, GRADIENT_LOG_SCALE * gradient_stride + row).xyz, 0.0);
+    vec4 d_color = vec4(VEC4_AT(gradients, GRADIENT_COLOR * gradient_stride + row).xyz, 0.0);
+    d_mean_opacity = seen ? d_mean_opacity : vec4(0.0);
+    d_quat = seen ? d_quat : vec4(0.0);
+    d_log_scale = seen ? d_log_scale : vec4(0.0);
+    d_color = seen ? d_color : vec4(0.0);
+    if (!(finite(d_mean_opacity) && finite(d_quat) && finite(d_log_scale) && finite(d_color))) {
+        atomicAdd(state[STATE_NON_FINITE], 1);
+        return;
+    }
+    // The direction is that of the forward pass: it needs the mean from before this step.
+    vec3 mean = VEC4_AT(old_parameters, PLANE_MEAN_OPACITY * stride + index).xyz;
+    float basis[16];
+    // Outside the view the colour has no gradient, but a Gaussian at the camera has no direction: NaN times 0 is NaN.
+    sh_basis(seen ? normalize(mean - camera_position) : vec3(0.0), basis);
 
-vec4 gradient_at(uint at) {
-    return gradients[at];
+    vec4 bias = vec4(inverse_bias_2);
+    update(PLANE_MEAN_OPACITY, index, d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),
+        vec4(bias.xyz, inverse_bias_2_opacity));
+    update(PLANE_QUAT, index, d_quat, vec4(rate_quat), bias);
+    update(PLANE_LOG_SCALE, index, d_log_scale, vec4(vec3(rate_log_scale), 0.0), bias);
+    [[unroll]] for (uint plane = 0; plane < SH_PLANES; ++plane) {
+        vec4 rate = plane == 0 ? vec4(vec3(rate_sh_dc), rate_sh_rest) : vec4(rate_sh_rest);
+        update(PLANE_SH + plane, index, sh_plane_gradient(plane, basis, d_color.xyz), rate, bias);
+    }
 }
-
-uint visible_index_at(uint at) {
-    return visible_index[at];
-}
-
-#include "adam.glsl"

@@ -1,8 +1,7 @@
 //! The optimiser's kernel with its state on the device.
 
 use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_NON_FINITE, STATE_WORDS};
-use ashsplat::kernels::optimizer::adam::Push;
-use ashsplat::kernels::optimizer::{adam, adam_texels};
+use ashsplat::kernels::optimizer::adam::{self, Push};
 use ashsplat::vk::{Buffer, Kernel};
 
 use super::gpu::Gpu;
@@ -40,27 +39,14 @@ pub struct Step {
     pub camera_position: [f64; 3],
 }
 
-/// The kernel that steps.
-#[derive(Clone)]
-enum Adam {
-    Stored(Kernel<adam::Interface>),
-    Texels(Kernel<adam_texels::Interface>),
-}
-
-impl Adam {
-    fn new(gpu: &Gpu, sh_degree: u32, sparse: bool, texels: bool) -> Adam {
-        let workgroup_size = gpu.workgroup(64);
-        match texels {
-            false => Self::Stored(gpu.kernel(&adam::Spec { workgroup_size, sh_degree, sparse })),
-            true => Self::Texels(gpu.kernel(&adam_texels::Spec { workgroup_size, sh_degree, sparse })),
-        }
-    }
+fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool) -> Kernel<adam::Interface> {
+    gpu.kernel(&adam::Spec { workgroup_size: gpu.workgroup(64), sh_degree, sparse })
 }
 
 /// Parameters and moments on the device.
 pub struct AdamState<'a> {
     gpu: &'a Gpu,
-    kernel: Adam,
+    kernel: Kernel<adam::Interface>,
     workgroup: u32,
     count: usize,
     coefficients: usize,
@@ -72,26 +58,12 @@ pub struct AdamState<'a> {
 impl<'a> AdamState<'a> {
     /// Uploads Gaussians with zero moments.
     pub fn new(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, sparse: bool) -> AdamState<'a> {
-        Self::with(gpu, gaussians, Adam::new(gpu, sh_degree, sparse, false))
-    }
-
-    /// The same with the kernel that reads texels.
-    pub fn reading_texels(
-        gpu: &'a Gpu,
-        gaussians: &[Gaussian],
-        sh_degree: u32,
-        sparse: bool,
-    ) -> AdamState<'a> {
-        Self::with(gpu, gaussians, Adam::new(gpu, sh_degree, sparse, true))
-    }
-
-    fn with(gpu: &'a Gpu, gaussians: &[Gaussian], kernel: Adam) -> AdamState<'a> {
         let (count, coefficients) = (gaussians.len(), gaussians[0].sh.len());
         let stride = count + 3;
         let zeros = || gpu.zeros::<[f32; 4]>("moments", planes(coefficients) * stride);
         AdamState {
             gpu,
-            kernel,
+            kernel: kernel(gpu, sh_degree, sparse),
             workgroup: gpu.workgroup(64),
             count,
             coefficients,
@@ -103,10 +75,9 @@ impl<'a> AdamState<'a> {
 
     /// Takes over the state of another, as a variant of the optimiser.
     pub fn continued(&self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
-        let texels = matches!(self.kernel, Adam::Texels(_));
         AdamState {
             gpu: self.gpu,
-            kernel: Adam::new(self.gpu, sh_degree, sparse, texels),
+            kernel: kernel(self.gpu, sh_degree, sparse),
             parameters: self.parameters.clone(),
             moments: self.moments.clone(),
             ..*self
@@ -125,26 +96,18 @@ impl<'a> AdamState<'a> {
         let (visible_index, gradients, state) = (&index, &rows, &state);
         let workgroups = (self.count as u64).div_ceil(self.workgroup.into());
         let push = self.push(step);
-        self.gpu.run(|recorder| match &self.kernel {
-            Adam::Stored(kernel) => {
-                let bind = adam::Bind { parameters, moments_1, moments_2, visible_index, gradients, state };
-                recorder.dispatch(kernel, &bind, &push, workgroups);
-            }
-            Adam::Texels(kernel) => {
-                let bind = adam_texels::Bind {
-                    parameters,
-                    moments_1,
-                    moments_2,
-                    visible_index,
-                    gradients,
-                    state,
-                    parameter_texels: parameters,
-                    moment_1_texels: moments_1,
-                    moment_2_texels: moments_2,
-                };
-                recorder.dispatch(kernel, &bind, &bytemuck::cast(push), workgroups);
-            }
-        });
+        let bind = adam::Bind {
+            parameters,
+            moments_1,
+            moments_2,
+            visible_index,
+            gradients,
+            state,
+            old_parameters: parameters,
+            old_moments_1: moments_1,
+            old_moments_2: moments_2,
+        };
+        self.gpu.run(|recorder| recorder.dispatch(&self.kernel, &bind, &push, workgroups));
         self.gpu.read::<u32>(state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]
     }
 

@@ -1,9 +1,11 @@
 //! Running single kernels: buffers from slices and back, and the check that validation stayed silent.
 
-use ashsplat::vk::{Buffer, Context, Kernel, KernelInterface, MemoryKind, Recorder};
+use std::sync::OnceLock;
+
+use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, KernelInterface, MemoryKind, Recorder};
 use bytemuck::Pod;
 
-use super::{assert_silent, context};
+use super::{assert_silent, context, options};
 
 /// What outputs hold before a kernel runs, to see what it writes.
 pub const UNTOUCHED: u32 = 0xDEAD_BEEF;
@@ -18,6 +20,13 @@ impl Gpu {
     /// The device that all tests share.
     pub fn new() -> Gpu {
         Gpu { context: context() }
+    }
+
+    /// The same device without push descriptors, and so without texels: kernels in their form that reads storage buffers.
+    pub fn without_texels() -> Gpu {
+        static CONTEXT: OnceLock<Context> = OnceLock::new();
+        let plain = || Context::new(&ContextOptions { push_descriptors: false, ..options() });
+        Gpu { context: CONTEXT.get_or_init(|| plain().expect("a device")) }
     }
 
     /// The subgroup size of the kernels.

@@ -8,9 +8,9 @@ use crate::reference::adam::{Parameter, adam, adam_sparse, is_skipped};
 use crate::reference::expand_gradients::sh_gradient;
 use crate::reference::types::Gaussian;
 
-pub const RATES: Rates =
+const RATES: Rates =
     Rates { mean: 1e-3, opacity: 0.025, quat: 2e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1.25e-4 };
-pub const CAMERA: [f64; 3] = [0.5, -0.25, -5.0];
+const CAMERA: [f64; 3] = [0.5, -0.25, -5.0];
 
 /// Everything that the optimiser holds of a Gaussian, with the rate of each.
 fn scalars(gaussian: &Gaussian) -> Vec<(f64, f64)> {
@@ -37,7 +37,7 @@ fn gradient_scalars(g: &VisibleGradient, mean: [f64; 3], sh_degree: u32, stored:
     all
 }
 
-pub fn random_gradients(random: &mut Random, count: usize) -> Vec<Option<VisibleGradient>> {
+fn random_gradients(random: &mut Random, count: usize) -> Vec<Option<VisibleGradient>> {
     let mut three = |scale: f64| [0; 3].map(|_| f64::from((scale * random.signed()) as f32));
     let gradients: Vec<VisibleGradient> = (0..count)
         .map(|i| VisibleGradient {
@@ -54,17 +54,12 @@ pub fn random_gradients(random: &mut Random, count: usize) -> Vec<Option<Visible
     gradients.into_iter().enumerate().map(|(i, g)| (i % 4 != 1).then_some(g)).collect()
 }
 
-fn check(gpu: &Gpu, size: usize, degrees: [u32; 2], sparse: bool) {
-    check_with(false, gpu, size, degrees, sparse);
-}
-
 /// Some steps on the device and by the twin.
-pub fn check_with(texels: bool, gpu: &Gpu, size: usize, [sh_degree, stored]: [u32; 2], sparse: bool) {
+fn check(gpu: &Gpu, size: usize, [sh_degree, stored]: [u32; 2], sparse: bool) {
     let mut random = Random::new(size as u64);
     let coefficients = ((stored + 1) * (stored + 1)) as usize;
     let gaussians = mixed_scene(&mut random, size, coefficients);
-    let new = if texels { AdamState::reading_texels } else { AdamState::new };
-    let state = new(gpu, &gaussians, sh_degree, sparse);
+    let state = AdamState::new(gpu, &gaussians, sh_degree, sparse);
     let mut twins: Vec<Vec<Parameter>> = gaussians
         .iter()
         .map(|g| {
@@ -132,6 +127,38 @@ fn adam_of_every_degree_dense_and_sparse() {
     for degrees in [[0, 0], [0, 3], [1, 1], [1, 3], [2, 2], [2, 3], [3, 3]] {
         for sparse in [false, true] {
             check(&gpu, 100, degrees, sparse);
+        }
+    }
+}
+
+#[test]
+fn adam_without_texels_equals_its_twin() {
+    let gpu = Gpu::without_texels();
+    for size in sizes(gpu.workgroup(64) as usize).into_iter().filter(|&size| size > 0) {
+        check(&gpu, size, [3, 3], false);
+    }
+    for degrees in [[0, 0], [0, 3], [1, 3], [2, 2]] {
+        for sparse in [false, true] {
+            check(&gpu, 100, degrees, sparse);
+        }
+    }
+}
+
+#[test]
+fn adam_without_texels_is_the_same_to_the_bit() {
+    let gpus = [Gpu::new(), Gpu::without_texels()];
+    let mut random = Random::new(8);
+    let gaussians = mixed_scene(&mut random, 500, 16);
+    let states = [0, 1].map(|k| AdamState::new(&gpus[k], &gaussians, 3, false));
+    for count in 1..=3 {
+        let gradients = random_gradients(&mut random, 500);
+        for overflow in [false, true] {
+            let step = Step { rates: RATES, count, camera_position: CAMERA };
+            let [texels, stored] = [0, 1].map(|k| {
+                let skipped = states[k].step(&gradients, &step, overflow);
+                (skipped, states[k].download())
+            });
+            assert!(stored == texels, "step {count}");
         }
     }
 }

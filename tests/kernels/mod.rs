@@ -1,7 +1,6 @@
 //! Each kernel alone on the device against its twin, under the shader's name.
 
 mod adam;
-mod adam_texels;
 mod blend;
 mod blend_backward;
 mod blend_backward_alone;

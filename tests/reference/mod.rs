@@ -7,7 +7,6 @@
 #![allow(clippy::needless_range_loop)]
 
 pub mod adam;
-pub mod adam_texels;
 pub mod blend;
 pub mod blend_backward;
 pub mod blend_backward_alone;

@@ -159,10 +159,10 @@ fn measure_all(
     let tasks = tasks(&context)?;
     let yardsticks = Yardsticks::measure(&context)?;
     let mut runs = Vec::new();
-    let counting = output.device.context_with(|options| options.overrides.push(samples::counting()))?;
+    let mut counter = samples::Counter::new(&output.device, seed);
     for task in tasks {
         let mut results = task.run(&context, seed, yardsticks.copy.as_ref())?;
-        if let (Some(samples), [run]) = (samples::of(&task, &counting, seed)?, results.as_mut_slice()) {
+        if let (Some(samples), [run]) = (counter.count(&task)?, results.as_mut_slice()) {
             samples::enter(run, samples, context.limits(), yardsticks.arithmetic.as_ref());
         }
         runs.extend(results);
@@ -174,7 +174,7 @@ fn measure_all(
         say!("{}", table::render(&report).trim_end());
     }
     output.device.report_validation(&context);
-    output.device.report_validation(&counting);
+    counter.report_validation();
     Ok(())
 }
 

@@ -5,22 +5,51 @@ use super::frames;
 use super::schema::{ArithmeticRate, Run};
 use super::tasks::Task;
 use super::workload::Scene;
+use crate::args::DeviceArguments;
 use ashsplat::plan::Blocks;
 use ashsplat::vk::{Context, Limits, SpecOverride};
 use ashsplat::{BlendSamples, RenderSettings, Renderer, Result};
 
-/// What makes the kernels count.
-pub fn counting() -> SpecOverride {
-    SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 }
+/// Counts on a context of its own, which is opened when a task first needs it.
+pub struct Counter<'a> {
+    device: &'a DeviceArguments,
+    seed: u64,
+    context: Option<Context>,
 }
 
-/// Counts the samples of a task's frame on a context with [`counting`]; None for tasks that blend nothing, and for training,
-/// which blends something else in each iteration.
-pub fn of(task: &Task, context: &Context, seed: u64) -> Result<Option<BlendSamples>> {
-    match task {
-        Task::Render(scene, _) => Ok(Some(of_frame(context, scene)?)),
-        Task::TrainStep(scene, _) => Ok(Some(of_step(context, scene, seed)?)),
-        Task::Scan(..) | Task::Sort(..) | Task::Train(_) => Ok(None),
+impl<'a> Counter<'a> {
+    /// Opens nothing yet.
+    pub fn new(device: &'a DeviceArguments, seed: u64) -> Self {
+        Self { device, seed, context: None }
+    }
+
+    /// The samples of a task's frame; None for tasks that blend nothing, and for training, which blends something else in
+    /// each iteration.
+    pub fn count(&mut self, task: &Task) -> Result<Option<BlendSamples>> {
+        match task {
+            Task::Render(scene, _) => Ok(Some(of_frame(self.context()?, scene)?)),
+            Task::TrainStep(scene, _) => {
+                let seed = self.seed;
+                Ok(Some(of_step(self.context()?, scene, seed)?))
+            }
+            Task::Scan(..) | Task::Sort(..) | Task::Train(_) => Ok(None),
+        }
+    }
+
+    fn context(&mut self) -> Result<&Context> {
+        match &mut self.context {
+            Some(context) => Ok(context),
+            none => {
+                let counts =
+                    SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 };
+                Ok(none.insert(self.device.context_with(|options| options.overrides.push(counts))?))
+            }
+        }
+    }
+
+    /// Prints what the validation layer said of the counting.
+    pub fn report_validation(&self) {
+        self.context.iter().for_each(|context| self.device.report_validation(context));
     }
 }
 

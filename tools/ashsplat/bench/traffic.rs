@@ -127,7 +127,7 @@ impl Traffic {
         let (gaussians, planes) = match kernel {
             "forward/cull" => (counts.gaussians, GEOMETRY_PLANES),
             "forward/project" | "backward/project_backward" => (counts.visible, all),
-            "optimizer/adam" | "optimizer/adam_texels" => (counts.gaussians, all),
+            "optimizer/adam" => (counts.gaussians, all),
             _ => return None,
         };
         Some(u64::from(gaussians) * planes * VEC4 / counts.chunks.max(1))

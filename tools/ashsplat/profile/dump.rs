@@ -65,15 +65,13 @@ pub fn count(spirv: &[u32]) -> Counts {
     counts
 }
 
-/// What the form of a kernel that reads texels is called besides the kernel's name.
-const TEXELS: &str = ".texels";
-
-struct Modules(Vec<(String, &'static [u32])>);
+/// Kernel, what its form is called besides, SPIR-V.
+struct Modules(Vec<(&'static str, &'static str, &'static [u32])>);
 
 impl KernelVisitor for Modules {
     fn visit<K: KernelInterface>(&mut self) {
-        self.0.push((K::NAME.to_owned(), K::SPIRV));
-        self.0.extend(K::TEXELS.map(|form| (format!("{}{TEXELS}", K::NAME), form.spirv)));
+        self.0.push((K::NAME, "", K::SPIRV));
+        self.0.extend(K::TEXELS.map(|form| (K::NAME, ".texels", form.spirv)));
     }
 }
 
@@ -83,12 +81,12 @@ pub fn dump(folder: &Path, name: Option<&str>) -> Result<String> {
     output::check_folder(folder)?;
     let mut modules = Modules(Vec::new());
     visit_all(&mut modules);
-    let plain = |module: &str| module.trim_end_matches(TEXELS).to_owned();
-    modules.0.retain(|(module, _)| name.is_none_or(|name| is_kernel_of(&plain(module), name)));
+    modules.0.retain(|(kernel, ..)| name.is_none_or(|name| is_kernel_of(kernel, name)));
     let mut table = format!("{:<36} {:>7}", "kernel", "words");
     CLASSES.iter().for_each(|class| table += &format!(" {class:>10}"));
     table.push('\n');
-    for (name, spirv) in modules.0 {
+    for (kernel, form, spirv) in modules.0 {
+        let name = format!("{kernel}{form}");
         let path = folder.join(format!("{name}.spv"));
         let bytes: Vec<u8> = spirv.iter().flat_map(|word| word.to_le_bytes()).collect();
         output::in_folder(&path, |path| atomic::write(path, |out| out.write_all(&bytes)))?;
