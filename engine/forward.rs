@@ -124,6 +124,11 @@ impl Forward {
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
 
+    /// Whether everything is built for an SH degree and a way to blend.
+    pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
+        self.project[sh_degree as usize].is_some() && self.blend.is_prepared(variant)
+    }
+
     /// Chooses how tiles are blended; before [`Forward::prepare`].
     pub fn set_blending(&mut self, blending: Blending) {
         self.blend.choose(blending);

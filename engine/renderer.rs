@@ -10,15 +10,17 @@ mod record;
 mod runner;
 mod slots;
 mod tiles;
+mod updates;
 
 pub use device_scene::DeviceScene;
 pub(crate) use frame_store::State;
 pub use gradients::Gradients;
 pub use inspect::{PixelReport, Sample};
-pub use record::{DepthTarget, HostImage, Occluder, Placed, RecordedFrame, Release, Target, Update};
+pub use record::{DepthTarget, HostImage, Occluder, Placed, RecordedFrame, Release, Target};
 pub(crate) use runner::{FrameRunner, Ran, Request};
 pub use slots::{Reservation, SlotReport};
 pub use tiles::TileReport;
+pub use updates::Update;
 
 use crate::backward::Backward;
 use crate::compose::Compose;

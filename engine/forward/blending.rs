@@ -104,6 +104,14 @@ impl Blend {
         Ok(())
     }
 
+    pub fn is_prepared(&self, wanted: BlendVariant) -> bool {
+        let variant = wanted.index();
+        match self.blending {
+            Blending::Regions => self.regions[variant].is_some(),
+            Blending::SharedMemory => self.shared[variant].is_some(),
+        }
+    }
+
     /// Records the colour and transmittance of each pixel.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &Blocks) {
         let variant = inputs.blend_variant().index();

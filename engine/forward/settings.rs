@@ -65,11 +65,14 @@ impl RenderSettings {
     /// Checks that the numbers make sense.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a scale modifier that is negative or not finite.
+    /// [`Error::Argument`] for a scale modifier that is negative or not finite, or a background that is not finite.
     pub fn check(&self) -> Result<()> {
         if !(self.scale_modifier.is_finite() && self.scale_modifier >= 0.0) {
             let problem = format!("is {}, must be finite and not negative", self.scale_modifier);
             return Err(Error::argument("scale modifier", problem));
+        }
+        if self.background.iter().any(|channel| !channel.is_finite()) {
+            return Err(Error::argument("background", format!("{:?} is not finite", self.background)));
         }
         Ok(())
     }

@@ -1,14 +1,16 @@
 //! What can be wrong with a frame that is to be recorded: all of it is said before the first command.
 
 use super::Renderer;
-use super::record::{HostImage, RecordedFrame, Target, Update};
+use super::record::{HostImage, RecordedFrame, Target};
 use super::slots::Reservation;
-use crate::compose::Compose;
+use super::updates::Update;
+use crate::compose::{Behind, Compose};
 use crate::error::{Error, Result};
 use crate::forward::BlendVariant;
 use crate::plan::{FrameCapacity, tile_grid};
-use crate::scene::Camera;
+use crate::scene::{Camera, DepthMapping};
 use crate::vk::{Context, ImageUse};
+use ash::vk;
 
 impl Renderer {
     /// Everything that can be wrong with a frame, before anything is recorded.
@@ -34,6 +36,26 @@ impl Renderer {
                 return Err(Error::argument("SH degree", problem));
             }
         }
+        self.check_images(frame)?;
+        let variant = BlendVariant {
+            inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
+            linear_depth: frame.depth.is_some(),
+            depth_limit: frame.occluder.is_some(),
+        };
+        if !reserved.variants().contains(&variant) {
+            let problem = format!("{variant:?} was not reserved: see Reservation");
+            return Err(Error::argument("kind of frame", problem));
+        }
+        let mut degrees = frame.scenes.iter().map(|s| s.scene.buffers.active_degree(frame.settings));
+        if !degrees.all(|degree| self.runner.forward.is_prepared(degree, variant)) {
+            let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";
+            return Err(Error::argument("kind of frame", problem));
+        }
+        check_updates(frame.updates, context, reserved)
+    }
+
+    fn check_images(&self, frame: &RecordedFrame<'_>) -> Result<()> {
+        let context = &self.context;
         let size = [frame.camera.width, frame.camera.height];
         let check = |host: &HostImage<'_>, purpose: ImageUse| {
             let bad = |problem: &str| {
@@ -52,9 +74,16 @@ impl Renderer {
             }
             Ok(())
         };
-        if let Target::Image { to, .. } = &frame.target {
+        if let Target::Image { to, behind } = &frame.target {
             check(to, ImageUse::Storage)?;
             Compose::check_color(to.image)?;
+            match behind {
+                Behind::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {
+                    return Err(Error::argument("background", format!("{color:?} is not finite")));
+                }
+                Behind::Image => check_contents(to)?,
+                _ => {}
+            }
         }
         if let Some(depth) = &frame.depth {
             check(&depth.to, ImageUse::Storage)?;
@@ -62,25 +91,31 @@ impl Renderer {
                 let problem = format!("format {:?} is not R32_SFLOAT", depth.to.image.format());
                 return Err(Error::argument(format!("image '{}'", depth.to.image.name()), problem));
             }
+            if !depth.min_weight.is_finite() {
+                let problem = format!("{} is not finite", depth.min_weight);
+                return Err(Error::argument("least weight of expected depth", problem));
+            }
         }
         if let Some(occluder) = &frame.occluder {
             check(&occluder.depth, ImageUse::Sampled)?;
             Compose::check_depth(occluder.depth.image)?;
-            if !(occluder.mapping.scale.is_finite() && occluder.mapping.offset.is_finite()) {
+            check_contents(&occluder.depth)?;
+            let DepthMapping { scale, offset, clear_value } = occluder.mapping;
+            if !(scale.is_finite() && offset.is_finite() && clear_value.is_finite()) {
                 return Err(Error::argument("depth mapping", "holds numbers that are not finite"));
             }
         }
-        let variant = BlendVariant {
-            inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
-            linear_depth: frame.depth.is_some(),
-            depth_limit: frame.occluder.is_some(),
-        };
-        if !reserved.variants().contains(&variant) {
-            let problem = format!("{variant:?} was not reserved: see Reservation");
-            return Err(Error::argument("kind of frame", problem));
-        }
-        check_updates(frame.updates, context, reserved)
+        Ok(())
     }
+}
+
+/// An image that is read has to hold something.
+fn check_contents(host: &HostImage<'_>) -> Result<()> {
+    if host.from.layout != vk::ImageLayout::UNDEFINED {
+        return Ok(());
+    }
+    let problem = "is read, but its layout is UNDEFINED, from which nothing is kept";
+    Err(Error::argument(format!("image '{}'", host.image.name()), problem))
 }
 
 fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservation) -> Result<()> {

@@ -39,12 +39,18 @@ impl DeviceScene {
     }
 
     /// A scene in buffers of the host's own ([`Buffer::adopt`]), one for each chunk of [`DeviceScene::plan_for`], which
-    /// hold `count` Gaussians. Who writes them waits and signals as for any buffer that compute shaders read.
+    /// hold `count` Gaussians. Only the first [`ScenePlan::chunk_bytes`] of each are used. Who writes them waits and signals
+    /// as for any buffer that compute shaders read.
     ///
     /// # Errors
-    /// [`Error::Argument`] when number or sizes of the buffers differ from the plan's, or they are of another device.
+    /// [`Error::Argument`] for a plan that is not [`DeviceScene::plan_for`] this device, too few or too small buffers, such
+    /// as are of another device or the same twice, and more Gaussians than the plan has room for.
     pub fn from_buffers(context: &Context, plan: ScenePlan, chunks: Vec<Buffer>, count: u32) -> Result<Self> {
         let bad = |problem: String| Err(Error::argument("scene's buffers", problem));
+        // A plan is a function of the device's limits: what another one says would be bound and indexed as well.
+        if plan != Self::plan_for(context, plan.capacity, plan.sh_degree)? {
+            return bad("the plan is not the one that DeviceScene::plan_for makes on this device".into());
+        }
         if chunks.len() != plan.chunks as usize {
             return bad(format!("{} of them, the plan has {} chunks", chunks.len(), plan.chunks));
         }
@@ -62,6 +68,12 @@ impl DeviceScene {
         if count > plan.capacity {
             return bad(format!("{count} Gaussians, the plan has room for {}", plan.capacity));
         }
+        let mut handles: Vec<_> = chunks.iter().map(Buffer::handle).collect();
+        handles.sort_unstable();
+        if handles.windows(2).any(|pair| pair[0] == pair[1]) {
+            return bad("are the same for two chunks".into());
+        }
+        let chunks = chunks.iter().map(|buffer| buffer.range(0, plan.chunk_bytes())).collect();
         Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, plan, count } })
     }
 

@@ -4,12 +4,11 @@ use super::Renderer;
 use super::check::check_capacity;
 use super::device_scene::DeviceScene;
 use super::slots::{Reservation, Slot, SlotReport};
+use super::updates::{Update, record_copies, stage_updates};
 use crate::compose::{Behind, Compose, Region};
 use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, PlacedScene, RenderSettings};
-use crate::plan::ScenePlan;
-use crate::planes;
-use crate::scene::{Camera, DepthMapping, Gaussians, Pose};
+use crate::scene::{Camera, DepthMapping, Pose};
 use crate::vk::{Buffer, ForeignCommands, Image, ImageState, Recorder};
 use ash::vk;
 
@@ -28,23 +27,13 @@ impl<'a> From<&'a DeviceScene> for Placed<'a> {
     }
 }
 
-/// New parameters for some of a scene's Gaussians, copied before the frame is rendered.
-#[derive(Clone, Copy)]
-pub struct Update<'a> {
-    /// The scene.
-    pub scene: &'a DeviceScene,
-    /// Index of the first Gaussian that is replaced.
-    pub first: u32,
-    /// The new ones; SH above the scene's degree is dropped, missing SH is zero.
-    pub gaussians: &'a Gaussians,
-}
-
 /// A host's image, how the host has used it, and which part of it is the frame.
 #[derive(Clone, Copy)]
 pub struct HostImage<'a> {
     /// The image.
     pub image: &'a Image,
-    /// What the host does with it before the frame: waited for, and its layout is changed from this one.
+    /// What the host does with it before the frame: waited for, and its layout is changed from this one. From
+    /// [`ImageState::UNDEFINED`] nothing that it holds is kept.
     pub from: ImageState,
     /// Its texel that is the frame's pixel (0, 0).
     pub offset: [u32; 2],
@@ -54,7 +43,9 @@ pub struct HostImage<'a> {
 #[derive(Clone, Copy)]
 pub enum Target<'a> {
     /// Into the slot's own buffer, [`Renderer::slot_pixels`]: per pixel, row by row, premultiplied r, g, b and the
-    /// transmittance, each an f32.
+    /// transmittance, each an f32. The host uses it behind the recording, after a barrier from [`Release::stages`] and
+    /// [`Release::accesses`], until the slot is recorded again. The recording waits for compute and transfers that have
+    /// read it; a host that reads it in other stages, in a command buffer behind the frame's, waits for those before.
     Slot,
     /// Into a storage image of format rgba8, rgba16f or rgba32f.
     Image {
@@ -117,7 +108,7 @@ impl<'a> RecordedFrame<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Release {
-    /// The stages that write results.
+    /// The stages that write results: also those in the slot's own buffers.
     pub stages: vk::PipelineStageFlags2,
     /// What they write with.
     pub accesses: vk::AccessFlags2,
@@ -130,12 +121,13 @@ pub struct Release {
 }
 
 impl Renderer {
-    /// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before. Submits
-    /// nothing and waits for nothing.
+    /// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before, whose command
+    /// buffers have to be over ([`Context::adopt_commands`](crate::vk::Context::adopt_commands)). Submits nothing and waits
+    /// for nothing.
     ///
     /// # Errors
     /// [`Error::Argument`] for a reservation that makes no sense or while a slot is in flight, [`Error::TooLarge`] for
-    /// what the device cannot hold; memory or device failures.
+    /// what the device cannot hold; memory or device failures. When memory fails, nothing is reserved any more.
     pub fn reserve(&mut self, wanted: &Reservation) -> Result<()> {
         if self.compose.is_none() {
             self.compose = Some(Compose::new(&self.context)?);
@@ -153,14 +145,19 @@ impl Renderer {
     ///
     /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything back.
     /// Everything is checked before the first command is recorded. Afterwards the slot is in flight until the device
-    /// has executed the recording.
+    /// has executed the recording; it may be recorded again once the whole command buffer is over, as
+    /// [`Context::adopt_commands`](crate::vk::Context::adopt_commands) has it. The slot keeps scenes and views of images
+    /// alive that are dropped meanwhile; the next recording destroys them, if [`Renderer::release_slot`] has not.
+    ///
+    /// Updates are made in their order: of two that overlap, the later one counts.
     ///
     /// Before its first command the recording waits for compute and transfers that come earlier in the queue, and for
     /// what each [`HostImage::from`] says.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved or still in flight, commands, scenes or images of another
-    /// device, a camera or a pose that makes no sense, images of the wrong format, use or size;
+    /// device, a camera or a pose that makes no sense, images of the wrong format, use, size or layout, numbers that are
+    /// not finite, and kernels that [`Renderer::reserve`] has not built;
     /// [`Error::TooLarge`] for what the reservation has no room for.
     pub fn record(
         &mut self,
@@ -177,9 +174,7 @@ impl Renderer {
         self.check_frame(frame, &reserved)?;
         let forward = &self.runner.forward;
         let slot = self.slots.get(slot)?;
-        if !slot.record.finished()? {
-            return Err(Error::argument("frame slot", "its last recording is still in flight"));
-        }
+        slot.record.check_free()?;
         check_capacity(frame, &slot.capacity, forward.sizes.stream)?;
         let Some(compose) = &self.compose else { unreachable!("built by reserve") };
         let [main, others] = place(frame, forward.sizes.stream);
@@ -188,8 +183,9 @@ impl Renderer {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
             ..*frame.settings
         };
-        let copies = stage_updates(slot, frame.updates)?;
-        let mut recorder = slot.record.begin(commands, "ashsplat")?;
+        let copies = stage_updates(slot.staging.as_ref(), frame.updates)?;
+        let gaussians = frame.scenes.iter().map(|s| s.scene.count()).sum();
+        let mut recorder = slot.begin(commands, gaussians)?;
         let r = &mut recorder;
         record_copies(r, &copies);
         let size = [frame.camera.width, frame.camera.height];
@@ -217,13 +213,13 @@ impl Renderer {
         r.barrier();
         let mut release = record_targets(r, compose, slot, frame);
         release.occluder = occluder;
-        slot.record_readback(r);
-        slot.last = Some(frame.scenes.iter().map(|s| s.scene.count()).sum());
-        slot.record.end(recorder);
+        slot.end(recorder);
         Ok(release)
     }
 
-    /// What the last frame of a slot was made of: None while it is in flight. Never waits.
+    /// What the last frame of a slot was made of: None while it is in flight, and where there is none. Never waits, but on
+    /// llvmpipe, where asking for timestamps waits for the whole device
+    /// ([`ContextOptions::timestamps`](crate::vk::ContextOptions::timestamps)).
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved; when the device is lost.
@@ -232,7 +228,8 @@ impl Renderer {
         self.slots.get(slot)?.report(&sizes)
     }
 
-    /// Whether a slot may be recorded again. Never waits.
+    /// Whether the last frame of a slot is done. Never waits. What the host has recorded behind the frame may still run: see
+    /// [`Context::adopt_commands`](crate::vk::Context::adopt_commands).
     ///
     /// # Errors
     /// As [`Renderer::slot_report`].
@@ -240,7 +237,17 @@ impl Renderer {
         self.slots.get(slot)?.record.finished()
     }
 
-    /// The buffer that [`Target::Slot`] fills: premultiplied r, g, b and transmittance per pixel, row by row, f32.
+    /// Lets go of what the last frame of a slot used, once its command buffer is over: scenes and views of images that were
+    /// dropped meanwhile are destroyed now, and not when the slot is recorded again.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a slot that is not reserved or still in flight.
+    pub fn release_slot(&mut self, slot: u32) -> Result<()> {
+        self.slots.get(slot)?.record.release()
+    }
+
+    /// The buffer that [`Target::Slot`] fills: premultiplied r, g, b and transmittance per pixel, row by row, f32. A storage
+    /// buffer and a source of transfers; another one after [`Renderer::reserve`].
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
@@ -248,8 +255,17 @@ impl Renderer {
         Ok(self.slots.get(slot)?.frame.accumulated.clone())
     }
 
-    /// The slot's own recording state, for a host that has thrown its command buffer away: see
-    /// [`crate::vk::RecordSlot::discard`].
+    /// The buffer of [`RenderSettings::inverse_depth`]: the sum of weights / z per pixel, row by row, f32. As
+    /// [`Renderer::slot_pixels`]. With an expected depth ([`RecordedFrame::depth`]) it holds the sum of weights * z.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a slot that is not reserved.
+    pub fn slot_inverse_depth(&mut self, slot: u32) -> Result<Buffer> {
+        Ok(self.slots.get(slot)?.frame.inverse_depth.clone())
+    }
+
+    /// The slot's own recording state, for a host that has thrown its command buffer away or caught a panic: see
+    /// [`RecordSlot::discard`](crate::vk::RecordSlot::discard).
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
@@ -270,67 +286,6 @@ fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32) -> [Vec<PlacedScene<'a>>
         PlacedScene { scene, camera, scale: placed.pose.scale, sh_degree, first: begin }
     });
     [all.next().into_iter().collect(), all.collect()]
-}
-
-/// Writes new parameters into the slot's staging memory, which nobody uses now; returns the copies from there.
-fn stage_updates(slot: &Slot, updates: &[Update<'_>]) -> Result<Vec<(Buffer, Buffer)>> {
-    let mut copies = Vec::new();
-    let Some(staging) = &slot.staging else { return Ok(copies) };
-    let mut offset = 0;
-    for update in updates {
-        let buffers = &update.scene.buffers;
-        for piece in pieces(update, &buffers.plan) {
-            let bytes = piece.words.len() as u64 * 16;
-            staging.write(offset, bytemuck::cast_slice(&piece.words))?;
-            let to = buffers.chunks[piece.chunk].range(piece.offset, bytes);
-            copies.push((staging.range(offset, bytes), to));
-            offset += bytes;
-        }
-    }
-    Ok(copies)
-}
-
-fn record_copies(r: &mut Recorder, copies: &[(Buffer, Buffer)]) {
-    if copies.is_empty() {
-        return;
-    }
-    r.scope("scene updates", |r| {
-        for (from, to) in copies {
-            r.copy(from, to);
-        }
-        r.barrier();
-    });
-}
-
-/// A run of vec4s in one plane of one chunk.
-struct Piece {
-    chunk: usize,
-    /// Bytes from the chunk's start.
-    offset: u64,
-    words: Vec<[f32; 4]>,
-}
-
-/// Cuts an update into what lies together on the device.
-fn pieces(update: &Update<'_>, plan: &ScenePlan) -> Vec<Piece> {
-    let (first, end) = (update.first, update.first + update.gaussians.len() as u32);
-    let mut pieces = Vec::new();
-    for range in plan.ranges(end) {
-        let begin = first.max(range.first);
-        let stop = range.first + range.count;
-        if begin >= stop {
-            continue;
-        }
-        let count = stop - begin;
-        // Packed as if they were a scene of their own: plane behind plane.
-        let own = ScenePlan { stride: count, ..*plan };
-        let words = planes::pack(update.gaussians, (begin - first) as usize..(stop - first) as usize, &own);
-        pieces.extend(words.chunks(count as usize).enumerate().map(|(plane, words)| Piece {
-            chunk: range.chunk,
-            offset: 16 * (plane as u64 * u64::from(plan.stride) + u64::from(begin - range.first)),
-            words: words.to_vec(),
-        }));
-    }
-    pieces
 }
 
 fn record_targets(r: &mut Recorder, compose: &Compose, slot: &Slot, frame: &RecordedFrame<'_>) -> Release {

@@ -4,8 +4,10 @@ use super::frame_store::State;
 use crate::error::{Error, Result};
 use crate::forward::BlendVariant;
 use crate::kernels::constants as c;
-use crate::plan::{Blocks, FrameBuffers, FrameCapacity, ScenePlan, frame_requests, initial_instances};
-use crate::vk::{Buffer, Context, MemoryKind, RecordSlot, ScopeTime};
+use crate::plan::{
+    Blocks, FrameBuffers, FrameCapacity, ScenePlan, check_grids, frame_requests, initial_instances,
+};
+use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder, ScopeTime};
 
 /// What is to be allocated ahead for recording: see [`super::Renderer::reserve`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -130,7 +132,7 @@ pub struct SlotReport {
     pub blend_passes_needed: u32,
     /// Whether something did not fit: the picture lacks what lies farthest back. [`Reservation::grown`] helps.
     pub overflow: bool,
-    /// Device time per stage.
+    /// Device time per stage; empty where there are no timestamps.
     pub scopes: Vec<ScopeTime>,
 }
 
@@ -143,8 +145,10 @@ pub(super) struct Slot {
     pub depth_limits: Option<Buffer>,
     pub staging: Option<Buffer>,
     readback: Buffer,
-    /// Gaussians of the last recording, and whether its counts can be there.
-    pub last: Option<u32>,
+    /// Gaussians of the last recording.
+    gaussians: u32,
+    /// What the last recording was made of, once somebody has asked.
+    report: Option<SlotReport>,
 }
 
 /// All frames in flight.
@@ -200,6 +204,7 @@ impl Slot {
             blend_passes: wanted.blend_passes,
             backward: false,
         };
+        check_grids(context.limits(), &capacity, sizes)?;
         let frame = context.allocate("frame slot", &frame_requests(&capacity, sizes), MemoryKind::Device)?;
         let pixels = u64::from(width) * u64::from(height);
         let limits = wanted.occlusion.then_some(("depth_limits", pixels * 4));
@@ -211,25 +216,35 @@ impl Slot {
         let Some(readback) = host.next() else { unreachable!("one buffer per request") };
         let frame = FrameBuffers::from_allocated(frame);
         let (record, staging) = (RecordSlot::new(context, dispatches)?, host.next());
-        Ok(Self { record, frame, capacity, depth_limits, staging, readback, last: None })
+        Ok(Self { record, frame, capacity, depth_limits, staging, readback, gaussians: 0, report: None })
     }
 
-    /// Records the copy of the frame's counts to where the host reads them.
-    pub fn record_readback(&self, r: &mut crate::vk::Recorder) {
-        r.copy(&self.frame.state, &self.readback);
+    /// Starts a recording of so many Gaussians.
+    pub fn begin(&mut self, commands: ForeignCommands, gaussians: u32) -> Result<Recorder> {
+        let recorder = self.record.begin(commands, "ashsplat")?;
+        (self.gaussians, self.report) = (gaussians, None);
+        Ok(recorder)
+    }
+
+    /// Records the copy of the frame's counts to where the host reads them, and ends the recording.
+    pub fn end(&mut self, mut recorder: Recorder) {
+        recorder.copy(&self.frame.state, &self.readback);
+        self.record.end(recorder);
     }
 
     /// What the last recording needed; None while it is in flight, and where there was none.
     pub fn report(&mut self, sizes: &Blocks) -> Result<Option<SlotReport>> {
-        let Some(gaussians) = self.last else { return Ok(None) };
-        if !self.record.finished()? {
+        if !self.record.is_recorded() || !self.record.finished()? {
             return Ok(None);
+        }
+        if self.report.is_some() || !self.record.has_times()? {
+            return Ok(self.report.clone());
         }
         let mut bytes = [0u8; c::STATE_WORDS as usize * 4];
         self.readback.read(0, &mut bytes)?;
         let state = State::of(&bytes);
-        Ok(Some(SlotReport {
-            gaussians,
+        self.report = Some(SlotReport {
+            gaussians: self.gaussians,
             visible: state.visible,
             instances_needed: state.instances,
             instance_capacity: self.capacity.instances,
@@ -237,6 +252,7 @@ impl Slot {
             blend_passes_needed: state.longest_tile.div_ceil(sizes.entries_per_pass).max(1),
             overflow: state.overflow,
             scopes: self.record.times()?,
-        }))
+        });
+        Ok(self.report.clone())
     }
 }

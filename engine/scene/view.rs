@@ -61,12 +61,15 @@ impl HostView {
     ///
     /// # Errors
     /// [`Error::Argument`] for numbers that are not finite, a projection that is no perspective or is skewed, a view
-    /// that scales, and matrices that together mirror the picture.
+    /// that scales or is not affine, and matrices that together mirror the picture.
     pub fn camera(&self) -> Result<(Camera, DepthMapping)> {
         let bad = |what: &str, problem: &str| Err(Error::argument(what, problem));
         let (view, projection) = (self.view_from_world, self.clip_from_view);
         if !view.is_finite() || !projection.is_finite() {
             return bad("host's matrices", "hold numbers that are not finite");
+        }
+        if !is_affine(view) {
+            return bad("view", "its last row is not (0, 0, 0, 1)");
         }
         if self.width == 0 || self.height == 0 {
             return bad("host's view", "the image has no size");
@@ -115,6 +118,11 @@ impl HostView {
     }
 }
 
+/// Whether a matrix's last row is (0, 0, 0, 1), but for the rounding of an inverse.
+fn is_affine(matrix: Mat4) -> bool {
+    matrix.row(3).abs_diff_eq(Vec4::W, 1e-5)
+}
+
 /// Where an object stands in the world: `x_world = scale * rotation * x_object + translation`.
 ///
 /// A scale is the same in all directions: under any other, Gaussians would need other rotations and extents, and their
@@ -142,13 +150,12 @@ impl Pose {
     pub fn from_matrix(world_from_object: Mat4) -> Result<Self> {
         let m = Mat3::from_mat4(world_from_object);
         let scale = m.determinant().abs().cbrt();
-        let affine = world_from_object.row(3) == Vec4::W;
         let pose = Self {
             world_from_object: m * scale.recip(),
             translation: world_from_object.w_axis.truncate(),
             scale,
         };
-        match affine {
+        match is_affine(world_from_object) {
             true => pose.check().map(|()| pose),
             false => Err(Error::argument("pose", "the matrix's last row is not (0, 0, 0, 1)")),
         }

@@ -176,6 +176,7 @@ impl Trainer {
         }
         let progress = self.recording.in_flight.back().map_or(self.progress, |last| last.after);
         let plan = self.plan_after(&progress);
+        self.runner.frame()?;
         let mut recorder = self.recording.slots[index].record.begin(commands, "ashsplat training step")?;
         let slot = &self.recording.slots[index];
         self.record_plan(&mut recorder, &plan, [&slot.state, &slot.losses])?;
@@ -234,9 +235,7 @@ impl Trainer {
             } else {
                 self.progress = first.after;
                 let losses = read_losses(&slot.losses)?;
-                let scopes = slot.record.times()?;
-                let report = StepReport::new(&first.plan, first.gaussians, losses, &state);
-                StepOutcome::Done(StepReport { scopes, ..report })
+                StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, losses, &state))
             });
             self.recording.in_flight.pop_front();
         }
@@ -264,7 +263,17 @@ impl Trainer {
     pub fn step_outcome(&mut self, slot: u32) -> Result<Option<StepOutcome>> {
         self.settle()?;
         let index = self.slot_index(slot)?;
-        Ok(self.recording.slots[index].outcome.clone())
+        let slot = &mut self.recording.slots[index];
+        // Not asked for while steps are recorded: see `RecordSlot::has_times`.
+        if let Some(StepOutcome::Done(report)) = &mut slot.outcome
+            && report.scopes.is_empty()
+        {
+            if !slot.record.has_times()? {
+                return Ok(None);
+            }
+            report.scopes = slot.record.times()?;
+        }
+        Ok(slot.outcome.clone())
     }
 
     /// Whether [`Trainer::maintain`] has to be called before another step can be recorded. Never waits.

@@ -11,6 +11,7 @@ use super::kernel::ImageInfo;
 use super::vk_error;
 use crate::Result;
 use ash::vk;
+use std::sync::Arc;
 
 /// Storage buffers of a kernel at most: bindings 0 to 15.
 pub(super) const BUFFERS: u32 = 16;
@@ -147,6 +148,34 @@ impl DescriptorSets {
         for pool in self.pools.drain(..) {
             // SAFETY: idle, as the caller sees to; destroyed once.
             unsafe { inner.device.destroy_descriptor_pool(pool, None) }
+        }
+    }
+}
+
+/// Sets that are destroyed with whoever has them; none where there are push descriptors.
+#[derive(Default)]
+pub(super) struct OwnedSets(Option<(Arc<Inner>, DescriptorSets)>);
+
+impl OwnedSets {
+    /// Sets for recordings of up to `count` dispatches.
+    pub(super) fn new(inner: &Arc<Inner>, count: usize) -> Result<Self> {
+        let mut owned = Self(DescriptorSets::new(inner).map(|sets| (inner.clone(), sets)));
+        match &mut owned.0 {
+            Some((inner, sets)) => sets.reserve(inner, count).map(|()| owned),
+            None => Ok(owned),
+        }
+    }
+
+    /// The sets themselves.
+    pub(super) fn sets(&mut self) -> Option<&mut DescriptorSets> {
+        self.0.as_mut().map(|(_, sets)| sets)
+    }
+}
+
+impl Drop for OwnedSets {
+    fn drop(&mut self) {
+        if let Some((inner, sets)) = &mut self.0 {
+            sets.destroy(inner);
         }
     }
 }

@@ -3,8 +3,9 @@
 
 use super::allocator::HostAllocator;
 use super::context::{Context, ContextOptions, Inner, Owner, Parts};
-use super::descriptors::DescriptorSets;
+use super::descriptors::OwnedSets;
 use super::device;
+use super::lent::{Home, Lent};
 use super::profiler::{MAX_SCOPES, Profiler, ScopeTime};
 use super::recorder::{ForeignTarget, Recorder};
 use super::requirements::Features;
@@ -13,7 +14,7 @@ use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// A host's device, and what was enabled when it was created.
 #[derive(Clone)]
@@ -99,7 +100,7 @@ impl Context {
         })
     }
 
-    /// A host's command buffer, to record into.
+    /// A host's command buffer, to record into through a slot.
     ///
     /// # Errors
     /// [`Error::Argument`] for a null handle.
@@ -108,8 +109,13 @@ impl Context {
     /// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass, and
     ///   nobody else records into it until the recording that is begun with it has ended;
     /// - it is submitted at most once before it is recorded again, and to a queue of the context's queue family;
-    /// - the slot that it is recorded through lives until its execution is over, and is recorded through again only then: once
-    ///   a fence of the submission was waited for (a slot knows when its own commands are done, not when the buffer is).
+    /// - before the slot that it is recorded through is recorded through again, released or dropped, the host has learnt
+    ///   that the execution of the whole command buffer is over, by a fence, a timeline semaphore or an idle queue, or
+    ///   has made sure that it never begins ([`RecordSlot::discard`]). [`RecordSlot::finished`] does not say that: it
+    ///   knows of the guest's own commands, not of what the host has recorded behind them.
+    ///
+    /// Until then the slot keeps everything alive that the recording uses; what was dropped meanwhile is destroyed with the
+    /// slot's next recording, or by [`RecordSlot::release`].
     ///
     /// Pipeline, descriptors and push constants of the compute bind point are not what they were afterwards.
     pub unsafe fn adopt_commands(&self, commands: vk::CommandBuffer) -> Result<ForeignCommands> {
@@ -157,9 +163,11 @@ pub struct RecordSlot {
     inner: Arc<Inner>,
     event: vk::Event,
     queries: vk::QueryPool,
-    descriptors: Option<DescriptorSets>,
-    kept: Kept,
+    descriptors: Home<OwnedSets>,
+    /// What the last recording uses.
+    kept: Home<Kept>,
     profiler: Option<Profiler>,
+    /// Whether a recording was begun and not discarded.
     recorded: bool,
 }
 
@@ -173,17 +181,17 @@ impl RecordSlot {
         let mut slot = Self {
             event: vk::Event::null(),
             queries: vk::QueryPool::null(),
-            descriptors: DescriptorSets::new(&inner),
-            kept: Kept::default(),
+            descriptors: Arc::new(Mutex::new(OwnedSets::new(&inner, dispatches)?)),
+            kept: Home::default(),
             profiler: None,
             recorded: false,
             inner,
         };
-        slot.create(dispatches)?;
+        slot.create()?;
         Ok(slot)
     }
 
-    fn create(&mut self, dispatches: usize) -> Result<()> {
+    fn create(&mut self) -> Result<()> {
         let inner = &self.inner;
         // SAFETY: valid create infos for this device.
         unsafe {
@@ -199,14 +207,11 @@ impl RecordSlot {
             }
         }
         inner.names.name(self.event, "slot event");
-        match &mut self.descriptors {
-            Some(sets) => sets.reserve(inner, dispatches),
-            None => Ok(()),
-        }
+        Ok(())
     }
 
-    /// Whether nothing that was recorded through the slot can still be running: true also for one never used, false
-    /// while the command buffer has not been submitted yet.
+    /// Whether the commands that were recorded through the slot are over: true also for one never used, false while the
+    /// command buffer has not been submitted yet. Whatever the host has recorded behind them may still run. Never waits.
     ///
     /// # Errors
     /// [`Error::Vulkan`] when the device is lost.
@@ -219,22 +224,47 @@ impl RecordSlot {
         status.map_err(vk_error("vkGetEventStatus"))
     }
 
+    /// Fails while the last recording is in flight. What it says has to be true of the whole command buffer as well, as
+    /// whoever adopted that has promised.
+    pub(crate) fn check_free(&self) -> Result<()> {
+        match self.finished()? {
+            true => Ok(()),
+            false => Err(Error::argument("frame slot", "its last recording is still in flight")),
+        }
+    }
+
     /// Whether something was recorded through the slot and not discarded.
     pub fn is_recorded(&self) -> bool {
         self.recorded
     }
 
-    /// Forgets a recording that will never be executed.
+    /// Forgets a recording, also one that an error or a panic has left unfinished.
     ///
     /// # Safety
-    /// The command buffer was not submitted, and is not going to be.
+    /// The command buffer was not submitted and is not going to be, or its execution is over.
     pub unsafe fn discard(&mut self) {
         self.recorded = false;
         self.profiler = None;
-        self.kept.clear();
+        self.clear();
     }
 
-    /// Starts recording. Waits, on the device, for what compute shaders and transfers before it in the queue wrote.
+    /// Lets go of everything that the last recording used, once its command buffer is over: scenes and views of images
+    /// that were dropped meanwhile are destroyed now, and not by the next recording.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] while the recording is in flight.
+    pub fn release(&mut self) -> Result<()> {
+        self.check_free()?;
+        self.clear();
+        Ok(())
+    }
+
+    fn clear(&self) {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
+    /// Starts recording. Waits, on the device, for what compute shaders and transfers before it in the queue wrote. From
+    /// now on the slot is in flight; a recorder that is dropped leaves it so, for what it has recorded may be executed.
     ///
     /// # Errors
     /// [`Error::Argument`] when the recording before is not over, or when the commands are of another context: nothing
@@ -243,14 +273,13 @@ impl RecordSlot {
         if !Arc::ptr_eq(&commands.inner, &self.inner) {
             return Err(Error::argument("command buffer", "it belongs to another device"));
         }
-        if !self.finished()? {
-            return Err(Error::argument("frame slot", "its last recording is still in flight"));
-        }
+        self.check_free()?;
         let inner = &self.inner;
         // SAFETY: the event is not used by any submission: the last one has signalled it.
         let reset = unsafe { inner.device.reset_event(self.event) };
         reset.map_err(vk_error("vkResetEvent"))?;
-        self.kept.clear();
+        self.recorded = true;
+        self.clear();
         self.profiler = None;
         let timed = inner.timestamps.load(std::sync::atomic::Ordering::Relaxed);
         let queries = if timed { self.queries } else { vk::QueryPool::null() };
@@ -258,22 +287,27 @@ impl RecordSlot {
             // SAFETY: recording state outside of a render pass, as the adopter has promised; the pool is idle.
             unsafe { inner.device.cmd_reset_query_pool(commands.raw, queries, 0, 2 * MAX_SCOPES) }
         }
-        let mut descriptors = self.descriptors.take();
-        if let Some(sets) = &mut descriptors {
+        let mut descriptors = Lent::from_home(&self.descriptors);
+        if let Some(sets) = descriptors.sets() {
             sets.reset();
         }
         let target = ForeignTarget { raw: commands.raw, queries, descriptors };
-        let mut recorder = Recorder::foreign(inner, target, std::mem::take(&mut self.kept), label);
+        let mut recorder = Recorder::foreign(inner, target, Lent::from_home(&self.kept), label);
         recorder.barrier();
         Ok(recorder)
     }
 
     /// Ends a recording: everything that it wrote is made visible to the host, and the event is signalled behind it.
+    ///
+    /// # Panics
+    /// When the recording was begun in another slot.
     pub fn end(&mut self, recorder: Recorder) {
-        let (target, profiler, kept) = recorder.finish_foreign();
+        assert!(recorder.kept.is_from(&self.kept), "a recording ends in the slot that it was begun in");
+        let (target, profiler, _kept) = recorder.finish_foreign();
         type Stage = vk::PipelineStageFlags2;
+        // All stages: the timestamps wait for all of them, also for those of commands that the host recorded before.
         let barriers = [vk::MemoryBarrier2::default()
-            .src_stage_mask(Stage::COMPUTE_SHADER | Stage::ALL_TRANSFER)
+            .src_stage_mask(Stage::ALL_COMMANDS)
             .src_access_mask(vk::AccessFlags2::SHADER_WRITE | vk::AccessFlags2::TRANSFER_WRITE)
             .dst_stage_mask(Stage::HOST)
             .dst_access_mask(vk::AccessFlags2::HOST_READ)];
@@ -283,19 +317,23 @@ impl RecordSlot {
             self.inner.device.cmd_pipeline_barrier2(target.raw, &dependency);
             self.inner.device.cmd_set_event2(target.raw, self.event, &dependency);
         }
-        self.descriptors = target.descriptors;
         self.profiler = Some(profiler);
-        self.kept = kept;
-        self.recorded = true;
     }
 
-    /// The time of each scope of the last recording, once it has finished; empty before that, where there are no
-    /// timestamps, and when asked a second time.
+    /// Whether [`RecordSlot::times`] has all that there will be. On llvmpipe, whose queries wait for the whole device, this
+    /// does so too.
+    pub(crate) fn has_times(&self) -> Result<bool> {
+        let timed = |profiler: &Profiler| profiler.is_ready(&self.inner);
+        Ok(self.finished()? && self.profiler.as_ref().map_or(Ok(true), timed)?)
+    }
+
+    /// The time of each scope of the last recording, once it has finished and the device has written them; empty before
+    /// that, where there are no timestamps, and when asked a second time.
     ///
     /// # Errors
     /// [`Error::Vulkan`] when the device is lost.
     pub fn times(&mut self) -> Result<Vec<ScopeTime>> {
-        if !self.finished()? {
+        if !self.has_times()? {
             return Ok(Vec::new());
         }
         let profiler = self.profiler.take();
@@ -305,9 +343,6 @@ impl RecordSlot {
 
 impl Drop for RecordSlot {
     fn drop(&mut self) {
-        if let Some(sets) = &mut self.descriptors {
-            sets.destroy(&self.inner);
-        }
         // SAFETY: whoever adopted the command buffer has promised that its execution is over; null handles are
         // allowed.
         unsafe {

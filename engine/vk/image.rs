@@ -283,13 +283,16 @@ impl Drop for View {
 fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
     use vk::Format as F;
     match format {
-        F::D16_UNORM
-        | F::X8_D24_UNORM_PACK32
-        | F::D32_SFLOAT
-        | F::D24_UNORM_S8_UINT
-        | F::D32_SFLOAT_S8_UINT => vk::ImageAspectFlags::DEPTH,
+        F::D16_UNORM | F::X8_D24_UNORM_PACK32 | F::D32_SFLOAT => vk::ImageAspectFlags::DEPTH,
+        _ if has_stencil(format) => vk::ImageAspectFlags::DEPTH,
         _ => vk::ImageAspectFlags::COLOR,
     }
+}
+
+/// Whether there is a stencil beside the depth.
+fn has_stencil(format: vk::Format) -> bool {
+    use vk::Format as F;
+    matches!(format, F::D16_UNORM_S8_UINT | F::D24_UNORM_S8_UINT | F::D32_SFLOAT_S8_UINT)
 }
 
 impl Context {
@@ -397,7 +400,7 @@ impl Image {
     /// With the stencil, which changes its layout together with the depth.
     fn whole_range(&self) -> vk::ImageSubresourceRange {
         let mut range = self.0.range;
-        if matches!(self.0.format, vk::Format::D24_UNORM_S8_UINT | vk::Format::D32_SFLOAT_S8_UINT) {
+        if has_stencil(self.0.format) {
             range.aspect_mask |= vk::ImageAspectFlags::STENCIL;
         }
         range

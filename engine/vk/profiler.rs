@@ -137,13 +137,25 @@ impl Profiler {
         self.written - 1
     }
 
+    /// Whether all timestamps are there. Never waits.
+    pub(super) fn is_ready(&self, inner: &Inner) -> Result<bool> {
+        if self.written == 0 || self.pool == vk::QueryPool::null() {
+            return Ok(true);
+        }
+        match self.read(inner) {
+            Ok(_) => Ok(true),
+            Err(vk::Result::NOT_READY) => Ok(false),
+            Err(error) => Err(vk_error("vkGetQueryPoolResults")(error)),
+        }
+    }
+
     /// The times of the whole recording, of each scope and of each command. The submission must have been waited for.
     pub(super) fn collect(&mut self, inner: &Inner) -> Result<Collected> {
         let mut commands = self.commands.as_mut().map_or_else(Vec::new, Commands::take);
         if self.scopes.is_empty() || self.pool == vk::QueryPool::null() {
             return Ok(Collected { commands, ..Collected::default() });
         }
-        let ticks = self.read(inner)?;
+        let ticks = self.read(inner).map_err(vk_error("vkGetQueryPoolResults"))?;
         let between =
             |begin: u32, end: u32| inner.nanoseconds_between(ticks[begin as usize], ticks[end as usize]);
         let mut scopes = std::mem::take(&mut self.scopes).into_iter().map(|scope| ScopeTime {
@@ -161,12 +173,11 @@ impl Profiler {
         Ok(Collected { nanoseconds: whole, scopes: scopes.collect(), commands, begin_ticks: ticks[0] })
     }
 
-    fn read(&self, inner: &Inner) -> Result<Vec<u64>> {
+    fn read(&self, inner: &Inner) -> Result<Vec<u64>, vk::Result> {
         let mut ticks = vec![0u64; self.written as usize];
         let flags = vk::QueryResultFlags::TYPE_64;
-        // SAFETY: these queries were written by a submission that is over.
+        // SAFETY: the recording has reset these queries.
         let read = unsafe { inner.device.get_query_pool_results(self.pool, 0, &mut ticks, flags) };
-        read.map_err(vk_error("vkGetQueryPoolResults"))?;
-        Ok(ticks)
+        read.map(|()| ticks)
     }
 }

@@ -4,10 +4,11 @@ use super::audit;
 use super::bind::Bound;
 use super::buffer::Buffer;
 use super::context::Inner;
-use super::descriptors::DescriptorSets;
+use super::descriptors::{DescriptorSets, OwnedSets};
 use super::hazard::{HazardTracker, Use};
 use super::image::Image;
 use super::kernel::{Access, Kernel, KernelInterface, Pipeline};
+use super::lent::Lent;
 use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled};
 use super::profiler::Profiler;
 use super::submit::{Commands, Kept};
@@ -26,7 +27,7 @@ pub struct Recorder {
     pub(super) commands: Target,
     pub(super) inner: Arc<Inner>,
     profiler: Profiler,
-    pub(super) kept: Kept,
+    pub(super) kept: Lent<Kept>,
     pub(super) bound: vk::Pipeline,
     hazards: Option<Hazards>,
     barriers: u32,
@@ -44,14 +45,14 @@ pub(super) enum Target {
 pub(super) struct ForeignTarget {
     pub(super) raw: vk::CommandBuffer,
     pub(super) queries: vk::QueryPool,
-    pub(super) descriptors: Option<DescriptorSets>,
+    pub(super) descriptors: Lent<OwnedSets>,
 }
 
 impl Target {
     pub(super) fn descriptors(&mut self) -> Option<&mut DescriptorSets> {
         match self {
             Self::Owned(commands) => commands.descriptors.as_mut(),
-            Self::Foreign(target) => target.descriptors.as_mut(),
+            Self::Foreign(target) => target.descriptors.sets(),
         }
     }
 }
@@ -99,7 +100,7 @@ impl Recorder {
     }
 
     /// Records into a command buffer of somebody else, who submits it: see [`super::RecordSlot::begin`].
-    pub(super) fn foreign(inner: &Arc<Inner>, target: ForeignTarget, kept: Kept, label: &str) -> Self {
+    pub(super) fn foreign(inner: &Arc<Inner>, target: ForeignTarget, kept: Lent<Kept>, label: &str) -> Self {
         let queries = target.queries;
         let mut recorder = Self::with_target(Target::Foreign(target), inner.clone(), queries);
         recorder.kept = kept;
@@ -107,8 +108,8 @@ impl Recorder {
         recorder
     }
 
-    /// Ends a recording into a command buffer of somebody else.
-    pub(super) fn finish_foreign(mut self) -> (ForeignTarget, Profiler, Kept) {
+    /// Ends a recording into a command buffer of somebody else. What was lent goes home when it is dropped.
+    pub(super) fn finish_foreign(mut self) -> (ForeignTarget, Profiler, Lent<Kept>) {
         self.profiler.end(&self.inner, self.raw());
         match self.commands {
             Target::Foreign(target) => (target, self.profiler, self.kept),
@@ -120,7 +121,7 @@ impl Recorder {
         Self {
             commands,
             profiler: Profiler::new(queries, None),
-            kept: Kept::default(),
+            kept: Lent::default(),
             bound: vk::Pipeline::null(),
             hazards: inner.hazard_check.then(|| Hazards::new(false)),
             barriers: 0,
@@ -134,7 +135,7 @@ impl Recorder {
         self.profiler.end(&self.inner, self.raw());
         self.copy_indirect_arguments();
         match self.commands {
-            Target::Owned(commands) => (commands, self.profiler, self.kept, self.audit),
+            Target::Owned(commands) => (commands, self.profiler, self.kept.keep(), self.audit),
             Target::Foreign(_) => panic!("a foreign command buffer is submitted by its owner"),
         }
     }

@@ -259,7 +259,7 @@ impl Kept {
         }
     }
 
-    /// Lets go of everything, and keeps the lists' own memory.
+    /// Lets go of everything, and keeps the lists' own memory. What nobody else holds is destroyed.
     pub(super) fn clear(&mut self) {
         self.blocks.clear();
         self.pipelines.clear();

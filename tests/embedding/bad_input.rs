@@ -5,10 +5,12 @@ use crate::memory::{HostBuffer, HostTexture};
 use crate::stage::{adopt, camera, cloud, guest, options, rendered, with_host};
 use ashsplat::ash::vk;
 use ashsplat::scene::Pose;
-use ashsplat::vk::{Buffer, Context, ContextOptions, Features, ForeignDevice, Image, ImageState, ImageUse};
+use ashsplat::vk::{
+    Buffer, Context, ContextOptions, Features, ForeignDevice, Image, ImageState, ImageUse, LimitsOverride,
+};
 use ashsplat::{
-    Behind, DeviceScene, Error, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Renderer,
-    Reservation, Target, Update,
+    Behind, Blending, DepthTarget, DeviceScene, Error, HostImage, Occluder, Placed, RecordedFrame,
+    RenderSettings, Renderer, Reservation, Target, Update,
 };
 use glam::{Mat3, Vec3};
 
@@ -153,12 +155,25 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let lost = Pose { translation: Vec3::NAN, ..Pose::IDENTITY };
         let inside_out = Pose { scale: -1.0, ..Pose::IDENTITY };
         let vanished = Pose { scale: 0.0, ..Pose::IDENTITY };
-        let depth = HostImage { image: &images[3], from: ImageState::UNDEFINED, offset: [0; 2] };
+        let read = ImageState { layout: vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL, ..ImageState::UNDEFINED };
+        let depth = HostImage { image: &images[3], from: read, offset: [0; 2] };
+        let fresh_depth = HostImage { from: ImageState::UNDEFINED, ..depth };
+        let whole_target =
+            HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, usage, [64, 48]).expect("an image");
+        let whole = view(&context, &whole_target, ImageUse::Storage);
+        let onto = |behind| Target::Image {
+            to: HostImage { image: &whole, from: ImageState::UNDEFINED, offset: [0; 2] },
+            behind,
+        };
+        let distances = HostImage { image: &images[1], from: ImageState::UNDEFINED, offset: [0; 2] };
+        let expected = |min_weight| Some(DepthTarget { to: distances, min_weight, empty: f32::NAN });
         let mapping = ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0 };
         let integers = HostTexture::new(host, vk::Format::R32_UINT, usage, [64, 48]).expect("an image");
         let no_depth_view = view(&context, &integers, ImageUse::Sampled);
         let no_depth = HostImage { image: &no_depth_view, from: ImageState::UNDEFINED, offset: [0; 2] };
         let unknown = ashsplat::scene::DepthMapping { scale: f32::NAN, ..mapping };
+        let never = ashsplat::scene::DepthMapping { clear_value: f32::NAN, ..mapping };
+        let no_background = RenderSettings { background: [0.0, f32::INFINITY, 0.0], ..settings };
         let new = cloud(10, 2);
         let update = [Update { scene: &scene, first: 0, gaussians: &new }];
         let beyond = [Update { scene: &scene, first: 100_000, gaussians: &new }];
@@ -190,6 +205,13 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
                 RecordedFrame { occluder: Some(Occluder { depth: no_depth, mapping }), ..good },
                 "R32_UINT is not",
             ),
+            (RecordedFrame { occluder: Some(Occluder { depth, mapping: never }), ..good }, "depth mapping"),
+            (RecordedFrame { occluder: Some(Occluder { depth: fresh_depth, mapping }), ..good }, "UNDEFINED"),
+            (RecordedFrame { target: onto(Behind::Image), ..good }, "UNDEFINED"),
+            (RecordedFrame { target: onto(Behind::Color([0.0, f32::NAN, 0.0])), ..good }, "not finite"),
+            (RecordedFrame { settings: &no_background, ..good }, "not finite"),
+            (RecordedFrame { depth: expected(f32::NAN), ..good }, "least weight"),
+            (RecordedFrame { depth: expected(0.5), ..good }, "not reserved"),
             (RecordedFrame { updates: &update, ..good }, "staging_bytes"),
             (RecordedFrame { updates: &beyond, ..good }, "exceed the scene's"),
         ];
@@ -204,6 +226,12 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let error = renderer.record(adopt(&other, &in_flight), 0, &good).expect_err("of another device");
         assert!(error.to_string().contains("another device"), "{error}");
 
+        // What is set after the reservation has no kernels.
+        renderer.set_blending(Blending::SharedMemory);
+        let error = renderer.record(adopt(&context, &in_flight), 0, &good).expect_err("no kernels");
+        assert!(error.to_string().contains("not built"), "{error}");
+        renderer.set_blending(Blending::Regions);
+
         // Still usable; then in flight until it has been executed.
         renderer.record(adopt(&context, &in_flight), 0, &good).expect("a recording");
         let error = renderer.record(adopt(&context, &in_flight), 0, &good).expect_err("in flight");
@@ -214,7 +242,8 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         in_flight.wait(host).expect("done");
         assert!(renderer.slot_report(0).expect("a report").expect("finished").visible > 50);
         in_flight.destroy(host);
-        drop((renderer, images, no_depth_view));
+        drop((renderer, images, no_depth_view, whole));
+        whole_target.destroy(host);
         small.destroy(host);
         single.destroy(host);
         integers.destroy(host);
@@ -238,5 +267,14 @@ fn reservations_that_make_no_sense_are_refused() {
             assert!(matches!(error, Error::Argument { .. } | Error::TooLarge { .. }), "{error}");
         }
         renderer.reserve(&good).expect("memory");
+
+        // More workgroups than the device's grids have.
+        let lowered = LimitsOverride { max_workgroups_per_axis: Some(8), ..LimitsOverride::default() };
+        let context_options = ContextOptions { limits_override: Some(lowered), ..ContextOptions::default() };
+        // SAFETY: as in `guest`.
+        let context = unsafe { Context::from_foreign(&host.foreign(), &context_options) }.expect("a context");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let error = renderer.reserve(&Reservation::new(10_000_000, 0, 16, 16)).expect_err("refused");
+        assert!(error.to_string().contains("maxComputeWorkGroupCount"), "{error}");
     });
 }

@@ -17,6 +17,7 @@ mod memory;
 mod allocator;
 mod bad_input;
 mod frames;
+mod lifetimes;
 mod pictures;
 mod resident;
 mod scenes;

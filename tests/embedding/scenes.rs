@@ -4,11 +4,12 @@ use crate::host::Host;
 use crate::memory::{HostBuffer, HostTexture};
 use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
 use ashsplat::ash::vk;
+use ashsplat::plan::ScenePlan;
 use ashsplat::scene::{Gaussians, Pose, Similarity};
-use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse};
+use ashsplat::vk::{Buffer, Context, ContextOptions, Image, ImageState, ImageUse, LimitsOverride};
 use ashsplat::{
-    DepthTarget, DeviceScene, Frame, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
-    Update,
+    DepthTarget, DeviceScene, Error, Frame, HostImage, Placed, RecordedFrame, RenderSettings, Renderer,
+    Reservation, Update,
 };
 use glam::{Mat3, Quat, Vec3};
 
@@ -179,6 +180,38 @@ fn updates_replace_a_part_of_a_scene() {
     });
 }
 
+/// Of updates that replace the same Gaussians, the later one counts.
+#[test]
+fn overlapping_updates_are_made_in_their_order() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let [start, first, second, none] = [cloud(300, 1), cloud(100, 2), cloud(100, 3), cloud(0, 4)];
+        let mut expected = start.clone();
+        for (new, at) in [(&first, 100), (&second, 150)] {
+            expected.means[at..at + 100].copy_from_slice(&new.means);
+            expected.quats[at..at + 100].copy_from_slice(&new.quats);
+            expected.log_scales[at..at + 100].copy_from_slice(&new.log_scales);
+            expected.opacity_logits[at..at + 100].copy_from_slice(&new.opacity_logits);
+            expected.sh[4 * at..4 * at + 400].copy_from_slice(&new.sh);
+        }
+        let scene = DeviceScene::upload(&context, &start, 0).expect("a scene");
+        let mut renderer = renderer(&context, 300, Reservation::update_bytes(400, 1));
+        let (settings, camera, clone) = (RenderSettings::default(), camera(0.1, 110, 70), scene.clone());
+        let update = |scene, first, gaussians| Update { scene, first, gaussians };
+        let updates = [
+            update(&scene, 150, &first),
+            update(&scene, 100, &first),
+            update(&scene, 0, &none),
+            // A clone is the same scene.
+            update(&clone, 150, &second),
+        ];
+        let placed = [Placed::from(&scene)];
+        let frame = RecordedFrame { updates: &updates, ..RecordedFrame::new(&placed, &camera, &settings) };
+        assert_same(&rendered(host, &mut renderer, &frame), &owned(&expected, &camera, &settings), [0.0; 3]);
+        assert_eq!(scene.download().expect("Gaussians"), expected);
+    });
+}
+
 #[test]
 fn a_scene_may_lie_in_the_hosts_buffers() {
     with_host(&options(), |host| {
@@ -186,10 +219,11 @@ fn a_scene_may_lie_in_the_hosts_buffers() {
         let gaussians = cloud(300, 8);
         let plan = DeviceScene::plan_for(&context, 300, 1).expect("a plan");
         assert_eq!(plan.chunks, 1);
-        let own = HostBuffer::new(host, plan.chunk_bytes()).expect("memory");
+        let bytes = plan.chunk_bytes() + 4096;
+        let own = HostBuffer::new(host, bytes).expect("memory");
         own.write(host, &planes(&gaussians, plan.stride as usize)).expect("written");
         // SAFETY: the buffer is the host's, of this size, and outlives the scene.
-        let adopted = unsafe { Buffer::adopt(&context, "host's scene", own.raw, 0, plan.chunk_bytes()) };
+        let adopted = unsafe { Buffer::adopt(&context, "host's scene", own.raw, 0, bytes) };
         let adopted = adopted.expect("adopted");
         let scene = DeviceScene::from_buffers(&context, plan, vec![adopted.clone()], 300).expect("a scene");
         let mut renderer = renderer(&context, 300, 0);
@@ -200,8 +234,55 @@ fn a_scene_may_lie_in_the_hosts_buffers() {
         assert!(DeviceScene::from_buffers(&context, plan, vec![], 300).is_err());
         let short = adopted.range(0, 64);
         assert!(DeviceScene::from_buffers(&context, plan, vec![short], 300).is_err());
+        for wrong in [
+            ScenePlan { stride: 0, ..plan },
+            ScenePlan { stride: plan.stride - 1, ..plan },
+            ScenePlan { planes: 3, ..plan },
+            ScenePlan { capacity: 100_000, ..plan },
+            ScenePlan { sh_degree: 2, ..plan },
+            ScenePlan { sh_degree: 7, ..plan },
+            ScenePlan { chunks: 0, ..plan },
+        ] {
+            let chunks = vec![adopted.clone(); wrong.chunks as usize];
+            let error = DeviceScene::from_buffers(&context, wrong, chunks, 10).err().expect("refused");
+            assert!(matches!(error, Error::Argument { .. }), "{error:?}");
+        }
         drop((scene, adopted, renderer));
         own.destroy(host);
+    });
+}
+
+/// Buffers that are larger than a binding may be are bound in part; the same buffer cannot be two chunks.
+#[test]
+fn a_hosts_buffers_may_exceed_what_can_be_bound() {
+    with_host(&options(), |host| {
+        let lowered =
+            LimitsOverride { max_storage_buffer_range: Some(96 * 1024), ..LimitsOverride::default() };
+        let context_options = ContextOptions {
+            hazard_check: true,
+            limits_override: Some(lowered),
+            ..ContextOptions::default()
+        };
+        // SAFETY: as in `guest`.
+        let context = unsafe { Context::from_foreign(&host.foreign(), &context_options) }.expect("a context");
+        let gaussians = cloud(600, 8);
+        let plan = DeviceScene::plan_for(&context, 1200, 1).expect("a plan");
+        assert_eq!(plan.chunks, 2, "{plan:?}");
+        let own = [0; 2].map(|_| HostBuffer::new(host, 1 << 20).expect("memory"));
+        own[0].write(host, &planes(&gaussians, plan.stride as usize)).expect("written");
+        // SAFETY: the buffers are the host's, of this size, and outlive the scene.
+        let adopt = |b: &HostBuffer| unsafe { Buffer::adopt(&context, "planes", b.raw, 0, 1 << 20) };
+        let adopted: Vec<_> = own.iter().map(|b| adopt(b).expect("adopted")).collect();
+        let twice = vec![adopted[0].clone(); 2];
+        assert!(DeviceScene::from_buffers(&context, plan, twice, 600).is_err());
+        let scene = DeviceScene::from_buffers(&context, plan, adopted, 600).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&Reservation::new(600, 1, 64, 48)).expect("memory");
+        let (settings, camera, placed) = (RenderSettings::default(), camera(0.1, 64, 48), [(&scene).into()]);
+        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
+        assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+        drop((scene, renderer));
+        own.into_iter().for_each(|buffer| buffer.destroy(host));
     });
 }
 

@@ -8,7 +8,7 @@ use crate::stage::{adopt, camera, cloud, guest, options, with_host};
 use ashsplat::ash::{self, vk};
 use ashsplat::scene::Gaussians;
 use ashsplat::trainer::{StepOutcome, StepReservation};
-use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageUse};
+use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse};
 use ashsplat::{
     Behind, DeviceScene, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
     Target, TrainSettings, Update,
@@ -242,6 +242,8 @@ struct Images {
     color: crate::memory::HostTexture,
     depth: crate::memory::HostTexture,
     adopted: [Image; 2],
+    /// How the depth image was used last.
+    depth_state: ImageState,
 }
 
 struct Everything<'a> {
@@ -250,6 +252,7 @@ struct Everything<'a> {
     settings: RenderSettings,
     updates: [Update<'a>; 1],
     adopted: &'a [Image; 2],
+    depth_state: ImageState,
 }
 
 impl Images {
@@ -265,7 +268,16 @@ impl Images {
                 Image::adopt(context, "depth", &depth.foreign(), ImageUse::Sampled).expect("adopted"),
             ]
         };
-        Self { color, depth, adopted }
+        let layout = vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL;
+        let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
+        let accesses = vk::AccessFlags2::SHADER_SAMPLED_READ;
+        let none = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
+        let made = host.run(|commands| {
+            depth.barrier(host, commands, none, (layout, stages, accesses));
+            Ok(())
+        });
+        made.expect("a layout");
+        Self { color, depth, adopted, depth_state: ImageState { layout, stages, accesses } }
     }
 
     fn frame<'a>(
@@ -280,6 +292,7 @@ impl Images {
             settings: RenderSettings::default(),
             updates: [Update { scene, first: 0, gaussians }],
             adopted: &self.adopted,
+            depth_state: self.depth_state,
         }
     }
 
@@ -292,12 +305,15 @@ impl Images {
 
 impl<'a> Everything<'a> {
     fn recorded(&'a self) -> RecordedFrame<'a> {
-        let fresh = |image| HostImage { image, from: ashsplat::vk::ImageState::UNDEFINED, offset: [0; 2] };
+        let used = |image, from| HostImage { image, from, offset: [0; 2] };
         // Nothing is ever drawn into the depth image: what it holds does not matter here.
-        let mapping = ashsplat::scene::DepthMapping { scale: 0.0, offset: 0.0, clear_value: f32::INFINITY };
+        let mapping = ashsplat::scene::DepthMapping { scale: 0.0, offset: 0.0, clear_value: 2.0 };
         RecordedFrame {
-            target: Target::Image { to: fresh(&self.adopted[0]), behind: Behind::Nothing },
-            occluder: Some(Occluder { depth: fresh(&self.adopted[1]), mapping }),
+            target: Target::Image {
+                to: used(&self.adopted[0], ImageState::UNDEFINED),
+                behind: Behind::Nothing,
+            },
+            occluder: Some(Occluder { depth: used(&self.adopted[1], self.depth_state), mapping }),
             updates: &self.updates,
             ..RecordedFrame::new(&self.scenes, self.camera, &self.settings)
         }

@@ -127,6 +127,13 @@ fn host_views_that_cannot_be_are_refused() {
             HostView { view_from_world: Mat4::from_scale(Vec3::splat(2.0)) * good.view_from_world, ..good },
         ),
     ];
+    let mut projective = good;
+    projective.view_from_world.z_axis.w = 0.2;
+    bad.push(("last row", projective));
+    // The rounding of an inverse is none of it.
+    let mut rounded = good;
+    rounded.view_from_world.w_axis.w = 0.999_999_9;
+    rounded.camera().expect("as good");
     let mut skewed = good;
     skewed.clip_from_view.y_axis.x = 0.1;
     bad.push(("skewed", skewed));

@@ -1,0 +1,112 @@
+//! New parameters for scenes, copied in front of a recorded frame.
+
+use super::device_scene::DeviceScene;
+use crate::error::Result;
+use crate::plan::ScenePlan;
+use crate::planes;
+use crate::scene::Gaussians;
+use crate::vk::{Buffer, Recorder};
+
+/// New parameters for some of a scene's Gaussians, copied before the frame is rendered.
+#[derive(Clone, Copy)]
+pub struct Update<'a> {
+    /// The scene.
+    pub scene: &'a DeviceScene,
+    /// Index of the first Gaussian that is replaced.
+    pub first: u32,
+    /// The new ones; SH above the scene's degree is dropped, missing SH is zero.
+    pub gaussians: &'a Gaussians,
+}
+
+impl Update<'_> {
+    /// Whether another one replaces some of the same Gaussians: clones of a scene share their buffers.
+    fn overlaps(&self, other: &Self) -> bool {
+        let range = |u: &Self| (u64::from(u.first), u64::from(u.first) + u.gaussians.len() as u64);
+        let ((first, end), (other_first, other_end)) = (range(self), range(other));
+        let chunks = |u: &Self| u.scene.buffers.chunks.iter().map(Buffer::handle).collect::<Vec<_>>();
+        first < other_end && other_first < end && {
+            let theirs = chunks(other);
+            chunks(self).iter().any(|chunk| theirs.contains(chunk))
+        }
+    }
+}
+
+/// What one update copies.
+pub(super) struct Staged {
+    /// Whether an update since the last barrier has written some of the same.
+    behind_barrier: bool,
+    /// From the staging memory to the scene.
+    copies: Vec<(Buffer, Buffer)>,
+}
+
+/// Writes new parameters into the slot's staging memory, which nobody uses now; returns the copies from there.
+pub(super) fn stage_updates(staging: Option<&Buffer>, updates: &[Update<'_>]) -> Result<Vec<Staged>> {
+    let mut staged = Vec::new();
+    let Some(staging) = staging else { return Ok(staged) };
+    let (mut offset, mut since_barrier) = (0, 0);
+    for (number, update) in updates.iter().enumerate() {
+        let behind_barrier = updates[since_barrier..number].iter().any(|earlier| earlier.overlaps(update));
+        if behind_barrier {
+            since_barrier = number;
+        }
+        let buffers = &update.scene.buffers;
+        let mut copies = Vec::new();
+        for piece in pieces(update, &buffers.plan) {
+            let bytes = piece.words.len() as u64 * 16;
+            staging.write(offset, bytemuck::cast_slice(&piece.words))?;
+            let to = buffers.chunks[piece.chunk].range(piece.offset, bytes);
+            copies.push((staging.range(offset, bytes), to));
+            offset += bytes;
+        }
+        staged.push(Staged { behind_barrier, copies });
+    }
+    Ok(staged)
+}
+
+pub(super) fn record_copies(r: &mut Recorder, staged: &[Staged]) {
+    if staged.iter().all(|update| update.copies.is_empty()) {
+        return;
+    }
+    r.scope("scene updates", |r| {
+        for update in staged {
+            if update.behind_barrier {
+                r.barrier();
+            }
+            for (from, to) in &update.copies {
+                r.copy(from, to);
+            }
+        }
+        r.barrier();
+    });
+}
+
+/// A run of vec4s in one plane of one chunk.
+struct Piece {
+    chunk: usize,
+    /// Bytes from the chunk's start.
+    offset: u64,
+    words: Vec<[f32; 4]>,
+}
+
+/// Cuts an update into what lies together on the device.
+fn pieces(update: &Update<'_>, plan: &ScenePlan) -> Vec<Piece> {
+    let (first, end) = (update.first, update.first + update.gaussians.len() as u32);
+    let mut pieces = Vec::new();
+    for range in plan.ranges(end) {
+        let begin = first.max(range.first);
+        let stop = range.first + range.count;
+        if begin >= stop {
+            continue;
+        }
+        let count = stop - begin;
+        // Packed as if they were a scene of their own: plane behind plane.
+        let own = ScenePlan { stride: count, ..*plan };
+        let words = planes::pack(update.gaussians, (begin - first) as usize..(stop - first) as usize, &own);
+        pieces.extend(words.chunks(count as usize).enumerate().map(|(plane, words)| Piece {
+            chunk: range.chunk,
+            offset: 16 * (plane as u64 * u64::from(plan.stride) + u64::from(begin - range.first)),
+            words: words.to_vec(),
+        }));
+    }
+    pieces
+}

@@ -1,0 +1,239 @@
+//! How long a slot keeps what its recording uses, and what becomes of recordings that are not executed.
+
+use crate::host::{Host, HostOptions, InFlight};
+use crate::memory::{HostBuffer, HostTexture};
+use crate::stage::{adopt, assert_same, camera, cloud, guest, options, owned, rendered, with_host};
+use ashsplat::ash::vk;
+use ashsplat::vk::{Context, ContextOptions, Image, ImageState, ImageUse, MemoryKind, RecordSlot};
+use ashsplat::{
+    Behind, Camera, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
+    Target,
+};
+
+fn renderer(context: &Context, slots: u32) -> Renderer {
+    let mut renderer = Renderer::new(context).expect("kernels");
+    let reservation =
+        Reservation { slots, inverse_depth: true, scenes: 2, ..Reservation::new(1600, 1, 64, 48) };
+    renderer.reserve(&reservation).expect("memory");
+    renderer
+}
+
+fn scene_bytes(context: &Context) -> u64 {
+    context.memory().iter().find(|arena| arena.name == "scene").map_or(0, |arena| arena.bytes)
+}
+
+/// Scenes and views that are dropped while frames of two slots use them live until both are done with them.
+#[test]
+fn what_is_dropped_lives_as_long_as_its_slots_need_it() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let mut renderer = renderer(&context, 2);
+        let (gaussians, view) = (cloud(300, 1), camera(0.3, 64, 48));
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let bytes = scene_bytes(&context);
+        let usage = vk::ImageUsageFlags::STORAGE;
+        let texture = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, usage, [64, 48]).expect("an image");
+        // SAFETY: the image is as it says, and is destroyed after both slots have let go of the view.
+        let image = unsafe { Image::adopt(&context, "target", &texture.foreign(), ImageUse::Storage) };
+        let image = image.expect("adopted");
+        let frames = [0; 2].map(|_| InFlight::new(host).expect("a command buffer"));
+        let settings = RenderSettings::default();
+        let placed = [Placed::from(&scene)];
+        for (slot, frame) in (0..).zip(&frames) {
+            frame.begin(host).expect("recording");
+            let from = match slot {
+                0 => ImageState::UNDEFINED,
+                _ => ImageState {
+                    layout: vk::ImageLayout::GENERAL,
+                    stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
+                    accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
+                },
+            };
+            let to = HostImage { image: &image, from, offset: [0; 2] };
+            let target = Target::Image { to, behind: Behind::Nothing };
+            let recorded = RecordedFrame { target, ..RecordedFrame::new(&placed, &view, &settings) };
+            renderer.record(adopt(&context, frame), slot, &recorded).expect("a recording");
+            let error = renderer.release_slot(slot).expect_err("in flight");
+            assert!(error.to_string().contains("in flight"), "{error}");
+            frame.submit(host).expect("a submission");
+        }
+        drop((scene, image));
+        assert_eq!(scene_bytes(&context), bytes);
+        frames[0].wait(host).expect("done");
+        renderer.release_slot(0).expect("over");
+        assert_eq!(scene_bytes(&context), bytes, "the other frame may still use it");
+        frames[1].wait(host).expect("done");
+        // The next recording of the slot lets go as well.
+        let other = DeviceScene::empty(&context, 1, 0).expect("a scene");
+        let others = [Placed::from(&other)];
+        frames[1].begin(host).expect("recording");
+        let recorded = RecordedFrame::new(&others, &view, &settings);
+        renderer.record(adopt(&context, &frames[1]), 1, &recorded).expect("a recording");
+        frames[1].submit(host).expect("a submission");
+        frames[1].wait(host).expect("done");
+        assert!(scene_bytes(&context) < bytes, "nobody uses it any more");
+        texture.destroy(host);
+        frames.into_iter().for_each(|frame| frame.destroy(host));
+    });
+}
+
+/// The guest's own commands are over before what the host has recorded behind them.
+#[test]
+fn a_report_does_not_wait_for_the_hosts_own_commands() {
+    with_host(&options(), |host| {
+        // Asking llvmpipe for timestamps waits for the whole device.
+        let without_times =
+            ContextOptions { timestamps: false, hazard_check: true, ..ContextOptions::default() };
+        // SAFETY: as in `guest`.
+        let context = unsafe { Context::from_foreign(&host.foreign(), &without_times) }.expect("a context");
+        let mut renderer = renderer(&context, 1);
+        let scene = DeviceScene::upload(&context, &cloud(300, 1), 0).expect("a scene");
+        let (settings, view, placed) = (RenderSettings::default(), camera(0.3, 64, 48), [(&scene).into()]);
+        let frame = InFlight::new(host).expect("a command buffer");
+        // SAFETY: valid create infos; the event is set below, so that the device goes on.
+        let gate = unsafe { host.device.create_event(&vk::EventCreateInfo::default(), None) };
+        let gate = gate.expect("an event");
+        frame.begin(host).expect("recording");
+        let recorded = RecordedFrame::new(&placed, &view, &settings);
+        renderer.record(adopt(&context, &frame), 0, &recorded).expect("a recording");
+        // SAFETY: recording state.
+        unsafe {
+            let (from, to) = (vk::PipelineStageFlags::HOST, vk::PipelineStageFlags::ALL_COMMANDS);
+            host.device.cmd_wait_events(frame.commands, &[gate], from, to, &[], &[], &[]);
+        }
+        frame.submit(host).expect("a submission");
+        let start = std::time::Instant::now();
+        let mut finished = renderer.slot_finished(0);
+        while matches!(finished, Ok(false)) && start.elapsed().as_secs() < 20 {
+            std::thread::yield_now();
+            finished = renderer.slot_finished(0);
+        }
+        let report = renderer.slot_report(0);
+        // Whatever came of it: first the device goes on.
+        // SAFETY: the event is alive until the submission is over.
+        unsafe { host.device.set_event(gate) }.expect("set");
+        frame.wait(host).expect("done");
+        assert!(finished.expect("a status"), "not finished before the host's own commands");
+        let report = report.expect("a report").expect("the frame was done");
+        assert!(report.visible > 100 && !report.overflow && report.scopes.is_empty(), "{report:?}");
+        // SAFETY: nobody waits for it any more.
+        unsafe { host.device.destroy_event(gate, None) };
+        frame.destroy(host);
+    });
+}
+
+/// A report is the same whenever it is asked for.
+#[test]
+fn a_report_is_kept() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let mut renderer = renderer(&context, 1);
+        let scene = DeviceScene::upload(&context, &cloud(300, 1), 0).expect("a scene");
+        let (settings, view, placed) = (RenderSettings::default(), camera(0.3, 64, 48), [(&scene).into()]);
+        rendered(host, &mut renderer, &RecordedFrame::new(&placed, &view, &settings));
+        let report = renderer.slot_report(0).expect("a report").expect("finished");
+        assert_eq!(report.scopes.is_empty(), context.limits().timestamp_period_ns == 0.0, "{report:?}");
+        assert_eq!(renderer.slot_report(0).expect("a report"), Some(report));
+    });
+}
+
+/// A recording that a panic or an error has cut off leaks nothing, and its slot is used again once it is discarded.
+#[test]
+fn an_unfinished_recording_gives_everything_back() {
+    for push_descriptors in [true, false] {
+        with_host(&HostOptions { push_descriptors, ..options() }, unfinished);
+    }
+}
+
+fn unfinished(host: &Host) {
+    let context = guest(host);
+    let mut slot = RecordSlot::new(&context, 4).expect("a slot");
+    let request = [("small", 16), ("large", 64)];
+    let buffers = context.allocate("test", &request, MemoryKind::Device).expect("memory");
+    for _ in 0..2 {
+        let frame = InFlight::new(host).expect("a command buffer");
+        frame.begin(host).expect("recording");
+        let mut recorder = slot.begin(adopt(&context, &frame), "test").expect("a recorder");
+        let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            recorder.fill(&buffers[1], 1);
+            recorder.copy(&buffers[1], &buffers[0]);
+        }));
+        assert!(panicked.is_err(), "a copy that does not fit");
+        drop(recorder);
+        // The host may execute what was recorded: nobody knows.
+        assert!(!slot.finished().expect("a status"));
+        let error = slot.begin(adopt(&context, &frame), "test").err().expect("in flight");
+        assert!(error.to_string().contains("in flight"), "{error}");
+        frame.destroy(host);
+        // SAFETY: the command buffer is gone without having been submitted.
+        unsafe { slot.discard() };
+    }
+    let frame = InFlight::new(host).expect("a command buffer");
+    frame.begin(host).expect("recording");
+    let mut recorder = slot.begin(adopt(&context, &frame), "test").expect("a recorder");
+    recorder.fill(&buffers[1], 1);
+    slot.end(recorder);
+    frame.submit(host).expect("a submission");
+    frame.wait(host).expect("done");
+    assert!(slot.finished().expect("a status"));
+    frame.destroy(host);
+}
+
+/// What a discarded recording would have been made of is not known, and what was before is not what is asked for.
+#[test]
+fn a_discarded_recording_has_no_report() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let mut renderer = renderer(&context, 1);
+        let (gaussians, view) = (cloud(300, 1), camera(0.3, 64, 48));
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let (settings, placed) = (RenderSettings::default(), [(&scene).into()]);
+        let recorded = RecordedFrame::new(&placed, &view, &settings);
+        assert_eq!(renderer.slot_report(0).expect("a report"), None, "never recorded");
+        rendered(host, &mut renderer, &recorded);
+        assert!(renderer.slot_report(0).expect("a report").is_some());
+        let frame = InFlight::new(host).expect("a command buffer");
+        frame.begin(host).expect("recording");
+        renderer.record(adopt(&context, &frame), 0, &recorded).expect("a recording");
+        frame.destroy(host);
+        // SAFETY: the command buffer was freed without ever being submitted.
+        unsafe { renderer.slot_recording(0).expect("a slot").discard() };
+        assert_eq!(renderer.slot_report(0).expect("a report"), None);
+        let pixels = rendered(host, &mut renderer, &recorded);
+        assert_same(&pixels, &owned(&gaussians, &view, &settings), [0.0; 3]);
+        assert!(renderer.slot_report(0).expect("a report").is_some());
+    });
+}
+
+/// The sum of weights / z is read from the slot as the pixels are.
+#[test]
+fn inverse_depth_lies_in_the_slot() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let mut renderer = renderer(&context, 1);
+        let (gaussians, view) = (cloud(300, 1), camera(0.3, 64, 48));
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let settings = RenderSettings { inverse_depth: true, ..RenderSettings::default() };
+        let placed = [(&scene).into()];
+        rendered(host, &mut renderer, &RecordedFrame::new(&placed, &view, &settings));
+        let (from, offset) = renderer.slot_inverse_depth(0).expect("a slot").handle();
+        let bytes = pixels_of(&view) * 4;
+        let staging = HostBuffer::new(host, bytes).expect("memory");
+        let copied = host.run(|commands| {
+            let region = vk::BufferCopy::default().src_offset(offset).size(bytes);
+            // SAFETY: recording state; both buffers hold a float for each pixel.
+            unsafe { host.device.cmd_copy_buffer(commands, from, staging.raw, &[region]) };
+            staging.to_host(host, commands);
+            Ok(())
+        });
+        copied.expect("copied");
+        let read: Vec<f32> =
+            bytemuck::pod_collect_to_vec(&staging.read(host, bytes as usize).expect("bytes"));
+        assert_eq!(Some(read), owned(&gaussians, &view, &settings).inverse_depth);
+        staging.destroy(host);
+    });
+}
+
+fn pixels_of(camera: &Camera) -> u64 {
+    u64::from(camera.width) * u64::from(camera.height)
+}
