@@ -1,5 +1,6 @@
 //! `ashsplat view` and `train --view`, spoken to as a page does it, but without a browser.
 
+mod films;
 mod frames;
 mod http;
 mod shapes;

@@ -1,4 +1,4 @@
-//! Frames, picks and films.
+//! Frames and picks.
 
 use super::*;
 use crate::cli::succeed;
@@ -145,49 +145,4 @@ fn viewer_complains_of_nonsense_and_goes_on() {
         assert!(problem.contains(word), "{message}: {problem}");
     }
     assert!(!page.look(&camera(0.0), &json!({})).picture.is_empty());
-}
-
-#[test]
-fn viewer_makes_films() {
-    let folder = tempdir().expect("a temporary folder");
-    let path = write_ball(folder.path(), 200);
-    let out = folder.path().join("films");
-    let server = Server::view(&path, &["-o", text(&out)]);
-    let mut page = server.page();
-    let key = |turn: f32| {
-        let camera = camera(turn);
-        let rows = message(&camera)["rotation"].clone();
-        json!({ "position": camera.position().to_array(), "rotation": rows, "fov_y": 0.7 })
-    };
-    let keys = [key(0.0), key(0.5), key(1.0)];
-    page.send(&json!({
-        "type": "film", "keys": keys, "seconds": 1, "frames_per_second": 6, "width": 64, "height": 48,
-    }));
-    let files = loop {
-        let film = page.wait_for("film");
-        if film["files"].is_object() {
-            break film["files"].clone();
-        }
-    };
-    let (code, head, gif) = server.get(&format!("/film/{}", files["gif"].as_str().expect("a GIF")), &[]);
-    assert!(code == 200 && head.contains("image/gif"), "{head}");
-    let decoder = image::codecs::gif::GifDecoder::new(std::io::Cursor::new(gif)).expect("a GIF");
-    let frames = image::AnimationDecoder::into_frames(decoder).collect_frames().expect("frames");
-    assert_eq!((frames.len(), frames[5].buffer().dimensions()), (6, (64, 48)));
-    // Either a film, or why there is none.
-    assert!(files["mp4"].is_string() != files["note"].is_string(), "{files}");
-    // The path is one for `render`, which makes the same frames of it.
-    let cameras = out.join(files["path"].as_str().expect("a path"));
-    let again = folder.path().join("again");
-    succeed(&["render", text(&path), "--path", text(&cameras), "-o", text(&again)]);
-    let bytes = |folder: &Path, index: u32| {
-        image::open(folder.join(format!("{index:05}.png"))).expect("a PNG").to_rgb8().into_raw()
-    };
-    let film = Path::new(files["frames"].as_str().expect("a folder"));
-    for index in 0..6 {
-        // Its cameras went through text: rounding may differ.
-        let (a, b) = (bytes(film, index), bytes(&again, index));
-        let worst = a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).max();
-        assert!(worst <= Some(2) && a.len() == b.len(), "frame {index}: {worst:?}");
-    }
 }

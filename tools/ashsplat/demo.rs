@@ -30,9 +30,8 @@ pub struct Arguments {
     /// Number of iterations; the schedule stretches with it
     #[arg(long, value_name = "N", default_value_t = ITERATIONS, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: u32,
-    /// How the data set lies on disk
-    #[arg(long, value_enum, default_value_t)]
-    layout: dataset::Layout,
+    #[command(flatten)]
+    choices: dataset::Choices,
     /// Only write the data set
     #[arg(long)]
     dataset_only: bool,
@@ -54,7 +53,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let start = Instant::now();
     let folder = &arguments.out;
     let data = folder.join("dataset");
-    let write = || dataset::write(&data, arguments.layout, u64::from(arguments.seed), arguments.quiet);
+    let write = || dataset::write(&data, &arguments.choices, u64::from(arguments.seed), arguments.quiet);
     if arguments.dataset_only {
         write()?;
         say!("data set        {}", data.display());

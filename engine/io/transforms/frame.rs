@@ -13,6 +13,9 @@ use crate::{Error, Result};
 /// How far `R Rᵀ` of a pose may be from a multiple of the identity, relative.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
+/// A scale this near to 1 is 1.
+const SCALE_ROUNDING: f64 = 1e-12;
+
 /// Endings that a path without one may have.
 const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "JPG"];
 
@@ -171,7 +174,8 @@ impl Reader<'_> {
         let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
         let axes = DMat3::from_cols(column(0), column(1), column(2));
         let scale = axes.determinant().cbrt();
-        let rotation = axes * (1.0 / scale);
+        // What is a rotation but for the rounding of doubles is taken as it is, to the bit.
+        let rotation = if (scale - 1.0).abs() < SCALE_ROUNDING { axes } else { axes * (1.0 / scale) };
         let off = rotation * rotation.transpose() - DMat3::IDENTITY;
         // Also false for a scale of 0, which gives NaN.
         if !(scale > 0.0 && off.to_cols_array().iter().all(|v| v.abs() < ROTATION_TOLERANCE)) {

@@ -7,8 +7,11 @@ use crate::output;
 use crate::progress::counting;
 use ashsplat::Result;
 use ashsplat::io::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat::io::{Photo, ply};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
-use glam::{Vec3, vec3};
+use clap::Args;
+use glam::{DMat3, DQuat, DVec3, Vec3, vec3};
+use image::RgbaImage;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;
@@ -44,62 +47,141 @@ pub enum Layout {
     NerfSynthetic,
 }
 
-/// Photographs the scene and writes it; the same files for the same seed.
-pub fn write(folder: &Path, layout: Layout, seed: u64, quiet: bool) -> Result<()> {
-    match layout {
-        Layout::Colmap => write_colmap(folder, seed, quiet),
-        Layout::NerfSynthetic => write_nerf_synthetic(folder, quiet),
+/// Whether the data set has points to start from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Points {
+    /// As structure from motion would leave them; points3d.ply beside transforms_train.json
+    Sparse,
+    /// None: training starts from random ones
+    None,
+}
+
+/// What of the data set can be chosen.
+#[derive(Args)]
+pub struct Choices {
+    /// How the data set lies on disk
+    #[arg(long, value_enum, default_value_t)]
+    layout: Layout,
+    /// Points to start from [default: sparse in COLMAP's layout, none in the other]
+    #[arg(long, value_enum, value_name = "KIND")]
+    points: Option<Points>,
+    /// Leave the sky out in COLMAP's layout too: black, as the other layout's transparent photographs are in training
+    #[arg(long)]
+    without_sky: bool,
+}
+
+impl Choices {
+    fn points(&self) -> Points {
+        self.points.unwrap_or(match self.layout {
+            Layout::Colmap => Points::Sparse,
+            Layout::NerfSynthetic => Points::None,
+        })
     }
 }
 
-/// Every so manieth view is held out, as it would be in the COLMAP folder.
-const TEST_EVERY: usize = 8;
-
-/// Cameras by the angle that they see and by matrices from camera to world, the camera's y up and z backward.
-fn write_nerf_synthetic(folder: &Path, quiet: bool) -> Result<()> {
+/// Photographs the scene and writes it; the same files for the same seed. With the same points and without the sky, both
+/// layouts say the same of cameras, photographs and points, to the bit.
+pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result<()> {
     let scene = Scene::demo();
     let cameras = cameras();
+    let sky = choices.layout == Layout::Colmap && !choices.without_sky;
+    let points = match choices.points() {
+        Points::Sparse => sparse_points(&scene, &cameras, sky, seed),
+        Points::None => PointCloud::default(),
+    };
     let bar = counting("photographs", cameras.len() as u64, quiet);
-    let (mut train, mut test) = (Vec::new(), Vec::new());
-    for (index, camera) in cameras.iter().enumerate() {
-        let (part, frames) =
-            if index.is_multiple_of(TEST_EVERY) { ("test", &mut test) } else { ("train", &mut train) };
-        let name = format!("{part}/r_{index:03}");
-        let photo = raycast::photograph_cutout(&scene, camera);
-        output::write_rgba_png(&folder.join(format!("{name}.png")), &photo)?;
-        let axes = camera.camera_from_world.transpose();
-        let eye = camera.position();
-        let rows: Vec<[f32; 4]> = (0..3)
-            .map(|r| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], eye[r]])
-            .chain([[0.0, 0.0, 0.0, 1.0]])
-            .collect();
-        frames.push(json!({ "file_path": format!("./{name}"), "rotation": 0.0, "transform_matrix": rows }));
-        bar.inc(1);
+    match choices.layout {
+        Layout::Colmap => {
+            let photograph = |camera: &Camera| match sky {
+                true => raycast::photograph(&scene, camera),
+                false => raycast::on_black(&raycast::photograph_cutout(&scene, camera)),
+            };
+            write_colmap(folder, &cameras, &points, |camera| {
+                bar.inc(1);
+                photograph(camera)
+            })?;
+        }
+        Layout::NerfSynthetic => write_nerf_synthetic(folder, &cameras, &points, |camera| {
+            bar.inc(1);
+            raycast::photograph_cutout(&scene, camera)
+        })?,
     }
     bar.finish_and_clear();
-    for (part, frames) in [("train", &train), ("val", &test), ("test", &test)] {
-        let document = json!({ "camera_angle_x": FOV_X, "frames": frames });
-        output::write_json(&folder.join(format!("transforms_{part}.json")), &document)?;
-    }
     Ok(())
 }
 
-fn write_colmap(folder: &Path, seed: u64, quiet: bool) -> Result<()> {
-    let scene = Scene::demo();
-    let cameras = cameras();
-    let bar = counting("photographs", cameras.len() as u64, quiet);
-    let mut images = Vec::with_capacity(cameras.len());
-    for (index, camera) in (0..).zip(&cameras) {
-        let name = format!("view_{index:03}.png");
-        let photo = raycast::photograph(&scene, camera);
-        output::write_png(&folder.join("images").join(&name), &photo)?;
-        images.push(ColmapImage::posed(index + 1, 1, name, camera));
-        bar.inc(1);
+/// Every so manieth view is held out, as it would be in the COLMAP folder.
+const TEST_EVERY: u32 = 8;
+
+/// Cameras by the angle that they see and by matrices from camera to world, the camera's y up and z backward.
+fn write_nerf_synthetic(
+    folder: &Path,
+    cameras: &[Camera],
+    points: &PointCloud,
+    photograph: impl Fn(&Camera) -> RgbaImage,
+) -> Result<()> {
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for (index, camera) in (0u32..).zip(cameras) {
+        let (part, frames) =
+            if index.is_multiple_of(TEST_EVERY) { ("test", &mut test) } else { ("train", &mut train) };
+        let name = format!("{part}/r_{index:03}");
+        output::write_rgba_png(&folder.join(format!("{name}.png")), &photograph(camera))?;
+        let rows = Pose::new(index, String::new(), camera).opengl_rows();
+        frames.push(json!({ "file_path": format!("./{name}"), "rotation": 0.0, "transform_matrix": rows }));
     }
-    bar.finish_and_clear();
-    let points = sparse_points(&scene, &cameras, seed);
+    let angle = 2.0 * (0.5 * f64::from(SIZE[0]) / f64::from(cameras[0].fx)).atan();
+    for (part, frames) in [("train", &train), ("val", &test), ("test", &test)] {
+        let document = json!({ "camera_angle_x": angle, "frames": frames });
+        output::write_json(&folder.join(format!("transforms_{part}.json")), &document)?;
+    }
+    if points.is_empty() {
+        return Ok(());
+    }
+    // Where the reference leaves the points of such scenes.
+    ply::write_points(folder.join("points3d.ply"), points)
+}
+
+/// Rotation and position of a camera in double precision, from which both layouts are written: then their readers, which
+/// count back, come to the same camera, to the bit.
+struct Pose {
+    camera_from_world: DMat3,
+    eye: DVec3,
+    image: ColmapImage,
+}
+
+impl Pose {
+    fn new(index: u32, name: String, camera: &Camera) -> Pose {
+        let mut image = ColmapImage::posed(index + 1, 1, name, camera);
+        let [w, x, y, z] = image.quat;
+        // Normalised once more, as readers do: what is nearly 0 in the matrix shows the last bits of its quaternion.
+        let camera_from_world = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+        let eye = camera.position().as_dvec3();
+        image.translation = (-(camera_from_world * eye)).to_array();
+        Pose { camera_from_world, eye, image }
+    }
+
+    /// From the camera (y up, z backward) to the world.
+    fn opengl_rows(&self) -> Vec<[f64; 4]> {
+        let axes = self.camera_from_world.transpose();
+        let rows = (0..3).map(|r| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], self.eye[r]]);
+        rows.chain([[0.0, 0.0, 0.0, 1.0]]).collect()
+    }
+}
+
+fn write_colmap(
+    folder: &Path,
+    cameras: &[Camera],
+    points: &PointCloud,
+    photograph: impl Fn(&Camera) -> Photo,
+) -> Result<()> {
+    let mut images = Vec::with_capacity(cameras.len());
+    for (index, camera) in (0..).zip(cameras) {
+        let name = format!("view_{index:03}.png");
+        output::write_png(&folder.join("images").join(&name), &photograph(camera))?;
+        images.push(Pose::new(index, name, camera).image);
+    }
     let lens = ColmapCamera::pinhole(1, &cameras[0]);
-    colmap::write(folder.join("sparse").join("0"), &[lens], &images, &points)
+    colmap::write(folder.join("sparse").join("0"), &[lens], &images, points)
 }
 
 /// Two circles of cameras, the upper one turned by half a step.
@@ -119,7 +201,7 @@ fn cameras() -> Vec<Camera> {
 }
 
 /// Points on surfaces that the cameras see, through random pixels, with an error and the pixel's colour.
-fn sparse_points(scene: &Scene, cameras: &[Camera], seed: u64) -> PointCloud {
+fn sparse_points(scene: &Scene, cameras: &[Camera], sky: bool, seed: u64) -> PointCloud {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut points = PointCloud::default();
     while points.len() < POINTS {
@@ -127,7 +209,7 @@ fn sparse_points(scene: &Scene, cameras: &[Camera], seed: u64) -> PointCloud {
         let (x, y) = (random.random_range(0..camera.width), random.random_range(0..camera.height));
         let ray = Ray::through_pixel(camera, x as f32 + 0.5, y as f32 + 0.5);
         let hit = raycast::first_hit(scene, &ray);
-        if hit.is_none() && random.random_range(0..SKY_SHARE) != 0 {
+        if hit.is_none() && (!sky || random.random_range(0..SKY_SHARE) != 0) {
             continue;
         }
         let distance = hit.map_or_else(|| ray.sky_distance(), |hit| hit.distance);

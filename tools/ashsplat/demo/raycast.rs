@@ -4,7 +4,7 @@ use super::scene::{Object, SKY_RADIUS, Scene, Shape};
 use ashsplat::io::Photo;
 use ashsplat::scene::Camera;
 use glam::{Mat3, Vec3, vec3};
-use image::RgbaImage;
+use image::{Rgba, RgbaImage};
 use rayon::prelude::*;
 
 /// Rays per pixel and axis: 9 rays each, on a regular grid, each with its own point of the sun's disc.
@@ -74,6 +74,15 @@ pub fn photograph_cutout(scene: &Scene, camera: &Camera) -> RgbaImage {
         [r, g, b, (255.0 * hits / (GRID * GRID) as f32).round() as u8]
     });
     RgbaImage::from_raw(camera.width, camera.height, rgba.collect()).unwrap_or_default()
+}
+
+/// A cutout on black, as readers of data sets see it there.
+pub fn on_black(cutout: &RgbaImage) -> Photo {
+    let shown = |pixel: &Rgba<u8>| {
+        let opacity = f32::from(pixel.0[3]) / 255.0;
+        [0, 1, 2].map(|channel| (f32::from(pixel.0[channel]) * opacity).round() as u8)
+    };
+    Photo { width: cutout.width(), height: cutout.height(), rgb: cutout.pixels().flat_map(shown).collect() }
 }
 
 /// The rays of a pixel, by number.

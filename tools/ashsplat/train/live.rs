@@ -1,5 +1,6 @@
 //! `train --view` and `--ip`: who looks on while training runs, and what they may cost.
 
+mod allowance;
 mod curves;
 
 use super::Run;
@@ -10,6 +11,7 @@ use crate::view::server::{self, ServeArguments, Site};
 use crate::view::sibr::{self, Wishes};
 use crate::view::studio::Studio;
 use crate::view::{self, Painter, Photos, Subject};
+use allowance::Allowance;
 use ashsplat::io::View;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
@@ -85,9 +87,9 @@ pub struct Live {
     hub: Arc<Hub>,
     wishes: Option<Arc<Wishes>>,
     curves: Arc<Mutex<Curves>>,
-    share: f64,
-    /// Before this, training has the device to itself.
-    next_turn: Instant,
+    allowance: Allowance,
+    /// Since when training has had the device to itself.
+    trains_since: Instant,
     renewed: Instant,
     paused: bool,
     /// Iterations that a paused training is to do.
@@ -132,8 +134,8 @@ impl Live {
             hub,
             wishes,
             curves,
-            share: arguments.view_share,
-            next_turn: Instant::now(),
+            allowance: Allowance::new(arguments.view_share),
+            trains_since: Instant::now(),
             renewed: Instant::now(),
             paused: false,
             steps: 0,
@@ -145,8 +147,10 @@ impl Live {
     /// Notes an iteration and serves whoever looks on, within the share.
     fn after_step(&mut self, trainer: &mut Trainer, report: &StepReport, test: &[View]) -> Result<Wish> {
         self.note(|curves| curves.step(report));
+        self.allowance.trained(self.trains_since.elapsed());
+        self.trains_since = Instant::now();
         let due = self.hub.pages() > 0 && report.iteration >= self.next_test;
-        if self.is_turn() && due && !test.is_empty() {
+        if self.allowance.permits() && due && !test.is_empty() {
             self.next_test = report.iteration + TEST_INTERVAL;
             self.timed(|live| live.measure(trainer, &test[live.tested % test.len()]))?;
         }
@@ -154,7 +158,7 @@ impl Live {
             self.renewed = Instant::now();
             self.hub.renew();
         }
-        if self.is_turn() && self.studio.is_wanted() {
+        if self.allowance.permits() && self.studio.is_wanted() {
             self.timed(|live| live.studio.serve(trainer, Duration::ZERO).map(|_| ()))?;
         }
         Ok(self.heed())
@@ -181,6 +185,8 @@ impl Live {
                 if !self.waits() {
                     self.steps = self.steps.saturating_sub(1);
                 }
+                // What was done meanwhile has cost training nothing.
+                self.trains_since = Instant::now();
                 return Ok(Wish { stop: wish.stop || stop, ..wish });
             }
         }
@@ -191,12 +197,18 @@ impl Live {
         forbidden || self.paused && self.steps == 0
     }
 
-    /// When training is over: the network viewer looks on as long as it wants.
+    /// When training is over: the network viewer looks on as long as it wants, and films are made to their end.
     fn end(&mut self, trainer: &mut Trainer, stop: &AtomicBool) -> Result<()> {
         let message = "training has ended; `ashsplat view MODEL` shows the result";
         self.hub.broadcast(&ToPage::json(&json!({ "type": "ended", "message": message })));
-        while self.wishes.as_ref().is_some_and(|w| w.wants_to_stay()) && !stop.load(Ordering::Relaxed) {
+        let stays = |live: &Live| {
+            live.studio.has_films() || live.wishes.as_ref().is_some_and(|wishes| wishes.wants_to_stay())
+        };
+        while stays(self) && !stop.load(Ordering::Relaxed) {
             self.studio.serve(trainer, REST)?;
+        }
+        if !stop.load(Ordering::Relaxed) {
+            self.studio.finish();
         }
         Ok(())
     }
@@ -210,16 +222,12 @@ impl Live {
         change(&mut self.curves.lock().unwrap_or_else(PoisonError::into_inner));
     }
 
-    fn is_turn(&self) -> bool {
-        Instant::now() >= self.next_turn
-    }
-
     /// Does something that counts: then training has its own share before the next.
     fn timed(&mut self, task: impl FnOnce(&mut Live) -> Result<()>) -> Result<()> {
         let start = Instant::now();
         let result = task(self);
-        let spent = start.elapsed();
-        self.next_turn = Instant::now() + spent.mul_f64((1.0 - self.share) / self.share);
+        self.allowance.spent(start.elapsed());
+        self.trains_since = Instant::now();
         result
     }
 

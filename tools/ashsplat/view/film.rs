@@ -1,28 +1,22 @@
-//! A camera path as a film: frames, an animated GIF, and an MP4 where ffmpeg is installed.
+//! A camera path as a film: its frames; [`assembly`] puts them together.
+
+pub mod assembly;
 
 use super::draw::{self, Painter};
 use super::protocol::{CameraMessage, FilmRequest, PathKey};
 use crate::output;
-use ashsplat::io::{Photo, atomic, cameras_json};
+use ashsplat::io::cameras_json;
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::{Error, RenderSettings, Result};
+use assembly::Assembly;
 use glam::{Mat3, Quat, Vec3};
-use image::codecs::gif::{GifEncoder, Repeat};
 use serde_json::{Value, json};
-use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 
 /// Most frames of a film.
 const MOST_FRAMES: u32 = 3000;
-/// Widest GIF; 8 bits of colour are no better at more.
-const GIF_WIDTH: u32 = 640;
-/// GIFs count in hundredths of a second, and browsers do not go below two.
-const GIF_LEAST_DELAY_MS: u32 = 20;
-/// 1 to 30, quicker: how carefully a GIF's colours are chosen.
-const GIF_SPEED: i32 = 10;
 
-/// A film that is being made, frame by frame.
+/// A film whose frames are being rendered.
 pub struct Film {
     client: u64,
     name: String,
@@ -31,20 +25,27 @@ pub struct Film {
     request: FilmRequest,
     /// Frames done.
     done: usize,
-    gif: Vec<Photo>,
 }
 
 impl Film {
     /// Checks what is asked for and writes the path, which `ashsplat render --path` reads.
     pub fn begin(client: u64, request: FilmRequest, folder: &Path) -> Result<Film> {
         let cameras = cameras(&request)?;
-        let taken = |number: &u32| folder.join(format!("film_{number:03}.json")).exists();
-        let number = (1..).find(|number| !taken(number)).unwrap_or_default();
-        let name = format!("film_{number:03}");
+        // Of an earlier film, nothing is overwritten, and nothing mixed with this one's.
+        let taken = |number: &u32| {
+            let name = film_name(*number);
+            folder.join(Film::path_name(&name)).exists() || folder.join(name).exists()
+        };
+        let name = film_name((1..).find(|number| !taken(number)).unwrap_or_default());
         let names: Vec<String> = (0..cameras.len()).map(|index| format!("{index:05}")).collect();
         let named = names.iter().map(String::as_str).zip(&cameras);
-        output::in_folder(&folder.join(format!("{name}.json")), |path| cameras_json::write(path, named))?;
-        Ok(Film { client, name, folder: folder.to_owned(), cameras, request, done: 0, gif: Vec::new() })
+        output::in_folder(&folder.join(Film::path_name(&name)), |path| cameras_json::write(path, named))?;
+        Ok(Film { client, name, folder: folder.to_owned(), cameras, request, done: 0 })
+    }
+
+    /// The file with a film's cameras.
+    fn path_name(name: &str) -> String {
+        format!("{name}.json")
     }
 
     /// Who asked for it.
@@ -52,85 +53,36 @@ impl Film {
         self.client
     }
 
-    pub fn is_done(&self) -> bool {
-        self.done > self.cameras.len()
+    /// What to put together, when all frames are there.
+    pub fn assembly(&self) -> Option<Assembly> {
+        (self.done == self.cameras.len()).then(|| Assembly {
+            name: self.name.clone(),
+            folder: self.folder.clone(),
+            frames: self.done,
+            frames_per_second: self.request.frames_per_second,
+        })
     }
 
-    /// Renders the next frame, or puts the film together; what to tell the page.
+    /// Renders the next frame; what to tell the page.
     pub fn advance(&mut self, painter: &mut dyn Painter, base: &RenderSettings) -> Result<Value> {
-        let total = self.cameras.len();
-        let Some(camera) = self.cameras.get(self.done) else {
-            let files = self.finish()?;
+        if let Some(camera) = self.cameras.get(self.done) {
+            let photo = draw::draw(painter, camera, base, &self.request.look)?.photo;
+            let frames = self.folder.join(&self.name);
+            output::write_png(&output::numbered(&frames, self.done, "png"), &photo)?;
             self.done += 1;
-            return Ok(json!({ "type": "film", "done": total, "total": total, "files": files }));
-        };
-        let photo = draw::draw(painter, camera, base, &self.request.look)?.photo;
-        output::write_png(&output::numbered(&self.frames(), self.done, "png"), &photo)?;
-        let width = photo.width.min(GIF_WIDTH);
-        let height = (photo.height * width / photo.width).max(1);
-        self.gif.push(photo.scaled_to(width, height)?);
-        self.done += 1;
-        Ok(json!({ "type": "film", "done": self.done, "total": total }))
-    }
-
-    fn frames(&self) -> PathBuf {
-        self.folder.join(&self.name)
-    }
-
-    /// The films' files, and what became of the MP4.
-    fn finish(&mut self) -> Result<Value> {
-        let gif = format!("{}.gif", self.name);
-        atomic::write(self.folder.join(&gif), |out| self.write_gif(out))?;
-        self.gif.clear();
-        let (mp4, note) = match self.write_mp4() {
-            Ok(name) => (Some(name), None),
-            Err(reason) => (None, Some(format!("no MP4: {reason}"))),
-        };
-        let path = format!("{}.json", self.name);
-        Ok(json!({ "gif": gif, "mp4": mp4, "path": path, "frames": self.frames(), "note": note }))
-    }
-
-    fn write_gif(&self, out: &mut dyn Write) -> std::io::Result<()> {
-        let mut encoder = GifEncoder::new_with_speed(out, GIF_SPEED);
-        encoder.set_repeat(Repeat::Infinite).map_err(std::io::Error::other)?;
-        let delay = (1000 / self.request.frames_per_second).max(GIF_LEAST_DELAY_MS);
-        for photo in &self.gif {
-            let rgba = photo.rgb.as_chunks::<3>().0.iter().flat_map(|&[r, g, b]| [r, g, b, 255]).collect();
-            let Some(buffer) = image::RgbaImage::from_raw(photo.width, photo.height, rgba) else {
-                return Err(std::io::Error::other("a frame without its size"));
-            };
-            let delay = image::Delay::from_numer_denom_ms(delay, 1);
-            let frame = image::Frame::from_parts(buffer, 0, 0, delay);
-            encoder.encode_frame(frame).map_err(std::io::Error::other)?;
         }
-        Ok(())
+        Ok(json!({ "type": "film", "done": self.done, "total": self.cameras.len() }))
     }
 
-    /// By ffmpeg, if it is there; its name, or why there is none.
-    fn write_mp4(&self) -> Result<String, String> {
-        let name = format!("{}.mp4", self.name);
-        let path = self.folder.join(&name);
-        let output = Command::new("ffmpeg")
-            .args(["-hide_banner", "-loglevel", "error", "-y", "-framerate"])
-            .arg(self.request.frames_per_second.to_string())
-            .arg("-i")
-            .arg(self.frames().join("%05d.png"))
-            // Most players want even sizes and 4:2:0.
-            .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-movflags", "+faststart"])
-            .arg(&path)
-            .stdin(Stdio::null())
-            .output();
-        match output {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Err("ffmpeg is not installed".into()),
-            Err(e) => Err(format!("ffmpeg cannot be started: {e}")),
-            Ok(done) if done.status.success() => Ok(name),
-            Ok(done) => {
-                std::fs::remove_file(&path).ok();
-                let said = String::from_utf8_lossy(&done.stderr);
-                Err(format!("ffmpeg: {}", said.lines().next().unwrap_or("failed")))
-            }
-        }
+    /// Removes what has been written of it.
+    pub fn discard(self) {
+        std::fs::remove_dir_all(self.folder.join(&self.name)).ok();
+        std::fs::remove_file(self.folder.join(Film::path_name(&self.name))).ok();
     }
+}
+
+fn film_name(number: u32) -> String {
+    format!("film_{number:03}")
 }
 
 /// The cameras of all frames.

@@ -58,8 +58,12 @@ struct State {
     turn: u64,
     remote: VecDeque<RemoteRequest>,
     actions: VecDeque<TrainAction>,
-    film: Option<(u64, FilmRequest)>,
-    cancelled: bool,
+    /// Films that wait for their turn, at most one of each page.
+    films: VecDeque<(u64, FilmRequest)>,
+    /// Whose film is being made.
+    filming: Option<u64>,
+    /// Whether that one is to end.
+    called_off: bool,
     /// The message that every page gets first.
     greeting: String,
     /// How training goes; see [`Hub::set_status`].
@@ -117,15 +121,8 @@ impl Hub {
     pub fn leave(&self, client: u64) {
         self.change(|state| {
             state.clients.remove(&client);
-            if state.film.as_ref().is_some_and(|(owner, _)| *owner == client) {
-                state.film = None;
-            }
+            state.call_off(client);
         });
-    }
-
-    /// Whether a page is there.
-    pub fn has(&self, client: u64) -> bool {
-        self.lock().clients.contains_key(&client)
     }
 
     /// Pages that are there.
@@ -187,34 +184,47 @@ impl Hub {
         self.lock().actions.drain(..).collect()
     }
 
-    /// Asks for a film; false when another is waiting.
-    pub fn film(&self, client: u64, request: FilmRequest) -> bool {
+    /// Asks for a film: how many come before it, or none when the page has one already.
+    pub fn film(&self, client: u64, request: FilmRequest) -> Option<usize> {
         self.change(|state| {
-            let free = state.film.is_none();
-            if free {
-                state.film = Some((client, request));
-                state.cancelled = false;
+            let has = state.filming == Some(client) || state.films.iter().any(|(owner, _)| *owner == client);
+            if has || !state.clients.contains_key(&client) {
+                return None;
             }
-            free
+            state.films.push_back((client, request));
+            Some(state.films.len() - 1 + usize::from(state.filming.is_some()))
         })
     }
 
-    /// No film after all.
-    pub fn cancel_film(&self) {
-        self.change(|state| {
-            state.film = None;
-            state.cancelled = true;
-        });
+    /// No film for this page after all; whether one was waiting, which is over now. One that is being made is over when
+    /// [`Hub::film_is_called_off`] has been asked.
+    pub fn cancel_film(&self, client: u64) -> bool {
+        self.change(|state| state.call_off(client))
     }
 
-    /// The film that is asked for.
+    /// The film that has waited for longest; from now on it is the one that is being made.
     pub fn take_film(&self) -> Option<(u64, FilmRequest)> {
-        self.lock().film.take()
+        self.change(|state| {
+            let next = state.films.pop_front()?;
+            (state.filming, state.called_off) = (Some(next.0), false);
+            Some(next)
+        })
     }
 
-    /// Whether the film was called off since it was last asked.
-    pub fn film_cancelled(&self) -> bool {
-        std::mem::take(&mut self.lock().cancelled)
+    /// Whether the film that is being made is wanted no longer: its page has said so, or has gone.
+    pub fn film_is_called_off(&self) -> bool {
+        self.lock().called_off
+    }
+
+    /// The film that was being made no longer is.
+    pub fn film_ended(&self) {
+        self.change(|state| (state.filming, state.called_off) = (None, false));
+    }
+
+    /// Whether a film is being made or waits.
+    pub fn has_films(&self) -> bool {
+        let state = self.lock();
+        state.filming.is_some() || !state.films.is_empty()
     }
 
     /// Sends to one page.
@@ -239,7 +249,7 @@ impl Hub {
     /// Whether anybody waits for anything.
     pub fn is_wanted(&self) -> bool {
         let state = self.lock();
-        !state.remote.is_empty() || state.film.is_some() || state.clients.values().any(Client::waits)
+        !state.remote.is_empty() || !state.films.is_empty() || state.clients.values().any(Client::waits)
     }
 
     /// The next task; waits for one at most so long.
@@ -251,7 +261,7 @@ impl Hub {
                 return Some(task);
             }
             let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() || state.film.is_some() || !state.actions.is_empty() {
+            if left.is_zero() || !state.films.is_empty() || !state.actions.is_empty() {
                 return None;
             }
             state = match self.wake.wait_timeout(state, left) {
@@ -269,6 +279,14 @@ impl Client {
 }
 
 impl State {
+    /// A page's film is not wanted; whether it was still waiting.
+    fn call_off(&mut self, client: u64) -> bool {
+        self.called_off |= self.filming == Some(client);
+        let before = self.films.len();
+        self.films.retain(|(owner, _)| *owner != client);
+        self.films.len() < before
+    }
+
     /// What was asked by whoever has waited for longest for a turn.
     fn take_task(&mut self) -> Option<Task> {
         if let Some(request) = self.remote.pop_front() {
@@ -367,5 +385,46 @@ mod tests {
         let pick = Pick { id: 1, camera: view(1).camera, look: Look::default(), pixel: [0, 0] };
         let taken = (0..10).filter(|_| hub.pick(client, pick)).count();
         assert_eq!(taken, MOST_PICKS);
+    }
+
+    fn film() -> FilmRequest {
+        let look = Look::default();
+        FilmRequest {
+            keys: Vec::new(),
+            seconds: 1.0,
+            frames_per_second: 1,
+            closed: false,
+            width: 1,
+            height: 1,
+            look,
+        }
+    }
+
+    #[test]
+    fn films_wait_for_their_turn_and_pages_call_off_their_own_only() {
+        let hub = Hub::default();
+        let (out, _page) = unbounded_channel();
+        let [a, b, c] = [(); 3].map(|()| hub.join(out.clone()));
+        assert_eq!((hub.film(a, film()), hub.film(b, film())), (Some(0), Some(1)));
+        assert_eq!(hub.film(a, film()), None, "one of each page");
+        assert_eq!(hub.take_film().map(|(owner, _)| owner), Some(a));
+        assert_eq!((hub.film(c, film()), hub.film(a, film())), (Some(2), None));
+        // One that waits goes at once, and not the one that is being made.
+        assert!(hub.cancel_film(b) && !hub.film_is_called_off());
+        assert!(!hub.cancel_film(b), "it has none any more");
+        // One that is being made is called off, whoever asks for another one meanwhile.
+        assert!(!hub.cancel_film(a));
+        assert_eq!(hub.film(b, film()), Some(2));
+        assert!(hub.film_is_called_off());
+        hub.film_ended();
+        assert_eq!(hub.take_film().map(|(owner, _)| owner), Some(c));
+        assert!(!hub.film_is_called_off(), "that was another");
+        // Whoever goes takes his films along.
+        hub.leave(b);
+        hub.leave(c);
+        assert!(hub.film_is_called_off());
+        hub.film_ended();
+        assert!(hub.take_film().is_none() && !hub.has_films());
+        assert_eq!(hub.film(c, film()), None, "nobody is there to see it");
     }
 }

@@ -14,6 +14,7 @@ use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use clap::Args;
+use serde_json::json;
 use std::net::{IpAddr, SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -280,12 +281,15 @@ fn heed(hub: &Hub, client: u64, text: &str) {
             }
         }
         Ok(FromPage::Train { action }) => hub.act(action),
-        Ok(FromPage::Film(request)) => {
-            if !hub.film(client, request) {
-                refuse("another film is being made");
+        Ok(FromPage::Film(request)) => match hub.film(client, request) {
+            Some(before) => hub.send(client, ToPage::json(&json!({ "type": "film", "waiting": before }))),
+            None => refuse("this page's film is being made: cancel it first"),
+        },
+        Ok(FromPage::Cancel) => {
+            if hub.cancel_film(client) {
+                hub.send(client, ToPage::json(&json!({ "type": "film", "cancelled": true })));
             }
         }
-        Ok(FromPage::Cancel) => hub.cancel_film(),
         Err(error) => refuse(&format!("not understood: {error}")),
     }
 }

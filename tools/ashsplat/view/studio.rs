@@ -1,14 +1,16 @@
 //! The one thread that renders: does the hub's tasks one by one.
 
 use super::draw::{self, Painter};
-use super::film::Film;
+use super::film::{Film, assembly};
 use super::hub::{Hub, RemoteRequest, Task};
 use super::protocol::{self, ToPage};
 use crate::output;
 use ashsplat::{Error, RenderSettings, Result};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 /// Serves pages with pictures of whatever is given to it.
@@ -19,11 +21,20 @@ pub struct Studio {
     /// Where films are put.
     films: PathBuf,
     film: Option<Film>,
+    /// Films whose frames are there, each on a thread of its own: neither frames nor training wait for them.
+    assembling: Vec<JoinHandle<()>>,
+    /// Whether nobody wants these any more.
+    abandoned: Arc<AtomicBool>,
 }
 
 impl Studio {
     pub fn new(hub: Arc<Hub>, base: RenderSettings, films: PathBuf) -> Studio {
-        Studio { hub, base, films, film: None }
+        Studio { hub, base, films, film: None, assembling: Vec::new(), abandoned: Arc::default() }
+    }
+
+    /// Whether a film is being made or waits for its turn.
+    pub fn has_films(&self) -> bool {
+        self.film.is_some() || self.hub.has_films()
     }
 
     /// Whether there is anything to do.
@@ -84,29 +95,91 @@ impl Studio {
         }
     }
 
-    /// One frame of the film that is being made, or of the next.
+    /// One frame of the film that is being made, or the beginning of the next.
     fn go_on_filming(&mut self, painter: &mut dyn Painter) -> Result<bool> {
-        if self.film.is_none() {
-            let Some((client, request)) = self.hub.take_film() else { return Ok(false) };
-            match Film::begin(client, request, &self.films) {
-                Ok(film) => self.film = Some(film),
-                Err(error) => self.hub.send(client, ToPage::problem(&error.to_string())),
-            }
-            return Ok(true);
-        }
-        let Some(mut film) = self.film.take() else { return Ok(false) };
-        if self.hub.film_cancelled() || !self.hub.has(film.client()) {
-            self.hub.send(film.client(), ToPage::json(&json!({ "type": "film", "cancelled": true })));
+        let Some(mut film) = self.film.take() else { return Ok(self.begin_film()) };
+        let client = film.client();
+        if self.hub.film_is_called_off() {
+            film.discard();
+            self.end_film(client, json!({ "type": "film", "cancelled": true }));
             return Ok(true);
         }
         match film.advance(painter, &self.base) {
-            Ok(progress) => {
-                self.hub.send(film.client(), ToPage::json(&progress));
-                self.film = (!film.is_done()).then_some(film);
+            Err(error) => {
+                film.discard();
+                self.end_film(client, json!({ "type": "film", "cancelled": true }));
+                self.reply(client, Err(error))?;
             }
-            Err(error) => self.reply(film.client(), Err(error))?,
+            Ok(progress) => match film.assembly() {
+                None => {
+                    self.hub.send(client, ToPage::json(&progress));
+                    self.film = Some(film);
+                }
+                Some(assembly) => {
+                    self.end_film(client, progress.clone());
+                    self.assemble(client, assembly, progress);
+                }
+            },
         }
         Ok(true)
+    }
+
+    fn begin_film(&mut self) -> bool {
+        let Some((client, request)) = self.hub.take_film() else { return false };
+        match Film::begin(client, request, &self.films) {
+            Ok(film) => self.film = Some(film),
+            Err(error) => {
+                self.end_film(client, json!({ "type": "film", "cancelled": true }));
+                self.hub.send(client, ToPage::problem(&error.to_string()));
+            }
+        }
+        true
+    }
+
+    /// Tells the page, and lets the next one begin.
+    fn end_film(&self, client: u64, message: Value) {
+        self.hub.film_ended();
+        self.hub.send(client, ToPage::json(&message));
+    }
+
+    /// Puts a film together and tells the page, while others are served.
+    fn assemble(&mut self, client: u64, film: assembly::Assembly, mut progress: Value) {
+        let (hub, abandoned) = (self.hub.clone(), self.abandoned.clone());
+        let work = move || {
+            let message = match film.run(&abandoned) {
+                Ok(files) => {
+                    progress["files"] = files;
+                    progress
+                }
+                Err(error) => {
+                    hub.send(client, ToPage::problem(&assembly::problem(&error)));
+                    json!({ "type": "film", "cancelled": true })
+                }
+            };
+            hub.send(client, ToPage::json(&message));
+        };
+        self.assembling.retain(|thread| !thread.is_finished());
+        match std::thread::Builder::new().name("film".into()).spawn(work) {
+            Ok(thread) => self.assembling.push(thread),
+            Err(error) => self.hub.send(client, ToPage::problem(&format!("no film: {error}"))),
+        }
+    }
+
+    /// Waits for the films whose frames are there.
+    pub fn finish(&mut self) {
+        // A panic has been reported already.
+        self.assembling.drain(..).for_each(|thread| drop(thread.join()));
+    }
+}
+
+impl Drop for Studio {
+    /// Nothing half-done is left.
+    fn drop(&mut self) {
+        self.abandoned.store(true, Ordering::Relaxed);
+        self.finish();
+        if let Some(film) = self.film.take() {
+            film.discard();
+        }
     }
 }
 

@@ -16,14 +16,13 @@ export class Film {
         find('film-load').onclick = () => find('film-file').click();
         find('film-file').onchange = () => this.load();
         link.on('film', (progress) => this.progress(progress));
-        link.on('problem', () => { if (this.rendering) this.stopped(); });
         link.on('close', () => this.stopped());
         this.list();
     }
 
     settings() {
         const [width, height] = find('film-size').value.split('x').map(Number);
-        return { seconds: Number(find('film-seconds').value), frames_per_second: Number(find('film-fps').value), closed: find('film-closed').checked, width, height };
+        return { seconds: Number(find('film-seconds').value), frames_per_second: Math.round(Number(find('film-fps').value)), closed: find('film-closed').checked, width, height };
     }
 
     add() {
@@ -95,8 +94,9 @@ export class Film {
         find('film-progress').hidden = true;
     }
 
-    progress({ done, total, files, cancelled }) {
+    progress({ done, total, files, cancelled, waiting }) {
         if (cancelled) return this.stopped();
+        if (waiting !== undefined) return this.bar(0, 1, waiting ? `waiting for ${waiting === 1 ? 'another film' : `${waiting} films`}` : 'waiting');
         this.bar(done, total, done === total && !files ? 'putting it together' : `frame ${done} of ${total}`);
         if (!files) return;
         this.stopped();

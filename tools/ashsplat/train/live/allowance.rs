@@ -1,0 +1,106 @@
+//! How much of training's time those who look on may take.
+
+use std::time::Duration;
+
+/// Whoever looks on runs into debt, which training works off: what takes a time `t` is followed by `t (1 - share) / share`
+/// of training before anything else is done for them. Time that nobody wants is not saved up, so that between any two
+/// moments they have taken at most `share` of the time, but for the one task that is the last.
+#[derive(Clone, Copy, Debug)]
+pub struct Allowance {
+    share: f64,
+    /// Training's time that has to pass.
+    debt: Duration,
+}
+
+impl Allowance {
+    /// For a share in (0, 1).
+    pub fn new(share: f64) -> Allowance {
+        Allowance { share, debt: Duration::ZERO }
+    }
+
+    /// Whether anything may be done for those who look on.
+    pub fn permits(&self) -> bool {
+        self.debt.is_zero()
+    }
+
+    /// Something was done for them, and took so long.
+    pub fn spent(&mut self, time: Duration) {
+        self.debt += time.mul_f64((1.0 - self.share) / self.share);
+    }
+
+    /// Training had the device for so long.
+    pub fn trained(&mut self, time: Duration) {
+        self.debt = self.debt.saturating_sub(time);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    const STEPS: usize = 4000;
+
+    /// A training of random steps, and pages that want pictures of random cost, all the time or now and then; for each step
+    /// the time that training took, and what was done for the pages after it.
+    fn looked_on(share: f64, seed: u64) -> Vec<(Duration, Duration)> {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut allowance = Allowance::new(share);
+        let mut wanted = false;
+        let milliseconds = |random: &mut ChaCha8Rng, most: f64| {
+            Duration::from_secs_f64(1e-3 * most * random.random::<f64>().powi(4))
+        };
+        let step = |_| {
+            let trained = milliseconds(&mut random, 80.0);
+            allowance.trained(trained);
+            wanted ^= random.random::<f64>() < 0.02;
+            let mut spent = Duration::ZERO;
+            if wanted && allowance.permits() {
+                spent = milliseconds(&mut random, 400.0);
+                allowance.spent(spent);
+            }
+            (trained, spent)
+        };
+        (0..STEPS).map(step).collect()
+    }
+
+    #[test]
+    fn viewers_never_take_more_than_their_share() {
+        for (seed, share) in [(1, 0.01), (2, 0.1), (3, 0.2), (4, 0.5), (5, 0.9)] {
+            let steps = looked_on(share, seed);
+            // Between any two moments: from each task on, up to the last.
+            let tasks: Vec<usize> = (0..STEPS).filter(|&step| !steps[step].1.is_zero()).collect();
+            for &from in tasks.iter().step_by(7) {
+                let (mut trained, mut spent) = (0.0, steps[from].1.as_secs_f64());
+                for (training, viewing) in &steps[from + 1..] {
+                    trained += training.as_secs_f64();
+                    if !viewing.is_zero() {
+                        let most = share / (1.0 - share) * trained;
+                        assert!(spent <= most + 1e-6, "{spent} s, {most} s allowed, at {share}");
+                        spent += viewing.as_secs_f64();
+                    }
+                }
+            }
+            let sum = |of: fn(&(Duration, Duration)) -> Duration| {
+                steps.iter().map(of).sum::<Duration>().as_secs_f64()
+            };
+            let taken = sum(|step| step.1) / (sum(|step| step.0) + sum(|step| step.1));
+            assert!(taken <= share * 1.05, "{taken} of {share}");
+            assert!(taken > 0.05 * share, "{taken}: nobody is served");
+        }
+    }
+
+    #[test]
+    fn idle_time_is_not_saved_up() {
+        let second = Duration::from_secs(1);
+        let mut allowance = Allowance::new(0.2);
+        allowance.trained(1000 * second);
+        assert!(allowance.permits(), "nobody waits for the first picture");
+        allowance.spent(second);
+        allowance.trained(Duration::from_millis(3999));
+        assert!(!allowance.permits());
+        allowance.trained(Duration::from_millis(1));
+        assert!(allowance.permits(), "a second of five");
+    }
+}
