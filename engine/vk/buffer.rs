@@ -24,7 +24,8 @@ impl Buffer {
     /// A range of a host's buffer.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle, no bytes, or an offset or size that is no multiple of 256 or 4.
+    /// [`Error::Argument`] for a null handle, no bytes, or an offset or size that is no multiple of 256 or 4; in a context
+    /// of our own that reads texels ([`ContextOptions::texels`](super::ContextOptions::texels)).
     ///
     /// # Safety
     /// - `raw` is of the context's device, bound to memory, has `offset + bytes` bytes at least and the usages
@@ -39,6 +40,7 @@ impl Buffer {
         offset: u64,
         bytes: u64,
     ) -> Result<Self> {
+        context.check_adoption()?;
         let bad = |problem: String| Err(Error::argument(format!("buffer '{name}'"), problem));
         if raw == vk::Buffer::null() {
             return bad("the handle is null".into());

@@ -60,6 +60,9 @@ pub struct ContextOptions {
     pub faults: Option<Faults>,
     /// Use VK_KHR_push_descriptor where the device has it. Default: yes.
     pub push_descriptors: bool,
+    /// Let kernels read buffers as texels where that is faster, on processors: by views that are made while recording, so
+    /// that no host's buffers and command buffers can be adopted there. Default: yes; never on a host's device.
+    pub texels: bool,
 }
 
 impl ContextOptions {
@@ -86,6 +89,7 @@ impl Default for ContextOptions {
             guard_bands: false,
             faults: None,
             push_descriptors: true,
+            texels: true,
         }
     }
 }
@@ -225,7 +229,7 @@ impl Context {
         let push = candidate.features.push_descriptor;
         let foreign = !matches!(owner, Owner::Us(_));
         let opened = effective_limits(&candidate, options).and_then(|mut limits| {
-            if foreign {
+            if foreign || !options.texels {
                 // Views of buffers are made while recording, and a host's buffers may lack the usage.
                 limits.max_texels = 0;
             }

@@ -103,7 +103,7 @@ impl Context {
     /// A host's command buffer, to record into through a slot.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle.
+    /// [`Error::Argument`] for a null handle, and in a context of our own that reads texels ([`ContextOptions::texels`]).
     ///
     /// # Safety
     /// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass, and
@@ -122,7 +122,18 @@ impl Context {
         if commands == vk::CommandBuffer::null() {
             return Err(Error::argument("command buffer", "the handle is null"));
         }
+        self.check_adoption()?;
         Ok(ForeignCommands { inner: self.0.clone(), raw: commands })
+    }
+
+    /// Fails where kernels read texels: the views are made while recording, and a host's buffers may lack the usage.
+    pub(super) fn check_adoption(&self) -> Result<()> {
+        if !self.limits().prefers_texels() {
+            return Ok(());
+        }
+        let problem = "its kernels read texels, which a host's buffers and command buffers are not fit for: open it with \
+                       ContextOptions::texels off, or make one of its handles by Context::from_foreign";
+        Err(Error::argument("context", problem))
     }
 
     /// Whether the instance and the device are a host's.

@@ -260,11 +260,11 @@ impl Block {
 
 impl Drop for Block {
     fn drop(&mut self) {
+        self.texels.destroy(&self.inner);
         if !self.owned {
             return;
         }
         self.inner.registry.remove(&self.arena, self.bytes);
-        self.texels.destroy(&self.inner);
         // SAFETY: recordings and submissions hold the block until they are done with it, so it is idle; null handles
         // are allowed.
         unsafe {

@@ -3,8 +3,8 @@
 use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::{HostBuffer, HostTexture};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, owned, rendered, with_host};
-use ashsplat::ash::vk;
-use ashsplat::vk::{Context, ContextOptions, Image, ImageState, ImageUse, MemoryKind, RecordSlot};
+use ashsplat::ash::{vk, vk::Handle};
+use ashsplat::vk::{Buffer, Context, ContextOptions, Image, ImageState, ImageUse, MemoryKind, RecordSlot};
 use ashsplat::{
     Behind, Camera, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
     Target,
@@ -232,6 +232,53 @@ fn inverse_depth_lies_in_the_slot() {
         assert_eq!(Some(read), owned(&gaussians, &view, &settings).inverse_depth);
         staging.destroy(host);
     });
+}
+
+/// A device of our own lent to a host: its kernels may not need views that only recording would make.
+#[test]
+fn a_device_of_our_own_records_for_a_host() {
+    let (gaussians, view) = (cloud(300, 1), camera(0.3, 64, 48));
+    let settings = RenderSettings::default();
+    let own = Context::new(&ContextOptions { texels: false, ..ContextOptions::default() }).expect("a device");
+    let (_, _, device, queue_family) = own.handles();
+    let scene = DeviceScene::upload(&own, &gaussians, 0).expect("a scene");
+    let mut renderer = renderer(&own, 1);
+    // SAFETY: valid create infos; the command buffer is waited for before anything of it is destroyed; the queue is used
+    // by this thread alone.
+    unsafe {
+        let pool = vk::CommandPoolCreateInfo::default().queue_family_index(queue_family);
+        let pool = device.create_command_pool(&pool, None).expect("a pool");
+        let commands = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
+        let commands = device.allocate_command_buffers(&commands).expect("a command buffer")[0];
+        device.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default()).expect("begun");
+        let placed = [(&scene).into()];
+        let adopted = own.adopt_commands(commands).expect("adopted");
+        renderer.record(adopted, 0, &RecordedFrame::new(&placed, &view, &settings)).expect("a recording");
+        device.end_command_buffer(commands).expect("ended");
+        let (buffers, queue) = ([commands], device.get_device_queue(queue_family, 0));
+        let submit = vk::SubmitInfo::default().command_buffers(&buffers);
+        device.queue_submit(queue, &[submit], vk::Fence::null()).expect("a submission");
+        device.queue_wait_idle(queue).expect("done");
+        device.destroy_command_pool(pool, None);
+    }
+    let pixels = renderer.slot_pixels(0).expect("a slot").range(0, pixels_of(&view) * 16);
+    let pixels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&own.download(&pixels).expect("pixels"));
+    assert_same(&pixels, &owned(&gaussians, &view, &settings), settings.background);
+
+    let usual = Context::new(&ContextOptions::default()).expect("a device");
+    if usual.limits().prefers_texels() {
+        // SAFETY: refused before anything is done with the handles.
+        let refused = unsafe {
+            [
+                usual.adopt_commands(vk::CommandBuffer::from_raw(1)).err(),
+                Buffer::adopt(&usual, "none", vk::Buffer::from_raw(1), 0, 256).err(),
+            ]
+        };
+        for error in refused {
+            let text = error.expect("refused").to_string();
+            assert!(text.contains("ContextOptions::texels") && !text.contains('\n'), "{text}");
+        }
+    }
 }
 
 fn pixels_of(camera: &Camera) -> u64 {

@@ -2,7 +2,7 @@
 
 use crate::host::Host;
 use crate::memory::{HostBuffer, HostTexture};
-use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
+use crate::stage::{assert_same, camera, cloud, guest, options, owned, read_texture, rendered, with_host};
 use ashsplat::ash::vk;
 use ashsplat::plan::ScenePlan;
 use ashsplat::scene::{Gaussians, Pose, Similarity};
@@ -339,7 +339,7 @@ fn expected_depth_is_the_depth_of_a_wall() {
             vk::PipelineStageFlags2::COMPUTE_SHADER,
             vk::AccessFlags2::SHADER_STORAGE_WRITE,
         );
-        let depths = texture.read(host, written, 4).expect("texels");
+        let depths = read_texture(host, &texture, written);
         let depths: Vec<f32> = bytemuck::pod_collect_to_vec(&depths);
         let mut covered = 0;
         for (depth, [_, _, _, transmittance]) in depths.into_iter().zip(pixels) {

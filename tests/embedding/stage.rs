@@ -1,7 +1,7 @@
 //! A host with a guest, and the checks at the end: validation silent, nothing of the guest's left on the device.
 
 use crate::host::{Host, HostOptions, InFlight};
-use crate::memory::HostBuffer;
+use crate::memory::{HostBuffer, HostTexture, Use};
 use ashsplat::ash::vk;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
 use ashsplat::vk::{Context, ContextOptions, ForeignCommands, validation_available};
@@ -111,6 +111,20 @@ pub fn copy_pixels(
         host.device.cmd_copy_buffer(in_flight.commands, from, to.raw, &[region]);
     }
     to.to_host(host, in_flight.commands);
+}
+
+/// The texels of an image of four bytes each, which was used so last.
+pub fn read_texture(host: &Host, texture: &HostTexture, from: Use) -> Vec<u8> {
+    let bytes = 4 * texture.size[0] as usize * texture.size[1] as usize;
+    let staging = HostBuffer::new(host, bytes as u64).expect("memory");
+    let copied = host.run(|commands| {
+        texture.record_read(host, commands, from, &staging);
+        Ok(())
+    });
+    copied.expect("copied");
+    let read = staging.read(host, bytes).expect("bytes");
+    staging.destroy(host);
+    read
 }
 
 /// Whether recorded pixels are those of a frame, to the bit.

@@ -24,6 +24,8 @@ pub const DEPTH_WRITTEN: Use = (
     vk::PipelineStageFlags2::LATE_FRAGMENT_TESTS,
     vk::AccessFlags2::DEPTH_STENCIL_ATTACHMENT_WRITE,
 );
+/// Nothing has used an image yet.
+pub const UNUSED: Use = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
 const SAMPLED: Use = (
     vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
     vk::PipelineStageFlags2::FRAGMENT_SHADER,
@@ -46,6 +48,8 @@ pub struct Cube {
 pub struct CubePass<'a> {
     pub color: &'a HostTexture,
     pub depth: &'a HostTexture,
+    /// How colour and depth were used last: waited for.
+    pub last: [Use; 2],
     pub background: [f32; 4],
     /// Column-major.
     pub clip_from_object: [f32; 16],
@@ -99,12 +103,13 @@ impl Cube {
 
     /// Records the pass: clears both attachments and draws the cube.
     pub fn record(&self, host: &Host, commands: vk::CommandBuffer, pass: &CubePass<'_>) {
-        let none = |to: Use| (vk::ImageLayout::UNDEFINED, to.1, vk::AccessFlags2::NONE);
-        pass.color.barrier(host, commands, none(COLOR_WRITTEN), COLOR_WRITTEN);
+        // What was drawn before is not wanted any more, but whoever uses it has to be done: the guest, in compute shaders.
+        let [color_last, depth_last] =
+            pass.last.map(|(_, stages, accesses)| (vk::ImageLayout::UNDEFINED, stages, accesses));
+        pass.color.barrier(host, commands, color_last, COLOR_WRITTEN);
         let early = vk::PipelineStageFlags2::EARLY_FRAGMENT_TESTS | DEPTH_WRITTEN.1;
         let both = vk::AccessFlags2::DEPTH_STENCIL_ATTACHMENT_READ | DEPTH_WRITTEN.2;
-        let from = (vk::ImageLayout::UNDEFINED, early, vk::AccessFlags2::NONE);
-        pass.depth.barrier(host, commands, from, (DEPTH_WRITTEN.0, early, both));
+        pass.depth.barrier(host, commands, depth_last, (DEPTH_WRITTEN.0, early, both));
         let color = vk::ClearValue { color: vk::ClearColorValue { float32: pass.background } };
         let far = if pass.reversed_depth { 0.0 } else { 1.0 };
         let depth = vk::ClearValue { depth_stencil: vk::ClearDepthStencilValue { depth: far, stencil: 0 } };

@@ -1,8 +1,8 @@
 //! What a host engine writes to have splats in its picture. The steps are numbered as in the README.
 
-use super::cube::{COLOR_WRITTEN, Cube, CubePass, DEPTH_WRITTEN};
+use super::cube::{COLOR_WRITTEN, Cube, CubePass, DEPTH_WRITTEN, UNUSED};
 use super::host::{Host, HostOptions, InFlight, Result};
-use super::memory::{HostTexture, Use};
+use super::memory::{HostBuffer, HostTexture, Use};
 use ashsplat::ash::vk;
 use ashsplat::scene::{ClipY, HostView, Pose};
 use ashsplat::vk::{Context, ContextOptions, Image, ImageState, ImageUse};
@@ -17,6 +17,7 @@ use std::path::Path;
 /// Width and height of the pictures.
 pub const SIZE: [u32; 2] = [480, 360];
 const FRAMES_IN_FLIGHT: u32 = 2;
+const PIXEL_BYTES: u64 = 4 * SIZE[0] as u64 * SIZE[1] as u64;
 
 /// A picture to draw.
 #[derive(Clone, Copy)]
@@ -39,10 +40,13 @@ pub const PICTURES: [Picture; 4] = [
 
 /// The engine with its guest.
 struct Engine {
-    frames: Vec<InFlight>,
+    /// Command buffers, and where the host reads their pictures.
+    frames: Vec<(InFlight, HostBuffer)>,
     cube: Cube,
     color: HostTexture,
     depth: HostTexture,
+    /// How the frame before has used both last.
+    last: [Use; 2],
     guest: Guest,
 }
 
@@ -66,14 +70,20 @@ impl Engine {
         let depth_usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | vk::ImageUsageFlags::SAMPLED;
         let color = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, color_usage, SIZE)?;
         let depth = HostTexture::new(host, vk::Format::D32_SFLOAT, depth_usage, SIZE)?;
-        let frames: Result<Vec<_>> = (0..FRAMES_IN_FLIGHT).map(|_| InFlight::new(host)).collect();
+        let frame = |_| Ok((InFlight::new(host)?, HostBuffer::new(host, PIXEL_BYTES)?));
+        let frames: Result<Vec<_>> = (0..FRAMES_IN_FLIGHT).map(frame).collect();
         let cube = Cube::new(host, color.format, depth.format)?;
-        Ok(Self { frames: frames?, cube, guest: Guest::new(host, &color, &depth)?, color, depth })
+        let (guest, last) = (Guest::new(host, &color, &depth)?, [UNUSED; 2]);
+        Ok(Self { frames: frames?, cube, guest, color, depth, last })
     }
 
-    /// Records one frame: the engine's own pass, then the splats, into the same command buffer.
-    fn record(&mut self, host: &Host, number: usize, picture: &Picture) -> Result<Release> {
-        let commands = self.frames[number % self.frames.len()].commands;
+    /// Records and submits a frame: the engine's own pass, the splats, and the copy to where the host reads it, all in one
+    /// command buffer. Several are in flight, and use the same images one after the other.
+    fn draw(&mut self, host: &Host, number: usize, picture: &Picture) -> Result<()> {
+        let slot = number % self.frames.len();
+        let (frame, pixels) = &self.frames[slot];
+        let commands = frame.commands;
+        frame.begin(host)?;
         let view = view(picture);
         let world_from_object = Mat4::from_rotation_y(picture.angle) * Mat4::from_rotation_x(0.4);
         let clip_from_object = view.clip_from_view * view.view_from_world * world_from_object;
@@ -83,12 +93,40 @@ impl Engine {
             &CubePass {
                 color: &self.color,
                 depth: &self.depth,
+                last: self.last,
                 background: [0.10, 0.12, 0.16, 1.0],
                 clip_from_object: clip_from_object.to_cols_array(),
                 reversed_depth: picture.reversed_depth,
             },
         );
-        self.guest.record(commands, number as u32 % FRAMES_IN_FLIGHT, picture, &view)
+        let release = self.guest.record(commands, slot as u32, picture, &view)?;
+        // 7. The release says what to wait for, and in which layouts the images are now: here for the copy, and for the next
+        // frame's pass, which may not write the depth before the guest has read it.
+        let [color, depth] = [release.color, release.occluder].map(|state| state.map(uses));
+        let color = self.color.record_read(host, commands, color.ok_or("the frame has a target")?, pixels);
+        self.last = [color, depth.ok_or("the frame has a depth")?];
+        frame.submit(host)
+    }
+
+    /// Waits for a frame and writes its picture; what is worth telling.
+    fn finish(&mut self, host: &Host, number: usize, folder: &Path) -> Result<String> {
+        let slot = number % self.frames.len();
+        let (frame, pixels) = &self.frames[slot];
+        frame.wait(host)?;
+        let bytes = pixels.read(host, PIXEL_BYTES as usize)?;
+        let path = folder.join(format!("embed_{}.png", PICTURES[number].name));
+        image::save_buffer(&path, &bytes, SIZE[0], SIZE[1], image::ColorType::Rgba8)?;
+        // 8. What the frame was made of, once it has finished; too little room is told, never a surprise.
+        let made = self.guest.renderer.slot_report(slot as u32)?.ok_or("the frame has finished")?;
+        Ok(format!(
+            "{}: {} of {} Gaussians visible, {} of {} instances{}",
+            path.display(),
+            made.visible,
+            made.gaussians,
+            made.instances_needed,
+            made.instance_capacity,
+            if made.overflow { ", too few" } else { "" }
+        ))
     }
 }
 
@@ -148,6 +186,10 @@ fn used(image: &Image, (layout, stages, accesses): Use) -> HostImage<'_> {
     HostImage { image, from: ImageState { layout, stages, accesses }, offset: [0; 2] }
 }
 
+fn uses(state: ImageState) -> Use {
+    (state.layout, state.stages, state.accesses)
+}
+
 /// Draws the pictures into a folder, each "embed_NAME.png"; returns what is worth telling.
 pub fn pictures(folder: &Path, options: &HostOptions) -> Result<Vec<String>> {
     // 1. The host creates its device and enables what `Context::requirements()` asks for.
@@ -167,32 +209,21 @@ fn draw(host: &Host, folder: &Path) -> Result<Vec<String>> {
     let mut engine = Engine::new(host)?;
     let mut report = Vec::new();
     for (number, picture) in PICTURES.iter().enumerate() {
-        let frame = number % engine.frames.len();
-        engine.frames[frame].begin(host)?;
-        let release = engine.record(host, number, picture)?;
-        engine.frames[frame].submit(host)?;
-        engine.frames[frame].wait(host)?;
-        // 7. The release says what to wait for, and in which layout the image is now.
-        let color = release.color.ok_or("the frame has a target")?;
-        let bytes = engine.color.read(host, (color.layout, color.stages, color.accesses), 4)?;
-        let path = folder.join(format!("embed_{}.png", picture.name));
-        image::save_buffer(&path, &bytes, SIZE[0], SIZE[1], image::ColorType::Rgba8)?;
-        // 8. What the frame was made of, once it has finished; too little room is told, never a surprise.
-        let made = engine.guest.renderer.slot_report(frame as u32)?.ok_or("the frame has finished")?;
-        report.push(format!(
-            "{}: {} of {} Gaussians visible, {} of {} instances{}",
-            path.display(),
-            made.visible,
-            made.gaussians,
-            made.instances_needed,
-            made.instance_capacity,
-            if made.overflow { ", too few" } else { "" }
-        ));
+        if number >= engine.frames.len() {
+            report.push(engine.finish(host, number - engine.frames.len(), folder)?);
+        }
+        engine.draw(host, number, picture)?;
     }
-    let Engine { frames, cube, color, depth, guest } = engine;
+    for number in PICTURES.len() - engine.frames.len()..PICTURES.len() {
+        report.push(engine.finish(host, number, folder)?);
+    }
+    let Engine { frames, cube, color, depth, guest, .. } = engine;
     // The guest goes before the images and the device that it looks at.
     drop(guest);
-    frames.into_iter().for_each(|frame| frame.destroy(host));
+    for (frame, pixels) in frames {
+        frame.destroy(host);
+        pixels.destroy(host);
+    }
     cube.destroy(host);
     color.destroy(host);
     depth.destroy(host);

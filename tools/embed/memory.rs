@@ -88,28 +88,20 @@ impl HostTexture {
         })
     }
 
-    /// Reads the image back: its layout and last use are `from`. Waits.
-    pub fn read(&self, host: &Host, from: Use, bytes_per_texel: u64) -> Result<Vec<u8>> {
-        let bytes = u64::from(self.size[0]) * u64::from(self.size[1]) * bytes_per_texel;
-        let staging = HostBuffer::new(host, bytes)?;
-        host.run(|commands| {
-            let read = (
-                vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
-                vk::PipelineStageFlags2::ALL_TRANSFER,
-                vk::AccessFlags2::TRANSFER_READ,
-            );
-            self.barrier(host, commands, from, read);
-            // SAFETY: recording state; the buffer holds the image.
-            unsafe {
-                let regions = [self.region()];
-                host.device.cmd_copy_image_to_buffer(commands, self.image, read.0, staging.raw, &regions);
-            }
-            staging.to_host(host, commands);
-            Ok(())
-        })?;
-        let read = staging.read(host, bytes as usize)?;
-        staging.destroy(host);
-        Ok(read)
+    /// Records a copy into a buffer that holds the image, and what makes it visible to the host; how the image is used then.
+    pub fn record_read(&self, host: &Host, commands: vk::CommandBuffer, from: Use, to: &HostBuffer) -> Use {
+        let read = (
+            vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+            vk::PipelineStageFlags2::ALL_TRANSFER,
+            vk::AccessFlags2::TRANSFER_READ,
+        );
+        self.barrier(host, commands, from, read);
+        // SAFETY: recording state; the buffer holds the image.
+        unsafe {
+            host.device.cmd_copy_image_to_buffer(commands, self.image, read.0, to.raw, &[self.region()]);
+        }
+        to.to_host(host, commands);
+        read
     }
 
     pub fn destroy(self, host: &Host) {
