@@ -39,6 +39,32 @@ typedef enum AshsplatBehind {
   AshsplatBehind_Image = 2,
 } AshsplatBehind;
 
+// Which pixels a Gaussian counts at.
+typedef enum AshsplatExtent {
+  // Wherever its alpha is at least 1/255.
+  AshsplatExtent_Exact = 0,
+  // In the tiles of the reference implementation's square of three standard deviations.
+  AshsplatExtent_Reference = 1,
+} AshsplatExtent;
+
+// Within which directions the projection is linearised at the Gaussian itself; beyond, at the limit.
+typedef enum AshsplatJacobianLimit {
+  // The picture's edges and 0.3 tan(fov/2) beyond.
+  AshsplatJacobianLimit_Edge = 0,
+  // 1.3 tan(fov/2) on either side of the optical axis, as the reference implementation does.
+  AshsplatJacobianLimit_Symmetric = 1,
+} AshsplatJacobianLimit;
+
+// What is drawn of each Gaussian.
+typedef enum AshsplatShape {
+  // The Gaussian itself.
+  AshsplatShape_Gaussian = 0,
+  // An opaque ellipsoid of two standard deviations.
+  AshsplatShape_Ellipsoid = 1,
+  // An opaque dot.
+  AshsplatShape_Point = 2,
+} AshsplatShape;
+
 // A device that everything runs on.
 typedef struct AshsplatContext AshsplatContext;
 
@@ -53,6 +79,24 @@ typedef struct AshsplatScene AshsplatScene;
 
 // Trains Gaussians on photographs.
 typedef struct AshsplatTrainer AshsplatTrainer;
+
+// How a frame is rendered; ashsplat_render_settings fills in the defaults.
+typedef struct AshsplatRenderSettings {
+  // An AshsplatExtent.
+  uint32_t extent;
+  // An AshsplatJacobianLimit.
+  uint32_t jacobian_limit;
+  // An AshsplatShape.
+  uint32_t shape;
+  // Highest degree of the spherical harmonics that is used: 3 for all that are stored.
+  uint32_t sh_degree;
+  // Factor of all scales: 1 for the scene as it is.
+  float scale_modifier;
+  // Whether opacities are compensated for the low-pass filter.
+  bool antialias;
+  // Whether the sum of weights / z is rendered as well: ashsplat_slot_inverse_depth.
+  bool inverse_depth;
+} AshsplatRenderSettings;
 
 // A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z + cy), where the
 // centre of the first pixel is (0.5, 0.5).
@@ -74,6 +118,44 @@ typedef struct AshsplatCamera {
   // Height of the picture, pixels.
   uint32_t height;
 } AshsplatCamera;
+
+// What is to be allocated, for a buffer.
+typedef struct AshsplatMemoryRequest {
+  // What it is for, for debugging; valid during the call.
+  const char *name;
+  // Bytes.
+  uint64_t bytes;
+  // The piece begins at a multiple of this in its memory.
+  uint64_t alignment;
+  // Bit i: memory type i will do.
+  uint32_t memory_types;
+  // Whether it has to be mapped; otherwise it is best device-local.
+  bool host_visible;
+} AshsplatMemoryRequest;
+
+// A piece of device memory.
+typedef struct AshsplatMemory {
+  // VkDeviceMemory.
+  uint64_t memory;
+  // Bytes in front of the piece there.
+  uint64_t offset;
+  // Where the piece begins in the address space if it is mapped, else NULL.
+  void *mapped;
+  // Whatever the allocator wants to know it by.
+  uint64_t id;
+} AshsplatMemory;
+
+// A host's allocator, which all buffers get their memory from. It is called by what allocates and frees, also from other
+// threads. Recording never allocates; it frees what only the slot's last frame still used, unless ashsplat_slot_release
+// has done so.
+typedef struct AshsplatAllocator {
+  // Handed to both functions.
+  void *user;
+  // Allocates a piece; false when it cannot. Mapped memory has to be host-coherent.
+  bool (*allocate)(void *user, const struct AshsplatMemoryRequest *request, struct AshsplatMemory *memory);
+  // Takes a piece back that is not in use any more.
+  void (*free)(void *user, struct AshsplatMemory memory);
+} AshsplatAllocator;
 
 // A host's device, and what was enabled when it was created.
 typedef struct AshsplatHost {
@@ -99,6 +181,8 @@ typedef struct AshsplatHost {
   uint32_t extension_count;
   // Whether VK_EXT_debug_utils was enabled.
   bool debug_utils;
+  // Where buffers get their memory from, or NULL: from the device itself. Copied; what it refers to is not.
+  const struct AshsplatAllocator *allocator;
 } AshsplatHost;
 
 // An image of a host's and how it was created: two-dimensional, one sample per pixel, optimal tiling.
@@ -128,30 +212,6 @@ typedef struct AshsplatDepthMapping {
   // See above.
   float clear_value;
 } AshsplatDepthMapping;
-
-// What is to be allocated ahead for recording.
-typedef struct AshsplatReservation {
-  // Frames in flight.
-  uint32_t slots;
-  // Gaussians of all scenes of a frame together.
-  uint32_t gaussians;
-  // Scenes of a frame.
-  uint32_t scenes;
-  // Highest degree of the scenes' spherical harmonics.
-  uint32_t sh_degree;
-  // (tile, Gaussian) instances of a frame; 0 for a guess. AshsplatReport says how many a frame needs.
-  uint32_t instances;
-  // Width of the largest picture, pixels.
-  uint32_t width;
-  // Height of the largest picture, pixels.
-  uint32_t height;
-  // Whether frames will be hidden behind a host's depth image.
-  bool occlusion;
-  // Whether frames will render expected depth.
-  bool expected_depth;
-  // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
-  uint64_t staging_bytes;
-} AshsplatReservation;
 
 // A scene and where it stands: x_world = scale rotation x_object + translation.
 typedef struct AshsplatPlaced {
@@ -212,24 +272,32 @@ typedef struct AshsplatFrame {
   uint32_t scene_count;
   // The camera; its width and height are the frame's.
   struct AshsplatCamera camera;
+  // How to render, or NULL for the defaults.
+  const struct AshsplatRenderSettings *settings;
   // The image that is written, or NULL: then the slot's own buffer, ashsplat_slot_pixels.
   const struct AshsplatImage *target;
   // What the host does with the target before.
   struct AshsplatImageState target_from;
-  // What lies behind the splats in the target.
-  enum AshsplatBehind behind;
+  // The target's texel that is the frame's pixel (0, 0).
+  uint32_t target_offset[2];
+  // What lies behind the splats in the target: an AshsplatBehind.
+  uint32_t behind;
   // Its colour, for AshsplatBehind_Color.
   float background[3];
   // The host's depth image, or NULL: splats behind it are hidden.
   const struct AshsplatImage *depth;
   // What the host does with the depth image before.
   struct AshsplatImageState depth_from;
+  // The depth image's texel that is the frame's pixel (0, 0).
+  uint32_t depth_offset[2];
   // How to read it.
   struct AshsplatDepthMapping depth_mapping;
   // The r32f image that expected depth is written to, or NULL.
   const struct AshsplatImage *expected_depth;
   // What the host does with that image before.
   struct AshsplatImageState expected_depth_from;
+  // That image's texel that is the frame's pixel (0, 0).
+  uint32_t expected_depth_offset[2];
   // Where the splats' weights sum to less, a pixel of expected depth is empty.
   float min_weight;
   // The expected depth of empty pixels.
@@ -255,26 +323,6 @@ typedef struct AshsplatRelease {
   struct AshsplatImageState expected_depth;
 } AshsplatRelease;
 
-// What a recorded frame was made of.
-typedef struct AshsplatReport {
-  // Whether the frame has finished; nothing else is said before.
-  bool finished;
-  // Whether something did not fit: the picture lacks what lies farthest back.
-  bool overflow;
-  // Gaussians in the frame's scenes.
-  uint32_t gaussians;
-  // Visible ones.
-  uint32_t visible;
-  // (tile, Gaussian) instances that the picture needs.
-  uint32_t instances_needed;
-  // Instances that there was room for.
-  uint32_t instance_capacity;
-  // Entries of the fullest tile.
-  uint32_t longest_tile;
-  // Time on the device, nanoseconds; 0 where it has no clock.
-  double nanoseconds;
-} AshsplatReport;
-
 // How parameters lie in a host's own buffers: plane p of the i-th Gaussian of a chunk at 16 * (p * stride + i) bytes,
 // four floats. Planes: mean and opacity logit; quaternion (w, x, y, z); log-scales and 0; then the coefficients of the
 // spherical harmonics, red, green and blue one after the other, filled up with zeros.
@@ -298,6 +346,57 @@ typedef struct AshsplatHostBuffer {
   // A multiple of 4.
   uint64_t bytes;
 } AshsplatHostBuffer;
+
+// What is to be allocated ahead for recording.
+typedef struct AshsplatReservation {
+  // Frames in flight.
+  uint32_t slots;
+  // Gaussians of all scenes of a frame together.
+  uint32_t gaussians;
+  // Scenes of a frame.
+  uint32_t scenes;
+  // Highest degree of the scenes' spherical harmonics.
+  uint32_t sh_degree;
+  // (tile, Gaussian) instances of a frame; 0 for a guess. AshsplatReport says how many a frame needs.
+  uint32_t instances;
+  // Width of the largest picture, pixels.
+  uint32_t width;
+  // Height of the largest picture, pixels.
+  uint32_t height;
+  // Passes of blending, 0 for one: more only for tiles so full that a driver's limit on loops cuts them off. AshsplatReport
+  // says how many a frame needs.
+  uint32_t blend_passes;
+  // Whether frames will render the sum of weights / z.
+  bool inverse_depth;
+  // Whether frames will be hidden behind a host's depth image.
+  bool occlusion;
+  // Whether frames will render expected depth.
+  bool expected_depth;
+  // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
+  uint64_t staging_bytes;
+} AshsplatReservation;
+
+// What a recorded frame was made of.
+typedef struct AshsplatReport {
+  // Whether the frame has finished; nothing else is said before.
+  bool finished;
+  // Whether something did not fit: the picture lacks what lies farthest back.
+  bool overflow;
+  // Gaussians in the frame's scenes.
+  uint32_t gaussians;
+  // Visible ones.
+  uint32_t visible;
+  // (tile, Gaussian) instances that the picture needs.
+  uint32_t instances_needed;
+  // Instances that there was room for.
+  uint32_t instance_capacity;
+  // Entries of the fullest tile.
+  uint32_t longest_tile;
+  // Passes of blending that the fullest tile needs.
+  uint32_t blend_passes_needed;
+  // Time on the device, nanoseconds; 0 where it has no clock.
+  double nanoseconds;
+} AshsplatReport;
 
 // A photograph to train on and where it was taken from.
 typedef struct AshsplatTrainView {
@@ -342,6 +441,12 @@ typedef struct AshsplatMaintenance {
 extern "C" {
 #endif // __cplusplus
 
+// The settings that a scene is trained with and shown as it is.
+//
+// # Safety
+// `settings` is valid for a write.
+enum AshsplatStatus ashsplat_render_settings(struct AshsplatRenderSettings *settings);
+
 // The message of this thread's last failure: one line, valid until the next.
 const char *ashsplat_last_error(void);
 
@@ -379,7 +484,7 @@ enum AshsplatStatus ashsplat_scene_size(const struct AshsplatScene *scene,
                                         uint32_t *gaussians,
                                         uint32_t *sh_degree);
 
-// Frees a scene. No recording that uses it may still be executed.
+// Frees a scene; slots keep it as long as their recordings use it.
 //
 // # Safety
 // `scene` is NULL or of this library and not used afterwards.
@@ -413,10 +518,12 @@ enum AshsplatStatus ashsplat_camera_look_at(const float *eye,
 // Renders a scene, submits and waits: `rgb` receives red, green and blue of each pixel, row by row, on a background.
 //
 // # Safety
-// `renderer`, `scene` and `camera` are alive, `background` has three floats, `rgb` room for 3 * width * height.
+// `renderer`, `scene` and `camera` are alive, `settings` too, or NULL for the defaults; `background` has three floats, `rgb`
+// room for 3 * width * height.
 enum AshsplatStatus ashsplat_render(struct AshsplatRenderer *renderer,
                                     const struct AshsplatScene *scene,
                                     const struct AshsplatCamera *camera,
+                                    const struct AshsplatRenderSettings *settings,
                                     const float *background,
                                     float *rgb);
 
@@ -444,6 +551,8 @@ enum AshsplatStatus ashsplat_merge_features(void *vulkan12,
 //   is made from it;
 // - the device was created from the physical device, with the queue family, the features and the extensions;
 // - while a queue is given, nobody else uses it during a call that submits;
+// - the functions of an allocator may be called from any thread until all that was made from the context is freed, and give
+//   memory that is as requested and nobody else's;
 // - `context` is valid for a write.
 enum AshsplatStatus ashsplat_context_from_host(const struct AshsplatHost *host,
                                                struct AshsplatContext **context);
@@ -458,7 +567,8 @@ enum AshsplatStatus ashsplat_image_adopt(const struct AshsplatContext *context,
                                          bool sampled,
                                          struct AshsplatImage **image);
 
-// Frees a view. No recording that uses it may still be executed; the image itself stays.
+// Frees a view; slots keep it as long as their recordings use it, and the host's image has to stay until they have let go:
+// ashsplat_slot_release.
 //
 // # Safety
 // `image` is NULL or of this library and not used afterwards.
@@ -477,44 +587,21 @@ enum AshsplatStatus ashsplat_camera_from_matrices(const float *view_from_world,
                                                   struct AshsplatCamera *camera,
                                                   struct AshsplatDepthMapping *mapping);
 
-// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before.
-//
-// # Safety
-// `renderer` and `wanted` are alive.
-enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
-                                     const struct AshsplatReservation *wanted);
-
 // Records a frame into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is wrong
 // with the frame is said before anything is recorded. The slot is in flight until the device has executed it.
 //
 // # Safety
 // - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
 //   submitted at most once before it is recorded again;
-// - renderer, scenes and images live until its execution is over;
+// - before the slot is recorded again or released, and before the renderer reserves anew or is freed, the execution of the
+//   whole command buffer is over: its fence was waited for; or the slot is discarded. ashsplat_slot_finished does not say
+//   that. Scenes and views of images may be freed before: the slot keeps what it uses;
 // - `frame` is valid with all that it points to, `release` for a write, or NULL.
 enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
                                     void *commands,
                                     uint32_t slot,
                                     const struct AshsplatFrame *frame,
                                     struct AshsplatRelease *release);
-
-// What the last frame of a slot was made of, once it has finished. Never waits.
-//
-// # Safety
-// `renderer` is alive, `report` valid for a write.
-enum AshsplatStatus ashsplat_slot_report(struct AshsplatRenderer *renderer,
-                                         uint32_t slot,
-                                         struct AshsplatReport *report);
-
-// The VkBuffer that a frame without target fills, and the bytes in front of it there: premultiplied red, green, blue
-// and transmittance of each pixel, row by row, as floats.
-//
-// # Safety
-// `renderer` is alive, `buffer` and `offset` are valid for a write.
-enum AshsplatStatus ashsplat_slot_pixels(struct AshsplatRenderer *renderer,
-                                         uint32_t slot,
-                                         uint64_t *buffer,
-                                         uint64_t *offset);
 
 // The device of a context, for a host that lets this library open one: each pointer may be NULL.
 //
@@ -571,6 +658,69 @@ enum AshsplatStatus ashsplat_scene_set_count(struct AshsplatScene *scene, uint32
 uint64_t ashsplat_update_bytes(uint32_t gaussians,
                                uint32_t sh_degree);
 
+// The settings that a scene is trained with and shown as it is.
+//
+// # Safety
+// `settings` is valid for a write.
+enum AshsplatStatus ashsplat_render_settings(struct AshsplatRenderSettings *settings);
+
+// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before, whose command
+// buffers have to be over.
+//
+// # Safety
+// `renderer` and `wanted` are alive.
+enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
+                                     const struct AshsplatReservation *wanted);
+
+// What the last frame of a slot was made of, once it has finished. Never waits, but on llvmpipe, where asking for the time
+// does.
+//
+// # Safety
+// `renderer` is alive, `report` valid for a write.
+enum AshsplatStatus ashsplat_slot_report(struct AshsplatRenderer *renderer,
+                                         uint32_t slot,
+                                         struct AshsplatReport *report);
+
+// The VkBuffer that a frame without target fills, and the bytes in front of it there: premultiplied red, green, blue
+// and transmittance of each pixel, row by row, as floats.
+//
+// # Safety
+// `renderer` is alive, `buffer` and `offset` are valid for a write.
+enum AshsplatStatus ashsplat_slot_pixels(struct AshsplatRenderer *renderer,
+                                         uint32_t slot,
+                                         uint64_t *buffer,
+                                         uint64_t *offset);
+
+// The VkBuffer that the sum of weights / z is rendered into (AshsplatRenderSettings), and the bytes in front of it there:
+// a float for each pixel, row by row.
+//
+// # Safety
+// As ashsplat_slot_pixels.
+enum AshsplatStatus ashsplat_slot_inverse_depth(struct AshsplatRenderer *renderer,
+                                                uint32_t slot,
+                                                uint64_t *buffer,
+                                                uint64_t *offset);
+
+// Whether the last frame of a slot is done. What the host has recorded behind it may still run. Never waits.
+//
+// # Safety
+// `renderer` is alive, `finished` valid for a write.
+enum AshsplatStatus ashsplat_slot_finished(struct AshsplatRenderer *renderer, uint32_t slot, bool *finished);
+
+// Lets go of what the last frame of a slot used: scenes and views that were freed meanwhile are destroyed now, and not
+// when the slot is recorded again.
+//
+// # Safety
+// `renderer` is alive; the frame's command buffer is over: its fence was waited for.
+enum AshsplatStatus ashsplat_slot_release(struct AshsplatRenderer *renderer,
+                                          uint32_t slot);
+
+// Forgets the last recording of a slot, whose command buffer was thrown away.
+//
+// # Safety
+// `renderer` is alive; the command buffer was not submitted and is not going to be, or its execution is over.
+enum AshsplatStatus ashsplat_slot_discard(struct AshsplatRenderer *renderer, uint32_t slot);
+
 // Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the largest distance
 // of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the names of the reference
 // implementation's settings, `{"iterations": 7000}`; what is missing keeps its default, and so does everything for NULL.
@@ -614,14 +764,22 @@ enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
 // # Safety
 // - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
 //   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
-// - the trainer lives until its execution is over;
+// - the trainer lives until its execution is over, and the slot is recorded again only then: its fence was waited for;
 // - `release` is NULL or valid for a write.
 enum AshsplatStatus ashsplat_trainer_record(struct AshsplatTrainer *trainer,
                                             void *commands,
                                             uint32_t slot,
                                             struct AshsplatRelease *release);
 
-// What came of the last recorded step of a slot. Never waits.
+// Forgets the last recorded step of a slot, whose command buffer was thrown away: then those of all steps recorded behind it
+// have to be thrown away as well.
+//
+// # Safety
+// `trainer` is alive; the command buffer was not submitted and is not going to be.
+enum AshsplatStatus ashsplat_trainer_discard(struct AshsplatTrainer *trainer,
+                                             uint32_t slot);
+
+// What came of the last recorded step of a slot. Never waits, but on llvmpipe, where asking for the time does.
 //
 // # Safety
 // `trainer` is alive, `step` valid for a write.
@@ -722,6 +880,8 @@ enum AshsplatStatus ashsplat_merge_features(void *vulkan12,
 //   is made from it;
 // - the device was created from the physical device, with the queue family, the features and the extensions;
 // - while a queue is given, nobody else uses it during a call that submits;
+// - the functions of an allocator may be called from any thread until all that was made from the context is freed, and give
+//   memory that is as requested and nobody else's;
 // - `context` is valid for a write.
 enum AshsplatStatus ashsplat_context_from_host(const struct AshsplatHost *host,
                                                struct AshsplatContext **context);
@@ -736,7 +896,8 @@ enum AshsplatStatus ashsplat_image_adopt(const struct AshsplatContext *context,
                                          bool sampled,
                                          struct AshsplatImage **image);
 
-// Frees a view. No recording that uses it may still be executed; the image itself stays.
+// Frees a view; slots keep it as long as their recordings use it, and the host's image has to stay until they have let go:
+// ashsplat_slot_release.
 //
 // # Safety
 // `image` is NULL or of this library and not used afterwards.
@@ -755,20 +916,15 @@ enum AshsplatStatus ashsplat_camera_from_matrices(const float *view_from_world,
                                                   struct AshsplatCamera *camera,
                                                   struct AshsplatDepthMapping *mapping);
 
-// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before.
-//
-// # Safety
-// `renderer` and `wanted` are alive.
-enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
-                                     const struct AshsplatReservation *wanted);
-
 // Records a frame into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is wrong
 // with the frame is said before anything is recorded. The slot is in flight until the device has executed it.
 //
 // # Safety
 // - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
 //   submitted at most once before it is recorded again;
-// - renderer, scenes and images live until its execution is over;
+// - before the slot is recorded again or released, and before the renderer reserves anew or is freed, the execution of the
+//   whole command buffer is over: its fence was waited for; or the slot is discarded. ashsplat_slot_finished does not say
+//   that. Scenes and views of images may be freed before: the slot keeps what it uses;
 // - `frame` is valid with all that it points to, `release` for a write, or NULL.
 enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
                                     void *commands,
@@ -776,7 +932,26 @@ enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
                                     const struct AshsplatFrame *frame,
                                     struct AshsplatRelease *release);
 
-// What the last frame of a slot was made of, once it has finished. Never waits.
+// The device of a context, for a host that lets this library open one: each pointer may be NULL.
+//
+// # Safety
+// `context` is alive; the pointers are NULL or valid for a write.
+enum AshsplatStatus ashsplat_context_handles(const struct AshsplatContext *context,
+                                             void **instance,
+                                             void **physical_device,
+                                             void **device,
+                                             uint32_t *queue_family);
+
+// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before, whose command
+// buffers have to be over.
+//
+// # Safety
+// `renderer` and `wanted` are alive.
+enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
+                                     const struct AshsplatReservation *wanted);
+
+// What the last frame of a slot was made of, once it has finished. Never waits, but on llvmpipe, where asking for the time
+// does.
 //
 // # Safety
 // `renderer` is alive, `report` valid for a write.
@@ -794,15 +969,35 @@ enum AshsplatStatus ashsplat_slot_pixels(struct AshsplatRenderer *renderer,
                                          uint64_t *buffer,
                                          uint64_t *offset);
 
-// The device of a context, for a host that lets this library open one: each pointer may be NULL.
+// The VkBuffer that the sum of weights / z is rendered into (AshsplatRenderSettings), and the bytes in front of it there:
+// a float for each pixel, row by row.
 //
 // # Safety
-// `context` is alive; the pointers are NULL or valid for a write.
-enum AshsplatStatus ashsplat_context_handles(const struct AshsplatContext *context,
-                                             void **instance,
-                                             void **physical_device,
-                                             void **device,
-                                             uint32_t *queue_family);
+// As ashsplat_slot_pixels.
+enum AshsplatStatus ashsplat_slot_inverse_depth(struct AshsplatRenderer *renderer,
+                                                uint32_t slot,
+                                                uint64_t *buffer,
+                                                uint64_t *offset);
+
+// Whether the last frame of a slot is done. What the host has recorded behind it may still run. Never waits.
+//
+// # Safety
+// `renderer` is alive, `finished` valid for a write.
+enum AshsplatStatus ashsplat_slot_finished(struct AshsplatRenderer *renderer, uint32_t slot, bool *finished);
+
+// Lets go of what the last frame of a slot used: scenes and views that were freed meanwhile are destroyed now, and not
+// when the slot is recorded again.
+//
+// # Safety
+// `renderer` is alive; the frame's command buffer is over: its fence was waited for.
+enum AshsplatStatus ashsplat_slot_release(struct AshsplatRenderer *renderer,
+                                          uint32_t slot);
+
+// Forgets the last recording of a slot, whose command buffer was thrown away.
+//
+// # Safety
+// `renderer` is alive; the command buffer was not submitted and is not going to be, or its execution is over.
+enum AshsplatStatus ashsplat_slot_discard(struct AshsplatRenderer *renderer, uint32_t slot);
 
 // Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the largest distance
 // of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the names of the reference
@@ -847,14 +1042,22 @@ enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
 // # Safety
 // - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
 //   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
-// - the trainer lives until its execution is over;
+// - the trainer lives until its execution is over, and the slot is recorded again only then: its fence was waited for;
 // - `release` is NULL or valid for a write.
 enum AshsplatStatus ashsplat_trainer_record(struct AshsplatTrainer *trainer,
                                             void *commands,
                                             uint32_t slot,
                                             struct AshsplatRelease *release);
 
-// What came of the last recorded step of a slot. Never waits.
+// Forgets the last recorded step of a slot, whose command buffer was thrown away: then those of all steps recorded behind it
+// have to be thrown away as well.
+//
+// # Safety
+// `trainer` is alive; the command buffer was not submitted and is not going to be.
+enum AshsplatStatus ashsplat_trainer_discard(struct AshsplatTrainer *trainer,
+                                             uint32_t slot);
+
+// What came of the last recorded step of a slot. Never waits, but on llvmpipe, where asking for the time does.
 //
 // # Safety
 // `trainer` is alive, `step` valid for a write.

@@ -40,7 +40,7 @@ int main(int count, char **arguments) {
     if (rgb == NULL) {
         return 2;
     }
-    check(ashsplat_render(renderer, scene, &camera, background, rgb), "rendering");
+    check(ashsplat_render(renderer, scene, &camera, NULL, background, rgb), "rendering");
     check(ashsplat_write_png(arguments[2], WIDTH, HEIGHT, rgb), "writing the picture");
     printf("ashsplat %s: %u Gaussians of degree %u -> %s\n", ashsplat_version(), gaussians, sh_degree, arguments[2]);
 

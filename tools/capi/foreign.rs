@@ -1,19 +1,22 @@
 //! A host's device, images and command buffers in C.
 
+use super::allocator::Adapter;
 use super::{
-    AshsplatBehind, AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatFrame, AshsplatHost,
-    AshsplatHostImage, AshsplatImageState, AshsplatPlaced, AshsplatRelease, AshsplatRenderer, AshsplatReport,
-    AshsplatReservation, AshsplatStatus, borrowed, borrowed_mut, give, guarded, scenes, slice, take,
+    AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatFrame, AshsplatHost, AshsplatHostImage,
+    AshsplatImageState, AshsplatPlaced, AshsplatRelease, AshsplatRenderer, AshsplatStatus, borrowed,
+    borrowed_mut, give, guarded, scenes, settings, slice, take,
 };
 use ashsplat::ash::{self, vk, vk::Handle};
 use ashsplat::scene::{ClipY, HostView};
-use ashsplat::vk::{Context, ContextOptions, Features, ForeignDevice, ForeignImage, Image, ImageUse};
+use ashsplat::vk::{
+    Context, ContextOptions, Features, ForeignDevice, ForeignImage, HostAllocator, Image, ImageUse,
+};
 use ashsplat::{
-    Behind, DepthTarget, Error, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Reservation,
-    Result, Target,
+    DepthTarget, Error, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Result, Target,
 };
 use glam::Mat4;
 use std::ffi::{CStr, c_char, c_void};
+use std::sync::Arc;
 
 /// A view of a host's image.
 pub struct AshsplatImage(Image);
@@ -53,6 +56,8 @@ pub unsafe extern "C" fn ashsplat_merge_features(
 ///   is made from it;
 /// - the device was created from the physical device, with the queue family, the features and the extensions;
 /// - while a queue is given, nobody else uses it during a call that submits;
+/// - the functions of an allocator may be called from any thread until all that was made from the context is freed, and give
+///   memory that is as requested and nobody else's;
 /// - `context` is valid for a write.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_context_from_host(
@@ -92,6 +97,8 @@ unsafe fn from_host(host: &AshsplatHost) -> Result<Context> {
         let names = slice(host.extensions, host.extension_count as usize, "extensions")?;
         let extensions: Vec<&CStr> =
             names.iter().filter(|name| !name.is_null()).map(|&name| CStr::from_ptr(name)).collect();
+        let allocator = host.allocator.as_ref().map(|allocator| Adapter::new(allocator)).transpose()?;
+        let allocator = allocator.map(|adapter| Arc::new(adapter) as Arc<dyn HostAllocator>);
         let foreign = ForeignDevice {
             instance: &instance,
             physical_device: vk::PhysicalDevice::from_raw(handle(host.physical_device)),
@@ -101,7 +108,7 @@ unsafe fn from_host(host: &AshsplatHost) -> Result<Context> {
             features,
             extensions: &extensions,
             debug_utils: host.debug_utils,
-            allocator: None,
+            allocator,
         };
         Context::from_foreign(&foreign, &ContextOptions::default())
     }
@@ -136,7 +143,8 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
     })
 }
 
-/// Frees a view. No recording that uses it may still be executed; the image itself stays.
+/// Frees a view; slots keep it as long as their recordings use it, and the host's image has to stay until they have let go:
+/// ashsplat_slot_release.
 ///
 /// # Safety
 /// `image` is NULL or of this library and not used afterwards.
@@ -179,37 +187,15 @@ pub unsafe extern "C" fn ashsplat_camera_from_matrices(
     })
 }
 
-/// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before.
-///
-/// # Safety
-/// `renderer` and `wanted` are alive.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn ashsplat_reserve(
-    renderer: *mut AshsplatRenderer,
-    wanted: *const AshsplatReservation,
-) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        let (renderer, w) = (borrowed_mut(renderer, "renderer")?, borrowed(wanted, "reservation")?);
-        renderer.0.reserve(&Reservation {
-            slots: w.slots,
-            scenes: w.scenes,
-            instances: w.instances,
-            occlusion: w.occlusion,
-            expected_depth: w.expected_depth,
-            staging_bytes: w.staging_bytes,
-            ..Reservation::new(w.gaussians, w.sh_degree, w.width, w.height)
-        })
-    })
-}
-
 /// Records a frame into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is wrong
 /// with the frame is said before anything is recorded. The slot is in flight until the device has executed it.
 ///
 /// # Safety
 /// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
 ///   submitted at most once before it is recorded again;
-/// - renderer, scenes and images live until its execution is over;
+/// - before the slot is recorded again or released, and before the renderer reserves anew or is freed, the execution of the
+///   whole command buffer is over: its fence was waited for; or the slot is discarded. ashsplat_slot_finished does not say
+///   that. Scenes and views of images may be freed before: the slot keeps what it uses;
 /// - `frame` is valid with all that it points to, `release` for a write, or NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_record(
@@ -229,24 +215,21 @@ pub unsafe extern "C" fn ashsplat_record(
             slice(f.scenes, f.scene_count as usize, "scenes")?.iter().map(place).collect();
         let copied = scenes::copied(slice(f.updates, f.update_count as usize, "updates")?)?;
         let (scenes, updates) = (scenes?, scenes::updates(&copied));
-        let (camera, settings) = ((&f.camera).into(), RenderSettings::default());
+        let camera = (&f.camera).into();
+        let settings = f.settings.as_ref().map_or(Ok(RenderSettings::default()), |s| s.checked())?;
         let mut recorded =
             RecordedFrame { updates: &updates, ..RecordedFrame::new(&scenes, &camera, &settings) };
-        let used = |image, s: AshsplatImageState| HostImage { image, from: s.into(), offset: [0; 2] };
+        let used = |image, s: AshsplatImageState, offset| HostImage { image, from: s.into(), offset };
         if let Some(image) = f.target.as_ref() {
-            let behind = match f.behind {
-                AshsplatBehind::Color => Behind::Color(f.background),
-                AshsplatBehind::Nothing => Behind::Nothing,
-                AshsplatBehind::Image => Behind::Image,
-            };
-            recorded.target = Target::Image { to: used(&image.0, f.target_from), behind };
+            let to = used(&image.0, f.target_from, f.target_offset);
+            recorded.target = Target::Image { to, behind: settings::behind(f.behind, f.background)? };
         }
         if let Some(image) = f.depth.as_ref() {
-            let depth = used(&image.0, f.depth_from);
+            let depth = used(&image.0, f.depth_from, f.depth_offset);
             recorded.occluder = Some(Occluder { depth, mapping: f.depth_mapping.into() });
         }
         if let Some(image) = f.expected_depth.as_ref() {
-            let to = used(&image.0, f.expected_depth_from);
+            let to = used(&image.0, f.expected_depth_from, f.expected_depth_offset);
             recorded.depth = Some(DepthTarget { to, min_weight: f.min_weight, empty: f.empty_depth });
         }
         let commands = vk::CommandBuffer::from_raw(commands as u64);
@@ -255,45 +238,6 @@ pub unsafe extern "C" fn ashsplat_record(
         if let Some(release) = release.as_mut() {
             *release = (&left).into();
         }
-        Ok(())
-    })
-}
-
-/// What the last frame of a slot was made of, once it has finished. Never waits.
-///
-/// # Safety
-/// `renderer` is alive, `report` valid for a write.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn ashsplat_slot_report(
-    renderer: *mut AshsplatRenderer,
-    slot: u32,
-    report: *mut AshsplatReport,
-) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        let made = borrowed_mut(renderer, "renderer")?.0.slot_report(slot)?;
-        *borrowed_mut(report, "report")? = made.map(AshsplatReport::from).unwrap_or_default();
-        Ok(())
-    })
-}
-
-/// The VkBuffer that a frame without target fills, and the bytes in front of it there: premultiplied red, green, blue
-/// and transmittance of each pixel, row by row, as floats.
-///
-/// # Safety
-/// `renderer` is alive, `buffer` and `offset` are valid for a write.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn ashsplat_slot_pixels(
-    renderer: *mut AshsplatRenderer,
-    slot: u32,
-    buffer: *mut u64,
-    offset: *mut u64,
-) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        let (raw, bytes) = borrowed_mut(renderer, "renderer")?.0.slot_pixels(slot)?.handle();
-        *borrowed_mut(buffer, "buffer")? = raw.as_raw();
-        *borrowed_mut(offset, "offset")? = bytes;
         Ok(())
     })
 }

@@ -4,13 +4,19 @@
 //! [`ashsplat_last_error`] has the message; no panic crosses the boundary. Vulkan's handles are passed as they are in
 //! C on 64-bit machines: dispatchable ones as pointers, the others as 64-bit numbers.
 
+mod allocator;
 mod foreign;
 mod scenes;
+mod settings;
+mod slots;
 mod training;
 mod types;
 
+pub use allocator::{AshsplatAllocator, AshsplatMemory, AshsplatMemoryRequest};
 pub use foreign::*;
 pub use scenes::*;
+pub use settings::*;
+pub use slots::*;
 pub use training::*;
 pub use types::*;
 
@@ -219,7 +225,7 @@ pub unsafe extern "C" fn ashsplat_scene_size(
     })
 }
 
-/// Frees a scene. No recording that uses it may still be executed.
+/// Frees a scene; slots keep it as long as their recordings use it.
 ///
 /// # Safety
 /// `scene` is NULL or of this library and not used afterwards.
@@ -284,12 +290,14 @@ pub unsafe extern "C" fn ashsplat_camera_look_at(
 /// Renders a scene, submits and waits: `rgb` receives red, green and blue of each pixel, row by row, on a background.
 ///
 /// # Safety
-/// `renderer`, `scene` and `camera` are alive, `background` has three floats, `rgb` room for 3 * width * height.
+/// `renderer`, `scene` and `camera` are alive, `settings` too, or NULL for the defaults; `background` has three floats, `rgb`
+/// room for 3 * width * height.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_render(
     renderer: *mut AshsplatRenderer,
     scene: *const AshsplatScene,
     camera: *const AshsplatCamera,
+    settings: *const AshsplatRenderSettings,
     background: *const f32,
     rgb: *mut f32,
 ) -> AshsplatStatus {
@@ -297,7 +305,8 @@ pub unsafe extern "C" fn ashsplat_render(
     guarded(|| unsafe {
         let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
         let camera = borrowed(camera, "camera")?.into();
-        let mut settings = RenderSettings::default();
+        let settings = settings.as_ref().map(AshsplatRenderSettings::checked).transpose()?;
+        let mut settings: RenderSettings = settings.unwrap_or_default();
         settings.background.copy_from_slice(slice(background, 3, "background")?);
         let first = borrowed_mut(rgb, "rgb")?;
         let frame = renderer.0.render_scene(&scene.scene, &camera, &settings)?;

@@ -196,7 +196,7 @@ pub unsafe extern "C" fn ashsplat_trainer_reserve(
 /// # Safety
 /// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
 ///   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
-/// - the trainer lives until its execution is over;
+/// - the trainer lives until its execution is over, and the slot is recorded again only then: its fence was waited for;
 /// - `release` is NULL or valid for a write.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_trainer_record(
@@ -217,7 +217,24 @@ pub unsafe extern "C" fn ashsplat_trainer_record(
     })
 }
 
-/// What came of the last recorded step of a slot. Never waits.
+/// Forgets the last recorded step of a slot, whose command buffer was thrown away: then those of all steps recorded behind it
+/// have to be thrown away as well.
+///
+/// # Safety
+/// `trainer` is alive; the command buffer was not submitted and is not going to be.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_discard(
+    trainer: *mut AshsplatTrainer,
+    slot: u32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        borrowed_mut(trainer, "trainer")?.0.step_recording(slot)?.discard();
+        Ok(())
+    })
+}
+
+/// What came of the last recorded step of a slot. Never waits, but on llvmpipe, where asking for the time does.
 ///
 /// # Safety
 /// `trainer` is alive, `step` valid for a write.

@@ -118,6 +118,8 @@ pub struct AshsplatHost {
     pub extension_count: u32,
     /// Whether VK_EXT_debug_utils was enabled.
     pub debug_utils: bool,
+    /// Where buffers get their memory from, or NULL: from the device itself. Copied; what it refers to is not.
+    pub allocator: *const super::AshsplatAllocator,
 }
 
 /// An image of a host's and how it was created: two-dimensional, one sample per pixel, optimal tiling.
@@ -170,6 +172,11 @@ pub struct AshsplatReservation {
     pub width: u32,
     /// Height of the largest picture, pixels.
     pub height: u32,
+    /// Passes of blending, 0 for one: more only for tiles so full that a driver's limit on loops cuts them off. AshsplatReport
+    /// says how many a frame needs.
+    pub blend_passes: u32,
+    /// Whether frames will render the sum of weights / z.
+    pub inverse_depth: bool,
     /// Whether frames will be hidden behind a host's depth image.
     pub occlusion: bool,
     /// Whether frames will render expected depth.
@@ -264,18 +271,6 @@ impl AshsplatPlaced {
     }
 }
 
-/// What lies behind the splats.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AshsplatBehind {
-    /// A background colour; the result is opaque.
-    Color = 0,
-    /// Nothing: premultiplied colour and alpha.
-    Nothing = 1,
-    /// What the image holds.
-    Image = 2,
-}
-
 /// A frame to record.
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -286,24 +281,32 @@ pub struct AshsplatFrame {
     pub scene_count: u32,
     /// The camera; its width and height are the frame's.
     pub camera: AshsplatCamera,
+    /// How to render, or NULL for the defaults.
+    pub settings: *const super::AshsplatRenderSettings,
     /// The image that is written, or NULL: then the slot's own buffer, ashsplat_slot_pixels.
     pub target: *const super::AshsplatImage,
     /// What the host does with the target before.
     pub target_from: AshsplatImageState,
-    /// What lies behind the splats in the target.
-    pub behind: AshsplatBehind,
+    /// The target's texel that is the frame's pixel (0, 0).
+    pub target_offset: [u32; 2],
+    /// What lies behind the splats in the target: an AshsplatBehind.
+    pub behind: u32,
     /// Its colour, for AshsplatBehind_Color.
     pub background: [f32; 3],
     /// The host's depth image, or NULL: splats behind it are hidden.
     pub depth: *const super::AshsplatImage,
     /// What the host does with the depth image before.
     pub depth_from: AshsplatImageState,
+    /// The depth image's texel that is the frame's pixel (0, 0).
+    pub depth_offset: [u32; 2],
     /// How to read it.
     pub depth_mapping: AshsplatDepthMapping,
     /// The r32f image that expected depth is written to, or NULL.
     pub expected_depth: *const super::AshsplatImage,
     /// What the host does with that image before.
     pub expected_depth_from: AshsplatImageState,
+    /// That image's texel that is the frame's pixel (0, 0).
+    pub expected_depth_offset: [u32; 2],
     /// Where the splats' weights sum to less, a pixel of expected depth is empty.
     pub min_weight: f32,
     /// The expected depth of empty pixels.
@@ -378,6 +381,8 @@ pub struct AshsplatReport {
     pub instance_capacity: u32,
     /// Entries of the fullest tile.
     pub longest_tile: u32,
+    /// Passes of blending that the fullest tile needs.
+    pub blend_passes_needed: u32,
     /// Time on the device, nanoseconds; 0 where it has no clock.
     pub nanoseconds: f64,
 }
@@ -392,6 +397,7 @@ impl From<SlotReport> for AshsplatReport {
             instances_needed: r.instances_needed,
             instance_capacity: r.instance_capacity,
             longest_tile: r.longest_tile,
+            blend_passes_needed: r.blend_passes_needed,
             nanoseconds: r.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds).sum(),
         }
     }

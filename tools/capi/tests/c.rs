@@ -4,7 +4,7 @@ use ashsplat::io::ply;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Frame, RenderSettings, Renderer};
-use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, Language};
+use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -28,10 +28,24 @@ fn the_header_is_what_the_sources_say() {
         usize_is_size_t: true,
         line_length: 110,
         enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
+        // They arrive as numbers: no function has them in its signature.
+        export: ExportConfig {
+            include: ["Behind", "Extent", "JacobianLimit", "Shape"].map(|e| format!("Ashsplat{e}")).to_vec(),
+            ..ExportConfig::default()
+        },
         ..Config::default()
     };
-    let sources =
-        ["types.rs", "lib.rs", "scenes.rs", "foreign.rs", "training.rs"].map(|name| folder().join(name));
+    let sources = [
+        "types.rs",
+        "settings.rs",
+        "allocator.rs",
+        "lib.rs",
+        "scenes.rs",
+        "foreign.rs",
+        "slots.rs",
+        "training.rs",
+    ]
+    .map(|name| folder().join(name));
     let builder = sources.iter().fold(Builder::new().with_config(config), |b, path| b.with_src(path));
     let mut made = Vec::new();
     builder.generate().expect("a header").write(&mut made);
@@ -234,6 +248,50 @@ fn a_host_in_c_has_scenes_of_its_own() {
         empty += u32::from(z == -1.0);
     }
     assert!(seen > 1000 && empty > 1000, "{seen} pixels with depth, {empty} without");
+}
+
+/// Its own allocator, settings, a part of a picture, the sum of weights / z, recordings that are thrown away.
+#[test]
+fn a_host_in_c_has_all_there_is() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [scene, picture, sums] =
+        ["scene.ply", "picture.png", "sums.bin"].map(|name| folder.path().join(name));
+    ply::write(&scene, &cloud()).expect("a PLY");
+    let said = host_in_c("guest", &[&scene, &picture, &sums]);
+    assert!(said.contains("of 500 Gaussians visible"), "{said}");
+    let context = Context::new(&ContextOptions::default()).expect("a device");
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    let read = ply::read(&scene, &ply::PlyOptions::default()).expect("a scene");
+    renderer.upload(&read.gaussians).expect("uploaded");
+    let camera = Camera::look_at(
+        Vec3::new(0.0, -1.0, -4.0),
+        Vec3::ZERO,
+        Vec3::NEG_Y,
+        Intrinsics::from_fov_x(0.7, 96, 64),
+    );
+    let settings = RenderSettings {
+        scale_modifier: 0.5,
+        sh_degree: Some(0),
+        antialias: true,
+        inverse_depth: true,
+        background: [0.0, 0.5, 0.0],
+        ..RenderSettings::default()
+    };
+    let expected = renderer.render(&camera, &settings).expect("a frame");
+    let bytes = std::fs::read(&sums).expect("sums");
+    let sums: Vec<f32> =
+        bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+    assert_eq!(Some(sums), expected.inverse_depth);
+    let png = image::open(&picture).expect("a picture").into_rgb8();
+    assert_eq!(png.dimensions(), (128, 80));
+    for (x, y, pixel) in png.enumerate_pixels() {
+        let inside = (20..116).contains(&x) && (8..72).contains(&y);
+        let color = if inside { expected.color[((y - 8) * 96 + x - 20) as usize] } else { [0.0; 3] };
+        for (byte, value) in pixel.0.iter().zip(color) {
+            let far = (f32::from(*byte) - 255.0 * value.clamp(0.0, 1.0)).abs();
+            assert!(far <= 0.51, "({x}, {y}): {byte}, {value}");
+        }
+    }
 }
 
 #[test]

@@ -76,6 +76,7 @@ enum {
     F(int, MapMemory, (void *, uint64_t, uint64_t, uint64_t, uint32_t, void **)) \
     F(void, CmdPipelineBarrier, (void *, uint32_t, uint32_t, uint32_t, uint32_t, const MemoryBarrier *, uint32_t, \
         const void *, uint32_t, const ImageBarrier *)) \
+    F(void, CmdClearColorImage, (void *, uint64_t, int, const float *, uint32_t, const Range *)) \
     F(void, CmdClearDepthStencilImage, (void *, uint64_t, int, const ClearDepth *, uint32_t, const Range *)) \
     F(void, CmdCopyImageToBuffer, (void *, uint64_t, int, uint64_t, uint32_t, const ImageCopy *)) \
     F(void, CmdCopyBuffer, (void *, uint64_t, uint64_t, uint32_t, const BufferCopy *))

@@ -47,6 +47,13 @@ int main(int count, char **arguments) {
     EXPECT(ashsplat_trainer_record(recorded, NULL, 0, NULL) == AshsplatStatus_Argument);
     /* Too little room at first: the first step changes nothing, and is recorded again. */
     check(ashsplat_trainer_reserve(recorded, 1, 10), "reserving");
+    /* A step that is thrown away is recorded again. */
+    AshsplatStep thrown;
+    check(ashsplat_trainer_record(recorded, host_begin(&host), 0, NULL), "recording a step");
+    require(host.EndCommandBuffer(host.commands), "vkEndCommandBuffer");
+    check(ashsplat_trainer_discard(recorded, 0), "throwing it away");
+    check(ashsplat_trainer_outcome(recorded, 0, &thrown), "asking for the outcome");
+    EXPECT(!thrown.finished && ashsplat_trainer_discard(recorded, 7) == AshsplatStatus_Argument);
     uint32_t densified = 0, overflowed = 0, iterations = 0;
     while (iterations < STEPS) {
         bool is_due = false;

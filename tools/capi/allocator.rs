@@ -1,0 +1,122 @@
+//! Memory from a host's own allocator, in C.
+
+use ashsplat::ash::{vk, vk::Handle};
+use ashsplat::vk::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
+use ashsplat::{Error, Result};
+use std::ffi::{CString, c_char, c_void};
+use std::ptr::NonNull;
+
+/// What is to be allocated, for a buffer.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatMemoryRequest {
+    /// What it is for, for debugging; valid during the call.
+    pub name: *const c_char,
+    /// Bytes.
+    pub bytes: u64,
+    /// The piece begins at a multiple of this in its memory.
+    pub alignment: u64,
+    /// Bit i: memory type i will do.
+    pub memory_types: u32,
+    /// Whether it has to be mapped; otherwise it is best device-local.
+    pub host_visible: bool,
+}
+
+/// A piece of device memory.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatMemory {
+    /// VkDeviceMemory.
+    pub memory: u64,
+    /// Bytes in front of the piece there.
+    pub offset: u64,
+    /// Where the piece begins in the address space if it is mapped, else NULL.
+    pub mapped: *mut c_void,
+    /// Whatever the allocator wants to know it by.
+    pub id: u64,
+}
+
+/// A host's allocator, which all buffers get their memory from. It is called by what allocates and frees, also from other
+/// threads. Recording never allocates; it frees what only the slot's last frame still used, unless ashsplat_slot_release
+/// has done so.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatAllocator {
+    /// Handed to both functions.
+    pub user: *mut c_void,
+    /// Allocates a piece; false when it cannot. Mapped memory has to be host-coherent.
+    pub allocate: Option<
+        unsafe extern "C" fn(
+            user: *mut c_void,
+            request: *const AshsplatMemoryRequest,
+            memory: *mut AshsplatMemory,
+        ) -> bool,
+    >,
+    /// Takes a piece back that is not in use any more.
+    pub free: Option<unsafe extern "C" fn(user: *mut c_void, memory: AshsplatMemory)>,
+}
+
+type Allocate = unsafe extern "C" fn(*mut c_void, *const AshsplatMemoryRequest, *mut AshsplatMemory) -> bool;
+type Free = unsafe extern "C" fn(*mut c_void, AshsplatMemory);
+
+/// The same as the library sees it.
+pub(super) struct Adapter {
+    user: *mut c_void,
+    allocate: Allocate,
+    free: Free,
+}
+
+// SAFETY: whoever hands an allocator over promises that it may be called from any thread.
+unsafe impl Send for Adapter {}
+// SAFETY: as above.
+unsafe impl Sync for Adapter {}
+
+impl Adapter {
+    /// # Safety
+    /// The functions keep what [`HostAllocator`] and their own documentation say, from any thread, as long as the adapter
+    /// lives.
+    pub(super) unsafe fn new(allocator: &AshsplatAllocator) -> Result<Self> {
+        let (Some(allocate), Some(free)) = (allocator.allocate, allocator.free) else {
+            return Err(Error::argument("allocator", "a function is null"));
+        };
+        Ok(Self { user: allocator.user, allocate, free })
+    }
+}
+
+// SAFETY: as whoever made the adapter has promised.
+unsafe impl HostAllocator for Adapter {
+    fn allocate(&self, request: &MemoryRequest<'_>) -> Result<HostMemory, String> {
+        let name = CString::new(request.name).unwrap_or_default();
+        let needs = request.requirements;
+        let request = AshsplatMemoryRequest {
+            name: name.as_ptr(),
+            bytes: needs.size,
+            alignment: needs.alignment,
+            memory_types: needs.memory_type_bits,
+            host_visible: request.kind == MemoryKind::HostVisible,
+        };
+        let mut piece = AshsplatMemory { memory: 0, offset: 0, mapped: std::ptr::null_mut(), id: 0 };
+        // SAFETY: the host's function with what it expects; both pointers live through the call.
+        let done = unsafe { (self.allocate)(self.user, &request, &mut piece) };
+        if !done || piece.memory == 0 {
+            return Err(format!("it has no {} bytes", needs.size));
+        }
+        Ok(HostMemory {
+            memory: vk::DeviceMemory::from_raw(piece.memory),
+            offset: piece.offset,
+            mapped: NonNull::new(piece.mapped.cast()),
+            id: piece.id,
+        })
+    }
+
+    fn free(&self, memory: HostMemory) {
+        let piece = AshsplatMemory {
+            memory: memory.memory.as_raw(),
+            offset: memory.offset,
+            mapped: memory.mapped.map_or(std::ptr::null_mut(), |address| address.as_ptr().cast()),
+            id: memory.id,
+        };
+        // SAFETY: a piece of this allocator's that is not used any more.
+        unsafe { (self.free)(self.user, piece) }
+    }
+}

@@ -1,0 +1,145 @@
+//! Frames in flight, in C.
+
+use super::{
+    AshsplatRenderer, AshsplatReport, AshsplatReservation, AshsplatStatus, borrowed, borrowed_mut, guarded,
+};
+use ashsplat::ash::vk::Handle;
+use ashsplat::vk::Buffer;
+use ashsplat::{Reservation, Result};
+
+/// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before, whose command
+/// buffers have to be over.
+///
+/// # Safety
+/// `renderer` and `wanted` are alive.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_reserve(
+    renderer: *mut AshsplatRenderer,
+    wanted: *const AshsplatReservation,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (renderer, w) = (borrowed_mut(renderer, "renderer")?, borrowed(wanted, "reservation")?);
+        renderer.0.reserve(&Reservation {
+            slots: w.slots,
+            scenes: w.scenes,
+            instances: w.instances,
+            blend_passes: w.blend_passes.max(1),
+            inverse_depth: w.inverse_depth,
+            occlusion: w.occlusion,
+            expected_depth: w.expected_depth,
+            staging_bytes: w.staging_bytes,
+            ..Reservation::new(w.gaussians, w.sh_degree, w.width, w.height)
+        })
+    })
+}
+
+/// What the last frame of a slot was made of, once it has finished. Never waits, but on llvmpipe, where asking for the time
+/// does.
+///
+/// # Safety
+/// `renderer` is alive, `report` valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_slot_report(
+    renderer: *mut AshsplatRenderer,
+    slot: u32,
+    report: *mut AshsplatReport,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let made = borrowed_mut(renderer, "renderer")?.0.slot_report(slot)?;
+        *borrowed_mut(report, "report")? = made.map(AshsplatReport::from).unwrap_or_default();
+        Ok(())
+    })
+}
+
+/// The VkBuffer that a frame without target fills, and the bytes in front of it there: premultiplied red, green, blue
+/// and transmittance of each pixel, row by row, as floats.
+///
+/// # Safety
+/// `renderer` is alive, `buffer` and `offset` are valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_slot_pixels(
+    renderer: *mut AshsplatRenderer,
+    slot: u32,
+    buffer: *mut u64,
+    offset: *mut u64,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let pixels = borrowed_mut(renderer, "renderer")?.0.slot_pixels(slot)?;
+        tell(&pixels, buffer, offset)
+    })
+}
+
+/// The VkBuffer that the sum of weights / z is rendered into (AshsplatRenderSettings), and the bytes in front of it there:
+/// a float for each pixel, row by row.
+///
+/// # Safety
+/// As ashsplat_slot_pixels.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_slot_inverse_depth(
+    renderer: *mut AshsplatRenderer,
+    slot: u32,
+    buffer: *mut u64,
+    offset: *mut u64,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let sums = borrowed_mut(renderer, "renderer")?.0.slot_inverse_depth(slot)?;
+        tell(&sums, buffer, offset)
+    })
+}
+
+/// # Safety
+/// Both pointers are null or valid for a write.
+unsafe fn tell(found: &Buffer, buffer: *mut u64, offset: *mut u64) -> Result<()> {
+    let (raw, bytes) = found.handle();
+    // SAFETY: as promised.
+    unsafe {
+        *borrowed_mut(buffer, "buffer")? = raw.as_raw();
+        *borrowed_mut(offset, "offset")? = bytes;
+    }
+    Ok(())
+}
+
+/// Whether the last frame of a slot is done. What the host has recorded behind it may still run. Never waits.
+///
+/// # Safety
+/// `renderer` is alive, `finished` valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_slot_finished(
+    renderer: *mut AshsplatRenderer,
+    slot: u32,
+    finished: *mut bool,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        *borrowed_mut(finished, "finished")? = borrowed_mut(renderer, "renderer")?.0.slot_finished(slot)?;
+        Ok(())
+    })
+}
+
+/// Lets go of what the last frame of a slot used: scenes and views that were freed meanwhile are destroyed now, and not
+/// when the slot is recorded again.
+///
+/// # Safety
+/// `renderer` is alive; the frame's command buffer is over: its fence was waited for.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_slot_release(renderer: *mut AshsplatRenderer, slot: u32) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe { borrowed_mut(renderer, "renderer")?.0.release_slot(slot) })
+}
+
+/// Forgets the last recording of a slot, whose command buffer was thrown away.
+///
+/// # Safety
+/// `renderer` is alive; the command buffer was not submitted and is not going to be, or its execution is over.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_slot_discard(renderer: *mut AshsplatRenderer, slot: u32) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        borrowed_mut(renderer, "renderer")?.0.slot_recording(slot)?.discard();
+        Ok(())
+    })
+}
