@@ -165,6 +165,22 @@ fn eval_agrees_with_training() {
     assert!(table.contains("01.png") && table.contains("09.png") && table.contains("mean of 2"), "{table}");
 }
 
+/// Photos are read one at a time, and only those that are measured.
+#[test]
+fn eval_reads_what_it_measures() {
+    let folder = tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    write_dataset(&data);
+    std::fs::write(data.join("images/04.png"), "damaged").expect("written");
+    let ply = trained().model.join("point_cloud/iteration_30/point_cloud.ply");
+    let eval = ["eval", text(&ply), "-s", text(&data), "--json", "--quiet"];
+    let measured: Value = serde_json::from_str(&succeed(&eval)).expect("JSON");
+    let during = json(trained().model.join("results.json"))["ours_30"].clone();
+    let value = |of: &Value| of["PSNR"].as_f64().expect("a number");
+    assert!((value(&during) - value(&measured["mean"])).abs() < 1e-4, "{during} {measured}");
+    assert_refused(&finish(program().args(eval).arg("--all")), &["04.png"]);
+}
+
 #[test]
 fn renders_its_own_cameras_and_those_of_a_data_set() {
     let Trained { data, model, .. } = trained();

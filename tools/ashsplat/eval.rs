@@ -1,15 +1,17 @@
 //! `ashsplat eval`, and the measurement of held-out views that training and the demo share.
 
 use crate::args::DeviceArguments;
+use crate::config::DataSettings;
 use crate::model::Model;
 use crate::progress::counting;
 use crate::{output, render, session};
-use ashsplat::io::{Dataset, View};
+use ashsplat::io::{Gallery, View};
 use ashsplat::metrics;
 use ashsplat::scene::Camera;
 use ashsplat::{Error, Frame, RenderSettings, Renderer, Result};
 use clap::Args;
 use serde_json::{Map, Value, json};
+use std::borrow::Borrow;
 use std::path::{Path, PathBuf};
 
 /// PSNR and SSIM of a trained scene on a data set. What masks hide does not count.
@@ -93,14 +95,17 @@ impl Evaluation {
     }
 }
 
-/// Renders the views, measures them and, if asked, saves them as `renders/00000.png` and `gt/00000.png`.
-pub fn evaluate(
-    views: &[View],
+/// Renders the views, measures them and, if asked, saves them as `renders/00000.png` and `gt/00000.png`. One view is held
+/// at a time.
+pub fn evaluate<V: Borrow<View>>(
+    views: impl Iterator<Item = Result<V>>,
     save_to: Option<&Path>,
     mut draw: impl FnMut(&Camera) -> Result<Frame>,
 ) -> Result<Evaluation> {
-    let mut results = Vec::with_capacity(views.len());
+    let mut results = Vec::new();
     for view in views {
+        let view = view?;
+        let view: &View = view.borrow();
         if view.photo.mask()?.is_some_and(|mask| mask.iter().all(|&counts| counts == 0)) {
             tell!("warning: {}: its mask hides all of it: not measured", view.name);
             continue;
@@ -162,15 +167,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = arguments.look.load(&model.ply)?;
     let white = model.settings.train.white_background;
     let context = arguments.device.context()?;
-    let dataset = session::load(&data, white, arguments.quiet)?;
-    session::warn(&dataset);
-    let views = chosen_views(dataset, arguments.all, &data)?;
+    let gallery = Gallery::open(&data.source_path, &session::options(&data, white)?)?;
+    session::warn(gallery.warnings());
+    let chosen = chosen_views(&gallery, arguments.all, &data)?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
     let look = arguments.look.settings(&model.settings, &scene.header)?;
     let settings = RenderSettings { inverse_depth: false, ..look };
-    let bar = counting("views", views.len() as u64, arguments.quiet);
-    let evaluation = evaluate(&views, None, |camera| {
+    let bar = counting("views", chosen.len() as u64, arguments.quiet);
+    let views = chosen.into_iter().filter_map(|index| gallery.view(index));
+    let evaluation = evaluate(views, None, |camera| {
         bar.inc(1);
         renderer.render(camera, &settings)
     })?;
@@ -183,11 +189,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-fn chosen_views(loaded: Dataset, all: bool, data: &crate::config::DataSettings) -> Result<Vec<View>> {
-    if all {
-        return Ok(loaded.train.into_iter().chain(loaded.test).collect());
-    }
-    if loaded.test.is_empty() {
+/// Which views are measured.
+fn chosen_views(gallery: &Gallery, all: bool, data: &DataSettings) -> Result<Vec<usize>> {
+    let held_out = gallery.held_out();
+    let chosen: Vec<usize> = (0..held_out.len()).filter(|&index| all || held_out[index]).collect();
+    if chosen.is_empty() {
         let problem =
             if data.eval { "has no views to hold out" } else { "was trained on all views of this data set" };
         return Err(Error::input(
@@ -196,7 +202,7 @@ fn chosen_views(loaded: Dataset, all: bool, data: &crate::config::DataSettings) 
             "measure on all views with --all, or hold out with --eval",
         ));
     }
-    Ok(loaded.test)
+    Ok(chosen)
 }
 
 fn print_results(json: bool, evaluation: &Evaluation, gaussians: usize) -> Result<()> {

@@ -79,8 +79,8 @@ pub fn load_within(data: &DataSettings, options: &DatasetOptions, quiet: bool) -
 }
 
 /// What is odd about a data set goes to stderr.
-pub fn warn(dataset: &Dataset) {
-    for warning in &dataset.warnings {
+pub fn warn(warnings: &[String]) {
+    for warning in warnings {
         tell!("warning: {warning}");
     }
 }

@@ -98,7 +98,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             remedy,
         ));
     }
-    session::warn(&dataset);
+    session::warn(&dataset.warnings);
     if let Some(iterations) = arguments.verify_determinism {
         return verify::run(&context, dataset, &settings, iterations, arguments.quiet);
     }
@@ -354,8 +354,9 @@ impl Run {
         let save_to = self.held_out.then(|| folder.join("test").join(format!("ours_{iteration}")));
         let settings = render::settings_of(&self.settings);
         let trainer = &mut self.trainer;
-        let evaluation =
-            eval::evaluate(&self.test, save_to.as_deref(), |camera| trainer.render(camera, &settings))?;
+        let evaluation = eval::evaluate(self.test.iter().map(Ok), save_to.as_deref(), |camera| {
+            trainer.render(camera, &settings)
+        })?;
         if self.held_out {
             eval::write_results(folder, iteration, &evaluation)?;
         }

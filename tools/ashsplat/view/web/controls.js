@@ -65,7 +65,8 @@ export class Controls {
         if (!this.pointers.delete(e.pointerId)) return;
         this.surface.classList.remove('dragging');
         if (e.type !== 'pointerup' || this.moved >= CLICK || e.button > 0) return;
-        const now = performance.now(), { clicked } = this;
+        // When it happened, not when a busy page comes to hear of it.
+        const now = e.timeStamp, { clicked } = this;
         const near = clicked && Math.hypot(e.clientX - clicked.x, e.clientY - clicked.y) < 12;
         if (near && now - clicked.time < 400) {
             this.clicked = null;

@@ -81,6 +81,12 @@ export class Frames {
         this.rate.push(now);
         while (this.rate.length > 1 && (now - this.rate[0] > 2000 || this.rate.length > 40)) this.rate.shift();
         if (this.shots.delete(header.seq)) download(blob, `ashsplat-${new Date().toISOString().slice(0, 19).replaceAll(':', '-')}.png`);
+        // A view that came after a screenshot's was rendered in its place.
+        const overtaken = [...this.shots].filter((seq) => seq < header.seq);
+        if (overtaken.length) {
+            overtaken.forEach((seq) => this.shots.delete(seq));
+            this.screenshot();
+        }
         const bitmap = await createImageBitmap(blob);
         if (header.seq < this.shownSeq) return bitmap.close();
         this.shownSeq = header.seq;
