@@ -1,5 +1,6 @@
 //! Camera paths as films.
 
+use super::training::Training;
 use super::*;
 use crate::cli::succeed;
 use std::path::PathBuf;
@@ -164,4 +165,19 @@ fn viewer_films_take_turns_and_can_be_called_off() {
     let stems: Vec<&str> = left.iter().map(|name| name.split('.').next().expect("a stem")).collect();
     assert!(stems.iter().all(|stem| ["film_001", "film_002"].contains(stem)), "{left:?}");
     assert_eq!(std::fs::read_dir(cinema.films().join("film_002")).expect("frames").count(), 2);
+}
+
+/// Training does not wait for a film, but its end does.
+#[test]
+fn viewer_films_of_a_training_are_made_to_their_end() {
+    let mut training = Training::start(&["150", "--view=0", "--view-share", "0.05"], "viewer at ");
+    let mut page = training.server.page();
+    page.send(&film(150, [32, 24]));
+    let files = page.hears("files");
+    let frames = Path::new(files["frames"].as_str().expect("a folder"));
+    assert_eq!(std::fs::read_dir(frames).expect("frames").count(), 150);
+    let (code, stderr) = training.server.wait();
+    assert_eq!(code, Some(0), "{stderr}");
+    let gif = training.model().join("films").join(files["gif"].as_str().expect("a GIF"));
+    assert!(gif.is_file(), "{}", gif.display());
 }
