@@ -104,6 +104,16 @@ impl Renderer {
             if !(scale.is_finite() && offset.is_finite() && clear_value.is_finite()) {
                 return Err(Error::argument("depth mapping", "holds numbers that are not finite"));
             }
+            // A target of colour has another format than both.
+            if let Some(depth) = &frame.depth
+                && depth.to.image.is_same_as(occluder.depth.image)
+            {
+                let name = depth.to.image.name();
+                return Err(Error::argument(
+                    format!("image '{name}'"),
+                    "is also the depth that hides splats",
+                ));
+            }
         }
         Ok(())
     }

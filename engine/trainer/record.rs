@@ -289,7 +289,8 @@ impl Trainer {
     }
 
     /// Does what recorded steps cannot: densifies and resets opacities where the iteration before asks for it, makes room
-    /// after a step that overflowed. Submits, waits and allocates; without anything due it does nothing.
+    /// after a step that overflowed. Submits, waits and allocates; without anything due it does nothing. The command buffers of
+    /// all recorded steps have to be over ([`Context::adopt_commands`]).
     ///
     /// Another set of buffers holds the Gaussians afterwards: ask for [`Trainer::scene`] again.
     ///

@@ -36,7 +36,8 @@ unsafe impl Sync for HostMemory {}
 /// A host's allocator, which all buffers of a context get their memory from: see [`super::ForeignDevice::allocator`].
 ///
 /// It is called by what allocates ([`super::Context::allocate`], uploads, `Renderer::reserve`), never while a frame is
-/// recorded.
+/// recorded; and by what frees: whoever drops the last holder of a buffer, on whatever thread that is. Such a holder is also
+/// the slot that a frame was recorded through, until it is recorded again or released ([`super::RecordSlot::release`]).
 ///
 /// # Safety
 /// - What [`HostAllocator::allocate`] returns is memory of the context's device of one of the requested types, with the

@@ -108,7 +108,8 @@ impl Context {
     /// # Safety
     /// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass, and
     ///   nobody else records into it until the recording that is begun with it has ended;
-    /// - it is submitted at most once before it is recorded again, and to a queue of the context's queue family;
+    /// - it is submitted at most once before it is recorded again, and to a queue of the context's queue family; where these
+    ///   are several queues, the host orders submissions that use the same buffers or images by semaphores;
     /// - before the slot that it is recorded through is recorded through again, released or dropped, the host has learnt
     ///   that the execution of the whole command buffer is over, by a fence, a timeline semaphore or an idle queue, or
     ///   has made sure that it never begins ([`RecordSlot::discard`]). [`RecordSlot::finished`] does not say that: it

@@ -248,6 +248,12 @@ impl Image {
         Arc::ptr_eq(&self.0.inner, &context.0)
     }
 
+    /// Whether both are views of the same texels.
+    pub(crate) fn is_same_as(&self, other: &Self) -> bool {
+        let place = |view: &View| (view.image, view.range.base_mip_level, view.range.base_array_layer);
+        place(&self.0) == place(&other.0)
+    }
+
     pub(super) fn id(&self) -> u64 {
         self.0.id
     }

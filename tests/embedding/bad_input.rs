@@ -207,6 +207,10 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             ),
             (RecordedFrame { occluder: Some(Occluder { depth, mapping: never }), ..good }, "depth mapping"),
             (RecordedFrame { occluder: Some(Occluder { depth: fresh_depth, mapping }), ..good }, "UNDEFINED"),
+            (
+                RecordedFrame { occluder: Some(Occluder { depth, mapping }), depth: expected(0.5), ..good },
+                "is also the depth",
+            ),
             (RecordedFrame { target: onto(Behind::Image), ..good }, "UNDEFINED"),
             (RecordedFrame { target: onto(Behind::Color([0.0, f32::NAN, 0.0])), ..good }, "not finite"),
             (RecordedFrame { settings: &no_background, ..good }, "not finite"),

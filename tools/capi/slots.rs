@@ -54,7 +54,10 @@ pub unsafe extern "C" fn ashsplat_slot_report(
 }
 
 /// The VkBuffer that a frame without target fills, and the bytes in front of it there: premultiplied red, green, blue
-/// and transmittance of each pixel, row by row, as floats.
+/// and transmittance of each pixel, row by row, as floats. A storage buffer and a source of transfers, until the renderer
+/// reserves anew. The host uses it behind the frame, after a barrier from AshsplatRelease's stages and accesses, until the slot
+/// is recorded again; if it reads it in other stages than compute and transfer, in a later command buffer, it waits for those
+/// before.
 ///
 /// # Safety
 /// `renderer` is alive, `buffer` and `offset` are valid for a write.
