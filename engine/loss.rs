@@ -1,14 +1,16 @@
 //! The loss of an image against a photograph, and its gradient: (1 - λ) L1 + λ (1 - SSIM).
 
+mod scratch;
+
 use crate::error::Result;
 use crate::kernels::loss::{
-    loss_reduce, ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep,
+    loss_reduce, ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep, ssim_planes,
 };
 use crate::plan::{Blocks, blocks, tile_grid};
-use crate::vk::{Buffer, Context, Kernel, Limits, Recorder, TexelFormat};
+use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
+use scratch::{Scratch, ScratchBytes, Sweeps};
 
-/// Most rows of one invocation of [`Windowing::Sweeps`]: it reads ten more.
-const SWEEP_ROWS: u32 = 80;
+pub use scratch::scratch_bytes;
 
 /// How SSIM's window is computed: the same numbers but for rounding, at a cost that depends on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,22 +32,19 @@ impl Windowing {
 pub struct Loss {
     limits: Limits,
     sizes: Blocks,
+    photos: PhotoFormat,
+    windowing: Windowing,
     windows: Windows,
     reduce: Kernel<loss_reduce::Interface>,
 }
 
 enum Windows {
     Blocks(Kernel<ssim_forward::Interface>, Kernel<ssim_backward::Interface>),
-    Sweeps(Kernel<ssim_forward_sweep::Interface>, Kernel<ssim_backward_sweep::Interface>),
-}
-
-impl Windows {
-    fn windowing(&self) -> Windowing {
-        match self {
-            Self::Blocks(..) => Windowing::Blocks,
-            Self::Sweeps(..) => Windowing::Sweeps,
-        }
-    }
+    Sweeps {
+        planes: Kernel<ssim_planes::Interface>,
+        forward: Kernel<ssim_forward_sweep::Interface>,
+        backward: Kernel<ssim_backward_sweep::Interface>,
+    },
 }
 
 /// How a photograph lies in memory.
@@ -68,10 +67,8 @@ pub struct LossInputs<'a> {
     pub accumulated: &'a Buffer,
     /// Per pixel: the photograph, in the format that [`Loss::new`] was told.
     pub photo: &'a Buffer,
-    /// Scratch: [`Loss::derivative_requests`].
-    pub derivatives: &'a [Buffer],
-    /// Scratch: [`Loss::partials_bytes`].
-    pub partials: &'a Buffer,
+    /// The buffers that [`Loss::scratch_requests`] asks for, in its order.
+    pub scratch: &'a [Buffer],
     /// Out: vec4 (loss, L1, SSIM, 0) per slot.
     pub losses: &'a Buffer,
     /// Which slot of `losses`.
@@ -94,49 +91,6 @@ struct Channels<'a> {
     first: u32,
     count: u32,
     derivatives: &'a Buffer,
-}
-
-/// How an image is cut into sweeps.
-#[derive(Clone, Copy)]
-struct Sweeps {
-    rows: u32,
-    per_channel: u32,
-}
-
-impl Sweeps {
-    fn new(strip: u32, width: u32, height: u32) -> Self {
-        let rows = height.div_ceil(height.div_ceil(SWEEP_ROWS).max(1)).max(1);
-        Self { rows, per_channel: width.div_ceil(strip) * height.div_ceil(rows) }
-    }
-}
-
-/// Bytes of scratch of [`Loss::new`] on a device for an image, all buffers together.
-pub fn scratch_bytes(limits: &Limits, width: u32, height: u32) -> u64 {
-    let windowing = Windowing::for_device(limits);
-    let partials = partials(windowing, &Blocks::new(limits), width, height);
-    3 * channel_bytes(windowing, width, height) + u64::from(partials) * 8
-}
-
-/// Bytes of SSIM's derivatives in one channel.
-fn channel_bytes(windowing: Windowing, width: u32, height: u32) -> u64 {
-    let bytes = match windowing {
-        Windowing::Blocks => 12,
-        Windowing::Sweeps => TexelFormat::Rgba32Float.bytes(),
-    };
-    u64::from(width) * u64::from(height) * bytes
-}
-
-/// Partial sums of an image.
-fn partials(windowing: Windowing, sizes: &Blocks, width: u32, height: u32) -> u32 {
-    let per_channel = match windowing {
-        // Blocks of the window are as large as tiles.
-        Windowing::Blocks => {
-            let (columns, rows) = tile_grid(width, height);
-            columns * rows
-        }
-        Windowing::Sweeps => Sweeps::new(sizes.loss_sweep_strip, width, height).per_channel,
-    };
-    3 * per_channel
 }
 
 impl Loss {
@@ -167,62 +121,55 @@ impl Loss {
             }
             Windowing::Sweeps => {
                 let (workgroup_size, strip) = (sizes.loss_sweep, sizes.loss_sweep_strip);
-                let forward = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo, masked };
+                let planes = ssim_planes::Spec { workgroup_size: sizes.loss, float_photo, masked };
+                let forward = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo };
                 let backward = ssim_backward_sweep::Spec { workgroup_size, strip, float_photo, masked };
-                Windows::Sweeps(Kernel::new(context, &forward)?, Kernel::new(context, &backward)?)
+                Windows::Sweeps {
+                    planes: Kernel::new(context, &planes)?,
+                    forward: Kernel::new(context, &forward)?,
+                    backward: Kernel::new(context, &backward)?,
+                }
             }
         };
         let reduce = loss_reduce::Spec { workgroup_size: sizes.loss, subgroup_size };
-        Ok(Self { limits: limits.clone(), sizes, windows, reduce: Kernel::new(context, &reduce)? })
+        let reduce = Kernel::new(context, &reduce)?;
+        Ok(Self { limits: limits.clone(), sizes, photos, windowing, windows, reduce })
     }
 
-    /// The scratch buffers for the derivatives of SSIM in an image: one for all channels, or one for each where that
-    /// would be more than a kernel may be given.
-    pub fn derivative_requests(&self, width: u32, height: u32) -> Vec<(&'static str, u64)> {
-        let channel = channel_bytes(self.windows.windowing(), width, height);
-        if 3 * channel <= self.limits.max_storage_buffer_range {
-            vec![("ssim_derivatives", 3 * channel)]
-        } else {
-            vec![("ssim_derivatives", channel); 3]
-        }
-    }
-
-    /// Bytes of scratch for the partial sums of an image.
-    pub fn partials_bytes(&self, width: u32, height: u32) -> u64 {
-        u64::from(self.partials(width, height)) * 8
-    }
-
-    fn partials(&self, width: u32, height: u32) -> u32 {
-        partials(self.windows.windowing(), &self.sizes, width, height)
+    /// What the loss needs besides its inputs and outputs, for images of these sizes (width, height).
+    pub fn scratch_requests(&self, sizes: impl IntoIterator<Item = (u32, u32)>) -> Vec<(&'static str, u64)> {
+        ScratchBytes::largest(self, sizes).requests(&self.limits)
     }
 
     /// Records loss and gradient. The caller places barriers before and after.
     pub fn record(&self, r: &mut Recorder, inputs: &LossInputs) {
         let i = inputs;
-        let count = 3 / i.derivatives.len() as u32;
+        let scratch = Scratch::of(self, i.scratch);
+        let count = 3 / scratch.derivatives.len() as u32;
         let channels = || {
-            let all = i.derivatives.iter().zip((0..3).step_by(count as usize));
+            let all = scratch.derivatives.iter().zip((0..3).step_by(count as usize));
             all.map(move |(derivatives, first)| Channels { first, count, derivatives })
         };
         r.scope("loss", |r| {
+            self.record_planes(r, i, &scratch);
             for part in channels() {
                 if part.first > 0 {
                     r.barrier();
                 }
-                self.record_forward(r, i, part);
+                self.record_forward(r, i, &scratch, part);
             }
             r.barrier();
             for part in channels() {
                 if part.first > 0 {
                     r.barrier();
                 }
-                self.record_backward(r, i, part);
+                self.record_backward(r, i, &scratch, part);
             }
             r.dispatch(
                 &self.reduce,
-                &loss_reduce::Bind { loss_partials: i.partials, losses: i.losses },
+                &loss_reduce::Bind { loss_partials: scratch.partials, losses: i.losses },
                 &loss_reduce::Push {
-                    partials: self.partials(i.width, i.height),
+                    partials: ScratchBytes::of(self, i.width, i.height).partials(),
                     slot: i.slot,
                     scale: 1.0 / (3.0 * i.width as f32 * i.height as f32),
                     lambda_dssim: i.lambda_dssim,
@@ -232,68 +179,111 @@ impl Loss {
         });
     }
 
-    fn record_forward(&self, r: &mut Recorder, i: &LossInputs, part: Channels) {
+    fn record_planes(&self, r: &mut Recorder, i: &LossInputs, scratch: &Scratch) {
+        let (Windows::Sweeps { planes: kernel, .. }, Some(planes)) = (&self.windows, scratch.planes) else {
+            return;
+        };
+        let Sweeps { groups, columns, .. } = self.sweeps(i);
+        let texels = u64::from(columns) * u64::from(i.height);
+        let [rendered_planes, photo_planes] = planes;
+        let bind =
+            ssim_planes::Bind { accumulated: i.accumulated, photo: i.photo, rendered_planes, photo_planes };
+        let push = ssim_planes::Push {
+            image_width: i.width,
+            image_height: i.height,
+            background: i.background,
+            groups,
+            columns,
+        };
+        r.dispatch(kernel, &bind, &push, blocks(texels, self.sizes.loss.into()));
+        r.barrier();
+    }
+
+    fn sweeps(&self, i: &LossInputs) -> Sweeps {
+        Sweeps::new(self.sizes.loss_sweep_strip, i.width, i.height)
+    }
+
+    fn record_forward(&self, r: &mut Recorder, i: &LossInputs, scratch: &Scratch, part: Channels) {
         let Channels { first: first_channel, count, derivatives } = part;
-        let (accumulated, photo, loss_partials) = (i.accumulated, i.photo, i.partials);
-        let (image_width, image_height, background) = (i.width, i.height, i.background);
-        match &self.windows {
-            Windows::Blocks(kernel, _) => {
-                let (columns, rows) = tile_grid(i.width, i.height);
-                let bind = ssim_forward::Bind { accumulated, photo, derivatives, loss_partials };
-                let push = ssim_forward::Push { image_width, image_height, background, first_channel };
-                r.dispatch_3d(kernel, &bind, &push, [columns, rows, count]);
-            }
-            Windows::Sweeps(kernel, _) => {
-                let sweeps = Sweeps::new(self.sizes.loss_sweep_strip, i.width, i.height);
+        let loss_partials = scratch.partials;
+        let (image_width, image_height) = (i.width, i.height);
+        match (&self.windows, scratch.planes) {
+            (Windows::Sweeps { forward, .. }, Some([rendered_planes, photo_planes])) => {
+                let sweeps = self.sweeps(i);
                 let invocations = count * sweeps.per_channel;
-                let bind = ssim_forward_sweep::Bind { accumulated, photo, derivatives, loss_partials };
+                let bind =
+                    ssim_forward_sweep::Bind { rendered_planes, photo_planes, derivatives, loss_partials };
                 let push = ssim_forward_sweep::Push {
                     image_width,
                     image_height,
-                    background,
+                    groups: sweeps.groups,
                     first_channel,
                     invocations,
                     rows: sweeps.rows,
                     first_partial: first_channel * sweeps.per_channel,
                 };
-                r.dispatch(kernel, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
+                r.dispatch(forward, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
             }
+            (Windows::Blocks(kernel, _), _) => {
+                let (columns, rows) = tile_grid(i.width, i.height);
+                let bind = ssim_forward::Bind {
+                    accumulated: i.accumulated,
+                    photo: i.photo,
+                    derivatives,
+                    loss_partials,
+                };
+                let push =
+                    ssim_forward::Push { image_width, image_height, background: i.background, first_channel };
+                r.dispatch_3d(kernel, &bind, &push, [columns, rows, count]);
+            }
+            (Windows::Sweeps { .. }, None) => unreachable!("sweeps have planes"),
         }
     }
 
-    fn record_backward(&self, r: &mut Recorder, i: &LossInputs, part: Channels) {
+    fn record_backward(&self, r: &mut Recorder, i: &LossInputs, scratch: &Scratch, part: Channels) {
         let Channels { first: first_channel, count, derivatives } = part;
-        let (accumulated, photo, image_gradient) = (i.accumulated, i.photo, i.image_gradient);
-        let (image_width, image_height, background) = (i.width, i.height, i.background);
-        let lambda_dssim = i.lambda_dssim;
-        match &self.windows {
-            Windows::Blocks(_, kernel) => {
-                let (columns, rows) = tile_grid(i.width, i.height);
-                let bind = ssim_backward::Bind { accumulated, photo, derivatives, image_gradient };
-                let push = ssim_backward::Push {
-                    image_width,
-                    image_height,
-                    background,
-                    first_channel,
-                    lambda_dssim,
-                };
-                r.dispatch_3d(kernel, &bind, &push, [columns, rows, count]);
-            }
-            Windows::Sweeps(_, kernel) => {
-                let sweeps = Sweeps::new(self.sizes.loss_sweep_strip, i.width, i.height);
+        let image_gradient = i.image_gradient;
+        let (image_width, image_height, lambda_dssim) = (i.width, i.height, i.lambda_dssim);
+        match (&self.windows, scratch.planes) {
+            (Windows::Sweeps { backward, .. }, Some([rendered_planes, photo_planes])) => {
+                let sweeps = self.sweeps(i);
                 let invocations = count * sweeps.per_channel;
-                let bind = ssim_backward_sweep::Bind { accumulated, photo, derivatives, image_gradient };
+                let bind = ssim_backward_sweep::Bind {
+                    rendered_planes,
+                    photo_planes,
+                    derivatives,
+                    photo: i.photo,
+                    image_gradient,
+                };
                 let push = ssim_backward_sweep::Push {
                     image_width,
                     image_height,
-                    background,
+                    groups: sweeps.groups,
                     first_channel,
                     invocations,
                     rows: sweeps.rows,
                     lambda_dssim,
                 };
-                r.dispatch(kernel, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
+                r.dispatch(backward, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
             }
+            (Windows::Blocks(_, kernel), _) => {
+                let (columns, rows) = tile_grid(i.width, i.height);
+                let bind = ssim_backward::Bind {
+                    accumulated: i.accumulated,
+                    photo: i.photo,
+                    derivatives,
+                    image_gradient,
+                };
+                let push = ssim_backward::Push {
+                    image_width,
+                    image_height,
+                    background: i.background,
+                    first_channel,
+                    lambda_dssim,
+                };
+                r.dispatch_3d(kernel, &bind, &push, [columns, rows, count]);
+            }
+            (Windows::Sweeps { .. }, None) => unreachable!("sweeps have planes"),
         }
     }
 }

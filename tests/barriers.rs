@@ -39,7 +39,7 @@ struct Training {
     gradients: Vec<Buffer>,
     frame: FrameBuffers,
     capacity: FrameCapacity,
-    /// Photo, partial sums, losses, statistics, 2-D gradients, derivatives of SSIM.
+    /// Photo, losses, statistics, 2-D gradients, scratch of the loss.
     others: Vec<Buffer>,
     camera: Camera,
     settings: RenderSettings,
@@ -70,12 +70,11 @@ impl Training {
         let loss = Loss::new(&context, PhotoFormat::Rgba8).expect("kernels");
         let mut others = vec![
             ("photo", u64::from(width * height) * 4),
-            ("partials", loss.partials_bytes(width, height)),
             ("losses", 16),
             ("statistics", 1200 * 8),
             ("mean2d_gradients", 1200 * 8),
         ];
-        others.extend(loss.derivative_requests(width, height));
+        others.extend(loss.scratch_requests([(width, height)]));
         let mut training = Training {
             forward: Forward::new(&context).expect("kernels"),
             loss,
@@ -112,8 +111,7 @@ impl Training {
             keeps_overflow: false,
             scale: 1.0,
         };
-        let [photo, partials, losses, statistics, mean2d_gradients, derivatives @ ..] = &self.others[..]
-        else {
+        let [photo, losses, statistics, mean2d_gradients, scratch @ ..] = &self.others[..] else {
             unreachable!("as many as were asked for")
         };
         let statistics = Statistics { buffer: statistics, accumulate: true };
@@ -128,8 +126,7 @@ impl Training {
         let loss = LossInputs {
             accumulated: &self.frame.accumulated,
             photo,
-            derivatives,
-            partials,
+            scratch,
             losses,
             slot: 0,
             image_gradient: &self.frame.image_gradient,

@@ -152,7 +152,7 @@ fn by_form(options: &ContextOptions) -> Vec<(Vec<[f32; 3]>, ashsplat::Gradients)
     results
 }
 
-/// Kernels that exist with and without texels (glsl/include/reads.glsl): a device uses one of the forms, tests both.
+/// Kernels that exist with and without texels (glsl/include/buffers.glsl): a device uses one of the forms, tests both.
 #[test]
 fn determinism_between_the_forms_of_kernels() {
     let plain = ContextOptions { push_descriptors: false, ..crate::common::options() };

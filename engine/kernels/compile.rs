@@ -27,7 +27,7 @@ const TEXELS: &str = "#define TEXELS\n";
 
 /// Whether a shader of these files exists in two forms, one that reads storage buffers and one that reads texels.
 pub fn has_texel_form(files: &[PathBuf]) -> bool {
-    files.iter().any(|file| file.ends_with("include/reads.glsl"))
+    files.iter().any(|file| file.ends_with("include/buffers.glsl"))
 }
 
 /// Compiles a shader for Vulkan 1.3, its stage by its extension, in its form that reads texels if `texels` says so; `display`

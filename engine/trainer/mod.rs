@@ -125,26 +125,20 @@ pub struct Trainer {
 }
 
 pub(crate) struct LossScratch {
-    pub derivatives: Vec<Buffer>,
-    pub partials: Buffer,
+    /// Of [`Loss::scratch_requests`].
+    pub loss: Vec<Buffer>,
     pub losses: Buffer,
     pub readback: Buffer,
 }
 
 impl LossScratch {
     fn new(context: &Context, loss: &Loss, cameras: &[Camera]) -> Result<Self> {
-        let sizes = || cameras.iter().map(|c| (c.width, c.height));
-        let (width, height) = sizes().max_by_key(|&(w, h)| u64::from(w) * u64::from(h)).unwrap_or_default();
-        let partials = sizes().map(|(w, h)| loss.partials_bytes(w, h)).max().unwrap_or_default();
-        let mut requests = loss.derivative_requests(width, height);
-        requests.extend([("loss_partials", partials), ("losses", 16)]);
+        let mut requests = loss.scratch_requests(cameras.iter().map(|c| (c.width, c.height)));
+        requests.push(("losses", 16));
         let mut device = context.allocate("loss", &requests, MemoryKind::Device)?;
         let host = context.allocate("readback", &[("loss_readback", 16)], MemoryKind::HostVisible)?;
-        let (losses, partials) = (device.pop(), device.pop());
-        match (losses, partials, <[Buffer; 1]>::try_from(host)) {
-            (Some(losses), Some(partials), Ok([readback])) => {
-                Ok(Self { derivatives: device, partials, losses, readback })
-            }
+        match (device.pop(), <[Buffer; 1]>::try_from(host)) {
+            (Some(losses), Ok([readback])) => Ok(Self { loss: device, losses, readback }),
             _ => unreachable!("one buffer per request"),
         }
     }

@@ -172,8 +172,7 @@ impl Tail<'_> {
             &LossInputs {
                 accumulated: &f.accumulated,
                 photo: self.photo,
-                derivatives: &scratch.derivatives,
-                partials: &scratch.partials,
+                scratch: &scratch.loss,
                 losses: &scratch.losses,
                 slot: 0,
                 image_gradient: &f.image_gradient,

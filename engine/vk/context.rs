@@ -229,8 +229,9 @@ impl Context {
         let push = candidate.features.push_descriptor;
         let foreign = !matches!(owner, Owner::Us(_));
         let opened = effective_limits(&candidate, options).and_then(|mut limits| {
-            if foreign || !options.texels {
-                // Views of buffers are made while recording, and a host's buffers may lack the usage.
+            if foreign || !options.texels || !candidate.features.int64 {
+                // Views of buffers are made while recording, and a host's buffers may lack the usage. Kernels that read
+                // texels write integers of 64 bits.
                 limits.max_texels = 0;
             }
             if push {
@@ -415,6 +416,7 @@ fn create_device(instance: &ash::Instance, candidate: &Candidate, printf: bool) 
     // Without them the layer refuses to print.
     let printing = printf && optional.graphics_stores;
     let core = vk::PhysicalDeviceFeatures::default()
+        .shader_int64(optional.int64)
         .fragment_stores_and_atomics(printing)
         .vertex_pipeline_stores_and_atomics(printing);
     let info = vk::DeviceCreateInfo::default()

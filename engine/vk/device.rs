@@ -52,6 +52,7 @@ pub(super) struct Candidate {
 #[derive(Clone, Copy, Default)]
 pub(super) struct OptionalFeatures {
     pub(super) int8: bool,
+    pub(super) int64: bool,
     pub(super) storage8: bool,
     pub(super) uniform_storage8: bool,
     pub(super) memory_model: bool,
@@ -202,6 +203,7 @@ fn features(instance: &ash::Instance, physical: vk::PhysicalDevice) -> (Optional
     let missing = Features::of(&v12, &v13).missing().map(str::to_owned);
     let optional = OptionalFeatures {
         int8: v12.shader_int8 != 0,
+        int64: f.shader_int64 != 0,
         storage8: v12.storage_buffer8_bit_access != 0,
         uniform_storage8: v12.uniform_and_storage_buffer8_bit_access != 0,
         memory_model: v12.vulkan_memory_model != 0,

@@ -246,7 +246,7 @@ fn check(d: &Demands, limits: &Limits) -> Result<()> {
         return argument("a workgroup of no invocations".to_owned());
     }
     if d.texels && limits.max_texels == 0 {
-        return argument("reads texels, which takes VK_KHR_push_descriptor".to_owned());
+        return argument("reads texels, which takes VK_KHR_push_descriptor and shaderInt64".to_owned());
     }
     if let Some(size) = d.subgroup_size {
         let (min, max) = (limits.min_subgroup_size, limits.max_subgroup_size);

@@ -28,7 +28,7 @@ pub struct Limits {
     pub max_allocation_bytes: u64,
     /// Size of the largest device-local heap.
     pub heap_bytes: u64,
-    /// maxTexelBufferElements: most texels of a buffer that is read as such; 0 where none can be bound.
+    /// maxTexelBufferElements: most texels of a buffer that is read as such; 0 where the kernels that do cannot run.
     pub max_texels: u64,
     /// The larger of minTexelBufferOffsetAlignment and the size of the largest texel.
     pub texel_alignment: u64,

@@ -22,7 +22,7 @@
 #extension GL_KHR_shader_subgroup_shuffle : require
 
 #include "constants.glsl"
-#include "reads.glsl"
+#include "buffers.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;

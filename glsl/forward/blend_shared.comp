@@ -21,7 +21,7 @@
 #extension GL_GOOGLE_include_directive : require
 
 #include "constants.glsl"
-#include "reads.glsl"
+#include "buffers.glsl"
 
 // A divisor of 256 / COLUMN_ROWS, the columns of a tile.
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;

@@ -11,7 +11,7 @@
 #extension GL_GOOGLE_include_directive : require
 
 #include "constants.glsl"
-#include "reads.glsl"
+#include "buffers.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;

@@ -1,6 +1,6 @@
 // Blending's backward over the pixels of a lane: buffers, push constants, and what one Gaussian owes to them. The same in all
 // variants of the kernel, which differ in how they add over lanes and regions; see blend_backward.comp for the derivative.
-// Needs constants.glsl, reads.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, COLUMN_CHAIN, COUNT_HITS, GL_KHR_shader_subgroup_basic and _shuffle.
+// Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, COLUMN_CHAIN, COUNT_HITS, GL_KHR_shader_subgroup_basic and _shuffle.
 
 // Training has nothing but splats, and inverse depth.
 const bool DEPTH_LIMIT = false;

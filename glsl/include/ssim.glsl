@@ -1,5 +1,4 @@
 // The window of SSIM: 11 x 11 Gaussian, sigma 1.5, separable, zero padding (Wang et al. 2004, as the reference uses it).
-// Needs FLOAT_PHOTO, MASKED (RGBA8 only), accumulated_at(pixel), photo_word(index), `background`.
 
 const uint SSIM_RADIUS = 5;
 const uint SSIM_TAPS = 11;
@@ -8,20 +7,6 @@ const float SSIM_C2 = 9e-4;
 const float SSIM_WINDOW[SSIM_TAPS] = float[](
     0.0010283801, 0.0075987581, 0.0360007721, 0.1093606895, 0.2130055377, 0.2660117249,
     0.2130055377, 0.1093606895, 0.0360007721, 0.0075987581, 0.0010283801);
-
-// Whether a pixel counts. Those that do not are 0 in both pictures, whatever is there: the pictures times the mask.
-bool counts(uint pixel) {
-    return !MASKED || photo_word(pixel) >> 24 != 0;
-}
-
-// Rendered value x and the photograph's y at a pixel.
-vec2 rendered_and_photo(uint pixel, uint channel) {
-    vec4 rendered = accumulated_at(pixel);
-    uint word = photo_word(FLOAT_PHOTO ? 3 * pixel + channel : pixel);
-    float y = FLOAT_PHOTO ? uintBitsToFloat(word) : float(word >> (8 * channel) & 0xFF) / 255.0;
-    vec2 value = vec2(rendered[channel] + rendered.w * background[channel], y);
-    return MASKED && word >> 24 == 0 ? vec2(0.0) : value;
-}
 
 // What is windowed: only the sum of the two variances occurs in SSIM, so that four moments will do.
 vec4 ssim_moments(vec2 value) {

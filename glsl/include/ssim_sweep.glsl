@@ -1,10 +1,13 @@
 // The window by sweeps in registers: an invocation goes down STRIP columns of one channel. It windows each row along the
 // row, and adds the result to the windows of the eleven rows around it, ten of which wait for more.
-// Needs ssim.glsl, dispatch.glsl, STRIP, SWEPT (vec3 or vec4: what is windowed together), and the push constants
-// image_width, image_height, first_channel, invocations, rows.
+// Needs ssim.glsl, ssim_planes.glsl, dispatch.glsl, STRIP, SWEPT (vec3 or vec4: what is windowed together), and the push constants
+// image_width, image_height, groups, first_channel, invocations, rows.
 
 const uint SWEEP_ROW = STRIP + 2 * SSIM_RADIUS;
 const uint SWEEP_WAITING = SSIM_TAPS - 1;
+// Texels of a plane that a sweep reads of a row, and those of them that its own columns lie in, from the second on.
+const uint SWEEP_TEXELS = (SWEEP_ROW + 3) / 4;
+const uint OWN_TEXELS = (SSIM_RADIUS % 4 + STRIP + 3) / 4;
 
 // Values of the current row, from SSIM_RADIUS columns left of the strip to SSIM_RADIUS right of it.
 SWEPT sweep_row[SWEEP_ROW];
@@ -35,6 +38,11 @@ Sweep sweep_of_invocation() {
         }
     }
     return sweep;
+}
+
+// Where texel t of those that a sweep reads of a row of a plane lies, see ssim_planes.glsl.
+uint sweep_texel(Sweep sweep, uint plane, uint t, int y) {
+    return plane_texel(plane, uint(sweep.first.x) / 4 + t) + uint(y) * GROUP_TEXELS;
 }
 
 // Takes the current row in, and returns the window of a column SSIM_RADIUS rows above it. Once per row and column.

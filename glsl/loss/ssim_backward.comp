@@ -33,15 +33,8 @@ layout(push_constant, scalar) uniform Push {
     float lambda_dssim;
 };
 
-vec4 accumulated_at(uint pixel) {
-    return accumulated[pixel];
-}
-
-uint photo_word(uint index) {
-    return photo[index];
-}
-
 #include "ssim.glsl"
+#include "ssim_pixel.glsl"
 #include "ssim_block.glsl"
 
 shared vec3 values[SSIM_APRON * SSIM_APRON];

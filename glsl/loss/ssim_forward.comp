@@ -37,15 +37,8 @@ layout(push_constant, scalar) uniform Push {
     uint first_channel;
 };
 
-vec4 accumulated_at(uint pixel) {
-    return accumulated[pixel];
-}
-
-uint photo_word(uint index) {
-    return photo[index];
-}
-
 #include "ssim.glsl"
+#include "ssim_pixel.glsl"
 #include "ssim_block.glsl"
 
 shared vec2 values[SSIM_APRON * SSIM_APRON];

@@ -17,16 +17,16 @@
 #extension GL_GOOGLE_include_directive : require
 
 #include "constants.glsl"
-#include "reads.glsl"
+#include "buffers.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SPARSE = false;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) writeonly buffer Parameters { vec4 parameters[]; };
-layout(set = 0, binding = 1, scalar) writeonly buffer Moments1 { vec4 moments_1[]; };
-layout(set = 0, binding = 2, scalar) writeonly buffer Moments2 { vec4 moments_2[]; };
+VEC4_WRITES(0, Parameters, parameters);
+VEC4_WRITES(1, Moments1, moments_1);
+VEC4_WRITES(2, Moments2, moments_2);
 UINT_READS(3, VisibleIndex, visible_index);
 VEC4_READS(4, Gradients, gradients);
 layout(set = 0, binding = 5, scalar) buffer State { uint state[]; };
@@ -67,9 +67,10 @@ void update(uint plane, uint index, vec4 g, vec4 rate, vec4 inverse_bias) {
     uint at = plane * stride + index;
     vec4 m = beta_1 * VEC4_AT(old_moments_1, at) + one_minus_beta_1 * g;
     vec4 v = beta_2 * VEC4_AT(old_moments_2, at) + one_minus_beta_2 * g * g;
-    moments_1[at] = m;
-    moments_2[at] = v;
-    parameters[at] = VEC4_AT(old_parameters, at) - rate * (m / (sqrt(v) * inverse_bias + epsilon));
+    VEC4_PUT(moments_1, at, m);
+    VEC4_PUT(moments_2, at, v);
+    vec4 p = VEC4_AT(old_parameters, at) - rate * (m / (sqrt(v) * inverse_bias + epsilon));
+    VEC4_PUT(parameters, at, p);
 }
 
 bool finite(vec4 g) {

@@ -1,6 +1,8 @@
 //! The kernels of the loss with their inputs on the device.
 
-use ashsplat::kernels::loss::{ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep};
+use ashsplat::kernels::loss::{
+    ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep, ssim_planes,
+};
 use ashsplat::vk::Buffer;
 
 use super::gpu::Gpu;
@@ -82,6 +84,56 @@ impl Pictures {
     }
 }
 
+/// Where the texels of planes lie (glsl/include/ssim_planes.glsl).
+#[derive(Clone, Copy)]
+pub struct PlaneLayout {
+    /// Groups of 16 texels that make a row.
+    pub groups: usize,
+    /// Texels of a row of the pictures' planes.
+    pub columns: usize,
+    pub height: usize,
+}
+
+impl PlaneLayout {
+    pub fn new([width, height]: [u32; 2], strip: u32) -> PlaneLayout {
+        let columns = width.next_multiple_of(strip) as usize / 4 + 3;
+        PlaneLayout { groups: (columns + 1).div_ceil(16), columns, height: height as usize }
+    }
+
+    /// Of a plane.
+    pub fn texels(self) -> usize {
+        16 * self.groups * self.height
+    }
+
+    /// Where texel `column` of row `y` of a plane is.
+    pub fn texel(self, plane: usize, column: usize, y: usize) -> usize {
+        plane * self.texels() + (column / 16 * self.height + y) * 16 + column % 16
+    }
+}
+
+/// Both pictures as planes: floats, and words of four bytes.
+pub fn planes(gpu: &Gpu, pictures: &Pictures, strip: u32) -> [Buffer; 2] {
+    let layout = PlaneLayout::new(pictures.size, strip);
+    let rendered_planes = gpu.untouched::<[f32; 4]>("rendered_planes", 3 * layout.texels());
+    let photo_planes = gpu.untouched::<u32>("photo_planes", 3 * layout.texels());
+    let workgroup_size = gpu.workgroup(64);
+    let spec = ssim_planes::Spec { workgroup_size, float_photo: false, masked: pictures.masked };
+    let kernel = gpu.kernel::<ssim_planes::Interface>(&spec);
+    let bind = ssim_planes::Bind {
+        accumulated: &gpu.buffer("accumulated", &pictures.accumulated),
+        photo: &gpu.buffer("photo", &pictures.photo),
+        rendered_planes: &rendered_planes,
+        photo_planes: &photo_planes,
+    };
+    let [image_width, image_height] = pictures.size;
+    let background = BACKGROUND.map(|x| x as f32);
+    let (groups, columns) = (layout.groups as u32, layout.columns as u32);
+    let push = ssim_planes::Push { image_width, image_height, background, groups, columns };
+    let workgroups = u64::from(columns * image_height).div_ceil(workgroup_size.into());
+    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
+    [rendered_planes, photo_planes]
+}
+
 /// Which kernels compute the window, and how much one invocation does.
 #[derive(Clone, Copy, Debug)]
 pub enum Window {
@@ -90,11 +142,26 @@ pub enum Window {
 }
 
 impl Window {
-    /// Words of the derivatives at a pixel in one channel.
-    pub fn derivative_words(self) -> usize {
+    /// Words of the derivatives.
+    pub fn derivative_words(self, pictures: &Pictures) -> usize {
         match self {
-            Self::Block { .. } => 3,
-            Self::Sweep { .. } => 4,
+            Self::Block { .. } => 9 * pictures.pixels(),
+            Self::Sweep { strip, .. } => 9 * 4 * PlaneLayout::new(pictures.size, strip).texels(),
+        }
+    }
+
+    /// Where the derivative by moment k is, a word.
+    pub fn derivative_place(self, pictures: &Pictures, channel: usize, pixel: usize, k: usize) -> usize {
+        let Self::Sweep { strip, .. } = self else {
+            return 3 * (channel * pictures.pixels() + pixel) + k;
+        };
+        let layout = PlaneLayout::new(pictures.size, strip);
+        let width = pictures.size[0] as usize;
+        let (x, y) = (pixel % width, pixel / width);
+        match k {
+            // In pairs, from the sixth place on.
+            0 | 1 => 4 * layout.texel(3 * channel, (x + 5) / 2, y) + (x + 5) % 2 * 2 + k,
+            _ => 4 * layout.texel(3 * channel + 2, (x + 8) / 4, y) + x % 4,
         }
     }
 
@@ -113,8 +180,7 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffe
     let accumulated = &gpu.buffer("accumulated", &pictures.accumulated);
     let photo = &gpu.buffer("photo", &pictures.photo);
     let count = 3 * window.partials(pictures);
-    let words = 3 * window.derivative_words() * pictures.pixels();
-    let derivatives = gpu.untouched::<f32>("derivatives", words);
+    let derivatives = gpu.untouched::<f32>("derivatives", window.derivative_words(pictures));
     let loss_partials = gpu.untouched::<[f32; 2]>("loss_partials", count);
     let [image_width, image_height] = pictures.size;
     let background = BACKGROUND.map(|x| x as f32);
@@ -134,18 +200,19 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffe
             gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
         }
         Window::Sweep { strip, rows } => {
-            let spec = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo, masked };
+            let [rendered_planes, photo_planes] = &planes(gpu, pictures, strip);
+            let spec = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo };
             let kernel = gpu.kernel::<ssim_forward_sweep::Interface>(&spec);
             let bind = ssim_forward_sweep::Bind {
-                accumulated,
-                photo,
+                rendered_planes,
+                photo_planes,
                 derivatives: &derivatives,
                 loss_partials: &loss_partials,
             };
             let push = ssim_forward_sweep::Push {
                 image_width,
                 image_height,
-                background,
+                groups: PlaneLayout::new(pictures.size, strip).groups as u32,
                 first_channel: 0,
                 invocations: count as u32,
                 rows,
@@ -186,17 +253,19 @@ pub fn backward(
         Window::Sweep { strip, rows } => {
             let spec = ssim_backward_sweep::Spec { workgroup_size, strip, float_photo, masked };
             let kernel = gpu.kernel::<ssim_backward_sweep::Interface>(&spec);
+            let [rendered_planes, photo_planes] = &planes(gpu, pictures, strip);
             let bind = ssim_backward_sweep::Bind {
-                accumulated,
-                photo,
+                rendered_planes,
+                photo_planes,
                 derivatives,
+                photo,
                 image_gradient: &image_gradient,
             };
             let invocations = 3 * window.partials(pictures) as u32;
             let push = ssim_backward_sweep::Push {
                 image_width,
                 image_height,
-                background,
+                groups: PlaneLayout::new(pictures.size, strip).groups as u32,
                 first_channel,
                 invocations,
                 rows,
@@ -213,4 +282,4 @@ pub fn backward(
 pub const SIZES: [[u32; 2]; 8] = [[1, 1], [5, 3], [16, 16], [17, 5], [15, 33], [31, 48], [64, 10], [90, 70]];
 
 /// Columns and rows of one invocation that sweeps.
-pub const SWEEPS: [(u32, u32); 3] = [(2, 3), (8, 7), (8, 48)];
+pub const SWEEPS: [(u32, u32); 3] = [(4, 3), (8, 7), (8, 48)];

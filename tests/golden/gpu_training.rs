@@ -39,10 +39,9 @@ fn device_loss(
     let truth: Vec<f32> = truth.iter().map(|&x| x as f32).collect();
     let accumulated = gpu.buffer("accumulated", &texels);
     let photo = gpu.buffer("photo", &truth);
-    let derivatives: Vec<_> = (loss.derivative_requests(width, height).into_iter())
+    let scratch: Vec<_> = (loss.scratch_requests([(width, height)]).into_iter())
         .map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize))
         .collect();
-    let partials = gpu.untouched::<u8>("partials", loss.partials_bytes(width, height) as usize);
     let losses = gpu.untouched::<[f32; 4]>("losses", 2);
     let image_gradient = gpu.untouched::<[f32; 4]>("image_gradient", count);
     gpu.run(|recorder| {
@@ -51,8 +50,7 @@ fn device_loss(
             &LossInputs {
                 accumulated: &accumulated,
                 photo: &photo,
-                derivatives: &derivatives,
-                partials: &partials,
+                scratch: &scratch,
                 losses: &losses,
                 slot: 1,
                 image_gradient: &image_gradient,

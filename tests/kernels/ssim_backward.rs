@@ -20,11 +20,12 @@ pub fn check(gpu: &Gpu, pictures: &Pictures, window: Window) {
         })
         .collect();
     let of_pixel = |t: &SsimPlane, i: usize| [t.d_mean[i], t.d_square[i], t.d_product[i]].map(|x| x as f32);
-    let mut derivatives: Vec<f32> = Vec::new();
-    for t in &twins {
+    let mut derivatives = vec![f32::NAN; window.derivative_words(pictures)];
+    for (channel, t) in twins.iter().enumerate() {
         for i in 0..count {
-            derivatives.extend(of_pixel(t, i));
-            derivatives.resize(derivatives.len() + window.derivative_words() - 3, f32::NAN);
+            for (k, value) in of_pixel(t, i).into_iter().enumerate() {
+                derivatives[window.derivative_place(pictures, channel, i, k)] = value;
+            }
         }
     }
     let derivatives = gpu.buffer("derivatives", &derivatives);

@@ -9,16 +9,14 @@ use crate::reference::ssim_forward::ssim_forward;
 pub fn check(gpu: &Gpu, pictures: &Pictures, window: Window) {
     let (derivatives, partials) = forward(gpu, pictures, window);
     let count = pictures.pixels();
-    let words = window.derivative_words();
-    let derivatives = gpu.read::<f32>(&derivatives, 3 * words * count);
-    let derivatives: Vec<&[f32]> = derivatives.chunks_exact(words).collect();
+    let derivatives = gpu.read::<f32>(&derivatives, window.derivative_words(pictures));
     let per_channel = window.partials(pictures);
     let partials = gpu.read::<[f32; 2]>(&partials, 3 * per_channel);
     for channel in 0..3 {
         let [x, y] = pictures.planes(channel);
         let twin = ssim_forward(&x, &y);
-        let of_channel = &derivatives[channel * count..(channel + 1) * count];
-        let column = |k: usize| of_channel.iter().map(|d| f64::from(d[k])).collect::<Vec<f64>>();
+        let place = |pixel: usize, k: usize| window.derivative_place(pictures, channel, pixel, k);
+        let column = |k: usize| (0..count).map(|i| f64::from(derivatives[place(i, k)])).collect::<Vec<f64>>();
         for (k, expected) in [&twin.d_mean, &twin.d_square, &twin.d_product].into_iter().enumerate() {
             // The derivatives reach 1/C2 where a window has no variance.
             let largest = expected.iter().fold(1.0_f64, |largest, x| largest.max(x.abs()));

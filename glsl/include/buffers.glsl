@@ -1,11 +1,14 @@
-// Read-only buffers in two forms. A shader with this include is compiled twice: as it stands, and with TEXELS, which reads
-// by texel: to a processor's driver a quarter of the work (engine/vk/texels.rs). A device gets the form that
-// `Limits::prefers_texels` says; both have the same interface and give the same bits.
+// Buffers in two forms. A shader with this include is compiled twice: as it stands, and with TEXELS, for the drivers of
+// processors. That form reads by texel, a quarter of the work there (engine/vk/texels.rs), and can write by 64 bits: each
+// store is a loop over the lanes, whatever it stores. That pays where stores are most of a kernel. A device gets the form that `Limits::prefers_texels` says; both have
+// the same interface and give the same bits.
 //
-// VEC4_READS(binding, Block, name); declares a buffer, VEC4_AT(name, index) reads from it; likewise for other types.
+// VEC4_READS(binding, Block, name); declares a buffer, VEC4_AT(name, index) reads from it; likewise for other types, and
+// VEC4_WRITES and VEC4_PUT(name, index, value) to write.
 
 #ifdef TEXELS
 #extension GL_EXT_samplerless_texture_functions : require
+#extension GL_EXT_shader_explicit_arithmetic_types_int64 : require
 
 #define VEC4_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING) uniform textureBuffer NAME
 #define UVEC4_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING) uniform textureBuffer NAME
@@ -18,6 +21,10 @@
 #define VEC2_AT(NAME, INDEX) vec2(FLOAT_AT(NAME, 2 * (INDEX)), FLOAT_AT(NAME, 2 * (INDEX) + 1))
 #define VEC4_AT(NAME, INDEX) texelFetch(NAME, int(INDEX))
 #define UVEC4_AT(NAME, INDEX) floatBitsToUint(texelFetch(NAME, int(INDEX)))
+
+#define VEC4_WRITES(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) writeonly buffer BLOCK { u64vec2 NAME[]; }
+
+#define VEC4_PUT(NAME, INDEX, VALUE) NAME[INDEX] = u64vec2(packUint2x32(floatBitsToUint((VALUE).xy)), packUint2x32(floatBitsToUint((VALUE).zw)))
 #else
 #define VEC4_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) readonly buffer BLOCK { vec4 NAME[]; }
 #define UVEC4_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) readonly buffer BLOCK { uvec4 NAME[]; }
@@ -30,4 +37,8 @@
 #define VEC2_AT(NAME, INDEX) NAME[INDEX]
 #define VEC4_AT(NAME, INDEX) NAME[INDEX]
 #define UVEC4_AT(NAME, INDEX) NAME[INDEX]
+
+#define VEC4_WRITES(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) writeonly buffer BLOCK { vec4 NAME[]; }
+
+#define VEC4_PUT(NAME, INDEX, VALUE) NAME[INDEX] = VALUE
 #endif

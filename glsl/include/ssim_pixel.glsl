@@ -1,0 +1,16 @@
+// Both pictures at a pixel, read from where they are.
+// Needs FLOAT_PHOTO, MASKED (RGBA8 only), the buffers `accumulated` and `photo`, and the push constant `background`.
+
+// Whether a pixel counts. Those that do not are 0 in both pictures, whatever is there: the pictures times the mask.
+bool counts(uint pixel) {
+    return !MASKED || photo[pixel] >> 24 != 0;
+}
+
+// Rendered value x and the photograph's y at a pixel.
+vec2 rendered_and_photo(uint pixel, uint channel) {
+    vec4 rendered = accumulated[pixel];
+    uint word = photo[FLOAT_PHOTO ? 3 * pixel + channel : pixel];
+    float y = FLOAT_PHOTO ? uintBitsToFloat(word) : float(word >> (8 * channel) & 0xFF) / 255.0;
+    vec2 value = vec2(rendered[channel] + rendered.w * background[channel], y);
+    return MASKED && word >> 24 == 0 ? vec2(0.0) : value;
+}
