@@ -104,7 +104,7 @@ macro_rules! camera_push {
 #[allow(unused_imports)]
 pub(crate) use camera_push;
 
-/// The push constants of a kernel of the forward pass that projects: the Gaussians as they are.
+/// The push constants of a kernel of the forward pass that projects: with what is drawn of the Gaussians.
 #[allow(unused_macros)]
 macro_rules! shape_push {
     ($push:path, $view:expr, $count:expr, $stride:expr) => {
@@ -113,9 +113,9 @@ macro_rules! shape_push {
             $view,
             $count,
             $stride,
-            scale_modifier: 1.0,
-            dilation_px2: ashsplat::kernels::constants::DILATION_PX2,
-            opacity_drawn: 0.0
+            scale_modifier: $view.drawn.scale_modifier as f32,
+            dilation_px2: $view.drawn.dilation_px2 as f32,
+            opacity_drawn: $view.drawn.opacity as f32
         )
     };
 }

@@ -1,6 +1,6 @@
 //! Random scenes and numbers, the same in every run.
 
-use crate::reference::types::{Extent, Gaussian, View};
+use crate::reference::types::{Drawn, Extent, Gaussian, View};
 
 /// SplitMix64.
 pub struct Random(u64);
@@ -61,7 +61,20 @@ pub fn small_view(size_px: [u32; 2]) -> View {
         antialias: false,
         symmetric_limit: false,
         extent: Extent::Exact,
+        drawn: Drawn::AS_THEY_ARE,
     }
+}
+
+/// What else may be drawn: smaller Gaussians, opaque ellipsoids of those that are not faint, dots. Every number
+/// representable in float32.
+#[allow(dead_code)]
+pub fn drawn_shapes() -> [Drawn; 3] {
+    let exp = |steepness: f32| f64::from(steepness.exp());
+    [
+        Drawn { scale_modifier: 0.375, ..Drawn::AS_THEY_ARE },
+        Drawn { scale_modifier: 0.25, dilation_px2: 0.015_625, opacity: -exp(40.0) },
+        Drawn { scale_modifier: 0.0, dilation_px2: 0.25, opacity: exp(3.75) },
+    ]
 }
 
 /// Gaussians around the origin, seen from a few units away; every parameter representable in float32.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::common::npz::{Npz, rows};
-use crate::reference::types::{Extent, Gaussian, View};
+use crate::reference::types::{Drawn, Extent, Gaussian, View};
 
 /// A rendering set.
 pub struct RenderingSet {
@@ -92,5 +92,6 @@ pub fn view(npz: &Npz) -> View {
         antialias: flag("antialias"),
         symmetric_limit: flag("lim_sym"),
         extent: Extent::Reference,
+        drawn: Drawn::AS_THEY_ARE,
     }
 }

@@ -4,7 +4,7 @@ use ashsplat::kernels::forward::cull::{Bind, Interface, Push, Spec};
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
 use crate::common::layout::{pack, shape_push};
-use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::cull::cull;
 use crate::reference::project::project;
 use crate::reference::types::{Extent, Gaussian, View};
@@ -58,6 +58,34 @@ fn cull_equals_its_twin() {
         counted.extend([UNTOUCHED; 2]);
         assert_eq!(gpu.read::<u32>(&counts, blocks + 2), counted, "{extent:?} {size}");
     }
+}
+
+/// Faint Gaussians leave no ellipsoid, but a dot.
+#[test]
+fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
+    let gpu = Gpu::new();
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    let size = 700;
+    let gaussians = mixed_scene(&mut Random::new(11), size, 1);
+    let parameters = gpu.buffer("parameters", &pack(&gaussians, size));
+    let blocks = size.div_ceil(spec.workgroup_size as usize);
+    let mut seen = Vec::new();
+    for drawn in drawn_shapes() {
+        let view = View { drawn, ..small_view([53, 37]) };
+        let flags = gpu.untouched::<u32>("visible_flags", size);
+        let counts = gpu.untouched::<u32>("block_counts", blocks);
+        let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
+        let push = shape_push!(Push, &view, size, size);
+        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64));
+        let flags = gpu.read::<u32>(&flags, size);
+        let expected = cull(&gaussians, &view);
+        let differ = |&i: &usize| flags[i] != u32::from(expected[i]) && !may_differ(&gaussians[i], &view);
+        assert_eq!((0..size).find(differ), None, "{drawn:?}");
+        seen.push(expected.iter().filter(|seen| **seen).count());
+    }
+    let [_, ellipsoids, dots] = seen[..] else { panic!("{seen:?}") };
+    assert!(0 < ellipsoids && ellipsoids < dots, "{seen:?}");
 }
 
 /// NaN and infinities are culled, opacity logits of ±∞ are valid.

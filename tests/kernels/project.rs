@@ -2,7 +2,7 @@
 
 use crate::common::frame::{Projected, tile_bounds, visible_scene};
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::tiles::{half_extent_px, reference_square, touched};
 use crate::reference::types::{Extent, Splat, View};
 
@@ -125,6 +125,18 @@ fn project_equals_its_twin_in_every_mode() {
             ..small_view([53, 37])
         };
         check(&gpu, 500, &view);
+    }
+}
+
+/// Smaller Gaussians, ellipsoids and dots.
+#[test]
+fn project_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
+    let gpu = Gpu::new();
+    for drawn in drawn_shapes() {
+        for (extent, antialias) in [(Extent::Exact, false), (Extent::Exact, true), (Extent::Reference, true)]
+        {
+            check(&gpu, 500, &View { drawn, extent, antialias, ..small_view([53, 37]) });
+        }
     }
 }
 

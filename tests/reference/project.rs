@@ -2,7 +2,7 @@
 
 use super::linear::{Mat3, apply, multiply, normalize_quat, rotation, sigmoid, transpose};
 use super::tiles;
-use super::types::{ALPHA_MIN, DILATION, Extent, Gaussian, NEAR, Splat, View};
+use super::types::{ALPHA_MIN, Extent, FAINT_OPACITY, Gaussian, NEAR, Splat, View};
 use super::{cull, sh};
 
 /// Everything on the way from a Gaussian to its splat that the backward pass needs again.
@@ -60,7 +60,8 @@ pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
 
     let unit_quat = normalize_quat(gaussian.quat);
     let r = rotation(unit_quat.0);
-    let scale = gaussian.log_scale.map(f64::exp);
+    let drawn = view.drawn;
+    let scale = gaussian.log_scale.map(|log_scale| log_scale.exp() * drawn.scale_modifier);
     let m = r.map(|row| [row[0] * scale[0], row[1] * scale[1], row[2] * scale[2]]);
     let cov3d = multiply(&m, &transpose(&m));
 
@@ -71,10 +72,12 @@ pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
     let [a, b, c] = [cov[0][0], cov[0][1], cov[1][1]];
 
     let determinant_before = a * c - b * b;
-    let determinant_after = (a + DILATION) * (c + DILATION) - b * b;
+    let determinant_after = (a + drawn.dilation_px2) * (c + drawn.dilation_px2) - b * b;
     let ratio = determinant_before / determinant_after;
     let floor = f64::from(2.5e-5_f32);
-    let compensation = if view.antialias { (ratio.max(floor).sqrt(), ratio <= floor) } else { (1.0, true) };
+    let replaced = drawn.opacity != 0.0;
+    let compensation =
+        if view.antialias && !replaced { (ratio.max(floor).sqrt(), ratio <= floor) } else { (1.0, true) };
     Some(Intermediate {
         p,
         slope,
@@ -84,7 +87,11 @@ pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
         cov3d,
         jr,
         cov2d_undilated: [a, b, c],
-        opacity: sigmoid(gaussian.opacity_logit),
+        opacity: match sigmoid(gaussian.opacity_logit) {
+            own if !replaced => own,
+            faint if drawn.opacity < 0.0 && faint < FAINT_OPACITY => 0.0,
+            _ => drawn.opacity.abs(),
+        },
         compensation,
     })
 }
@@ -93,7 +100,7 @@ pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
 pub fn project(gaussian: &Gaussian, view: &View) -> Option<Splat> {
     let on_the_way = intermediate(gaussian, view)?;
     let [a, b, c] = on_the_way.cov2d_undilated;
-    let (a, c) = (a + DILATION, c + DILATION);
+    let (a, c) = (a + view.drawn.dilation_px2, c + view.drawn.dilation_px2);
     let determinant = a * c - b * b;
     if determinant == 0.0 || !determinant.is_finite() {
         return None;

@@ -47,7 +47,29 @@ pub struct View {
     pub symmetric_limit: bool,
     /// Which pixels a Gaussian may reach.
     pub extent: Extent,
+    /// What is drawn in place of the Gaussians.
+    pub drawn: Drawn,
 }
+
+/// What is drawn of each Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drawn {
+    /// Factor of the standard deviations.
+    pub scale_modifier: f64,
+    /// Added to both variances on the screen, px².
+    pub dilation_px2: f64,
+    /// If not 0, what stands in place of all opacities (and of the compensation); if negative, those below
+    /// [`FAINT_OPACITY`] become 0 instead.
+    pub opacity: f64,
+}
+
+impl Drawn {
+    /// The Gaussians themselves.
+    pub const AS_THEY_ARE: Self = Self { scale_modifier: 1.0, dilation_px2: DILATION, opacity: 0.0 };
+}
+
+/// Gaussians fainter than this are left out where opacities are replaced by a negative one.
+pub const FAINT_OPACITY: f64 = 0.2_f32 as f64;
 
 impl View {
     /// The tile grid's columns and rows.
