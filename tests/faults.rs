@@ -22,9 +22,13 @@ fn stride(usual: u64) -> usize {
 /// A device whose calls can be made to fail. Transfers are staged, so that there are more of them. The timeout is one that
 /// a busy machine does not reach.
 fn device() -> (Context, Faults) {
+    device_with(options())
+}
+
+fn device_with(options: ContextOptions) -> (Context, Faults) {
     let faults = Faults::new();
     let timeout = Some(Duration::from_secs(60));
-    let own = ContextOptions { faults: Some(faults.clone()), force_staging: true, timeout, ..options() };
+    let own = ContextOptions { faults: Some(faults.clone()), force_staging: true, timeout, ..options };
     (Context::new(&own).expect("a device"), faults)
 }
 
@@ -96,7 +100,7 @@ fn is_of(fault: Fault, error: &Error) -> bool {
     );
     match fault {
         Fault::Allocation => text.contains("OUT_OF_DEVICE_MEMORY") && text.contains("of arena"),
-        Fault::Object => text.contains("OUT_OF_HOST_MEMORY"),
+        Fault::Object | Fault::WaitMemory => text.contains("OUT_OF_HOST_MEMORY"),
         Fault::SubmitLost | Fault::WaitLost => matches!(error, Error::DeviceLost { .. }),
         Fault::Timeout => matches!(error, Error::Timeout { .. }),
     }
@@ -119,20 +123,39 @@ impl Matrix {
     }
 }
 
-/// Each failing call on the same device: what failed is dropped, and the next run works as if nothing had been.
+/// Which calls of a kind are to fail: of every function the first and the last one, and each so many-th.
+fn chosen(fault: Fault, faults: &Faults, stride: usize) -> Vec<u64> {
+    let mut chosen: Vec<u64> = (0..faults.calls(fault)).step_by(stride).collect();
+    if fault == Fault::Object {
+        let functions = faults.objects();
+        for (index, name) in functions.iter().enumerate() {
+            let (before, after) = (&functions[..index], &functions[index + 1..]);
+            if !before.contains(name) || !after.contains(name) {
+                chosen.push(index as u64);
+            }
+        }
+    }
+    chosen.sort_unstable();
+    chosen.dedup();
+    chosen
+}
+
+/// Each failing call on the same device: what failed is dropped, and the next run works as if nothing had been. The answer is
+/// the functions that were called.
 fn check_again_and_again<T: PartialEq>(
     name: &str,
     fault: Fault,
     stride: usize,
     run: fn(&Context) -> Result<T>,
-) {
+) -> Vec<&'static str> {
     let (context, faults) = device();
     let whole = run(&context).expect("no fault yet");
     faults.disarm();
     run(&context).expect("no fault yet");
     let mut matrix = Matrix { calls: faults.calls(fault), ..Matrix::default() };
     assert!(matrix.calls > 2, "{matrix:?}");
-    for index in (0..matrix.calls).step_by(stride) {
+    let (indices, functions) = (chosen(fault, &faults, stride), faults.objects());
+    for index in indices {
         faults.arm(fault, index);
         match run(&context) {
             Ok(result) => {
@@ -152,6 +175,7 @@ fn check_again_and_again<T: PartialEq>(
     assert!(run(&context).expect("works again") == whole, "{name}: another result afterwards");
     eprintln!("{name}, {fault:?}: {matrix:?}");
     close(context);
+    functions
 }
 
 #[test]
@@ -162,8 +186,33 @@ fn faults_of_allocations() {
 
 #[test]
 fn faults_of_other_objects() {
-    check_again_and_again("render", Fault::Object, stride(STRIDE), render);
+    let functions = check_again_and_again("render", Fault::Object, stride(STRIDE), render);
+    for function in ["begin_command_buffer", "end_command_buffer", "queue_submit2", "create_buffer_view"] {
+        assert!(functions.contains(&function), "{function} is not injected");
+    }
     check_again_and_again("train", Fault::Object, stride(3 * STRIDE), train);
+}
+
+/// Descriptor sets are allocated while recording where there are no push descriptors.
+#[test]
+fn faults_of_descriptor_sets() {
+    let device = || device_with(ContextOptions { push_descriptors: false, ..options() });
+    let (context, faults) = device();
+    faults.disarm();
+    let whole = render(&context).expect("no fault yet");
+    let functions = faults.objects();
+    close(context);
+    for function in ["create_descriptor_pool", "allocate_descriptor_sets"] {
+        let index = functions.iter().position(|name| *name == function).expect(function);
+        // Pools are kept: only a device's first run makes them.
+        let (context, faults) = device();
+        faults.arm(Fault::Object, index as u64);
+        let error = render(&context).expect_err(function);
+        assert!(is_of(Fault::Object, &error), "{function}: {error}");
+        assert_eq!(faults.objects()[index], function);
+        assert!(render(&context).expect("works again") == whole, "{function}: another picture");
+        close(context);
+    }
 }
 
 /// A lost device stays lost: everything that is left says so, and all of it can be dropped.
@@ -214,7 +263,7 @@ fn faults_leave_renderer_and_trainer_usable() {
     renderer.upload(&start()).expect("upload");
     faults.disarm();
     let whole = picture(&mut renderer).expect("no fault yet");
-    for fault in [Fault::Allocation, Fault::Object, Fault::Timeout] {
+    for fault in [Fault::Allocation, Fault::Object, Fault::Timeout, Fault::WaitMemory] {
         renderer.set_instance_capacity(3);
         faults.disarm();
         picture(&mut renderer).expect("no fault yet");
@@ -223,7 +272,8 @@ fn faults_leave_renderer_and_trainer_usable() {
             faults.arm(fault, index);
             let (color, failures) = insist(|| picture(&mut renderer));
             assert!(color == whole, "{fault:?} {index}: another picture");
-            assert!(failures > 0 || fault != Fault::Timeout, "{fault:?} {index} went unnoticed");
+            let waits = matches!(fault, Fault::Timeout | Fault::WaitMemory);
+            assert!(failures > 0 || !waits, "{fault:?} {index} went unnoticed");
             matrix.count(failures == 0);
         }
         eprintln!("the same renderer, {fault:?}: {matrix:?}");
@@ -254,18 +304,23 @@ fn faults_leave_renderer_and_trainer_usable() {
 /// A step that timed out may or may not have moved the Gaussians: the trainer says so, and the device goes on.
 #[test]
 fn faults_of_timeouts_in_training() {
+    check_waits(Fault::Timeout, stride(9));
+    check_waits(Fault::WaitMemory, stride(13));
+}
+
+fn check_waits(fault: Fault, stride: usize) {
     let (context, faults) = device();
     let whole = train(&context).expect("no fault");
-    let mut matrix = Matrix { calls: faults.calls(Fault::Timeout), ..Matrix::default() };
-    for index in (0..matrix.calls).step_by(stride(9)) {
+    let mut matrix = Matrix { calls: faults.calls(fault), ..Matrix::default() };
+    for index in (0..matrix.calls).step_by(stride) {
         faults.disarm();
-        faults.arm(Fault::Timeout, index);
+        faults.arm(fault, index);
         match trainer(&context) {
-            Err(error) => assert!(is_of(Fault::Timeout, &error), "{error}"),
+            Err(error) => assert!(is_of(fault, &error), "{error}"),
             Ok(mut trainer) => {
                 match (0..STEPS).find_map(|_| trainer.step().err()) {
                     Some(error) => {
-                        assert!(is_of(Fault::Timeout, &error), "{error}");
+                        assert!(is_of(fault, &error), "{error}");
                         let error = trainer.step().expect_err("unknown state").to_string();
                         assert!(error.contains("checkpoint"), "{error}");
                         assert!(trainer.checkpoint().is_err(), "of a state that nobody knows");
@@ -273,7 +328,7 @@ fn faults_of_timeouts_in_training() {
                     // The waits that are left are those of reading the result, which changes nothing.
                     None => {
                         let error = trainer.gaussians().expect_err("what else waits");
-                        assert!(is_of(Fault::Timeout, &error), "{error}");
+                        assert!(is_of(fault, &error), "{error}");
                         assert!(insist(|| trainer.gaussians()).0 == whole, "other bits");
                     }
                 }
@@ -281,7 +336,7 @@ fn faults_of_timeouts_in_training() {
         }
         matrix.count(false);
     }
-    eprintln!("train, Timeout: {matrix:?}");
+    eprintln!("train, {fault:?}: {matrix:?}");
     faults.disarm();
     assert!(insist(|| train(&context)).0 == whole, "other bits");
     close(context);

@@ -213,7 +213,7 @@ impl Renderer {
         r.barrier();
         let mut release = record_targets(r, compose, slot, frame);
         release.occluder = occluder;
-        slot.end(recorder);
+        slot.end(recorder)?;
         Ok(release)
     }
 

@@ -227,9 +227,9 @@ impl Slot {
     }
 
     /// Records the copy of the frame's counts to where the host reads them, and ends the recording.
-    pub fn end(&mut self, mut recorder: Recorder) {
+    pub fn end(&mut self, mut recorder: Recorder) -> Result<()> {
         recorder.copy(&self.frame.state, &self.readback);
-        self.record.end(recorder);
+        self.record.end(recorder)
     }
 
     /// What the last recording needed; None while it is in flight, and where there was none.

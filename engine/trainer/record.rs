@@ -181,7 +181,7 @@ impl Trainer {
         let slot = &self.recording.slots[index];
         self.record_plan(&mut recorder, &plan, [&slot.state, &slot.losses])?;
         let slot = &mut self.recording.slots[index];
-        slot.record.end(recorder);
+        slot.record.end(recorder)?;
         slot.outcome = None;
         let (after, gaussians) = (progress.after(&plan), self.training.scene.count);
         self.recording.in_flight.push_back(InFlight { slot: index, plan, after, gaussians });
@@ -345,6 +345,7 @@ impl Trainer {
             for view in views {
                 let mut recorder = self.context.begin("rehearsal")?;
                 self.record_plan(&mut recorder, &plan.rehearsal(view), [&slot.state, &slot.losses])?;
+                recorder.check()?;
             }
         }
         self.recording.frame_is_ready = true;

@@ -6,6 +6,7 @@ use super::image::Image;
 use super::kernel::{MAX_BINDINGS, Pipeline};
 use super::recorder::Recorder;
 use super::texels::{TexelFormat, TexelRange};
+use crate::Result;
 use ash::vk;
 use std::sync::Arc;
 
@@ -19,15 +20,23 @@ pub(super) struct Bound<'a> {
 const MAX_IMAGES: usize = 2;
 
 impl Recorder {
-    /// Binds the pipeline, its buffers, images and push constants.
-    pub(super) fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) {
+    /// Binds the pipeline, its buffers, images and push constants. False where that failed, now or before: then there is
+    /// nothing to dispatch, and whoever ends the recording is told ([`Recorder::check`]).
+    pub(super) fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> bool {
+        if self.failed.is_none() {
+            self.failed = self.try_prepare(pipeline, bound, push).err();
+        }
+        self.failed.is_none()
+    }
+
+    fn try_prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> Result<()> {
         let mut buffers = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
         let mut views = [vk::BufferView::null(); MAX_BINDINGS];
         let slots = buffers.iter_mut().zip(&mut views).zip(pipeline.bindings);
         for (((slot, view), info), buffer) in slots.zip(bound.buffers) {
             self.check_binding(pipeline, info.name, buffer);
             if let Some(format) = info.texels {
-                *view = self.texel_view(pipeline, info.name, buffer, format);
+                *view = self.texel_view(pipeline, info.name, buffer, format)?;
             }
             self.kept.block(buffer.block());
             let (offset, bytes) = (buffer.offset(), buffer.bytes());
@@ -70,7 +79,7 @@ impl Recorder {
             }
         }
         self.kept.pipeline(pipeline);
-        self.bind(pipeline, &mut writes[..count], push);
+        self.bind(pipeline, &mut writes[..count], push)
     }
 
     /// Fails for a buffer that cannot be bound.
@@ -97,7 +106,7 @@ impl Recorder {
         role: &str,
         buffer: &Buffer,
         format: TexelFormat,
-    ) -> vk::BufferView {
+    ) -> Result<vk::BufferView> {
         let limits = &self.inner.limits;
         let (kernel, name, offset, bytes) = (pipeline.name, buffer.name(), buffer.offset(), buffer.bytes());
         let texels = bytes / format.bytes();
@@ -108,20 +117,19 @@ impl Recorder {
             limits.texel_alignment
         );
         let block = buffer.block();
-        match block.texels.of(&self.inner, buffer.raw(), TexelRange { offset, bytes, format }) {
-            Ok(view) => view,
-            Err(error) => panic!("{kernel}: {error}"),
-        }
+        block.texels.of(&self.inner, buffer.raw(), TexelRange { offset, bytes, format })
     }
 
-    fn bind(&mut self, pipeline: &Pipeline, writes: &mut [vk::WriteDescriptorSet<'_>], push: &[u8]) {
+    fn bind(
+        &mut self,
+        pipeline: &Pipeline,
+        writes: &mut [vk::WriteDescriptorSet<'_>],
+        push: &[u8],
+    ) -> Result<()> {
         let set = match self.commands.descriptors() {
             Some(sets) if !writes.is_empty() => {
                 let kind = descriptors::kind_of(pipeline.images).unwrap_or_default();
-                match sets.next(&self.inner, kind) {
-                    Ok(set) => Some(set),
-                    Err(error) => panic!("{}: {error}", pipeline.name),
-                }
+                Some(sets.next(&self.inner, kind)?)
             }
             _ => None,
         };
@@ -149,5 +157,6 @@ impl Recorder {
                 device.cmd_push_constants(raw, pipeline.layout, vk::ShaderStageFlags::COMPUTE, 0, push);
             }
         }
+        Ok(())
     }
 }

@@ -197,7 +197,7 @@ impl Context {
         // SAFETY: the device was created with one queue of this family.
         let queue = unsafe { device.get_device_queue(candidate.queue_family, 0) };
         let device = match &options.faults {
-            Some(faults) => faults::install(&device, queue, faults),
+            Some(faults) => faults::install(&device, Some(queue), faults),
             None => device,
         };
         let debug_utils = instance.has_debug_utils;
@@ -242,10 +242,10 @@ impl Context {
             Ok((limits, Some(descriptors::shared_layouts(&device)?)))
         });
         let (limits, shared_layouts) = opened.inspect_err(|_| {
+            faults::remove(device.handle());
             if let Owner::Us(_) = owner {
                 // SAFETY: nothing was made from it yet.
                 unsafe { device.destroy_device(None) }
-                faults::remove(device.handle(), queue.unwrap_or_default());
             }
         })?;
         Ok(Self(Arc::new(Inner {
@@ -341,10 +341,7 @@ impl Inner {
 impl Drop for Inner {
     fn drop(&mut self) {
         let slots = std::mem::take(&mut *self.slots.lock().unwrap_or_else(PoisonError::into_inner));
-        if let Some(queue) = &mut self.queue {
-            let queue = *queue.get_mut().unwrap_or_else(PoisonError::into_inner);
-            faults::remove(self.device.handle(), queue);
-        }
+        faults::remove(self.device.handle());
         let mut sets = std::mem::take(&mut *self.descriptors.lock().unwrap_or_else(PoisonError::into_inner));
         let ours = matches!(self.owner, Owner::Us(_));
         // SAFETY: nothing refers to the device any more: all that does holds this struct, and every submission of ours

@@ -134,10 +134,11 @@ impl DescriptorSets {
             let pool = inner.device.create_descriptor_pool(&info, None);
             let pool = pool.map_err(vk_error("vkCreateDescriptorPool"))?;
             inner.names.name(pool, "descriptor sets");
-            self.pools.push(pool);
             let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
             let sets = inner.device.allocate_descriptor_sets(&info);
+            let sets = sets.inspect_err(|_| inner.device.destroy_descriptor_pool(pool, None));
             self.sets[kind].extend(sets.map_err(vk_error("vkAllocateDescriptorSets"))?);
+            self.pools.push(pool);
         }
         Ok(())
     }

@@ -19,7 +19,9 @@ pub enum Fault {
     WaitLost,
     /// vkWaitForFences: not over in time.
     Timeout,
-    /// Creation, binding, mapping or resetting of anything else: out of host memory.
+    /// vkWaitForFences: out of host memory.
+    WaitMemory,
+    /// Any other call that may fail (creation, binding, mapping, resetting, recording, submission): out of host memory.
     Object,
 }
 
@@ -27,12 +29,15 @@ pub enum Fault {
 #[derive(Clone, Copy, Debug, Default)]
 struct Counter {
     calls: u64,
-    fails: Option<u64>,
+    /// The first to fail, and how many from there on.
+    fails: Option<(u64, u64)>,
 }
 
 #[derive(Default)]
 struct State {
     counters: HashMap<Fault, Counter>,
+    /// The functions of [`Fault::Object`] in the order of their calls.
+    objects: Vec<&'static str>,
     injected: u64,
     lost: bool,
 }
@@ -59,17 +64,33 @@ impl Faults {
 
     /// Lets the `index`-th call from now on fail (from 0), that one alone; calls are counted from here.
     pub fn arm(&self, fault: Fault, index: u64) {
-        self.with(|state| state.counters.insert(fault, Counter { calls: 0, fails: Some(index) }));
+        self.arm_many(fault, index, 1);
+    }
+
+    /// As [`Faults::arm`], and the following calls as well: `count` in all.
+    pub fn arm_many(&self, fault: Fault, index: u64, count: u64) {
+        self.with(|state| {
+            state.objects.clear();
+            state.counters.insert(fault, Counter { calls: 0, fails: Some((index, count)) })
+        });
     }
 
     /// Lets nothing fail any more, and counts from here.
     pub fn disarm(&self) {
-        self.with(|state| state.counters.clear());
+        self.with(|state| {
+            state.objects.clear();
+            state.counters.clear();
+        });
     }
 
     /// Calls of a kind since [`Faults::arm`] or [`Faults::disarm`].
     pub fn calls(&self, fault: Fault) -> u64 {
         self.with(|state| state.counters.get(&fault).map_or(0, |counter| counter.calls))
+    }
+
+    /// The functions that [`Fault::Object`] counts, call by call since [`Faults::arm`] or [`Faults::disarm`].
+    pub fn objects(&self) -> Vec<&'static str> {
+        self.with(|state| state.objects.clone())
     }
 
     /// How many calls were made to fail, those on a lost device aside.
@@ -81,12 +102,20 @@ impl Faults {
     fn strikes(&self, fault: Fault) -> bool {
         self.with(|state| {
             let counter = state.counters.entry(fault).or_default();
-            let strikes = counter.fails == Some(counter.calls);
+            let strikes = counter.fails.is_some_and(|(first, count)| {
+                counter.calls.checked_sub(first).is_some_and(|since| since < count)
+            });
             counter.calls += 1;
             state.injected += u64::from(strikes);
             state.lost |= strikes && matches!(fault, Fault::SubmitLost | Fault::WaitLost);
             strikes
         })
+    }
+
+    /// Counts a call of one of the many functions; whether it is to fail.
+    fn strikes_object(&self, function: &'static str) -> bool {
+        self.with(|state| state.objects.push(function));
+        self.strikes(Fault::Object)
     }
 
     fn lost(&self) -> bool {
@@ -101,7 +130,7 @@ struct Installed {
     v1_3: ash::DeviceFnV1_3,
 }
 
-/// By device and queue. Function pointers carry nothing: where their state lies must be known to all.
+/// By device, queue and command buffer. Function pointers carry nothing: where their state lies must be known to all.
 static INSTALLED: Mutex<Vec<(u64, Arc<Installed>)>> = Mutex::new(Vec::new());
 
 fn installed(handle: u64) -> Option<Arc<Installed>> {
@@ -110,21 +139,28 @@ fn installed(handle: u64) -> Option<Arc<Installed>> {
 }
 
 /// Forgets a device, before its handle may mean another.
-pub(super) fn remove(device: vk::Device, queue: vk::Queue) {
-    let keys = [device.as_raw(), queue.as_raw()];
-    INSTALLED.lock().unwrap_or_else(PoisonError::into_inner).retain(|(key, _)| !keys.contains(key));
+pub(super) fn remove(device: vk::Device) {
+    let Some(gone) = installed(device.as_raw()) else { return };
+    INSTALLED.lock().unwrap_or_else(PoisonError::into_inner).retain(|(_, other)| !Arc::ptr_eq(other, &gone));
+}
+
+/// Lets a handle lead to the functions; whatever it meant before is gone.
+fn register(handle: u64, state: &Arc<Installed>) {
+    let mut all = INSTALLED.lock().unwrap_or_else(PoisonError::into_inner);
+    all.retain(|(other, _)| *other != handle);
+    all.push((handle, state.clone()));
 }
 
 /// The device with wrappers in its function table.
-pub(super) fn install(device: &ash::Device, queue: vk::Queue, faults: &Faults) -> ash::Device {
+pub(super) fn install(device: &ash::Device, queue: Option<vk::Queue>, faults: &Faults) -> ash::Device {
     let (mut v1_0, mut v1_3) = (device.fp_v1_0().clone(), device.fp_v1_3().clone());
     let state = Arc::new(Installed { faults: faults.clone(), v1_0: v1_0.clone(), v1_3: v1_3.clone() });
-    let mut all = INSTALLED.lock().unwrap_or_else(PoisonError::into_inner);
-    for key in [device.handle().as_raw(), queue.as_raw()] {
-        all.retain(|(other, _)| *other != key);
-        all.push((key, state.clone()));
-    }
+    register(device.handle().as_raw(), &state);
+    queue.iter().for_each(|queue| register(queue.as_raw(), &state));
     wrap_objects(&mut v1_0);
+    v1_0.allocate_command_buffers = allocate_command_buffers;
+    v1_0.begin_command_buffer = begin_command_buffer;
+    v1_0.end_command_buffer = end_command_buffer;
     v1_0.allocate_memory = allocate_memory;
     v1_0.wait_for_fences = wait_for_fences;
     v1_3.queue_submit2 = queue_submit2;
@@ -140,7 +176,9 @@ macro_rules! objects {
             /// As the function that it stands for.
             unsafe extern "system" fn $function(device: vk::Device, $($argument: $type),*) -> vk::Result {
                 match installed(device.as_raw()) {
-                    Some(i) if i.faults.strikes(Fault::Object) => vk::Result::ERROR_OUT_OF_HOST_MEMORY,
+                    Some(i) if i.faults.strikes_object(stringify!($function)) => {
+                        vk::Result::ERROR_OUT_OF_HOST_MEMORY
+                    }
                     // SAFETY: the caller's arguments, passed on as they are.
                     Some(i) => unsafe { (i.v1_0.$function)(device, $($argument),*) },
                     None => vk::Result::ERROR_UNKNOWN,
@@ -160,7 +198,6 @@ objects! {
     map_memory(memory: vk::DeviceMemory, offset: vk::DeviceSize, size: vk::DeviceSize, flags: vk::MemoryMapFlags, out: *mut *mut std::ffi::c_void);
     create_command_pool(info: *const vk::CommandPoolCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::CommandPool);
     reset_command_pool(pool: vk::CommandPool, flags: vk::CommandPoolResetFlags);
-    allocate_command_buffers(info: *const vk::CommandBufferAllocateInfo<'_>, out: *mut vk::CommandBuffer);
     create_fence(info: *const vk::FenceCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::Fence);
     reset_fences(count: u32, fences: *const vk::Fence);
     create_query_pool(info: *const vk::QueryPoolCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::QueryPool);
@@ -168,7 +205,66 @@ objects! {
     create_shader_module(info: *const vk::ShaderModuleCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::ShaderModule);
     create_descriptor_set_layout(info: *const vk::DescriptorSetLayoutCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::DescriptorSetLayout);
     create_pipeline_layout(info: *const vk::PipelineLayoutCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::PipelineLayout);
+    create_buffer_view(info: *const vk::BufferViewCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::BufferView);
+    create_descriptor_pool(info: *const vk::DescriptorPoolCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::DescriptorPool);
+    allocate_descriptor_sets(info: *const vk::DescriptorSetAllocateInfo<'_>, out: *mut vk::DescriptorSet);
+    create_image(info: *const vk::ImageCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::Image);
+    bind_image_memory(image: vk::Image, memory: vk::DeviceMemory, offset: vk::DeviceSize);
+    create_image_view(info: *const vk::ImageViewCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::ImageView);
+    create_event(info: *const vk::EventCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::Event);
+    get_event_status(event: vk::Event);
+    reset_event(event: vk::Event);
     create_compute_pipelines(cache: vk::PipelineCache, count: u32, infos: *const vk::ComputePipelineCreateInfo<'_>, callbacks: *const vk::AllocationCallbacks<'_>, out: *mut vk::Pipeline);
+}
+
+/// Command buffers lead to their device's functions from here on.
+///
+/// # Safety
+/// As vkAllocateCommandBuffers.
+unsafe extern "system" fn allocate_command_buffers(
+    device: vk::Device,
+    info: *const vk::CommandBufferAllocateInfo<'_>,
+    out: *mut vk::CommandBuffer,
+) -> vk::Result {
+    let Some(i) = installed(device.as_raw()) else { return vk::Result::ERROR_UNKNOWN };
+    if i.faults.strikes_object("allocate_command_buffers") {
+        return vk::Result::ERROR_OUT_OF_HOST_MEMORY;
+    }
+    // SAFETY: the caller's arguments, passed on as they are; on success there are as many handles as were asked for.
+    unsafe {
+        let result = (i.v1_0.allocate_command_buffers)(device, info, out);
+        if result == vk::Result::SUCCESS {
+            let handles = std::slice::from_raw_parts(out, (*info).command_buffer_count as usize);
+            handles.iter().for_each(|commands| register(commands.as_raw(), &i));
+        }
+        result
+    }
+}
+
+/// # Safety
+/// As vkBeginCommandBuffer, for a command buffer that [`allocate_command_buffers`] has given.
+unsafe extern "system" fn begin_command_buffer(
+    commands: vk::CommandBuffer,
+    info: *const vk::CommandBufferBeginInfo<'_>,
+) -> vk::Result {
+    match installed(commands.as_raw()) {
+        Some(i) if i.faults.strikes_object("begin_command_buffer") => vk::Result::ERROR_OUT_OF_HOST_MEMORY,
+        // SAFETY: the caller's arguments, passed on as they are.
+        Some(i) => unsafe { (i.v1_0.begin_command_buffer)(commands, info) },
+        None => vk::Result::ERROR_UNKNOWN,
+    }
+}
+
+/// # Safety
+/// As vkEndCommandBuffer, for a command buffer that [`allocate_command_buffers`] has given.
+unsafe extern "system" fn end_command_buffer(commands: vk::CommandBuffer) -> vk::Result {
+    match installed(commands.as_raw()) {
+        // It is invalid then, as the specification says: only good for being reset.
+        Some(i) if i.faults.strikes_object("end_command_buffer") => vk::Result::ERROR_OUT_OF_HOST_MEMORY,
+        // SAFETY: the caller's argument, passed on as it is.
+        Some(i) => unsafe { (i.v1_0.end_command_buffer)(commands) },
+        None => vk::Result::ERROR_UNKNOWN,
+    }
 }
 
 /// # Safety
@@ -197,6 +293,7 @@ unsafe extern "system" fn queue_submit2(
 ) -> vk::Result {
     match installed(queue.as_raw()) {
         Some(i) if i.faults.strikes(Fault::SubmitLost) || i.faults.lost() => vk::Result::ERROR_DEVICE_LOST,
+        Some(i) if i.faults.strikes_object("queue_submit2") => vk::Result::ERROR_OUT_OF_HOST_MEMORY,
         // SAFETY: the caller's arguments, passed on as they are.
         Some(i) => unsafe { (i.v1_3.queue_submit2)(queue, count, submits, fence) },
         None => vk::Result::ERROR_UNKNOWN,
@@ -215,6 +312,9 @@ unsafe extern "system" fn wait_for_fences(
     let Some(i) = installed(device.as_raw()) else { return vk::Result::ERROR_UNKNOWN };
     if i.faults.strikes(Fault::Timeout) {
         return vk::Result::TIMEOUT;
+    }
+    if i.faults.strikes(Fault::WaitMemory) {
+        return vk::Result::ERROR_OUT_OF_HOST_MEMORY;
     }
     let lost = i.faults.strikes(Fault::WaitLost) || i.faults.lost();
     // On a device that is lost nothing runs any more; on this one it does.

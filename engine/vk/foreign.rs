@@ -5,6 +5,7 @@ use super::allocator::HostAllocator;
 use super::context::{Context, ContextOptions, Inner, Owner, Parts};
 use super::descriptors::OwnedSets;
 use super::device;
+use super::faults;
 use super::lent::{Home, Lent};
 use super::profiler::{MAX_SCOPES, Profiler, ScopeTime};
 use super::recorder::{ForeignTarget, Recorder};
@@ -92,7 +93,10 @@ impl Context {
         Self::assemble(Parts {
             owner: Owner::Host(host.instance.clone()),
             candidate,
-            device: host.device.clone(),
+            device: match &options.faults {
+                Some(faults) => faults::install(host.device, host.queue, faults),
+                None => host.device.clone(),
+            },
             queue: host.queue,
             debug_utils: host.debug_utils,
             allocator: host.allocator.clone(),
@@ -311,10 +315,15 @@ impl RecordSlot {
 
     /// Ends a recording: everything that it wrote is made visible to the host, and the event is signalled behind it.
     ///
+    /// # Errors
+    /// [`Error::Vulkan`] where the driver had no memory for more dispatches than the slot was made for: then the command
+    /// buffer must be thrown away, and the recording [discarded](RecordSlot::discard).
+    ///
     /// # Panics
     /// When the recording was begun in another slot.
-    pub fn end(&mut self, recorder: Recorder) {
+    pub fn end(&mut self, mut recorder: Recorder) -> Result<()> {
         assert!(recorder.kept.is_from(&self.kept), "a recording ends in the slot that it was begun in");
+        let whole = recorder.check();
         let (target, profiler, _kept) = recorder.finish_foreign();
         type Stage = vk::PipelineStageFlags2;
         // All stages: the timestamps wait for all of them, also for those of commands that the host recorded before.
@@ -330,6 +339,7 @@ impl RecordSlot {
             self.inner.device.cmd_set_event2(target.raw, self.event, &dependency);
         }
         self.profiler = Some(profiler);
+        whole
     }
 
     /// Whether [`RecordSlot::times`] has all that there will be. On llvmpipe, whose queries wait for the whole device, this

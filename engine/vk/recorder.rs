@@ -12,6 +12,7 @@ use super::lent::Lent;
 use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled};
 use super::profiler::Profiler;
 use super::submit::{Commands, Kept};
+use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
 
@@ -34,6 +35,8 @@ pub struct Recorder {
     omitted: Vec<u32>,
     /// Present while somebody audits.
     pub(super) audit: Option<audit::Commands>,
+    /// The first call that failed. No dispatch is recorded after it, and the recording cannot be submitted.
+    pub(super) failed: Option<Error>,
 }
 
 pub(super) enum Target {
@@ -127,6 +130,7 @@ impl Recorder {
             barriers: 0,
             omitted: Vec::new(),
             audit: None,
+            failed: None,
             inner,
         }
     }
@@ -178,11 +182,13 @@ impl Recorder {
         assert!(x.max(y).max(z) <= limit, "{}: grid {x}x{y}x{z} exceeds {limit}", K::NAME);
         let (buffers, images) = (K::buffers(bind), K::images(bind));
         let bound = Bound { buffers: buffers.as_ref(), images: images.as_ref() };
-        self.check(&kernel.pipeline, &bound, None);
+        self.declare(&kernel.pipeline, &bound, None);
         if x == 0 || y == 0 || z == 0 {
             return;
         }
-        self.prepare(&kernel.pipeline, &bound, K::push_bytes(push));
+        if !self.prepare(&kernel.pipeline, &bound, K::push_bytes(push)) {
+            return;
+        }
         // SAFETY: the pipeline and everything that it uses are bound, the counts are within the limits.
         unsafe { self.inner.device.cmd_dispatch(self.raw(), x, y, z) }
         self.profile_dispatch(&kernel.pipeline, bound.buffers, Some([x, y, z]));
@@ -203,8 +209,10 @@ impl Recorder {
         assert!(arguments.offset().is_multiple_of(4), "{}: '{}' is misaligned", K::NAME, arguments.name());
         let (buffers, images) = (K::buffers(bind), K::images(bind));
         let bound = Bound { buffers: buffers.as_ref(), images: images.as_ref() };
-        self.check(&kernel.pipeline, &bound, Some(arguments));
-        self.prepare(&kernel.pipeline, &bound, K::push_bytes(push));
+        self.declare(&kernel.pipeline, &bound, Some(arguments));
+        if !self.prepare(&kernel.pipeline, &bound, K::push_bytes(push)) {
+            return;
+        }
         self.kept.block(arguments.block());
         // SAFETY: as above; the buffer has the INDIRECT usage and twelve bytes at an offset divisible by four.
         unsafe {
@@ -272,8 +280,17 @@ impl Recorder {
         self.profiler.commands = Some(profiled);
     }
 
+    /// What went wrong in the recording so far: a driver without memory for descriptors or views. [`super::Context::submit`]
+    /// asks by itself.
+    ///
+    /// # Errors
+    /// [`Error::Vulkan`]
+    pub(crate) fn check(&mut self) -> Result<()> {
+        self.failed.take().map_or(Ok(()), Err)
+    }
+
     /// Declares the accesses of a dispatch to the hazard checker.
-    fn check(&mut self, pipeline: &Pipeline, bound: &Bound<'_>, arguments: Option<&Buffer>) {
+    fn declare(&mut self, pipeline: &Pipeline, bound: &Bound<'_>, arguments: Option<&Buffer>) {
         let Some(hazards) = &mut self.hazards else { return };
         for (info, buffer) in pipeline.bindings.iter().zip(bound.buffers) {
             hazards.add(buffer, info.name, info.access);

@@ -296,7 +296,8 @@ impl Pending {
         let timeout = self.commands.inner.timeout;
         if let Err(error) = self.commands.wait(timeout) {
             if self.commands.submitted {
-                std::thread::spawn(move || drop(self));
+                // Without a thread, it is waited for here: what is not run is dropped.
+                let _ = std::thread::Builder::new().name("late submission".into()).spawn(move || drop(self));
             }
             return Err(error);
         }
@@ -348,12 +349,13 @@ impl Context {
     /// Submits a recording; whoever needs its results waits for the [`Pending`].
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], [`Error::Vulkan`] when out of memory.
+    /// [`Error::DeviceLost`], [`Error::Vulkan`] when out of memory, also where that was while recording.
     ///
     /// # Panics
     /// When the recorder records into a foreign command buffer.
-    pub fn submit(&self, recorder: Recorder) -> Result<Pending> {
+    pub fn submit(&self, mut recorder: Recorder) -> Result<Pending> {
         let submitting = Instant::now();
+        recorder.check()?;
         let (commands, profiler, kept, audit) = recorder.finish();
         let label = profiler.label();
         let mut pending = Pending {

@@ -16,6 +16,7 @@ mod memory;
 
 mod allocator;
 mod bad_input;
+mod faults;
 mod frames;
 mod lifetimes;
 mod pictures;

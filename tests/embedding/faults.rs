@@ -1,0 +1,72 @@
+//! On a host's device, too, every call of the guest that may fail does so once in its turn: a typed error, no panic, and
+//! nothing of the guest's left behind.
+
+use crate::host::{Host, HostOptions, InFlight};
+use crate::stage::{adopt, camera, cloud, options, with_host};
+use ashsplat::ash::vk;
+use ashsplat::vk::{Context, ContextOptions, Fault, Faults, Image, ImageUse};
+use ashsplat::{DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation, Result};
+
+fn guest(host: &Host, faults: &Faults) -> Result<Context> {
+    let options =
+        ContextOptions { hazard_check: true, faults: Some(faults.clone()), ..ContextOptions::default() };
+    // SAFETY: the host outlives the context, uses the queue from this thread, and says itself what was enabled.
+    unsafe { Context::from_foreign(&host.foreign(), &options) }
+}
+
+/// Everything that a guest makes, and one recorded frame; how many Gaussians it saw.
+fn frame(host: &Host, faults: &Faults) -> Result<u32> {
+    let context = guest(host, faults)?;
+    let scene = DeviceScene::upload(&context, &cloud(60, 1), 0)?;
+    let mut renderer = Renderer::new(&context)?;
+    renderer.reserve(&Reservation::new(60, 1, 40, 30))?;
+    Image::new(&context, "own", vk::Format::R32_SFLOAT, [40, 30], ImageUse::Storage)?;
+    let (scenes, camera, settings) = ([(&scene).into()], camera(0.3, 40, 30), RenderSettings::default());
+    let in_flight = InFlight::new(host).expect("a command buffer");
+    in_flight.begin(host).expect("recording");
+    let recorded =
+        renderer.record(adopt(&context, &in_flight), 0, &RecordedFrame::new(&scenes, &camera, &settings));
+    if recorded.is_ok() {
+        in_flight.submit(host).expect("a submission");
+        in_flight.wait(host).expect("done");
+    }
+    // What could not be recorded whole is thrown away.
+    in_flight.destroy(host);
+    recorded?;
+    Ok(renderer.slot_report(0)?.expect("finished").visible)
+}
+
+/// Without push descriptors: there is more to allocate.
+#[test]
+fn faults_of_a_guest() {
+    with_host(&HostOptions { push_descriptors: false, ..options() }, |host| {
+        let faults = Faults::new();
+        let whole = frame(host, &faults).expect("no fault yet");
+        let functions = faults.objects();
+        for name in ["create_event", "reset_event", "get_event_status", "create_image_view", "create_image"] {
+            assert!(functions.contains(&name), "{name} is not injected");
+        }
+        let (mut refused, mut survived) = (0, 0);
+        for (index, name) in functions.iter().enumerate() {
+            // Kernels are alike: of what is called for each, the first and the last.
+            if functions[..index].contains(name) && functions[index + 1..].contains(name) {
+                continue;
+            }
+            faults.arm(Fault::Object, index as u64);
+            match frame(host, &faults) {
+                Ok(visible) => assert_eq!(visible, whole, "{name}"),
+                Err(error) => {
+                    let text = error.to_string();
+                    assert!(text.contains("OUT_OF_HOST_MEMORY") && !text.contains('\n'), "{name}: {text}");
+                    refused += 1;
+                    continue;
+                }
+            }
+            survived += 1;
+        }
+        eprintln!("a guest: {refused} refused, {survived} survived");
+        assert!(refused > 15, "{refused} refused, {survived} survived");
+        faults.disarm();
+        assert_eq!(frame(host, &faults).expect("works again"), whole);
+    });
+}
