@@ -17,7 +17,7 @@ use crate::kernels::constants::{
     ARGUMENTS_COUNT, GRADIENT_PLANES, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2, SH_PLANES_3,
     SPLAT_PLANES, STATE_WORDS, TILE_SIZE,
 };
-use crate::vk::{Buffer, Limits};
+use crate::vk::{Buffer, Limits, PLACEMENT_ALIGNMENT, SMALLEST_BUFFER};
 
 /// `ceil(n / d)`.
 pub const fn blocks(n: u64, d: u64) -> u64 {
@@ -139,11 +139,15 @@ const INSTANCE_BYTES: u64 = 16;
 pub fn initial_instances(limits: &Limits, gaussians: u32, width: u32, height: u32) -> u32 {
     let (columns, rows) = tile_grid(width, height);
     let guess = u64::from(gaussians) * 6 + u64::from(columns) * u64::from(rows) * 16;
+    guess.max(1 << 12).min(max_trained_instances(limits).into()) as u32
+}
+
+/// How many instances a training step's frame can have on a device: what a binding and a grid hold.
+pub fn max_trained_instances(limits: &Limits) -> u32 {
     let axis = u64::from(limits.max_workgroups_per_axis);
-    let most = (limits.max_storage_buffer_range.min(limits.max_allocation_bytes) / INSTANCE_BYTES)
-        .min(axis * axis * u64::from(Blocks::new(limits).smallest()))
-        .max(1);
-    guess.max(1 << 12).min(most).min(u64::from(u32::MAX)) as u32
+    let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
+    let most = (bytes / INSTANCE_BYTES).min(axis * axis * u64::from(Blocks::new(limits).smallest()));
+    most.clamp(1, u32::MAX.into()) as u32
 }
 
 macro_rules! frame_requests {
@@ -339,9 +343,10 @@ pub fn max_trained_gaussians(limits: &Limits) -> u32 {
     (bytes / (16 * u64::from(GRADIENT_PLANES))).min(u32::MAX.into()) as u32
 }
 
-/// Bytes of all buffers of a frame.
+/// Bytes of all buffers of a frame, with the padding between them.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &Blocks) -> u64 {
-    frame_requests(capacity, block).iter().map(|(_, bytes)| bytes).sum()
+    let padded = |bytes: u64| bytes.max(SMALLEST_BUFFER).next_multiple_of(PLACEMENT_ALIGNMENT);
+    frame_requests(capacity, block).iter().map(|(_, bytes)| padded(*bytes)).sum()
 }
 
 /// The attributes of the visible, as bindings: see splat_record.glsl.

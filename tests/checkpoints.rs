@@ -1,13 +1,15 @@
 //! A run that goes on from a checkpoint ends with the same bits as one that was never interrupted.
 
 use ashsplat::io::Photo;
-use ashsplat::trainer::{Checkpoint, OptimizerType, TrainView, Trainer};
+use ashsplat::trainer::{Checkpoint, OptimizerType, Room, TrainView, Trainer};
+use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Gaussians, TrainSettings};
 use std::path::Path;
 use tempfile::tempdir;
 
 use crate::common::engine::{camera, gaussians};
 use crate::common::gpu::Gpu;
+use crate::common::options;
 use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
 use crate::reference::types::View;
 
@@ -47,6 +49,126 @@ pub fn start() -> Gaussians {
 
 fn steps(trainer: &mut Trainer, until: u32) -> Vec<f32> {
     (trainer.iteration()..until).map(|_| trainer.step().expect("a step").loss).collect()
+}
+
+/// With too little memory to grow as it would, a run that was interrupted still grows as one that was not.
+#[test]
+fn checkpoints_lose_no_bit_where_memory_is_bounded() {
+    let settings = TrainSettings { densify_grad_threshold: 1e-7, iterations: 34, ..settings() };
+    let many = gaussians(&small_scene(&mut Random::new(31), 3000, 9));
+    let run = |max_memory: Option<u64>, stops: &[u32]| {
+        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let mut trainer =
+            Trainer::new(&context, views(5, 40), &many, EXTENT, settings.clone()).expect("a trainer");
+        let mut limited = 0;
+        for iteration in 0..settings.iterations {
+            if stops.contains(&iteration) {
+                let checkpoint = trainer.checkpoint().expect("a checkpoint");
+                drop(trainer);
+                let resumed = Trainer::resume(&context, views(5, 40), EXTENT, settings.clone(), &checkpoint);
+                trainer = resumed.expect("resumed");
+            }
+            let densified = trainer.step().expect("a step").densified;
+            limited += u32::from(densified.is_some_and(|d| d.limited));
+        }
+        (trainer.checkpoint().expect("the end"), limited, context.memory_total().peak_bytes)
+    };
+    let (free, none, peak) = run(None, &[]);
+    assert_eq!(none, 0);
+    // Room for the first densification and for a part of the second.
+    let some = Some(peak * 3 / 4);
+    let (whole, limited, _) = run(some, &[]);
+    assert!(limited > 0 && (3000..free.gaussians.len()).contains(&whole.gaussians.len()), "{limited}");
+    for stops in [[14, 16], [15, 29], [30, 31]] {
+        let (parts, also_limited, _) = run(some, &stops);
+        assert!(parts == whole && also_limited == limited, "interrupted after {stops:?}: other bits");
+    }
+}
+
+/// The last iteration of a run moves nothing, as in the reference; in a run that has become longer it does.
+#[test]
+fn checkpoints_of_the_last_iteration_go_on_like_a_longer_run() {
+    let gpu = Gpu::new();
+    let longer = TrainSettings { iterations: 26, ..settings() };
+    let mut whole =
+        Trainer::new(gpu.context, views(5, 40), &start(), EXTENT, longer.clone()).expect("a trainer");
+    let losses = steps(&mut whole, 26);
+    let end = whole.checkpoint().expect("the end");
+    // At an ordinary iteration, at one that densifies, and at one that resets opacities.
+    for last in [12, 15, 20] {
+        let short = TrainSettings { iterations: last, ..longer.clone() };
+        let mut trainer =
+            Trainer::new(gpu.context, views(5, 40), &start(), EXTENT, short).expect("a trainer");
+        let mut parts = steps(&mut trainer, last);
+        let mut trainer = through_a_file(trainer, &gpu, &longer);
+        parts.extend(steps(&mut trainer, 26));
+        assert_eq!(parts, losses, "a run of {last}");
+        assert!(trainer.checkpoint().expect("the end") == end, "a run of {last}: other bits");
+    }
+}
+
+#[test]
+fn checkpoints_say_what_else_made_them() {
+    let gpu = Gpu::new();
+    let trainer = Trainer::new(gpu.context, views(2, 9), &start(), EXTENT, settings()).expect("a trainer");
+    let mut checkpoint = trainer.checkpoint().expect("a checkpoint");
+    let (device, driver) = (checkpoint.device.clone(), checkpoint.driver.clone());
+    assert!(!driver.is_empty());
+    assert_eq!(checkpoint.differences(&device, &driver), [""; 0]);
+    checkpoint.version = "0.0.9".into();
+    let said = checkpoint.differences("another", "newer").join("; ");
+    for word in ["ashsplat '0.0.9'", "device", "'another'", "driver", "'newer'"] {
+        assert!(said.contains(word), "no '{word}' in {said}");
+    }
+}
+
+/// Every bit of a small file counts, those of the settings and counters too.
+#[test]
+fn checkpoints_with_any_bit_flipped_are_refused() {
+    let one = Gaussians {
+        sh_degree: 0,
+        means: vec![[1.0, 2.0, 3.0]],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]],
+        log_scales: vec![[-1.0; 3]],
+        opacity_logits: vec![0.5],
+        sh: vec![[0.1, 0.2, 0.3]],
+    };
+    let checkpoint = Checkpoint {
+        version: "1".into(),
+        device: "d".into(),
+        driver: "r".into(),
+        settings: TrainSettings { sh_degree: 0, ..TrainSettings::default() },
+        views: 3,
+        views_fingerprint: 77,
+        scene_extent: 1.5,
+        iteration: 9,
+        optimizer_steps: 9,
+        opacity_steps: 8,
+        densification_due: false,
+        opacity_reset_due: true,
+        first_moments: one.clone(),
+        second_moments: one.clone(),
+        gaussians: one,
+        statistics: vec![[0.5, 2.0]],
+        room: Room::default(),
+    };
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("c.safetensors");
+    checkpoint.write(&path).expect("written");
+    assert!(Checkpoint::read(&path).expect("sound") == checkpoint);
+    let mut bytes = std::fs::read(&path).expect("read");
+    let mut unnoticed = 0;
+    for bit in 0..bytes.len() * 8 {
+        bytes[bit / 8] ^= 1 << (bit % 8);
+        std::fs::write(&path, &bytes).expect("written");
+        if let Ok(read) = Checkpoint::read(&path) {
+            // White space of the header, say.
+            assert!(read == checkpoint, "bit {bit} of {} changes what is read", bytes.len() * 8);
+            unnoticed += 1;
+        }
+        bytes[bit / 8] ^= 1 << (bit % 8);
+    }
+    assert!(unnoticed < 100, "{unnoticed} bits do not count");
 }
 
 /// From a trainer to disk and back to another trainer.
@@ -153,10 +275,10 @@ fn damaged_checkpoints_are_refused() {
         let at = whole.windows(from.len()).position(|bytes| bytes == from).expect("in the header");
         [&whole[..at], to, &whole[at + from.len()..]].concat()
     };
-    refuse_file(&path, &text(b"ashsplat-checkpoint/1", b"ashsplat-checkpoint/2"), &["checkpoint/2", "reads"]);
+    refuse_file(&path, &text(b"ashsplat-checkpoint/2", b"ashsplat-checkpoint/1"), &["checkpoint/1", "reads"]);
     refuse_file(&path, &text(b"\"format\"", b"\"former\""), &["no checkpoint of ashsplat"]);
     refuse_file(&path, &text(b"\"statistics\"", b"\"statistiks\""), &["lacks the tensor 'statistics'"]);
-    refuse_file(&path, &text(b"densify_from_iter", b"densify_from_itre"), &["settings"]);
+    refuse_file(&path, &text(b"densify_from_iter", b"densify_from_itre"), &["damaged", "metadata"]);
     refuse_file(&path, b"ply\nformat ascii 1.0\n", &["truncated or no safetensors"]);
     // A header that claims to be as long as memory.
     refuse_file(

@@ -129,3 +129,50 @@ fn extremes_would_be_seen_by_the_guards() {
     context.breach_guard(&buffers[1]).expect("written");
     assert_eq!(context.breached_guards().expect("read"), ["second"]);
 }
+
+/// A kernel that writes one element too many is seen as well: the bands behind a buffer are bound with it, for a driver
+/// drops what lies outside of what is bound.
+#[test]
+fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
+    use ashsplat::kernels::densify::decide;
+    use ashsplat::vk::{Kernel, MemoryKind};
+    const ROWS: u32 = 256;
+    let context = Context::new(&ContextOptions { guard_bands: true, ..options() }).expect("a device");
+    let (rows, stride) = (u64::from(ROWS), 2 * ROWS);
+    let requests = [
+        ("parameters", 16 * 15 * u64::from(stride)),
+        ("statistics", 8 * u64::from(stride)),
+        ("decisions", 4 * rows),
+        ("blocks", 4096),
+    ];
+    let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
+    let [parameters, statistics, decisions, block_counts] = &buffers[..] else { unreachable!("four") };
+    let limits = context.limits();
+    let spec =
+        decide::Spec { workgroup_size: limits.workgroup_size(256), subgroup_size: limits.subgroup_size };
+    let kernel = Kernel::<decide::Interface>::new(&context, &spec).expect("a kernel");
+    for (count, breached) in [(ROWS, &[][..]), (ROWS + 1, &["decisions"][..])] {
+        let push = decide::Push {
+            first: 0,
+            count,
+            stride,
+            blocks: count.div_ceil(spec.workgroup_size),
+            gradient_threshold: 1.0,
+            clone_scale: 1.0,
+            min_opacity: 0.5,
+            max_scale: 0.0,
+        };
+        context
+            .run("decide", |r| {
+                for buffer in [parameters, statistics] {
+                    r.fill(buffer, 0);
+                }
+                r.barrier();
+                let bind = decide::Bind { parameters, statistics, decisions, block_counts };
+                r.dispatch(&kernel, &bind, &push, count.div_ceil(spec.workgroup_size).into());
+                Ok(())
+            })
+            .expect("decided");
+        assert_eq!(context.breached_guards().expect("read"), breached, "{count} Gaussians");
+    }
+}

@@ -8,9 +8,9 @@ use ashsplat::vk::{Context, ContextOptions, Fault, Faults};
 use ashsplat::{Error, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
 
 use crate::checkpoints::{start, views};
-use crate::common::engine::camera;
+use crate::common::engine::{camera, gaussians};
 use crate::common::options;
-use crate::common::scenes::small_view;
+use crate::common::scenes::{Random, small_scene, small_view};
 
 /// Of the calls of a long list, each so many-th fails; `ASHSPLAT_ALL_FAULTS=1` lets each of them.
 const STRIDE: u64 = 11;
@@ -339,5 +339,71 @@ fn check_waits(fault: Fault, stride: usize) {
     eprintln!("train, {fault:?}: {matrix:?}");
     faults.disarm();
     assert!(insist(|| train(&context)).0 == whole, "other bits");
+    close(context);
+}
+
+/// As many Gaussians as outgrow their planes (those of 2800 have room for 4200) when they densify after the second iteration.
+fn about_to_grow(context: &Context) -> Trainer {
+    let mut many = gaussians(&small_scene(&mut Random::new(42), 2800, 16));
+    many.log_scales.iter_mut().flatten().for_each(|s| *s -= 2.5);
+    let settings = TrainSettings { densify_grad_threshold: 0.0, sh_degree: 1, ..settings() };
+    let mut trainer = Trainer::new(context, views(2, 5), &many, 5.0, settings).expect("a trainer");
+    (0..2).for_each(|_| drop(trainer.step().expect("a step")));
+    trainer
+}
+
+/// Growing fails in each of its calls, that one alone and together with all that follow it: either it does so with the
+/// same bits, or it adds only what fits into the planes at hand, or the step is refused and comes to pass later.
+#[test]
+fn faults_of_growth() {
+    let (context, faults) = device();
+    let mut trainer = about_to_grow(&context);
+    faults.disarm();
+    let grown = trainer.step().expect("a step").densified.expect("due");
+    let kinds = [(Fault::Allocation, 1), (Fault::Object, stride(100))];
+    let calls = kinds.map(|(fault, stride)| chosen(fault, &faults, stride));
+    let whole = trainer.gaussians().expect("there");
+    drop(trainer);
+    assert!(grown.rows() > 4200 && !grown.limited && calls[0].len() > 5, "{grown:?}, {calls:?}");
+    for (fault, indices) in [Fault::Allocation, Fault::Object].into_iter().zip(calls) {
+        let (mut same, mut limited, mut refused) = (0, 0, 0);
+        let cases = indices.iter().flat_map(|&index| [(index, 1), (index, u64::MAX)]);
+        for (index, many) in cases.step_by(stride(if fault == Fault::Object { 9 } else { 3 })) {
+            let mut trainer = about_to_grow(&context);
+            faults.arm_many(fault, index, many);
+            let before = faults.injected();
+            let step = trainer.step();
+            assert!(faults.injected() > before, "{fault:?} {index} was not reached");
+            faults.disarm();
+            let densified = match step {
+                Ok(report) => report.densified,
+                Err(error) => {
+                    assert!(is_of(fault, &error), "{fault:?} {index}: {error}");
+                    refused += 1;
+                    // What was densified before the failure is, and is not done twice.
+                    trainer.step().expect("tried again").densified
+                }
+            };
+            match densified {
+                Some(densified) if densified.limited => {
+                    assert!(densified.rows() <= 4200, "{densified:?}");
+                    limited += 1;
+                }
+                _ => {
+                    let now = trainer.gaussians().expect("there");
+                    let is_whole = now == whole;
+                    assert!(is_whole || now.len() <= 4200, "{fault:?} {index}, {many}: other bits");
+                    same += u32::from(is_whole);
+                }
+            }
+            trainer.step().expect("it goes on");
+            drop(trainer);
+            assert_nothing_allocated(&context);
+        }
+        eprintln!(
+            "growth, {fault:?}: {same} with the same bits, {limited} within the planes, {refused} tried again"
+        );
+        assert!(limited > 0 && same > 0);
+    }
     close(context);
 }

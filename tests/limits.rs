@@ -67,6 +67,9 @@ fn limits_that_are_lowered_change_no_bit_or_are_named() {
     lowered.extend([100, 8, 1].map(|n| LimitsOverride { max_workgroups_per_axis: Some(n), ..none }));
     lowered.extend([128, 8].map(|n| LimitsOverride { max_workgroup_invocations: Some(n), ..none }));
     lowered.extend([16 << 10, 64].map(|n| LimitsOverride { shared_memory_bytes: Some(n), ..none }));
+    lowered.extend([128, 32].map(|n| LimitsOverride { push_constant_bytes: Some(n), ..none }));
+    lowered.extend([4, 1].map(|n| LimitsOverride { max_workgroup_subgroups: Some(n), ..none }));
+    lowered.extend([32, 4].map(|n| LimitsOverride { max_push_descriptors: Some(n), ..none }));
     let (mut equal, mut refused) = (0, 0);
     for limits in lowered {
         let context = context(limits);
@@ -79,7 +82,11 @@ fn limits_that_are_lowered_change_no_bit_or_are_named() {
         eprintln!("{limits:?}: render, train: {results:?}");
         assert_silent(&context);
     }
-    assert!(equal >= 7 && refused >= 7, "{equal} equal, {refused} refused");
+    assert!(equal >= 13 && refused >= 8, "{equal} equal, {refused} refused");
+    // Without texels, the loss is by other kernels, which round otherwise: a picture is the same.
+    let context = context(LimitsOverride { max_texels: Some(4096), ..none });
+    assert!(render(&context).expect("a picture") == picture);
+    assert_silent(&context);
 }
 
 /// 8K frames do not fit bindings of 128 MiB.
@@ -157,9 +164,10 @@ fn memory_budget_stops_growth_not_training() {
     let context = with_memory(sets * 9 / 5);
     let (limited, kept, peak) = train(&context);
     assert!(limited.iter().any(|d| d.limited), "{limited:?}");
+    // As many as there is room for: those with the largest gradients.
+    assert!(limited.iter().any(|d| d.limited && d.cloned + d.split > 0), "{limited:?}");
     for d in limited.iter().filter(|d| d.limited) {
-        assert_eq!((d.cloned, d.split), (0, 0));
-        assert!(d.kept <= d.before);
+        assert!((8800..=9000).contains(&d.rows()), "{d:?}");
     }
     assert!(kept <= 9000 && peak <= sets * 9 / 5, "{kept} Gaussians, {peak} bytes");
     assert_silent(&context);

@@ -3,7 +3,9 @@
 use super::BlendSamples;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
-use crate::plan::{Blocks, FrameBuffers, FrameCapacity, check_grids, frame_requests, initial_instances};
+use crate::plan::{
+    Blocks, FrameBuffers, FrameCapacity, check_grids, frame_bytes, frame_requests, initial_instances,
+};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
 
@@ -131,6 +133,30 @@ impl FrameStore {
         self.capacity = capacity;
         self.frame = Some(frame.clone());
         Ok(frame)
+    }
+
+    /// Makes room for more Gaussians ahead of the frames that will need it.
+    ///
+    /// # Errors
+    /// As [`FrameStore::ensure`]; the next frame then allocates what there was before.
+    pub fn make_room(&mut self, gaussians: u32) -> Result<()> {
+        if self.frame.is_none() || gaussians <= self.capacity.gaussians {
+            return Ok(());
+        }
+        self.allocate(FrameCapacity { gaussians, ..self.capacity }).map(drop)
+    }
+
+    /// Allocates as a run before had it.
+    ///
+    /// # Errors
+    /// As [`FrameStore::ensure`].
+    pub fn restore(&mut self, capacity: FrameCapacity) -> Result<()> {
+        self.allocate(capacity).map(drop)
+    }
+
+    /// Bytes of the frame's buffers as they are allocated.
+    pub fn bytes(&self) -> u64 {
+        self.frame.as_ref().map_or(0, |_| frame_bytes(&self.capacity, &self.sizes))
     }
 
     /// Sets the capacity for instances; takes effect with the next allocation, which this forces.

@@ -99,6 +99,21 @@ impl FrameRunner {
         Ok(())
     }
 
+    /// Makes room for more Gaussians than frames have had so far.
+    pub fn make_room(&mut self, gaussians: u32) -> Result<()> {
+        self.store.make_room(gaussians)
+    }
+
+    /// Allocates as a run before had it.
+    pub fn restore(&mut self, capacity: FrameCapacity) -> Result<()> {
+        self.store.restore(capacity)
+    }
+
+    /// Bytes of the frame's buffers at present.
+    pub fn frame_bytes(&self) -> u64 {
+        self.store.bytes()
+    }
+
     /// Makes room for what frames turned out to need; whether there was too little.
     pub fn grow(&mut self, needed: &State) -> Result<bool> {
         self.store.grow(needed, &self.forward.sizes)

@@ -1,8 +1,12 @@
 //! What a training run needs of memory, before it is asked for.
 
+use super::checkpoint::Room;
 use crate::error::{Error, Result};
 use crate::loss;
-use crate::plan::{Blocks, FrameCapacity, ScenePlan, frame_bytes, initial_instances, max_trained_gaussians};
+use crate::plan::{
+    Blocks, FrameCapacity, ScenePlan, check_grids, frame_bytes, frame_requests, initial_instances,
+    max_trained_gaussians, max_trained_instances,
+};
 use crate::scene::Camera;
 use crate::vk::Context;
 
@@ -32,47 +36,78 @@ fn other_bytes(context: &Context, cameras: &[Camera], gaussians: u32) -> u64 {
         + frame_bytes(&capacity, &Blocks::new(context.limits()))
 }
 
-/// How many Gaussians to make room for at the start: half as many again as there are, or as many as the memory holds.
-///
-/// # Errors
-/// [`Error::TooLarge`] with what is needed, when even `count` do not fit.
-pub(super) fn initial_capacity(
-    context: &Context,
-    cameras: &[Camera],
-    photo_bytes: u64,
-    count: u32,
-    sh_degree: u32,
-) -> Result<u32> {
-    let most = max_trained_gaussians(context.limits());
-    if count > most {
-        return Err(Error::TooLarge {
-            what: "the gradients of the scene".into(),
-            needed: count.into(),
-            unit: "Gaussians",
-            limit: most.into(),
-            limit_name: "what maxStorageBufferRange holds",
+/// What a training run is going to have, before anything is allocated.
+pub(super) struct Before<'a> {
+    pub cameras: &'a [Camera],
+    pub photo_bytes: u64,
+    /// Gaussians to start from.
+    pub count: u32,
+    pub sh_degree: u32,
+}
+
+impl Before<'_> {
+    /// How many Gaussians to make room for at the start: half as many again as there are, or as many as the memory holds.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] with what is needed, when even those that are there do not fit.
+    pub fn initial_capacity(&self, context: &Context) -> Result<u32> {
+        let Self { cameras, photo_bytes, count, sh_degree } = *self;
+        let most = max_trained_gaussians(context.limits());
+        if count > most {
+            return Err(Error::TooLarge {
+                what: "the gradients of the scene".into(),
+                needed: count.into(),
+                unit: "Gaussians",
+                limit: most.into(),
+                limit_name: "what maxStorageBufferRange holds",
+            });
+        }
+        // Room to grow: densification allocates anew when it does not suffice.
+        let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
+        let Some((limit, limit_name)) = context.memory_limit() else { return Ok(wanted) };
+        let free = limit.saturating_sub(context.memory_total().bytes);
+        let needed = |capacity: u32| -> Result<u64> {
+            let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
+            Ok(sets_bytes(&plan) + photo_bytes + other_bytes(context, cameras, capacity))
+        };
+        if needed(wanted)? <= free {
+            return Ok(wanted);
+        }
+        let least = needed(count)?;
+        if least <= free {
+            return Ok(count);
+        }
+        let what = format!(
+            "training {count} Gaussians of SH degree {sh_degree} on {} photographs (fewer or smaller ones need less, or --photo-memory)",
+            cameras.len()
+        );
+        Err(Error::TooLarge { what, needed: least, unit: "bytes", limit: free, limit_name })
+    }
+
+    /// Whether what a run before had is possible here, and worth having: it holds the Gaussians, and fits.
+    pub fn has_room(&self, context: &Context, room: &Room) -> bool {
+        let limits = context.limits();
+        let Ok(plan) = ScenePlan::new(limits, room.gaussians, self.sh_degree) else { return false };
+        let sizes = Blocks::new(limits);
+        let frame = room.frame();
+        let fits = frame.is_none_or(|frame| {
+            let one = |(_, bytes): &(_, u64)| {
+                *bytes <= limits.max_storage_buffer_range.min(limits.max_allocation_bytes)
+            };
+            check_grids(limits, &frame, &sizes).is_ok() && frame_requests(&frame, &sizes).iter().all(one)
         });
+        if !fits || !(self.count..=max_trained_gaussians(limits)).contains(&room.gaussians) {
+            return false;
+        }
+        let largest = self.cameras.iter().map(|c| loss::scratch_bytes(limits, c.width, c.height)).max();
+        let needed = sets_bytes(&plan)
+            + self.photo_bytes
+            + largest.unwrap_or(0)
+            + frame.map_or(0, |frame| frame_bytes(&frame, &sizes));
+        context
+            .memory_limit()
+            .is_none_or(|(limit, _)| needed <= limit.saturating_sub(context.memory_total().bytes))
     }
-    // Room to grow: densification allocates anew when it does not suffice.
-    let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
-    let Some((limit, limit_name)) = context.memory_limit() else { return Ok(wanted) };
-    let free = limit.saturating_sub(context.memory_total().bytes);
-    let needed = |capacity: u32| -> Result<u64> {
-        let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
-        Ok(sets_bytes(&plan) + photo_bytes + other_bytes(context, cameras, capacity))
-    };
-    if needed(wanted)? <= free {
-        return Ok(wanted);
-    }
-    let least = needed(count)?;
-    if least <= free {
-        return Ok(count);
-    }
-    let what = format!(
-        "training {count} Gaussians of SH degree {sh_degree} on {} photographs (fewer or smaller ones need less, or --photo-memory)",
-        cameras.len()
-    );
-    Err(Error::TooLarge { what, needed: least, unit: "bytes", limit: free, limit_name })
 }
 
 /// How many Gaussians to make room for when `rows` do not fit: half as many again, or as many as can be trained.
@@ -81,25 +116,54 @@ pub(super) fn grown_capacity(context: &Context, rows: u32) -> u32 {
     rows.saturating_add(rows / 2).min(most.max(rows))
 }
 
-/// Whether planes for a plan fit beside what is allocated now, and then a frame of as many Gaussians once the old planes
-/// are gone.
-pub(super) fn has_room(context: &Context, plan: &ScenePlan, old: &ScenePlan, frame: &FrameCapacity) -> bool {
-    if plan.capacity > max_trained_gaussians(context.limits()) {
-        return false;
-    }
-    let Some((limit, _)) = context.memory_limit() else { return true };
-    let sizes = Blocks::new(context.limits());
-    let grown = FrameCapacity {
-        gaussians: plan.capacity,
+/// What a training run has at present.
+pub(super) struct Present<'a> {
+    pub context: &'a Context,
+    pub plan: &'a ScenePlan,
+    pub frame: FrameCapacity,
+    /// Of the frame's buffers, as they are allocated.
+    pub frame_bytes: u64,
+}
+
+impl Present<'_> {
+    /// Whether planes for a plan and a frame of as many Gaussians fit beside the planes of now, and, once those are gone, a
+    /// frame with as many more instances.
+    pub fn has_room(&self, plan: &ScenePlan) -> bool {
+        let Self { context, plan: old, frame, frame_bytes: old_frame } = self;
+        let limits = context.limits();
+        if plan.capacity > max_trained_gaussians(limits) {
+            return false;
+        }
+        let Some((limit, _)) = context.memory_limit() else { return true };
+        let sizes = Blocks::new(limits);
+        let grown = FrameCapacity { gaussians: plan.capacity, ..*frame };
         // More Gaussians have more instances.
-        instances: (u64::from(frame.instances) * u64::from(plan.capacity) / u64::from(old.capacity.max(1)))
-            .min(u32::MAX.into()) as u32,
-        ..*frame
-    };
-    let used = context.memory_total().bytes;
-    let during = used + sets_bytes(plan);
-    let after = (during + frame_bytes(&grown, &sizes))
-        .saturating_sub(sets_bytes(old))
-        .saturating_sub(frame_bytes(frame, &sizes));
-    during.max(after) <= limit
+        let instances =
+            u64::from(frame.instances) * u64::from(plan.capacity) / u64::from(old.capacity.max(1));
+        let full =
+            FrameCapacity { instances: instances.min(max_trained_instances(limits).into()) as u32, ..grown };
+        let beside = (context.memory_total().bytes + sets_bytes(plan)).saturating_sub(*old_frame);
+        let during = beside + frame_bytes(&grown, &sizes);
+        let after = (beside + frame_bytes(&full, &sizes)).saturating_sub(sets_bytes(old));
+        during.max(after) <= limit
+    }
+
+    /// The most rows up to `rows` for which there is room; at least what there is room for already.
+    pub fn most_with_room(&self, rows: u32) -> Result<u32> {
+        let (mut fits, mut beyond) = (self.plan.capacity, rows);
+        while beyond.saturating_sub(fits) > (self.plan.capacity / 64).max(1) {
+            let middle = fits + (beyond - fits) / 2;
+            let plan = ScenePlan::new(self.context.limits(), middle, self.plan.sh_degree)?;
+            if self.has_room(&plan) { fits = middle } else { beyond = middle }
+        }
+        Ok(fits)
+    }
+}
+
+/// How many rows a densification of `before` Gaussians may leave so that frames like those before it keep within three
+/// quarters of the instances that the device can hold: views differ.
+pub(super) fn most_rows_by_instances(context: &Context, before: u32, instances: u32) -> u32 {
+    let most = u64::from(max_trained_instances(context.limits())) * 3 / 4;
+    let rows = u64::from(before) * most / u64::from(instances.max(1));
+    rows.clamp(before.into(), u32::MAX.into()) as u32
 }

@@ -20,56 +20,105 @@ struct Fresh {
 }
 
 impl Trainer {
-    /// Decides, makes room, and gathers the new set.
+    /// Decides, makes room, and gathers the new set. Where there is no room for all that the settings ask for, those with
+    /// the largest gradients are added.
     pub(super) fn run_densification(&mut self, iteration: u32) -> Result<Densified> {
+        let settings = self.densify_settings(iteration);
+        let before = self.training.scene.count;
+        let Some(buffers) = self.decision_buffers()? else {
+            return Ok(Densified { before, kept: before, limited: true, ..Densified::default() });
+        };
+        let wanted = self.decide(&buffers, &settings)?;
+        let most = budget::most_rows_by_instances(&self.context, before, self.most_instances);
+        let rows = wanted.rows().min(most);
+        let fresh = if rows > self.training.scene.plan.capacity { self.make_room(rows)? } else { None };
+        let room = fresh.as_ref().map_or(self.training.scene.plan.capacity, |fresh| fresh.plan.capacity);
+        let room = room.min(most);
+        let densified = match wanted.rows() <= room {
+            true => wanted,
+            false => Densified { limited: true, ..self.decide_within(&buffers, &settings, room)? },
+        };
+        self.gather(densified.rows(), fresh, &buffers, iteration)?;
+        self.most_instances = 0;
+        Ok(densified)
+    }
+
+    fn densify_settings(&self, iteration: u32) -> DensifySettings {
         let s = &self.settings;
         let extent = f64::from(self.scene_extent);
-        let settings = DensifySettings {
+        DensifySettings {
             gradient_threshold: s.densify_grad_threshold as f32,
             clone_scale: (s.percent_dense * extent) as f32,
             min_opacity: s.min_opacity as f32,
             max_scale: if s.prunes_large_at(iteration) { (LARGE_SCALE_SHARE * extent) as f32 } else { 0.0 },
-        };
+        }
+    }
+
+    /// What deciding takes; None without memory for it: then all stay as they are.
+    fn decision_buffers(&self) -> Result<Option<DensifyBuffers>> {
         let sizes = Blocks::new(self.context.limits());
         let before = self.training.scene.count;
         // At most two rows per Gaussian: one stays and one is cloned, or it is split into two.
         let requests = DensifyBuffers::requests(&sizes, before, before.saturating_mul(2));
-        let allocated = match self.context.allocate("densify", &requests, MemoryKind::Device) {
-            // Without memory to decide in, all stay as they are.
-            Err(Error::TooLarge { .. }) => {
-                return Ok(Densified { before, kept: before, limited: true, ..Densified::default() });
-            }
-            allocated => allocated?,
+        let Some(buffers) = or_none(self.context.allocate("densify", &requests, MemoryKind::Device))? else {
+            return Ok(None);
         };
-        let Ok([decisions, blocks, totals, sources]) = <[Buffer; 4]>::try_from(allocated) else {
+        let Ok([decisions, blocks, totals, sources]) = <[Buffer; 4]>::try_from(buffers) else {
             unreachable!("one buffer per request")
         };
-        let buffers = DensifyBuffers { decisions, blocks, totals, sources };
-        let densified = self.decide(&buffers, &settings)?;
-        let rows = densified.kept + densified.cloned + 2 * densified.split;
-        if rows <= self.training.scene.plan.capacity {
-            self.gather(rows, None, &buffers, iteration)?;
-            return Ok(densified);
+        Ok(Some(DensifyBuffers { decisions, blocks, totals, sources }))
+    }
+
+    /// Planes, and a frame, for so many rows: with half as many again, with none to spare, or with as many as the memory
+    /// has room for, if that is worth moving. None: there is no room to grow.
+    fn make_room(&mut self, rows: u32) -> Result<Option<Fresh>> {
+        let old = self.training.scene.plan.capacity;
+        let most = self.present().most_with_room(rows)?;
+        let worth_it = old + old / 16;
+        for capacity in [budget::grown_capacity(&self.context, rows), rows, most] {
+            if capacity <= worth_it && capacity < rows {
+                continue;
+            }
+            if let Some(fresh) = or_none(self.allocate_fresh(capacity))? {
+                return Ok(Some(fresh));
+            }
         }
-        // Without room to grow further, if that does not fit beside the old planes.
-        let fresh = match self.allocate_fresh(budget::grown_capacity(&self.context, rows)) {
-            Ok(fresh) => Ok(fresh),
-            Err(_) => self.allocate_fresh(rows),
+        Ok(None)
+    }
+
+    fn present(&self) -> budget::Present<'_> {
+        budget::Present {
+            context: &self.context,
+            plan: &self.training.scene.plan,
+            frame: self.runner.capacity(),
+            frame_bytes: self.runner.frame_bytes(),
+        }
+    }
+
+    /// Decides for the Gaussians with the largest gradients, as many as there is room for: by the threshold that lets them
+    /// through, which is found by bisection. The room is at least that of those that are there.
+    fn decide_within(
+        &self,
+        buffers: &DensifyBuffers,
+        settings: &DensifySettings,
+        room: u32,
+    ) -> Result<Densified> {
+        const ROUNDS: u32 = 24;
+        // Numbers from 0 to infinity, which lets none through, have the order of their bits.
+        let (mut low, mut high) = (settings.gradient_threshold.abs().to_bits(), f32::INFINITY.to_bits());
+        let decide = |bits: u32| {
+            self.decide(buffers, &DensifySettings { gradient_threshold: f32::from_bits(bits), ..*settings })
         };
-        match fresh {
-            Ok(fresh) => {
-                self.gather(rows, Some(fresh), &buffers, iteration)?;
-                Ok(densified)
+        for _ in 0..ROUNDS {
+            let middle = low + (high - low) / 2;
+            let densified = decide(middle)?;
+            let rows = densified.rows();
+            if rows <= room && rows >= room - room / 64 {
+                return Ok(densified);
             }
-            Err(Error::DeviceLost { call }) => Err(Error::DeviceLost { call }),
-            // Those that are there go on without new ones.
-            Err(_) => {
-                let none = DensifySettings { gradient_threshold: f32::INFINITY, ..settings };
-                let densified = self.decide(&buffers, &none)?;
-                self.gather(densified.kept, None, &buffers, iteration)?;
-                Ok(Densified { limited: true, ..densified })
-            }
+            if rows <= room { high = middle } else { low = middle }
         }
+        decide(high)
     }
 
     fn decide(&self, buffers: &DensifyBuffers, settings: &DensifySettings) -> Result<Densified> {
@@ -129,18 +178,20 @@ impl Trainer {
         Ok(())
     }
 
-    /// Planes for parameters, both moments and the spare set of up to `capacity` Gaussians, and their statistics; an
-    /// error where they, or a frame of as many Gaussians, do not fit the memory.
-    fn allocate_fresh(&self, capacity: u32) -> Result<Fresh> {
-        let old = &self.training.scene.plan;
-        let plan = ScenePlan::new(self.context.limits(), capacity, old.sh_degree)?;
-        if !budget::has_room(&self.context, &plan, old, &self.runner.capacity()) {
+    /// Planes for parameters, both moments and the spare set of up to `capacity` Gaussians, their statistics, and a frame for
+    /// as many; an error where they do not fit the memory. What there was before is still there, but for the frame, which
+    /// the next step makes anew.
+    fn allocate_fresh(&mut self, capacity: u32) -> Result<Fresh> {
+        let plan = ScenePlan::new(self.context.limits(), capacity, self.training.scene.plan.sh_degree)?;
+        if !self.present().has_room(&plan) {
             return Err(Error::argument("densification", "the memory does not suffice"));
         }
         let arenas = ["scene", "moments", "moments", "spare"];
         let sets: Result<_> =
             arenas.iter().map(|arena| planes::allocate(&self.context, arena, &plan)).collect();
-        Ok(Fresh { plan, sets: sets?, statistics: allocate_statistics(&self.context, capacity)? })
+        let fresh = Fresh { plan, sets: sets?, statistics: allocate_statistics(&self.context, capacity)? };
+        self.runner.make_room(capacity)?;
+        Ok(fresh)
     }
 
     /// Lowers all opacities to 0.01 at most and forgets their moments.
@@ -150,5 +201,17 @@ impl Trainer {
             Ok(())
         })?;
         Ok(())
+    }
+}
+
+/// None where there was no room; an error where nobody knows what the device does.
+fn or_none<T>(result: Result<T>) -> Result<Option<T>> {
+    match result {
+        Ok(done) => Ok(Some(done)),
+        Err(error @ (Error::DeviceLost { .. } | Error::Timeout { .. })) => Err(error),
+        Err(Error::Vulkan { call: call @ "vkWaitForFences", result, remedy }) => {
+            Err(Error::Vulkan { call, result, remedy })
+        }
+        Err(_) => Ok(None),
     }
 }

@@ -9,12 +9,13 @@ pub mod checkpoint;
 mod density;
 mod photos;
 mod record;
+mod resume;
 mod schedule;
 pub mod settings;
 mod step;
 pub mod verify;
 
-pub use checkpoint::Checkpoint;
+pub use checkpoint::{Checkpoint, Room};
 pub use record::{Maintenance, RecordedStep, StepOutcome, StepReservation};
 pub use settings::{OptimizerType, TrainSettings};
 
@@ -86,8 +87,16 @@ pub struct Densified {
     pub cloned: u32,
     /// Gaussians that were replaced by two each.
     pub split: u32,
-    /// Whether more would not have fitted the memory, so that Gaussians were only removed.
+    /// Whether there was no room for all that the settings ask for, in memory or within the device's limits, so that only
+    /// those with the largest gradients were cloned or split.
     pub limited: bool,
+}
+
+impl Densified {
+    /// Gaussians afterwards.
+    pub fn rows(&self) -> u32 {
+        self.kept + self.cloned + 2 * self.split
+    }
 }
 
 /// The optimiser's state and the scene on the device.
@@ -120,6 +129,8 @@ pub struct Trainer {
     order: step::ViewOrder,
     progress: step::Progress,
     recording: record::Recording,
+    /// Of a frame, at most, since the last densification.
+    most_instances: u32,
     /// Whether a submission that changes the scene may or may not have come to pass.
     broken: bool,
 }
@@ -159,6 +170,18 @@ impl Trainer {
         scene_extent: f32,
         settings: TrainSettings,
     ) -> Result<Self> {
+        Self::build(context, views, initial, scene_extent, settings, None)
+    }
+
+    /// As [`Trainer::new`], with the room that a run before had.
+    fn build(
+        context: &Context,
+        views: Vec<TrainView>,
+        initial: &Gaussians,
+        scene_extent: f32,
+        settings: TrainSettings,
+        room: Option<&Room>,
+    ) -> Result<Self> {
         settings.check()?;
         if views.is_empty() {
             return Err(Error::argument("views", "there are none to train on"));
@@ -173,19 +196,28 @@ impl Trainer {
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         let count = crate::plan::to_u32(initial.len() as u64)?;
         let photo_bytes = photos::device_bytes(&views)?;
-        let capacity = budget::initial_capacity(context, &cameras, photo_bytes, count, settings.sh_degree)?;
+        let before = budget::Before { cameras: &cameras, photo_bytes, count, sh_degree: settings.sh_degree };
+        let room = room.filter(|room| before.has_room(context, room));
+        let capacity = match room {
+            Some(room) => room.gaussians,
+            None => before.initial_capacity(context)?,
+        };
         let photos = Photos::new(context, &views, settings.seed)?;
-        let views_fingerprint = checkpoint::fingerprint_of(&views);
+        let views_fingerprint = resume::fingerprint_of(&views);
         drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, settings.sh_degree)?;
         let training = Training::new(context, scene)?;
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
         let loss = Loss::new(context, PhotoFormat::Rgba8)?;
         let masked = photos.any_masked().then(|| Loss::new(context, PhotoFormat::MaskedRgba8));
+        let mut runner = FrameRunner::new(context)?;
+        if let Some(frame) = room.and_then(Room::frame) {
+            runner.restore(frame)?;
+        }
         Ok(Self {
             scratch: LossScratch::new(context, &loss, &cameras)?,
             order: step::ViewOrder::new(settings.seed, cameras.len()),
-            runner: FrameRunner::new(context)?,
+            runner,
             loss,
             masked_loss: masked.transpose()?,
             backward: Backward::new(context),
@@ -200,6 +232,7 @@ impl Trainer {
             training,
             progress: step::Progress::default(),
             recording: record::Recording::default(),
+            most_instances: 0,
             broken: false,
         })
     }

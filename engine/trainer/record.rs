@@ -234,6 +234,7 @@ impl Trainer {
                 }
             } else {
                 self.progress = first.after;
+                self.most_instances = self.most_instances.max(state.instances);
                 let losses = read_losses(&slot.losses)?;
                 StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, losses, &state))
             });

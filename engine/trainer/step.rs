@@ -208,6 +208,22 @@ impl Trainer {
         result
     }
 
+    /// The last iteration of a run leaves the parameters alone, as the reference's does; in a longer run it moves them.
+    /// Runs it again for a run that has become longer: its view, on the same parameters, gives the same gradients. What it
+    /// added to the statistics is there already.
+    pub(super) fn finish_last_iteration(&mut self) -> Result<()> {
+        let progress = self.progress;
+        let before = Progress { iteration: progress.iteration - 1, ..progress };
+        let plan = Plan { collects: false, ..self.plan_after(&before) };
+        if !plan.optimizes {
+            return Ok(());
+        }
+        self.photos.prepare(&self.context, plan.iteration)?;
+        self.run_step(&plan)?;
+        self.progress = Progress { due: progress.due, ..before.after(&plan) };
+        Ok(())
+    }
+
     /// Whether the scene is known to be what it should be.
     pub(super) fn check_whole(&self) -> Result<()> {
         if self.broken {
@@ -235,6 +251,7 @@ impl Trainer {
         self.photos.prepare(&self.context, plan.iteration)?;
         let ran = self.run_step(&plan)?;
         self.progress = self.progress.after(&plan);
+        self.most_instances = self.most_instances.max(ran.state.instances);
         let losses = read_losses(&self.scratch.readback)?;
         Ok(StepReport {
             milliseconds: start.elapsed().as_secs_f64() * 1e3,

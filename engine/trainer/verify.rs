@@ -40,20 +40,20 @@ pub fn verify_determinism(
     iterations: u32,
     mut report: impl FnMut(u32, u32, u64),
 ) -> Result<Verdict> {
-    let mut runs: [Vec<(u64, u32)>; 2] = Default::default();
+    let mut runs: [Vec<(u32, u64, u32)>; 2] = Default::default();
     for (number, run) in (0..).zip(&mut runs) {
         let mut trainer = trainer(&context()?)?;
         for _ in 0..iterations {
             let step = trainer.step()?;
             let hash = trainer.checkpoint()?.fingerprint();
             report(number, step.iteration, hash);
-            run.push((hash, step.loss.to_bits()));
+            run.push((step.iteration, hash, step.loss.to_bits()));
         }
     }
     let [first, second] = &runs;
     let Some(place) = first.iter().zip(second).position(|(a, b)| a != b) else { return Ok(Verdict::Same) };
-    let iteration = place as u32 + 1;
-    let mut audited = || audited_run(&context()?, &mut trainer, iteration);
+    let iteration = first[place].0;
+    let mut audited = || audited_run(&context()?, &mut trainer, place as u32 + 1);
     let (first, second) = (audited()?, audited()?);
     let differing = first.into_iter().zip(second).find(|((_, a), (_, b))| a != b);
     let first = differing.map(|((iteration, record), _)| Difference { iteration, record });

@@ -39,7 +39,7 @@ impl Recorder {
                 *view = self.texel_view(pipeline, info.name, buffer, format)?;
             }
             self.kept.block(buffer.block());
-            let (offset, bytes) = (buffer.offset(), buffer.bytes());
+            let (offset, bytes) = (buffer.offset(), buffer.bytes() + self.inner.guard_behind(buffer));
             *slot = vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(offset).range(bytes);
         }
         let mut images = [vk::DescriptorImageInfo::default(); MAX_IMAGES];

@@ -1,13 +1,14 @@
 //! For tests: bands around every buffer, which show what was written outside of it.
 
 use super::buffer::Buffer;
-use super::context::Context;
+use super::context::{Context, Inner};
 use super::memory::{Block, PLACEMENT_ALIGNMENT};
 use crate::Result;
 use std::sync::{Arc, PoisonError, Weak};
 
-/// Bytes in front of and behind each buffer that nobody may write; a multiple of the alignment of buffers.
-pub(super) const GUARD_BYTES: u64 = PLACEMENT_ALIGNMENT;
+/// Bytes in front of and behind each buffer that nobody may write; a multiple of the alignment of buffers. A workgroup too
+/// many, of 256 invocations that write a vec4 each, ends within them.
+pub(super) const GUARD_BYTES: u64 = 16 * PLACEMENT_ALIGNMENT;
 /// What stands in them.
 const GUARD_PATTERN: u8 = 0xA5;
 /// A block, and a buffer's offset, size and name in it.
@@ -28,7 +29,25 @@ impl Context {
         guarded.extend(places);
         Ok(())
     }
+}
 
+impl Inner {
+    /// Bytes behind a buffer that kernels are given as well: drivers drop what a kernel writes outside of what is bound, so
+    /// that nothing would ever be seen of it.
+    pub(super) fn guard_behind(&self, buffer: &Buffer) -> u64 {
+        if !self.guard_bands {
+            return 0;
+        }
+        let end = buffer.offset() + buffer.bytes();
+        let guarded = self.guarded.lock().unwrap_or_else(PoisonError::into_inner);
+        let ends = |(block, offset, bytes, _): &Guarded| {
+            offset + bytes == end && std::ptr::eq(block.as_ptr(), Arc::as_ptr(buffer.block()))
+        };
+        if guarded.iter().any(ends) { GUARD_BYTES } else { 0 }
+    }
+}
+
+impl Context {
     /// For tests of the guards: writes right behind a buffer.
     ///
     /// # Errors

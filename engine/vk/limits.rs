@@ -89,6 +89,14 @@ pub struct LimitsOverride {
     pub max_workgroup_invocations: Option<u32>,
     /// For [`Limits::shared_memory_bytes`].
     pub shared_memory_bytes: Option<u32>,
+    /// For [`Limits::push_constant_bytes`].
+    pub push_constant_bytes: Option<u32>,
+    /// For [`Limits::max_workgroup_subgroups`].
+    pub max_workgroup_subgroups: Option<u32>,
+    /// For [`Limits::max_push_descriptors`].
+    pub max_push_descriptors: Option<u32>,
+    /// For [`Limits::max_texels`].
+    pub max_texels: Option<u64>,
 }
 
 impl Limits {
@@ -130,6 +138,10 @@ impl Limits {
         lower(&mut self.max_workgroups_per_axis, to.max_workgroups_per_axis);
         lower(&mut self.max_workgroup_invocations, to.max_workgroup_invocations);
         lower(&mut self.shared_memory_bytes, to.shared_memory_bytes);
+        lower(&mut self.push_constant_bytes, to.push_constant_bytes);
+        lower(&mut self.max_workgroup_subgroups, to.max_workgroup_subgroups);
+        lower(&mut self.max_push_descriptors, to.max_push_descriptors);
+        lower(&mut self.max_texels, to.max_texels);
         self
     }
 

@@ -347,16 +347,7 @@ impl Context {
             let limit = limits.max_storage_buffer_range;
             return too_large(format!("buffer {arena}.{name}"), bytes, limit, "maxStorageBufferRange");
         }
-        let total: u64 = requests.iter().map(|(_, b)| b).sum();
-        if total > limits.heap_bytes && kind == MemoryKind::Device && !limits.is_cpu {
-            return too_large(format!("arena {arena}"), total, limits.heap_bytes, "device-local heap");
-        }
         let guard = if self.0.guard_bands { GUARD_BYTES } else { 0 };
-        let used = self.0.registry.total().bytes;
-        if let Some(limit) = self.0.max_memory.filter(|&limit| used.saturating_add(total) > limit) {
-            let what = format!("arena {arena} (beside {used} bytes in use)");
-            return too_large(what, used.saturating_add(total), limit, MAX_MEMORY);
-        }
         let sizes: Vec<u64> = requests
             .iter()
             .map(|(_, bytes)| (*bytes).max(SMALLEST_BUFFER).next_multiple_of(4) + 2 * guard)
@@ -369,6 +360,15 @@ impl Context {
                 return too_large(what, sizes[i], limit, "maxMemoryAllocationSize");
             }
         };
+        let total: u64 = packing.blocks.iter().sum();
+        if total > limits.heap_bytes && kind == MemoryKind::Device && !limits.is_cpu {
+            return too_large(format!("arena {arena}"), total, limits.heap_bytes, "device-local heap");
+        }
+        let used = self.0.registry.total().bytes;
+        if let Some(limit) = self.0.max_memory.filter(|&limit| used.saturating_add(total) > limit) {
+            let what = format!("arena {arena} (beside {used} bytes in use)");
+            return too_large(what, used.saturating_add(total), limit, MAX_MEMORY);
+        }
         let arena: Arc<str> = arena.into();
         let blocks = (packing.blocks.iter().enumerate())
             .map(|(number, &bytes)| Ok(Arc::new(Block::new(&self.0, &arena, number, bytes, kind)?)))

@@ -90,7 +90,7 @@ fn damaged_colmap_models_are_read_or_refused() {
 fn damaged_safetensors_are_refused() {
     let folder = tempdir().expect("a temporary folder");
     let path = folder.path().join("a.safetensors");
-    let header = br#"{"__metadata__":{"format":"ashsplat-checkpoint/1"},"means":{"dtype":"F32","shape":[1,3],"data_offsets":[0,12]}}"#;
+    let header = br#"{"__metadata__":{"format":"ashsplat-checkpoint/2"},"means":{"dtype":"F32","shape":[1,3],"data_offsets":[0,12]}}"#;
     let bytes = [&(header.len() as u64).to_le_bytes(), header.as_slice(), &[0; 12]].concat();
     std::fs::write(&path, bytes).expect("written");
     mutate(&path, 20, 400, |path| {

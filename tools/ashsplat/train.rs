@@ -99,8 +99,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ));
     }
     session::warn(&dataset.warnings);
+    start.iter().for_each(|start| start.warn(&context));
     if let Some(iterations) = arguments.verify_determinism {
-        return verify::run(&context, dataset, &settings, iterations, arguments.quiet);
+        return verify::run(&context, dataset, (&settings, start.as_ref()), iterations, arguments.quiet);
     }
     let folder = settings.data.model_path.clone();
     let mut run = match start {
@@ -137,12 +138,14 @@ pub struct Run {
     pub evaluations: Vec<Tested>,
     gaussians: u32,
     skipped: u64,
-    /// Whether it was said that the memory is full.
+    /// Whether it was said that there is no more room.
     limited: bool,
     /// Iteration of the checkpoint that the run began with.
     started: u32,
     /// Iteration whose scene was saved last.
     saved: Option<u32>,
+    /// Iteration of the checkpoint that was written last.
+    checkpointed: Option<u32>,
     kernels: KernelTimes,
     /// Who looks on.
     live: Option<Live>,
@@ -200,6 +203,7 @@ impl Run {
             skipped: 0,
             limited: false,
             saved: None,
+            checkpointed: None,
             kernels: KernelTimes::new(context),
             live: None,
         }
@@ -250,23 +254,41 @@ impl Run {
             }
             let kept = self.check(&report).and_then(|()| self.keep(report.iteration, stopping, watch));
             self.log.add(&report, *kept.as_ref().unwrap_or(&None), &self.trainer.memory());
-            kept?;
+            // Whatever became of saving and testing: with the checkpoint, nothing of the training is lost.
             if stopping || self.settings.data.checkpoint_iterations.contains(&report.iteration) {
-                watch.paused(|| self.write_checkpoint())?;
+                let written = watch.paused(|| self.write_checkpoint());
+                if let (Err(error), Err(_)) = (&kept, &written) {
+                    self.progress.warn(&format!("warning: {error}"));
+                }
+                written?;
             }
             if stopping {
-                let command = checkpoints::command(&self.settings.data.model_path);
-                self.progress.note(&format!("interrupted: to go on, {command}"));
+                if let Err(error) = kept {
+                    self.progress.warn(&format!("warning: {error}"));
+                }
+                self.say_how_to_go_on(report.iteration);
                 return Ok(true);
             }
+            kept?;
         }
         Ok(false)
+    }
+
+    fn say_how_to_go_on(&self, iteration: u32) {
+        let command = checkpoints::command(&self.settings.data.model_path);
+        self.progress.note(&match iteration == self.settings.train.iterations {
+            true => {
+                format!("interrupted after the last iteration: to train longer, {command} --iterations N")
+            }
+            false => format!("interrupted: to go on, {command}"),
+        });
     }
 
     /// The log first: with the checkpoint, all its iterations are on disk.
     fn write_checkpoint(&mut self) -> Result<()> {
         self.log.flush();
         let path = checkpoints::write(&self.settings.data.model_path, &self.trainer.checkpoint()?)?;
+        self.checkpointed = Some(self.trainer.iteration());
         self.progress.note(&format!("checkpoint {}", path.display()));
         Ok(())
     }
@@ -291,8 +313,9 @@ impl Run {
             self.limited = true;
             let (count, used) = (thousands(u64::from(report.gaussians)), self.trainer.memory_bytes() >> 20);
             self.progress.warn(&format!(
-                "warning: iteration {}: no memory for the Gaussians that densification would add to {count} \
-                 ({used} MiB in use): where they do not fit, it only removes",
+                "warning: iteration {}: no room for all the Gaussians that densification would add to {count} \
+                 ({used} MiB in use, or the device's limits): those with the largest gradients are added, as far as \
+                 they fit",
                 report.iteration
             ));
         }
@@ -338,12 +361,17 @@ impl Run {
     /// After a failure: saves what the iterations before it have made, if there is anything that is not saved.
     fn rescue(&mut self) {
         let iteration = self.trainer.iteration();
-        if iteration == 0 || self.gaussians == 0 || self.saved == Some(iteration) {
+        if iteration == 0 || self.gaussians == 0 {
             return;
         }
-        if let Err(error) = self.save(iteration, "failed: ") {
-            tell!("warning: the scene is lost: {error}");
-        } else if let Err(error) = self.write_checkpoint() {
+        if self.saved != Some(iteration)
+            && let Err(error) = self.save(iteration, "failed: ")
+        {
+            tell!("warning: the scene is not saved: {error}");
+        }
+        if self.checkpointed != Some(iteration)
+            && let Err(error) = self.write_checkpoint()
+        {
             tell!("warning: no checkpoint: {error}");
         }
     }

@@ -1,6 +1,6 @@
 //! The checkpoint's file: safetensors, written whole or not at all.
 
-use super::Checkpoint;
+use super::{Checkpoint, Room};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::io::atomic;
@@ -9,11 +9,13 @@ use crate::scene::gaussians::sh_coefficients;
 use bytemuck::Pod;
 use safetensors::{Dtype, SafeTensors};
 use serde_json::{Map, Value, json};
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Changes when older files cannot be read any more.
-const FORMAT: &str = "ashsplat-checkpoint/1";
+const FORMAT: &str = "ashsplat-checkpoint/2";
+/// The metadata that tells all other metadata from others.
+const FINGERPRINT: &str = "metadata_fingerprint";
 /// Prefixes of the tensors' names.
 const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
 /// The data begin at a multiple of this.
@@ -33,7 +35,9 @@ impl Checkpoint {
     pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
         let tensors = self.tensors();
         let mut header = Map::new();
-        header.insert("__metadata__".into(), self.metadata(self.fingerprint())?);
+        let mut metadata = self.metadata(self.fingerprint())?;
+        metadata.insert(FINGERPRINT.into(), format!("{:016x}", fingerprint_of(&metadata)));
+        header.insert("__metadata__".into(), json!(metadata));
         let mut end = 0;
         for Tensor { name, shape, bytes } in &tensors {
             let begin = end;
@@ -90,30 +94,52 @@ impl Checkpoint {
     }
 
     /// The format knows text only.
-    fn metadata(&self, data_fingerprint: u64) -> Result<Value> {
+    fn metadata(&self, data_fingerprint: u64) -> Result<BTreeMap<String, String>> {
         let settings = serde_json::to_string(&self.settings)
             .map_err(|e| Error::argument("settings", format!("cannot be written: {e}")))?;
         let views = self.views.max(1);
-        Ok(json!({
-            "format": FORMAT,
-            "version": self.version,
-            "device": self.device,
-            "settings": settings,
-            "views": self.views.to_string(),
-            "views_fingerprint": format!("{:016x}", self.views_fingerprint),
-            "data_fingerprint": format!("{data_fingerprint:016x}"),
-            "scene_extent_bits": format!("{:08x}", self.scene_extent.to_bits()),
-            "scene_extent": self.scene_extent.to_string(),
-            "iteration": self.iteration.to_string(),
-            "optimizer_steps": self.optimizer_steps.to_string(),
-            "opacity_steps": self.opacity_steps.to_string(),
-            "densification_due": self.densification_due.to_string(),
-            "opacity_reset_due": self.opacity_reset_due.to_string(),
+        let Room { gaussians, frame_gaussians, frame_instances, frame_width, frame_height, .. } = self.room;
+        let Room { blend_passes, backward, most_instances, .. } = self.room;
+        let pairs = [
+            ("format", FORMAT.to_owned()),
+            ("version", self.version.clone()),
+            ("device", self.device.clone()),
+            ("driver", self.driver.clone()),
+            ("settings", settings),
+            ("views", self.views.to_string()),
+            ("views_fingerprint", format!("{:016x}", self.views_fingerprint)),
+            ("data_fingerprint", format!("{data_fingerprint:016x}")),
+            ("scene_extent_bits", format!("{:08x}", self.scene_extent.to_bits())),
+            ("scene_extent", self.scene_extent.to_string()),
+            ("iteration", self.iteration.to_string()),
+            ("optimizer_steps", self.optimizer_steps.to_string()),
+            ("opacity_steps", self.opacity_steps.to_string()),
+            ("densification_due", self.densification_due.to_string()),
+            ("opacity_reset_due", self.opacity_reset_due.to_string()),
+            ("room_gaussians", gaussians.to_string()),
+            ("room_frame_gaussians", frame_gaussians.to_string()),
+            ("room_frame_instances", frame_instances.to_string()),
+            ("room_frame_width", frame_width.to_string()),
+            ("room_frame_height", frame_height.to_string()),
+            ("room_blend_passes", blend_passes.to_string()),
+            ("room_backward", backward.to_string()),
+            ("most_instances", most_instances.to_string()),
             // For readers of the file: both follow from seed and iteration, which key all random numbers.
-            "view_order_epoch": (u64::from(self.iteration) / views).to_string(),
-            "view_order_position": (u64::from(self.iteration) % views).to_string(),
-        }))
+            ("view_order_epoch", (u64::from(self.iteration) / views).to_string()),
+            ("view_order_position", (u64::from(self.iteration) % views).to_string()),
+        ];
+        Ok(pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
     }
+}
+
+/// Of the metadata but for this one itself.
+fn fingerprint_of(metadata: &BTreeMap<String, String>) -> u64 {
+    let mut fingerprint = Fingerprint::new();
+    for (name, value) in metadata.iter().filter(|(name, _)| *name != FINGERPRINT) {
+        fingerprint.add(name.as_bytes());
+        fingerprint.add(value.as_bytes());
+    }
+    fingerprint.finish()
 }
 
 fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
@@ -122,16 +148,21 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     };
     let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
-    let metadata = Metadata(header.metadata().clone().unwrap_or_default());
+    let metadata =
+        Metadata(header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect());
     let format = metadata.text("format").map_err(|_| "is no checkpoint of ashsplat".to_owned())?;
     if format != FORMAT {
         return Err(format!("has the format '{format}', this version reads '{FORMAT}'"));
+    }
+    if fingerprint_of(&metadata.0) != metadata.hexadecimal(FINGERPRINT)? {
+        return Err("is damaged: its metadata do not have the fingerprint that they were written with".into());
     }
     let settings = serde_json::from_str(metadata.text("settings")?)
         .map_err(|e| format!("has settings that this version does not know: {e}"))?;
     let checkpoint = Checkpoint {
         version: metadata.text("version")?.to_owned(),
         device: metadata.text("device")?.to_owned(),
+        driver: metadata.text("driver")?.to_owned(),
         settings,
         views: metadata.parsed("views")?,
         views_fingerprint: metadata.hexadecimal("views_fingerprint")?,
@@ -145,6 +176,16 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         first_moments: gaussians(&tensors, SETS[1])?,
         second_moments: gaussians(&tensors, SETS[2])?,
         statistics: values(&tensors, "statistics", &[2])?,
+        room: Room {
+            gaussians: metadata.parsed("room_gaussians")?,
+            frame_gaussians: metadata.parsed("room_frame_gaussians")?,
+            frame_instances: metadata.parsed("room_frame_instances")?,
+            frame_width: metadata.parsed("room_frame_width")?,
+            frame_height: metadata.parsed("room_frame_height")?,
+            blend_passes: metadata.parsed("room_blend_passes")?,
+            backward: metadata.parsed("room_backward")?,
+            most_instances: metadata.parsed("most_instances")?,
+        },
     };
     if checkpoint.fingerprint() != metadata.hexadecimal("data_fingerprint")? {
         return Err("is damaged: its contents do not have the fingerprint that they were written with".into());
@@ -153,7 +194,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     Ok(checkpoint)
 }
 
-struct Metadata(HashMap<String, String>);
+struct Metadata(BTreeMap<String, String>);
 
 impl Metadata {
     fn text(&self, name: &str) -> Result<&str, String> {

@@ -27,6 +27,21 @@ impl Start {
         Ok(Start { path, checkpoint })
     }
 
+    /// Its iteration.
+    pub fn iteration(&self) -> u32 {
+        self.checkpoint.iteration
+    }
+
+    /// Says what keeps the run from ending with the same bits as one that was never interrupted.
+    pub fn warn(&self, context: &Context) {
+        for difference in self.checkpoint.differences(context.device_name(), &context.description().driver) {
+            tell!(
+                "warning: {}: {difference}; the result may differ from that of a run without interruption",
+                self.path.display()
+            );
+        }
+    }
+
     /// The trainer as it was.
     pub fn trainer(
         &self,
@@ -35,10 +50,6 @@ impl Start {
         scene_extent: f32,
         settings: &TrainSettings,
     ) -> Result<Trainer> {
-        if self.checkpoint.device != context.device_name() {
-            let (path, device) = (self.path.display(), &self.checkpoint.device);
-            tell!("warning: {path}: was made on {device}; on another device the bits differ");
-        }
         let trainer = Trainer::resume(context, views, scene_extent, settings.clone(), &self.checkpoint);
         trainer.map_err(|error| match error {
             Error::Argument { problem, .. } => {

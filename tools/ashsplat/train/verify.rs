@@ -1,5 +1,6 @@
 //! `ashsplat train --verify-determinism N`.
 
+use super::checkpoints::Start;
 use super::prepared::Prepared;
 use crate::config::Settings;
 use ashsplat::io::Dataset;
@@ -9,21 +10,26 @@ use ashsplat::trainer::verify::{Verdict, verify_determinism};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 
-/// Trains twice for some iterations without writing anything; an error where the two differ.
+/// Trains twice for some iterations, from a checkpoint if there is one, without writing anything; an error where the two
+/// differ.
 pub fn run(
     context: &Context,
     dataset: Dataset,
-    settings: &Settings,
+    (settings, start): (&Settings, Option<&Start>),
     iterations: u32,
     quiet: bool,
 ) -> Result<()> {
     let points = dataset.initial_points(u64::from(settings.train.seed));
     let initial = Gaussians::from_points(&points, settings.train.sh_degree)?;
     let data = Prepared::new(dataset);
-    let new = |context: &Context| {
-        Trainer::new(context, data.train.clone(), &initial, data.scene_extent, settings.train.clone())
+    let new = |context: &Context| match start {
+        Some(start) => start.trainer(context, data.train.clone(), data.scene_extent, &settings.train),
+        None => {
+            Trainer::new(context, data.train.clone(), &initial, data.scene_extent, settings.train.clone())
+        }
     };
-    let iterations = iterations.min(settings.train.iterations);
+    let left = settings.train.iterations.saturating_sub(start.map_or(0, Start::iteration));
+    let iterations = iterations.min(left);
     let mut last = 0;
     let report = |run: u32, iteration: u32, hash: u64| {
         last = hash;

@@ -1,0 +1,157 @@
+//! Everything that a training run is at between two steps: to disk, and back.
+//!
+//! A checkpoint is a safetensors file: parameters, Adam's moments and the statistics of densification as named tensors,
+//! everything else as metadata. A run that goes on from one ends with the same bits as a run that was never interrupted:
+//! what is random is keyed by seed and iteration, so no generator has a state of its own.
+
+mod file;
+
+use super::settings::TrainSettings;
+use crate::error::{Error, Result};
+use crate::scene::Gaussians;
+
+/// The state of a training run after an iteration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint {
+    /// Version of ashsplat that made it.
+    pub version: String,
+    /// Device that made it: on another, the bits differ.
+    pub device: String,
+    /// The device's driver and its version: with another, the bits may differ.
+    pub driver: String,
+    /// The run's settings.
+    pub settings: TrainSettings,
+    /// Number of views.
+    pub views: u64,
+    /// Tells the views (cameras and photographs, in their order) from others.
+    pub views_fingerprint: u64,
+    /// The scene's extent, world units.
+    pub scene_extent: f32,
+    /// Iterations done.
+    pub iteration: u32,
+    /// Steps of the optimiser so far.
+    pub optimizer_steps: u64,
+    /// Steps of the opacities' optimiser so far.
+    pub opacity_steps: u64,
+    /// Whether the next step begins with a densification.
+    pub densification_due: bool,
+    /// Whether the next step begins with an opacity reset.
+    pub opacity_reset_due: bool,
+    /// The parameters.
+    pub gaussians: Gaussians,
+    /// Adam's first moments, shaped like the parameters.
+    pub first_moments: Gaussians,
+    /// Adam's second moments, shaped like the parameters.
+    pub second_moments: Gaussians,
+    /// Per Gaussian: sum of the 2D mean's gradient norms (NDC), number of views.
+    pub statistics: Vec<[f32; 2]>,
+    /// What there was room for.
+    pub room: Room,
+}
+
+/// What a run has allocated: whether a densification finds room within a bounded memory depends on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Room {
+    /// Gaussians that the planes of parameters hold.
+    pub gaussians: u32,
+    /// Gaussians of a frame.
+    pub frame_gaussians: u32,
+    /// (tile, Gaussian) instances of a frame.
+    pub frame_instances: u32,
+    /// Width of a frame, pixels; 0 where there was none.
+    pub frame_width: u32,
+    /// Height of a frame, pixels.
+    pub frame_height: u32,
+    /// Passes of blending.
+    pub blend_passes: u32,
+    /// Whether a frame has what backward needs: 0 or 1.
+    pub backward: u32,
+    /// Most instances that a frame had since the last densification.
+    pub most_instances: u32,
+}
+
+/// What a checkpoint must have been made with to go on from it.
+pub(super) struct Wanted<'a> {
+    pub settings: &'a TrainSettings,
+    pub views: u64,
+    pub views_fingerprint: u64,
+    pub scene_extent: f32,
+}
+
+impl Checkpoint {
+    /// Why a run that goes on here may end with other bits than one that was never interrupted: another version, device or
+    /// driver has made the checkpoint. One sentence each.
+    pub fn differences(&self, device: &str, driver: &str) -> Vec<String> {
+        let pairs = [
+            ("ashsplat", self.version.as_str(), env!("CARGO_PKG_VERSION")),
+            ("device", &self.device, device),
+            ("driver", &self.driver, driver),
+        ];
+        let differing = pairs.iter().filter(|(_, there, here)| there != here);
+        let say = |(what, there, here): &(&str, &str, &str)| {
+            format!("was made with {what} '{there}', here it is '{here}'")
+        };
+        differing.map(say).collect()
+    }
+
+    pub(super) fn check_shapes(&self) -> Result<()> {
+        self.gaussians.check_shapes()?;
+        for moments in [&self.first_moments, &self.second_moments] {
+            moments.check_shapes()?;
+            if (moments.len(), moments.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
+                return Err(Error::argument("moments", "are of another number or degree than the Gaussians"));
+            }
+        }
+        if self.statistics.len() != self.gaussians.len() {
+            return Err(Error::argument("statistics", "are of another number than the Gaussians"));
+        }
+        if self.gaussians.sh_degree != self.settings.sh_degree {
+            return Err(Error::argument("sh_degree", "of the Gaussians and of the settings differ"));
+        }
+        Ok(())
+    }
+
+    /// Whether a run with these settings and views could have made the checkpoint.
+    pub(super) fn check_fits(&self, wanted: &Wanted) -> Result<()> {
+        let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
+        let settings = TrainSettings { iterations: wanted.settings.iterations, ..self.settings.clone() };
+        if let Some(difference) = difference(&settings, wanted.settings)? {
+            return refuse(format!("was made with other settings: {difference}"));
+        }
+        if self.iteration >= wanted.settings.iterations {
+            return refuse(format!(
+                "is of iteration {} already, the training ends at {}; raise iterations to go on",
+                self.iteration, wanted.settings.iterations
+            ));
+        }
+        if self.views != wanted.views {
+            return refuse(format!("was made with {} training views, here are {}", self.views, wanted.views));
+        }
+        if self.views_fingerprint != wanted.views_fingerprint {
+            return refuse(
+                "was made with other photographs or cameras (of another data set, resolution, background or split)"
+                    .into(),
+            );
+        }
+        if self.scene_extent.to_bits() != wanted.scene_extent.to_bits() {
+            return refuse(format!(
+                "was made with a scene extent of {}, here it is {}",
+                self.scene_extent, wanted.scene_extent
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// The settings that differ, "name there, here".
+fn difference(there: &TrainSettings, here: &TrainSettings) -> Result<Option<String>> {
+    let fields = |settings: &TrainSettings| {
+        serde_json::to_value(settings).map_err(|e| Error::argument("settings", e.to_string()))
+    };
+    let (there, here) = (fields(there)?, fields(here)?);
+    let Some(names) = there.as_object() else { return Ok(None) };
+    let differing = names.iter().filter(|(name, value)| here[name.as_str()] != **value);
+    let list: Vec<String> =
+        differing.map(|(name, value)| format!("{name} was {value}, is {}", here[name.as_str()])).collect();
+    Ok((!list.is_empty()).then(|| list.join("; ")))
+}
