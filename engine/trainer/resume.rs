@@ -17,7 +17,7 @@ impl Trainer {
     /// Downloads everything that [`Trainer::resume`] needs to go on from here.
     ///
     /// # Errors
-    /// [`Error::Argument`] while recorded steps are in flight, and after a step of which nobody knows whether it came to
+    /// [`crate::Error::Argument`] while recorded steps are in flight, and after a step of which nobody knows whether it came to
     /// pass; when the device is lost.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
         self.check_settled()?;

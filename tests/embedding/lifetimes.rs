@@ -172,7 +172,7 @@ fn unfinished(host: &Host) {
     frame.begin(host).expect("recording");
     let mut recorder = slot.begin(adopt(&context, &frame), "test").expect("a recorder");
     recorder.fill(&buffers[1], 1);
-    slot.end(recorder);
+    slot.end(recorder).expect("recorded");
     frame.submit(host).expect("a submission");
     frame.wait(host).expect("done");
     assert!(slot.finished().expect("a status"));
