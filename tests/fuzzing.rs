@@ -3,8 +3,15 @@
 use std::path::Path;
 
 /// What the readers are made of; the fuzzing crate compiles them from their own place.
-const READERS: [&str; 5] =
-    ["engine/io", "engine/scene", "engine/error.rs", "engine/fingerprint.rs", "engine/metrics.rs"];
+const READERS: [&str; 7] = [
+    "engine/io",
+    "engine/scene",
+    "engine/trainer/checkpoint",
+    "engine/trainer/settings.rs",
+    "engine/error.rs",
+    "engine/fingerprint.rs",
+    "engine/metrics.rs",
+];
 
 fn sources(path: &Path, found: &mut String) {
     if path.is_dir() {

@@ -126,6 +126,38 @@ fn limits_of_bindings_stop_growth_not_training() {
     assert!(refused.contains("3000 Gaussians, more than 2900"), "{refused}");
 }
 
+/// Bindings that hold 3840 instances; Gaussians that each cover all six tiles.
+#[test]
+fn limits_of_instances_stop_growth_and_lose_nothing() {
+    let limits = LimitsOverride { max_storage_buffer_range: Some(3840 * 16), ..LimitsOverride::default() };
+    let large = |count| {
+        let mut many = gaussians(&small_scene(&mut Random::new(43), count, 16));
+        many.log_scales.iter_mut().flatten().for_each(|s| *s += 2.0);
+        many
+    };
+    let context = context(limits);
+    let settings = TrainSettings { densify_grad_threshold: 0.0, ..settings() };
+    // Twice as many would not fit.
+    let mut trainer =
+        Trainer::new(&context, views(2, 5), &large(450), 5.0, settings.clone()).expect("a trainer");
+    let reports: Vec<_> = (0..6).map(|_| trainer.step().expect("a step")).collect();
+    let most = reports.iter().map(|r| r.instances).max();
+    assert!(most > Some(2000) && most <= Some(3840), "{most:?}");
+    assert!(reports.iter().any(|r| r.densified.is_some_and(|d| d.limited)));
+    drop(trainer);
+    // Too many from the start: an error that names them, and a checkpoint that goes on where there is room.
+    let mut trainer =
+        Trainer::new(&context, views(2, 5), &large(900), 5.0, settings.clone()).expect("a trainer");
+    let error = trainer.step().expect_err("too many");
+    assert!(matches!(error, Error::TooLarge { .. }) && error.to_string().contains("instances"), "{error}");
+    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    let gpu = Gpu::new();
+    let resumed = Trainer::resume(gpu.context, views(2, 5), 5.0, settings, &checkpoint);
+    resumed.expect("resumed").step().expect("there is room here");
+    drop(trainer);
+    assert_silent(&context);
+}
+
 fn with_memory(bytes: u64) -> Context {
     Context::new(&ContextOptions { max_memory: Some(bytes), ..options() }).expect("a device")
 }

@@ -91,6 +91,16 @@ fn determinism_is_verified_without_writing() {
     let said = succeed(&["train", "-s", text(&data), "--verify-determinism", "3", "--quiet"]);
     assert!(said.starts_with("3 iterations twice on ") && said.contains("the same bits"), "{said}");
     assert_eq!(place.folder.path().read_dir().expect("the folder").count(), 1);
+    // From a checkpoint on: only what is left of the training.
+    assert_trained(&place.train("parts", &["--iterations", "12", "--checkpoint_iterations", "9"]));
+    let more = ["--iterations", "12", "--start_checkpoint", "latest", "--verify-determinism", "50"];
+    let run = finish(&mut place.command("parts", &more));
+    assert!(
+        run.code == Some(0) && run.stdout.starts_with("3 iterations twice on "),
+        "{}{}",
+        run.stdout,
+        run.stderr
+    );
 }
 
 /// Ends a run in whatever it is doing; whatever is on disk then must do.

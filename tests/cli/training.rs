@@ -285,6 +285,7 @@ fn a_training_that_fails_saves_what_it_has() {
     let run = short.train(&["--iterations", "9", "--eval", "--test_iterations", "6"]);
     assert_refused(&run, &["model/test", "cannot create"]);
     assert!(short.ply(6).is_file(), "{:?}", files_below(&short.model()));
+    assert!(short.model().join("chkpnt6.safetensors").is_file(), "{:?}", files_below(&short.model()));
     succeed(&["info", text(&short.model())]);
     let log = std::fs::read_to_string(short.model().join("train_log.csv")).expect("the log");
     assert_eq!(log.lines().count(), 7, "{log}");
@@ -335,6 +336,32 @@ fn ctrl_c_saves() {
     assert!(out.join(format!("point_cloud/iteration_{next}/point_cloud.ply")).is_file());
     // The curves begin where the first run did.
     assert!(report().contains(&format!("\">{next} iterations</span>")) && report().contains(",1,\""));
+}
+
+/// What cannot be saved is a warning: the checkpoint has everything.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
+    write_dataset(&data);
+    std::fs::create_dir(&out).expect("created");
+    std::fs::write(out.join("point_cloud"), "no folder").expect("written");
+    let mut command = program();
+    command.args(["train", "-s", text(&data), "-m", text(&out), "--iterations", "1000000"]);
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts");
+    let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
+    lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
+    let pid = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().expect("kill").success());
+    let rest: Vec<String> = lines.collect();
+    assert_eq!(child.wait().expect("it ends").code(), Some(130), "{rest:?}");
+    assert!(
+        rest.iter().any(|line| line.starts_with("warning: ") && line.contains("point_cloud")),
+        "{rest:?}"
+    );
+    let path = rest.iter().find_map(|line| line.strip_prefix("checkpoint ")).expect("a checkpoint");
+    ashsplat::trainer::Checkpoint::read(path).expect("whole");
 }
 
 /// Photographs that do not fit are read while training runs, and nothing else changes.

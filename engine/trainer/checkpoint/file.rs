@@ -142,6 +142,7 @@ fn fingerprint_of(metadata: &BTreeMap<String, String>) -> u64 {
     fingerprint.finish()
 }
 
+/// A fuzzer would not come past the fingerprints.
 fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     let broken = |e: safetensors::SafeTensorError| {
         format!("is truncated or no safetensors file ({} bytes): {e}", bytes.len())
@@ -154,7 +155,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     if format != FORMAT {
         return Err(format!("has the format '{format}', this version reads '{FORMAT}'"));
     }
-    if fingerprint_of(&metadata.0) != metadata.hexadecimal(FINGERPRINT)? {
+    if !cfg!(fuzzing) && fingerprint_of(&metadata.0) != metadata.hexadecimal(FINGERPRINT)? {
         return Err("is damaged: its metadata do not have the fingerprint that they were written with".into());
     }
     let settings = serde_json::from_str(metadata.text("settings")?)
@@ -187,7 +188,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             most_instances: metadata.parsed("most_instances")?,
         },
     };
-    if checkpoint.fingerprint() != metadata.hexadecimal("data_fingerprint")? {
+    if !cfg!(fuzzing) && checkpoint.fingerprint() != metadata.hexadecimal("data_fingerprint")? {
         return Err("is damaged: its contents do not have the fingerprint that they were written with".into());
     }
     checkpoint.check_shapes().map_err(|e| e.to_string())?;

@@ -1,0 +1,55 @@
+//! Any bytes as a checkpoint. Fingerprints are not compared here: else nearly every change would end at them.
+#![no_main]
+
+use ashsplat_fuzz::scene::{Gaussians, PointCloud};
+use ashsplat_fuzz::trainer::checkpoint::{Checkpoint, Room};
+use ashsplat_fuzz::trainer::settings::TrainSettings;
+use ashsplat_fuzz::{folder, leave_seed};
+use libfuzzer_sys::fuzz_target;
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+static FILE: LazyLock<PathBuf> = LazyLock::new(|| folder("checkpoint").join("input.safetensors"));
+
+/// Valid files of two degrees.
+fn seeds() {
+    let points = PointCloud { positions: vec![[0.0; 3], [1.0, 2.0, 3.0]], colors: vec![[1, 2, 3]; 2] };
+    for sh_degree in [0, 1] {
+        let gaussians = Gaussians::from_points(&points, sh_degree).expect("Gaussians");
+        let checkpoint = Checkpoint {
+            version: "0.1.0".into(),
+            device: "a device".into(),
+            driver: "a driver".into(),
+            settings: TrainSettings { sh_degree, ..TrainSettings::default() },
+            views: 3,
+            views_fingerprint: 7,
+            scene_extent: 2.0,
+            iteration: 5,
+            optimizer_steps: 5,
+            opacity_steps: 5,
+            densification_due: false,
+            opacity_reset_due: false,
+            first_moments: gaussians.clone(),
+            second_moments: gaussians.clone(),
+            gaussians,
+            statistics: vec![[0.0; 2]; 2],
+            room: Room::default(),
+        };
+        checkpoint.write(&*FILE).expect("written");
+        leave_seed(&format!("degree{sh_degree}"), &std::fs::read(&*FILE).expect("there"));
+    }
+}
+
+fuzz_target!(init: seeds(), |data: &[u8]| {
+    std::fs::write(&*FILE, data).expect("written");
+    match Checkpoint::read(&*FILE) {
+        Ok(checkpoint) => {
+            // What can be read can be written, and is the same again.
+            checkpoint.write(&*FILE).expect("written");
+            let again = Checkpoint::read(&*FILE).expect("its own");
+            assert_eq!(again.fingerprint(), checkpoint.fingerprint());
+            assert_eq!(again.room, checkpoint.room);
+        }
+        Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
+    }
+});
