@@ -13,14 +13,7 @@ pub mod io;
 pub mod metrics;
 #[path = "../../../engine/scene/mod.rs"]
 pub mod scene;
-
-/// What of the trainer is read from files.
-pub mod trainer {
-    #[path = "../../../../engine/trainer/checkpoint/mod.rs"]
-    pub mod checkpoint;
-    #[path = "../../../../engine/trainer/settings.rs"]
-    pub mod settings;
-}
+pub mod trainer;
 
 pub use error::{Error, Result};
 use std::path::PathBuf;
