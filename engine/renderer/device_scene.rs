@@ -44,7 +44,7 @@ impl DeviceScene {
     ///
     /// # Errors
     /// [`Error::Argument`] for a plan that is not [`DeviceScene::plan_for`] this device, too few or too small buffers, such
-    /// as are of another device or the same twice, and more Gaussians than the plan has room for.
+    /// as are of another device, begin at an unaligned byte or overlap, and more Gaussians than the plan has room for.
     pub fn from_buffers(context: &Context, plan: ScenePlan, chunks: Vec<Buffer>, count: u32) -> Result<Self> {
         let bad = |problem: String| Err(Error::argument("scene's buffers", problem));
         // A plan is a function of the device's limits: what another one says would be bound and indexed as well.
@@ -68,10 +68,20 @@ impl DeviceScene {
         if count > plan.capacity {
             return bad(format!("{count} Gaussians, the plan has room for {}", plan.capacity));
         }
-        let mut handles: Vec<_> = chunks.iter().map(Buffer::handle).collect();
-        handles.sort_unstable();
-        if handles.windows(2).any(|pair| pair[0] == pair[1]) {
-            return bad("are the same for two chunks".into());
+        let alignment = context.limits().storage_alignment.max(16);
+        if let Some(odd) = chunks.iter().find(|b| !b.handle().1.is_multiple_of(alignment)) {
+            let problem = format!(
+                "'{}' begins at byte {}, which is no multiple of {alignment}",
+                odd.name(),
+                odd.handle().1
+            );
+            return bad(problem);
+        }
+        let mut places: Vec<_> = chunks.iter().map(Buffer::handle).collect();
+        places.sort_unstable();
+        let chunk_bytes = plan.chunk_bytes();
+        if places.windows(2).any(|pair| pair[0].0 == pair[1].0 && pair[1].1 - pair[0].1 < chunk_bytes) {
+            return bad("overlap".into());
         }
         let chunks = chunks.iter().map(|buffer| buffer.range(0, plan.chunk_bytes())).collect();
         Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, plan, count } })

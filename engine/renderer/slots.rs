@@ -82,6 +82,15 @@ impl Reservation {
         if self.slots == 0 || self.scenes == 0 || self.blend_passes == 0 {
             return Err(Error::argument("reservation", "no slots, scenes or blending passes"));
         }
+        // Far more than any device can hold the instances of.
+        let most = [
+            ("slots", self.slots, 1024),
+            ("scenes", self.scenes, 65_536),
+            ("blending passes", self.blend_passes, 65_536),
+        ];
+        if let Some((what, count, most)) = most.into_iter().find(|&(_, count, most)| count > most) {
+            return Err(Error::argument("reservation", format!("{count} {what}, there may be {most}")));
+        }
         if self.sh_degree > 3 {
             return Err(Error::argument("reservation", format!("SH degree {} is above 3", self.sh_degree)));
         }
@@ -107,7 +116,9 @@ impl Reservation {
     /// Dispatches of a frame, at most.
     pub(super) fn dispatches(&self, context: &Context) -> Result<usize> {
         const PER_FRAME: u32 = 48;
-        let plan = ScenePlan::new(context.limits(), self.gaussians, self.sh_degree)?;
+        // Scenes may be stored at a higher degree than they are drawn with, in more chunks.
+        let plan = ScenePlan::new(context.limits(), self.gaussians, 3)
+            .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree))?;
         // Per chunk of parameters: culling and projection, and per scene the ranges of its chunks.
         let projection = 2 * (plan.chunks + self.scenes) + self.scenes;
         Ok((PER_FRAME + self.blend_passes + projection) as usize)

@@ -116,12 +116,12 @@ impl StepSlot {
 
 impl Trainer {
     /// Builds all kernels and allocates everything that recorded steps need, in place of the reservation before. Submits
-    /// and waits.
+    /// and waits. The whole command buffers of all steps are over by then, as whoever adopted them has promised
+    /// ([`Context::adopt_commands`](crate::vk::Context::adopt_commands)).
     ///
     /// # Errors
     /// [`Error::Argument`] without slots, for photographs that lie in a file or while recorded steps are in flight,
-    /// [`Error::TooLarge`] for what the device
-    /// cannot hold; memory or device failures.
+    /// [`Error::TooLarge`] for what the device cannot hold; memory or device failures.
     pub fn reserve_steps(&mut self, wanted: &StepReservation) -> Result<()> {
         if wanted.slots == 0 {
             return Err(Error::argument("reservation", "no slots for steps"));
@@ -253,7 +253,13 @@ impl Trainer {
             let problem = "a step was thrown away, but not those recorded behind it; go on from a checkpoint";
             return Err(Error::argument("training steps", problem));
         }
+        let late = in_flight.range(first..).any(|step| slots[step.slot].record.was_discarded_late());
         in_flight.truncate(first);
+        if late {
+            self.broken = true;
+            let problem = "a step was discarded after it had been executed; go on from a checkpoint";
+            return Err(Error::argument("training steps", problem));
+        }
         Ok(())
     }
 

@@ -185,6 +185,8 @@ pub struct RecordSlot {
     profiler: Option<Profiler>,
     /// Whether a recording was begun and not discarded.
     recorded: bool,
+    /// Whether the last discarded recording had been executed.
+    discarded_late: bool,
 }
 
 impl RecordSlot {
@@ -201,6 +203,7 @@ impl RecordSlot {
             kept: Home::default(),
             profiler: None,
             recorded: false,
+            discarded_late: false,
             inner,
         };
         slot.create()?;
@@ -237,7 +240,7 @@ impl RecordSlot {
         }
         // SAFETY: the event is alive.
         let status = unsafe { self.inner.device.get_event_status(self.event) };
-        status.map_err(vk_error("vkGetEventStatus"))
+        status.map_err(|error| self.inner.failed("vkGetEventStatus", error))
     }
 
     /// Fails while the last recording is in flight. What it says has to be true of the whole command buffer as well, as
@@ -254,11 +257,17 @@ impl RecordSlot {
         self.recorded
     }
 
+    /// Whether the recording that was discarded last had been executed all the same.
+    pub(crate) fn was_discarded_late(&self) -> bool {
+        self.discarded_late
+    }
+
     /// Forgets a recording, also one that an error or a panic has left unfinished.
     ///
     /// # Safety
-    /// The command buffer was not submitted and is not going to be, or its execution is over.
+    /// The command buffer was not submitted and is not going to be, or its execution is over; the recorder is gone.
     pub unsafe fn discard(&mut self) {
+        self.discarded_late = self.recorded && self.finished().unwrap_or(true);
         self.recorded = false;
         self.profiler = None;
         self.clear();

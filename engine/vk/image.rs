@@ -109,7 +109,9 @@ impl Image {
     /// # Safety
     /// - the image is of the context's device, was created as `foreign` says and is bound to memory;
     /// - it lives until the execution of the last recording that uses it is over and this view and its clones are
-    ///   gone.
+    ///   gone;
+    /// - recordings that use it find it owned by the context's queue family: barriers here transfer no ownership, so that
+    ///   a host whose other queues are of another family releases and acquires it.
     pub unsafe fn adopt(
         context: &Context,
         name: &'static str,

@@ -201,9 +201,11 @@ impl Commands {
     /// Whatever happens, nothing runs any more afterwards.
     fn settle(&mut self) {
         if self.wait(None).is_err() && self.submitted {
-            let _queue = self.inner.lock_queue();
-            // SAFETY: the lock keeps others from submitting meanwhile. When this fails, the device is lost.
-            let _ = unsafe { self.inner.device.device_wait_idle() };
+            if let Ok(queue) = self.inner.lock_queue() {
+                // The queue alone: of a host's device, others are in use by other threads.
+                // SAFETY: the lock gives the queue to this thread. When this fails, the device is lost.
+                let _ = unsafe { self.inner.device.queue_wait_idle(*queue) };
+            }
             self.submitted = false;
         }
     }
@@ -232,7 +234,7 @@ impl Drop for Commands {
 
 impl Inner {
     /// The error of a failed call; remembers when it says that the device is lost.
-    fn failed(&self, call: &'static str, result: vk::Result) -> Error {
+    pub(super) fn failed(&self, call: &'static str, result: vk::Result) -> Error {
         self.lost.fetch_or(result == vk::Result::ERROR_DEVICE_LOST, Ordering::Relaxed);
         vk_error(call)(result)
     }

@@ -266,6 +266,9 @@ fn reservations_that_make_no_sense_are_refused() {
             Reservation { slots: 0, ..good },
             Reservation { sh_degree: 4, ..good },
             Reservation { gaussians: u32::MAX, ..good },
+            Reservation { slots: u32::MAX, ..good },
+            Reservation { scenes: u32::MAX, ..good },
+            Reservation { blend_passes: u32::MAX, ..good },
         ] {
             let error = renderer.reserve(&bad).expect_err("refused");
             assert!(matches!(error, Error::Argument { .. } | Error::TooLarge { .. }), "{error}");

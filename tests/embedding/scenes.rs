@@ -275,6 +275,12 @@ fn a_hosts_buffers_may_exceed_what_can_be_bound() {
         let adopted: Vec<_> = own.iter().map(|b| adopt(b).expect("adopted")).collect();
         let twice = vec![adopted[0].clone(); 2];
         assert!(DeviceScene::from_buffers(&context, plan, twice, 600).is_err());
+        let parts = |offsets: [u64; 2]| offsets.map(|at| adopted[0].range(at, plan.chunk_bytes())).to_vec();
+        for (offsets, problem) in [([2, 1 << 19], "multiple"), ([0, 4096], "overlap")] {
+            let error =
+                DeviceScene::from_buffers(&context, plan, parts(offsets), 600).err().expect("refused");
+            assert!(error.to_string().contains(problem), "{error}");
+        }
         let scene = DeviceScene::from_buffers(&context, plan, adopted, 600).expect("a scene");
         let mut renderer = Renderer::new(&context).expect("kernels");
         renderer.reserve(&Reservation::new(600, 1, 64, 48)).expect("memory");

@@ -27,6 +27,10 @@ typedef enum AshsplatStatus {
   AshsplatStatus_Vulkan = 6,
   // A defect of this library.
   AshsplatStatus_Internal = 7,
+  // The device is lost: nothing of its context works any more.
+  AshsplatStatus_DeviceLost = 8,
+  // A submission is not over after the time that it may take; it is still under way.
+  AshsplatStatus_Timeout = 9,
 } AshsplatStatus;
 
 // What lies behind the splats.
@@ -454,7 +458,7 @@ const char *ashsplat_last_error(void);
 const char *ashsplat_version(void);
 
 // Opens a device of the library's own: the one of this number or part of a name, or for NULL what the environment
-// variable ASHSPLAT_DEVICE says, else the best.
+// variable ASHSPLAT_DEVICE says, else the best. It and everything made with it may be used by any thread, by one at a time.
 //
 // # Safety
 // `device` is NULL or a C string; `context` is valid for a write.
@@ -596,6 +600,9 @@ enum AshsplatStatus ashsplat_camera_from_matrices(const float *view_from_world,
 // - before the slot is recorded again or released, and before the renderer reserves anew or is freed, the execution of the
 //   whole command buffer is over: its fence was waited for; or the slot is discarded. ashsplat_slot_finished does not say
 //   that. Scenes and views of images may be freed before: the slot keeps what it uses;
+// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
+// - what other queues wrote or read is synchronised by the host, by semaphores; images of another queue family were
+//   released there and acquired here;
 // - `frame` is valid with all that it points to, `release` for a write, or NULL.
 enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
                                     void *commands,
@@ -755,7 +762,8 @@ enum AshsplatStatus ashsplat_trainer_step(struct AshsplatTrainer *trainer, struc
 // `instances` (tile, Gaussian) pairs at least, or 0 for a guess. Submits and waits.
 //
 // # Safety
-// `trainer` is alive.
+// `trainer` is alive; the whole command buffers of all recorded steps are over: their fences were waited for. That
+// ashsplat_trainer_outcome has an answer does not say that.
 enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
                                              uint32_t slots,
                                              uint32_t instances);
@@ -768,6 +776,7 @@ enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
 // - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
 //   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
 // - the trainer lives until its execution is over, and the slot is recorded again only then: its fence was waited for;
+// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
 // - `release` is NULL or valid for a write.
 enum AshsplatStatus ashsplat_trainer_record(struct AshsplatTrainer *trainer,
                                             void *commands,
@@ -801,7 +810,8 @@ enum AshsplatStatus ashsplat_trainer_maintenance_is_due(struct AshsplatTrainer *
 // of date afterwards.
 //
 // # Safety
-// `trainer` is alive, `done` is NULL or valid for a write.
+// `trainer` is alive, `done` is NULL or valid for a write; the whole command buffers of all recorded steps are over: their
+// fences were waited for. That ashsplat_trainer_outcome has an answer does not say that.
 enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
                                               struct AshsplatMaintenance *done);
 
@@ -928,6 +938,9 @@ enum AshsplatStatus ashsplat_camera_from_matrices(const float *view_from_world,
 // - before the slot is recorded again or released, and before the renderer reserves anew or is freed, the execution of the
 //   whole command buffer is over: its fence was waited for; or the slot is discarded. ashsplat_slot_finished does not say
 //   that. Scenes and views of images may be freed before: the slot keeps what it uses;
+// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
+// - what other queues wrote or read is synchronised by the host, by semaphores; images of another queue family were
+//   released there and acquired here;
 // - `frame` is valid with all that it points to, `release` for a write, or NULL.
 enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
                                     void *commands,
@@ -1036,7 +1049,8 @@ enum AshsplatStatus ashsplat_trainer_step(struct AshsplatTrainer *trainer, struc
 // `instances` (tile, Gaussian) pairs at least, or 0 for a guess. Submits and waits.
 //
 // # Safety
-// `trainer` is alive.
+// `trainer` is alive; the whole command buffers of all recorded steps are over: their fences were waited for. That
+// ashsplat_trainer_outcome has an answer does not say that.
 enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
                                              uint32_t slots,
                                              uint32_t instances);
@@ -1049,6 +1063,7 @@ enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
 // - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
 //   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
 // - the trainer lives until its execution is over, and the slot is recorded again only then: its fence was waited for;
+// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
 // - `release` is NULL or valid for a write.
 enum AshsplatStatus ashsplat_trainer_record(struct AshsplatTrainer *trainer,
                                             void *commands,
@@ -1082,7 +1097,8 @@ enum AshsplatStatus ashsplat_trainer_maintenance_is_due(struct AshsplatTrainer *
 // of date afterwards.
 //
 // # Safety
-// `trainer` is alive, `done` is NULL or valid for a write.
+// `trainer` is alive, `done` is NULL or valid for a write; the whole command buffers of all recorded steps are over: their
+// fences were waited for. That ashsplat_trainer_outcome has an answer does not say that.
 enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
                                               struct AshsplatMaintenance *done);
 

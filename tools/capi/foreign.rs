@@ -196,6 +196,9 @@ pub unsafe extern "C" fn ashsplat_camera_from_matrices(
 /// - before the slot is recorded again or released, and before the renderer reserves anew or is freed, the execution of the
 ///   whole command buffer is over: its fence was waited for; or the slot is discarded. ashsplat_slot_finished does not say
 ///   that. Scenes and views of images may be freed before: the slot keeps what it uses;
+/// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
+/// - what other queues wrote or read is synchronised by the host, by semaphores; images of another queue family were
+///   released there and acquired here;
 /// - `frame` is valid with all that it points to, `release` for a write, or NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_record(

@@ -68,6 +68,8 @@ fn status_of(error: &Error) -> AshsplatStatus {
         Error::MissingFeature { .. } => AshsplatStatus::MissingFeature,
         Error::TooLarge { .. } => AshsplatStatus::TooLarge,
         Error::Vulkan { .. } => AshsplatStatus::Vulkan,
+        Error::DeviceLost { .. } => AshsplatStatus::DeviceLost,
+        Error::Timeout { .. } => AshsplatStatus::Timeout,
         _ => AshsplatStatus::Internal,
     }
 }
@@ -153,7 +155,7 @@ pub extern "C" fn ashsplat_version() -> *const c_char {
 }
 
 /// Opens a device of the library's own: the one of this number or part of a name, or for NULL what the environment
-/// variable ASHSPLAT_DEVICE says, else the best.
+/// variable ASHSPLAT_DEVICE says, else the best. It and everything made with it may be used by any thread, by one at a time.
 ///
 /// # Safety
 /// `device` is NULL or a C string; `context` is valid for a write.
@@ -166,7 +168,9 @@ pub unsafe extern "C" fn ashsplat_context_new(
     guarded(|| unsafe {
         give(context, "context", || {
             let device = if device.is_null() { None } else { Some(text(device, "device")?.to_owned()) };
-            Context::new(&ContextOptions { device, ..ContextOptions::default() }).map(AshsplatContext)
+            // Also where the device is a processor, its frames can be recorded.
+            let options = ContextOptions { device, texels: false, ..ContextOptions::default() };
+            Context::new(&options).map(AshsplatContext)
         })
     })
 }

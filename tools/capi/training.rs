@@ -176,7 +176,8 @@ pub unsafe extern "C" fn ashsplat_trainer_step(
 /// `instances` (tile, Gaussian) pairs at least, or 0 for a guess. Submits and waits.
 ///
 /// # Safety
-/// `trainer` is alive.
+/// `trainer` is alive; the whole command buffers of all recorded steps are over: their fences were waited for. That
+/// ashsplat_trainer_outcome has an answer does not say that.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_trainer_reserve(
     trainer: *mut AshsplatTrainer,
@@ -197,6 +198,7 @@ pub unsafe extern "C" fn ashsplat_trainer_reserve(
 /// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
 ///   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
 /// - the trainer lives until its execution is over, and the slot is recorded again only then: its fence was waited for;
+/// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
 /// - `release` is NULL or valid for a write.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_trainer_record(
@@ -273,7 +275,8 @@ pub unsafe extern "C" fn ashsplat_trainer_maintenance_is_due(
 /// of date afterwards.
 ///
 /// # Safety
-/// `trainer` is alive, `done` is NULL or valid for a write.
+/// `trainer` is alive, `done` is NULL or valid for a write; the whole command buffers of all recorded steps are over: their
+/// fences were waited for. That ashsplat_trainer_outcome has an answer does not say that.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_trainer_maintain(
     trainer: *mut AshsplatTrainer,

@@ -27,6 +27,10 @@ pub enum AshsplatStatus {
     Vulkan = 6,
     /// A defect of this library.
     Internal = 7,
+    /// The device is lost: nothing of its context works any more.
+    DeviceLost = 8,
+    /// A submission is not over after the time that it may take; it is still under way.
+    Timeout = 9,
 }
 
 /// A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z + cy), where the
