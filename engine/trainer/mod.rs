@@ -260,8 +260,8 @@ impl Trainer {
     /// Renders the scene as it stands; with `settings.sh_degree` None, at the degree in use at this iteration.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a camera that makes no sense, and while recorded steps are in flight; memory or device
-    /// failures.
+    /// [`Error::Argument`] for a camera that makes no sense, while recorded steps are in flight, and after a step of which
+    /// nobody knows whether it came to pass; memory or device failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
         let settings = self.at_present_degree(settings);
         self.drawing(|runner, scene| runner.render(scene, camera, &settings))
@@ -297,6 +297,7 @@ impl Trainer {
     /// Draws between two steps; a recorded step prepares its frame anew where the buffers have changed.
     fn drawing<T>(&mut self, draw: impl FnOnce(&mut FrameRunner, &SceneBuffers) -> Result<T>) -> Result<T> {
         self.check_settled()?;
+        self.check_whole()?;
         let capacity = self.runner.capacity();
         let drawn = draw(&mut self.runner, &self.training.scene);
         self.recording.frame_is_ready &= drawn.is_ok() && self.runner.capacity() == capacity;
@@ -320,9 +321,11 @@ impl Trainer {
     /// Downloads the Gaussians.
     ///
     /// # Errors
-    /// [`Error::Argument`] while recorded steps are in flight; when the device is lost.
+    /// [`Error::Argument`] while recorded steps are in flight, and after a step of which nobody knows whether it came to
+    /// pass; when the device is lost.
     pub fn gaussians(&self) -> Result<Gaussians> {
         self.check_settled()?;
+        self.check_whole()?;
         planes::download(&self.context, &self.training.scene)
     }
 

@@ -119,6 +119,7 @@ impl Trainer {
             blend_passes: frame.blend_passes,
             backward: frame.backward.into(),
             most_instances: self.most_instances,
+            max_memory: self.context.max_memory(),
         }
     }
 }

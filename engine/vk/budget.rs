@@ -17,6 +17,11 @@ impl Context {
         [asked, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)
     }
 
+    /// [`super::ContextOptions::max_memory`], as it was asked for.
+    pub fn max_memory(&self) -> Option<u64> {
+        self.0.max_memory
+    }
+
     /// What the driver would let this process have of the largest device-local heap, with what it has already.
     fn driver_budget(&self) -> Option<u64> {
         let physical = self.0.budget?;

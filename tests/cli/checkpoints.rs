@@ -84,6 +84,27 @@ fn a_resumed_training_equals_one_that_was_never_stopped() {
     assert!(!place.model("none").exists());
 }
 
+/// Where densification stops depends on the memory: a run that goes on with another says so.
+#[test]
+fn another_bound_of_memory_is_a_warning() {
+    let place = Place::new();
+    let bounded = ["--max-memory", "1G", "--checkpoint_iterations", "4", "6", "--iterations"];
+    let run = place.train("model", &[&bounded[..], &["8"]].concat());
+    assert_trained(&run);
+    let first = text(&place.model("model").join("chkpnt4.safetensors")).to_owned();
+    let resume = ["--start_checkpoint", &first];
+    let same = place.train("model", &[&bounded[..], &["8"], &resume].concat());
+    assert_trained(&same);
+    assert!(!same.stderr.contains("--max-memory"), "{}", same.stderr);
+    for (more, words) in [(vec![], "1G, here it is none"), (vec!["--max-memory", "2G"], "1G, here it is 2G")]
+    {
+        let other = place.train("model", &[&more[..], &["--iterations", "8"], &resume].concat());
+        assert_trained(&other);
+        let warned = other.stderr.lines().any(|line| line.contains("--max-memory") && line.contains(words));
+        assert!(warned && other.stderr.contains("chkpnt4"), "{}", other.stderr);
+    }
+}
+
 #[test]
 fn determinism_is_verified_without_writing() {
     let place = Place::new();
@@ -103,11 +124,16 @@ fn determinism_is_verified_without_writing() {
     );
 }
 
-/// Ends a run in whatever it is doing; whatever is on disk then must do.
-fn kill(mut child: Child, after: Duration) {
+/// Ends a run in whatever it is doing, and says whether it still ran; whatever is on disk then must do.
+#[cfg(unix)]
+fn kill(mut child: Child, after: Duration) -> bool {
+    use std::os::unix::process::ExitStatusExt;
     std::thread::sleep(after);
     child.kill().ok();
-    child.wait().expect("it ends");
+    let status = child.wait().expect("it ends");
+    let killed = status.signal() == Some(9);
+    assert!(killed || status.success(), "ends by itself, and fails: {status}");
+    killed
 }
 
 /// A few moments; `ASHSPLAT_KILLS` asks for more.
@@ -123,7 +149,7 @@ fn killed_at_any_moment_training_goes_on() {
     assert_trained(&place.train("whole", &arguments));
     let whole = start.elapsed();
     // A low-discrepancy sequence over the time that a run takes.
-    let mut started = 0;
+    let (mut whole_files, mut alive, mut resumed) = (0, 0, 0);
     for moment in 0..kills {
         let share = (0.5 + moment as f64 * 0.618_033_988_75) % 1.0;
         let checkpointed = place.model("killed").read_dir().is_ok_and(|entries| {
@@ -136,13 +162,14 @@ fn killed_at_any_moment_training_goes_on() {
             place.command("killed", &arguments)
         };
         let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("it starts");
-        kill(child, whole.mul_f64(share));
+        alive += u64::from(kill(child, whole.mul_f64(share)));
+        resumed += u64::from(checkpointed);
         for file in files_below(&place.model("killed")) {
             let name = file.to_string_lossy().into_owned();
             let path = place.model("killed").join(&file);
             if name.ends_with(".safetensors") {
                 ashsplat::trainer::Checkpoint::read(&path).expect("whole");
-                started += 1;
+                whole_files += 1;
             } else if name.ends_with(".ply") {
                 let points = name == "input.ply";
                 let whole = if points {
@@ -159,7 +186,12 @@ fn killed_at_any_moment_training_goes_on() {
             std::fs::remove_dir_all(place.model("killed")).expect("removed");
         }
     }
-    eprintln!("{kills} kills, {started} checkpoints found whole");
+    eprintln!(
+        "{kills} kills, {alive} of a live process, {resumed} of one that had gone on from a checkpoint"
+    );
+    eprintln!("{whole_files} times a checkpoint was found whole");
+    // On a busy machine the first run was slow, or all of them are.
+    assert!(alive > 0 && resumed > 0 && whole_files > 0, "{alive} {resumed} {whole_files}");
     assert_trained(&place.train("killed", &arguments));
     let resume = [arguments.as_slice(), &["--start_checkpoint", "latest"]].concat();
     assert_trained(&place.train("killed", &resume));

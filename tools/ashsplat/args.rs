@@ -33,7 +33,31 @@ pub fn bytes(text: &str) -> Result<u64, String> {
     }
 }
 
+/// A size as [`bytes`] reads it, in the largest unit that has no fraction.
+pub fn size(bytes: u64) -> String {
+    let units = [("G", 30), ("M", 20), ("K", 10)];
+    let unit = units.into_iter().find(|(_, bits)| bytes.is_multiple_of(1 << bits));
+    let (unit, bits) = unit.unwrap_or(("", 0));
+    format!("{}{unit}", bytes >> bits)
+}
+
+/// A word as a shell reads it back.
+pub fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "-_./:,+=@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        return word.to_owned();
+    }
+    format!("'{}'", word.replace('\'', "'\\''"))
+}
+
 impl DeviceArguments {
+    /// What decides the bits of a result, as it was typed: to type it again.
+    pub fn repeated(&self) -> String {
+        let device = self.device.iter().map(|device| format!(" --device {}", quoted(device)));
+        let memory = self.max_memory.iter().map(|bytes| format!(" --max-memory {}", size(*bytes)));
+        device.chain(memory).collect()
+    }
+
     /// Opens the device.
     pub fn context(&self) -> Result<Context> {
         self.context_with(|_| ())
@@ -56,5 +80,25 @@ impl DeviceArguments {
         for message in context.validation_messages() {
             tell!("validation: {message}");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_repeated_is_read_back() {
+        for (typed, said) in
+            [("6G", "6G"), ("1536m", "1536M"), ("2048K", "2M"), ("0.5K", "512"), ("1000001", "1000001")]
+        {
+            let size = size(bytes(typed).expect("a size"));
+            assert_eq!(size, said);
+            assert_eq!(bytes(&size), bytes(typed));
+        }
+        let device = Some("it's (256 bits)".to_owned());
+        let arguments = DeviceArguments { device, max_memory: Some(6 << 30), ..Default::default() };
+        assert_eq!(arguments.repeated(), r" --device 'it'\''s (256 bits)' --max-memory 6G");
+        assert_eq!(DeviceArguments::default().repeated(), "");
     }
 }

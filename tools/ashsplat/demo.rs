@@ -71,6 +71,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let model = settings.data.model_path.clone();
     let mut run = Run::prepare(&context, loaded, settings, arguments.quiet)?;
+    run.repeat(&arguments.device, None);
     let interrupted = run.train()?;
     if !interrupted {
         finish(&mut run, folder, arguments.iterations)?;

@@ -35,7 +35,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 ///
 /// Names and defaults are those of the reference implementation; hyphens and underscores are both accepted.
 /// Ctrl-C finishes the iteration, saves, writes a checkpoint, and exits with 130. When an iteration fails, the scene
-/// before it is saved. A run that goes on from a checkpoint ends with the same bits as one that was never stopped.
+/// before it is saved and a checkpoint written: no scene where its opacities were reset already, and neither where the
+/// device is lost or too slow, so that nobody knows what became of them. A run that goes on from a checkpoint ends with the same bits as one that was never stopped.
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -108,6 +109,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         None => Run::prepare(&context, dataset, settings, arguments.quiet)?,
         Some(start) => Run::resume(&context, dataset, settings, &start, arguments.quiet)?,
     };
+    run.repeat(&arguments.device, arguments.photo_memory);
     run.look_on(&arguments.live, &context)?;
     let interrupted = run.train()?;
     run.report();
@@ -147,6 +149,8 @@ pub struct Run {
     /// Iteration of the checkpoint that was written last.
     checkpointed: Option<u32>,
     kernels: KernelTimes,
+    /// What else to type to go on with the same bits.
+    repeated: String,
     /// Who looks on.
     live: Option<Live>,
 }
@@ -205,6 +209,7 @@ impl Run {
             saved: None,
             checkpointed: None,
             kernels: KernelTimes::new(context),
+            repeated: String::new(),
             live: None,
         }
     }
@@ -274,25 +279,6 @@ impl Run {
         Ok(false)
     }
 
-    fn say_how_to_go_on(&self, iteration: u32) {
-        let command = checkpoints::command(&self.settings.data.model_path);
-        self.progress.note(&match iteration == self.settings.train.iterations {
-            true => {
-                format!("interrupted after the last iteration: to train longer, {command} --iterations N")
-            }
-            false => format!("interrupted: to go on, {command}"),
-        });
-    }
-
-    /// The log first: with the checkpoint, all its iterations are on disk.
-    fn write_checkpoint(&mut self) -> Result<()> {
-        self.log.flush();
-        let path = checkpoints::write(&self.settings.data.model_path, &self.trainer.checkpoint()?)?;
-        self.checkpointed = Some(self.trainer.iteration());
-        self.progress.note(&format!("checkpoint {}", path.display()));
-        Ok(())
-    }
-
     /// An iteration over nothing is the last.
     fn check(&self, report: &StepReport) -> Result<()> {
         if report.gaussians > 0 {
@@ -356,24 +342,6 @@ impl Run {
         self.saved = Some(iteration);
         self.progress.note(&format!("{reason}saved {}", path.display()));
         Ok(())
-    }
-
-    /// After a failure: saves what the iterations before it have made, if there is anything that is not saved.
-    fn rescue(&mut self) {
-        let iteration = self.trainer.iteration();
-        if iteration == 0 || self.gaussians == 0 {
-            return;
-        }
-        if self.saved != Some(iteration)
-            && let Err(error) = self.save(iteration, "failed: ")
-        {
-            tell!("warning: the scene is not saved: {error}");
-        }
-        if self.checkpointed != Some(iteration)
-            && let Err(error) = self.write_checkpoint()
-        {
-            tell!("warning: no checkpoint: {error}");
-        }
     }
 
     /// Measures the test views; those that were held out are also saved.

@@ -16,6 +16,8 @@ use std::path::Path;
 const FORMAT: &str = "ashsplat-checkpoint/2";
 /// The metadata that tells all other metadata from others.
 const FINGERPRINT: &str = "metadata_fingerprint";
+/// Only where memory was bounded.
+const MAX_MEMORY: &str = "room_max_memory";
 /// Prefixes of the tensors' names.
 const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
 /// The data begin at a multiple of this.
@@ -99,7 +101,7 @@ impl Checkpoint {
             .map_err(|e| Error::argument("settings", format!("cannot be written: {e}")))?;
         let views = self.views.max(1);
         let Room { gaussians, frame_gaussians, frame_instances, frame_width, frame_height, .. } = self.room;
-        let Room { blend_passes, backward, most_instances, .. } = self.room;
+        let Room { blend_passes, backward, most_instances, max_memory, .. } = self.room;
         let pairs = [
             ("format", FORMAT.to_owned()),
             ("version", self.version.clone()),
@@ -128,7 +130,8 @@ impl Checkpoint {
             ("view_order_epoch", (u64::from(self.iteration) / views).to_string()),
             ("view_order_position", (u64::from(self.iteration) % views).to_string()),
         ];
-        Ok(pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
+        let max_memory = max_memory.map(|bytes| (MAX_MEMORY, bytes.to_string()));
+        Ok(pairs.into_iter().chain(max_memory).map(|(name, value)| (name.to_owned(), value)).collect())
     }
 }
 
@@ -186,6 +189,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             blend_passes: metadata.parsed("room_blend_passes")?,
             backward: metadata.parsed("room_backward")?,
             most_instances: metadata.parsed("most_instances")?,
+            max_memory: metadata.0.get(MAX_MEMORY).map(|_| metadata.parsed(MAX_MEMORY)).transpose()?,
         },
     };
     if !cfg!(fuzzing) && checkpoint.fingerprint() != metadata.hexadecimal("data_fingerprint")? {

@@ -68,6 +68,8 @@ pub struct Room {
     pub backward: u32,
     /// Most instances that a frame had since the last densification.
     pub most_instances: u32,
+    /// [`crate::vk::ContextOptions::max_memory`], bytes.
+    pub max_memory: Option<u64>,
 }
 
 /// What a checkpoint must have been made with to go on from it.

@@ -1,5 +1,7 @@
 //! Checkpoints of a run: where they lie, which is the newest, and what to go on from.
 
+use super::Run;
+use crate::args::{self, DeviceArguments};
 use crate::config::SETTINGS_FILE;
 use crate::output;
 use ashsplat::trainer::{Checkpoint, TrainSettings, TrainView, Trainer};
@@ -40,6 +42,17 @@ impl Start {
                 self.path.display()
             );
         }
+        let said = |bytes: Option<u64>| bytes.map_or("none".into(), args::size);
+        let (there, here) = (self.checkpoint.room.max_memory, context.max_memory());
+        if there != here {
+            tell!(
+                "warning: {}: was made with --max-memory {}, here it is {}; densification may stop elsewhere, and the \
+                 result may differ from that of a run without interruption",
+                self.path.display(),
+                said(there),
+                said(here)
+            );
+        }
     }
 
     /// The trainer as it was.
@@ -73,10 +86,68 @@ pub fn write(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf> {
     Ok(path)
 }
 
-/// What to type to go on with the training of a model folder.
-pub fn command(folder: &Path) -> String {
-    let settings = folder.join(SETTINGS_FILE);
-    format!("ashsplat train --config {} --start-checkpoint {LATEST}", settings.display())
+impl Run {
+    /// Notes what settings.toml lacks of the command line, and the bits depend on.
+    pub fn repeat(&mut self, device: &DeviceArguments, photo_memory: Option<u64>) {
+        let photos = photo_memory.map(|bytes| format!(" --photo-memory {}", args::size(bytes)));
+        self.repeated = device.repeated() + &photos.unwrap_or_default();
+    }
+
+    pub(super) fn say_how_to_go_on(&self, iteration: u32) {
+        let settings = self.settings.data.model_path.join(SETTINGS_FILE);
+        let settings = args::quoted(&settings.to_string_lossy());
+        let command =
+            format!("ashsplat train --config {settings} --start-checkpoint {LATEST}{}", self.repeated);
+        self.progress.note(&match iteration == self.settings.train.iterations {
+            true => {
+                format!("interrupted after the last iteration: to train longer, {command} --iterations N")
+            }
+            false => format!("interrupted: to go on, {command}"),
+        });
+    }
+
+    /// The log first: with the checkpoint, all its iterations are on disk.
+    pub(super) fn write_checkpoint(&mut self) -> Result<()> {
+        self.write_that(&self.trainer.checkpoint()?)
+    }
+
+    fn write_that(&mut self, checkpoint: &Checkpoint) -> Result<()> {
+        self.log.flush();
+        let path = write(&self.settings.data.model_path, checkpoint)?;
+        self.checkpointed = Some(checkpoint.iteration);
+        self.progress.note(&format!("checkpoint {}", path.display()));
+        Ok(())
+    }
+
+    /// After a failure: saves what the iterations before it have made, if there is anything that is not saved. A scene
+    /// whose opacities the failed iteration has reset is all but invisible, and is left to the checkpoint.
+    pub(super) fn rescue(&mut self) {
+        let iteration = self.trainer.iteration();
+        if iteration == 0 || self.gaussians == 0 {
+            return;
+        }
+        let checkpoint = self.trainer.checkpoint();
+        // Of a state that cannot be had, the worst is assumed.
+        let still = |due: fn(&Checkpoint) -> bool| checkpoint.as_ref().is_ok_and(due);
+        let settings = &self.settings.train;
+        let reset = settings.resets_opacity_at(iteration) && !still(|c| c.opacity_reset_due);
+        let densified = settings.densifies_at(iteration) && !still(|c| c.densification_due);
+        if self.saved != Some(iteration) {
+            let reason = if densified { "failed, densified already: " } else { "failed: " };
+            let saved = match reset {
+                true => Err(Error::argument("trainer", "the opacities may be reset already")),
+                false => self.save(iteration, reason),
+            };
+            if let Err(error) = saved {
+                tell!("warning: the scene is not saved: {error}");
+            }
+        }
+        if self.checkpointed != Some(iteration)
+            && let Err(error) = checkpoint.and_then(|checkpoint| self.write_that(&checkpoint))
+        {
+            tell!("warning: no checkpoint: {error}");
+        }
+    }
 }
 
 /// Forgets which checkpoint is the newest: those that are there are of an earlier training.
