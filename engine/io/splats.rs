@@ -82,7 +82,8 @@ pub(super) fn collect(path: &Path, source: Box<dyn Source + '_>, options: &ReadO
 
 fn collect_from(mut reader: Reader<'_>) -> Result<Scene> {
     let header = reader.header().clone();
-    // What the header claims was compared with the file's size; rows still take more than packed ones.
+    // What the header claims was compared with the file's size; rows still take more than packed ones, and glTF may
+    // place the same ones a limited number of times.
     let capacity = usize::try_from(header.count).unwrap_or(0);
     let mut gaussians = Gaussians::with_capacity(header.sh_degree, capacity);
     let dropped = reader.blocks(&mut |block| {

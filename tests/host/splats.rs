@@ -5,6 +5,7 @@ use std::path::Path;
 use ashsplat::io::splats::{self, ConvertOptions, Format, ReadOptions, Target, WriteOptions};
 use ashsplat::scene::{Bounds, Gaussians, Similarity};
 use glam::{DQuat, DVec3, Vec3};
+use serde_json::{Value, json};
 
 use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
 
@@ -226,4 +227,28 @@ fn formats_are_known_by_content_before_name() {
     std::fs::write(&path, "v 1 2 3").unwrap();
     assert!(message(&path).contains("is no file of Gaussians that is known; known are .ply .compressed.ply"));
     assert!(message(folder.path()).contains("is not a file"));
+}
+
+/// A glTF may place a mesh at many nodes, but a small one claims no scene that fills the memory.
+#[test]
+fn gltf_places_its_gaussians_a_limited_number_of_times() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("copies.gltf");
+    let placed = |count: usize, nodes: usize, primitives: usize| {
+        splats::write(&path, &scene(count, 0), &WriteOptions::default()).unwrap();
+        let mut document: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        let mesh = &mut document["meshes"][0]["primitives"];
+        *mesh = vec![mesh[0].clone(); primitives].into();
+        document["nodes"] = vec![json!({ "mesh": 0 }); nodes].into();
+        document["scenes"][0]["nodes"] = (0..nodes).collect();
+        std::fs::write(&path, document.to_string()).unwrap();
+    };
+    placed(5, 300, 2);
+    assert_eq!(splats::read(&path, &KEEP).unwrap().gaussians.len(), 3000);
+    // 10^9 Gaussians from 560 kB; ever more of them at each node; places alone.
+    for (count, nodes, primitives) in [(10_000, 100_000, 1), (10_000, 300, 300), (1, 1000, 1000)] {
+        placed(count, nodes, primitives);
+        let message = message(&path);
+        assert!(message.contains("again and again") && message.contains("16 times"), "{message}");
+    }
 }

@@ -25,6 +25,13 @@ pub(super) const EXTENSION: &str = "KHR_gaussian_splatting";
 /// How close to 0 and 1 a stored opacity is taken for: the logits of these are infinite.
 const OPACITY_MARGIN: f64 = 3e-8;
 
+/// Placed primitives, at most.
+const MOST_PARTS: usize = 1 << 16;
+/// Gaussians that may lie at any number of places, however few they are in the file.
+const FREE_GAUSSIANS: u64 = 1 << 20;
+/// How many times the bytes of the file may be used, for more Gaussians than these.
+const MOST_USES: u64 = 16;
+
 /// An open glTF.
 pub(super) struct Gltf {
     buffers: Buffers,
@@ -48,6 +55,7 @@ impl Gltf {
         let (document, buffers) = Document::open(path, format)?;
         let mut header = Header { format, count: 0, sh_degree: 0, antialiased: false, warnings: Vec::new() };
         let mut parts = Vec::new();
+        let (held, mut used) = (buffers.bytes(), 0_u64);
         for (mesh_index, placement) in document.placed_meshes(path)? {
             let Some(mesh) = document.meshes.get(mesh_index) else {
                 let problem = format!("a node has mesh {mesh_index}, there are {}", document.meshes.len());
@@ -70,14 +78,28 @@ impl Gltf {
                     primitive,
                     extension,
                 };
-                parts.push(attribute.part(placement)?);
+                let part = attribute.part(placement)?;
+                used = used.saturating_add(part.bytes());
+                header.count = header.count.saturating_add(part.count as u64);
+                parts.push(part);
+                // A few bytes could claim any number of Gaussians: the same ones at many nodes.
+                let copies = header.count > FREE_GAUSSIANS && used / MOST_USES > held;
+                if copies || parts.len() > MOST_PARTS {
+                    let problem = format!(
+                        "places the same Gaussians again and again: {} or more at {} places from {held} bytes",
+                        header.count,
+                        parts.len()
+                    );
+                    let remedy =
+                        format!("place each at most {MOST_USES} times, at {MOST_PARTS} places in all");
+                    return Err(Error::input(path, problem, remedy));
+                }
             }
         }
         if parts.is_empty() {
             let problem = format!("has no Gaussians (no placed primitive with {EXTENSION})");
             return Err(Error::input(path, problem, "is it a mesh?"));
         }
-        header.count = parts.iter().map(|part| part.count as u64).sum();
         let most = parts.iter().map(|part| part.sh.len()).max().unwrap_or(1);
         header.sh_degree = (0..=MAX_SH_DEGREE).find(|&d| sh_coefficients(d) == most).unwrap_or(0);
         Ok(Self { buffers, parts, header })
@@ -174,6 +196,12 @@ impl Source for Gltf {
 }
 
 impl Part {
+    /// Bytes of its numbers.
+    fn bytes(&self) -> u64 {
+        let all = [&self.position, &self.rotation, &self.scale, &self.opacity].into_iter().chain(&self.sh);
+        all.map(Accessor::bytes).sum()
+    }
+
     fn read(&self, buffers: &mut Buffers, rows: std::ops::Range<usize>) -> Result<Gaussians> {
         let coefficients = self.sh.len();
         let degree = (0..=MAX_SH_DEGREE).find(|&d| sh_coefficients(d) == coefficients).unwrap_or(0);

@@ -1,5 +1,6 @@
 //! Numbers in glTF's buffers.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
@@ -10,6 +11,18 @@ use crate::{Error, Result};
 
 /// The open buffers.
 pub(super) struct Buffers(pub(super) Vec<Buffer>);
+
+impl Buffers {
+    /// Bytes that they hold together; of a file that several name, once.
+    pub(super) fn bytes(&self) -> u64 {
+        let mut files = BTreeSet::new();
+        let counts = |buffer: &&Buffer| match buffer {
+            Buffer::File { path, .. } => files.insert(path.clone()),
+            Buffer::Memory(_) => true,
+        };
+        self.0.iter().filter(counts).map(Buffer::bytes).sum()
+    }
+}
 
 /// Where the bytes of one buffer lie.
 pub(super) enum Buffer {
@@ -48,6 +61,16 @@ enum Component {
     I16,
     U16,
     F32,
+}
+
+impl Component {
+    fn size(self) -> usize {
+        match self {
+            Component::I8 | Component::U8 => 1,
+            Component::I16 | Component::U16 => 2,
+            Component::F32 => 4,
+        }
+    }
 }
 
 /// Rows of numbers, checked to lie within their buffer.
@@ -126,17 +149,18 @@ impl Accessor {
         self.count
     }
 
+    /// Bytes of all numbers.
+    pub(super) fn bytes(&self) -> u64 {
+        self.count as u64 * (self.components * self.component.size()) as u64
+    }
+
     /// The numbers of some rows.
     pub(super) fn read(&self, buffers: &mut Buffers, rows: Range<usize>) -> Result<Vec<f32>> {
         let mut values = Vec::with_capacity(rows.len() * self.components);
         if rows.is_empty() {
             return Ok(values);
         }
-        let size = match self.component {
-            Component::I8 | Component::U8 => 1,
-            Component::I16 | Component::U16 => 2,
-            Component::F32 => 4,
-        };
+        let size = self.component.size();
         let bytes = (rows.len() as u64 - 1) * self.stride + (self.components * size) as u64;
         let mut data = vec![0; bytes as usize];
         buffers.0[self.buffer].read(self.offset + rows.start as u64 * self.stride, &mut data)?;
