@@ -4,6 +4,8 @@ use super::*;
 use crate::cli::{refuse, write_dataset};
 use std::net::TcpListener;
 use tempfile::tempdir;
+use tungstenite::HandshakeError;
+use tungstenite::client::IntoClientRequest;
 
 #[test]
 fn viewer_without_a_scene_says_what_to_do() {
@@ -70,11 +72,18 @@ fn viewer_refuses_foreign_pages() {
     let folder = tempdir().expect("a temporary folder");
     let server = Server::view(&write_ball(folder.path(), 50), &[]);
     assert_eq!(server.get("/", &[("Host", "rebound.example:80")]).0, 403);
-    let key = ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ==");
-    let upgrade = [("Upgrade", "websocket"), ("Sec-WebSocket-Version", "13"), key];
-    let foreign = [&upgrade[..], &[("Origin", "http://elsewhere.example")]].concat();
-    // Not "Connection: Upgrade", so that a page let in would see 400 and not 403.
-    assert_ne!(server.get("/socket", &foreign).0, 101);
+    // The same handshake but for the page that opens it.
+    let own = format!("http://{}", server.host);
+    for (origin, expected) in [("http://elsewhere.example", 403), ("null", 403), (&own, 101)] {
+        let mut request = format!("ws://{}/socket", server.host).into_client_request().expect("a request");
+        request.headers_mut().insert("Origin", origin.parse().expect("a header"));
+        let status = match tungstenite::client(request, server.connect()) {
+            Ok((_, answer)) => answer.status(),
+            Err(HandshakeError::Failure(tungstenite::Error::Http(answer))) => answer.status(),
+            Err(error) => panic!("{origin}: {error}"),
+        };
+        assert_eq!(status.as_u16(), expected, "{origin}");
+    }
 }
 
 #[test]
@@ -102,6 +111,12 @@ fn viewer_shows_a_data_set_and_its_photos() {
     assert_eq!((&page.greeting["gaussians"], &page.greeting["empty"]), (&json!(400), &json!(false)));
     let cameras = page.greeting["cameras"].as_array().expect("cameras");
     assert_eq!((cameras.len(), cameras[1]["name"].as_str()), (9, Some("02.png")));
+    // Browsers keep photos: another run at the same port has other addresses.
+    let run = page.greeting["run"].as_str().expect("a word");
+    assert_ne!(Server::view(&data, &[]).page().greeting["run"].as_str(), Some(run));
+    let script = String::from_utf8(server.get("/photos.js", &[]).2).expect("text");
+    assert!(script.contains("/photo/${index}?run=$") && script.contains("/thumbnail/${index}?run=$"));
+    assert_eq!(server.get(&format!("/thumbnail/0?run={run}"), &[]).0, 200);
     let (code, head, body) = server.get("/photo/1", &[]);
     assert!(code == 200 && head.contains("image/jpeg"), "{head}");
     let shown = image::load_from_memory(&body).expect("a JPEG").to_rgb8();

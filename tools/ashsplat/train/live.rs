@@ -205,6 +205,8 @@ impl Live {
             live.studio.has_films() || live.wishes.as_ref().is_some_and(|wishes| wishes.wants_to_stay())
         };
         while stays(self) && !stop.load(Ordering::Relaxed) {
+            // Nothing is left to be told; what waits would wake the studio again and again.
+            self.hub.actions();
             self.studio.serve(trainer, REST)?;
         }
         if !stop.load(Ordering::Relaxed) {

@@ -1,16 +1,22 @@
 //! Where the pages' wishes wait for the one thread that renders.
 //!
 //! Of each page only the newest camera is kept, and a page has at most one frame on the way: the next is rendered when it
-//! has said that the last has come. So a slow page gets fewer frames, and never old ones. Pages take turns.
+//! has said that the last has come. So a slow page gets fewer frames, and never old ones. Pages, the film that is being made
+//! and the program that speaks the reference's protocol take turns.
+
+mod turns;
 
 use super::protocol::{CameraMessage, FilmRequest, Look, ToPage, TrainAction, ViewRequest};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::UnboundedSender;
+use turns::{Client, State};
 
 /// Picks of one page that may wait; more are refused.
 const MOST_PICKS: usize = 4;
+/// Actions that may wait for training to take them; more are refused.
+const MOST_ACTIONS: usize = 64;
 
 /// Which pixel of which picture a page asks about.
 #[derive(Clone, Copy, Debug)]
@@ -32,42 +38,17 @@ pub struct RemoteRequest {
 /// What the rendering thread is to do next.
 #[derive(Debug)]
 pub enum Task {
-    Frame { client: u64, request: ViewRequest },
-    Pick { client: u64, pick: Pick },
+    Frame {
+        client: u64,
+        request: ViewRequest,
+    },
+    Pick {
+        client: u64,
+        pick: Pick,
+    },
+    /// The next frame of the film that is being made, or the beginning of one.
+    Film,
     Remote(RemoteRequest),
-}
-
-/// One page.
-struct Client {
-    out: UnboundedSender<ToPage>,
-    /// The newest camera.
-    view: Option<ViewRequest>,
-    /// Whether it has not been rendered since it, or the scene, changed.
-    stale: bool,
-    /// Whether a frame is on the way.
-    on_the_way: bool,
-    picks: VecDeque<Pick>,
-    /// Counts turns.
-    served: u64,
-}
-
-#[derive(Default)]
-struct State {
-    clients: BTreeMap<u64, Client>,
-    next_client: u64,
-    turn: u64,
-    remote: VecDeque<RemoteRequest>,
-    actions: VecDeque<TrainAction>,
-    /// Films that wait for their turn, at most one of each page.
-    films: VecDeque<(u64, FilmRequest)>,
-    /// Whose film is being made.
-    filming: Option<u64>,
-    /// Whether that one is to end.
-    called_off: bool,
-    /// The message that every page gets first.
-    greeting: String,
-    /// How training goes; see [`Hub::set_status`].
-    status: Option<Box<dyn Fn(u32) -> String + Send>>,
 }
 
 /// See the module.
@@ -174,9 +155,15 @@ impl Hub {
         });
     }
 
-    /// What training is to do.
-    pub fn act(&self, action: TrainAction) {
-        self.change(|state| state.actions.push_back(action));
+    /// What training is to do; false where nothing is trained, or too much waits already.
+    pub fn act(&self, action: TrainAction) -> bool {
+        self.change(|state| {
+            let heard = state.status.is_some() && state.actions.len() < MOST_ACTIONS;
+            if heard {
+                state.actions.push_back(action);
+            }
+            heard
+        })
     }
 
     /// What training was told since it last asked.
@@ -223,8 +210,7 @@ impl Hub {
 
     /// Whether a film is being made or waits.
     pub fn has_films(&self) -> bool {
-        let state = self.lock();
-        state.filming.is_some() || !state.films.is_empty()
+        self.lock().has_films()
     }
 
     /// Sends to one page.
@@ -261,7 +247,7 @@ impl Hub {
                 return Some(task);
             }
             let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() || !state.films.is_empty() || !state.actions.is_empty() {
+            if left.is_zero() || !state.actions.is_empty() {
                 return None;
             }
             state = match self.wake.wait_timeout(state, left) {
@@ -272,47 +258,14 @@ impl Hub {
     }
 }
 
-impl Client {
-    fn waits(&self) -> bool {
-        !self.picks.is_empty() || self.stale && !self.on_the_way
-    }
-}
-
-impl State {
-    /// A page's film is not wanted; whether it was still waiting.
-    fn call_off(&mut self, client: u64) -> bool {
-        self.called_off |= self.filming == Some(client);
-        let before = self.films.len();
-        self.films.retain(|(owner, _)| *owner != client);
-        self.films.len() < before
-    }
-
-    /// What was asked by whoever has waited for longest for a turn.
-    fn take_task(&mut self) -> Option<Task> {
-        if let Some(request) = self.remote.pop_front() {
-            return Some(Task::Remote(request));
-        }
-        self.turn += 1;
-        let waiting = self.clients.iter_mut().filter(|(_, client)| client.waits());
-        let (&id, client) = waiting.min_by_key(|(_, client)| client.served)?;
-        client.served = self.turn;
-        if let Some(pick) = client.picks.pop_front() {
-            return Some(Task::Pick { client: id, pick });
-        }
-        client.stale = false;
-        client.on_the_way = true;
-        client.view.map(|request| Task::Frame { client: id, request })
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use tokio::sync::mpsc::unbounded_channel;
 
-    fn view(seq: u64) -> ViewRequest {
+    pub(super) fn view(seq: u64) -> ViewRequest {
         let camera = CameraMessage {
-            rotation: [[0.0; 3]; 3],
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             translation: [0.0; 3],
             fx: 1.0,
             fy: 1.0,
@@ -387,7 +340,7 @@ mod tests {
         assert_eq!(taken, MOST_PICKS);
     }
 
-    fn film() -> FilmRequest {
+    pub(super) fn film() -> FilmRequest {
         let look = Look::default();
         FilmRequest {
             keys: Vec::new(),
@@ -426,5 +379,16 @@ mod tests {
         hub.film_ended();
         assert!(hub.take_film().is_none() && !hub.has_films());
         assert_eq!(hub.film(c, film()), None, "nobody is there to see it");
+    }
+
+    #[test]
+    fn training_hears_a_bounded_number_of_actions() {
+        let hub = Hub::default();
+        // Where nothing is trained nobody would ever take them.
+        assert!(!hub.act(TrainAction::Pause) && hub.actions().is_empty());
+        hub.set_status(|_| String::new());
+        let taken = (0..1000).filter(|_| hub.act(TrainAction::Step)).count();
+        assert_eq!((taken, hub.actions().len()), (MOST_ACTIONS, MOST_ACTIONS));
+        assert!(hub.act(TrainAction::Stop) && hub.actions().len() == 1);
     }
 }

@@ -196,6 +196,7 @@ async fn thumbnail(State(site): State<Arc<Site>>, UrlPath(index): UrlPath<usize>
 
 async fn send_photo(site: Arc<Site>, index: usize, size: Size) -> Response {
     let Some(photos) = site.photos.clone() else { return StatusCode::NOT_FOUND.into_response() };
+    // The page's addresses of photos carry the run's name: of another scene at this port they are others.
     match tokio::task::spawn_blocking(move || photos.jpeg(index, size)).await {
         Ok(Some(Ok(bytes))) => {
             let kind = [(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, "max-age=3600")];
@@ -280,7 +281,11 @@ fn heed(hub: &Hub, client: u64, text: &str) {
                 hub.send(client, ToPage::Text(status));
             }
         }
-        Ok(FromPage::Train { action }) => hub.act(action),
+        Ok(FromPage::Train { action }) => {
+            if !hub.act(action) {
+                refuse("nothing is trained here, or it has been told too much at once");
+            }
+        }
         Ok(FromPage::Film(request)) => match hub.film(client, request) {
             Some(before) => hub.send(client, ToPage::json(&json!({ "type": "film", "waiting": before }))),
             None => refuse("this page's film is being made: cancel it first"),

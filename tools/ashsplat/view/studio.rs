@@ -42,13 +42,12 @@ impl Studio {
         self.film.is_some() || self.hub.is_wanted()
     }
 
-    /// Does one task, if one comes in time; a frame of a film where nobody else waits. Whether anything was done.
+    /// Does one task, if one comes in time. Whether anything was done.
     ///
     /// # Errors
     /// When the device is lost; whatever else fails is told to the page that asked for it.
     pub fn serve(&mut self, painter: &mut dyn Painter, longest: Duration) -> Result<bool> {
-        let patience = if self.film.is_some() { Duration::ZERO } else { longest };
-        let Some(task) = self.hub.next(patience) else { return self.go_on_filming(painter) };
+        let Some(task) = self.hub.next(longest) else { return Ok(false) };
         match task {
             Task::Frame { client, request } => {
                 let answer = draw::answer(painter, &self.base, &request);
@@ -65,6 +64,7 @@ impl Studio {
                 let answer = report.map(|r| ToPage::json(&protocol::picked(pick.id, pick.pixel, &r)));
                 self.reply(client, answer)?;
             }
+            Task::Film => return self.go_on_filming(painter),
             Task::Remote(request) => self.answer_remotely(painter, &request)?,
         }
         Ok(true)

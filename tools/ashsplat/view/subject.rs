@@ -14,6 +14,7 @@ use glam::Vec3;
 use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::SystemTime;
 
 /// SH degree of a data set's points: they have one colour each.
 const POINTS_SH_DEGREE: u32 = 0;
@@ -122,6 +123,7 @@ impl Subject {
         json!({
             "type": "scene",
             "name": self.name,
+            "run": run_name(),
             "note": self.note,
             "empty": self.gaussians.is_empty(),
             "gaussians": self.gaussians.len(),
@@ -138,6 +140,12 @@ impl Subject {
             "training": training,
         })
     }
+}
+
+/// A word of this run's own, so that no browser takes another run's photos for its.
+fn run_name() -> String {
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    format!("{:x}", now.as_nanos())
 }
 
 /// The photos of a training's data set, at the size at which it uses them.

@@ -80,7 +80,11 @@ export class Frames {
         if (sent && sent.scale < 1 || sent?.scale === SCALES[this.level]) this.adapt(now - sent.time, sent.scale);
         this.rate.push(now);
         while (this.rate.length > 1 && (now - this.rate[0] > 2000 || this.rate.length > 40)) this.rate.shift();
-        if (this.shots.delete(header.seq)) download(blob, `ashsplat-${new Date().toISOString().slice(0, 19).replaceAll(':', '-')}.png`);
+        if (this.shots.delete(header.seq)) {
+            // What follows training is not to be a screenshot each time.
+            if (this.follow) this.sharp = false;
+            download(blob, `ashsplat-${new Date().toISOString().slice(0, 19).replaceAll(':', '-')}.png`);
+        }
         // A view that came after a screenshot's was rendered in its place.
         const overtaken = [...this.shots].filter((seq) => seq < header.seq);
         if (overtaken.length) {

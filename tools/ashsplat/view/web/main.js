@@ -106,10 +106,10 @@ link.on('scene', (message) => {
     training.open(message.training);
     if (first) {
         Object.assign(camera, { up: message.up, radius: message.radius || 1 });
-        photos.open(message);
         overlay.cameras = message.cameras;
         home();
     }
+    if (photos.run !== message.run) photos.open(message);
     frames.leap();
 });
 link.on('problem', ({ message }) => say(message));

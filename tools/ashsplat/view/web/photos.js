@@ -18,8 +18,10 @@ export class Photos {
         find('photo-close').onclick = () => this.close();
     }
 
-    open({ cameras, has_photos: hasPhotos }) {
+    open({ cameras, has_photos: hasPhotos, run }) {
+        this.close();
         this.entries = cameras;
+        this.run = run;
         this.hasPhotos = hasPhotos;
         find('photos').hidden = cameras.length === 0;
         find('cameras').hidden = cameras.length === 0;
@@ -29,7 +31,7 @@ export class Photos {
             button.title = name;
             button.onclick = () => this.jumpTo(index);
             const label = Object.assign(document.createElement('span'), { textContent: name.split('/').at(-1) });
-            if (hasPhotos) button.append(Object.assign(new Image(), { loading: 'lazy', decoding: 'async', src: `/thumbnail/${index}`, alt: '' }));
+            if (hasPhotos) button.append(Object.assign(new Image(), { loading: 'lazy', decoding: 'async', src: `/thumbnail/${index}?run=${run}`, alt: '' }));
             else button.classList.add('plain');
             button.append(label);
             return button;
@@ -50,7 +52,7 @@ export class Photos {
         [...find('photo-list').children].forEach((button, i) => button.classList.toggle('on', i === index));
         find('photo-list').children[index].scrollIntoView({ block: 'nearest' });
         if (this.hasPhotos) {
-            find('photo').src = `/photo/${index}`;
+            find('photo').src = `/photo/${index}?run=${this.run}`;
             this.shown = true;
         }
         this.follow();
