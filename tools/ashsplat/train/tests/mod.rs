@@ -4,8 +4,24 @@ use super::*;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
 use ashsplat::io::Photo;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
-use ashsplat::vk::ContextOptions;
+use ashsplat::trainer::Checkpoint;
+use ashsplat::vk::{ContextOptions, Fault, Faults};
 use glam::Vec3;
+
+fn dataset(scene_extent: f32) -> Dataset {
+    let camera = Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.8, 16, 16));
+    let photo = Photo { width: 16, height: 16, rgb: vec![0; 16 * 16 * 3] };
+    let (name, original_camera) = ("a.png".into(), camera);
+    let positions = vec![[0.0; 3], [0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.2; 3]];
+    Dataset {
+        train: vec![View { name, image_id: 1, camera, original_camera, photo: photo.into() }],
+        test: Vec::new(),
+        points: PointCloud { positions, colors: vec![[9; 3]; 4] },
+        scene_extent,
+        source: PathBuf::new(),
+        warnings: Vec::new(),
+    }
+}
 
 /// The trainer refuses a scene without extent; what an earlier run left is as it was.
 #[test]
@@ -13,17 +29,7 @@ fn a_training_that_cannot_start_leaves_the_model_alone() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let files = [SETTINGS_FILE, CFG_ARGS_FILE, CAMERAS_FILE, eval::RESULTS_FILE, "input.ply"];
     files.iter().for_each(|name| std::fs::write(folder.path().join(name), "old").expect("written"));
-    let camera = Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.8, 16, 16));
-    let photo = Photo { width: 16, height: 16, rgb: vec![0; 16 * 16 * 3] };
-    let (name, original_camera) = ("a.png".into(), camera);
-    let dataset = Dataset {
-        train: vec![View { name, image_id: 1, camera, original_camera, photo: photo.into() }],
-        test: Vec::new(),
-        points: PointCloud { positions: vec![[0.0; 3]; 4], colors: vec![[9; 3]; 4] },
-        scene_extent: 0.0,
-        source: PathBuf::new(),
-        warnings: Vec::new(),
-    };
+    let dataset = dataset(0.0);
     let mut settings = Settings::default();
     settings.data.model_path = folder.path().to_owned();
     let context = Context::new(&ContextOptions::default()).expect("a device");
@@ -33,4 +39,47 @@ fn a_training_that_cannot_start_leaves_the_model_alone() {
         assert_eq!(std::fs::read_to_string(folder.path().join(name)).expect(name), "old");
     }
     assert_eq!(std::fs::read_dir(folder.path()).expect("the folder").count(), files.len());
+}
+
+/// Waits and calls of the third iteration, which begins with an opacity reset, fail one at a time.
+#[test]
+fn a_failed_iteration_saves_only_what_is_known_and_seen() {
+    let faults = Faults::new();
+    let options = ContextOptions { faults: Some(faults.clone()), ..Default::default() };
+    let context = Context::new(&options).expect("a device");
+    let (mut seen, mut reset, mut unknown) = (0, 0, 0);
+    for (fault, index) in
+        (0..30).step_by(2).map(|i| (Fault::Object, i)).chain((0..3).map(|i| (Fault::WaitMemory, i)))
+    {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let mut settings = Settings::default();
+        settings.data.model_path = folder.path().to_owned();
+        settings.train.opacity_reset_interval = 2;
+        let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
+        for _ in 0..2 {
+            let report = run.trainer.step().expect("a step");
+            run.account(&report);
+        }
+        faults.arm(fault, index);
+        let failed = run.trainer.step().is_err();
+        faults.disarm();
+        if !failed {
+            continue;
+        }
+        run.rescue();
+        let scene = model::point_cloud_path(folder.path(), 2).is_file();
+        let checkpoint = Checkpoint::read(checkpoints::path(folder.path(), 2));
+        match (fault, checkpoint) {
+            (Fault::WaitMemory, Err(_)) => {
+                assert!(!scene, "of a state that nobody knows");
+                unknown += 1;
+            }
+            (_, checkpoint) => {
+                let due = checkpoint.expect("one").opacity_reset_due;
+                assert_eq!(scene, due, "{fault:?} {index}");
+                *(if due { &mut seen } else { &mut reset }) += 1;
+            }
+        }
+    }
+    assert!(seen > 0 && reset > 0 && unknown > 0, "{seen} {reset} {unknown}");
 }
