@@ -42,8 +42,9 @@ pub struct ForeignDevice<'a> {
 }
 
 impl Context {
-    /// A context on a host's device. Nothing of the host's is ever destroyed or waited for: dropping the context
-    /// destroys only what it made.
+    /// A context on a host's device. Nothing of the host's is ever destroyed: dropping the context destroys only what it
+    /// made. Only its queue is waited for, where one is given, by what submits. After [`Error::Timeout`] a thread waits for
+    /// what is late: until it is over, device and queue have to live.
     ///
     /// `options` says what it says for [`Context::new`], but for the choice of the device and the layers, which are
     /// the host's.
