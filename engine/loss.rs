@@ -8,7 +8,7 @@ use crate::kernels::loss::{
 };
 use crate::plan::{Blocks, blocks, tile_grid};
 use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
-use scratch::{Scratch, ScratchBytes, Sweeps};
+use scratch::{ScratchBytes, Sweeps};
 
 pub use scratch::scratch_bytes;
 
@@ -33,18 +33,29 @@ pub struct Loss {
     limits: Limits,
     sizes: Blocks,
     photos: PhotoFormat,
-    windowing: Windowing,
     windows: Windows,
     reduce: Kernel<loss_reduce::Interface>,
 }
 
 enum Windows {
-    Blocks(Kernel<ssim_forward::Interface>, Kernel<ssim_backward::Interface>),
+    Blocks {
+        forward: Kernel<ssim_forward::Interface>,
+        backward: Kernel<ssim_backward::Interface>,
+    },
     Sweeps {
         planes: Kernel<ssim_planes::Interface>,
         forward: Kernel<ssim_forward_sweep::Interface>,
         backward: Kernel<ssim_backward_sweep::Interface>,
     },
+}
+
+impl Windows {
+    fn windowing(&self) -> Windowing {
+        match self {
+            Self::Blocks { .. } => Windowing::Blocks,
+            Self::Sweeps { .. } => Windowing::Sweeps,
+        }
+    }
 }
 
 /// How a photograph lies in memory.
@@ -93,6 +104,17 @@ struct Channels<'a> {
     derivatives: &'a Buffer,
 }
 
+/// Records a pass over all channels: in one dispatch, or one by one where each has a buffer of its own.
+fn by_channels(r: &mut Recorder, derivatives: &[Buffer], mut record: impl FnMut(&mut Recorder, Channels)) {
+    let count = 3 / derivatives.len() as u32;
+    for (derivatives, first) in derivatives.iter().zip((0..3).step_by(count as usize)) {
+        if first > 0 {
+            r.barrier();
+        }
+        record(r, Channels { first, count, derivatives });
+    }
+}
+
 impl Loss {
     /// Builds the kernels that suit the device.
     ///
@@ -117,7 +139,10 @@ impl Loss {
                 let forward =
                     ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo, masked };
                 let backward = ssim_backward::Spec { workgroup_size, strip, float_photo, masked };
-                Windows::Blocks(Kernel::new(context, &forward)?, Kernel::new(context, &backward)?)
+                Windows::Blocks {
+                    forward: Kernel::new(context, &forward)?,
+                    backward: Kernel::new(context, &backward)?,
+                }
             }
             Windowing::Sweeps => {
                 let (workgroup_size, strip) = (sizes.loss_sweep, sizes.loss_sweep_strip);
@@ -133,7 +158,7 @@ impl Loss {
         };
         let reduce = loss_reduce::Spec { workgroup_size: sizes.loss, subgroup_size };
         let reduce = Kernel::new(context, &reduce)?;
-        Ok(Self { limits: limits.clone(), sizes, photos, windowing, windows, reduce })
+        Ok(Self { limits: limits.clone(), sizes, photos, windows, reduce })
     }
 
     /// What the loss needs besides its inputs and outputs, for images of these sizes (width, height).
@@ -142,32 +167,40 @@ impl Loss {
     }
 
     /// Records loss and gradient. The caller places barriers before and after.
+    ///
+    /// # Panics
+    /// When there are fewer scratch buffers than [`Loss::scratch_requests`] asks for.
     pub fn record(&self, r: &mut Recorder, inputs: &LossInputs) {
         let i = inputs;
-        let scratch = Scratch::of(self, i.scratch);
-        let count = 3 / scratch.derivatives.len() as u32;
-        let channels = || {
-            let all = scratch.derivatives.iter().zip((0..3).step_by(count as usize));
-            all.map(move |(derivatives, first)| Channels { first, count, derivatives })
-        };
         r.scope("loss", |r| {
-            self.record_planes(r, i, &scratch);
-            for part in channels() {
-                if part.first > 0 {
+            let loss_partials = match (&self.windows, i.scratch) {
+                (Windows::Blocks { forward, backward }, [partials, derivatives @ ..]) => {
+                    by_channels(r, derivatives, |r, part| Self::block_forward(r, forward, i, partials, part));
                     r.barrier();
+                    by_channels(r, derivatives, |r, part| Self::block_backward(r, backward, i, part));
+                    partials
                 }
-                self.record_forward(r, i, &scratch, part);
-            }
-            r.barrier();
-            for part in channels() {
-                if part.first > 0 {
+                (
+                    Windows::Sweeps { planes, forward, backward },
+                    [partials, rendered_planes, photo_planes, derivatives @ ..],
+                ) => {
+                    let pictures = [rendered_planes, photo_planes];
+                    self.make_planes(r, planes, i, pictures);
                     r.barrier();
+                    by_channels(r, derivatives, |r, part| {
+                        self.sweep_forward(r, forward, i, (pictures, partials), part);
+                    });
+                    r.barrier();
+                    by_channels(r, derivatives, |r, part| {
+                        self.sweep_backward(r, backward, i, pictures, part)
+                    });
+                    partials
                 }
-                self.record_backward(r, i, &scratch, part);
-            }
+                _ => panic!("{} scratch buffers of the loss", i.scratch.len()),
+            };
             r.dispatch(
                 &self.reduce,
-                &loss_reduce::Bind { loss_partials: scratch.partials, losses: i.losses },
+                &loss_reduce::Bind { loss_partials, losses: i.losses },
                 &loss_reduce::Push {
                     partials: ScratchBytes::of(self, i.width, i.height).partials(),
                     slot: i.slot,
@@ -179,13 +212,19 @@ impl Loss {
         });
     }
 
-    fn record_planes(&self, r: &mut Recorder, i: &LossInputs, scratch: &Scratch) {
-        let (Windows::Sweeps { planes: kernel, .. }, Some(planes)) = (&self.windows, scratch.planes) else {
-            return;
-        };
+    fn sweeps(&self, i: &LossInputs) -> Sweeps {
+        Sweeps::new(self.sizes.loss_sweep_strip, i.width, i.height)
+    }
+
+    fn make_planes(
+        &self,
+        r: &mut Recorder,
+        kernel: &Kernel<ssim_planes::Interface>,
+        i: &LossInputs,
+        [rendered_planes, photo_planes]: [&Buffer; 2],
+    ) {
         let Sweeps { groups, columns, .. } = self.sweeps(i);
         let texels = u64::from(columns) * u64::from(i.height);
-        let [rendered_planes, photo_planes] = planes;
         let bind =
             ssim_planes::Bind { accumulated: i.accumulated, photo: i.photo, rendered_planes, photo_planes };
         let push = ssim_planes::Push {
@@ -196,94 +235,104 @@ impl Loss {
             columns,
         };
         r.dispatch(kernel, &bind, &push, blocks(texels, self.sizes.loss.into()));
-        r.barrier();
     }
 
-    fn sweeps(&self, i: &LossInputs) -> Sweeps {
-        Sweeps::new(self.sizes.loss_sweep_strip, i.width, i.height)
+    fn block_forward(
+        r: &mut Recorder,
+        kernel: &Kernel<ssim_forward::Interface>,
+        i: &LossInputs,
+        loss_partials: &Buffer,
+        part: Channels,
+    ) {
+        let bind = ssim_forward::Bind {
+            accumulated: i.accumulated,
+            photo: i.photo,
+            derivatives: part.derivatives,
+            loss_partials,
+        };
+        let push = ssim_forward::Push {
+            image_width: i.width,
+            image_height: i.height,
+            background: i.background,
+            first_channel: part.first,
+        };
+        let (columns, rows) = tile_grid(i.width, i.height);
+        r.dispatch_3d(kernel, &bind, &push, [columns, rows, part.count]);
     }
 
-    fn record_forward(&self, r: &mut Recorder, i: &LossInputs, scratch: &Scratch, part: Channels) {
-        let Channels { first: first_channel, count, derivatives } = part;
-        let loss_partials = scratch.partials;
-        let (image_width, image_height) = (i.width, i.height);
-        match (&self.windows, scratch.planes) {
-            (Windows::Sweeps { forward, .. }, Some([rendered_planes, photo_planes])) => {
-                let sweeps = self.sweeps(i);
-                let invocations = count * sweeps.per_channel;
-                let bind =
-                    ssim_forward_sweep::Bind { rendered_planes, photo_planes, derivatives, loss_partials };
-                let push = ssim_forward_sweep::Push {
-                    image_width,
-                    image_height,
-                    groups: sweeps.groups,
-                    first_channel,
-                    invocations,
-                    rows: sweeps.rows,
-                    first_partial: first_channel * sweeps.per_channel,
-                };
-                r.dispatch(forward, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
-            }
-            (Windows::Blocks(kernel, _), _) => {
-                let (columns, rows) = tile_grid(i.width, i.height);
-                let bind = ssim_forward::Bind {
-                    accumulated: i.accumulated,
-                    photo: i.photo,
-                    derivatives,
-                    loss_partials,
-                };
-                let push =
-                    ssim_forward::Push { image_width, image_height, background: i.background, first_channel };
-                r.dispatch_3d(kernel, &bind, &push, [columns, rows, count]);
-            }
-            (Windows::Sweeps { .. }, None) => unreachable!("sweeps have planes"),
-        }
+    fn block_backward(
+        r: &mut Recorder,
+        kernel: &Kernel<ssim_backward::Interface>,
+        i: &LossInputs,
+        part: Channels,
+    ) {
+        let bind = ssim_backward::Bind {
+            accumulated: i.accumulated,
+            photo: i.photo,
+            derivatives: part.derivatives,
+            image_gradient: i.image_gradient,
+        };
+        let push = ssim_backward::Push {
+            image_width: i.width,
+            image_height: i.height,
+            background: i.background,
+            first_channel: part.first,
+            lambda_dssim: i.lambda_dssim,
+        };
+        let (columns, rows) = tile_grid(i.width, i.height);
+        r.dispatch_3d(kernel, &bind, &push, [columns, rows, part.count]);
     }
 
-    fn record_backward(&self, r: &mut Recorder, i: &LossInputs, scratch: &Scratch, part: Channels) {
-        let Channels { first: first_channel, count, derivatives } = part;
-        let image_gradient = i.image_gradient;
-        let (image_width, image_height, lambda_dssim) = (i.width, i.height, i.lambda_dssim);
-        match (&self.windows, scratch.planes) {
-            (Windows::Sweeps { backward, .. }, Some([rendered_planes, photo_planes])) => {
-                let sweeps = self.sweeps(i);
-                let invocations = count * sweeps.per_channel;
-                let bind = ssim_backward_sweep::Bind {
-                    rendered_planes,
-                    photo_planes,
-                    derivatives,
-                    photo: i.photo,
-                    image_gradient,
-                };
-                let push = ssim_backward_sweep::Push {
-                    image_width,
-                    image_height,
-                    groups: sweeps.groups,
-                    first_channel,
-                    invocations,
-                    rows: sweeps.rows,
-                    lambda_dssim,
-                };
-                r.dispatch(backward, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
-            }
-            (Windows::Blocks(_, kernel), _) => {
-                let (columns, rows) = tile_grid(i.width, i.height);
-                let bind = ssim_backward::Bind {
-                    accumulated: i.accumulated,
-                    photo: i.photo,
-                    derivatives,
-                    image_gradient,
-                };
-                let push = ssim_backward::Push {
-                    image_width,
-                    image_height,
-                    background: i.background,
-                    first_channel,
-                    lambda_dssim,
-                };
-                r.dispatch_3d(kernel, &bind, &push, [columns, rows, count]);
-            }
-            (Windows::Sweeps { .. }, None) => unreachable!("sweeps have planes"),
-        }
+    fn sweep_forward(
+        &self,
+        r: &mut Recorder,
+        kernel: &Kernel<ssim_forward_sweep::Interface>,
+        i: &LossInputs,
+        ([rendered_planes, photo_planes], loss_partials): ([&Buffer; 2], &Buffer),
+        part: Channels,
+    ) {
+        let Sweeps { rows, per_channel, groups, .. } = self.sweeps(i);
+        let invocations = part.count * per_channel;
+        let derivatives = part.derivatives;
+        let bind = ssim_forward_sweep::Bind { rendered_planes, photo_planes, derivatives, loss_partials };
+        let push = ssim_forward_sweep::Push {
+            image_width: i.width,
+            image_height: i.height,
+            groups,
+            first_channel: part.first,
+            invocations,
+            rows,
+            first_partial: part.first * per_channel,
+        };
+        r.dispatch(kernel, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
+    }
+
+    fn sweep_backward(
+        &self,
+        r: &mut Recorder,
+        kernel: &Kernel<ssim_backward_sweep::Interface>,
+        i: &LossInputs,
+        [rendered_planes, photo_planes]: [&Buffer; 2],
+        part: Channels,
+    ) {
+        let Sweeps { rows, per_channel, groups, .. } = self.sweeps(i);
+        let invocations = part.count * per_channel;
+        let bind = ssim_backward_sweep::Bind {
+            rendered_planes,
+            photo_planes,
+            derivatives: part.derivatives,
+            photo: i.photo,
+            image_gradient: i.image_gradient,
+        };
+        let push = ssim_backward_sweep::Push {
+            image_width: i.width,
+            image_height: i.height,
+            groups,
+            first_channel: part.first,
+            invocations,
+            rows,
+            lambda_dssim: i.lambda_dssim,
+        };
+        r.dispatch(kernel, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Loss, PhotoFormat, Windowing};
 use crate::plan::{Blocks, tile_grid};
-use crate::vk::{Buffer, Limits};
+use crate::vk::Limits;
 
 /// Most rows of one invocation of [`Windowing::Sweeps`]: it reads ten more.
 const SWEEP_ROWS: u32 = 80;
@@ -52,7 +52,7 @@ pub(super) struct ScratchBytes {
 
 impl ScratchBytes {
     pub fn of(loss: &Loss, width: u32, height: u32) -> Self {
-        Self::new(loss.windowing, &loss.sizes, loss.photos, width, height)
+        Self::new(loss.windows.windowing(), &loss.sizes, loss.photos, width, height)
     }
 
     /// The largest of each buffer in images of these sizes.
@@ -105,27 +105,6 @@ impl ScratchBytes {
             requests.extend([("ssim_derivatives", self.derivatives); 3]);
         }
         requests
-    }
-}
-
-/// The buffers of [`Loss::scratch_requests`].
-pub(super) struct Scratch<'a> {
-    pub partials: &'a Buffer,
-    pub planes: Option<[&'a Buffer; 2]>,
-    pub derivatives: &'a [Buffer],
-}
-
-impl<'a> Scratch<'a> {
-    /// # Panics
-    /// When there are fewer than were asked for.
-    pub fn of(loss: &Loss, buffers: &'a [Buffer]) -> Self {
-        match (loss.windowing, buffers) {
-            (Windowing::Sweeps, [partials, rendered, photo, derivatives @ ..]) => {
-                Self { partials, planes: Some([rendered, photo]), derivatives }
-            }
-            (Windowing::Blocks, [partials, derivatives @ ..]) => Self { partials, planes: None, derivatives },
-            _ => panic!("{} scratch buffers of the loss", buffers.len()),
-        }
     }
 }
 

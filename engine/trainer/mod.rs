@@ -296,8 +296,7 @@ impl Trainer {
 
     /// Draws between two steps; a recorded step prepares its frame anew where the buffers have changed.
     fn drawing<T>(&mut self, draw: impl FnOnce(&mut FrameRunner, &SceneBuffers) -> Result<T>) -> Result<T> {
-        self.check_settled()?;
-        self.check_whole()?;
+        self.check_readable()?;
         let capacity = self.runner.capacity();
         let drawn = draw(&mut self.runner, &self.training.scene);
         self.recording.frame_is_ready &= drawn.is_ok() && self.runner.capacity() == capacity;
@@ -324,8 +323,7 @@ impl Trainer {
     /// [`Error::Argument`] while recorded steps are in flight, and after a step of which nobody knows whether it came to
     /// pass; when the device is lost.
     pub fn gaussians(&self) -> Result<Gaussians> {
-        self.check_settled()?;
-        self.check_whole()?;
+        self.check_readable()?;
         planes::download(&self.context, &self.training.scene)
     }
 

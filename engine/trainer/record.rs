@@ -392,6 +392,12 @@ impl Trainer {
         Err(Error::argument("trainer", problem))
     }
 
+    /// Fails unless the scene and what belongs to it are as the last step left them, and nothing changes them.
+    pub(super) fn check_readable(&self) -> Result<()> {
+        self.check_settled()?;
+        self.check_whole()
+    }
+
     fn slot_index(&self, slot: u32) -> Result<usize> {
         let count = self.recording.slots.len();
         if slot as usize >= count {

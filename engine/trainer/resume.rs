@@ -20,8 +20,7 @@ impl Trainer {
     /// [`crate::Error::Argument`] while recorded steps are in flight, and after a step of which nobody knows whether it came to
     /// pass; when the device is lost.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
-        self.check_settled()?;
-        self.check_whole()?;
+        self.check_readable()?;
         let (training, progress) = (&self.training, &self.progress);
         let planes_of = |chunks: &[Buffer]| {
             planes::download(
