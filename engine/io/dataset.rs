@@ -2,7 +2,9 @@
 
 mod gallery;
 mod inspect;
+mod mask;
 mod plan;
+mod turned;
 mod unpacked;
 
 use std::path::{Path, PathBuf};
@@ -12,7 +14,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::cameras_json::{self, NamedCamera};
-use super::images::{PhotoFile, PhotoMemory, Resolution, StoredPhoto};
+use super::images::{PhotoFile, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 use super::progress::Progress;
 use crate::Result;
 use crate::scene::init::{RANDOM_POINTS, random_points, seen_box};
@@ -31,6 +33,8 @@ pub struct DatasetOptions {
     /// Name of the subfolder with the photos. In one called `…_2`, `…_4` or `…_8`, as benchmark data sets have
     /// them, the photos may be of that fraction of their cameras' size.
     pub images: String,
+    /// Whether photos are turned as their metadata say.
+    pub orientation: PhotoOrientation,
     /// Whether every `test_every`-th view by name is held out.
     pub eval: bool,
     /// Distance of the held-out views; 8 in the reference implementation and the literature.
@@ -46,6 +50,7 @@ impl Default for DatasetOptions {
         Self {
             resolution: Resolution::Auto,
             images: "images".into(),
+            orientation: PhotoOrientation::Auto,
             eval: false,
             test_every: 8,
             white_background: false,

@@ -14,7 +14,8 @@ use super::atomic;
 use crate::scene::camera::MAX_IMAGE_SIDE;
 use crate::{Error, Result};
 
-pub use decode::{photo_size, shown_size};
+pub use decode::photo_size;
+pub(crate) use decode::{Header, header};
 pub use stored::{PhotoFile, PhotoMemory, StoredPhoto, existing_folder};
 
 /// Widest picture that [`Resolution::Auto`] leaves as it is, pixels.
@@ -34,33 +35,34 @@ pub struct Photo {
 impl Photo {
     /// Reads a JPEG or PNG of any colour type; what is transparent shows `background` (r, g, b in [0, 1]).
     ///
-    /// The orientation in a photo's metadata is not applied, as COLMAP does not apply it either; but see
-    /// [`Photo::read_sized`].
+    /// The orientation in a photo's metadata is not applied: COLMAP, Pillow and stb_image do not apply it either.
+    /// Data sets may, where their cameras are those of the turned photos: see
+    /// [`super::dataset::DatasetOptions::orientation`].
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a picture, is cut short
     /// or damaged, or claims a size that the file cannot hold.
     pub fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self> {
-        Ok(decode::read(path.as_ref(), background, None)?.0)
+        Ok(decode::read(path.as_ref(), background, false, None)?.0)
     }
 
-    /// Like [`Photo::read`], and refuses a picture of another size before decoding it. A picture whose metadata say
-    /// that it lies on its side, and that would have the size when upright, is turned.
+    /// Like [`Photo::read`], and refuses a picture of another size before decoding it.
     ///
     /// # Errors
     /// As [`Photo::read`], and [`Error::Input`] for another size.
     pub fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self> {
-        Ok(decode::read(path.as_ref(), background, Some((width, height)))?.0)
+        Ok(decode::read(path.as_ref(), background, false, Some((width, height)))?.0)
     }
 
-    /// Like [`Photo::read_sized`], and gives the alpha channel, one byte per pixel, of a picture that has one.
-    pub(crate) fn read_with_alpha(
+    /// Like [`Photo::read_sized`], turned as its metadata say or not, with the alpha channel, one byte per pixel, of a
+    /// picture that has one.
+    pub(crate) fn read_as(
         path: &Path,
         background: [f32; 3],
-        width: u32,
-        height: u32,
+        turned: bool,
+        size: (u32, u32),
     ) -> Result<(Self, Option<Vec<u8>>)> {
-        decode::read(path, background, Some((width, height)))
+        decode::read(path, background, turned, Some(size))
     }
 
     /// Writes a PNG.
@@ -123,6 +125,32 @@ impl Photo {
         }
         let Self { width, height, rgb } = self;
         Err(Error::argument("photo", format!("{width}x{height} needs {needs} bytes, has {}", rgb.len())))
+    }
+}
+
+/// Whether photos are turned as their metadata (Exif) say.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PhotoOrientation {
+    /// As stored, unless the sizes of their cameras say that these are of the turned photos.
+    #[default]
+    Auto,
+    /// As stored.
+    Stored,
+    /// Turned.
+    Upright,
+}
+
+impl FromStr for PhotoOrientation {
+    type Err = Error;
+
+    /// `auto`, `stored` or `upright`.
+    fn from_str(text: &str) -> Result<Self> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            "stored" => Ok(Self::Stored),
+            "upright" => Ok(Self::Upright),
+            _ => Err(Error::argument("orientation", format!("'{text}' is not auto, stored or upright"))),
+        }
     }
 }
 

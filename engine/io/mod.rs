@@ -15,5 +15,5 @@ pub mod splats;
 pub mod transforms;
 
 pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
-pub use images::{Photo, PhotoMemory, Resolution, StoredPhoto};
+pub use images::{Photo, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use progress::Progress;

@@ -19,4 +19,5 @@ mod sh_rotation;
 mod splats;
 mod transform;
 mod transforms;
+mod turned;
 mod view;

@@ -30,6 +30,10 @@ pub struct Overrides {
     /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: -1]
     #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
     resolution: Option<i32>,
+    /// Photos as they are stored, or turned as their metadata (Exif) say; auto takes them as stored unless the sizes of
+    /// their cameras are those of the turned ones [default: auto]
+    #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
+    orientation: Option<String>,
     /// Hold out every 8th view (by name) for tests
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     eval: Option<bool>,
@@ -133,6 +137,8 @@ pub struct DataSettings {
     pub images: String,
     /// The reference's `-r`.
     pub resolution: i32,
+    /// Whether photos are turned as their metadata say: auto, stored or upright.
+    pub orientation: String,
     /// Hold out every 8th view.
     pub eval: bool,
     /// Iterations after which to test; the last is always one.
@@ -150,6 +156,7 @@ impl Default for DataSettings {
             model_path: PathBuf::new(),
             images: "images".into(),
             resolution: -1,
+            orientation: "auto".into(),
             eval: false,
             test_iterations: vec![7000, 30_000],
             save_iterations: vec![7000, 30_000],

@@ -23,6 +23,9 @@ pub struct Arguments {
     /// Folder of a data set's photos
     #[arg(short, long, value_name = "NAME", default_value = "images")]
     images: String,
+    /// A data set's photos as they are stored, or turned as their metadata (Exif) say
+    #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME", default_value = "auto")]
+    orientation: String,
     /// Count a data set's views as with --eval
     #[arg(long)]
     eval: bool,
@@ -70,7 +73,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 fn dataset(arguments: &Arguments) -> Result<()> {
-    let data = DataSettings { images: arguments.images.clone(), eval: arguments.eval, ..Default::default() };
+    let data = DataSettings {
+        images: arguments.images.clone(),
+        orientation: arguments.orientation.clone(),
+        eval: arguments.eval,
+        ..Default::default()
+    };
     let options = session::options(&data, false)?;
     let bar = counting("checking photos", 0, arguments.quiet);
     let report = |done: usize, total: usize| {

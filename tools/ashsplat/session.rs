@@ -22,6 +22,9 @@ pub struct DataArguments {
     /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: as in training, else -1]
     #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
     resolution: Option<i32>,
+    /// Photos as they are stored, or turned as their metadata (Exif) say [default: as in training, else auto]
+    #[arg(long, value_parser = ["auto", "stored", "upright"], value_name = "NAME")]
+    orientation: Option<String>,
     /// Hold out every 8th view (by name) [default: as in training]
     #[arg(long)]
     eval: bool,
@@ -38,6 +41,9 @@ impl DataArguments {
             data.images.clone_from(images);
         }
         data.resolution = self.resolution.unwrap_or(data.resolution);
+        if let Some(orientation) = &self.orientation {
+            data.orientation.clone_from(orientation);
+        }
         data.eval |= self.eval;
         if data.source_path.as_os_str().is_empty() {
             return Err(Error::argument(
@@ -54,6 +60,7 @@ pub fn options(data: &DataSettings, white_background: bool) -> Result<DatasetOpt
     Ok(DatasetOptions {
         resolution: data.resolution.to_string().parse()?,
         images: data.images.clone(),
+        orientation: data.orientation.parse()?,
         eval: data.eval,
         white_background,
         ..Default::default()

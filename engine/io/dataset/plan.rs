@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 
 use glam::{Mat3, Vec3};
 
+use super::mask::{Mask, mask_in_folder, mask_of};
+use super::turned::Turned;
 use super::{DatasetOptions, View};
 use crate::io::colmap::{self, ColmapCamera, ColmapImage, Model};
-use crate::io::images::{Photo, StoredPhoto, photo_size, shown_size};
+use crate::io::images::{Photo, StoredPhoto, header};
 use crate::io::transforms::{self, Frame, Transforms};
 use crate::scene::lens::Lens;
 use crate::scene::{Camera, Intrinsics, PointCloud};
@@ -40,6 +42,8 @@ pub(crate) struct PlannedView {
     /// The pinhole camera in its place; the same without distortion.
     pinhole: Intrinsics,
     photo_path: PathBuf,
+    /// Whether the photo is turned as its metadata say.
+    turned: bool,
     /// What of the photo counts.
     mask_path: Option<PathBuf>,
     /// Whether transparent pixels of the photo do not count; otherwise they show the background.
@@ -85,14 +89,21 @@ impl Plan {
             plan.views.push(Err(Error::input(folder, "there is no folder with photos", remedy)));
             return Ok(plan);
         }
-        let masks = Some(path.join("masks")).filter(|masks| masks.is_dir());
-        let view = |image: &ColmapImage| {
+        let paths = images.iter().map(|image| image.photo_path(&folder, &plan.list));
+        let paths: Vec<Result<PathBuf>> = paths.collect();
+        let asked = images.iter().zip(&paths).map(|(image, path)| {
+            let camera = model.cameras.get(&image.camera_id);
+            (path.as_deref().ok(), camera.map(|camera| [camera.width as f64, camera.height as f64]))
+        });
+        // COLMAP itself never turns photos: where no size tells otherwise, there is nothing to warn of.
+        let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation).photos;
+        let view = |((image, photo_path), turned): ((&ColmapImage, Result<PathBuf>), bool)| {
             let camera = model.camera_of(image)?;
             let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
                 let problem = format!("camera {}: sees too much for a pinhole", image.camera_id);
                 return Err(Error::input(model.file("cameras"), problem, "crop the photos"));
             };
-            let photo_path = image.photo_path(&folder, &plan.list)?;
+            let photo_path = photo_path?;
             if !photo_path.is_file() {
                 let problem = format!("the photo of image {} is missing", image.id);
                 let remedy = "copy it there, or remove the image from the model";
@@ -106,12 +117,13 @@ impl Plan {
                 lens,
                 pinhole,
                 photo_path,
-                mask_path: masks.as_ref().and_then(|masks| mask_of(masks, &image.name)),
+                turned,
+                mask_path: mask_of(path, &options.images, &image.name),
                 alpha_is_mask: true,
                 held_out: false,
             })
         };
-        plan.views = images.into_iter().map(view).collect();
+        plan.views = images.into_iter().zip(paths).zip(turned).map(view).collect();
         Ok(plan)
     }
 
@@ -139,9 +151,19 @@ impl Plan {
             cameras: BTreeMap::new(),
             warnings,
         };
+        let paths: Vec<PathBuf> =
+            frames.iter().map(|frame| photo_in_folder(path, frame, &options.images)).collect();
+        let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
+        let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
+        plan.warnings.extend(turned.warning(&plan.list));
         let mut lenses: Vec<(Lens, Option<Intrinsics>)> = Vec::new();
-        for (index, frame) in frames.iter().enumerate() {
-            let view = plan.frame(path, frame, index as u32, options, &mut lenses);
+        for (index, ((frame, photo_path), turned)) in frames.iter().zip(paths).zip(turned.photos).enumerate()
+        {
+            let view = plan.frame(frame, photo_path, turned, &mut lenses).map(|view| PlannedView {
+                image_id: index as u32,
+                mask_path: view.mask_path.map(|named| mask_in_folder(path, &options.images, &named)),
+                ..view
+            });
             plan.views.push(view);
         }
         let sizes: Vec<String> = plan.cameras.keys().cloned().collect();
@@ -163,13 +185,11 @@ impl Plan {
 
     fn frame(
         &mut self,
-        path: &Path,
         frame: &Frame,
-        index: u32,
-        options: &DatasetOptions,
+        photo_path: PathBuf,
+        turned: bool,
         lenses: &mut Vec<(Lens, Option<Intrinsics>)>,
     ) -> Result<PlannedView> {
-        let photo_path = photo_in_folder(path, frame, options);
         if !photo_path.is_file() {
             let problem = format!("the photo of frame {} is missing", frame.name);
             return Err(Error::input(
@@ -178,9 +198,9 @@ impl Plan {
                 "copy it there, or remove the frame from the file",
             ));
         }
-        let [width, height] = match frame.optics.size {
-            Some(size) => size,
-            None => shown_size(&photo_path).map(|(width, height)| [width, height])?,
+        let (width, height) = match frame.optics.size {
+            Some([width, height]) => (width, height),
+            None => header(&photo_path)?.size(turned),
         };
         let lens = frame.optics.lens(width, height);
         // Frames share a few lenses; a distorted one is dear to fit.
@@ -203,12 +223,13 @@ impl Plan {
         }
         Ok(PlannedView {
             name: frame.name.clone(),
-            image_id: index,
+            image_id: 0,
             camera_from_world: frame.camera_from_world,
             translation: frame.translation,
             lens,
             pinhole,
             photo_path,
+            turned,
             mask_path: frame.mask_path.clone(),
             alpha_is_mask: false,
             held_out: frame.test,
@@ -237,17 +258,11 @@ impl Plan {
 }
 
 /// The photo of a frame, in the folder that is asked for where the file names `images`.
-fn photo_in_folder(path: &Path, frame: &Frame, options: &DatasetOptions) -> PathBuf {
+fn photo_in_folder(path: &Path, frame: &Frame, images: &str) -> PathBuf {
     match frame.name.strip_prefix("images/") {
-        Some(rest) if options.images != "images" => path.join(&options.images).join(rest),
+        Some(rest) if images != "images" => path.join(images).join(rest),
         _ => frame.photo_path.clone(),
     }
-}
-
-/// `masks/NAME.png` or, as COLMAP has them, `masks/NAME.jpg.png`.
-fn mask_of(masks: &Path, name: &str) -> Option<PathBuf> {
-    let whole = masks.join(format!("{name}.png"));
-    [whole, masks.join(name).with_extension("png")].into_iter().find(|path| path.is_file())
 }
 
 impl PlannedView {
@@ -261,18 +276,15 @@ impl PlannedView {
         let (lens, pinhole) = self.optics_of_file(options.divisor())?;
         let (width, height) = (lens.width, lens.height);
         let (mut photo, alpha) =
-            Photo::read_with_alpha(&self.photo_path, options.background(), width, height)?;
-        let mut mask = alpha.filter(|_| self.alpha_is_mask);
-        if let Some(path) = &self.mask_path {
-            let (grey, _) = Photo::read_with_alpha(path, [0.0; 3], width, height)?;
-            let drawn: Mask = grey.rgb.chunks_exact(3).map(|rgb| rgb[0]).collect();
-            mask = Some(match mask {
-                None => drawn,
-                Some(alpha) => alpha.iter().zip(&drawn).map(|(&a, &b)| a.min(b)).collect(),
-            });
-        }
+            Photo::read_as(&self.photo_path, options.background(), self.turned, (width, height))?;
+        let alpha = alpha.filter(|_| self.alpha_is_mask).map(|alpha| Mask::of_alpha(width, height, alpha));
+        let mut mask = match (&self.mask_path, alpha) {
+            (None, alpha) => alpha,
+            (Some(path), None) => Some(Mask::read(path, self.turned, width, height)?),
+            (Some(path), Some(alpha)) => Some(Mask::read(path, self.turned, width, height)?.and(&alpha)),
+        };
         if lens.is_distorted() {
-            mask = mask.map(|mask| undistorted_mask(&mask, &lens, &pinhole));
+            mask = mask.map(|mask| mask.undistorted(&lens, &pinhole));
             photo = photo.undistorted(&lens, &pinhole);
         }
         Ok((photo, mask, Camera::with_pose(self.camera_from_world, self.translation, pinhole)))
@@ -284,7 +296,7 @@ impl PlannedView {
         if divisor == 1 {
             return Ok((self.lens, self.pinhole));
         }
-        let (width, height) = photo_size(&self.photo_path)?;
+        let (width, height) = header(&self.photo_path)?.size(self.turned);
         if (width, height) == (w, h) {
             return Ok((self.lens, self.pinhole));
         }
@@ -311,8 +323,7 @@ impl PlannedView {
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
         let (photo, mask, original_camera) = self.read_photo(options)?;
         let (width, height) = options.resolution.apply(photo.width, photo.height);
-        let mask = mask.filter(|mask| mask.iter().any(|&m| m < COUNTS));
-        let mask = mask.map(|mask| scaled_mask(&mask, photo.width, photo.height, width, height));
+        let mask = mask.and_then(|mask| mask.scaled_to(width, height).into_values());
         Ok(View {
             name: self.name.clone(),
             image_id: self.image_id,
@@ -321,29 +332,4 @@ impl PlannedView {
             photo: StoredPhoto::new(photo.scaled_to(width, height)?, mask),
         })
     }
-}
-
-/// One value per pixel: what counts is at least [`COUNTS`].
-type Mask = Vec<u8>;
-
-/// Where a mask is at least this, the pixel counts.
-const COUNTS: u8 = 128;
-
-fn undistorted_mask(mask: &[u8], lens: &Lens, pinhole: &Intrinsics) -> Mask {
-    let rgb = mask.iter().flat_map(|&m| [m; 3]).collect();
-    let grey = Photo { width: lens.width, height: lens.height, rgb };
-    grey.undistorted(lens, pinhole).rgb.chunks_exact(3).map(|rgb| rgb[0]).collect()
-}
-
-/// 255 where the nearest pixel counts, else 0.
-fn scaled_mask(mask: &[u8], from_width: u32, from_height: u32, width: u32, height: u32) -> Mask {
-    let nearest = |i: u32, to: u32, from: u32| {
-        (((f64::from(i) + 0.5) * f64::from(from) / f64::from(to)) as u32).min(from - 1)
-    };
-    let place = |x, y| {
-        nearest(y, height, from_height) as usize * from_width as usize
-            + nearest(x, width, from_width) as usize
-    };
-    let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-    pixels.map(|(x, y)| if mask[place(x, y)] >= COUNTS { 255 } else { 0 }).collect()
 }

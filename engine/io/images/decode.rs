@@ -1,7 +1,7 @@
 //! Decoding JPEG and PNG files that may be damaged or lie about their size.
 
-use std::fs;
-use std::io::Cursor;
+use std::fs::{self, File};
+use std::io::{Cursor, Read};
 use std::path::Path;
 
 use image::metadata::Orientation;
@@ -18,25 +18,60 @@ const MAX_DECODE_BYTES: u64 = 2 << 30;
 /// Deflate cannot compress further: a PNG with less data per decoded byte is cut short or lies about its size.
 const MAX_DEFLATE_RATIO: u64 = 1032;
 
-/// Width and height of a JPEG or PNG from its header, pixels.
+/// So much of a file mostly holds what stands before the pixels, with a preview in its metadata.
+const HEADER_BYTES: u64 = 256 << 10;
+
+/// What a picture says of itself before its pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Header {
+    /// Width and height as stored, pixels.
+    stored: (u32, u32),
+    /// What makes of it what is to be seen.
+    orientation: Orientation,
+}
+
+impl Header {
+    fn of(path: &Path, bytes: &[u8]) -> Result<Self> {
+        let (mut decoder, stored) = decoder(path, bytes)?;
+        Ok(Self { stored, orientation: orientation(&mut decoder) })
+    }
+
+    /// Whether the picture is meant to be seen otherwise than it is stored.
+    pub(crate) fn has_orientation(&self) -> bool {
+        self.orientation != Orientation::NoTransforms
+    }
+
+    /// Whether turning it swaps its sides.
+    pub(crate) fn lies_on_its_side(&self) -> bool {
+        use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+        matches!(self.orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
+    }
+
+    /// Width and height, stored or turned as its metadata say, pixels.
+    pub(crate) fn size(&self, turned: bool) -> (u32, u32) {
+        let (width, height) = self.stored;
+        if turned && self.lies_on_its_side() { (height, width) } else { (width, height) }
+    }
+}
+
+/// Reads no more of a file than it must.
+pub(crate) fn header(path: &Path) -> Result<Header> {
+    let mut start = Vec::new();
+    File::open(path)
+        .and_then(|file| file.take(HEADER_BYTES).read_to_end(&mut start))
+        .map_err(|source| Error::io(path, "read", source))?;
+    match Header::of(path, &start) {
+        Err(_) if start.len() as u64 == HEADER_BYTES => Header::of(path, &read_bytes(path)?),
+        result => result,
+    }
+}
+
+/// Width and height of a JPEG or PNG from its header, as stored, pixels.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such picture.
 pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
-    let path = path.as_ref();
-    let bytes = read_bytes(path)?;
-    Ok(decoder(path, &bytes)?.1)
-}
-
-/// Width and height of a JPEG or PNG as it is meant to be seen, with the orientation in its metadata, pixels.
-///
-/// # Errors
-/// As [`photo_size`].
-pub fn shown_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
-    let path = path.as_ref();
-    let bytes = read_bytes(path)?;
-    let (mut decoder, (width, height)) = decoder(path, &bytes)?;
-    Ok(if lies_on_its_side(orientation(&mut decoder)) { (height, width) } else { (width, height) })
+    Ok(header(path.as_ref())?.stored)
 }
 
 /// None where the metadata cannot be read.
@@ -44,25 +79,23 @@ fn orientation(decoder: &mut impl ImageDecoder) -> Orientation {
     decoder.orientation().unwrap_or(Orientation::NoTransforms)
 }
 
-fn lies_on_its_side(orientation: Orientation) -> bool {
-    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
-    matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
-}
-
-/// The picture, and its alpha channel if it has one.
+/// The picture, turned as its metadata say or not, and its alpha channel if it has one.
 pub(super) fn read(
     path: &Path,
     background: [f32; 3],
+    turned: bool,
     expected: Option<(u32, u32)>,
 ) -> Result<(Photo, Option<Vec<u8>>)> {
     let bytes = read_bytes(path)?;
-    let (mut decoder, (width, height)) = decoder(path, &bytes)?;
-    let orientation = orientation(&mut decoder);
-    let turned = expected == Some((height, width)) && width != height && lies_on_its_side(orientation);
-    if let Some((w, h)) = expected.filter(|&size| size != (width, height) && !turned) {
-        let problem = format!("is {width}x{height} pixels, its camera {w}x{h}");
+    let (mut decoder, stored) = decoder(path, &bytes)?;
+    let header = Header { stored, orientation: orientation(&mut decoder) };
+    let (width, height) = header.size(turned);
+    if let Some((w, h)) = expected.filter(|&size| size != (width, height)) {
+        let how = if turned && header.has_orientation() { " when turned as its metadata say" } else { "" };
+        let problem = format!("is {width}x{height} pixels{how}, its camera {w}x{h}");
         return Err(Error::input(path, problem, "use the pictures that the cameras were computed from"));
     }
+    let (width, height) = stored;
     let damaged = |e: &dyn std::fmt::Display| {
         Error::input(path, format!("cannot be decoded: {}", one_line(e)), "copy or export the picture again")
     };
@@ -82,7 +115,7 @@ pub(super) fn read(
     }
     let mut image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(&e))?;
     if turned {
-        image.apply_orientation(orientation);
+        image.apply_orientation(header.orientation);
     }
     let (width, height) = (image.width(), image.height());
     let (rgb, alpha) = composite(image, background);

@@ -60,6 +60,12 @@ enum Focal {
 }
 
 impl Optics {
+    /// Width and height, or what is about half of them; none where the file gives neither.
+    pub(crate) fn sides(&self) -> Option<[f64; 2]> {
+        let middle = || Some([self.center[0]?, self.center[1]?]);
+        self.size.map(|size| size.map(f64::from)).or_else(middle)
+    }
+
     /// The lens for photos of a size.
     pub fn lens(&self, width: u32, height: u32) -> Lens {
         let sides = [f64::from(width), f64::from(height)];

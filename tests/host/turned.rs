@@ -1,0 +1,217 @@
+//! Photos whose metadata say that they are to be turned, and masks of another size.
+
+use std::path::Path;
+
+use ashsplat::io::{Dataset, DatasetOptions, Photo, PhotoOrientation, Progress};
+use serde_json::{Value, json};
+
+/// A JPEG of black, but for its left quarter in white and its upper quarter in grey, with an orientation in its Exif data.
+fn jpeg(path: &Path, width: u32, height: u32, orientation: u8) {
+    let color = |x, y| {
+        if x < width / 4 {
+            255
+        } else if y < height / 4 {
+            128
+        } else {
+            0
+        }
+    };
+    let picture = image::RgbImage::from_fn(width, height, |x, y| image::Rgb([color(x, y); 3]));
+    let mut bytes = Vec::new();
+    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 95).encode_image(&picture).unwrap();
+    let mut exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\0\0\0\0\0\0\0".to_vec();
+    exif[25] = orientation;
+    let mut file = bytes[..2].to_vec();
+    file.extend([0xff, 0xe1]);
+    file.extend((exif.len() as u16 + 2).to_be_bytes());
+    file.extend(exif);
+    file.extend(&bytes[2..]);
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, file).unwrap();
+}
+
+/// A `transforms.json` with a frame for each size, orientation and own values; the photos are `N.jpg`.
+fn write(folder: &Path, shared: Value, photos: &[([u32; 2], u8, Value)]) {
+    let mut frames = Vec::new();
+    for (index, ([width, height], orientation, own)) in photos.iter().enumerate() {
+        let name = format!("images/{index}.jpg");
+        jpeg(&folder.join(&name), *width, *height, *orientation);
+        let pose = json!([[1, 0, 0, index], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
+        let mut frame = json!({ "file_path": name, "transform_matrix": pose });
+        frame.as_object_mut().unwrap().extend(own.as_object().unwrap().clone());
+        frames.push(frame);
+    }
+    let mut document = shared;
+    document["frames"] = frames.into();
+    std::fs::write(folder.join("transforms.json"), document.to_string()).unwrap();
+}
+
+fn load(folder: &Path, orientation: PhotoOrientation) -> Dataset {
+    let options = DatasetOptions { orientation, ..Default::default() };
+    let report = Dataset::inspect(folder, &options, Progress::NONE);
+    assert!(report.is_sound(), "{report}");
+    Dataset::load(folder, &options, Progress::NONE).unwrap()
+}
+
+/// Where in a photo the white side is, and where the grey one: left, top, right or bottom.
+fn sides(photo: &Photo) -> [&'static str; 2] {
+    let value = |x: u32, y: u32| photo.rgb[3 * (y * photo.width + x) as usize];
+    let (x, y) = (photo.width / 2, photo.height / 2);
+    let middles = [
+        ("left", value(1, y)),
+        ("top", value(x, 1)),
+        ("right", value(photo.width - 2, y)),
+        ("bottom", value(x, photo.height - 2)),
+    ];
+    [200..=255, 80..=180].map(|range| middles.iter().find(|(_, v)| range.contains(v)).unwrap().0)
+}
+
+/// What the orientations 1 to 8 make of left and top.
+const SHOWN: [[&str; 2]; 8] = [
+    ["left", "top"],
+    ["right", "top"],
+    ["right", "bottom"],
+    ["left", "bottom"],
+    ["top", "left"],
+    ["top", "right"],
+    ["bottom", "right"],
+    ["bottom", "left"],
+];
+
+fn all_sides(dataset: &Dataset) -> Vec<[&'static str; 2]> {
+    dataset.train.iter().map(|view| sides(&view.photo.photo().unwrap())).collect()
+}
+
+#[test]
+fn where_no_size_tells_photos_stay_as_stored_and_it_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let square: Vec<_> = (1..=8).map(|orientation| ([32, 32], orientation, json!({}))).collect();
+    let oblong: Vec<_> = (1..=8).map(|orientation| ([32, 24], orientation, json!({}))).collect();
+    let half_turns: Vec<_> = (1..=4).map(|orientation| ([32, 24], orientation, json!({}))).collect();
+    for (shared, photos, untold) in [
+        (json!({ "fl_x": 30, "w": 32, "h": 32 }), &square, 7),
+        (json!({ "camera_angle_x": 0.9 }), &oblong, 7),
+        (json!({ "fl_x": 30, "w": 32, "h": 24 }), &half_turns, 3),
+    ] {
+        write(folder.path(), shared, photos);
+        let auto = load(folder.path(), PhotoOrientation::Auto);
+        assert_eq!(all_sides(&auto), vec![SHOWN[0]; photos.len()]);
+        let said = auto.warnings.iter().find(|warning| warning.contains("Exif")).expect("a warning");
+        assert!(
+            said.contains(&format!("{untold} photos are")) && said.contains("--orientation upright"),
+            "{said}"
+        );
+        assert_eq!(all_sides(&load(folder.path(), PhotoOrientation::Stored)), all_sides(&auto));
+        let upright = load(folder.path(), PhotoOrientation::Upright);
+        assert_eq!(all_sides(&upright), SHOWN[..photos.len()]);
+        for dataset in [load(folder.path(), PhotoOrientation::Stored), upright] {
+            assert!(
+                !dataset.warnings.iter().any(|warning| warning.contains("Exif")),
+                "{:?}",
+                dataset.warnings
+            );
+        }
+    }
+    // Without any of them, nothing is said.
+    write(
+        folder.path(),
+        json!({ "camera_angle_x": 0.9 }),
+        &[([32, 24], 1, json!({})), ([32, 24], 1, json!({}))],
+    );
+    let plain = load(folder.path(), PhotoOrientation::Auto);
+    assert!(!plain.warnings.iter().any(|warning| warning.contains("Exif")), "{:?}", plain.warnings);
+}
+
+/// One photo on its side tells for all: those upside down and square ones are of the same kind.
+#[test]
+fn a_photo_on_its_side_tells_of_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let photos = |own: Value| {
+        [([32, 24], 6, own), ([32, 24], 3, json!({})), ([24, 24], 8, json!({ "w": 24, "h": 24 }))]
+    };
+    for (own, expected) in
+        [(json!({ "w": 24, "h": 32 }), [SHOWN[5], SHOWN[2], SHOWN[7]]), (json!({}), [SHOWN[0]; 3])]
+    {
+        write(folder.path(), json!({ "fl_x": 30, "w": 32, "h": 24 }), &photos(own));
+        let dataset = load(folder.path(), PhotoOrientation::Auto);
+        assert_eq!(
+            (all_sides(&dataset), dataset.warnings.len()),
+            (expected.to_vec(), 1),
+            "{:?}",
+            dataset.warnings
+        );
+    }
+    // The middle of the picture tells as well as its size.
+    write(
+        folder.path(),
+        json!({ "fl_x": 30, "cx": 12, "cy": 16 }),
+        &[([32, 24], 6, json!({})), ([32, 24], 5, json!({}))],
+    );
+    let dataset = load(folder.path(), PhotoOrientation::Auto);
+    assert_eq!(all_sides(&dataset), [SHOWN[5], SHOWN[4]]);
+    assert_eq!((dataset.train[0].camera.width, dataset.train[0].camera.height), (24, 32));
+    // Where they contradict each other, each keeps its camera's size, and the others stay.
+    let turned = json!({ "w": 24, "h": 32 });
+    write(
+        folder.path(),
+        json!({ "fl_x": 30, "w": 32, "h": 24 }),
+        &[([32, 24], 6, turned), ([32, 24], 6, json!({})), ([32, 24], 3, json!({}))],
+    );
+    let dataset = load(folder.path(), PhotoOrientation::Auto);
+    assert_eq!(all_sides(&dataset), [SHOWN[5], SHOWN[0], SHOWN[0]]);
+    assert!(dataset.warnings.iter().any(|warning| warning.contains("1 photo is")), "{:?}", dataset.warnings);
+    // What cannot be turned so is refused.
+    let options = DatasetOptions { orientation: PhotoOrientation::Upright, ..Default::default() };
+    let message = Dataset::load(folder.path(), &options, Progress::NONE).unwrap_err().to_string();
+    assert!(
+        message.contains("is 24x32 pixels when turned as its metadata say, its camera 32x24"),
+        "{message}"
+    );
+}
+
+/// A mask of so many pixels whose left half is hidden, but for one column on the right.
+fn mask(path: &Path, width: u32, height: u32) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let value = |x| if x < width / 2 || x + 1 == width { 0 } else { 255 };
+    image::GrayImage::from_fn(width, height, |x, _| image::Luma([value(x)])).save(path).unwrap();
+}
+
+#[test]
+fn masks_may_be_larger_than_their_photos() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let own = json!({ "mask_path": "masks/0.png" });
+    write(
+        folder.path(),
+        json!({ "fl_x": 30, "w": 34, "h": 26 }),
+        &[([34, 26], 1, own), ([34, 26], 1, json!({}))],
+    );
+    for index in 0..2 {
+        jpeg(&place(&format!("images_4/{index}.jpg")), 8, 6, 1);
+    }
+    mask(&place("masks/0.png"), 34, 26);
+    let options = DatasetOptions { images: "images_4".into(), ..Default::default() };
+    let row = || {
+        let dataset = Dataset::load(folder.path(), &options, Progress::NONE).unwrap();
+        assert!(dataset.train[1].photo.mask().unwrap().is_none());
+        dataset.train[0].photo.mask().unwrap().unwrap()[..8].to_vec()
+    };
+    // 4.25 pixels to one: one that covers anything hidden does not count.
+    assert_eq!(row(), [0, 0, 0, 0, 255, 255, 255, 0]);
+    // The one of the same size goes before it.
+    mask(&place("masks_4/0.png"), 8, 6);
+    assert_eq!(row(), [0, 0, 0, 0, 255, 255, 255, 0]);
+    image::GrayImage::from_fn(8, 6, |x, _| image::Luma([if x == 1 { 0 } else { 255 }]))
+        .save(place("masks_4/0.png"))
+        .unwrap();
+    assert_eq!(row(), [255, 0, 255, 255, 255, 255, 255, 255]);
+    std::fs::remove_dir_all(place("masks_4")).unwrap();
+    for (width, height) in [(26, 34), (34, 34), (7, 5), (4, 3)] {
+        mask(&place("masks/0.png"), width, height);
+        let message = Dataset::load(folder.path(), &options, Progress::NONE).unwrap_err().to_string();
+        assert!(
+            message.contains(&format!("masks/0.png: is {width}x{height} pixels, its photo 8x6")),
+            "{message}"
+        );
+    }
+}
