@@ -30,9 +30,9 @@ const EXTREMES: [f32; 12] = [
 /// A device of its own with bands around every buffer.
 fn guarded() -> &'static Context {
     static CONTEXT: OnceLock<Context> = OnceLock::new();
-    CONTEXT.get_or_init(|| {
-        Context::new(&ContextOptions { guard_bands: true, ..options() }).expect("a device with guards")
-    })
+    // Asked for each time: whoever has them is alone with such devices.
+    let options = ContextOptions { guard_bands: true, ..options() };
+    CONTEXT.get_or_init(|| Context::new(&options).expect("a device with guards"))
 }
 
 /// The first of [`start`] as they are, the rest with some parameters replaced; some at one place.

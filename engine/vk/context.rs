@@ -28,7 +28,8 @@ pub struct ContextOptions {
     /// Index of the device or part of its name. None: what the environment variable `ASHSPLAT_DEVICE` says, else the
     /// best there is.
     pub device: Option<String>,
-    /// Turn on the Khronos validation layer with synchronization validation; an error where it is not installed.
+    /// Turn on the Khronos validation layer with synchronization validation; an error where it is not installed. With a layer
+    /// of 2023, open and close such devices only while no other thread uses another one: its table of devices has no lock.
     pub validation: bool,
     /// Panic where a recording lacks a barrier. Default: in debug builds.
     pub hazard_check: bool,

@@ -1,10 +1,29 @@
 //! The device that all tests share, with every check on.
 
 use ashsplat::vk::{Context, ContextOptions, validation_available};
-use std::sync::OnceLock;
+use std::cell::RefCell;
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// Options for tests: validation (where installed) and hazard checks.
+/// Options for tests that open a device of their own: validation (where installed) and hazard checks.
+///
+/// From now on the calling thread, and so its test, is the only one with such a device, until it ends. The layer looks
+/// its devices up in a table without a lock (known to its authors as "Occasional crash in GetLayerDataPtr"): a call of one
+/// device crashes now and then while another thread's device comes or goes. The shared device is spared: the first
+/// instance and the first device have places of their own in that table, which do not move; hence it comes first.
 pub fn options() -> ContextOptions {
+    static TURN: Mutex<()> = Mutex::new(());
+    thread_local! {
+        static MINE: RefCell<Option<MutexGuard<'static, ()>>> = const { RefCell::new(None) };
+    }
+    context();
+    MINE.with_borrow_mut(|mine| {
+        mine.get_or_insert_with(|| TURN.lock().unwrap_or_else(PoisonError::into_inner));
+    });
+    checked()
+}
+
+/// Validation, where it is installed, and hazard checks.
+fn checked() -> ContextOptions {
     static VALIDATION: OnceLock<bool> = OnceLock::new();
     let validation = *VALIDATION.get_or_init(|| {
         let available = validation_available();
@@ -22,7 +41,7 @@ pub fn options() -> ContextOptions {
 /// The device that tests share.
 pub fn context() -> &'static Context {
     static CONTEXT: OnceLock<Context> = OnceLock::new();
-    CONTEXT.get_or_init(|| Context::new(&options()).expect("a Vulkan device for the tests"))
+    CONTEXT.get_or_init(|| Context::new(&checked()).expect("a Vulkan device for the tests"))
 }
 
 /// Fails if the validation layers have said anything.

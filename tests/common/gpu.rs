@@ -25,7 +25,9 @@ impl Gpu {
     /// The same device without push descriptors, and so without texels: kernels in their form that reads storage buffers.
     pub fn without_texels() -> Gpu {
         static CONTEXT: OnceLock<Context> = OnceLock::new();
-        let plain = || Context::new(&ContextOptions { push_descriptors: false, ..options() });
+        // Asked for each time: whoever has them is alone with such devices.
+        let options = options();
+        let plain = || Context::new(&ContextOptions { push_descriptors: false, ..options });
         Gpu { context: CONTEXT.get_or_init(|| plain().expect("a device")) }
     }
 
