@@ -84,24 +84,6 @@ typedef struct AshsplatScene AshsplatScene;
 // Trains Gaussians on photographs.
 typedef struct AshsplatTrainer AshsplatTrainer;
 
-// How a frame is rendered; ashsplat_render_settings fills in the defaults.
-typedef struct AshsplatRenderSettings {
-  // An AshsplatExtent.
-  uint32_t extent;
-  // An AshsplatJacobianLimit.
-  uint32_t jacobian_limit;
-  // An AshsplatShape.
-  uint32_t shape;
-  // Highest degree of the spherical harmonics that is used: 3 for all that are stored.
-  uint32_t sh_degree;
-  // Factor of all scales: 1 for the scene as it is.
-  float scale_modifier;
-  // Whether opacities are compensated for the low-pass filter.
-  bool antialias;
-  // Whether the sum of weights / z is rendered as well: ashsplat_slot_inverse_depth.
-  bool inverse_depth;
-} AshsplatRenderSettings;
-
 // A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z + cy), where the
 // centre of the first pixel is (0.5, 0.5).
 typedef struct AshsplatCamera {
@@ -122,6 +104,24 @@ typedef struct AshsplatCamera {
   // Height of the picture, pixels.
   uint32_t height;
 } AshsplatCamera;
+
+// How a frame is rendered; ashsplat_render_settings fills in the defaults.
+typedef struct AshsplatRenderSettings {
+  // An AshsplatExtent.
+  uint32_t extent;
+  // An AshsplatJacobianLimit.
+  uint32_t jacobian_limit;
+  // An AshsplatShape.
+  uint32_t shape;
+  // Highest degree of the spherical harmonics that is used: 3 for all that are stored.
+  uint32_t sh_degree;
+  // Factor of all scales: 1 for the scene as it is.
+  float scale_modifier;
+  // Whether opacities are compensated for the low-pass filter.
+  bool antialias;
+  // Whether the sum of weights / z is rendered as well: ashsplat_slot_inverse_depth.
+  bool inverse_depth;
+} AshsplatRenderSettings;
 
 // What is to be allocated, for a buffer.
 typedef struct AshsplatMemoryRequest {
@@ -445,12 +445,6 @@ typedef struct AshsplatMaintenance {
 extern "C" {
 #endif // __cplusplus
 
-// The settings that a scene is trained with and shown as it is.
-//
-// # Safety
-// `settings` is valid for a write.
-enum AshsplatStatus ashsplat_render_settings(struct AshsplatRenderSettings *settings);
-
 // The message of this thread's last failure: one line, valid until the next.
 const char *ashsplat_last_error(void);
 
@@ -548,13 +542,14 @@ const char *ashsplat_requirements(void);
 enum AshsplatStatus ashsplat_merge_features(void *vulkan12,
                                             void *vulkan13);
 
-// A context on a host's device, of which nothing is ever destroyed or waited for.
+// A context on a host's device, of which nothing is ever destroyed. Only its queue is waited for, where one is given, by
+// what submits by itself.
 //
 // # Safety
 // - the instance and the device are alive, were created for Vulkan 1.3 or later, and outlive the context and all that
 //   is made from it;
 // - the device was created from the physical device, with the queue family, the features and the extensions;
-// - while a queue is given, nobody else uses it during a call that submits;
+// - a queue, if it is given, is one of the device and of that family, and nobody else uses it during a call that submits;
 // - the functions of an allocator may be called from any thread until all that was made from the context is freed, and give
 //   memory that is as requested and nobody else's;
 // - `context` is valid for a write.
@@ -670,293 +665,6 @@ uint64_t ashsplat_update_bytes(uint32_t gaussians,
 // # Safety
 // `settings` is valid for a write.
 enum AshsplatStatus ashsplat_render_settings(struct AshsplatRenderSettings *settings);
-
-// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before, whose command
-// buffers have to be over.
-//
-// # Safety
-// `renderer` and `wanted` are alive.
-enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
-                                     const struct AshsplatReservation *wanted);
-
-// What the last frame of a slot was made of, once it has finished. Never waits, but on llvmpipe, where asking for the time
-// does.
-//
-// # Safety
-// `renderer` is alive, `report` valid for a write.
-enum AshsplatStatus ashsplat_slot_report(struct AshsplatRenderer *renderer,
-                                         uint32_t slot,
-                                         struct AshsplatReport *report);
-
-// The VkBuffer that a frame without target fills, and the bytes in front of it there: premultiplied red, green, blue
-// and transmittance of each pixel, row by row, as floats. A storage buffer and a source of transfers, until the renderer
-// reserves anew. The host uses it behind the frame, after a barrier from AshsplatRelease's stages and accesses, until the slot
-// is recorded again; if it reads it in other stages than compute and transfer, in a later command buffer, it waits for those
-// before.
-//
-// # Safety
-// `renderer` is alive, `buffer` and `offset` are valid for a write.
-enum AshsplatStatus ashsplat_slot_pixels(struct AshsplatRenderer *renderer,
-                                         uint32_t slot,
-                                         uint64_t *buffer,
-                                         uint64_t *offset);
-
-// The VkBuffer that the sum of weights / z is rendered into (AshsplatRenderSettings), and the bytes in front of it there:
-// a float for each pixel, row by row.
-//
-// # Safety
-// As ashsplat_slot_pixels.
-enum AshsplatStatus ashsplat_slot_inverse_depth(struct AshsplatRenderer *renderer,
-                                                uint32_t slot,
-                                                uint64_t *buffer,
-                                                uint64_t *offset);
-
-// Whether the last frame of a slot is done. What the host has recorded behind it may still run. Never waits.
-//
-// # Safety
-// `renderer` is alive, `finished` valid for a write.
-enum AshsplatStatus ashsplat_slot_finished(struct AshsplatRenderer *renderer, uint32_t slot, bool *finished);
-
-// Lets go of what the last frame of a slot used: scenes and views that were freed meanwhile are destroyed now, and not
-// when the slot is recorded again.
-//
-// # Safety
-// `renderer` is alive; the frame's command buffer is over: its fence was waited for.
-enum AshsplatStatus ashsplat_slot_release(struct AshsplatRenderer *renderer,
-                                          uint32_t slot);
-
-// Forgets the last recording of a slot, whose command buffer was thrown away.
-//
-// # Safety
-// `renderer` is alive; the command buffer was not submitted and is not going to be, or its execution is over.
-enum AshsplatStatus ashsplat_slot_discard(struct AshsplatRenderer *renderer, uint32_t slot);
-
-// Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the largest distance
-// of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the names of the reference
-// implementation's settings, `{"iterations": 7000}`; what is missing keeps its default, and so does everything for NULL.
-//
-// # Safety
-// `context` is alive, `views` has `view_count` elements with bytes as the cameras say, `initial` is valid with arrays as
-// long as it says, `settings_json` is NULL or a C string, `trainer` is valid for a write.
-enum AshsplatStatus ashsplat_trainer_new(const struct AshsplatContext *context,
-                                         const struct AshsplatTrainView *views,
-                                         uint32_t view_count,
-                                         const struct AshsplatGaussians *initial,
-                                         float scene_extent,
-                                         const char *settings_json,
-                                         struct AshsplatTrainer **trainer);
-
-// Frees a trainer. No recorded step of it may still be executed.
-//
-// # Safety
-// `trainer` is NULL or of this library and not used afterwards.
-void ashsplat_trainer_free(struct AshsplatTrainer *trainer);
-
-// Runs one iteration: submits and waits.
-//
-// # Safety
-// `trainer` is alive, `step` is NULL or valid for a write.
-enum AshsplatStatus ashsplat_trainer_step(struct AshsplatTrainer *trainer, struct AshsplatStep *step);
-
-// Builds all kernels and allocates everything that recorded steps need: `slots` of them may be in flight, with room for
-// `instances` (tile, Gaussian) pairs at least, or 0 for a guess. Submits and waits.
-//
-// # Safety
-// `trainer` is alive; the whole command buffers of all recorded steps are over: their fences were waited for. That
-// ashsplat_trainer_outcome has an answer does not say that.
-enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
-                                             uint32_t slots,
-                                             uint32_t instances);
-
-// Records the next iteration into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is
-// wrong is said before anything is recorded, also that maintenance is due. The slot is in flight until the device has
-// executed it.
-//
-// # Safety
-// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
-//   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
-// - the trainer lives until its execution is over, and the slot is recorded again only then: its fence was waited for;
-// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
-// - `release` is NULL or valid for a write.
-enum AshsplatStatus ashsplat_trainer_record(struct AshsplatTrainer *trainer,
-                                            void *commands,
-                                            uint32_t slot,
-                                            struct AshsplatRelease *release);
-
-// Forgets the last recorded step of a slot, whose command buffer was thrown away: then those of all steps recorded behind it
-// have to be thrown away as well.
-//
-// # Safety
-// `trainer` is alive; the command buffer was not submitted and is not going to be.
-enum AshsplatStatus ashsplat_trainer_discard(struct AshsplatTrainer *trainer,
-                                             uint32_t slot);
-
-// What came of the last recorded step of a slot. Never waits, but on llvmpipe, where asking for the time does.
-//
-// # Safety
-// `trainer` is alive, `step` valid for a write.
-enum AshsplatStatus ashsplat_trainer_outcome(struct AshsplatTrainer *trainer,
-                                             uint32_t slot,
-                                             struct AshsplatStep *step);
-
-// Whether ashsplat_trainer_maintain has to be called before another step can be recorded. Never waits.
-//
-// # Safety
-// `trainer` is alive, `is_due` valid for a write.
-enum AshsplatStatus ashsplat_trainer_maintenance_is_due(struct AshsplatTrainer *trainer, bool *is_due);
-
-// Does what recorded steps cannot: densifies and resets opacities where that is due, makes room after a step that
-// overflowed. Submits, waits and allocates; no recorded step may be in flight. Scenes of ashsplat_trainer_scene are out
-// of date afterwards.
-//
-// # Safety
-// `trainer` is alive, `done` is NULL or valid for a write; the whole command buffers of all recorded steps are over: their
-// fences were waited for. That ashsplat_trainer_outcome has an answer does not say that.
-enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
-                                              struct AshsplatMaintenance *done);
-
-// The Gaussians as they lie on the device, for ashsplat_record behind recorded steps, until the next
-// ashsplat_trainer_maintain or ashsplat_trainer_step.
-//
-// # Safety
-// `trainer` is alive, `scene` is valid for a write.
-enum AshsplatStatus ashsplat_trainer_scene(const struct AshsplatTrainer *trainer,
-                                           struct AshsplatScene **scene);
-
-// Reads the Gaussians back and writes them as PLY in the reference implementation's layout. Submits and waits.
-//
-// # Safety
-// `trainer` is alive, `path` is a C string.
-enum AshsplatStatus ashsplat_trainer_save(const struct AshsplatTrainer *trainer,
-                                          const char *path);
-
-// Uploads a scene from a host's arrays, with room for `capacity` Gaussians if that is more: AshsplatUpdate and
-// ashsplat_scene_set_count change it later. Of no Gaussians, an empty scene; then nothing is submitted.
-//
-// # Safety
-// `context` is alive, `gaussians` is valid with arrays as long as it says, `scene` is valid for a write.
-enum AshsplatStatus ashsplat_scene_new(const struct AshsplatContext *context,
-                                       const struct AshsplatGaussians *gaussians,
-                                       uint32_t capacity,
-                                       struct AshsplatScene **scene);
-
-// How the parameters of `capacity` Gaussians lie in a host's own buffers.
-//
-// # Safety
-// `context` is alive, `plan` is valid for a write.
-enum AshsplatStatus ashsplat_scene_plan(const struct AshsplatContext *context,
-                                        uint32_t capacity,
-                                        uint32_t sh_degree,
-                                        struct AshsplatScenePlan *plan);
-
-// A scene of `count` Gaussians in buffers of the host's own, one for each chunk of ashsplat_scene_plan for the same
-// capacity and degree. Whoever writes them signals as for any buffer that compute shaders read.
-//
-// # Safety
-// - `context` is alive, `buffers` has `buffer_count` elements, `scene` is valid for a write;
-// - each buffer is of the context's device, bound to memory, as large as it says, and has the usages STORAGE_BUFFER,
-//   TRANSFER_SRC and TRANSFER_DST; it lives until the scene is freed and the last recording that uses it has been
-//   executed; no two overlap.
-enum AshsplatStatus ashsplat_scene_from_buffers(const struct AshsplatContext *context,
-                                                uint32_t capacity,
-                                                uint32_t sh_degree,
-                                                uint32_t count,
-                                                const struct AshsplatHostBuffer *buffers,
-                                                uint32_t buffer_count,
-                                                struct AshsplatScene **scene);
-
-// Renders only the first `count` Gaussians of a scene from the next recording on.
-//
-// # Safety
-// `scene` is alive.
-enum AshsplatStatus ashsplat_scene_set_count(struct AshsplatScene *scene, uint32_t count);
-
-// Staging memory that an update of so many Gaussians of a scene of this degree takes, for AshsplatReservation.
-uint64_t ashsplat_update_bytes(uint32_t gaussians,
-                               uint32_t sh_degree);
-
-// What a host has to enable, as text for people.
-const char *ashsplat_requirements(void);
-
-// Turns on what is required in the structs that a host is going to create its device with, and leaves the rest alone:
-// VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features.
-//
-// # Safety
-// Both pointers are valid for such structs.
-enum AshsplatStatus ashsplat_merge_features(void *vulkan12,
-                                            void *vulkan13);
-
-// A context on a host's device, of which nothing is ever destroyed or waited for.
-//
-// # Safety
-// - the instance and the device are alive, were created for Vulkan 1.3 or later, and outlive the context and all that
-//   is made from it;
-// - the device was created from the physical device, with the queue family, the features and the extensions;
-// - while a queue is given, nobody else uses it during a call that submits;
-// - the functions of an allocator may be called from any thread until all that was made from the context is freed, and give
-//   memory that is as requested and nobody else's;
-// - `context` is valid for a write.
-enum AshsplatStatus ashsplat_context_from_host(const struct AshsplatHost *host,
-                                               struct AshsplatContext **context);
-
-// A view of a host's image: as a target that kernels write (`sampled` false), or as a depth image that they read.
-//
-// # Safety
-// The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and the
-// execution of all recordings that use it; `image` is valid for a write.
-enum AshsplatStatus ashsplat_image_adopt(const struct AshsplatContext *context,
-                                         const struct AshsplatHostImage *host,
-                                         bool sampled,
-                                         struct AshsplatImage **image);
-
-// Frees a view; slots keep it as long as their recordings use it, and the host's image has to stay until they have let go:
-// ashsplat_slot_release.
-//
-// # Safety
-// `image` is NULL or of this library and not used afterwards.
-void ashsplat_image_free(struct AshsplatImage *image);
-
-// A host's matrices as a camera, and how its depth is to be read: both column by column, clip = projection * view *
-// world, depth from 0 to 1, standard or reversed. `clip_y_up`: clip space's +y is at the top of the picture.
-//
-// # Safety
-// Both matrices have 16 floats; `camera` and `mapping` are valid for a write, or `mapping` is NULL.
-enum AshsplatStatus ashsplat_camera_from_matrices(const float *view_from_world,
-                                                  const float *clip_from_view,
-                                                  bool clip_y_up,
-                                                  uint32_t width,
-                                                  uint32_t height,
-                                                  struct AshsplatCamera *camera,
-                                                  struct AshsplatDepthMapping *mapping);
-
-// Records a frame into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is wrong
-// with the frame is said before anything is recorded. The slot is in flight until the device has executed it.
-//
-// # Safety
-// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
-//   submitted at most once before it is recorded again;
-// - before the slot is recorded again or released, and before the renderer reserves anew or is freed, the execution of the
-//   whole command buffer is over: its fence was waited for; or the slot is discarded. ashsplat_slot_finished does not say
-//   that. Scenes and views of images may be freed before: the slot keeps what it uses;
-// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
-// - what other queues wrote or read is synchronised by the host, by semaphores; images of another queue family were
-//   released there and acquired here;
-// - `frame` is valid with all that it points to, `release` for a write, or NULL.
-enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
-                                    void *commands,
-                                    uint32_t slot,
-                                    const struct AshsplatFrame *frame,
-                                    struct AshsplatRelease *release);
-
-// The device of a context, for a host that lets this library open one: each pointer may be NULL.
-//
-// # Safety
-// `context` is alive; the pointers are NULL or valid for a write.
-enum AshsplatStatus ashsplat_context_handles(const struct AshsplatContext *context,
-                                             void **instance,
-                                             void **physical_device,
-                                             void **device,
-                                             uint32_t *queue_family);
 
 // Allocates frame slots and builds all kernels that frames of this kind need, in place of those before, whose command
 // buffers have to be over.

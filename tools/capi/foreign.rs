@@ -49,13 +49,14 @@ pub unsafe extern "C" fn ashsplat_merge_features(
     })
 }
 
-/// A context on a host's device, of which nothing is ever destroyed or waited for.
+/// A context on a host's device, of which nothing is ever destroyed. Only its queue is waited for, where one is given, by
+/// what submits by itself.
 ///
 /// # Safety
 /// - the instance and the device are alive, were created for Vulkan 1.3 or later, and outlive the context and all that
 ///   is made from it;
 /// - the device was created from the physical device, with the queue family, the features and the extensions;
-/// - while a queue is given, nobody else uses it during a call that submits;
+/// - a queue, if it is given, is one of the device and of that family, and nobody else uses it during a call that submits;
 /// - the functions of an allocator may be called from any thread until all that was made from the context is freed, and give
 ///   memory that is as requested and nobody else's;
 /// - `context` is valid for a write.

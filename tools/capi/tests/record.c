@@ -16,6 +16,17 @@ int main(int count, char **arguments) {
     nobody.vulkan13_features = nothing;
     EXPECT(ashsplat_context_from_host(&nobody, &none) == AshsplatStatus_MissingFeature);
 
+    /* What a host merges into its own features is all that is asked for. */
+    static uint64_t merged[2][64];
+    EXPECT(ashsplat_merge_features(NULL, merged[1]) == AshsplatStatus_Argument);
+    EXPECT(ashsplat_merge_features(merged[0], NULL) == AshsplatStatus_Argument);
+    check(ashsplat_merge_features(merged[0], merged[1]), "merging features");
+    AshsplatHost merging = host.handles;
+    merging.vulkan12_features = merged[0];
+    merging.vulkan13_features = merged[1];
+    check(ashsplat_context_from_host(&merging, &none), "being a guest with merged features");
+    ashsplat_context_free(none);
+
     AshsplatScene *scene = NULL;
     AshsplatRenderer *renderer = NULL;
     check(ashsplat_scene_load(context, arguments[1], &scene), "loading the scene");
