@@ -30,6 +30,7 @@ impl Recorder {
     }
 
     fn try_prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> Result<()> {
+        assert!(pipeline.is_of(&self.inner), "kernel {} is of another context", pipeline.name);
         let mut buffers = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
         let mut views = [vk::BufferView::null(); MAX_BINDINGS];
         let slots = buffers.iter_mut().zip(&mut views).zip(pipeline.bindings);
@@ -38,7 +39,7 @@ impl Recorder {
             if let Some(format) = info.texels {
                 *view = self.texel_view(pipeline, info.name, buffer, format)?;
             }
-            self.kept.block(buffer.block());
+            self.keep(buffer);
             let (offset, bytes) = (buffer.offset(), buffer.bytes() + self.inner.guard_behind(buffer));
             *slot = vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(offset).range(bytes);
         }
@@ -46,7 +47,7 @@ impl Recorder {
         for ((slot, info), image) in images.iter_mut().zip(pipeline.images).zip(bound.images) {
             let (kernel, name) = (pipeline.name, image.name());
             assert!(image.purpose() == info.purpose, "{kernel}: image '{name}' is no {:?}", info.purpose);
-            self.kept.image(image);
+            self.keep_image(image);
             *slot = image.descriptor();
         }
         let mut writes = [vk::WriteDescriptorSet::default(); MAX_BINDINGS + MAX_IMAGES];
@@ -80,6 +81,19 @@ impl Recorder {
         }
         self.kept.pipeline(pipeline);
         self.bind(pipeline, &mut writes[..count], push)
+    }
+
+    /// Keeps a buffer's memory for the recording, whose device it has to be of.
+    pub(super) fn keep(&mut self, buffer: &Buffer) {
+        let block = buffer.block();
+        assert!(block.is_of(&self.inner), "buffer '{}' is of another context", buffer.name());
+        self.kept.block(block);
+    }
+
+    /// The same for an image.
+    pub(super) fn keep_image(&mut self, image: &Image) {
+        assert!(image.is_of(&self.inner), "image '{}' is of another context", image.name());
+        self.kept.image(image);
     }
 
     /// Fails for a buffer that cannot be bound.

@@ -58,7 +58,8 @@ impl Context {
     ///   everything that is made from it;
     /// - `physical_device` is the one that `device` was created from, `queue_family` one that it was created with;
     /// - `features` and `extensions` were enabled at its creation, and VK_EXT_debug_utils if `debug_utils` says so;
-    /// - while `queue` is given, nobody else uses that queue during a call that submits.
+    /// - `queue`, if it is given, is one of `device` and of that family, and nobody else uses it during a call that submits;
+    /// - what `allocator` gives is memory of `device`.
     pub unsafe fn from_foreign(host: &ForeignDevice<'_>, options: &ContextOptions) -> Result<Self> {
         let null = [
             ("instance", host.instance.handle() == vk::Instance::null()),
@@ -118,7 +119,9 @@ impl Context {
     /// - before the slot that it is recorded through is recorded through again, released or dropped, the host has learnt
     ///   that the execution of the whole command buffer is over, by a fence, a timeline semaphore or an idle queue, or
     ///   has made sure that it never begins ([`RecordSlot::discard`]). [`RecordSlot::finished`] does not say that: it
-    ///   knows of the guest's own commands, not of what the host has recorded behind them.
+    ///   knows of the guest's own commands, not of what the host has recorded behind them;
+    /// - until then nobody writes or reads, from the host, buffers that the recording uses ([`Buffer::write`](super::Buffer::write),
+    ///   [`Context::upload`], [`Context::download`]).
     ///
     /// Until then the slot keeps everything alive that the recording uses; what was dropped meanwhile is destroyed with the
     /// slot's next recording, or by [`RecordSlot::release`].

@@ -247,7 +247,11 @@ impl Image {
 
     /// Whether it is of this context's device.
     pub fn belongs_to(&self, context: &Context) -> bool {
-        Arc::ptr_eq(&self.0.inner, &context.0)
+        self.is_of(&context.0)
+    }
+
+    pub(super) fn is_of(&self, inner: &Arc<Inner>) -> bool {
+        Arc::ptr_eq(&self.0.inner, inner)
     }
 
     /// Whether both are views of the same texels.
@@ -386,7 +390,7 @@ impl Recorder {
     }
 
     fn image_barrier(&mut self, image: &Image, from: ImageState, to: ImageState) {
-        self.kept.image(image);
+        self.keep_image(image);
         let barriers = [vk::ImageMemoryBarrier2::default()
             .src_stage_mask(from.stages)
             .src_access_mask(from.accesses)

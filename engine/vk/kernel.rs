@@ -337,6 +337,10 @@ impl Pipeline {
         Ok(pipeline)
     }
 
+    pub(super) fn is_of(&self, inner: &Arc<Inner>) -> bool {
+        Arc::ptr_eq(&self.inner, inner)
+    }
+
     fn create_layout(&mut self, push_bytes: u32) -> Result<()> {
         let device = &self.inner.device;
         let buffers = self.bindings.iter().map(|b| descriptors::slot(b.binding, b.descriptor_type()));

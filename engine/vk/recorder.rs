@@ -155,7 +155,7 @@ impl Recorder {
     /// [`super::Limits::grid`].
     ///
     /// # Panics
-    /// When a buffer cannot be bound, or when a barrier is missing (see [`Recorder`]).
+    /// When a buffer cannot be bound, when something is of another context, or when a barrier is missing (see [`Recorder`]).
     pub fn dispatch<K: KernelInterface>(
         &mut self,
         kernel: &Kernel<K>,
@@ -213,7 +213,7 @@ impl Recorder {
         if !self.prepare(&kernel.pipeline, &bound, K::push_bytes(push)) {
             return;
         }
-        self.kept.block(arguments.block());
+        self.keep(arguments);
         // SAFETY: as above; the buffer has the INDIRECT usage and twelve bytes at an offset divisible by four.
         unsafe {
             self.inner.device.cmd_dispatch_indirect(self.raw(), arguments.raw(), arguments.offset());
@@ -358,7 +358,7 @@ impl Recorder {
         for (buffer, role, access) in uses {
             let aligned = buffer.offset().is_multiple_of(4) && buffer.bytes().is_multiple_of(4);
             assert!(aligned, "{command}: '{}' is no range of whole words", buffer.name());
-            self.kept.block(buffer.block());
+            self.keep(buffer);
             if let Some(hazards) = &mut self.hazards {
                 hazards.add(buffer, role, *access);
             }

@@ -7,6 +7,7 @@ use crate::stage::{
 };
 use ashsplat::vk::Context;
 use ashsplat::{DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation};
+use std::sync::Mutex;
 
 #[test]
 fn a_recorded_frame_is_the_owned_paths_to_the_bit() {
@@ -103,6 +104,40 @@ fn two_renderers_share_a_device() {
                 assert_same(&pixels, &owned(gaussians, &camera, &settings), [0.0; 3]);
             }
         }
+    });
+}
+
+/// Threads that render with renderers of their own on one context; the host gives its queue to one at a time.
+#[test]
+fn renderers_may_be_used_by_different_threads() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let queue = Mutex::new(());
+        std::thread::scope(|threads| {
+            for number in 0..3 {
+                let (context, queue) = (context.clone(), &queue);
+                threads.spawn(move || {
+                    let locked = || queue.lock().expect("no panic while held");
+                    let gaussians = cloud(300 + 50 * number, number as u32);
+                    let scene = {
+                        let _queue = locked();
+                        DeviceScene::upload(&context, &gaussians, 0).expect("a scene")
+                    };
+                    let mut renderer = Renderer::new(&context).expect("kernels");
+                    renderer.reserve(&Reservation::new(600, 1, 64, 48)).expect("memory");
+                    let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
+                    for turn in [0.5, 1.5, 2.5] {
+                        let camera = camera(turn, 64, 48);
+                        // The host's command pool is used by one thread at a time, as its queue.
+                        let pixels = {
+                            let _queue = locked();
+                            rendered(host, &mut renderer, &RecordedFrame::new(&scenes, &camera, &settings))
+                        };
+                        assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+                    }
+                });
+            }
+        });
     });
 }
 
