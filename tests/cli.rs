@@ -1,5 +1,6 @@
 //! The program `ashsplat`, run as its users run it.
 
+mod archives;
 mod bad_input;
 mod checkpoints;
 mod commands;

@@ -1,4 +1,4 @@
-//! Data-driven tests: one named trial for each set of golden vectors, each malformed file, each real data set, each program of other people.
+//! Data-driven tests: one named trial for each set of golden vectors, each malformed file, each real data set, each program of other people (those of npm only where `ASHSPLAT_NPM` is set).
 //!
 //! The data lie in `$ASHSPLAT_SHARED`, by default `../shared` beside the repository. Without them, one ignored
 //! trial per kind says so.
@@ -8,6 +8,7 @@ mod ecosystem;
 mod golden;
 mod golden_host;
 mod malformed;
+mod programs;
 mod real_data;
 mod reference;
 
@@ -22,6 +23,7 @@ fn main() -> ExitCode {
     trials.extend(golden_host::trials(&shared));
     trials.extend(malformed::trials(&shared));
     trials.extend(real_data::trials(&shared));
+    trials.extend(programs::trials());
     trials.extend(ecosystem::trials());
     libtest_mimic::run(&arguments, trials).exit_code()
 }

@@ -22,7 +22,7 @@ use crate::scene::{Bounds, Camera, Gaussians, PointCloud, scene_extent};
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
-use plan::{Plan, PlannedView};
+use plan::PlannedView;
 use unpacked::Unpacked;
 
 /// How to load a data set.
@@ -122,42 +122,27 @@ impl Dataset {
     /// [`super::transforms::Transforms::read`] and [`super::Photo::read_sized`]; no registered images; no training views left
     /// by the split. [`crate::Error::Interrupted`] when `progress` says so.
     pub fn load(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
-        let unpacked = Unpacked::open(path.as_ref())?;
-        Self::load_folder(unpacked.folder(), options, progress).map_err(|error| unpacked.name(error))
+        Gallery::open(path, options, progress)?.load(progress)
     }
 
     /// The cameras of all views by name, at the photos' own sizes; the photos are not decoded.
     ///
     /// # Errors
-    /// As [`Dataset::load`], but for the photos.
+    /// As [`Gallery::open`].
     pub fn cameras(path: impl AsRef<Path>, options: &DatasetOptions) -> Result<Vec<NamedCamera>> {
-        let unpacked = Unpacked::open(path.as_ref())?;
-        let plan = Plan::of(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
-        let list = plan.list.clone();
-        let named = plan.views.into_iter().map(|view| {
-            let view = view?;
-            Ok(NamedCamera { camera: view.camera(), name: view.name })
-        });
-        let cameras = named.collect::<Result<Vec<_>>>().map_err(|error| unpacked.name(error))?;
-        if cameras.is_empty() {
-            let error = crate::Error::input(list, "no images are registered", "run COLMAP's mapper again");
-            return Err(unpacked.name(error));
-        }
-        Ok(cameras)
+        Ok(Gallery::open(path, options, Progress::NONE)?.cameras())
     }
 
-    fn load_folder(path: &Path, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
-        let mut plan = Plan::of(path, options)?;
-        let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
-        let split = plan.check_split(options);
-        let planned = std::mem::take(&mut plan.views).into_iter().collect::<Result<Vec<_>>>()?;
-        split?;
-        let file = photo_file(&planned, options, &mut plan.warnings)?;
+    fn of(gallery: &Gallery, progress: Progress<'_>) -> Result<Self> {
+        let Gallery { options, views: planned, held_out, .. } = gallery;
+        plan::check_split(&gallery.list, held_out)?;
+        let mut warnings = gallery.warnings.clone();
+        let file = photo_file(planned, options, &mut warnings)?;
         let done = AtomicUsize::new(0);
         let total = planned.len();
         progress.step(0, total);
         let views = planned
-            .into_par_iter()
+            .par_iter()
             .map(|planned| {
                 progress.check()?;
                 let mut view = planned.load(options)?;
@@ -168,24 +153,24 @@ impl Dataset {
                 Ok(view)
             })
             .collect::<Result<Vec<_>>>()?;
-        Ok(Self::assemble(plan, views, &held_out))
+        Ok(Self::assemble(gallery, views, warnings))
     }
 
-    fn assemble(plan: Plan, views: Vec<View>, held_out: &[bool]) -> Self {
+    fn assemble(gallery: &Gallery, views: Vec<View>, mut warnings: Vec<String>) -> Self {
         let (mut train, mut test) = (Vec::new(), Vec::new());
-        for (view, held_out) in views.into_iter().zip(held_out) {
+        for (view, held_out) in views.into_iter().zip(&gallery.held_out) {
             if *held_out { test.push(view) } else { train.push(view) }
         }
-        let Plan { source, points, mut warnings, .. } = plan;
         let mut extent = scene_extent(train.iter().map(|view: &View| view.camera.position()));
         if extent == 0.0 {
             warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());
             extent = 1.0;
         }
+        let points = gallery.points.clone();
         if points.is_empty() {
             warnings.push(format!("no points to start from; {RANDOM_POINTS} random ones stand in for them"));
         }
-        Self { train, test, points, scene_extent: extent, source, warnings }
+        Self { train, test, points, scene_extent: extent, source: gallery.source.clone(), warnings }
     }
 
     /// All views by name, held-out ones among the others.

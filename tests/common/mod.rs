@@ -5,6 +5,7 @@
 
 pub mod adam;
 pub mod blending;
+pub mod cinema;
 pub mod compare;
 pub mod compose;
 pub mod device;
@@ -13,8 +14,10 @@ pub mod frame;
 pub mod gpu;
 pub mod keys;
 pub mod layout;
+pub mod lenses;
 pub mod loss;
 pub mod npz;
+pub mod page;
 pub mod scenes;
 pub mod splats;
 pub mod tiles;

@@ -39,7 +39,7 @@ const device = await pc.createGraphicsDevice(canvas, { deviceTypes: ['webgl2'], 
 const options = new pc.AppOptions();
 options.graphicsDevice = device;
 options.componentSystems = [pc.CameraComponentSystem, pc.GSplatComponentSystem];
-options.resourceHandlers = [pc.GSplatHandler, pc.TextureHandler, pc.BinaryHandler];
+options.resourceHandlers = [pc.GSplatHandler, pc.ContainerHandler, pc.TextureHandler, pc.BinaryHandler];
 const app = new pc.AppBase(canvas);
 app.init(options);
 app.setCanvasFillMode(pc.FILLMODE_NONE);
@@ -50,7 +50,8 @@ eye.addComponent('camera', { clearColor: new pc.Color(0, 0, 0, 1), fov: camera.f
 eye.setPosition(...camera.eye);
 eye.setRotation(...camera.quat);
 app.root.addChild(eye);
-const asset = new pc.Asset('scene', 'gsplat', { url: '/${sceneName}', filename: '${sceneName}' });
+const isGlb = ${sceneName.endsWith('.glb')};
+const asset = new pc.Asset('scene', isGlb ? 'container' : 'gsplat', { url: '/${sceneName}', filename: '${sceneName}' });
 app.assets.add(asset);
 await new Promise((resolve, reject) => {
     asset.once('load', resolve);
@@ -58,7 +59,9 @@ await new Promise((resolve, reject) => {
     app.assets.load(asset);
 });
 const splats = new pc.Entity('splats');
-splats.addComponent('gsplat', { asset });
+splats.addComponent('gsplat', { asset: isGlb ? asset.resource.gsplats[0] : asset });
+// glTF has y up: x and y point the other way than in a PLY.
+if (isGlb) splats.setLocalEulerAngles(0, 0, 180);
 app.root.addChild(splats);
 // The sorting worker answers some frames later: the picture is done when it stays the same.
 app.autoRender = false;

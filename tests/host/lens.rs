@@ -1,66 +1,13 @@
-//! Lens distortion: the models, their inverse, the pinhole in their place, and COLMAP's own tool beside ours.
+//! Lens distortion: the models, their inverse, the pinhole in their place. COLMAP's own tool is among the programs.
 
-use std::path::Path;
-use std::process::Command;
-
-use ashsplat::io::colmap::{self, CameraModel, ColmapCamera, ColmapImage, Model};
-use ashsplat::io::{Dataset, DatasetOptions, Photo, Progress};
-use ashsplat::metrics;
+use ashsplat::io::Photo;
+use ashsplat::io::colmap::Model;
+use ashsplat::scene::Intrinsics;
 use ashsplat::scene::lens::{Distortion, Lens};
-use ashsplat::scene::{Camera, Intrinsics, PointCloud};
-use glam::{DVec2, Vec3, dvec2};
+use glam::{DVec2, dvec2};
 use proptest::prelude::*;
 
-/// Each of COLMAP's models with parameters of a wide consumer lens, for photos of 320×240.
-fn cameras() -> Vec<ColmapCamera> {
-    let camera = |(id, (name, parameters)): (u32, (&str, Vec<f64>))| ColmapCamera {
-        id,
-        model: CameraModel::from_name(name).unwrap(),
-        width: 320,
-        height: 240,
-        parameters,
-    };
-    let models = vec![
-        ("SIMPLE_RADIAL", vec![250.0, 160.0, 120.0, -0.12]),
-        ("SIMPLE_RADIAL", vec![260.0, 158.0, 123.0, 0.09]),
-        ("RADIAL", vec![250.0, 161.0, 118.0, -0.2, 0.05]),
-        ("OPENCV", vec![255.0, 245.0, 163.0, 119.0, -0.15, 0.03, 0.002, -0.001]),
-        ("OPENCV_FISHEYE", vec![200.0, 201.0, 159.0, 121.0, -0.02, 0.01, -0.003, 0.0005]),
-        ("FULL_OPENCV", vec![255.0, 245.0, 160.0, 120.0, 0.1, 0.02, 0.001, -0.001, 0.003, 0.2, 0.03, 0.001]),
-    ];
-    (1..).zip(models).map(camera).collect()
-}
-
-/// A smooth picture without symmetry, of any size.
-fn picture(width: u32, height: u32) -> Photo {
-    let pixel = |index: u32| {
-        let (x, y) = ((index % width) as f32, (index / width) as f32);
-        let wave = |phase: f32| (127.5 + 110.0 * phase.sin()) as u8;
-        [wave(0.05 * x + 0.02 * y), wave(0.04 * y - 0.01 * x + 1.0), wave(0.001 * x * y)]
-    };
-    Photo { width, height, rgb: (0..width * height).flat_map(pixel).collect() }
-}
-
-/// A data set with one photo of each camera, all from one place.
-fn write(folder: &Path) {
-    std::fs::create_dir_all(folder.join("images")).unwrap();
-    let cameras = cameras();
-    let pose = Camera::look_at(
-        Vec3::new(0.0, 0.0, -3.0),
-        Vec3::ZERO,
-        Vec3::NEG_Y,
-        Intrinsics::from_fov_x(1.0, 320, 240),
-    );
-    let mut images = Vec::new();
-    for camera in &cameras {
-        let name = format!("{}.png", camera.id);
-        picture(320, 240).write_png(folder.join("images").join(&name)).unwrap();
-        let shifted = Camera { translation: pose.translation + Vec3::X * camera.id as f32, ..pose };
-        images.push(ColmapImage::posed(camera.id, camera.id, name, &shifted));
-    }
-    let points = PointCloud { positions: vec![[0.0; 3]; 2], colors: vec![[9; 3]; 2] };
-    colmap::write(folder.join("sparse/0"), &cameras, &images, &points).unwrap();
-}
+use crate::common::lenses::write;
 
 fn lenses() -> Vec<Lens> {
     let folder = tempfile::tempdir().unwrap();
@@ -186,42 +133,5 @@ fn undistorted_photos_show_what_a_pinhole_sees() {
             off += pixel.iter().zip(expected).filter(|(a, b)| (f64::from(**a) - b).abs() > 2.0).count();
         }
         assert!(off < 20, "{lens:?}: {off} values are off");
-    }
-}
-
-/// COLMAP's image_undistorter makes the same cameras and the same pictures.
-#[test]
-fn colmap_undistorts_the_same() {
-    if Command::new("colmap").arg("help").output().is_err() {
-        eprintln!("skipped: colmap_undistorts_the_same (colmap is not installed)");
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
-    write(folder.path());
-    let path = |name: &str| folder.path().join(name);
-    let run = Command::new("colmap")
-        .env("QT_QPA_PLATFORM", "offscreen")
-        .args(["image_undistorter", "--image_path"])
-        .arg(path("images"))
-        .arg("--input_path")
-        .arg(path("sparse/0"))
-        .arg("--output_path")
-        .arg(path("theirs"))
-        .output()
-        .unwrap();
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let ours = Dataset::load(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap();
-    let theirs = Dataset::load(path("theirs"), &DatasetOptions::default(), Progress::NONE).unwrap();
-    assert_eq!(ours.warnings.len(), cameras().len());
-    assert_eq!(ours.train.len(), theirs.train.len());
-    for (a, b) in ours.train.iter().zip(&theirs.train) {
-        let (i, j) = (a.camera.intrinsics(), b.camera.intrinsics());
-        assert_eq!((&a.name, i.width, i.height), (&b.name, j.width, j.height));
-        for (x, y) in [(i.fx, j.fx), (i.fy, j.fy), (i.cx, j.cx), (i.cy, j.cy)] {
-            assert!((x - y).abs() < 1e-3, "{i:?} {j:?}");
-        }
-        let psnr =
-            metrics::psnr(&a.photo.photo().unwrap().to_f32(), &b.photo.photo().unwrap().to_f32()).unwrap();
-        assert!(psnr > 45.0, "{}: {psnr} dB", a.name);
     }
 }

@@ -239,6 +239,21 @@ fn a_zip_is_a_data_set() {
         assert_eq!(zipped.train, plain.train);
         assert_eq!(Dataset::cameras(folder.path().join(name), &DatasetOptions::default()).unwrap().len(), 3);
     }
+    // As macOS and Windows pack it.
+    let mut zip = zip::ZipWriter::new(std::fs::File::create(folder.path().join("finder.zip")).unwrap());
+    let options = zip::write::SimpleFileOptions::default();
+    for name in
+        ["scene/.DS_Store", "__MACOSX/scene/._transforms.json", "scene/images/._r_0.png", "__MACOSX/._scene"]
+    {
+        zip.start_file(name, options).unwrap();
+        zip.write_all(b"no picture").unwrap();
+    }
+    for name in ["transforms.json", "images/r_0.png", "images/r_1.png", "images/r_2.png"] {
+        zip.start_file(format!("outer\\scene\\{}", name.replace('/', "\\")), options).unwrap();
+        zip.write_all(&std::fs::read(data.join(name)).unwrap()).unwrap();
+    }
+    zip.finish().unwrap();
+    assert_eq!(load(&folder.path().join("finder.zip"), &DatasetOptions::default()).train, plain.train);
     // Problems are told of the archive.
     let missing = pack("missing.zip", "", 2);
     assert!(
@@ -255,4 +270,9 @@ fn a_zip_is_a_data_set() {
     evil.finish().unwrap();
     assert!(refusal(&folder.path().join("evil.zip")).contains("leads out of the archive"));
     assert!(!folder.path().join("outside.txt").exists());
+    let mut only = zip::ZipWriter::new(std::fs::File::create(folder.path().join("photos.zip")).unwrap());
+    only.start_file("scene/images/a.jpg", zip::write::SimpleFileOptions::default()).unwrap();
+    only.write_all(b"x").unwrap();
+    only.finish().unwrap();
+    assert!(refusal(&folder.path().join("photos.zip")).contains("photos.zip: has no COLMAP model"));
 }

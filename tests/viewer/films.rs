@@ -3,68 +3,7 @@
 use super::training::Training;
 use super::*;
 use crate::cli::succeed;
-use std::path::PathBuf;
-use std::process::Command;
-use tempfile::{TempDir, tempdir};
-
-/// A viewer of a small scene, and where it puts films.
-struct Cinema {
-    folder: TempDir,
-    server: Server,
-}
-
-impl Cinema {
-    fn open() -> Cinema {
-        let folder = tempdir().expect("a temporary folder");
-        let scene = write_ball(folder.path(), 200);
-        let server = Server::view(&scene, &["-o", text(&folder.path().join("films"))]);
-        Cinema { folder, server }
-    }
-
-    fn films(&self) -> PathBuf {
-        self.folder.path().join("films")
-    }
-
-    /// What lies there, by name.
-    fn files(&self) -> Vec<String> {
-        let entries = std::fs::read_dir(self.films()).expect("a folder");
-        let name = |entry: std::io::Result<std::fs::DirEntry>| {
-            entry.expect("an entry").file_name().to_string_lossy().into_owned()
-        };
-        let mut names: Vec<String> = entries.map(name).collect();
-        names.sort();
-        names
-    }
-}
-
-/// A film around the scene.
-fn film(frames: u32, size: [u32; 2]) -> Value {
-    let key = |turn: f32| {
-        let camera = camera(turn);
-        let rows = message(&camera)["rotation"].clone();
-        json!({ "position": camera.position().to_array(), "rotation": rows, "fov_y": 0.7 })
-    };
-    json!({
-        "type": "film", "keys": [key(0.0), key(0.5), key(1.0)], "seconds": frames, "frames_per_second": 1,
-        "width": size[0], "height": size[1],
-    })
-}
-
-impl Page {
-    /// The next word about a film that has something to say of this.
-    fn hears(&mut self, key: &str) -> Value {
-        loop {
-            let film = self.wait_for("film");
-            if !film[key].is_null() {
-                return film[key].clone();
-            }
-        }
-    }
-}
-
-fn pixels(folder: &Path, index: u32) -> Vec<u8> {
-    image::open(folder.join(format!("{index:05}.png"))).expect("a PNG").to_rgb8().into_raw()
-}
+use crate::common::cinema::{Cinema, film, pixels};
 
 #[test]
 fn viewer_makes_films() {
@@ -78,6 +17,8 @@ fn viewer_makes_films() {
     let decoder = image::codecs::gif::GifDecoder::new(std::io::Cursor::new(gif)).expect("a GIF");
     let frames = image::AnimationDecoder::into_frames(decoder).collect_frames().expect("frames");
     assert_eq!((frames.len(), frames[5].buffer().dimensions()), (6, (64, 48)));
+    let milliseconds = frames.iter().map(|frame| frame.delay().numer_denom_ms());
+    assert_eq!(milliseconds.map(|(ms, parts)| ms / parts).sum::<u32>(), 6000);
     // Either a film, or why there is none.
     assert!(files["mp4"].is_string() != files["note"].is_string(), "{files}");
     // The path is one for `render`, which makes the same frames of it.
@@ -91,43 +32,6 @@ fn viewer_makes_films() {
         let worst = a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(worst <= Some(2) && a.len() == b.len(), "frame {index}: {worst:?}");
     }
-}
-
-/// Sides that are odd and colours that ffmpeg must not shift.
-#[test]
-fn viewer_films_are_mp4_where_ffmpeg_is_installed() {
-    if Command::new("ffmpeg").arg("-version").output().is_err() {
-        return eprintln!("skipped: ffmpeg is not installed");
-    }
-    let cinema = Cinema::open();
-    let mut page = cinema.server.page();
-    let mut request = film(5, [161, 121]);
-    request["look"] = json!({ "background": [0.9, 0.2, 0.1] });
-    page.send(&request);
-    let files = page.hears("files");
-    let name = files["mp4"].as_str().unwrap_or_else(|| panic!("{files}"));
-    let (code, head, bytes) = cinema.server.get(&format!("/film/{name}"), &[]);
-    assert!(code == 200 && head.contains("video/mp4"), "{head}");
-    let path = cinema.films().join(name);
-    assert_eq!(std::fs::read(&path).expect("a file"), bytes);
-    // As players see it: the tags say how its colours are meant.
-    let decode = ["-f", "rawvideo", "-vf", "scale=in_color_matrix=auto", "-pix_fmt", "rgb24", "-"];
-    let decoded = Command::new("ffmpeg").args(["-v", "error", "-i"]).arg(&path).args(decode).output();
-    let decoded = decoded.expect("ffmpeg");
-    assert!(decoded.status.success(), "{}", String::from_utf8_lossy(&decoded.stderr));
-    let (width, height) = (162, 122);
-    assert_eq!(decoded.stdout.len(), 5 * width * height * 3);
-    let frames = Path::new(files["frames"].as_str().expect("a folder"));
-    for (index, shown) in (0..).zip(decoded.stdout.chunks_exact(width * height * 3)) {
-        let frame = pixels(frames, index);
-        let rows = frame.chunks_exact(161 * 3).zip(shown.chunks_exact(width * 3));
-        let errors: Vec<f64> =
-            rows.flat_map(|(a, b)| a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b)))).collect();
-        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-        assert!(mean < 4.0, "frame {index}: {mean}");
-    }
-    // Nothing half-done beside it.
-    assert_eq!(cinema.files(), ["film_001", "film_001.gif", "film_001.json", "film_001.mp4"]);
 }
 
 #[test]

@@ -53,15 +53,26 @@ fn viewer_lets_in_who_knows_the_token() {
         ("/?token=sesam", vec![]),
         ("/main.js?token=sesamesesame", vec![]),
         ("/socket", vec![]),
-        ("/photo/0", vec![("Cookie", "ashsplat_token=wrong")]),
+        ("/photo/0", vec![("Cookie", "ashsplat_token=sesame")]),
     ] {
         let (code, _, body) = server.get(path, &headers);
         assert_eq!(code, 401, "{path}");
         assert!(String::from_utf8_lossy(&body).contains("token"), "{path}");
     }
     let (code, head, _) = server.get("/?token=sesame", &[]);
-    assert!(code == 200 && head.contains("ashsplat_token=sesame; HttpOnly; SameSite=Strict"), "{head}");
-    assert_eq!(server.get("/main.js", &[("Cookie", "other=1; ashsplat_token=sesame")]).0, 200);
+    let cookie = |server: &Server, word: &str| {
+        format!("ashsplat_token_{}={word}", server.host.rsplit_once(':').expect("a port").1)
+    };
+    let own = cookie(&server, "sesame");
+    assert!(code == 200 && head.contains(&format!("{own}; HttpOnly; SameSite=Strict")), "{head}");
+    assert_eq!(server.get("/main.js", &[("Cookie", &format!("other=1; {own}"))]).0, 200);
+    assert_eq!(server.get("/main.js", &[("Cookie", &cookie(&server, "wrong"))]).0, 401);
+    // Browsers send the cookies of all ports of a host: another viewer's word is kept beside this one's.
+    let another = Server::view(&path, &["--token", "open"]);
+    let both = format!("{own}; {}", cookie(&another, "open"));
+    for server in [&server, &another] {
+        assert_eq!(server.get("/main.js", &[("Cookie", &both)]).0, 200);
+    }
     assert!(server.page_with("").err().expect("refused").contains("401"));
     let page = server.page_with("?token=sesame").expect("let in");
     assert_eq!(page.greeting["gaussians"], 50);

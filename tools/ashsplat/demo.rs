@@ -64,7 +64,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     write()?;
     let settings = settings(&data, &folder.join("model"), arguments.iterations, arguments.seed);
     settings.train.check()?;
-    let loaded = session::load(&settings.data, false, arguments.quiet)?;
+    let stop = session::stop_on_ctrl_c()?;
+    let gallery = session::open(&settings.data, &session::options(&settings.data, false)?, &stop)?;
+    let loaded = session::load(&gallery, arguments.quiet, &stop)?;
     let photos = loaded.train.len() + loaded.test.len();
     if !arguments.quiet {
         tell!("{photos} photographs, {} points; training on {}", loaded.points.len(), context.device_name());
@@ -72,7 +74,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let model = settings.data.model_path.clone();
     let mut run = Run::prepare(&context, loaded, settings, arguments.quiet)?;
     run.repeat(&arguments.device, None);
-    let interrupted = run.train()?;
+    let interrupted = run.train(&stop)?;
     if !interrupted {
         finish(&mut run, folder, arguments.iterations)?;
         run.report();

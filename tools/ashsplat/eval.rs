@@ -167,7 +167,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = arguments.look.load(&model.ply)?;
     let white = model.settings.train.white_background;
     let context = arguments.device.context()?;
-    let gallery = Gallery::open(&data.source_path, &session::options(&data, white)?)?;
+    let stop = session::stop_on_ctrl_c()?;
+    let gallery = session::open(&data, &session::options(&data, white)?, &stop)?;
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
     let mut renderer = Renderer::new(&context)?;
@@ -175,7 +176,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let look = arguments.look.settings(&model.settings, &scene.header)?;
     let settings = RenderSettings { inverse_depth: false, ..look };
     let bar = counting("views", chosen.len() as u64, arguments.quiet);
-    let views = chosen.into_iter().filter_map(|index| gallery.view(index));
+    let views = chosen.into_iter().filter_map(|index| match session::check(&stop) {
+        Ok(()) => gallery.view(index),
+        Err(interrupted) => Some(Err(interrupted)),
+    });
     let evaluation = evaluate(views, None, |camera| {
         bar.inc(1);
         renderer.render(camera, &settings)

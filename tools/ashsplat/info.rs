@@ -85,9 +85,11 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
     };
-    let progress = Progress { report: Some(&report), interrupted: None };
+    let stop = session::stop_on_ctrl_c()?;
+    let progress = Progress { report: Some(&report), interrupted: Some(&stop) };
     let report = Dataset::inspect(&arguments.path, &options, progress);
     bar.finish_and_clear();
+    session::check(&stop)?;
     if arguments.json {
         say!("{:#}", dataset_json(&report));
     } else if report.model.is_some() {

@@ -3,7 +3,7 @@
 use crate::config::DataSettings;
 use crate::progress::counting;
 use ashsplat::io::cameras_json::NamedCamera;
-use ashsplat::io::{Dataset, DatasetOptions, Progress};
+use ashsplat::io::{Dataset, DatasetOptions, Gallery, Progress};
 use ashsplat::{Error, Result};
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -67,20 +67,19 @@ pub fn options(data: &DataSettings, white_background: bool) -> Result<DatasetOpt
     })
 }
 
-/// Loads a data set with progress.
-pub fn load(data: &DataSettings, white_background: bool, quiet: bool) -> Result<Dataset> {
-    load_within(data, &options(data, white_background)?, quiet)
+/// Finds out what a data set consists of; a ZIP is unpacked for as long as the value lives. `stop` ends it.
+pub fn open(data: &DataSettings, options: &DatasetOptions, stop: &AtomicBool) -> Result<Gallery> {
+    Gallery::open(&data.source_path, options, Progress { report: None, interrupted: Some(stop) })
 }
 
-/// As [`load`] with options of one's own.
-pub fn load_within(data: &DataSettings, options: &DatasetOptions, quiet: bool) -> Result<Dataset> {
+/// Loads a data set with progress. `stop` ends it.
+pub fn load(gallery: &Gallery, quiet: bool, stop: &AtomicBool) -> Result<Dataset> {
     let bar = counting("reading photos", 0, quiet);
     let report = |done: usize, total: usize| {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
     };
-    let progress = Progress { report: Some(&report), interrupted: None };
-    let dataset = Dataset::load(&data.source_path, options, progress);
+    let dataset = gallery.load(Progress { report: Some(&report), interrupted: Some(stop) });
     bar.finish_and_clear();
     dataset
 }
@@ -92,9 +91,21 @@ pub fn warn(warnings: &[String]) {
     }
 }
 
-/// The cameras of a data set by name, at the photos' own sizes; the photos are not looked at.
+/// The cameras of a data set by name, at the photos' own sizes; the photos are not looked at. Ctrl-C ends that, so that
+/// nothing of an unpacked ZIP is left; from then on it ends the program at once.
 pub fn cameras(dataset: &Path) -> Result<Vec<NamedCamera>> {
-    Dataset::cameras(dataset, &DatasetOptions::default())
+    // Only the first handler counts; the flag of an earlier one is raised.
+    let stop = stop_on_ctrl_c().unwrap_or_default();
+    let progress = Progress { report: None, interrupted: Some(&stop) };
+    let cameras = Gallery::open(dataset, &DatasetOptions::default(), progress)?.cameras();
+    check(&stop)?;
+    stop.store(true, Ordering::Relaxed);
+    Ok(cameras)
+}
+
+/// Ends what Ctrl-C is to end.
+pub fn check(stop: &AtomicBool) -> Result<()> {
+    if stop.load(Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
 }
 
 /// A flag that Ctrl-C raises; a second Ctrl-C ends the program at once.

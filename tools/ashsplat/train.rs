@@ -83,13 +83,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             return Err(Error::argument(name, "is missing; give it here or in --config FILE"));
         }
     }
+    // From now on: a ZIP is unpacked, and nothing of it may be left.
+    let stop = session::stop_on_ctrl_c()?;
     // The device first: without one, nobody should wait for the photos.
     let context = arguments.device.context()?;
     let start = arguments.start_checkpoint.as_ref();
     let start = start.map(|asked| Start::read(asked, &settings.data.model_path)).transpose()?;
     let mut options = session::options(&settings.data, settings.train.white_background)?;
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
-    let dataset = session::load_within(&settings.data, &options, arguments.quiet)?;
+    let gallery = session::open(&settings.data, &options, &stop)?;
+    let dataset = session::load(&gallery, arguments.quiet, &stop)?;
+    let gallery = arguments.live.wants_photos().then_some(gallery);
     let may_be_random = arguments.random_points || dataset.may_lack_points() || start.is_some();
     if dataset.points.is_empty() && !may_be_random {
         let remedy = "register the photos with COLMAP's mapper or point_triangulator, or use --random-points";
@@ -110,8 +114,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Some(start) => Run::resume(&context, dataset, settings, &start, arguments.quiet)?,
     };
     run.repeat(&arguments.device, arguments.photo_memory);
-    run.look_on(&arguments.live, &context)?;
-    let interrupted = run.train()?;
+    run.look_on(&arguments.live, &context, gallery)?;
+    // Nothing is lost yet.
+    session::check(&stop)?;
+    let interrupted = run.train(&stop)?;
     run.report();
     say!("written to {}", folder.display());
     arguments.device.report_validation(&context);
@@ -215,11 +221,10 @@ impl Run {
     }
 
     /// Trains to the end, or until Ctrl-C: then the answer is true. After a failure, too, scene and log are saved.
-    pub fn train(&mut self) -> Result<bool> {
-        let stop = session::stop_on_ctrl_c()?;
+    pub fn train(&mut self, stop: &AtomicBool) -> Result<bool> {
         let mut watch = Stopwatch::start();
-        let result = self.iterate(&stop, &mut watch);
-        let result = result.and_then(|interrupted| self.end_show(&stop).map(|()| interrupted));
+        let result = self.iterate(stop, &mut watch);
+        let result = result.and_then(|interrupted| self.end_show(stop).map(|()| interrupted));
         let total = watch.cost(self.trainer.iteration() - self.started);
         self.total = Some(total);
         self.first.get_or_insert(total);

@@ -13,7 +13,7 @@ mod subject;
 
 pub use draw::Painter;
 pub use photos::Photos;
-pub use subject::{Subject, photos_of};
+pub use subject::Subject;
 
 use crate::args::DeviceArguments;
 use crate::render::LookArguments;
@@ -60,10 +60,12 @@ const REST: Duration = Duration::from_millis(200);
 
 /// Runs the command until Ctrl-C.
 pub fn run(arguments: &Arguments) -> Result<()> {
+    // From now on: a ZIP is unpacked, and nothing of it may be left.
+    let stop = session::stop_on_ctrl_c()?;
     let subject = match &arguments.path {
         Some(path) => {
             let source = arguments.source_path.as_deref();
-            Subject::load(path, source, arguments.iteration, &arguments.look)?
+            Subject::load(path, source, arguments.iteration, &arguments.look, &stop)?
         }
         None => Subject::nothing(),
     };
@@ -81,8 +83,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         films: arguments.out.clone(),
         token: arguments.serve.token.clone(),
     };
-    announce(server::start(&arguments.serve, site)?, &arguments.serve);
-    let stop = session::stop_on_ctrl_c()?;
+    let server = server::start(&arguments.serve, site)?;
+    announce(server.address, &arguments.serve);
     let mut studio = Studio::new(hub, base, arguments.out.clone());
     while !stop.load(Ordering::Relaxed) {
         studio.serve(&mut renderer, REST)?;

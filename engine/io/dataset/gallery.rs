@@ -1,40 +1,51 @@
 //! The photos of a data set one at a time, for those who look at a few.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::plan::{Plan, PlannedView};
-use super::{DatasetOptions, Unpacked, View};
+use super::{Dataset, DatasetOptions, Unpacked, View};
+use crate::Result;
 use crate::io::cameras_json::NamedCamera;
+use crate::io::progress::Progress;
 use crate::scene::PointCloud;
-use crate::{Error, Result};
 
 /// The views of a data set, whose photos are read when they are asked for.
 pub struct Gallery {
-    unpacked: Unpacked,
-    options: DatasetOptions,
-    views: Vec<PlannedView>,
-    held_out: Vec<bool>,
-    points: PointCloud,
-    warnings: Vec<String>,
+    pub(super) unpacked: Unpacked,
+    pub(super) options: DatasetOptions,
+    pub(super) views: Vec<PlannedView>,
+    pub(super) held_out: Vec<bool>,
+    pub(super) points: PointCloud,
+    pub(super) warnings: Vec<String>,
+    /// The folder of the COLMAP model, or the transforms.json.
+    pub(super) source: PathBuf,
+    /// The file that lists the views.
+    pub(super) list: PathBuf,
 }
 
 impl Gallery {
-    /// Finds out what a data set (or a ZIP of one) consists of; the photos are not decoded.
+    /// Finds out what a data set (or a ZIP of one, which is unpacked for as long as the value lives) consists of; the
+    /// photos are not decoded.
     ///
     /// # Errors
-    /// As [`super::Dataset::load`], but for the photos' contents.
-    pub fn open(path: impl AsRef<Path>, options: &DatasetOptions) -> Result<Self> {
-        let unpacked = Unpacked::open(path.as_ref())?;
+    /// As [`Dataset::load`], but for the photos' contents and the split.
+    pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
+        let unpacked = Unpacked::open(path.as_ref(), progress)?;
         let plan = Plan::of(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
         let held_out = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
-        let Plan { views, points, list, warnings, .. } = plan;
+        plan.check_views().map_err(|error| unpacked.name(error))?;
+        let Plan { views, points, source, list, warnings, .. } = plan;
         let views: Vec<PlannedView> =
             views.into_iter().collect::<Result<_>>().map_err(|error| unpacked.name(error))?;
-        if views.is_empty() {
-            let error = Error::input(list, "no images are registered", "run COLMAP's mapper again");
-            return Err(unpacked.name(error));
-        }
-        Ok(Self { unpacked, options: options.clone(), views, held_out, points, warnings })
+        Ok(Self { unpacked, options: options.clone(), views, held_out, points, warnings, source, list })
+    }
+
+    /// Reads all photos: the whole data set, in parallel.
+    ///
+    /// # Errors
+    /// As [`Dataset::load`].
+    pub fn load(&self, progress: Progress<'_>) -> Result<Dataset> {
+        Dataset::of(self, progress).map_err(|error| self.unpacked.name(error))
     }
 
     /// The cameras by name, at the photos' own sizes.

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::DatasetOptions;
-use super::plan::{Plan, PlannedView};
+use super::plan::{Plan, PlannedView, check_split};
 use super::unpacked::Unpacked;
 use crate::io::colmap;
 use crate::io::progress::Progress;
@@ -53,7 +53,7 @@ impl DatasetReport {
 
 pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<'_>) -> DatasetReport {
     let mut report = DatasetReport::default();
-    let unpacked = match Unpacked::open(path) {
+    let unpacked = match Unpacked::open(path, progress) {
         Ok(unpacked) => unpacked,
         Err(e) => {
             report.problem(e.to_string());
@@ -70,8 +70,8 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
         }
     };
     report.describe(&plan);
-    let split = plan.check_split(options);
     let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
+    let split = plan.check_views().and_then(|()| check_split(&plan.list, &held_out));
     let mut views = Vec::new();
     for (view, held_out) in std::mem::take(&mut plan.views).into_iter().zip(held_out) {
         match view {

@@ -242,19 +242,21 @@ impl Plan {
         if self.has_split { options.eval && says_so() } else { options.is_test(index) }
     }
 
-    /// Refuses a data set without views to train on.
-    pub(super) fn check_split(&self, options: &DatasetOptions) -> Result<()> {
-        let views = self.views.len();
-        if views == 0 {
-            let remedy = "run COLMAP's mapper again with more overlapping photos";
-            return Err(Error::input(&self.list, "no images are registered", remedy));
-        }
-        if (0..views).all(|index| self.is_test(index, options)) {
-            let problem = format!("all of its {views} images are held out, none is left to train on");
-            return Err(Error::input(&self.list, problem, "train without --eval"));
-        }
-        Ok(())
+    /// Refuses a data set without views.
+    pub(super) fn check_views(&self) -> Result<()> {
+        let remedy = "run COLMAP's mapper again with more overlapping photos";
+        let none = || Error::input(&self.list, "no images are registered", remedy);
+        if self.views.is_empty() { Err(none()) } else { Ok(()) }
     }
+}
+
+/// Refuses a split that leaves no views to train on.
+pub(super) fn check_split(list: &Path, held_out: &[bool]) -> Result<()> {
+    if held_out.contains(&false) {
+        return Ok(());
+    }
+    let problem = format!("all of its {} images are held out, none is left to train on", held_out.len());
+    Err(Error::input(list, problem, "train without --eval"))
 }
 
 /// The photo of a frame, in the folder that is asked for where the file names `images`.

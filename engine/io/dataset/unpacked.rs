@@ -2,12 +2,19 @@
 
 use std::fs::{self, File};
 use std::io::{self, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
+use zip::result::ZipError;
+
+use crate::io::progress::Progress;
+use crate::io::{colmap, transforms};
 use crate::{Error, Result};
 
 /// No honest archive of photos unpacks to more than this many times its size.
 const MAX_RATIO: u64 = 1032;
+
+/// Bytes between two looks whether to go on.
+const PIECE_BYTES: u64 = 4 << 20;
 
 /// The folder of a data set: itself, or what its ZIP was unpacked to.
 pub(crate) struct Unpacked {
@@ -17,14 +24,14 @@ pub(crate) struct Unpacked {
 
 impl Unpacked {
     /// Unpacks a ZIP to a temporary folder that goes with the value; a folder is taken as it is.
-    pub(crate) fn open(path: &Path) -> Result<Self> {
+    pub(crate) fn open(path: &Path, progress: Progress<'_>) -> Result<Self> {
         if !path.is_file() || !starts_like_zip(path) {
             return Ok(Self { folder: path.to_owned(), archive: None });
         }
         let target =
             tempfile::tempdir().map_err(|source| Error::io(std::env::temp_dir(), "create", source))?;
-        extract(path, target.path())?;
-        let folder = only_folder(target.path());
+        extract(path, target.path(), progress)?;
+        let folder = data_folder(target.path());
         Ok(Self { folder, archive: Some((path.to_owned(), target)) })
     }
 
@@ -37,6 +44,7 @@ impl Unpacked {
     pub(crate) fn name(&self, error: Error) -> Error {
         let Some((archive, _)) = &self.archive else { return error };
         let inside = |path: PathBuf| match path.strip_prefix(&self.folder) {
+            Ok(rest) if rest.as_os_str().is_empty() => archive.clone(),
             Ok(rest) => archive.join(rest),
             Err(_) => path,
         };
@@ -53,49 +61,84 @@ fn starts_like_zip(path: &Path) -> bool {
     File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok() && start == *b"PK\x03\x04"
 }
 
-fn extract(path: &Path, target: &Path) -> Result<()> {
+fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
     let io = |source| Error::io(path, "read", source);
-    let damaged =
+    let refused =
         |problem: String| Error::input(path, problem, "the archive is damaged: pack or download it again");
+    let damaged = |place: String, error: ZipError| match error {
+        ZipError::UnsupportedArchive(why) => {
+            let remedy = "pack it as a plain ZIP: deflated or stored, without a password";
+            Error::input(path, format!("{place}: {why}"), remedy)
+        }
+        error => refused(format!("{place}: {error}")),
+    };
     let file = File::open(path).map_err(io)?;
     let mut left = file.metadata().map_err(io)?.len().saturating_mul(MAX_RATIO);
     let mut archive =
-        zip::ZipArchive::new(BufReader::new(file)).map_err(|e| damaged(format!("is no whole ZIP: {e}")))?;
+        zip::ZipArchive::new(BufReader::new(file)).map_err(|e| refused(format!("is no whole ZIP: {e}")))?;
     for index in 0..archive.len() {
-        let mut entry = archive.by_index(index).map_err(|e| damaged(format!("entry {index}: {e}")))?;
-        let name = entry.name().map_err(|e| damaged(format!("entry {index}: {e}")))?.into_owned();
-        let Some(inside) = entry.enclosed_name() else {
-            return Err(damaged(format!("{name:?} leads out of the archive")));
-        };
+        progress.check()?;
+        let mut entry = archive.by_index(index).map_err(|e| damaged(format!("entry {index}"), e))?;
+        let name = entry.name().map_err(|e| damaged(format!("entry {index}"), e))?.into_owned();
+        let inside = path_of(&name).ok_or_else(|| refused(format!("{name:?} leads out of the archive")))?;
+        if is_clutter(&inside) {
+            continue;
+        }
         let place = target.join(inside);
-        if entry.is_dir() {
+        if entry.is_dir() || name.ends_with('\\') {
             fs::create_dir_all(&place).map_err(|e| Error::io(&place, "create", e))?;
             continue;
         }
         if !entry.is_file() {
-            return Err(damaged(format!("{name:?} is a link")));
+            return Err(refused(format!("{name:?} is a link")));
         }
         if let Some(parent) = place.parent() {
             fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create", e))?;
         }
         let mut output = File::create(&place).map_err(|e| Error::io(&place, "create", e))?;
-        let copied = io::copy(&mut Read::take(&mut entry, left), &mut output);
-        left -= copied.map_err(|e| damaged(format!("{name:?}: {e}")))?;
-        if left == 0 {
-            return Err(damaged("unpacks to far more than photos can".into()));
+        loop {
+            progress.check()?;
+            let copied = io::copy(&mut Read::take(&mut entry, left.min(PIECE_BYTES)), &mut output);
+            let copied = copied.map_err(|e| refused(format!("{name:?}: {e}")))?;
+            left -= copied;
+            if left == 0 {
+                return Err(refused("unpacks to far more than photos can".into()));
+            }
+            if copied == 0 {
+                break;
+            }
         }
     }
     Ok(())
 }
 
-/// Archives often hold one folder with everything in it.
-fn only_folder(folder: &Path) -> PathBuf {
-    let entries: Vec<PathBuf> =
-        fs::read_dir(folder).into_iter().flatten().filter_map(|e| Some(e.ok()?.path())).collect();
-    let is_data =
-        |path: &Path| ["sparse", "images"].iter().any(|name| path.file_name().is_some_and(|n| n == *name));
-    match entries.as_slice() {
-        [only] if only.is_dir() && !is_data(only) => only.clone(),
-        _ => folder.to_owned(),
+/// The path that an entry's name means; Windows' own separators are among those in use. None where it leads out.
+fn path_of(name: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(name.replace('\\', "/"));
+    let inside = |part: Component<'_>| matches!(part, Component::Normal(_) | Component::CurDir);
+    (path.components().all(inside) && !name.contains('\0')).then_some(path)
+}
+
+/// What macOS puts beside the files that people pack.
+fn is_clutter(path: &Path) -> bool {
+    path.iter()
+        .map(|part| part.to_string_lossy())
+        .any(|part| part == "__MACOSX" || part == ".DS_Store" || part.starts_with("._"))
+}
+
+/// The data set's folder: archives often hold one folder with everything in it, or that in another.
+fn data_folder(unpacked: &Path) -> PathBuf {
+    let mut folder = unpacked.to_owned();
+    while !colmap::exists(&folder) && transforms::find(&folder).is_none() {
+        let entries = fs::read_dir(&folder).into_iter().flatten().filter_map(|e| Some(e.ok()?.path()));
+        let folders: Vec<PathBuf> = entries.filter(|path| path.is_dir()).collect();
+        match folders.as_slice() {
+            // What lacks its cameras is not looked for in its photos.
+            [only] if !["sparse", "images"].iter().any(|name| only.ends_with(name)) => {
+                folder.clone_from(only)
+            }
+            _ => break,
+        }
     }
+    folder
 }

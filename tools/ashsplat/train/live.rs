@@ -7,12 +7,12 @@ use super::Run;
 use crate::measure::Stopwatch;
 use crate::view::hub::Hub;
 use crate::view::protocol::{ToPage, TrainAction};
-use crate::view::server::{self, ServeArguments, Site};
+use crate::view::server::{self, ServeArguments, Server, Site};
 use crate::view::sibr::{self, Wishes};
 use crate::view::studio::Studio;
 use crate::view::{self, Painter, Photos, Subject};
 use allowance::Allowance;
-use ashsplat::io::View;
+use ashsplat::io::{Gallery, View};
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Result, metrics};
@@ -56,6 +56,11 @@ impl LiveArguments {
     fn is_wanted(&self) -> bool {
         self.view.is_some() || self.ip.is_some()
     }
+
+    /// Whether the photos are shown as well.
+    pub fn wants_photos(&self) -> bool {
+        self.view.is_some()
+    }
 }
 
 /// What is known of a training before it begins.
@@ -85,6 +90,7 @@ struct Wish {
 pub struct Live {
     studio: Studio,
     hub: Arc<Hub>,
+    _server: Option<Server>,
     wishes: Option<Arc<Wishes>>,
     curves: Arc<Mutex<Curves>>,
     allowance: Allowance,
@@ -112,6 +118,7 @@ impl Live {
         });
         let films = model.join("films");
         let base = subject.base;
+        let mut server = None;
         if let Some(port) = arguments.view {
             let serve = ServeArguments {
                 host: arguments.view_host.clone(),
@@ -120,7 +127,9 @@ impl Live {
             };
             let (photos, token) = (subject.photos, serve.token.clone());
             let site = Site { hub: hub.clone(), photos, films: films.clone(), token };
-            view::announce(server::start(&serve, site)?, &serve);
+            let started = server::start(&serve, site)?;
+            view::announce(started.address, &serve);
+            server = Some(started);
         }
         let mut wishes = None;
         if let Some(ip) = &arguments.ip {
@@ -132,6 +141,7 @@ impl Live {
         Ok(Live {
             studio: Studio::new(hub.clone(), base, films),
             hub,
+            _server: server,
             wishes,
             curves,
             allowance: Allowance::new(arguments.view_share),
@@ -265,16 +275,16 @@ impl Live {
 
 impl Run {
     /// Lets others look on, if that was asked for.
-    pub fn look_on(&mut self, arguments: &LiveArguments, context: &Context) -> Result<()> {
+    pub fn look_on(
+        &mut self,
+        arguments: &LiveArguments,
+        context: &Context,
+        gallery: Option<Gallery>,
+    ) -> Result<()> {
         if !arguments.is_wanted() {
             return Ok(());
         }
         let (data, train) = (&self.settings.data, &self.settings.train);
-        let gallery = view::photos_of(data, train.white_background);
-        if let Err(error) = &gallery {
-            tell!("warning: the viewer has no photos: {error}");
-        }
-        let gallery = gallery.ok();
         let subject = Subject {
             name: data.model_path.display().to_string(),
             gaussians: self.trainer.gaussians()?,
@@ -340,10 +350,10 @@ impl Run {
         }
     }
 
-    /// Lets them go.
+    /// Tells them that it is over; they stay until the run goes.
     pub(super) fn end_show(&mut self, stop: &AtomicBool) -> Result<()> {
-        match self.live.take() {
-            Some(mut live) => live.end(&mut self.trainer, stop),
+        match &mut self.live {
+            Some(live) => live.end(&mut self.trainer, stop),
             None => Ok(()),
         }
     }

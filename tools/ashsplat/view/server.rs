@@ -18,8 +18,10 @@ use serde_json::json;
 use std::net::{IpAddr, SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 use tokio::sync::mpsc::unbounded_channel;
+use tokio::sync::oneshot;
 
 /// Where the page is served.
 #[derive(Args, Clone, Debug)]
@@ -37,6 +39,10 @@ pub struct ServeArguments {
 
 /// A page that does not take a message within this time is given up.
 const PATIENCE: Duration = Duration::from_secs(30);
+/// So often a page is asked whether it is still there,
+const PING: Duration = if cfg!(test) { Duration::from_millis(100) } else { Duration::from_secs(15) };
+/// and it is given up when nothing has come of it for so long: a laptop asleep never says that it goes.
+const SILENCE: Duration = PING.saturating_mul(3);
 /// Longest message of a page.
 const LONGEST_MESSAGE: usize = 256 * 1024;
 
@@ -49,27 +55,47 @@ pub struct Site {
     pub token: Option<String>,
 }
 
-/// Starts to serve; the address at which the page is.
-pub fn start(arguments: &ServeArguments, site: Site) -> Result<SocketAddr> {
+/// What serves, as long as the value lives: with it goes all that the site holds, an unpacked data set, say.
+pub struct Server {
+    /// Where the page is.
+    pub address: SocketAddr,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            thread.join().ok();
+        }
+    }
+}
+
+/// Starts to serve.
+pub fn start(arguments: &ServeArguments, site: Site) -> Result<Server> {
     let listener = bind(arguments)?;
     let failed = |e: std::io::Error| Error::argument("viewer", format!("cannot listen: {e}"));
     let address = listener.local_addr().map_err(failed)?;
     listener.set_nonblocking(true).map_err(failed)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
+    let (stop, stopped) = oneshot::channel();
     let serve = async move {
-        match tokio::net::TcpListener::from_std(listener) {
-            Ok(listener) => axum::serve(listener, router(Arc::new(site))).await,
-            Err(error) => Err(error),
+        let listener = tokio::net::TcpListener::from_std(listener)?;
+        tokio::select! {
+            ended = axum::serve(listener, router(Arc::new(site))) => ended,
+            _ = stopped => Ok(()),
         }
     };
     let thread = std::thread::Builder::new().name("viewer".into());
     let run = move || {
-        if let Err(error) = runtime.block_on(serve) {
+        let ended: std::io::Result<()> = runtime.block_on(serve);
+        if let Err(error) = ended {
             tell!("warning: the viewer's server has ended: {error}");
         }
     };
-    thread.spawn(run).map_err(failed)?;
-    Ok(address)
+    let thread = thread.spawn(run).map_err(failed)?;
+    Ok(Server { address, stop: Some(stop), thread: Some(thread) })
 }
 
 /// Opens the port; an address that others can reach wants a token.
@@ -116,7 +142,7 @@ fn router(site: Arc<Site>) -> Router {
 async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
     let headers = request.headers();
     if let Some(token) = &site.token {
-        let given = query_value(request.uri(), "token").or_else(|| cookie(headers));
+        let given = query_value(request.uri(), "token").or_else(|| cookie(headers, &cookie_name(headers)));
         if !given.is_some_and(|given| equal(given.as_bytes(), token.as_bytes())) {
             let text = "401: this viewer wants a token: open http://HOST:PORT/?token=WORD with the word that was given to --token\n";
             return (StatusCode::UNAUTHORIZED, text).into_response();
@@ -125,6 +151,7 @@ async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> R
         let text = "403: open this page as http://localhost:PORT/\n";
         return (StatusCode::FORBIDDEN, text).into_response();
     }
+    let name = cookie_name(headers);
     let from_query = query_value(request.uri(), "token").filter(|_| site.token.is_some());
     let mut response = next.run(request).await;
     let headers = response.headers_mut();
@@ -140,7 +167,7 @@ async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> R
         "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'",
     );
     if let Some(token) = from_query {
-        set(header::SET_COOKIE, &format!("ashsplat_token={token}; HttpOnly; SameSite=Strict; Path=/"));
+        set(header::SET_COOKIE, &format!("{name}={token}; HttpOnly; SameSite=Strict; Path=/"));
     }
     response
 }
@@ -159,9 +186,17 @@ fn header_text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
     headers.get(name)?.to_str().ok()
 }
 
-fn cookie(headers: &HeaderMap) -> Option<String> {
+/// Browsers send a host's cookies to all its ports: those of several viewers must have several names. The port is the one
+/// that the browser sees, which another may forward.
+fn cookie_name(headers: &HeaderMap) -> String {
+    let port =
+        header_text(headers, header::HOST).and_then(|host| host.rsplit_once(':')?.1.parse::<u16>().ok());
+    format!("ashsplat_token_{}", port.unwrap_or(80))
+}
+
+fn cookie(headers: &HeaderMap, name: &str) -> Option<String> {
     let all = header_text(headers, header::COOKIE)?;
-    let find = |part: &str| part.trim().strip_prefix("ashsplat_token=").map(str::to_owned);
+    let find = |part: &str| Some(part.trim().strip_prefix(name)?.strip_prefix('=')?.to_owned());
     all.split(';').find_map(find)
 }
 
@@ -243,23 +278,35 @@ async fn socket(State(site): State<Arc<Site>>, headers: HeaderMap, upgrade: WebS
 async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
     let (sender, mut outgoing) = unbounded_channel();
     let client = hub.join(sender);
+    let mut clock = tokio::time::interval(PING);
+    let mut heard = Instant::now();
     loop {
-        tokio::select! {
-            message = outgoing.recv() => {
-                let message = match message {
-                    Some(ToPage::Text(text)) => Message::Text(text.into()),
-                    Some(ToPage::Binary(bytes)) => Message::Binary(bytes.into()),
-                    None => break,
-                };
-                if !matches!(tokio::time::timeout(PATIENCE, socket.send(message)).await, Ok(Ok(()))) {
+        let message = tokio::select! {
+            // What has come counts before the clock.
+            biased;
+            message = socket.recv() => {
+                heard = Instant::now();
+                match message {
+                    Some(Ok(Message::Text(text))) => heed(&hub, client, text.as_str()),
+                    Some(Ok(Message::Close(_)) | Err(_)) | None => break,
+                    Some(Ok(_)) => {}
+                }
+                continue;
+            },
+            message = outgoing.recv() => match message {
+                Some(ToPage::Text(text)) => Message::Text(text.into()),
+                Some(ToPage::Binary(bytes)) => Message::Binary(bytes.into()),
+                None => break,
+            },
+            _ = clock.tick() => {
+                if heard.elapsed() > SILENCE {
                     break;
                 }
+                Message::Ping(Default::default())
             }
-            message = socket.recv() => match message {
-                Some(Ok(Message::Text(text))) => heed(&hub, client, text.as_str()),
-                Some(Ok(Message::Close(_)) | Err(_)) | None => break,
-                Some(Ok(_)) => {}
-            },
+        };
+        if !matches!(tokio::time::timeout(PATIENCE, socket.send(message)).await, Ok(Ok(()))) {
+            break;
         }
     }
     hub.leave(client);
@@ -311,6 +358,64 @@ mod tests {
         for foreign in ["example.org", "evil.localhost.example:80", "10.0.0.7:8090", ""] {
             assert!(!is_own_name(foreign), "{foreign}");
         }
+    }
+
+    #[test]
+    fn cookies_are_of_the_port_that_the_browser_sees() {
+        let headers = |host: &str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, host.parse().expect("a header"));
+            headers.insert(
+                header::COOKIE,
+                "ashsplat_token_9000=a; ashsplat_token_9001=b".parse().expect("a header"),
+            );
+            headers
+        };
+        for (host, expected) in
+            [("localhost:9000", Some("a")), ("[::1]:9001", Some("b")), ("example.org", None)]
+        {
+            let headers = headers(host);
+            assert_eq!(cookie(&headers, &cookie_name(&headers)).as_deref(), expected, "{host}");
+        }
+    }
+
+    /// One page reads, and so answers pings; the other is there no more, and nobody closed its connection.
+    #[test]
+    fn silent_pages_are_given_up() {
+        let hub = Arc::new(Hub::default());
+        hub.greet_with("{}".into());
+        let site = Site { hub: hub.clone(), photos: None, films: PathBuf::new(), token: None };
+        let serve = ServeArguments { host: "127.0.0.1".into(), port: 0, token: None };
+        let server = start(&serve, site).expect("a port");
+        let address = server.address;
+        let page = || {
+            let stream = std::net::TcpStream::connect(address).expect("connected");
+            tungstenite::client(format!("ws://{address}/socket"), stream).expect("a WebSocket").0
+        };
+        let (mut awake, _asleep) = (page(), page());
+        let pages = |wanted: usize| {
+            let start = Instant::now();
+            while hub.pages() != wanted && start.elapsed() < Duration::from_secs(60) {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            assert_eq!(hub.pages(), wanted);
+        };
+        pages(2);
+        let (stop, stopped) = std::sync::mpsc::channel::<()>();
+        let reading = std::thread::spawn(move || {
+            while stopped.try_recv() == Err(std::sync::mpsc::TryRecvError::Empty) {
+                awake.read().expect("a ping");
+            }
+            awake
+        });
+        pages(1);
+        std::thread::sleep(2 * SILENCE);
+        assert_eq!(hub.pages(), 1);
+        drop(stop);
+        drop(reading.join().expect("it reads"));
+        pages(0);
+        drop(server);
+        assert!(std::net::TcpStream::connect(address).is_err() && Arc::strong_count(&hub) == 1);
     }
 
     #[test]

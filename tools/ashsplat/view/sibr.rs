@@ -14,9 +14,13 @@ use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
+use std::time::Duration;
 
 /// Longest message that is taken for one.
 const LONGEST_MESSAGE: u32 = 1 << 20;
+/// A viewer that says nothing for so long is gone: SIBR's asks for the next picture as soon as it has one. Only one is served
+/// at a time, and one that is not there could hold the training for ever.
+const SILENCE: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(60) };
 /// Most pixels of a picture.
 const MOST_PIXELS: u64 = 3840 * 2400;
 
@@ -147,6 +151,8 @@ pub fn listen(ip: &str, port: u16, hub: Arc<Hub>, source: String) -> Result<(Soc
 
 fn converse(mut stream: TcpStream, hub: &Hub, source: &str, wishes: &Wishes) -> io::Result<()> {
     stream.set_nodelay(true)?;
+    stream.set_read_timeout(Some(SILENCE))?;
+    stream.set_write_timeout(Some(SILENCE))?;
     loop {
         let message = read_message(&mut stream)?;
         wishes.train.store(message.train, Ordering::Relaxed);
@@ -199,5 +205,33 @@ mod tests {
         let arrived = message.camera().expect("sound").expect("a camera");
         assert!(arrived.camera_from_world.abs_diff_eq(r, 1e-6) && arrived.translation.abs_diff_eq(t, 1e-6));
         assert!((arrived.fx - camera.fx).abs() < 1e-3 && (arrived.fy - camera.fy).abs() < 1e-3);
+    }
+
+    /// One that holds the training and is there no more lets it go on, and the next one in.
+    #[test]
+    fn silent_viewers_are_given_up() {
+        let (address, wishes) =
+            listen("127.0.0.1", 0, Arc::new(Hub::default()), "data".into()).expect("a port");
+        let wait_for = |what: &dyn Fn() -> bool| {
+            let start = std::time::Instant::now();
+            while !what() {
+                assert!(start.elapsed() < Duration::from_secs(60), "{wishes:?}");
+                std::thread::sleep(Duration::from_millis(2));
+            }
+        };
+        let connect = || {
+            let mut stream = TcpStream::connect(address).expect("connected");
+            let text = br#"{"resolution_x": 0, "resolution_y": 0, "train": false}"#;
+            stream.write_all(&(text.len() as u32).to_le_bytes()).expect("sent");
+            stream.write_all(text).expect("sent");
+            let mut answer = [0; 8];
+            stream.read_exact(&mut answer).expect("an answer");
+            assert_eq!(&answer[4..], b"data");
+            stream
+        };
+        let asleep = connect();
+        assert!(!wishes.may_train());
+        wait_for(&|| wishes.may_train());
+        drop((connect(), asleep));
     }
 }

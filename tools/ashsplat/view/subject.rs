@@ -9,11 +9,12 @@ use crate::session;
 use ashsplat::io::cameras_json::{self, NamedCamera};
 use ashsplat::io::{DatasetOptions, Gallery};
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
-use ashsplat::{RenderSettings, Result};
+use ashsplat::{Error, RenderSettings, Result};
 use glam::Vec3;
 use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::SystemTime;
 
 /// SH degree of a data set's points: they have one colour each.
@@ -55,10 +56,11 @@ impl Subject {
         source: Option<&Path>,
         iteration: Option<u32>,
         look: &LookArguments,
+        stop: &AtomicBool,
     ) -> Result<Subject> {
         let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"));
         if is_archive || path.is_dir() && !path.join("point_cloud").is_dir() {
-            return Subject::of_dataset(path);
+            return Subject::of_dataset(path, stop);
         }
         let model = Model::locate(path, iteration)?;
         let scene = look.load(&model.ply)?;
@@ -66,8 +68,9 @@ impl Subject {
         if let Some(source) = source {
             data.source_path = source.to_owned();
         }
-        let gallery = match (source, photos_of(&data, model.settings.train.white_background)) {
+        let gallery = match (source, photos_of(&data, model.settings.train.white_background, stop)) {
             (Some(_), gallery) => Some(gallery?),
+            (None, Err(Error::Interrupted)) => return Err(Error::Interrupted),
             // What the training had may have gone.
             (None, gallery) => gallery.ok(),
         };
@@ -87,8 +90,9 @@ impl Subject {
         })
     }
 
-    fn of_dataset(path: &Path) -> Result<Subject> {
-        let gallery = Gallery::open(path, &DatasetOptions::default())?;
+    fn of_dataset(path: &Path, stop: &AtomicBool) -> Result<Subject> {
+        let data = DataSettings { source_path: path.to_owned(), ..Default::default() };
+        let gallery = session::open(&data, &DatasetOptions::default(), stop)?;
         let points = gallery.points();
         let (gaussians, note) = if points.is_empty() {
             (Gaussians::default(), "This data set has no points to show; its photos are on the right.")
@@ -149,9 +153,9 @@ fn run_name() -> String {
 }
 
 /// The photos of a training's data set, at the size at which it uses them.
-pub fn photos_of(data: &DataSettings, white_background: bool) -> Result<Gallery> {
+fn photos_of(data: &DataSettings, white_background: bool, stop: &AtomicBool) -> Result<Gallery> {
     if data.source_path.as_os_str().is_empty() {
-        return Err(ashsplat::Error::argument("data set", "is not known"));
+        return Err(Error::argument("data set", "is not known"));
     }
-    Gallery::open(&data.source_path, &session::options(data, white_background)?)
+    session::open(data, &session::options(data, white_background)?, stop)
 }

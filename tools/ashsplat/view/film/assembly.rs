@@ -14,8 +14,8 @@ use std::time::Duration;
 
 /// Widest GIF; 8 bits of colour are no better at more.
 const GIF_WIDTH: u32 = 640;
-/// GIFs count in hundredths of a second, and browsers do not go below two.
-const GIF_LEAST_DELAY_MS: u32 = 20;
+/// GIFs count in hundredths of a second, and browsers take less than two of them for ten.
+const GIF_LEAST_DELAY: usize = 2;
 /// 1 to 30, quicker: how carefully a GIF's colours are chosen.
 const GIF_SPEED: i32 = 10;
 /// Between two looks at ffmpeg.
@@ -66,8 +66,7 @@ impl Assembly {
     fn write_gif(&self, out: &mut dyn Write, abandoned: &AtomicBool) -> std::io::Result<()> {
         let mut encoder = GifEncoder::new_with_speed(out, GIF_SPEED);
         encoder.set_repeat(Repeat::Infinite).map_err(std::io::Error::other)?;
-        let delay = (1000 / self.frames_per_second).max(GIF_LEAST_DELAY_MS);
-        for index in 0..self.frames {
+        for (index, hundredths) in gif_frames(self.frames, self.frames_per_second as usize) {
             if abandoned.load(Ordering::Relaxed) {
                 return Err(std::io::Error::other("abandoned"));
             }
@@ -79,7 +78,7 @@ impl Assembly {
             let Some(buffer) = image::RgbaImage::from_raw(photo.width, photo.height, rgba) else {
                 return Err(std::io::Error::other("a frame without its size"));
             };
-            let delay = image::Delay::from_numer_denom_ms(delay, 1);
+            let delay = image::Delay::from_numer_denom_ms(10 * hundredths as u32, 1);
             encoder
                 .encode_frame(image::Frame::from_parts(buffer, 0, 0, delay))
                 .map_err(std::io::Error::other)?;
@@ -143,7 +142,46 @@ impl Assembly {
     }
 }
 
+/// The frames of a GIF and how long each is shown, hundredths of a second: what is lost by rounding one is made up by the
+/// next, so that the film has its length. Beyond 50 frames per second some are left out.
+fn gif_frames(frames: usize, frames_per_second: usize) -> Vec<(usize, usize)> {
+    let begins = |frame: usize| (200 * frame + frames_per_second) / (2 * frames_per_second);
+    let mut shown: Vec<(usize, usize)> = Vec::new();
+    for frame in 0..frames {
+        if shown.last().is_none_or(|&(last, _)| begins(frame) >= begins(last) + GIF_LEAST_DELAY) {
+            shown.push((frame, 0));
+        }
+    }
+    let ends: Vec<usize> = shown.iter().skip(1).map(|&(next, _)| next).chain([frames]).map(begins).collect();
+    for ((frame, hundredths), end) in shown.iter_mut().zip(ends) {
+        *hundredths = (end - begins(*frame)).max(GIF_LEAST_DELAY);
+    }
+    shown
+}
+
 /// A film that could not be put together, for people.
 pub fn problem(error: &Error) -> String {
     format!("the film's frames are there, but the film is not: {error}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn delays_of_a_gif_add_up() {
+        for frames_per_second in 1..=60 {
+            for seconds in [1, 3, 7] {
+                let shown = gif_frames(seconds * frames_per_second, frames_per_second);
+                let total: usize = shown.iter().map(|(_, hundredths)| hundredths).sum();
+                let tells = format!("{seconds} s at {frames_per_second} per second: {total}");
+                assert!(total.abs_diff(100 * seconds) <= 1, "{tells}");
+                assert!(shown.iter().all(|(_, hundredths)| *hundredths >= GIF_LEAST_DELAY), "{tells}");
+                let all = shown.len() == seconds * frames_per_second;
+                assert!(shown.is_sorted() && (all || frames_per_second > 50), "{tells}");
+            }
+        }
+        assert_eq!(gif_frames(4, 30), [(0, 3), (1, 4), (2, 3), (3, 3)]);
+        assert_eq!(gif_frames(1, 60), [(0, 2)]);
+    }
 }

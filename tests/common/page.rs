@@ -1,0 +1,229 @@
+//! The program as a server, and what a page does with it, without the browser.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use ashsplat::io::splats::{self, WriteOptions};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use glam::Vec3;
+use serde_json::{Value, json};
+use tungstenite::{Message, WebSocket};
+
+/// Longest that anything may take.
+pub const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A program that serves, ended with the value.
+pub struct Server {
+    child: Child,
+    /// What it said before it was ready.
+    pub said: Vec<String>,
+    /// localhost:PORT.
+    pub host: String,
+}
+
+impl Server {
+    /// Starts the program and waits for the line that names the page.
+    pub fn start(arguments: &[&str]) -> Server {
+        Server::start_until(arguments, "viewer at ")
+    }
+
+    /// As [`Server::start`], until it has said something else.
+    pub fn start_until(arguments: &[&str], last: &str) -> Server {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
+        command.env_remove("ASHSPLAT_DEVICE");
+        let mut child =
+            command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("started");
+        let mut lines =
+            BufReader::new(child.stdout.take().expect("its stdout")).lines().map_while(Result::ok);
+        let mut said = Vec::new();
+        for line in lines.by_ref() {
+            said.push(line);
+            if said.last().is_some_and(|line| line.starts_with(last)) {
+                break;
+            }
+        }
+        let found = said.iter().find_map(|line| line.strip_prefix("viewer at http://"));
+        let host = found.map(|rest| rest.split('/').next().unwrap_or_default().to_owned());
+        if host.is_none() && !said.iter().any(|line| line.starts_with(last)) {
+            let mut stderr = String::new();
+            child.stderr.take().expect("its stderr").read_to_string(&mut stderr).ok();
+            panic!("{arguments:?}: {said:?}, {stderr}");
+        }
+        // Whatever else it says must not block it.
+        std::thread::spawn(move || lines.for_each(drop));
+        Server { child, said, host: host.unwrap_or_default() }
+    }
+
+    /// As [`Server::start`] of `view` on any port.
+    pub fn view(path: &Path, more: &[&str]) -> Server {
+        Server::start(&[&["view", path.to_str().expect("UTF-8"), "--port", "0"], more].concat())
+    }
+
+    /// Interrupts it and waits; exit code and stderr.
+    #[cfg(unix)]
+    pub fn end(mut self) -> (Option<i32>, String) {
+        let pid = self.child.id().to_string();
+        assert!(std::process::Command::new("kill").args(["-INT", &pid]).status().expect("kill").success());
+        self.wait()
+    }
+
+    /// Waits for its end; exit code and stderr.
+    pub fn wait(&mut self) -> (Option<i32>, String) {
+        let mut stderr = String::new();
+        self.child.stderr.take().expect("its stderr").read_to_string(&mut stderr).ok();
+        (self.child.wait().expect("it ends").code(), stderr)
+    }
+
+    /// Status line, headers and body of an answer.
+    pub fn get(&self, path: &str, headers: &[(&str, &str)]) -> (u16, String, Vec<u8>) {
+        let mut stream = self.connect();
+        let own = headers.iter().any(|(name, _)| *name == "Host");
+        let host = if own { String::new() } else { format!("Host: {}\r\n", self.host) };
+        let more: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
+        write!(stream, "GET {path} HTTP/1.1\r\n{host}{more}Connection: close\r\n\r\n").expect("sent");
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).expect("an answer");
+        let end = answer.windows(4).position(|four| four == b"\r\n\r\n").expect("headers");
+        let head = String::from_utf8_lossy(&answer[..end]).into_owned();
+        let code = head.split(' ').nth(1).and_then(|code| code.parse().ok()).expect("a status");
+        (code, head, answer[end + 4..].to_vec())
+    }
+
+    pub fn connect(&self) -> TcpStream {
+        let stream = TcpStream::connect(self.host.as_str()).expect("connected");
+        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        stream
+    }
+
+    /// A page's WebSocket; the first message.
+    pub fn page(&self) -> Page {
+        self.page_with("").expect("a WebSocket")
+    }
+
+    /// The same with a query.
+    pub fn page_with(&self, query: &str) -> Result<Page, String> {
+        let url = format!("ws://{}/socket{query}", self.host);
+        let (socket, _) = tungstenite::client(url, self.connect()).map_err(|error| error.to_string())?;
+        let mut page = Page { socket, greeting: Value::Null };
+        page.greeting = page.wait_for("scene");
+        Ok(page)
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+/// What a browser's page does, without the browser.
+pub struct Page {
+    pub socket: WebSocket<TcpStream>,
+    pub greeting: Value,
+}
+
+/// A frame as it comes.
+pub struct Shown {
+    pub header: Value,
+    pub picture: Vec<u8>,
+}
+
+impl Shown {
+    /// Its RGB bytes.
+    pub fn rgb(&self) -> Vec<u8> {
+        image::load_from_memory(&self.picture).expect("a picture").to_rgb8().into_raw()
+    }
+}
+
+impl Page {
+    pub fn send(&mut self, message: &Value) {
+        self.socket.send(Message::text(message.to_string())).expect("sent");
+    }
+
+    /// The next message of a type; others are passed over.
+    pub fn wait_for(&mut self, kind: &str) -> Value {
+        let start = Instant::now();
+        while start.elapsed() < PATIENCE {
+            if let Message::Text(text) = self.socket.read().expect("a message") {
+                let message: Value = serde_json::from_str(text.as_str()).expect("JSON");
+                if message["type"] == kind {
+                    return message;
+                }
+                assert_ne!(message["type"], "problem", "{message}");
+            }
+        }
+        panic!("no {kind}");
+    }
+
+    /// The next frame.
+    pub fn frame(&mut self) -> Shown {
+        loop {
+            match self.socket.read().expect("a message") {
+                Message::Binary(bytes) => {
+                    let (length, rest) = bytes.split_at(4);
+                    let length = u32::from_le_bytes(length.try_into().expect("4 bytes")) as usize;
+                    let header = serde_json::from_slice(&rest[..length]).expect("a header");
+                    return Shown { header, picture: rest[length..].to_vec() };
+                }
+                Message::Text(text) => assert!(!text.contains("\"problem\""), "{text}"),
+                _ => {}
+            }
+        }
+    }
+
+    /// Whether nothing comes for a while.
+    pub fn is_silent(&mut self) -> bool {
+        let stream = self.socket.get_ref();
+        stream.set_read_timeout(Some(Duration::from_millis(700))).expect("a timeout");
+        let silent = self.socket.read().is_err();
+        self.socket.get_ref().set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        silent
+    }
+
+    /// Asks for a frame and takes it.
+    pub fn look(&mut self, camera: &Camera, look: &Value) -> Shown {
+        self.send(&view(1, camera, look));
+        let shown = self.frame();
+        self.send(&json!({ "type": "ack" }));
+        shown
+    }
+}
+
+/// A request for a frame.
+pub fn view(seq: u64, camera: &Camera, look: &Value) -> Value {
+    json!({ "type": "view", "seq": seq, "camera": message(camera), "look": look })
+}
+
+/// A camera as the page has it.
+pub fn message(camera: &Camera) -> Value {
+    let rows = [0, 1, 2].map(|row| camera.camera_from_world.row(row).to_array());
+    json!({
+        "rotation": rows, "translation": camera.translation.to_array(), "fx": camera.fx, "fy": camera.fy,
+        "cx": camera.cx, "cy": camera.cy, "width": camera.width, "height": camera.height,
+    })
+}
+
+/// A camera before the scene, turned a little.
+pub fn camera(turn: f32) -> Camera {
+    let eye = Vec3::new(4.0 * turn.sin(), -1.0, -4.0 * turn.cos());
+    Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.9, 96, 64))
+}
+
+/// A ball of Gaussians of soft colours.
+pub fn ball(count: usize) -> Gaussians {
+    let mut gaussians = super::splats::scene(count, 1);
+    gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.12);
+    gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s = 0.5 * *s - 2.2);
+    gaussians
+}
+
+/// Writes a ball as a PLY.
+pub fn write_ball(folder: &Path, count: usize) -> std::path::PathBuf {
+    let path = folder.join("ball.ply");
+    splats::write(&path, &ball(count), &WriteOptions::default()).expect("a PLY");
+    path
+}
