@@ -32,3 +32,11 @@ fn the_example_draws_its_pictures_in_silence() {
     let wood = standard.pixels().filter(is_wood).count();
     assert!((pixels / 50..pixels / 3).contains(&wood), "{wood} pixels of the crate");
 }
+
+/// A picture that cannot be written, while another frame is in flight: everything is over before it goes, and gone.
+#[test]
+fn the_example_cleans_up_when_it_fails() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let error = pictures(&folder.path().join("none"), &options()).expect_err("no folder").to_string();
+    assert!(!error.contains("validation"), "{error}");
+}

@@ -28,8 +28,7 @@ pub fn with_host(options: &HostOptions, test: impl FnOnce(&Host)) {
     let _turn = options.validation.then(|| TURN.lock().unwrap_or_else(PoisonError::into_inner));
     let host = Host::new(options).expect("a host");
     test(&host);
-    let messages = host.messages();
-    host.destroy();
+    let messages = host.destroy();
     assert!(messages.is_empty(), "validation:\n{}", messages.join("\n"));
 }
 

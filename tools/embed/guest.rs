@@ -108,6 +108,34 @@ impl Engine {
         frame.submit(host)
     }
 
+    /// All pictures, one after the other; what is worth telling of each.
+    fn pictures(&mut self, host: &Host, folder: &Path) -> Result<Vec<String>> {
+        let mut report = Vec::new();
+        for (number, picture) in PICTURES.iter().enumerate() {
+            if number >= self.frames.len() {
+                report.push(self.finish(host, number - self.frames.len(), folder)?);
+            }
+            self.draw(host, number, picture)?;
+        }
+        for number in PICTURES.len() - self.frames.len()..PICTURES.len() {
+            report.push(self.finish(host, number, folder)?);
+        }
+        Ok(report)
+    }
+
+    /// The guest goes before the images and the device that it looks at.
+    fn destroy(self, host: &Host) {
+        let Self { frames, cube, color, depth, guest, .. } = self;
+        drop(guest);
+        for (frame, pixels) in frames {
+            frame.destroy(host);
+            pixels.destroy(host);
+        }
+        cube.destroy(host);
+        color.destroy(host);
+        depth.destroy(host);
+    }
+
     /// Waits for a frame and writes its picture; what is worth telling.
     fn finish(&mut self, host: &Host, number: usize, folder: &Path) -> Result<String> {
         let slot = number % self.frames.len();
@@ -195,39 +223,22 @@ pub fn pictures(folder: &Path, options: &HostOptions) -> Result<Vec<String>> {
     // 1. The host creates its device and enables what `Context::requirements()` asks for.
     let host = Host::new(options)?;
     let report = draw(&host, folder);
-    let messages = host.messages();
-    host.destroy();
-    let mut report = report?;
-    report.push(format!("{} validation messages", messages.len()));
-    match messages.first() {
-        Some(first) => Err(format!("validation: {first}").into()),
-        None => Ok(report),
+    let messages = host.destroy();
+    if let Some(first) = messages.first() {
+        return Err(format!("{} validation messages: {first}", messages.len()).into());
     }
+    let mut report = report?;
+    report.push("0 validation messages".into());
+    Ok(report)
 }
 
 fn draw(host: &Host, folder: &Path) -> Result<Vec<String>> {
     let mut engine = Engine::new(host)?;
-    let mut report = Vec::new();
-    for (number, picture) in PICTURES.iter().enumerate() {
-        if number >= engine.frames.len() {
-            report.push(engine.finish(host, number - engine.frames.len(), folder)?);
-        }
-        engine.draw(host, number, picture)?;
-    }
-    for number in PICTURES.len() - engine.frames.len()..PICTURES.len() {
-        report.push(engine.finish(host, number, folder)?);
-    }
-    let Engine { frames, cube, color, depth, guest, .. } = engine;
-    // The guest goes before the images and the device that it looks at.
-    drop(guest);
-    for (frame, pixels) in frames {
-        frame.destroy(host);
-        pixels.destroy(host);
-    }
-    cube.destroy(host);
-    color.destroy(host);
-    depth.destroy(host);
-    Ok(report)
+    let report = engine.pictures(host, folder);
+    // Also where that failed: the guest may go, and the images that it looks at, when nothing runs any more.
+    host.wait()?;
+    engine.destroy(host);
+    report
 }
 
 /// The engine's matrices: y up in the world, right-handed, Vulkan's clip space.

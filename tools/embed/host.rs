@@ -124,11 +124,6 @@ impl Host {
         }
     }
 
-    /// What the validation layer has said.
-    pub fn messages(&self) -> Vec<String> {
-        self.messages.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
     /// Memory for something, of a type with these properties.
     pub fn allocate(
         &self,
@@ -162,8 +157,16 @@ impl Host {
         recorded
     }
 
-    /// Destroys the device and the instance; everything made from them must be gone.
-    pub fn destroy(self) {
+    /// Waits until nothing runs any more.
+    pub fn wait(&self) -> Result<()> {
+        // SAFETY: nobody else uses the queue.
+        unsafe { self.device.device_wait_idle()? }
+        Ok(())
+    }
+
+    /// Destroys the device and the instance; everything made from them must be gone. The answer is all that the validation
+    /// layer has said, at last of what is left all the same.
+    pub fn destroy(self) -> Vec<String> {
         // SAFETY: the caller has destroyed what was made from the device.
         unsafe {
             let _ = self.device.device_wait_idle();
@@ -174,6 +177,7 @@ impl Host {
             }
             self.instance.destroy_instance(None);
         }
+        self.messages.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
