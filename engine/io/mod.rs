@@ -8,6 +8,7 @@ pub mod cameras_json;
 pub mod colmap;
 pub mod dataset;
 pub mod images;
+mod names;
 pub mod ply;
 mod progress;
 mod sniff;

@@ -19,12 +19,43 @@ pub(super) fn recognise(start: &[u8]) -> Option<(&'static str, &'static str)> {
     if start.starts_with(&[0x28, 0xb5, 0x2f, 0xfd]) {
         return Some(("is compressed with zstd", "unpack it with `unzstd` first"));
     }
+    if let Some(kind) = picture(start) {
+        return Some(kind);
+    }
     if start.iter().all(|&byte| byte == 0) {
         return Some(("starts with nothing but zeros", "the download or copy was cut short: repeat it"));
     }
     let text = start.trim_ascii_start().to_ascii_lowercase();
     if [b"<!doctype".as_slice(), b"<html", b"<?xml", b"<head"].iter().any(|tag| text.starts_with(tag)) {
         return Some(("is a web page", "download the file itself (its raw or direct link)"));
+    }
+    None
+}
+
+/// Pictures that are no JPEG or PNG. The size and names of what phones write are kept by these tools, or cameras would not fit.
+fn picture(start: &[u8]) -> Option<(&'static str, &'static str)> {
+    let brand = start.get(8..12).filter(|_| start.get(4..8) == Some(b"ftyp"));
+    match brand {
+        Some(b"heic" | b"heix" | b"heim" | b"heis" | b"hevc" | b"mif1" | b"msf1") => {
+            let remedy = "convert it to JPEG (`heif-convert a.heic a.jpg`, or sips on macOS) before the cameras are computed";
+            return Some(("is a HEIC photo, as iPhones take them", remedy));
+        }
+        Some(b"avif" | b"avis") => {
+            return Some(("is an AVIF picture", "convert it to PNG or JPEG of the same size"));
+        }
+        Some(b"qt  " | b"isom" | b"mp41" | b"mp42" | b"M4V ") => {
+            return Some((
+                "is a video",
+                "take frames from it (`ffmpeg -i video -vf fps=2 %05d.png`) and compute their cameras",
+            ));
+        }
+        _ => {}
+    }
+    if start.starts_with(b"RIFF") && start.get(8..12) == Some(b"WEBP") {
+        return Some(("is a WebP picture", "convert it to PNG or JPEG of the same size"));
+    }
+    if start.starts_with(b"II*\0") || start.starts_with(b"MM\0*") {
+        return Some(("is a TIFF or a raw photo", "convert it to PNG or JPEG of the same size"));
     }
     None
 }

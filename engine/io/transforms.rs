@@ -5,11 +5,12 @@
 
 mod frame;
 
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use glam::{Affine3A, Mat3, Vec3};
 use serde_json::Value;
 
+use super::names::{plain, stays_inside};
 use super::ply;
 use crate::scene::PointCloud;
 use crate::{Error, Result};
@@ -66,7 +67,7 @@ impl Transforms {
         for (index, path) in files.iter().enumerate() {
             let document = parse(path)?;
             let before = all.frames.len();
-            frame::read_all(path, &document, &mut all.frames)?;
+            all.warnings.extend(frame::read_all(path, &document, &mut all.frames)?);
             all.frames[before..].iter_mut().for_each(|frame| frame.test |= index > 0);
             all.has_split |= all.frames.iter().any(|frame| frame.test);
             clouds.extend(cloud(path, &document)?);
@@ -163,12 +164,8 @@ fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<Affine
 
 /// A path below the folder of `file`; none when it leads out of it.
 fn inside(file: &Path, name: &str) -> Option<PathBuf> {
-    let below = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
-    let stays = Path::new(name).components().all(below)
-        && !name.split(['/', '\\']).any(|part| part == "..")
-        && !name.is_empty()
-        && !name.contains('\0');
-    stays.then(|| file.parent().unwrap_or(Path::new("")).join(name))
+    let name = plain(name);
+    stays_inside(&name).then(|| file.parent().unwrap_or(Path::new("")).join(name))
 }
 
 impl Frame {

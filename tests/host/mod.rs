@@ -13,6 +13,7 @@ mod init;
 mod lens;
 mod metrics;
 mod mutations;
+mod names;
 mod ply;
 mod sh;
 mod sh_rotation;

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::model::Model;
 use super::{binary, text};
+use crate::io::names::has_photo_ending;
+use crate::io::transforms;
 use crate::{Error, Result};
 
 /// A folder with a sparse model.
@@ -31,7 +33,10 @@ pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
     match fs::metadata(dataset) {
         Err(source) => return Err(Error::io(dataset, "read", source)),
         Ok(metadata) if !metadata.is_dir() => {
-            let remedy = "give the folder that contains sparse/ and images/";
+            let remedy = match dataset.extension().is_some_and(|ending| ending == "json") {
+                true => "give the folder in which it lies",
+                false => "give the folder that contains sparse/ and images/, or transforms.json",
+            };
             return Err(Error::input(dataset, "is not a folder", remedy));
         }
         Ok(_) => {}
@@ -58,11 +63,37 @@ pub fn exists(dataset: impl AsRef<Path>) -> bool {
     below.iter().chain([&sparse, &dataset.to_owned()]).any(|folder| has_model(folder))
 }
 
+/// What is there instead of a model says what to do.
 fn no_model(dataset: &Path) -> Error {
     let problem = "has no COLMAP model (sparse/0/cameras.bin or .txt) and no transforms.json";
-    let remedy =
-        "give the folder that contains sparse/0 and images, as COLMAP or its image_undistorter leave it";
+    let place = dataset.display();
+    let is_data_set = |path: &PathBuf| exists(path) || transforms::find(path).is_some();
+    let below: Vec<PathBuf> =
+        subfolders(dataset).unwrap_or_default().into_iter().filter(is_data_set).collect();
+    let photo_folders = [dataset.join("images"), dataset.join("input"), dataset.to_owned()];
+    let remedy = if let [only] = below.as_slice() {
+        format!("give {}, which has one", only.display())
+    } else if dataset.join("keyframes").is_dir() {
+        format!(
+            "Polycam's raw data become a data set by `ns-process-data polycam --data {place} --output-dir OUT`"
+        )
+    } else if let Some(photos) = photo_folders.iter().find(|folder| has_photos(folder)) {
+        format!(
+            "photos alone are not enough: find their cameras with `colmap automatic_reconstructor --workspace_path {place} \
+             --image_path {}`",
+            photos.display()
+        )
+    } else {
+        "give the folder that contains sparse/0 and images, as COLMAP or its image_undistorter leave it"
+            .into()
+    };
     Error::input(dataset, problem, remedy)
+}
+
+/// Whether a folder holds photos.
+fn has_photos(folder: &Path) -> bool {
+    let mut entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.any(|entry| has_photo_ending(&entry.path()))
 }
 
 fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {

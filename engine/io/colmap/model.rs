@@ -1,12 +1,13 @@
 //! A sparse model in memory, and what of it can be trained on.
 
 use std::collections::{BTreeMap, HashSet};
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use glam::dvec2;
 
 use super::find::ModelFolder;
 use super::{binary, text};
+use crate::io::names::{plain, stays_inside};
 use crate::scene::camera::MAX_IMAGE_SIDE;
 use crate::scene::lens::{Distortion, Lens};
 use crate::scene::{Camera, PointCloud};
@@ -247,13 +248,9 @@ impl ColmapImage {
     /// # Errors
     /// [`Error::Input`] naming `model_file` when the name is absolute or leads out of the folder.
     pub fn photo_path(&self, images_folder: &Path, model_file: &Path) -> Result<PathBuf> {
-        let inside = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
-        let stays = Path::new(&self.name).components().all(inside)
-            && !self.name.split(['/', '\\']).any(|part| part == "..")
-            && !self.name.is_empty()
-            && !self.name.contains('\0');
-        if stays {
-            return Ok(images_folder.join(&self.name));
+        let name = plain(&self.name);
+        if stays_inside(&name) {
+            return Ok(images_folder.join(name));
         }
         let problem = format!("image {}: the name {:?} leads out of the images folder", self.id, self.name);
         Err(Error::input(model_file, problem, "names must be paths below the images folder"))

@@ -37,6 +37,8 @@ impl Gallery {
         let Plan { views, points, source, list, warnings, .. } = plan;
         let views: Vec<PlannedView> =
             views.into_iter().collect::<Result<_>>().map_err(|error| unpacked.name(error))?;
+        let warnings = warnings.iter().map(|warning| unpacked.name_in(warning)).collect();
+        let source = unpacked.named(&source);
         Ok(Self { unpacked, options: options.clone(), views, held_out, points, warnings, source, list })
     }
 

@@ -64,12 +64,14 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
     let mut plan = match Plan::of(unpacked.folder(), options) {
         Ok(plan) => plan,
         Err(e) => {
-            report.model = colmap::find(unpacked.folder()).ok().map(|found| found.folder);
+            report.model = colmap::find(unpacked.folder()).ok().map(|found| unpacked.named(&found.folder));
             report.problem(named(e));
             return report;
         }
     };
     report.describe(&plan);
+    report.model = Some(unpacked.named(&plan.source));
+    report.warnings.iter_mut().for_each(|warning| *warning = unpacked.name_in(warning));
     let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
     let split = plan.check_views().and_then(|()| check_split(&plan.list, &held_out));
     let mut views = Vec::new();
@@ -98,7 +100,6 @@ impl DatasetReport {
     }
 
     fn describe(&mut self, plan: &Plan) {
-        self.model = Some(plan.source.clone());
         self.cameras.clone_from(&plan.cameras);
         self.images = plan.views.len();
         self.points = plan.points.len();

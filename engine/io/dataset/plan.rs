@@ -10,6 +10,7 @@ use super::turned::Turned;
 use super::{DatasetOptions, View};
 use crate::io::colmap::{self, ColmapCamera, ColmapImage, Model};
 use crate::io::images::{Photo, StoredPhoto, header};
+use crate::io::names::Finder;
 use crate::io::transforms::{self, Frame, Transforms};
 use crate::scene::lens::Lens;
 use crate::scene::{Camera, Intrinsics, PointCloud};
@@ -89,7 +90,11 @@ impl Plan {
             plan.views.push(Err(Error::input(folder, "there is no folder with photos", remedy)));
             return Ok(plan);
         }
-        let paths = images.iter().map(|image| image.photo_path(&folder, &plan.list));
+        let mut finder = Finder::default();
+        let paths = images.iter().map(|image| {
+            let path = image.photo_path(&folder, &plan.list)?;
+            Ok(finder.photo(&path).unwrap_or(path))
+        });
         let paths: Vec<Result<PathBuf>> = paths.collect();
         let asked = images.iter().zip(&paths).map(|(image, path)| {
             let camera = model.cameras.get(&image.camera_id);
@@ -151,8 +156,18 @@ impl Plan {
             cameras: BTreeMap::new(),
             warnings,
         };
+        let mut finder = Finder::default();
         let paths: Vec<PathBuf> =
-            frames.iter().map(|frame| photo_in_folder(path, frame, &options.images)).collect();
+            frames.iter().map(|frame| photo_in_folder(path, frame, &options.images, &mut finder)).collect();
+        if options.images != "images" && frames.iter().all(|frame| !frame.name.starts_with("images/")) {
+            let problem = format!(
+                "{} has no effect here: {} names photos outside of images/, {} for example",
+                options.images,
+                plan.list.display(),
+                frames[0].name
+            );
+            return Err(Error::argument("images", problem));
+        }
         let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
         let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
         plan.warnings.extend(turned.warning(&plan.list));
@@ -260,9 +275,12 @@ pub(super) fn check_split(list: &Path, held_out: &[bool]) -> Result<()> {
 }
 
 /// The photo of a frame, in the folder that is asked for where the file names `images`.
-fn photo_in_folder(path: &Path, frame: &Frame, images: &str) -> PathBuf {
+fn photo_in_folder(path: &Path, frame: &Frame, images: &str, finder: &mut Finder) -> PathBuf {
     match frame.name.strip_prefix("images/") {
-        Some(rest) if images != "images" => path.join(images).join(rest),
+        Some(rest) if images != "images" => {
+            let there = path.join(images).join(rest);
+            finder.photo(&there).unwrap_or(there)
+        }
         _ => frame.photo_path.clone(),
     }
 }

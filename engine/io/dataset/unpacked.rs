@@ -42,17 +42,31 @@ impl Unpacked {
 
     /// An error about a temporary file, as one about the archive.
     pub(crate) fn name(&self, error: Error) -> Error {
-        let Some((archive, _)) = &self.archive else { return error };
-        let inside = |path: PathBuf| match path.strip_prefix(&self.folder) {
-            Ok(rest) if rest.as_os_str().is_empty() => archive.clone(),
-            Ok(rest) => archive.join(rest),
-            Err(_) => path,
-        };
         match error {
-            Error::Input { path, problem, remedy } => Error::Input { path: inside(path), problem, remedy },
-            Error::Io { path, action, source } => Error::Io { path: inside(path), action, source },
+            Error::Input { path, problem, remedy } => Error::Input {
+                path: self.named(&path),
+                problem: self.name_in(&problem),
+                remedy: self.name_in(&remedy),
+            },
+            Error::Io { path, action, source } => Error::Io { path: self.named(&path), action, source },
             other => other,
         }
+    }
+
+    /// A temporary path, as one below the archive.
+    pub(crate) fn named(&self, path: &Path) -> PathBuf {
+        let Some((archive, _)) = &self.archive else { return path.to_owned() };
+        match path.strip_prefix(&self.folder) {
+            Ok(rest) if rest.as_os_str().is_empty() => archive.clone(),
+            Ok(rest) => archive.join(rest),
+            Err(_) => path.to_owned(),
+        }
+    }
+
+    /// The same of all such paths in a sentence.
+    pub(crate) fn name_in(&self, text: &str) -> String {
+        let Some((archive, _)) = &self.archive else { return text.to_owned() };
+        text.replace(&*self.folder.to_string_lossy(), &archive.to_string_lossy())
     }
 }
 

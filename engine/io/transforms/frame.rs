@@ -1,11 +1,13 @@
 //! One frame of a `transforms.json`.
 
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3, Mat3, Vec3, dvec2};
 use serde_json::Value;
 
 use super::inside;
+use crate::io::names::{Finder, has_photo_ending, plain};
 use crate::scene::camera::MAX_IMAGE_SIDE;
 use crate::scene::lens::{Distortion, Lens};
 use crate::{Error, Result};
@@ -15,9 +17,6 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 
 /// A scale this near to 1 is 1.
 const SCALE_ROUNDING: f64 = 1e-12;
-
-/// Endings that a path without one may have.
-const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "JPG"];
 
 /// A photo and how it was taken.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,8 +90,8 @@ pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
     rows?.get(..3)?.try_into().ok()
 }
 
-/// Appends the frames of a file.
-pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -> Result<()> {
+/// Appends the frames of a file; a warning, if there is something odd about them.
+pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -> Result<Option<String>> {
     let Some(list) = document["frames"].as_array() else {
         return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
     };
@@ -105,15 +104,24 @@ pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -
     }
     let listed = |key: &str, name: &str| -> bool {
         let names = document[key].as_array().into_iter().flatten().filter_map(Value::as_str);
-        names.map(|n| n.trim_start_matches("./")).any(|n| n == name)
+        names.map(plain).any(|n| n == name)
     };
+    let finder = RefCell::new(Finder::default());
+    let mut elsewhere = 0;
     for (index, value) in list.iter().enumerate() {
-        let reader = Reader { path, index, frame: value, document };
-        let mut frame = reader.read()?;
+        let reader = Reader { path, index, frame: value, document, finder: &finder };
+        let (mut frame, led_out) = reader.read()?;
+        elsewhere += usize::from(led_out);
         frame.test = listed("test_filenames", &frame.name) || listed("val_filenames", &frame.name);
         frames.push(frame);
     }
-    Ok(())
+    Ok((elsewhere > 0).then(|| {
+        format!(
+            "{}: {elsewhere} of {} paths lead out of its folder: the photos in it whose paths end as theirs are taken",
+            path.display(),
+            list.len()
+        )
+    }))
 }
 
 struct Reader<'a> {
@@ -121,6 +129,7 @@ struct Reader<'a> {
     index: usize,
     frame: &'a Value,
     document: &'a Value,
+    finder: &'a RefCell<Finder>,
 }
 
 impl Reader<'_> {
@@ -132,40 +141,61 @@ impl Reader<'_> {
         )
     }
 
-    fn read(&self) -> Result<Frame> {
+    /// The frame, and whether its path led out of the folder.
+    fn read(&self) -> Result<(Frame, bool)> {
         let Some(file_path) = self.frame["file_path"].as_str() else {
             return Err(self.error("has no file_path"));
         };
-        let photo_path = self.photo(file_path)?;
+        let (name, photo_path, led_out) = self.photo(file_path)?;
         let mask_path = match self.frame["mask_path"].as_str() {
-            Some(name) => Some(inside(self.path, name).ok_or_else(|| self.leaves(name))?),
+            Some(name) => {
+                let path = inside(self.path, name).ok_or_else(|| self.leaves(name))?;
+                Some(self.finder.borrow_mut().file(&path).unwrap_or(path))
+            }
             None => None,
         };
         let (camera_from_world, translation) = self.pose()?;
-        let ending = photo_path.extension().unwrap_or_default().to_string_lossy();
-        let name = file_path.trim_start_matches("./");
-        let name = if name.ends_with(&*ending) { name.to_owned() } else { format!("{name}.{ending}") };
         let optics = self.optics()?;
-        Ok(Frame { name, photo_path, mask_path, camera_from_world, translation, optics, test: false })
+        let frame =
+            Frame { name, photo_path, mask_path, camera_from_world, translation, optics, test: false };
+        Ok((frame, led_out))
     }
 
     fn leaves(&self, name: &str) -> Error {
-        self.error(format!("the path {name:?} leads out of the folder"))
+        self.error(format!("the path {name:?} leads out of the folder, and nothing in it has that name"))
     }
 
-    /// The photo; where the path has no ending, the one of those that exists (or `.png`, which is missing).
-    fn photo(&self, name: &str) -> Result<PathBuf> {
-        let path = inside(self.path, name).ok_or_else(|| self.leaves(name))?;
-        if path.is_file() {
-            return Ok(path);
+    /// The photo's name and path, and whether the name led out of the folder. What is missing is taken for a PNG where it
+    /// has no ending.
+    fn photo(&self, named: &str) -> Result<(String, PathBuf, bool)> {
+        let mut finder = self.finder.borrow_mut();
+        let mut name = plain(named);
+        let within = inside(self.path, &name);
+        let led_out = within.is_none();
+        let found = match within {
+            Some(path) => finder.photo(&path).unwrap_or(path),
+            None => {
+                // What was written on another machine, or into another folder: its photos lie here under the same names.
+                let parts: Vec<&str> = name.split('/').collect();
+                let tails = (1..parts.len()).map(|first| parts[first..].join("/"));
+                let found = tails.into_iter().find_map(|tail| {
+                    let path = finder.photo(&inside(self.path, &tail)?)?;
+                    Some((tail, path))
+                });
+                let (tail, path) = found.ok_or_else(|| self.leaves(named))?;
+                name = tail;
+                path
+            }
+        };
+        let path = match found.is_file() || has_photo_ending(&found) {
+            true => found,
+            false => PathBuf::from(format!("{}.png", found.display())),
+        };
+        if !has_photo_ending(Path::new(&name)) {
+            let ending = path.extension().unwrap_or_default().to_string_lossy();
+            name = format!("{name}.{ending}");
         }
-        let with = |ending: &str| PathBuf::from(format!("{}.{ending}", path.display()));
-        if let Some(found) = ENDINGS.iter().map(|ending| with(ending)).find(|p| p.is_file()) {
-            return Ok(found);
-        }
-        let has_ending =
-            path.extension().is_some_and(|e| ENDINGS.iter().any(|known| e.eq_ignore_ascii_case(known)));
-        Ok(if has_ending { path } else { with("png") })
+        Ok((name, path, led_out))
     }
 
     fn pose(&self) -> Result<(Mat3, Vec3)> {

@@ -1,0 +1,149 @@
+//! Names as phones, other systems and other people's programs write them, and what is said of what is no data set.
+
+use std::path::Path;
+
+use ashsplat::io::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat::io::{Dataset, DatasetOptions, Photo, Progress};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use glam::Vec3;
+use serde_json::json;
+
+fn photo(path: &Path, grey: u8) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    Photo { width: 20, height: 12, rgb: vec![grey; 720] }.write_png(path).unwrap();
+}
+
+fn pose(index: usize) -> serde_json::Value {
+    json!([[1, 0, 0, index], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+}
+
+fn load(folder: &Path, images: &str) -> Result<Dataset, String> {
+    let options = DatasetOptions { images: images.into(), ..Default::default() };
+    Dataset::load(folder, &options, Progress::NONE).map_err(|error| error.to_string())
+}
+
+fn greys(dataset: &Dataset) -> Vec<u8> {
+    dataset.train.iter().map(|view| view.photo.photo().unwrap().rgb[0]).collect()
+}
+
+#[test]
+fn frames_name_photos_as_other_systems_do() {
+    let folder = tempfile::tempdir().unwrap();
+    // What the file says, what is there, and the view's name.
+    let cases = [
+        ("images/a.png", "images/a.png", "images/a.png"),
+        (".\\images\\b.png", "images/b.png", "images/b.png"),
+        ("././images/c", "images/c.PNG", "images/c.PNG"),
+        ("images/D.JPG", "images/d.jpg", "images/D.JPG"),
+        ("Images/e e \u{fc}.png", "images/e e \u{fc}.png", "Images/e e \u{fc}.png"),
+        ("images/f.jpg", "images/f.png", "images/f.jpg"),
+        ("images/g.1", "images/g.1.jpeg", "images/g.1.jpeg"),
+    ];
+    let mut frames = Vec::new();
+    for (index, (named, there, _)) in cases.iter().enumerate() {
+        photo(&folder.path().join(there), 10 + index as u8);
+        frames.push(json!({ "file_path": named, "transform_matrix": pose(index) }));
+    }
+    let document = json!({ "fl_x": 21, "w": 20, "h": 12, "frames": frames });
+    std::fs::write(folder.path().join("transforms.json"), document.to_string()).unwrap();
+    let dataset = load(folder.path(), "images").unwrap();
+    let mut expected: Vec<(&str, u8)> =
+        cases.iter().enumerate().map(|(index, (.., name))| (*name, 10 + index as u8)).collect();
+    expected.sort();
+    let found = dataset.train.iter().map(|view| view.name.as_str()).zip(greys(&dataset));
+    assert_eq!(found.collect::<Vec<_>>(), expected);
+    assert_eq!(dataset.warnings.len(), 1, "{:?}", dataset.warnings);
+}
+
+/// Written on another machine: what lies here under the same names is taken, and nothing outside.
+#[test]
+fn paths_that_lead_out_mean_photos_below() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    photo(&data.join("images/a.png"), 1);
+    photo(&data.join("b.png"), 2);
+    photo(&data.join("images/c.png"), 3);
+    photo(&folder.path().join("secret.png"), 4);
+    let write = |names: &[&str]| {
+        let frames: Vec<_> = names
+            .iter()
+            .enumerate()
+            .map(|(index, name)| json!({ "file_path": name, "transform_matrix": pose(index) }))
+            .collect();
+        let document = json!({ "fl_x": 21, "w": 20, "h": 12, "frames": frames });
+        std::fs::write(data.join("transforms.json"), document.to_string()).unwrap();
+    };
+    write(&["/home/me/garden/images/a.png", "../elsewhere/b.png", "C:\\garden\\images\\c.png"]);
+    let dataset = load(&data, "images").unwrap();
+    let names: Vec<&str> = dataset.train.iter().map(|view| view.name.as_str()).collect();
+    assert_eq!((names, greys(&dataset)), (vec!["b.png", "images/a.png", "images/c.png"], vec![2, 1, 3]));
+    assert!(dataset.warnings.iter().any(|w| w.contains("3 of 3 paths lead out")), "{:?}", dataset.warnings);
+    write(&["../secret.png"]);
+    let message = load(&data, "images").unwrap_err();
+    assert!(message.contains("\"../secret.png\" leads out of the folder, and nothing in it"), "{message}");
+}
+
+#[test]
+fn models_name_photos_in_another_case_or_folder_of_another_ending() {
+    let folder = tempfile::tempdir().unwrap();
+    let intrinsics = Intrinsics { fx: 21.0, fy: 21.0, cx: 10.0, cy: 6.0, width: 20, height: 12 };
+    let camera = Camera::look_at(Vec3::Z * -3.0, Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+    let names = ["IMG_1.JPG", "left\\IMG_2.JPG"];
+    let images: Vec<_> =
+        (1..).zip(names).map(|(id, name)| ColmapImage::posed(id, 1, name.to_owned(), &camera)).collect();
+    let points = PointCloud { positions: vec![[0.0; 3]; 2], colors: vec![[9; 3]; 2] };
+    colmap::write(folder.path().join("sparse/0"), &[ColmapCamera::pinhole(1, &camera)], &images, &points)
+        .unwrap();
+    photo(&folder.path().join("images/img_1.jpg"), 5);
+    photo(&folder.path().join("images/left/IMG_2.JPG"), 6);
+    photo(&folder.path().join("other/IMG_1.png"), 7);
+    photo(&folder.path().join("other/left/IMG_2.png"), 8);
+    assert_eq!(greys(&load(folder.path(), "images").unwrap()), [5, 6]);
+    assert_eq!(greys(&load(folder.path(), "other").unwrap()), [7, 8]);
+}
+
+#[test]
+fn what_is_no_data_set_says_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let refusal = |path: &Path| load(path, "images").unwrap_err();
+    photo(&place("phone/images/a.jpg"), 1);
+    photo(&place("loose/a.JPG"), 1);
+    std::fs::create_dir_all(place("polycam/keyframes/images")).unwrap();
+    for (name, words) in [
+        ("phone", "--image_path "),
+        ("loose", "colmap automatic_reconstructor --workspace_path "),
+        ("polycam", "`ns-process-data polycam --data "),
+    ] {
+        assert!(refusal(&place(name)).contains(words), "{}", refusal(&place(name)));
+    }
+    photo(&place("outer/scene/train/a.png"), 1);
+    let frames = [json!({ "file_path": "train/a", "transform_matrix": pose(0) })];
+    let json = json!({ "camera_angle_x": 0.9, "frames": frames }).to_string();
+    std::fs::write(place("outer/scene/transforms.json"), json).unwrap();
+    let message = refusal(&place("outer"));
+    assert!(message.contains("outer/scene, which has one"), "{message}");
+    let message = refusal(&place("outer/scene/transforms.json"));
+    assert!(message.contains("give the folder in which it lies"), "{message}");
+    // A folder that is asked for must be one that is used.
+    let message = load(&place("outer/scene"), "images_4").unwrap_err();
+    assert!(message.contains("images_4 has no effect") && message.contains("train/a.png"), "{message}");
+    assert_eq!(load(&place("outer/scene"), "images").unwrap().train.len(), 1);
+}
+
+#[test]
+fn pictures_of_other_kinds_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jpg");
+    for (bytes, words) in [
+        (&b"\0\0\0\x24ftypheic\0\0\0\0"[..], "HEIC photo"),
+        (b"\0\0\0\x20ftypavif\0\0\0\0", "AVIF"),
+        (b"\0\0\0\x14ftypqt  \0\0\0\0", "is a video"),
+        (b"RIFF\x10\0\0\0WEBPVP8 ", "WebP"),
+        (b"II*\0\x08\0\0\0", "TIFF or a raw photo"),
+    ] {
+        std::fs::write(&path, bytes).unwrap();
+        let message = Photo::read(&path, [0.0; 3]).unwrap_err().to_string();
+        assert!(message.contains(words) && !message.contains('\n'), "{message}");
+    }
+}
