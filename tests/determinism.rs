@@ -3,7 +3,7 @@
 use ashsplat::io::Photo;
 use ashsplat::trainer::verify::{Verdict, verify_determinism};
 use ashsplat::trainer::{TrainView, Trainer};
-use ashsplat::vk::{Context, ContextOptions, SpecOverride};
+use ashsplat::vk::{Context, ContextOptions, MemoryKind, SpecOverride};
 use ashsplat::{Gaussians, TrainSettings};
 
 use crate::checkpoints;
@@ -101,6 +101,12 @@ fn determinism_is_verified() {
     assert!(hashes.windows(2).all(|pair| pair[0].2 != pair[1].2), "{hashes:?}");
 }
 
+/// SH degree 1 is in use from the third iteration on.
+fn graded_trainer(context: &Context) -> ashsplat::Result<Trainer> {
+    let settings = TrainSettings { sh_degree_interval: 3, ..TrainSettings::default() };
+    Trainer::new(context, checkpoints::views(3, 60), &checkpoints::start(), 5.0, settings)
+}
+
 /// Every second run on a device whose kernel of one name does something else.
 fn first_difference(kernel: &str, constant: &str) -> (u32, &'static str) {
     let spoilt = SpecOverride { kernel: kernel.into(), constant: constant.into(), bits: 0 };
@@ -110,13 +116,8 @@ fn first_difference(kernel: &str, constant: &str) -> (u32, &'static str) {
         let overrides = if runs % 2 == 0 { vec![spoilt.clone()] } else { Vec::new() };
         Context::new(&ContextOptions { overrides, ..crate::common::options() })
     };
-    // SH degree 1 is in use from the third iteration on.
-    let trainer = |context: &Context| {
-        let settings = TrainSettings { sh_degree_interval: 3, ..TrainSettings::default() };
-        Trainer::new(context, checkpoints::views(3, 60), &checkpoints::start(), 5.0, settings)
-    };
-    match verify_determinism(context, trainer, 5, |_, _, _| ()).expect("two runs") {
-        Verdict::Differs { iteration, first: Some(first) } => {
+    match verify_determinism(context, graded_trainer, 5, |_, _, _| ()).expect("two runs") {
+        Verdict::Differs { iteration, first: Some(first), problem: None } => {
             assert_eq!(first.iteration, iteration);
             (iteration, first.record.kernel)
         }
@@ -128,6 +129,69 @@ fn first_difference(kernel: &str, constant: &str) -> (u32, &'static str) {
 fn determinism_verification_names_the_first_kernel_that_differs() {
     assert_eq!(first_difference("forward/project", "SH_DEGREE"), (3, "forward/project"));
     assert_eq!(first_difference("optimizer/adam", "SH_DEGREE"), (3, "optimizer/adam"));
+}
+
+/// Without memory for the search, that two runs differ is said all the same.
+#[test]
+fn determinism_verification_says_so_without_memory_for_more() {
+    let mut contexts = 0;
+    let context = || {
+        contexts += 1;
+        let overrides = match contexts {
+            2 => {
+                vec![SpecOverride { kernel: "optimizer/adam".into(), constant: "SH_DEGREE".into(), bits: 0 }]
+            }
+            _ => Vec::new(),
+        };
+        // From the third on the runs are audited.
+        let max_memory = (contexts > 2).then_some(1 << 20);
+        Context::new(&ContextOptions { overrides, max_memory, ..crate::common::options() })
+    };
+    match verify_determinism(context, graded_trainer, 4, |_, _, _| ()).expect("two runs") {
+        Verdict::Differs { first: None, problem: Some(problem), .. } => {
+            assert!(problem.contains("--max-memory"), "{problem}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+/// A submission whose commands write much is audited piece by piece.
+#[test]
+fn determinism_audit_holds_a_few_outputs_at_a_time() {
+    const MIB: u64 = 1 << 20;
+    let context = Context::new(&crate::common::options()).expect("a device");
+    let requests = [("one", 8 * MIB), ("other", 8 * MIB)];
+    let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
+    let write = || {
+        let report = context.run("writes", |r| {
+            r.fill(&buffers[0], 7);
+            for round in 0..12 {
+                r.barrier();
+                r.copy(&buffers[0], &buffers[1]);
+                r.barrier();
+                r.fill(&buffers[0], 100 + round % 5);
+            }
+            Ok(())
+        });
+        report.expect("run");
+        context.download(&buffers[1]).expect("read")
+    };
+    let wanted = write();
+    let audit = context.audit();
+    assert!(write() == wanted, "an audit changes results");
+    let records = audit.take();
+    assert_eq!(records.len(), 25);
+    // A copy has the hash of what was filled before it.
+    for (at, pair) in records.windows(2).enumerate().step_by(2) {
+        assert_eq!((pair[0].kernel, pair[1].kernel), ("fill", "copy"));
+        assert_eq!((pair[1].hash, pair[0].command), (pair[0].hash, at as u32));
+    }
+    assert!(records[1].hash != records[2].hash && records[2].hash == records[12].hash, "{records:?}");
+    let held =
+        context.memory().into_iter().find(|arena| arena.name == "audit").expect("snapshots").peak_bytes;
+    assert!(held <= 80 * MIB, "{held} bytes at a time");
+    drop(audit);
+    crate::common::assert_silent(&context);
 }
 
 /// Pictures and gradients of a scene at every SH degree, by one form of the kernels.

@@ -16,6 +16,8 @@ pub enum Verdict {
         /// The first command that wrote something else, where both runs, repeated command by command, differ again.
         /// None: they do not; then commands race with each other, or the driver errs now and then.
         first: Option<Difference>,
+        /// Why nobody looked for it: what went wrong when both runs were repeated, which takes more memory.
+        problem: Option<String>,
     },
 }
 
@@ -33,7 +35,7 @@ pub struct Difference {
 /// the first command with another output. `report` is told (run from 0, iteration, hash).
 ///
 /// # Errors
-/// What the closures or a step return.
+/// What the closures or a step return, but for those of the repetition.
 pub fn verify_determinism(
     mut context: impl FnMut() -> Result<Context>,
     mut trainer: impl FnMut(&Context) -> Result<Trainer>,
@@ -54,10 +56,16 @@ pub fn verify_determinism(
     let Some(place) = first.iter().zip(second).position(|(a, b)| a != b) else { return Ok(Verdict::Same) };
     let iteration = first[place].0;
     let mut audited = || audited_run(&context()?, &mut trainer, place as u32 + 1);
-    let (first, second) = (audited()?, audited()?);
+    let (first, second) = match audited().and_then(|first| Ok((first, audited()?))) {
+        Ok(both) => both,
+        // That they differ is known all the same.
+        Err(error) => {
+            return Ok(Verdict::Differs { iteration, first: None, problem: Some(error.to_string()) });
+        }
+    };
     let differing = first.into_iter().zip(second).find(|((_, a), (_, b))| a != b);
     let first = differing.map(|((iteration, record), _)| Difference { iteration, record });
-    Ok(Verdict::Differs { iteration, first })
+    Ok(Verdict::Differs { iteration, first, problem: None })
 }
 
 /// Everything that was written, with the iteration (0: before the first).

@@ -1,15 +1,21 @@
 //! The opt-in audit of a context: what every command wrote, as a hash. Two audited runs of the same work that should have
 //! the same bits show which command first had others.
 //!
-//! Behind each command stand barriers and a copy of what it wrote, so that an audited recording is slow, needs the memory,
-//! and hides races between commands. New device memory is cleared, so that what a command leaves alone is the same too.
+//! Behind each command stand barriers and a copy of what it wrote, so that an audited recording is slow and hides races
+//! between commands. It is submitted piece by piece: no more than a few copies are held at a time. New device memory is cleared, so that what a command leaves alone is the same too.
 
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
 use super::memory::MemoryKind;
+use super::recorder::{Recorder, Target};
+use super::submit;
 use crate::fingerprint::Fingerprint;
 use crate::{Error, Result};
+use ash::vk;
 use std::sync::{Arc, Mutex, PoisonError};
+
+/// Snapshots that a recording holds before it is submitted so far; one alone may be larger.
+const MOST_BYTES: u64 = 64 << 20;
 
 /// While it lives, everything that the commands of its context write is hashed.
 pub struct Audit {
@@ -41,6 +47,8 @@ pub(super) struct Commands {
     submission: String,
     commands: u32,
     snapshots: Vec<(AuditRecord, Buffer)>,
+    /// Of the snapshots.
+    bytes: u64,
     failure: Option<Error>,
 }
 
@@ -49,7 +57,7 @@ impl Commands {
     pub(super) fn begin(inner: &Arc<Inner>, submission: &str) -> Option<Self> {
         let log = inner.audit.lock().unwrap_or_else(PoisonError::into_inner).upgrade()?;
         let submission = submission.to_owned();
-        Some(Self { log, submission, commands: 0, snapshots: Vec::new(), failure: None })
+        Some(Self { log, submission, commands: 0, snapshots: Vec::new(), bytes: 0, failure: None })
     }
 
     /// Where to copy what a command wrote: (from, to), of equal sizes.
@@ -72,6 +80,7 @@ impl Commands {
                     let (submission, buffer) = (self.submission.clone(), from.static_name());
                     let record = AuditRecord { submission, command, kernel, buffer, hash: 0 };
                     self.snapshots.push((record, to.clone()));
+                    self.bytes += to.bytes();
                     copies.push((from, to));
                 }
             }
@@ -80,11 +89,12 @@ impl Commands {
     }
 
     /// After the submission: hashes what was copied.
-    pub(super) fn log(self) -> Result<()> {
-        if let Some(error) = self.failure {
+    pub(super) fn log(&mut self) -> Result<()> {
+        if let Some(error) = self.failure.take() {
             return Err(error);
         }
-        let hashed = self.snapshots.into_iter().map(|(record, buffer)| {
+        self.bytes = 0;
+        let hashed = self.snapshots.drain(..).map(|(record, buffer)| {
             let mut bytes = vec![0; buffer.bytes() as usize];
             buffer.block().read_mapped(buffer.offset(), &mut bytes);
             let mut print = Fingerprint::new();
@@ -93,6 +103,29 @@ impl Commands {
         });
         let hashed: Vec<AuditRecord> = hashed.collect();
         self.log.0.lock().unwrap_or_else(PoisonError::into_inner).extend(hashed);
+        Ok(())
+    }
+}
+
+impl Recorder {
+    /// Submits what is recorded so far where it holds many snapshots, and hashes those; then recording goes on.
+    pub(super) fn submit_audited(&mut self) {
+        if self.audit.as_ref().is_some_and(|audit| audit.bytes > MOST_BYTES)
+            && let Err(error) = self.submit_snapshots()
+        {
+            self.failed.get_or_insert(error);
+        }
+    }
+
+    fn submit_snapshots(&mut self) -> Result<()> {
+        let (Target::Owned(commands), Some(audit)) = (&mut self.commands, &mut self.audit) else {
+            return Ok(());
+        };
+        commands.submit()?;
+        commands.wait(self.inner.timeout)?;
+        audit.log()?;
+        self.commands = Target::Owned(submit::Commands::begin(&self.inner, &audit.submission, false)?);
+        self.bound = vk::Pipeline::null();
         Ok(())
     }
 }

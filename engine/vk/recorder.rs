@@ -94,10 +94,18 @@ impl Hazards {
 }
 
 impl Recorder {
-    pub(super) fn new(commands: Commands, label: &str, profiled: Option<Profiled>) -> Self {
-        let (inner, queries) = (commands.inner.clone(), commands.queries());
+    pub(super) fn new(
+        commands: Commands,
+        label: &str,
+        profiled: Option<Profiled>,
+        audit: Option<audit::Commands>,
+    ) -> Self {
+        // An audited recording may take several command buffers, one after the other.
+        let queries = if audit.is_some() { vk::QueryPool::null() } else { commands.queries() };
+        let inner = commands.inner.clone();
         let mut recorder = Self::with_target(Target::Owned(commands), inner, queries);
         recorder.profiler.commands = profiled;
+        recorder.audit = audit;
         recorder.profiler.begin(&recorder.inner, recorder.raw(), label);
         recorder
     }
@@ -231,16 +239,17 @@ impl Recorder {
         let copies = audit.snapshot(&self.inner, command, written);
         self.record_barrier();
         for (from, to) in copies {
-            self.kept.block(to.block());
             let region = vk::BufferCopy::default()
                 .src_offset(from.offset())
                 .dst_offset(to.offset())
                 .size(from.bytes());
-            // SAFETY: recording state; ranges of equal size in buffers that are kept, with transfer usage.
+            // SAFETY: recording state; ranges of equal size with transfer usage, in buffers that are kept, here or by
+            // the audit until they are hashed.
             unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }
         }
         self.record_barrier();
         self.audit = Some(audit);
+        self.submit_audited();
     }
 
     fn profile_dispatch(&mut self, pipeline: &Pipeline, buffers: &[&Buffer], grid: Option<[u32; 3]>) {

@@ -147,7 +147,7 @@ impl Commands {
         unsafe { self.inner.device.cmd_pipeline_barrier2(self.slot.commands, &dependency) }
     }
 
-    fn submit(&mut self) -> Result<()> {
+    pub(super) fn submit(&mut self) -> Result<()> {
         // A fence alone does not make writes visible to the host.
         let to_host = vk::MemoryBarrier2::default()
             .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
@@ -172,7 +172,7 @@ impl Commands {
     }
 
     /// Sleeps until the submission is over, or for as long as a timeout says.
-    fn wait(&mut self, timeout: Option<Duration>) -> Result<()> {
+    pub(super) fn wait(&mut self, timeout: Option<Duration>) -> Result<()> {
         const ROUND: Duration = Duration::from_secs(60);
         let mut waited = Duration::ZERO;
         while self.submitted {
@@ -304,7 +304,7 @@ impl Pending {
             return Err(error);
         }
         let done = Instant::now();
-        if let Some(audit) = self.audit.take() {
+        if let Some(mut audit) = self.audit.take() {
             audit.log()?;
         }
         let Some(mut profiler) = self.profiler.take() else { return Ok(RunReport::default()) };
@@ -343,9 +343,7 @@ impl Context {
         }
         let profiled = profile::Commands::begin(&self.0)?;
         let commands = Commands::begin(&self.0, label, profiled.is_some())?;
-        let mut recorder = Recorder::new(commands, label, profiled);
-        recorder.audit = audit::Commands::begin(&self.0, label);
-        Ok(recorder)
+        Ok(Recorder::new(commands, label, profiled, audit::Commands::begin(&self.0, label)))
     }
 
     /// Submits a recording; whoever needs its results waits for the [`Pending`].

@@ -45,9 +45,10 @@ pub fn run(
             );
             Ok(())
         }
-        Verdict::Differs { iteration, first } => {
-            let place = match first {
-                Some(first) => format!(
+        Verdict::Differs { iteration, first, problem } => {
+            let place = match (first, problem) {
+                (_, Some(problem)) => format!("which kernel is the first to differ is not known: {problem}"),
+                (Some(first), None) => format!(
                     "the first other output is of kernel {} (command {} of '{}', iteration {}): buffer '{}'",
                     first.record.kernel,
                     first.record.command,
@@ -55,7 +56,7 @@ pub fn run(
                     first.iteration,
                     first.record.buffer
                 ),
-                None => "command by command they do not: commands race with each other, or the device errs at times"
+                (None, None) => "command by command they do not: commands race with each other, or the device errs at times"
                     .into(),
             };
             let problem = format!("two runs differ after iteration {iteration}; {place}");
