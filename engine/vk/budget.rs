@@ -22,7 +22,7 @@ impl Context {
         self.0.max_memory
     }
 
-    /// What the driver would let this process have of the largest device-local heap, with what it has already.
+    /// What the driver would let this context have of the largest device-local heap, with what it has already.
     fn driver_budget(&self) -> Option<u64> {
         let physical = self.0.budget?;
         let mut budget = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
@@ -35,6 +35,31 @@ impl Context {
         let heaps = self.0.memory.memory_heaps_as_slice().iter().enumerate();
         let local = heaps.filter(|(_, heap)| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
         let (largest, _) = local.max_by_key(|(_, heap)| heap.size)?;
-        Some(budget.heap_budget[largest])
+        Some(of_driver(budget.heap_budget[largest], budget.heap_usage[largest], self.memory_total().bytes))
+    }
+}
+
+/// How much this context may have of a heap: what it has, and what the budget leaves beside everybody's usage. Others in
+/// this process, a host's engine say, use some of it as well.
+fn of_driver(heap_budget: u64, heap_usage: u64, ours: u64) -> u64 {
+    heap_budget.saturating_sub(heap_usage).saturating_add(ours)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::of_driver;
+
+    #[test]
+    fn what_others_use_is_not_ours() {
+        // Alone.
+        assert_eq!(of_driver(1000, 300, 300), 1000);
+        assert_eq!(of_driver(1000, 0, 0), 1000);
+        // Beside another who has 500.
+        assert_eq!(of_driver(1000, 800, 300), 500);
+        // Over the budget already: no more, and what there is stays.
+        assert_eq!(of_driver(1000, 1200, 300), 300);
+        // A part of ours lies in another heap.
+        assert_eq!(of_driver(1000, 200, 300), 1100);
+        assert_eq!(of_driver(u64::MAX, 0, 9), u64::MAX);
     }
 }

@@ -10,6 +10,9 @@ use ash::vk;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+/// Own images, in [`Context::memory`].
+const ARENA: &str = "images";
+
 /// What kernels do with an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageUse {
@@ -90,6 +93,7 @@ struct View {
     view: vk::ImageView,
     /// Null where the image is a host's.
     memory: vk::DeviceMemory,
+    bytes: u64,
     format: vk::Format,
     size: [u32; 2],
     range: vk::ImageSubresourceRange,
@@ -131,7 +135,7 @@ impl Image {
         if !context.supports(foreign.format, purpose) {
             return bad(format!("the device cannot use format {:?} as {purpose:?}", foreign.format));
         }
-        Self::view(context, name, foreign, vk::DeviceMemory::null(), purpose)
+        Self::view(context, name, foreign, (vk::DeviceMemory::null(), 0), purpose)
     }
 
     /// An image of our own.
@@ -168,7 +172,7 @@ impl Image {
             let foreign = ForeignImage { image, format, usage, size, mip_level: 0, layer: 0 };
             Self::view(context, name, &foreign, memory, purpose).inspect_err(|_| {
                 device.destroy_image(image, None);
-                device.free_memory(memory, None);
+                device.free_memory(memory.0, None);
             })
         }
     }
@@ -177,7 +181,7 @@ impl Image {
         context: &Context,
         name: &'static str,
         foreign: &ForeignImage,
-        memory: vk::DeviceMemory,
+        (memory, bytes): (vk::DeviceMemory, u64),
         purpose: ImageUse,
     ) -> Result<Self> {
         let range = vk::ImageSubresourceRange {
@@ -200,11 +204,15 @@ impl Image {
         let view = view.map_err(vk_error("vkCreateImageView"))?;
         inner.names.name(view, name);
         let id = NEXT_ID.fetch_add(1, Ordering::Relaxed);
+        if bytes > 0 {
+            inner.registry.add(&ARENA.into(), bytes);
+        }
         Ok(Self(Arc::new(View {
             inner,
             image: foreign.image,
             view,
             memory,
+            bytes,
             format: foreign.format,
             size: foreign.size,
             range,
@@ -286,6 +294,7 @@ impl Drop for View {
             if self.memory != vk::DeviceMemory::null() {
                 device.destroy_image(self.image, None);
                 device.free_memory(self.memory, None);
+                self.inner.registry.remove(&ARENA.into(), self.bytes);
             }
         }
     }
@@ -315,8 +324,8 @@ impl Context {
         has.optimal_tiling_features.contains(purpose.feature())
     }
 
-    /// Memory for an image, bound to it.
-    fn image_memory(&self, image: vk::Image) -> Result<vk::DeviceMemory> {
+    /// Memory for an image, bound to it, and its bytes.
+    fn image_memory(&self, image: vk::Image) -> Result<(vk::DeviceMemory, u64)> {
         let device = &self.0.device;
         // SAFETY: the image is of this device and not bound yet; memory that cannot be bound is freed.
         unsafe {
@@ -330,7 +339,7 @@ impl Context {
                 device.free_memory(memory, None);
                 vk_error("vkBindImageMemory")(error)
             })?;
-            Ok(memory)
+            Ok((memory, needs.size))
         }
     }
 }

@@ -1,8 +1,11 @@
 //! Allocation, transfer, and what keeps memory alive.
 
 use crate::common;
+use ash::vk;
 use ashsplat::Error;
-use ashsplat::vk::{Context, ContextOptions, LimitsOverride, MemoryKind, PLACEMENT_ALIGNMENT, pack};
+use ashsplat::vk::{
+    Context, ContextOptions, Image, ImageUse, LimitsOverride, MemoryKind, PLACEMENT_ALIGNMENT, pack,
+};
 
 #[test]
 fn requests_are_packed_in_order_without_overlap() {
@@ -81,6 +84,12 @@ fn arenas_are_counted() {
     assert_eq!((arena("step").bytes, arena("step").peak_bytes), (256, 256));
     drop(third);
     assert_eq!((arena("step").bytes, arena("step").peak_bytes), (0, 256));
+    // Images of our own are counted, too.
+    let image = Image::new(&context, "own", vk::Format::R32_SFLOAT, [64, 64], ImageUse::Storage);
+    let image = image.expect("an image");
+    assert!(arena("images").bytes >= 64 * 64 * 4);
+    drop(image);
+    assert_eq!(arena("images").bytes, 0);
 }
 
 /// Bytes that differ at every place.
