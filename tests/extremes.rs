@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use ashsplat::trainer::Trainer;
+use ashsplat::trainer::{Densified, Trainer};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Gaussians, RenderSettings, Renderer, TrainSettings};
 use proptest::prelude::*;
@@ -67,7 +67,8 @@ fn is_finite(scene: &Gaussians, i: usize) -> bool {
     geometry.chain([&scene.opacity_logits[i]]).chain(sh).all(|x| x.is_finite())
 }
 
-fn check(seed: u64, sound: usize) {
+/// Spoilt Gaussians are rendered, trained and, above a gradient, densified; what the densification did.
+fn check(seed: u64, sound: usize, gradient: f64) -> Densified {
     let context = guarded();
     let scene = spoilt(seed, sound);
     let mut renderer = Renderer::new(context).expect("a renderer");
@@ -85,7 +86,7 @@ fn check(seed: u64, sound: usize) {
         sh_degree_interval: 1,
         densify_from_iter: 1,
         densification_interval: 3,
-        densify_grad_threshold: 1.0,
+        densify_grad_threshold: gradient,
         min_opacity: 0.0,
         ..TrainSettings::default()
     };
@@ -98,20 +99,34 @@ fn check(seed: u64, sound: usize) {
     for i in 0..after.len() {
         assert!(!is_finite(&scene, i) || is_finite(&after, i), "seed {seed}: Gaussian {i} was sound");
     }
-    // Densification, too.
-    for _ in 0..3 {
-        trainer.step().expect("a step");
-    }
+    // Densification, too: what is not finite has spoilt ancestors, each of which has two descendants at most.
+    let unsound = |scene: &Gaussians| (0..scene.len()).filter(|&i| !is_finite(scene, i)).count();
+    let reports: Vec<_> = (0..3).map(|_| trainer.step().expect("a step")).collect();
     assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new(), "seed {seed}");
+    let densified = reports.iter().find_map(|r| r.densified).expect("one is due after three iterations");
+    let after = trainer.gaussians().expect("Gaussians");
+    let spoilt = scene.len() - sound;
+    assert!(unsound(&after) <= 2 * spoilt, "seed {seed}: {} of {spoilt}", unsound(&after));
+    assert!(after.len() >= sound, "seed {seed}: {} sound ones are {}", sound, after.len());
     assert_silent(context);
+    densified
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 6, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn extremes_neither_hang_nor_spread(seed in any::<u64>(), sound in 0..150_usize) {
-        check(seed, sound);
+    fn extremes_neither_hang_nor_spread(seed in any::<u64>(), sound in 0..150_usize, grows in any::<bool>()) {
+        check(seed, sound, if grows { 1e-7 } else { 1.0 });
+    }
+}
+
+/// A few spoilt ones among many, all of which are cloned or split.
+#[test]
+fn extremes_do_not_spread_by_densification() {
+    for seed in 0..3 {
+        let densified = check(seed, 140, 0.0);
+        assert!(densified.cloned + densified.split >= 140, "{densified:?}");
     }
 }
 

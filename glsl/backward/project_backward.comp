@@ -6,7 +6,8 @@
 // in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, slot_begins, conic_opacity, sums_a, sums_b, sums_c
 // out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
 //      (d colour before its clamp at 0, dL/dy px)
-// in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) when `accumulate` is set and nothing overflowed
+// in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) when `accumulate` is set, nothing overflowed
+//         and the norm is finite
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -216,7 +217,9 @@ void main() {
         gradients[GRADIENT_COLOR * gradient_stride + visible] = vec4(d_color, d_mean2d.y);
         if (accumulate != 0 && state[STATE_OVERFLOW] == 0) {
             vec2 ndc = d_mean2d * 0.5 * vec2(image_width, image_height);
-            statistics[gaussian] += vec2(length(ndc), 1.0);
+            float norm = length(ndc);
+            // Of one that is not finite no other view could make up, nor any later one.
+            statistics[gaussian] += is_finite(norm) ? vec2(norm, 1.0) : vec2(0.0);
         }
     }
 }
