@@ -226,6 +226,54 @@ fn a_full_disk_leaves_the_older_checkpoint_and_no_empty_folder() {
     assert_trained(&place.train("model", &["--iterations", "12", "--start_checkpoint", "latest"]));
 }
 
+/// A model folder that may not be written, and one that cannot be made.
+#[cfg(unix)]
+#[test]
+fn a_read_only_folder_is_refused_and_keeps_its_checkpoint() {
+    use std::os::unix::fs::{MetadataExt, PermissionsExt};
+    use std::os::unix::process::CommandExt;
+    let place = Place::new();
+    assert_trained(&place.train("model", &["--iterations", "12", "--checkpoint_iterations", "5"]));
+    let model = place.model("model");
+    let (file, checkpoint) = (place.model("file"), model.join("chkpnt5.safetensors"));
+    std::fs::write(&file, "no folder").expect("written");
+    assert_refused(&place.train("file/model", &["--iterations", "12"]), &["file"]);
+    assert_eq!(std::fs::read(&file).expect("the file"), b"no folder");
+    let (before, files) = (std::fs::read(&checkpoint).expect("the checkpoint"), files_below(&model));
+    let allow = |mode: u32| {
+        let folders = files.iter().filter_map(|file| model.join(file).parent().map(Path::to_owned));
+        for folder in folders {
+            std::fs::set_permissions(folder, PermissionsExt::from_mode(mode)).expect("ours");
+        }
+    };
+    let mut command = place.command(
+        "model",
+        &["--start_checkpoint", "latest", "--checkpoint_iterations", "7", "--iterations", "30"],
+    );
+    command.env("MESA_SHADER_CACHE_DISABLE", "true");
+    if std::fs::metadata(&model).expect("the folder").uid() == 0 {
+        // Who may write everywhere tries it as one who may not.
+        const NOBODY: u32 = 65_534;
+        std::fs::set_permissions(place.folder.path(), PermissionsExt::from_mode(0o755)).expect("ours");
+        command.uid(NOBODY).gid(NOBODY);
+    }
+    allow(0o555);
+    let run = command.output();
+    allow(0o755);
+    match run {
+        Err(error) => eprintln!("skipped: nobody may not start the program ({error})"),
+        Ok(output) => {
+            let stderr = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(2), "{stderr}");
+            assert!(stderr.starts_with("error: ") && stderr.contains(text(&model)), "{stderr}");
+            assert_eq!(stderr.lines().count(), 1, "{stderr}");
+        }
+    }
+    assert_eq!(std::fs::read(&checkpoint).expect("the checkpoint"), before);
+    assert_eq!(files_below(&model), files, "nothing new, nothing lost");
+    assert_trained(&place.train("model", &["--iterations", "14", "--start_checkpoint", "latest"]));
+}
+
 fn assert_refused_with_warnings(run: &Finished, words: &[&str]) {
     assert_eq!(run.code, Some(2), "{}{}", run.stdout, run.stderr);
     let last = run.stderr.lines().last().unwrap_or_default();
