@@ -13,11 +13,11 @@ mod tiles;
 mod updates;
 
 pub use device_scene::DeviceScene;
-pub(crate) use frame_store::State;
+pub(crate) use frame_store::{FrameStore, State};
 pub use gradients::Gradients;
 pub use inspect::{PixelReport, Sample};
 pub use record::{DepthTarget, HostImage, Occluder, Placed, RecordedFrame, Release, Target};
-pub(crate) use runner::{FrameRunner, Ran, Request};
+pub(crate) use runner::{Failed, FrameRunner, Ran, Request};
 pub use slots::{Reservation, SlotReport};
 pub use tiles::TileReport;
 pub use updates::Update;

@@ -1,7 +1,8 @@
 //! Lowered limits and little memory: the same picture and the same training, or an error that names the numbers.
 
+use ashsplat::io::Photo;
 use ashsplat::scene::{Camera, Intrinsics};
-use ashsplat::trainer::Trainer;
+use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
 use ashsplat::{Error, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
 use glam::Vec3;
@@ -158,6 +159,99 @@ fn limits_of_instances_stop_growth_and_lose_nothing() {
     assert_silent(&context);
 }
 
+/// Instances that bindings hold.
+const FEW: u32 = 4608;
+
+/// Such bindings, and Gaussians that each cover all tiles: six of one view, twelve of the other.
+fn crowded() -> (Context, Gaussians) {
+    let range = u64::from(FEW) * 16;
+    let limits = LimitsOverride { max_storage_buffer_range: Some(range), ..LimitsOverride::default() };
+    let mut scene = gaussians(&small_scene(&mut Random::new(43), 450, 16));
+    scene.log_scales.iter_mut().flatten().for_each(|s| *s += 2.0);
+    (context(limits), scene)
+}
+
+fn view_of(size: [u32; 2]) -> TrainView {
+    let [width, height] = size;
+    let rgb = (0..width * height * 3).map(|k| (k * 7) as u8).collect();
+    TrainView { camera: camera(&small_view(size)), photo: Photo { width, height, rgb }.into() }
+}
+
+/// A view whose frames are too large is left out, and the others are trained; nothing is grown meanwhile; a run that goes
+/// on from a checkpoint has the same bits.
+#[test]
+fn limits_of_instances_leave_out_the_views_beyond_them() {
+    let (context, scene) = crowded();
+    let views = || vec![view_of([40, 30]), view_of([64, 48]), view_of([40, 30])];
+    let wanted = TrainSettings { densify_grad_threshold: 0.0, ..settings() };
+    let begin = |seed| {
+        let settings = TrainSettings { seed, ..wanted.clone() };
+        let mut trainer = Trainer::new(&context, views(), &scene, 5.0, settings.clone()).expect("a trainer");
+        let first = trainer.step();
+        (trainer, first, settings)
+    };
+    // A run that begins with the large view is refused at once: nothing is known to fit.
+    let refused = (0..20).find_map(|seed| begin(seed).1.err()).expect("one of the seeds");
+    assert!(matches!(refused, Error::TooLarge { .. }), "{refused}");
+    let (mut trainer, _, settings) =
+        (0..20).map(begin).find(|(_, first, _)| first.is_ok()).expect("one of the seeds");
+    let (mut left_out, mut trained, mut checkpoints) = (0, 0, Vec::new());
+    for _ in 0..11 {
+        let before = trainer.gaussians().expect("Gaussians");
+        checkpoints.push(trainer.checkpoint().expect("a checkpoint"));
+        let report = trainer.step().expect("a step");
+        assert_eq!(report.left_out, report.view == 1, "{report:?}");
+        assert_eq!(report.left_out, report.instances > FEW && report.loss.is_nan(), "{report:?}");
+        let (same, grown) = (trainer.gaussians().expect("Gaussians") == before, report.densified);
+        if left_out > 0
+            && let Some(densified) = grown
+        {
+            assert!(densified.limited && densified.rows() <= densified.before, "{densified:?}");
+        }
+        if report.left_out {
+            assert!(same || grown.is_some(), "an iteration that was left out has changed something");
+            left_out += 1;
+        } else {
+            trained += u32::from(!same);
+        }
+    }
+    assert!(left_out >= 3 && trained >= 2, "{left_out} {trained}");
+    let end = trainer.checkpoint().expect("the end");
+    for checkpoint in checkpoints.iter().step_by(3) {
+        let resumed = Trainer::resume(&context, views(), 5.0, settings.clone(), checkpoint);
+        let mut resumed = resumed.expect("resumed");
+        while resumed.iteration() < trainer.iteration() {
+            resumed.step().expect("a step");
+        }
+        assert!(resumed.checkpoint().expect("the end") == end, "resumed at {}", checkpoint.iteration);
+    }
+    drop(trainer);
+    assert_silent(&context);
+}
+
+/// Where not one view has room any more, training ends with the reason.
+#[test]
+fn limits_of_instances_end_a_training_of_nothing() {
+    let (context, scene) = crowded();
+    let views = || vec![view_of([64, 48]), view_of([64, 48])];
+    let gpu = Gpu::new();
+    let mut trainer = Trainer::new(gpu.context, views(), &scene, 5.0, settings()).expect("a trainer");
+    trainer.step().expect("there is room here");
+    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    let mut trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
+    for _ in 0..2 {
+        assert!(trainer.step().expect("left out").left_out);
+    }
+    let error = trainer.step().expect_err("nothing is trained");
+    assert!(matches!(error, Error::TooLarge { .. }) && error.to_string().contains("instances"), "{error}");
+    // What there is can be had, and goes on where there is room.
+    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    let mut resumed = Trainer::resume(gpu.context, views(), 5.0, settings(), &checkpoint).expect("resumed");
+    assert!(!resumed.step().expect("there is room here").left_out);
+    drop(trainer);
+    assert_silent(&context);
+}
+
 fn with_memory(bytes: u64) -> Context {
     Context::new(&ContextOptions { max_memory: Some(bytes), ..options() }).expect("a device")
 }
@@ -203,4 +297,40 @@ fn memory_budget_stops_growth_not_training() {
     }
     assert!(kept <= 9000 && peak <= sets * 9 / 5, "{kept} Gaussians, {peak} bytes");
     assert_silent(&context);
+}
+
+/// Whoever looks on, at pictures larger and fuller than those of training, changes nothing of what is grown; and sees
+/// them, whatever training has taken, as long as there is room for them in its frame's place.
+#[test]
+fn memory_budget_is_trainings_whoever_looks_on() {
+    let start = gaussians(&small_scene(&mut Random::new(44), 3000, 16));
+    let settings = TrainSettings { densify_grad_threshold: 1e-7, ..settings() };
+    let train = |max_memory: Option<u64>, looked_at: bool| {
+        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let mut trainer =
+            Trainer::new(&context, views(2, 5), &start, 5.0, settings.clone()).expect("a trainer");
+        let picture = RenderSettings { scale_modifier: 1.5, ..trainer.render_settings() };
+        let (mut limited, mut seen) = (0, 0);
+        for i in 0..10 {
+            limited += u32::from(trainer.step().expect("a step").densified.is_some_and(|d| d.limited));
+            if looked_at {
+                let size = [[40, 30], [160, 90], [64, 48]][i % 3];
+                seen += u32::from(trainer.render(&camera(&small_view(size)), &picture).is_ok());
+            }
+        }
+        let end = trainer.checkpoint().expect("the end");
+        drop(trainer);
+        assert_silent(&context);
+        (end, limited, context.memory_total().peak_bytes, seen)
+    };
+    let (free, none, peak, _) = train(None, false);
+    assert_eq!(none, 0);
+    for share in [55, 62, 70] {
+        let bytes = Some(peak * share / 100);
+        let (alone, limited, _, _) = train(bytes, false);
+        assert!(limited > 0 && alone.gaussians.len() < free.gaussians.len(), "{share} %: {limited}");
+        let (looked_at, also_limited, most, seen) = train(bytes, true);
+        assert!(looked_at == alone && also_limited == limited, "{share} %: looking on changes what is grown");
+        assert!(Some(most) <= bytes && seen == 10, "{share} %: {most} bytes, {seen} pictures");
+    }
 }

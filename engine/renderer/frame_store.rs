@@ -54,6 +54,10 @@ impl State {
     }
 }
 
+/// Before the first frame.
+const NOTHING: FrameCapacity =
+    FrameCapacity { gaussians: 0, instances: 0, width: 0, height: 0, blend_passes: 1, backward: false };
+
 impl FrameStore {
     /// No buffers yet but the one for reading counts back.
     ///
@@ -63,16 +67,8 @@ impl FrameStore {
         let words = [("state_readback", u64::from(c::STATE_WORDS) * 4)];
         let mut readback = context.allocate("readback", &words, MemoryKind::HostVisible)?;
         let Some(readback) = readback.pop() else { unreachable!("one buffer per request") };
-        let capacity = FrameCapacity {
-            gaussians: 0,
-            instances: 0,
-            width: 0,
-            height: 0,
-            blend_passes: 1,
-            backward: false,
-        };
         let sizes = Blocks::new(context.limits());
-        Ok(Self { context: context.clone(), sizes, readback, capacity, frame: None })
+        Ok(Self { context: context.clone(), sizes, readback, capacity: NOTHING, frame: None })
     }
 
     /// Buffers for a scene and a camera, allocated anew if those at hand are too small.
@@ -152,6 +148,17 @@ impl FrameStore {
     /// As [`FrameStore::ensure`].
     pub fn restore(&mut self, capacity: FrameCapacity) -> Result<()> {
         self.allocate(capacity).map(drop)
+    }
+
+    /// Gives the buffers back; what is needed of them next is allocated as they were.
+    pub fn release(&mut self) {
+        self.frame = None;
+    }
+
+    /// Gives the buffers back and begins anew.
+    pub fn forget(&mut self) {
+        self.frame = None;
+        self.capacity = NOTHING;
     }
 
     /// Bytes of the frame's buffers as they are allocated.

@@ -1,6 +1,6 @@
 //! Differentiable rendering: the gradient of any function of the image with respect to all parameters.
 
-use super::{Renderer, Request};
+use super::{Failed, Renderer, Request};
 use crate::backward::Statistics;
 use crate::error::{Error, Result};
 use crate::forward::RenderSettings;
@@ -66,14 +66,15 @@ impl Renderer {
         let target_bytes = pixels as u64 * 16;
         let request = Request { scene: &scene, camera, settings, sh_degree, backward: true };
         let backward = &self.backward;
-        self.runner.run(&request, |r, inputs| {
+        let ran = self.runner.run(&request, |r, inputs| {
             r.copy(&extra[2].range(0, target_bytes), &inputs.frame.image_gradient.range(0, target_bytes));
             r.barrier();
             backward.record(r, inputs, Statistics { buffer: &extra[1], accumulate: false });
             r.barrier();
             backward.record_expand(r, inputs, &planes, &extra[0]);
             Ok(())
-        })?;
+        });
+        ran.map_err(Failed::error)?;
         let parameters =
             planes::download(&self.context, &crate::forward::SceneBuffers { chunks: planes, ..scene })?;
         let bytes = self.context.download(&extra[0])?;

@@ -2,7 +2,7 @@
 
 use super::frame_store::{FrameStore, State};
 use super::{Frame, FrameStats};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::forward::{Forward, FrameInputs, RenderSettings, SceneBuffers};
 use crate::plan::{FrameBuffers, FrameCapacity};
 use crate::scene::Camera;
@@ -53,6 +53,28 @@ pub(crate) struct Ran {
     pub retries: u32,
 }
 
+/// Why there is no frame.
+pub(crate) enum Failed {
+    /// It needs more room than there is: its counts, and what did not suffice.
+    TooLittleRoom(Box<(State, Error)>),
+    Other(Error),
+}
+
+impl From<Error> for Failed {
+    fn from(error: Error) -> Self {
+        Self::Other(error)
+    }
+}
+
+impl Failed {
+    pub fn error(self) -> Error {
+        match self {
+            Self::TooLittleRoom(why) => why.1,
+            Self::Other(error) => error,
+        }
+    }
+}
+
 impl FrameRunner {
     pub fn new(context: &Context) -> Result<Self> {
         let (forward, store) = (Forward::new(context)?, FrameStore::new(context)?);
@@ -65,7 +87,7 @@ impl FrameRunner {
         &mut self,
         request: &Request,
         mut record_more: impl FnMut(&mut Recorder, &FrameInputs) -> Result<()>,
-    ) -> Result<Ran> {
+    ) -> Result<Ran, Failed> {
         let Request { scene, camera, settings, sh_degree, backward } = *request;
         camera.check()?;
         settings.check()?;
@@ -81,11 +103,22 @@ impl FrameRunner {
                 Ok(())
             })?;
             let state = self.store.state()?;
-            if !self.store.grow(&state, &self.forward.sizes)? {
+            let grown = self.store.grow(&state, &self.forward.sizes);
+            if !grown.map_err(|error| Failed::TooLittleRoom(Box::new((state, error))))? {
                 return Ok(Ran { state, report, retries });
             }
             retries += 1;
         }
+    }
+
+    /// Takes other buffers for the frames that follow, and hands out its own.
+    pub fn exchange(&mut self, store: &mut FrameStore) {
+        std::mem::swap(&mut self.store, store);
+    }
+
+    /// Gives the buffers back; the next frame allocates as many.
+    pub fn release(&mut self) {
+        self.store.release();
     }
 
     /// Makes sure of buffers for these cameras and of the kernels up to an SH degree, for [`FrameRunner::record`].
@@ -160,7 +193,7 @@ impl FrameRunner {
     ) -> Result<Frame> {
         let sh_degree = scene.active_degree(settings);
         let request = Request { scene, camera, settings, sh_degree, backward: false };
-        let ran = self.run(&request, |_, _| Ok(()))?;
+        let ran = self.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         let frame = self.frame()?;
         let [r, g, b] = settings.background;

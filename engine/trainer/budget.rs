@@ -158,12 +158,51 @@ impl Present<'_> {
         }
         Ok(fits)
     }
+
+    /// How many rows a densification of `before` Gaussians may leave so that frames like those before it, which had at most
+    /// so many instances, keep within three quarters of what the device can hold: views differ. None is added where the
+    /// memory does not hold those frames.
+    pub fn most_rows_by_instances(&self, before: u32, instances: u32) -> u32 {
+        if !self.holds(instances) {
+            return before;
+        }
+        let most = u64::from(max_trained_instances(self.context.limits())) * 3 / 4;
+        let rows = u64::from(before) * most / u64::from(instances.max(1));
+        rows.clamp(before.into(), u32::MAX.into()) as u32
+    }
+
+    /// Whether the memory has room for a frame with so many instances.
+    fn holds(&self, instances: u32) -> bool {
+        let Some((limit, _)) = self.context.memory_limit() else { return true };
+        let full = FrameCapacity { instances: instances.max(self.frame.instances), ..self.frame };
+        let beside = self.context.memory_total().bytes.saturating_sub(self.frame_bytes);
+        instances <= self.frame.instances
+            || beside + frame_bytes(&full, &Blocks::new(self.context.limits())) <= limit
+    }
 }
 
-/// How many rows a densification of `before` Gaussians may leave so that frames like those before it keep within three
-/// quarters of the instances that the device can hold: views differ.
-pub(super) fn most_rows_by_instances(context: &Context, before: u32, instances: u32) -> u32 {
-    let most = u64::from(max_trained_instances(context.limits())) * 3 / 4;
-    let rows = u64::from(before) * most / u64::from(instances.max(1));
-    rows.clamp(before.into(), u32::MAX.into()) as u32
+/// What is remembered of the most instances of a frame when a densification of `before` Gaussians has left `rows`: as many
+/// per Gaussian, but for a twentieth. After a reset of the opacities frames have few for a while, and then as many again.
+pub(super) fn remembered_instances(most: u32, before: u32, rows: u32) -> u32 {
+    let per_gaussian = u64::from(most) * u64::from(rows) / u64::from(before.max(1));
+    (per_gaussian * 19 / 20).min(u32::MAX.into()) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::remembered_instances;
+
+    #[test]
+    fn what_frames_needed_before_a_reset_is_remembered_for_a_while() {
+        // Five densifications by a twentieth each, while opacities come back: three quarters are remembered.
+        let (mut most, mut rows) = (1_000_000, 100_000);
+        for _ in 0..5 {
+            most = remembered_instances(most, rows, rows / 20 * 21);
+            rows = rows / 20 * 21;
+        }
+        let per_gaussian = f64::from(most) / f64::from(rows);
+        assert!((7.5..8.0).contains(&per_gaussian), "{per_gaussian}");
+        assert_eq!(remembered_instances(u32::MAX, 1, 2), u32::MAX);
+        assert_eq!(remembered_instances(7, 0, 0), 0);
+    }
 }

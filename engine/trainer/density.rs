@@ -5,8 +5,9 @@ use crate::densify::{DensifyBuffers, DensifySettings, Gather, RandomKey};
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
 use crate::optimizer::Moments;
-use crate::plan::{Blocks, ScenePlan};
+use crate::plan::{Blocks, FrameCapacity, ScenePlan};
 use crate::planes;
+use crate::scene::Camera;
 use crate::vk::{Buffer, MemoryKind};
 
 /// Scales above this share of the scene's extent are pruned, once opacities have been reset (reference).
@@ -25,11 +26,12 @@ impl Trainer {
     pub(super) fn run_densification(&mut self, iteration: u32) -> Result<Densified> {
         let settings = self.densify_settings(iteration);
         let before = self.training.scene.count;
+        self.pictures.release();
         let Some(buffers) = self.decision_buffers()? else {
             return Ok(Densified { before, kept: before, limited: true, ..Densified::default() });
         };
         let wanted = self.decide(&buffers, &settings)?;
-        let most = budget::most_rows_by_instances(&self.context, before, self.most_instances);
+        let most = self.present().most_rows_by_instances(before, self.most_instances);
         let rows = wanted.rows().min(most);
         let fresh = if rows > self.training.scene.plan.capacity { self.make_room(rows)? } else { None };
         let room = fresh.as_ref().map_or(self.training.scene.plan.capacity, |fresh| fresh.plan.capacity);
@@ -39,7 +41,7 @@ impl Trainer {
             false => Densified { limited: true, ..self.decide_within(&buffers, &settings, room)? },
         };
         self.gather(densified.rows(), fresh, &buffers, iteration)?;
-        self.most_instances = 0;
+        self.most_instances = budget::remembered_instances(self.most_instances, before, densified.rows());
         Ok(densified)
     }
 
@@ -87,10 +89,14 @@ impl Trainer {
     }
 
     fn present(&self) -> budget::Present<'_> {
+        let frame = self.runner.capacity();
+        let largest = |size: fn(&Camera) -> u32| self.cameras.iter().map(size).max().unwrap_or(0);
+        // Also for views that have not been seen yet.
+        let (width, height) = (largest(|c| c.width), largest(|c| c.height));
         budget::Present {
             context: &self.context,
             plan: &self.training.scene.plan,
-            frame: self.runner.capacity(),
+            frame: FrameCapacity { width: frame.width.max(width), height: frame.height.max(height), ..frame },
             frame_bytes: self.runner.frame_bytes(),
         }
     }

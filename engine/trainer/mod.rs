@@ -27,7 +27,7 @@ use crate::io::StoredPhoto;
 use crate::loss::{Loss, PhotoFormat};
 use crate::optimizer::{Moments, Optimizer};
 use crate::planes;
-use crate::renderer::{BlendSamples, Frame, FrameRunner, PixelReport, TileReport};
+use crate::renderer::{BlendSamples, Frame, FrameRunner, FrameStore, PixelReport, TileReport};
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Buffer, Context, MemoryKind, ScopeTime};
 use photos::Photos;
@@ -47,6 +47,9 @@ pub struct TrainView {
 pub struct StepReport {
     /// Iteration, from 1.
     pub iteration: u32,
+    /// Whether the iteration was left out, because its frame has more (tile, Gaussian) instances than the device or the
+    /// memory has room for: it has changed nothing, and its losses are NaN. See [`Trainer::step`].
+    pub left_out: bool,
     /// (1 - λ) L1 + λ (1 - SSIM) before the step.
     pub loss: f32,
     /// Mean absolute difference.
@@ -118,6 +121,8 @@ pub struct Trainer {
     views_fingerprint: u64,
     photos: Photos,
     runner: FrameRunner,
+    /// Buffers of the frames that are drawn between steps: what is trained does not depend on them.
+    pictures: FrameStore,
     loss: Loss,
     /// For views with masks.
     masked_loss: Option<Loss>,
@@ -129,8 +134,10 @@ pub struct Trainer {
     order: step::ViewOrder,
     progress: step::Progress,
     recording: record::Recording,
-    /// Of a frame, at most, since the last densification.
+    /// Of a frame, at most; see [`Room::most_instances`].
     most_instances: u32,
+    /// Iterations that were left out, one after the other.
+    left_out: u32,
     /// Whether a submission that changes the scene may or may not have come to pass.
     broken: bool,
 }
@@ -218,6 +225,7 @@ impl Trainer {
             scratch: LossScratch::new(context, &loss, &cameras)?,
             order: step::ViewOrder::new(settings.seed, cameras.len()),
             runner,
+            pictures: FrameStore::new(context)?,
             loss,
             masked_loss: masked.transpose()?,
             backward: Backward::new(context),
@@ -233,6 +241,7 @@ impl Trainer {
             progress: step::Progress::default(),
             recording: record::Recording::default(),
             most_instances: 0,
+            left_out: 0,
             broken: false,
         })
     }
@@ -294,13 +303,34 @@ impl Trainer {
         self.drawing(|runner, scene| runner.inspect(scene, camera, &settings, pixel))
     }
 
-    /// Draws between two steps; a recorded step prepares its frame anew where the buffers have changed.
-    fn drawing<T>(&mut self, draw: impl FnOnce(&mut FrameRunner, &SceneBuffers) -> Result<T>) -> Result<T> {
+    /// Draws between two steps, with buffers of its own, which are given back where memory is bounded: whoever looks on
+    /// changes nothing of what training has. Where there is no room beside training's frame, then in its place: the next
+    /// step makes that anew.
+    fn drawing<T>(
+        &mut self,
+        mut draw: impl FnMut(&mut FrameRunner, &SceneBuffers) -> Result<T>,
+    ) -> Result<T> {
         self.check_readable()?;
-        let capacity = self.runner.capacity();
-        let drawn = draw(&mut self.runner, &self.training.scene);
-        self.recording.frame_is_ready &= drawn.is_ok() && self.runner.capacity() == capacity;
-        drawn
+        let Self { runner, pictures, training, .. } = self;
+        let mut apart = |runner: &mut FrameRunner| {
+            runner.exchange(pictures);
+            let drawn = draw(runner, &training.scene);
+            runner.exchange(pictures);
+            if drawn.is_err() {
+                pictures.forget();
+            } else if self.context.memory_limit().is_some() {
+                pictures.release();
+            }
+            drawn
+        };
+        match apart(runner) {
+            Err(Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. }) => {
+                runner.release();
+                self.recording.frame_is_ready = false;
+                apart(runner)
+            }
+            drawn => drawn,
+        }
     }
 
     fn at_present_degree(&self, settings: &RenderSettings) -> RenderSettings {

@@ -68,6 +68,8 @@ pub struct Maintenance {
     pub opacities_reset: bool,
     /// Whether there is more room now, after a step that overflowed.
     pub grown: bool,
+    /// The iteration that was left out, because there cannot be as much room as it needs: see [`Trainer::step`].
+    pub left_out: Option<u32>,
 }
 
 /// The steps that a host records.
@@ -75,8 +77,8 @@ pub struct Maintenance {
 pub(super) struct Recording {
     slots: Vec<StepSlot>,
     in_flight: VecDeque<InFlight>,
-    /// What the steps that overflowed need, until there is room.
-    overflow: Option<State>,
+    /// What the steps that overflowed need, until there is room: the first of them, and all together.
+    overflow: Option<[State; 2]>,
     /// Whether the frame's buffers are such as the next recorded step may use.
     pub frame_is_ready: bool,
 }
@@ -224,7 +226,7 @@ impl Trainer {
             }
             let state = slot.state()?;
             slot.outcome = Some(if state.overflow {
-                let most = self.recording.overflow.get_or_insert(state);
+                let [_, most] = self.recording.overflow.get_or_insert([state; 2]);
                 most.instances = most.instances.max(state.instances);
                 most.longest_tile = most.longest_tile.max(state.longest_tile);
                 StepOutcome::Overflowed {
@@ -234,6 +236,7 @@ impl Trainer {
                 }
             } else {
                 self.progress = first.after;
+                self.left_out = 0;
                 self.most_instances = self.most_instances.max(state.instances);
                 let losses = read_losses(&slot.losses)?;
                 StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, losses, &state))
@@ -296,7 +299,7 @@ impl Trainer {
     }
 
     /// Does what recorded steps cannot: densifies and resets opacities where the iteration before asks for it, makes room
-    /// after a step that overflowed. Submits, waits and allocates; without anything due it does nothing. The command buffers of
+    /// after a step that overflowed, or leaves it out where there cannot be as much. Submits, waits and allocates; without anything due it does nothing. The command buffers of
     /// all recorded steps have to be over ([`Context::adopt_commands`]).
     ///
     /// Another set of buffers holds the Gaussians afterwards: ask for [`Trainer::scene`] again.
@@ -320,13 +323,32 @@ impl Trainer {
         let mut done = Maintenance::default();
         self.recording.frame_is_ready = false;
         if let Some(needed) = self.recording.overflow {
-            done.grown = self.runner.grow(&needed)?;
+            self.make_room_for_steps(needed, &mut done)?;
             self.recording.overflow = None;
         }
         done.opacities_reset = self.progress.due.resets;
         done.densified = self.catch_up()?;
         self.make_ready(false)?;
         Ok(done)
+    }
+
+    /// More room after steps that overflowed: for all of them, else for the first, which is left out if even that is too
+    /// much.
+    fn make_room_for_steps(&mut self, [first, most]: [State; 2], done: &mut Maintenance) -> Result<()> {
+        let grown = match self.runner.grow(&most) {
+            Err(Error::TooLarge { .. }) => self.runner.grow(&first),
+            grown => grown,
+        };
+        match grown {
+            Ok(grown) => done.grown = grown,
+            Err(error) => {
+                let progress = self.progress;
+                let plan = self.plan_after(&progress);
+                self.leave_out(&plan, &first, error)?;
+                done.left_out = Some(plan.iteration);
+            }
+        }
+        Ok(())
     }
 
     /// Buffers for all views with nothing of an earlier frame in them, and slots for as many dispatches. Whatever is made

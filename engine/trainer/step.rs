@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, RenderSettings};
 use crate::loss::{Loss, LossInputs};
 use crate::optimizer::{Optimizer, Rates, Step};
-use crate::renderer::{Ran, State};
+use crate::renderer::{Failed, Ran, State};
 use crate::vk::{Buffer, Recorder};
 
 /// Streams of random numbers of a run, all from its seed.
@@ -194,10 +194,11 @@ impl Tail<'_> {
 }
 
 impl Trainer {
-    /// Runs one iteration.
+    /// Runs one iteration. One whose frame has more instances than the device or the memory has room for is left out: it
+    /// changes nothing, and the iteration counts ([`StepReport::left_out`]).
     ///
     /// # Errors
-    /// When memory does not suffice: the Gaussians are then as before the iteration, and it may be tried again. When the
+    /// When memory does not suffice, also where not one view has room: the Gaussians are then as before the iteration, and it may be tried again. When the
     /// device is lost or too slow ([`Error::DeviceLost`], [`Error::Timeout`]): what has become of them is unknown, and
     /// every later step is refused; go on from a checkpoint. [`Error::Argument`] while recorded steps are in flight.
     pub fn step(&mut self) -> Result<StepReport> {
@@ -219,7 +220,7 @@ impl Trainer {
             return Ok(());
         }
         self.photos.prepare(&self.context, plan.iteration)?;
-        self.run_step(&plan)?;
+        self.run_step(&plan).map_err(Failed::error)?;
         self.progress = Progress { due: progress.due, ..before.after(&plan) };
         Ok(())
     }
@@ -249,8 +250,21 @@ impl Trainer {
         let progress = self.progress;
         let plan = self.plan_after(&progress);
         self.photos.prepare(&self.context, plan.iteration)?;
-        let ran = self.run_step(&plan)?;
+        let ran = match self.run_step(&plan) {
+            Err(Failed::TooLittleRoom(why)) => {
+                let (state, error) = *why;
+                self.leave_out(&plan, &state, error)?;
+                return Ok(StepReport {
+                    left_out: true,
+                    milliseconds: start.elapsed().as_secs_f64() * 1e3,
+                    densified,
+                    ..StepReport::new(&plan, self.training.scene.count, [f32::NAN; 3], &state)
+                });
+            }
+            ran => ran.map_err(Failed::error)?,
+        };
         self.progress = self.progress.after(&plan);
+        self.left_out = 0;
         self.most_instances = self.most_instances.max(ran.state.instances);
         let losses = read_losses(&self.scratch.readback)?;
         Ok(StepReport {
@@ -304,8 +318,27 @@ impl Trainer {
         self.render_settings().background
     }
 
+    /// Goes on behind an iteration whose frame has too many instances for the device or the memory: it changes nothing, and
+    /// densification adds nothing until frames have fewer.
+    ///
+    /// # Errors
+    /// The one given, where it is another, where no step has come to pass yet, and where none of the views can have been
+    /// among the last: a training that does nothing is to end.
+    pub(super) fn leave_out(&mut self, plan: &Plan, needed: &State, error: Error) -> Result<()> {
+        // One view that fits comes at the beginning of one epoch and at the end of the next.
+        let apart = 2 * (self.cameras.len() as u64 - 1);
+        let trains = self.progress.steps > 0 && u64::from(self.left_out) < apart;
+        if !matches!(error, Error::TooLarge { .. }) || !trains {
+            return Err(error);
+        }
+        self.left_out += 1;
+        self.most_instances = self.most_instances.max(needed.instances);
+        self.progress = Progress { iteration: plan.iteration, due: plan.due, ..self.progress };
+        Ok(())
+    }
+
     /// Forward, loss, backward and the optimiser's step in one submission.
-    fn run_step(&mut self, plan: &Plan) -> Result<Ran> {
+    fn run_step(&mut self, plan: &Plan) -> Result<Ran, Failed> {
         self.backward.prepare(plan.sh_degree, plan.settings.inverse_depth)?;
         self.optimizer.prepare(plan.sh_degree)?;
         let (runner, request, tail) = step_parts!(self, plan);

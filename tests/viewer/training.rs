@@ -119,3 +119,28 @@ fn viewer_does_not_change_a_training() {
     };
     assert!(cloud(true) == cloud(false), "looking on has changed the training");
 }
+
+/// A save that the disk refuses is told to the page, and training goes on.
+#[test]
+fn viewer_survives_a_save_that_fails() {
+    let mut training = Training::start(&["1000000", "--view=0"], "viewer at ");
+    let mut page = training.server.page();
+    // Where the folder of point clouds would be.
+    let place = training.model().join("point_cloud");
+    std::fs::write(&place, "in the way").expect("written");
+    page.act("pause");
+    let at = page.rest();
+    page.act("save");
+    let problem = page.wait_for("problem")["message"].to_string();
+    assert!(problem.contains("point_cloud"), "{problem}");
+    std::fs::remove_file(&place).expect("removed");
+    page.act("step");
+    let start = Instant::now();
+    while page.status(0)["iteration"].as_u64() != Some(at + 1) {
+        assert!(start.elapsed() < PATIENCE, "it has ended");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    page.act("stop");
+    let (code, stderr) = training.server.wait();
+    assert!(code == Some(130) && stderr.contains("warning: not saved"), "{code:?} {stderr}");
+}

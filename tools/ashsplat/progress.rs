@@ -53,8 +53,11 @@ impl TrainProgress {
     /// After each iteration.
     pub fn step(&mut self, state: &State) {
         let loss = f64::from(state.loss);
-        let mean = self.mean_loss.map_or(loss, |mean| mean + LOSS_WEIGHT * (loss - mean));
-        self.mean_loss = Some(mean);
+        // An iteration that was left out has none.
+        if loss.is_finite() {
+            let mean = self.mean_loss.map_or(loss, |mean| mean + LOSS_WEIGHT * (loss - mean));
+            self.mean_loss = Some(mean);
+        }
         let seconds = self.window.0.elapsed().as_secs_f64();
         if seconds > 1.0 || self.iterations_per_second == 0.0 {
             self.iterations_per_second = f64::from(state.iteration - self.window.1) / seconds.max(1e-9);

@@ -148,6 +148,8 @@ pub struct Run {
     skipped: u64,
     /// Whether it was said that there is no more room.
     limited: bool,
+    /// Iterations that were left out, because their frames were too large.
+    left_out: u32,
     /// Iteration of the checkpoint that the run began with.
     started: u32,
     /// Iteration whose scene was saved last.
@@ -212,6 +214,7 @@ impl Run {
             gaussians: 0,
             skipped: 0,
             limited: false,
+            left_out: 0,
             saved: None,
             checkpointed: None,
             kernels: KernelTimes::new(context),
@@ -310,6 +313,18 @@ impl Run {
                 report.iteration
             ));
         }
+        if report.left_out {
+            if self.left_out == 0 {
+                self.progress.warn(&format!(
+                    "warning: iteration {} is left out: its frame has {} (tile, Gaussian) instances, more than the device's \
+                     limits or the memory hold; densification adds nothing until there are fewer. Smaller photos (-r 2), \
+                     more --max-memory or a higher --densify-grad-threshold help",
+                    report.iteration,
+                    thousands(report.instances.into())
+                ));
+            }
+            self.left_out += 1;
+        }
         self.progress.step(&State {
             iteration: report.iteration,
             loss: report.loss,
@@ -331,7 +346,14 @@ impl Run {
             if saves {
                 self.save(iteration, if stopping && !last { "interrupted: " } else { "" })?;
             }
-            if tests { self.test(iteration).map(Some) } else { Ok(None) }
+            match tests.then(|| self.test(iteration)).transpose() {
+                // A frame of a test view that is too large: training goes on.
+                Err(error @ Error::TooLarge { .. }) if !last && !stopping => {
+                    self.progress.warn(&format!("warning: iteration {iteration} is not tested: {error}"));
+                    Ok(None)
+                }
+                tested => tested,
+            }
         })
     }
 
@@ -392,6 +414,9 @@ impl Run {
         }
         if let Some(total) = self.total {
             say!("all {} iterations: {total}, {:.1} s", total.iterations, total.seconds);
+        }
+        if self.left_out > 0 {
+            say!("{} iterations were left out: their frames were too large", thousands(self.left_out.into()));
         }
         if self.skipped > 0 {
             say!("{} updates with a gradient that is not finite were skipped", thousands(self.skipped));

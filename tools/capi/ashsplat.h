@@ -419,7 +419,7 @@ typedef struct AshsplatStep {
   bool overflow;
   // Its iteration, from 1.
   uint32_t iteration;
-  // The loss before it.
+  // The loss before it; NaN where the iteration was left out, because there cannot be as much room as its frame needs.
   float loss;
   // Gaussians in it.
   uint32_t gaussians;
@@ -439,6 +439,9 @@ typedef struct AshsplatMaintenance {
   bool opacities_reset;
   // Whether there is more room now.
   bool grown;
+  // The iteration that was left out, because there cannot be as much room as its frame needs; 0 for none. The next step
+  // is the one behind it.
+  uint32_t left_out;
 } AshsplatMaintenance;
 
 #ifdef __cplusplus

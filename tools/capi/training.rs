@@ -35,7 +35,7 @@ pub struct AshsplatStep {
     pub overflow: bool,
     /// Its iteration, from 1.
     pub iteration: u32,
-    /// The loss before it.
+    /// The loss before it; NaN where the iteration was left out, because there cannot be as much room as its frame needs.
     pub loss: f32,
     /// Gaussians in it.
     pub gaussians: u32,
@@ -83,11 +83,19 @@ pub struct AshsplatMaintenance {
     pub opacities_reset: bool,
     /// Whether there is more room now.
     pub grown: bool,
+    /// The iteration that was left out, because there cannot be as much room as its frame needs; 0 for none. The next step
+    /// is the one behind it.
+    pub left_out: u32,
 }
 
 impl From<Maintenance> for AshsplatMaintenance {
     fn from(m: Maintenance) -> Self {
-        Self { densified: m.densified.is_some(), opacities_reset: m.opacities_reset, grown: m.grown }
+        Self {
+            densified: m.densified.is_some(),
+            opacities_reset: m.opacities_reset,
+            grown: m.grown,
+            left_out: m.left_out.unwrap_or(0),
+        }
     }
 }
 

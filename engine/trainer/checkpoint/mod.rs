@@ -66,7 +66,7 @@ pub struct Room {
     pub blend_passes: u32,
     /// Whether a frame has what backward needs: 0 or 1.
     pub backward: u32,
-    /// Most instances that a frame had since the last densification.
+    /// Most instances that a frame had; each densification takes those per Gaussian, and forgets a twentieth.
     pub most_instances: u32,
     /// [`crate::vk::ContextOptions::max_memory`], bytes.
     pub max_memory: Option<u64>,

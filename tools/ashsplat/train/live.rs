@@ -9,13 +9,13 @@ use crate::view::hub::Hub;
 use crate::view::protocol::{ToPage, TrainAction};
 use crate::view::server::{self, ServeArguments, Server, Site};
 use crate::view::sibr::{self, Wishes};
-use crate::view::studio::Studio;
+use crate::view::studio::{self, Studio};
 use crate::view::{self, Painter, Photos, Subject};
 use allowance::Allowance;
 use ashsplat::io::{Gallery, View};
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
-use ashsplat::{Result, metrics};
+use ashsplat::{Error, Result, metrics};
 use clap::Args;
 use curves::Curves;
 use serde_json::json;
@@ -103,6 +103,8 @@ pub struct Live {
     tested: usize,
     /// Iteration from which on the next view is measured.
     next_test: u32,
+    /// Whether it was said that a view could not be measured.
+    unmeasured: bool,
 }
 
 impl Live {
@@ -151,6 +153,7 @@ impl Live {
             steps: 0,
             tested: 0,
             next_test: 0,
+            unmeasured: false,
         })
     }
 
@@ -162,7 +165,7 @@ impl Live {
         let due = self.hub.pages() > 0 && report.iteration >= self.next_test;
         if self.allowance.permits() && due && !test.is_empty() {
             self.next_test = report.iteration + TEST_INTERVAL;
-            self.timed(|live| live.measure(trainer, &test[live.tested % test.len()]))?;
+            self.timed(|live| live.measure_or_tell(trainer, &test[live.tested % test.len()]))?;
         }
         if self.renewed.elapsed() >= RENEWAL {
             self.renewed = Instant::now();
@@ -243,7 +246,25 @@ impl Live {
         result
     }
 
-    /// PSNR of one of the test views, each in its turn.
+    /// Measures one of the test views, each in its turn. Where that cannot be done, it is said.
+    fn measure_or_tell(&mut self, trainer: &mut Trainer, view: &View) -> Result<()> {
+        let measured = self.measure(trainer, view);
+        self.tested += 1;
+        let Err(error) = measured else { return Ok(()) };
+        if !self.unmeasured {
+            self.unmeasured = true;
+            tell!("warning: the viewer's PSNR lacks view '{}': {error}", view.name);
+        }
+        self.tell(error)
+    }
+
+    /// Tells the pages what has failed; an error where that must end the training.
+    fn tell(&self, error: Error) -> Result<()> {
+        self.hub.broadcast(&ToPage::problem(&error.to_string()));
+        studio::fatal(error)
+    }
+
+    /// PSNR of a test view.
     fn measure(&mut self, trainer: &mut Trainer, view: &View) -> Result<()> {
         let frame = Painter::render(trainer, &view.camera, &trainer.render_settings())?;
         let photo = view.photo.photo()?.to_f32();
@@ -251,7 +272,6 @@ impl Live {
             None => metrics::psnr(&frame.color, &photo)?,
             Some(mask) => metrics::masked_psnr(&frame.color, &photo, &mask)?,
         };
-        self.tested += 1;
         self.note(|curves| curves.psnr(trainer.iteration(), psnr));
         Ok(())
     }
@@ -328,9 +348,16 @@ impl Run {
         let mut holds = live.holds();
         loop {
             if wish.save && self.saved != Some(report.iteration) {
-                watch.paused(|| self.save(report.iteration, ""))?;
-                let message = format!("saved iteration {}", report.iteration);
-                live.hub.broadcast(&ToPage::json(&json!({ "type": "note", "message": message })));
+                match watch.paused(|| self.save(report.iteration, "")) {
+                    Ok(()) => {
+                        let message = format!("saved iteration {}", report.iteration);
+                        live.hub.broadcast(&ToPage::json(&json!({ "type": "note", "message": message })));
+                    }
+                    Err(error) => {
+                        self.progress.warn(&format!("warning: not saved: {error}"));
+                        live.tell(error)?;
+                    }
+                }
             }
             if wish.stop {
                 stop.store(true, Ordering::Relaxed);
@@ -356,5 +383,67 @@ impl Run {
             Some(live) => live.end(&mut self.trainer, stop),
             None => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ashsplat::Gaussians;
+    use ashsplat::io::Photo;
+    use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+    use ashsplat::trainer::{TrainSettings, TrainView};
+    use ashsplat::vk::ContextOptions;
+    use glam::Vec3;
+
+    /// A view that cannot be measured costs a curve its point, not the training its life.
+    #[test]
+    fn a_view_that_cannot_be_measured_is_told() {
+        let lens = Intrinsics::from_fov_x(0.8, 16, 16);
+        let camera = Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, lens);
+        let photo = |size: u32| Photo { width: size, height: size, rgb: vec![9; (3 * size * size) as usize] };
+        let points = PointCloud { positions: vec![[0.0; 3], [0.2; 3]], colors: vec![[9; 3]; 2] };
+        let context = Context::new(&ContextOptions::default()).expect("a device");
+        let initial = Gaussians::from_points(&points, 0).expect("Gaussians");
+        let views = vec![TrainView { camera, photo: photo(16).into() }];
+        let settings = TrainSettings { sh_degree: 0, ..Default::default() };
+        let mut trainer = Trainer::new(&context, views, &initial, 1.0, settings).expect("a trainer");
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let arguments = LiveArguments {
+            view: Some(0),
+            view_host: "127.0.0.1".into(),
+            view_token: None,
+            view_share: 0.2,
+            ip: None,
+            port: 0,
+        };
+        let subject = Subject {
+            name: "test".into(),
+            gaussians: initial,
+            base: trainer.render_settings(),
+            cameras: Vec::new(),
+            photos: None,
+            note: None,
+        };
+        let (model, source) = (folder.path(), folder.path());
+        let about = About { subject, device: "test", iterations: 9, model, source };
+        let mut live = Live::start(&arguments, about).expect("a port");
+        let view = |size: u32| View {
+            name: "a.png".into(),
+            image_id: 1,
+            camera,
+            original_camera: camera,
+            photo: photo(size).into(),
+        };
+        trainer.step().expect("a step");
+        live.measure_or_tell(&mut trainer, &view(8)).expect("training goes on");
+        assert!(live.unmeasured && live.tested == 1);
+        live.measure_or_tell(&mut trainer, &view(16)).expect("measured");
+        assert_eq!(live.tested, 2);
+        assert_eq!(
+            live.curves.lock().expect("sound").status(0)["points"]["psnr"].as_array().map(Vec::len),
+            Some(1)
+        );
+        live.tell(Error::DeviceLost { call: "a test" }).expect_err("nothing to go on with");
     }
 }

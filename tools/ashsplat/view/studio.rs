@@ -184,7 +184,7 @@ impl Drop for Studio {
 }
 
 /// What must end the program.
-fn fatal(error: Error) -> Result<()> {
+pub fn fatal(error: Error) -> Result<()> {
     match error {
         Error::DeviceLost { .. } | Error::Timeout { .. } => Err(error),
         _ => Ok(()),

@@ -63,7 +63,11 @@ impl Curves {
         self.iteration = report.iteration;
         self.last_gaussians = report.gaussians;
         let loss = f64::from(report.loss);
-        let mean = self.mean_loss.map_or(loss, |mean| mean + LOSS_WEIGHT * (loss - mean));
+        // An iteration that was left out has none.
+        let mean = match loss.is_finite() {
+            true => self.mean_loss.map_or(loss, |mean| mean + LOSS_WEIGHT * (loss - mean)),
+            false => self.mean_loss.unwrap_or_default(),
+        };
         self.mean_loss = Some(mean);
         let seconds = self.window.0.elapsed().as_secs_f64();
         if seconds > RATE_WINDOW {

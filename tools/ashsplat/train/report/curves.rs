@@ -32,7 +32,9 @@ struct Curve {
 /// Loss, PSNR, Gaussians and speed.
 pub fn charts(rows: &Rows, tested_on: &str) -> String {
     let of = |column: &[f64]| rows.iterations.iter().copied().zip(column.iter().copied()).collect::<Vec<_>>();
-    let psnr: Vec<(f64, f64)> = of(&rows.psnr).into_iter().filter(|(_, psnr)| psnr.is_finite()).collect();
+    // Not every iteration is tested; one that was left out has no loss.
+    let known = |column: &[f64]| of(column).into_iter().filter(|(_, y)| y.is_finite()).collect::<Vec<_>>();
+    let (psnr, loss) = (known(&rows.psnr), known(&rows.loss));
     let end = rows.iterations.last().copied().unwrap_or(1.0);
     let curve = |title, unit, color, digits, points| Curve {
         title,
@@ -45,7 +47,7 @@ pub fn charts(rows: &Rows, tested_on: &str) -> String {
     };
     let curves = [
         (
-            curve("Loss", "", "var(--a)", 4, of(&rows.loss)),
+            curve("Loss", "", "var(--a)", 4, loss),
             "0.8 L1 + 0.2 (1 − SSIM) by default, of one view each".into(),
         ),
         (
