@@ -58,7 +58,7 @@ int main(int count, char **arguments) {
     while (iterations < STEPS) {
         bool is_due = false;
         check(ashsplat_trainer_maintenance_is_due(recorded, &is_due), "asking for maintenance");
-        AshsplatMaintenance done = {false, false, false};
+        AshsplatMaintenance done = {false, false, false, 0};
         if (is_due) {
             check(ashsplat_trainer_maintain(recorded, &done), "maintaining");
             densified += done.densified;
