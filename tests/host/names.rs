@@ -99,6 +99,12 @@ fn models_name_photos_in_another_case_or_folder_of_another_ending() {
     photo(&folder.path().join("other/IMG_1.png"), 7);
     photo(&folder.path().join("other/left/IMG_2.png"), 8);
     assert_eq!(greys(&load(folder.path(), "images").unwrap()), [5, 6]);
+    // Masks likewise.
+    for name in ["masks/IMG_1.jpg.PNG", "masks/left/img_2.png"] {
+        photo(&folder.path().join(name), 0);
+        let masked = load(folder.path(), "images").unwrap().train;
+        assert!(masked[usize::from(name.contains('2'))].photo.is_masked(), "{name}");
+    }
     assert_eq!(greys(&load(folder.path(), "other").unwrap()), [7, 8]);
 }
 
@@ -112,7 +118,7 @@ fn what_is_no_data_set_says_what_to_do() {
     std::fs::create_dir_all(place("polycam/keyframes/images")).unwrap();
     for (name, words) in [
         ("phone", "--image_path "),
-        ("loose", "colmap automatic_reconstructor --workspace_path "),
+        ("loose", "colmap automatic_reconstructor --dense 0 --workspace_path "),
         ("polycam", "`ns-process-data polycam --data "),
     ] {
         assert!(refusal(&place(name)).contains(words), "{}", refusal(&place(name)));
@@ -129,6 +135,10 @@ fn what_is_no_data_set_says_what_to_do() {
     let message = load(&place("outer/scene"), "images_4").unwrap_err();
     assert!(message.contains("images_4 has no effect") && message.contains("train/a.png"), "{message}");
     assert_eq!(load(&place("outer/scene"), "images").unwrap().train.len(), 1);
+    let frames = [json!({ "file_path": "train/a", "transform_matrix": pose(0) })];
+    let json = json!({ "fl_x": 9, "camera_model": "EQUIRECTANGULAR", "frames": frames }).to_string();
+    std::fs::write(place("outer/scene/transforms.json"), json).unwrap();
+    assert!(refusal(&place("outer/scene")).contains("frame 0: is a panorama"));
 }
 
 #[test]

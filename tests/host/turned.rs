@@ -2,7 +2,10 @@
 
 use std::path::Path;
 
+use ashsplat::io::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat::io::{Dataset, DatasetOptions, Photo, PhotoOrientation, Progress};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use glam::Vec3;
 use serde_json::{Value, json};
 
 /// A JPEG of black, but for its left quarter in white and its upper quarter in grey, with an orientation in its Exif data.
@@ -167,6 +170,34 @@ fn a_photo_on_its_side_tells_of_the_others() {
         message.contains("is 24x32 pixels when turned as its metadata say, its camera 32x24"),
         "{message}"
     );
+}
+
+/// COLMAP takes photos as they are stored, which needs no word; where a model's sizes are those of the turned ones, all are.
+#[test]
+fn models_say_by_their_sizes_whether_photos_are_turned() {
+    let folder = tempfile::tempdir().unwrap();
+    for (index, (size, orientation)) in [([32, 24], 6), ([32, 24], 3), ([24, 24], 8)].into_iter().enumerate()
+    {
+        jpeg(&folder.path().join(format!("images/{index}.jpg")), size[0], size[1], orientation);
+    }
+    for (first, expected) in [([32, 24], [SHOWN[0]; 3]), ([24, 32], [SHOWN[5], SHOWN[2], SHOWN[7]])] {
+        let camera = |[width, height]: [u32; 2]| {
+            let intrinsics = Intrinsics::from_fov_x(0.9, width, height);
+            Camera::look_at(Vec3::Z * -3.0, Vec3::ZERO, Vec3::NEG_Y, intrinsics)
+        };
+        let cameras = [first, [32, 24], [24, 24]].map(camera);
+        let lenses: Vec<_> =
+            (1..).zip(&cameras).map(|(id, camera)| ColmapCamera::pinhole(id, camera)).collect();
+        let posed = |(index, camera): (u32, &Camera)| {
+            ColmapImage::posed(index + 1, index + 1, format!("{index}.jpg"), camera)
+        };
+        let images: Vec<_> = (0u32..).zip(&cameras).map(posed).collect();
+        let points = PointCloud { positions: vec![[0.0; 3]; 2], colors: vec![[9; 3]; 2] };
+        colmap::write(folder.path().join("sparse/0"), &lenses, &images, &points).unwrap();
+        let dataset = load(folder.path(), PhotoOrientation::Auto);
+        assert_eq!(all_sides(&dataset), expected);
+        assert!(!dataset.warnings.iter().any(|warning| warning.contains("Exif")), "{:?}", dataset.warnings);
+    }
 }
 
 /// A mask of so many pixels whose left half is hidden, but for one column on the right.

@@ -94,13 +94,16 @@ pub fn warn(warnings: &[String]) {
 /// The cameras of a data set by name, at the photos' own sizes; the photos are not looked at. Ctrl-C ends that, so that
 /// nothing of an unpacked ZIP is left; from then on it ends the program at once.
 pub fn cameras(dataset: &Path) -> Result<Vec<NamedCamera>> {
-    // Only the first handler counts; the flag of an earlier one is raised.
-    let stop = stop_on_ctrl_c().unwrap_or_default();
+    let stop = stop_on_ctrl_c()?;
     let progress = Progress { report: None, interrupted: Some(&stop) };
     let cameras = Gallery::open(dataset, &DatasetOptions::default(), progress)?.cameras();
-    check(&stop)?;
-    stop.store(true, Ordering::Relaxed);
+    end_at_once(&stop)?;
     Ok(cameras)
+}
+
+/// From now on Ctrl-C ends the program at once, for nobody looks at the flag any more; what it was to end is ended here.
+pub fn end_at_once(stop: &AtomicBool) -> Result<()> {
+    if stop.swap(true, Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
 }
 
 /// Ends what Ctrl-C is to end.

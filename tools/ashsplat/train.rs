@@ -106,6 +106,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     session::warn(&dataset.warnings);
     start.iter().for_each(|start| start.warn(&context));
     if let Some(iterations) = arguments.verify_determinism {
+        drop(gallery);
+        session::end_at_once(&stop)?;
         return verify::run(&context, dataset, (&settings, start.as_ref()), iterations, arguments.quiet);
     }
     let folder = settings.data.model_path.clone();

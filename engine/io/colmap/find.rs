@@ -79,8 +79,8 @@ fn no_model(dataset: &Path) -> Error {
         )
     } else if let Some(photos) = photo_folders.iter().find(|folder| has_photos(folder)) {
         format!(
-            "photos alone are not enough: find their cameras with `colmap automatic_reconstructor --workspace_path {place} \
-             --image_path {}`",
+            "photos alone are not enough: find their cameras with `colmap automatic_reconstructor --dense 0 --workspace_path \
+             {place} --image_path {}` (and --use_gpu 0 without a GPU)",
             photos.display()
         )
     } else {

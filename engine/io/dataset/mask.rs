@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::io::images::{Photo, header};
+use crate::io::names::{Finder, plain};
 use crate::scene::camera::Intrinsics;
 use crate::scene::lens::Lens;
 use crate::{Error, Result};
@@ -92,10 +93,10 @@ fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
 
 /// `NAME.png` or, as COLMAP has them, `NAME.jpg.png` in `masks`, or in the folder of masks that goes with the photos':
 /// `masks_4` with `images_4`.
-pub(super) fn mask_of(dataset: &Path, images: &str, name: &str) -> Option<PathBuf> {
-    let in_folder = |folder: PathBuf| {
-        let whole = folder.join(format!("{name}.png"));
-        [whole, folder.join(name).with_extension("png")].into_iter().find(|path| path.is_file())
+pub(super) fn mask_of(dataset: &Path, images: &str, name: &str, finder: &mut Finder) -> Option<PathBuf> {
+    let mut in_folder = |folder: PathBuf| {
+        let whole = folder.join(plain(&format!("{name}.png")));
+        finder.photo(&whole).or_else(|| finder.photo(&folder.join(plain(name)).with_extension("png")))
     };
     in_folder(dataset.join(beside(images))).or_else(|| in_folder(dataset.join("masks")))
 }

@@ -102,7 +102,7 @@ impl Plan {
         });
         // COLMAP itself never turns photos: where no size tells otherwise, there is nothing to warn of.
         let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation).photos;
-        let view = |((image, photo_path), turned): ((&ColmapImage, Result<PathBuf>), bool)| {
+        let mut view = |((image, photo_path), turned): ((&ColmapImage, Result<PathBuf>), bool)| {
             let camera = model.camera_of(image)?;
             let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
                 let problem = format!("camera {}: sees too much for a pinhole", image.camera_id);
@@ -123,12 +123,12 @@ impl Plan {
                 pinhole,
                 photo_path,
                 turned,
-                mask_path: mask_of(path, &options.images, &image.name),
+                mask_path: mask_of(path, &options.images, &image.name, &mut finder),
                 alpha_is_mask: true,
                 held_out: false,
             })
         };
-        plan.views = images.into_iter().zip(paths).zip(turned).map(view).collect();
+        plan.views = images.into_iter().zip(paths).zip(turned).map(&mut view).collect();
         Ok(plan)
     }
 

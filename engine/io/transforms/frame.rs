@@ -299,6 +299,10 @@ impl Reader<'_> {
             | None => {
                 Ok(if fisheye { Distortion::Fisheye { k } } else { Distortion::Brown { k, d: [0.0; 3], p } })
             }
+            Some("EQUIRECTANGULAR") => {
+                let remedy = "cut them into views of pinhole cameras (`ns-process-data images --camera-type equirectangular` does)";
+                Err(Error::input(self.path, format!("frame {}: is a panorama", self.index), remedy))
+            }
             Some(other) => Err(self.error(format!("camera_model {other:?} is not known"))),
         }
     }

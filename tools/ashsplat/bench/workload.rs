@@ -2,7 +2,6 @@
 
 use super::schema::Workload;
 use super::synthetic;
-use crate::session;
 use ashsplat::io::cameras_json;
 use ashsplat::io::{Dataset, DatasetOptions, Progress, splats};
 use ashsplat::scene::gaussians::sh_coefficients;
@@ -186,7 +185,7 @@ impl SceneArguments {
             let view = photos.then_some(TrainView { camera, photo: view.photo });
             (camera, view, Some(loaded.points), loaded.scene_extent)
         } else {
-            let cameras = session::cameras(dataset)?;
+            let cameras = Dataset::cameras(dataset, &DatasetOptions::default())?;
             let camera = cameras.get(self.view).ok_or_else(|| no_view(cameras.len()))?.camera;
             (camera, None, None, 1.0)
         };
