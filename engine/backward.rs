@@ -66,6 +66,8 @@ macro_rules! blend_backward_arguments {
             tile_count: $pass.tile_count,
             first_entry: $pass.first_entry,
             max_entries: $pass.max_entries,
+            first_instance: $pass.first_instance,
+            max_instances: $pass.max_instances,
             background: $inputs.settings.background,
             splat_stride: $pass.splat_stride,
         };

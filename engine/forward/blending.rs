@@ -131,8 +131,9 @@ impl Blend {
     }
 }
 
-/// One pass over the tiles' lists, forward or backward, or as many as very long tiles need. `dispatch` is given the push
-/// constants of blend_io.glsl, which the forward kernels have in common, and the number of tiles.
+/// One pass over the tiles' lists, forward or backward, or as many as very long tiles need, and as many dispatches of each as
+/// bound their work. `dispatch` is given the push constants of blend_io.glsl, which the forward kernels have in common, and
+/// the number of tiles.
 pub(crate) fn record_passes(
     r: &mut Recorder,
     inputs: &FrameInputs,
@@ -140,10 +141,14 @@ pub(crate) fn record_passes(
     dispatch: impl Fn(&mut Recorder, blend_shared::Push, u64),
 ) {
     let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
-    for pass in 0..inputs.capacity.blend_passes {
-        if pass > 0 {
+    let passes = inputs.capacity.blend_passes;
+    // What a frame has room for is known here, what it has is not.
+    let parts = sizes.blend_dispatches(inputs.capacity.instances, 1);
+    for (part, pass) in (0..parts).flat_map(|part| (0..passes).map(move |pass| (part, pass))) {
+        if part + pass > 0 {
             r.barrier();
         }
+        let first_instance = part * sizes.instances_per_dispatch;
         let push = blend_shared::Push {
             image_width: inputs.camera.width,
             image_height: inputs.camera.height,
@@ -151,7 +156,14 @@ pub(crate) fn record_passes(
             tile_count: columns * rows,
             first_entry: pass.saturating_mul(sizes.entries_per_pass),
             max_entries: sizes.entries_per_pass,
-            last_pass: (pass + 1 == inputs.capacity.blend_passes).into(),
+            first_instance,
+            // Empty tiles may begin behind the last instance.
+            max_instances: if part + 1 == parts {
+                u32::MAX - first_instance
+            } else {
+                sizes.instances_per_dispatch
+            },
+            last_pass: (pass + 1 == passes).into(),
             splat_stride: inputs.frame.splats().stride,
         };
         dispatch(r, push, u64::from(columns) * u64::from(rows));

@@ -63,6 +63,8 @@ pub struct Blocks {
     pub max_binding_bytes: u64,
     /// Entries of a tile that one blending pass may handle.
     pub entries_per_pass: u32,
+    /// Instances of all tiles that one of its dispatches handles, but for the rest of the last tile.
+    pub instances_per_dispatch: u32,
 }
 
 impl Blocks {
@@ -130,11 +132,17 @@ impl Blocks {
                 .max_loop_iterations
                 .map_or(MAX_ENTRIES_PER_PASS, |n| n / (blend_parts + 1))
                 .min(MAX_ENTRIES_PER_PASS),
+            instances_per_dispatch: limits.instances_per_dispatch.max(1),
         }
     }
 }
 
 impl Blocks {
+    /// Dispatches of blending for frames of up to so many instances, forward or backward.
+    pub fn blend_dispatches(&self, instances: u32, passes: u32) -> u32 {
+        instances.div_ceil(self.instances_per_dispatch).max(1).saturating_mul(passes)
+    }
+
     /// Elements of the smallest block over which there are dispatches.
     pub(super) fn smallest(&self) -> u32 {
         self.stream.min(self.sort).min(self.scan)

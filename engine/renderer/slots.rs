@@ -121,7 +121,8 @@ impl Reservation {
             .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree))?;
         // Per chunk of parameters: culling and projection, and per scene the ranges of its chunks.
         let projection = 2 * (plan.chunks + self.scenes) + self.scenes;
-        Ok((PER_FRAME + self.blend_passes + projection) as usize)
+        let blending = Blocks::new(context.limits()).blend_dispatches(self.instances, self.blend_passes);
+        Ok((PER_FRAME + blending + projection) as usize)
     }
 }
 

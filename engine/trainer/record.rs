@@ -8,6 +8,7 @@ use super::step::{Plan, Progress, read_losses, step_parts};
 use super::{Densified, StepReport, Trainer};
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
+use crate::plan::Blocks;
 use crate::renderer::{DeviceScene, Release, State};
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder};
 use ash::vk;
@@ -385,7 +386,10 @@ impl Trainer {
     fn step_dispatches(&self) -> usize {
         const PER_STEP: u32 = 64;
         // Per chunk of parameters: culling, projection, its backward, the optimiser.
-        (PER_STEP + 4 * self.training.scene.plan.chunks + 2 * self.runner.capacity().blend_passes) as usize
+        let frame = self.runner.capacity();
+        let blending =
+            Blocks::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
+        (PER_STEP + 4 * self.training.scene.plan.chunks + 2 * blending) as usize
     }
 
     /// The Gaussians as they lie on the device, for [`Renderer::record`](crate::Renderer::record) behind recorded steps,

@@ -9,6 +9,9 @@ use crate::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
 
+/// See [`Limits::instances_per_dispatch`]: 256 times as many pixels are blended, tens of milliseconds of a GPU.
+const INSTANCES_PER_DISPATCH: u32 = 1 << 25;
+
 /// What [`devices`] tells about a device.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
@@ -269,6 +272,7 @@ fn limits(
         max_push_descriptors: push.max_push_descriptors,
         timestamp_period_ns: if timestamps { f64::from(l.timestamp_period) } else { 0.0 },
         is_cpu: properties.device_type == vk::PhysicalDeviceType::CPU,
+        instances_per_dispatch: INSTANCES_PER_DISPATCH,
         max_loop_iterations: (v12.driver_id == vk::DriverId::MESA_LLVMPIPE).then_some(65_535),
         overrides: Vec::new(),
     };

@@ -45,6 +45,9 @@ pub struct Limits {
     /// How often the loops of one invocation run before they stop silently, all loops together. Some(65,535) on
     /// llvmpipe; None where there is no such limit.
     pub max_loop_iterations: Option<u32>,
+    /// (tile, Gaussian) instances that one dispatch of blending takes, but for the rest of its last tile. Our own, so that no
+    /// desktop's watchdog takes a long dispatch for a hang.
+    pub instances_per_dispatch: u32,
     /// Specialization constants that are to have other values than usual, from the context's options.
     pub overrides: Vec<SpecOverride>,
 }
@@ -97,6 +100,8 @@ pub struct LimitsOverride {
     pub max_push_descriptors: Option<u32>,
     /// For [`Limits::max_texels`].
     pub max_texels: Option<u64>,
+    /// For [`Limits::instances_per_dispatch`].
+    pub instances_per_dispatch: Option<u32>,
 }
 
 impl Limits {
@@ -142,6 +147,7 @@ impl Limits {
         lower(&mut self.max_workgroup_subgroups, to.max_workgroup_subgroups);
         lower(&mut self.max_push_descriptors, to.max_push_descriptors);
         lower(&mut self.max_texels, to.max_texels);
+        lower(&mut self.instances_per_dispatch, to.instances_per_dispatch);
         self
     }
 

@@ -90,6 +90,8 @@ void main() {
     uint tile = linear_workgroup();
     bool tile_exists = tile < tile_count;
     uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);
+    tile_exists = tile_exists && is_due(range);
+    range = tile_exists ? range : uvec2(0);
     uint entries = range.y - range.x;
     uint begin = min(first_entry, entries);
     uint end = begin + min(entries - begin, max_entries);

@@ -86,6 +86,9 @@ void main() {
         return;
     }
     uvec2 range = tile_ranges[tile];
+    if (!is_due(range)) {
+        return;
+    }
     uint entries = range.y - range.x;
     uint begin = min(first_entry, entries);
     uint end = begin + min(entries - begin, max_entries);

@@ -10,7 +10,8 @@
 // out, PerPixel: accumulated (r, g, b without background, T), inverse_depth, last_entries (1 + place of the last
 //     blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
 // Entries [first_entry, first_entry + max_entries) of each tile; with first_entry > 0 it goes on where the pass
-// before stopped (drivers that bound the iterations of an invocation need several passes for very long tiles).
+// before stopped (drivers that bound the iterations of an invocation need several passes for very long tiles). Frames of
+// very many instances take several dispatches, each over the tiles that begin in a range of them.
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -102,7 +103,7 @@ void main() {
     }
     uvec2 range = tile_ranges[tile];
     uint entries = range.y - range.x;
-    if (first_entry > 0 && entries <= first_entry) {
+    if (!is_due(range) || (first_entry > 0 && entries <= first_entry)) {
         return;
     }
     uint end = first_entry + min(entries - first_entry, max_entries);

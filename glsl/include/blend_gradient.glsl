@@ -30,9 +30,17 @@ layout(push_constant, scalar) uniform Push {
     uint tile_count;
     uint first_entry;
     uint max_entries;
+    // See blend_io.glsl.
+    uint first_instance;
+    uint max_instances;
     vec3 background;
     uint splat_stride;
 };
+
+// Whether this dispatch handles the tile.
+bool is_due(uvec2 range) {
+    return range.x - first_instance < max_instances;
+}
 
 #include "splat_record.glsl"
 #include "tile_region.glsl"

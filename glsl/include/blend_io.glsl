@@ -21,12 +21,20 @@ layout(push_constant, scalar) uniform Push {
     // This pass handles entries [first_entry, first_entry + max_entries) of each tile.
     uint first_entry;
     uint max_entries;
+    // This dispatch handles the tiles whose instances begin at [first_instance, first_instance + max_instances).
+    uint first_instance;
+    uint max_instances;
     // No pass follows: a tile with more entries than this one reaches leaves the frame invalid (STATE_OVERFLOW).
     uint last_pass;
     uint splat_stride;
 };
 
 #include "splat_record.glsl"
+
+// Whether this dispatch handles the tile.
+bool is_due(uvec2 range) {
+    return range.x - first_instance < max_instances;
+}
 
 // Notes the longest tile, and tiles that the passes do not reach the end of.
 void note_tile(uint entries, uint end) {

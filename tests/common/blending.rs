@@ -50,7 +50,7 @@ macro_rules! blend_lists {
         };
         let [tiles_per_row, rows] = lists.view.tiles();
         gpu.run(|recorder| {
-            for pass in 0..passes(lists, entries_per_pass) {
+            for (pass, [first_instance, max_instances]) in dispatches(lists, entries_per_pass) {
                 recorder.barrier();
                 let push = $kernel::Push {
                     image_width: lists.view.size_px[0],
@@ -59,6 +59,8 @@ macro_rules! blend_lists {
                     tile_count: tiles_per_row * rows,
                     first_entry: pass * entries_per_pass,
                     max_entries: entries_per_pass,
+                    first_instance,
+                    max_instances,
                     last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
                     splat_stride: 1,
                 };
@@ -174,7 +176,7 @@ macro_rules! backward_of_lists {
         };
         let [tiles_per_row, rows] = lists.view.tiles();
         gpu.run(|recorder| {
-            for pass in 0..passes(lists, entries_per_pass) {
+            for (pass, [first_instance, max_instances]) in dispatches(lists, entries_per_pass) {
                 recorder.barrier();
                 let push = $kernel::Push {
                     image_width: lists.view.size_px[0],
@@ -183,6 +185,8 @@ macro_rules! backward_of_lists {
                     tile_count: tiles_per_row * rows,
                     first_entry: pass * entries_per_pass,
                     max_entries: entries_per_pass,
+                    first_instance,
+                    max_instances,
                     background: lists.view.background.map(|x| x as f32),
                     splat_stride: 1,
                 };
@@ -226,4 +230,11 @@ pub fn backward_alone(
 fn passes(lists: &Lists, entries_per_pass: u32) -> u32 {
     let longest = lists.lists.iter().map(Vec::len).max().unwrap_or(0) as u32;
     longest.div_ceil(entries_per_pass).max(1)
+}
+
+/// Passes, each over the tiles that begin in the first half of the instances and over the others.
+fn dispatches(lists: &Lists, entries_per_pass: u32) -> impl Iterator<Item = (u32, [u32; 2])> {
+    let half = lists.slots.len() as u32 / 2;
+    let parts = [[0, half], [half, u32::MAX - half]];
+    (0..passes(lists, entries_per_pass)).flat_map(move |pass| parts.map(|part| (pass, part)))
 }

@@ -204,6 +204,8 @@ fn blend_reports_tiles_that_no_pass_finishes() {
             tile_count: tiles_per_row * rows,
             first_entry: 0,
             max_entries,
+            first_instance: 0,
+            max_instances: u32::MAX,
             last_pass,
             splat_stride: 1,
         };
