@@ -5,7 +5,7 @@ use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, 
 use ashsplat::io::images::PhotoFile;
 use ashsplat::io::{Photo, PhotoMemory, StoredPhoto};
 use ashsplat::trainer::{StepOutcome, StepReservation, Trainer};
-use ashsplat::vk::{Context, ContextOptions, ForeignDevice};
+use ashsplat::vk::{Context, ContextOptions, ForeignDevice, LimitsOverride};
 use ashsplat::{
     Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings, TrainView,
 };
@@ -158,6 +158,53 @@ fn steps_without_room_change_nothing() {
         wanted.room = got.room;
         assert!(got == wanted, "other bits after more room");
         frames.into_iter().for_each(|frame| frame.destroy(host));
+    });
+}
+
+/// Views whose frames have more instances than a binding holds are left out, as by [`Trainer::step`].
+#[test]
+fn steps_that_no_room_suffices_for_are_left_out() {
+    const INSTANCES: u32 = 6400;
+    with_host(&options(), |host| {
+        let limits = LimitsOverride {
+            max_storage_buffer_range: Some(u64::from(INSTANCES) * 16),
+            ..LimitsOverride::default()
+        };
+        let options = ContextOptions { limits_override: Some(limits), ..ContextOptions::default() };
+        // SAFETY: as in `guest`.
+        let context = unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context");
+        // All of them in all tiles: nine of two views, twelve of the others.
+        let mut scene = cloud(600, 5);
+        scene.log_scales.iter_mut().flatten().for_each(|s| *s += 3.5);
+        let begin = |seed| {
+            let settings = TrainSettings { seed, ..settings() };
+            Trainer::new(&context, views(), &scene, 4.0, settings).expect("a trainer")
+        };
+        let seed = (0..20).find(|&seed| begin(seed).step().is_ok()).expect("a small view comes first");
+        let (mut owned, mut recorded) = (begin(seed), begin(seed));
+        let expected: Vec<StepReport> = (0..24).map(|_| owned.step().expect("a step")).collect();
+        recorded.reserve_steps(&StepReservation { slots: 1, instances: 0 }).expect("memory");
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        let mut left_out = Vec::new();
+        while recorded.iteration() < 24 {
+            if recorded.maintenance_is_due().expect("an answer") {
+                left_out.extend(recorded.maintain().expect("maintained").left_out);
+                continue;
+            }
+            in_flight.begin(host).expect("recording");
+            recorded.record_step(adopt(&context, &in_flight), 0).expect("a recording");
+            in_flight.submit(host).expect("a submission");
+            in_flight.wait(host).expect("done");
+            recorded.settle().expect("an answer");
+        }
+        let wanted: Vec<u32> = expected.iter().filter(|r| r.left_out).map(|r| r.iteration).collect();
+        assert!(left_out == wanted && wanted.len() >= 8, "{left_out:?} {wanted:?}");
+        assert!(expected.iter().all(|r| r.left_out == (r.instances > INSTANCES)), "{expected:?}");
+        let (got, mut wanted) =
+            (recorded.checkpoint().expect("a state"), owned.checkpoint().expect("a state"));
+        wanted.room = got.room;
+        assert!(got == wanted, "other bits");
+        in_flight.destroy(host);
     });
 }
 
