@@ -6,7 +6,7 @@ use super::memory::{MemoryKind, NEXT_ID};
 use super::recorder::Recorder;
 use super::vk_error;
 use crate::{Error, Result};
-use ash::vk;
+use ash::vk::{self, Format as F};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -302,7 +302,6 @@ impl Drop for View {
 
 /// The aspect that kernels see.
 fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
-    use vk::Format as F;
     match format {
         F::D16_UNORM | F::X8_D24_UNORM_PACK32 | F::D32_SFLOAT => vk::ImageAspectFlags::DEPTH,
         _ if has_stencil(format) => vk::ImageAspectFlags::DEPTH,
@@ -310,9 +309,18 @@ fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
     }
 }
 
+/// Bytes of a texel of the aspect that kernels see, where it is copied.
+fn texel_bytes(format: vk::Format) -> u64 {
+    match format {
+        F::D16_UNORM | F::D16_UNORM_S8_UINT | F::R16_UNORM | F::R16_SFLOAT => 2,
+        F::R16G16B16A16_SFLOAT => 8,
+        F::R32G32B32A32_SFLOAT => 16,
+        _ => 4,
+    }
+}
+
 /// Whether there is a stencil beside the depth.
 fn has_stencil(format: vk::Format) -> bool {
-    use vk::Format as F;
     matches!(format, F::D16_UNORM_S8_UINT | F::D24_UNORM_S8_UINT | F::D32_SFLOAT_S8_UINT)
 }
 
@@ -361,6 +369,9 @@ impl Recorder {
     }
 
     /// Copies a buffer of tightly packed texels into an image of our own, and leaves it ready for kernels.
+    ///
+    /// # Panics
+    /// When the buffer is smaller than the image.
     pub fn copy_to_image(&mut self, from: &super::Buffer, image: &Image) {
         let transfer = ImageState {
             layout: vk::ImageLayout::TRANSFER_DST_OPTIMAL,
@@ -369,7 +380,7 @@ impl Recorder {
         };
         self.image_barrier(image, ImageState::UNDEFINED, transfer);
         self.transfer("copy to image", &[(from, "source", Access::Read)]);
-        let region = image.copy_region(from.offset());
+        let region = image.copy_region(from);
         // SAFETY: recording state; the layout is as the barrier says, the region is the whole level of the image.
         unsafe {
             let (raw, layout) = (self.raw(), transfer.layout);
@@ -379,6 +390,9 @@ impl Recorder {
     }
 
     /// Copies an image that kernels have written into a buffer of tightly packed texels.
+    ///
+    /// # Panics
+    /// When the buffer is smaller than the image.
     pub fn copy_from_image(&mut self, image: &Image, to: &super::Buffer) {
         let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
         let accesses = vk::AccessFlags2::SHADER_STORAGE_WRITE;
@@ -390,7 +404,7 @@ impl Recorder {
         };
         self.image_barrier(image, written, transfer);
         self.transfer("copy from image", &[(to, "destination", Access::Write)]);
-        let region = image.copy_region(to.offset());
+        let region = image.copy_region(to);
         // SAFETY: as in `copy_to_image`.
         unsafe {
             let (raw, layout) = (self.raw(), transfer.layout);
@@ -427,11 +441,13 @@ impl Image {
         range
     }
 
-    fn copy_region(&self, buffer_offset: u64) -> vk::BufferImageCopy {
+    fn copy_region(&self, buffer: &super::Buffer) -> vk::BufferImageCopy {
         let [width, height] = self.0.size;
+        let bytes = u64::from(width) * u64::from(height) * texel_bytes(self.0.format);
+        assert!(bytes <= buffer.bytes(), "copy: {buffer:?} is smaller than {self:?}, {bytes} bytes");
         let range = self.0.range;
         vk::BufferImageCopy::default()
-            .buffer_offset(buffer_offset)
+            .buffer_offset(buffer.offset())
             .image_subresource(vk::ImageSubresourceLayers {
                 aspect_mask: range.aspect_mask,
                 mip_level: range.base_mip_level,

@@ -320,6 +320,9 @@ impl Recorder {
     /// When the buffer's offset or size is no multiple of 4, or a barrier is missing.
     pub fn fill(&mut self, buffer: &Buffer, value: u32) {
         self.transfer("fill", &[(buffer, "destination", Access::Write)]);
+        if buffer.bytes() == 0 {
+            return;
+        }
         // SAFETY: recording state; a range within a buffer that is kept, with TRANSFER_DST usage.
         unsafe {
             let (offset, bytes) = (buffer.offset(), buffer.bytes());
@@ -340,6 +343,9 @@ impl Recorder {
         let to = &to.range(0, bytes);
         let uses = [(from, "source", Access::Read), (to, "destination", Access::Write)];
         self.transfer("copy", &uses);
+        if bytes == 0 {
+            return;
+        }
         let region = vk::BufferCopy::default().src_offset(from.offset()).dst_offset(to.offset()).size(bytes);
         // SAFETY: recording state; ranges within buffers that are kept, with transfer usage, that do not overlap.
         unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }

@@ -340,3 +340,35 @@ fn a_recorder_takes_nothing_of_another_context() {
         }
     });
 }
+
+/// What is copied fits, and nothing is no command.
+#[test]
+fn recorded_copies_stay_inside() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let requests = [("small", 60), ("large", 64)];
+        let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
+        let image = Image::new(&context, "image", vk::Format::R32_SFLOAT, [4, 4], ImageUse::Storage);
+        let image = image.expect("an image");
+        type Use<'a> = &'a dyn Fn(&mut Recorder);
+        let outside: [Use; 2] =
+            [&|r| r.copy_from_image(&image, &buffers[0]), &|r| r.copy_to_image(&buffers[0], &image)];
+        for record in outside {
+            let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+                record(&mut context.begin("test").expect("a recorder"));
+            }));
+            let panic = panicked.expect_err("60 bytes for 16 texels");
+            let text = panic.downcast_ref::<String>().expect("a message");
+            assert!(text.contains("'small', 60 bytes) is smaller than Image('image'"), "{text}");
+        }
+        let recorded = context.run("test", |r| {
+            let nothing = buffers[0].range(0, 0);
+            r.fill(&nothing, 1);
+            r.copy(&nothing, &buffers[1]);
+            r.barrier();
+            r.copy_to_image(&buffers[1], &image);
+            Ok(())
+        });
+        recorded.expect("recorded");
+    });
+}
