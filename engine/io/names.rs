@@ -30,6 +30,19 @@ pub(super) fn has_photo_ending(name: &Path) -> bool {
     name.extension().is_some_and(|ending| ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
 }
 
+/// How many photos lie in a folder and those below it.
+pub(super) fn count_photos(folder: &Path) -> usize {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let count =
+        |path: PathBuf| match path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.')) {
+            true => 0,
+            // A link may lead back.
+            false if path.is_dir() && !path.is_symlink() => count_photos(&path),
+            false => usize::from(has_photo_ending(&path)),
+        };
+    entries.map(|entry| count(entry.path())).sum()
+}
+
 /// Looks files up, and keeps what lies in the folders that it had to look through.
 #[derive(Default)]
 pub(super) struct Finder {

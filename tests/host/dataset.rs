@@ -164,6 +164,20 @@ fn without_points_it_starts_from_random_ones_around_the_cameras() {
 }
 
 #[test]
+fn photos_without_a_camera_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 3, 1);
+    for name in ["extra.png", "below/extra.JPG", "._000.png", "notes.txt"] {
+        let path = folder.path().join("images").join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, "").unwrap();
+    }
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert_eq!(dataset.warnings.len(), 1);
+    assert!(dataset.warnings[0].contains("only 3 of its 5 photos have a camera"), "{:?}", dataset.warnings);
+}
+
+#[test]
 fn one_camera_has_an_extent() {
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), 1, 3);

@@ -142,6 +142,27 @@ fn sizes_that_the_file_cannot_hold_are_refused() {
     }
 }
 
+/// Metadata of any length may stand before a JPEG's size.
+#[test]
+fn sizes_behind_long_metadata_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jpg");
+    let mut bytes = Vec::new();
+    let picture = image::RgbImage::from_pixel(24, 16, Rgb([90, 60, 30]));
+    image::codecs::jpeg::JpegEncoder::new(&mut bytes).encode_image(&picture).unwrap();
+    for segments in [0, 1, 3, 4, 5, 40] {
+        let mut file = bytes[..2].to_vec();
+        (0..segments).for_each(|_| {
+            file.extend([0xff, 0xe5, 0xff, 0xff]);
+            file.extend([7; 65_533]);
+        });
+        file.extend(&bytes[2..]);
+        std::fs::write(&path, file).unwrap();
+        assert_eq!(photo_size(&path).unwrap(), (24, 16), "{segments}");
+        assert_eq!(Photo::read_sized(&path, BLACK, 24, 16).unwrap().width, 24);
+    }
+}
+
 #[test]
 fn what_is_no_picture_is_named() {
     let folder = tempfile::tempdir().unwrap();

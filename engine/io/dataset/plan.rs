@@ -10,7 +10,7 @@ use super::turned::Turned;
 use super::{DatasetOptions, View};
 use crate::io::colmap::{self, ColmapCamera, ColmapImage, Model};
 use crate::io::images::{Photo, StoredPhoto, header};
-use crate::io::names::Finder;
+use crate::io::names::{Finder, count_photos};
 use crate::io::transforms::{self, Frame, Transforms};
 use crate::scene::lens::Lens;
 use crate::scene::{Camera, Intrinsics, PointCloud};
@@ -128,6 +128,14 @@ impl Plan {
                 held_out: false,
             })
         };
+        let (photos, registered) = (count_photos(&folder), images.len());
+        if photos > registered {
+            plan.warnings.push(format!(
+                "{}: only {registered} of its {photos} photos have a camera in the model: the others are not used (photos \
+                 that overlap more, or `colmap exhaustive_matcher`, may register them)",
+                folder.display()
+            ));
+        }
         plan.views = images.into_iter().zip(paths).zip(turned).map(&mut view).collect();
         Ok(plan)
     }

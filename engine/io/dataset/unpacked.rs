@@ -1,7 +1,7 @@
 //! A data set that may be one ZIP.
 
 use std::fs::{self, File};
-use std::io::{self, BufReader, Read};
+use std::io::{BufReader, Read, Write};
 use std::path::{Component, Path, PathBuf};
 
 use zip::result::ZipError;
@@ -14,7 +14,7 @@ use crate::{Error, Result};
 const MAX_RATIO: u64 = 1032;
 
 /// Bytes between two looks whether to go on.
-const PIECE_BYTES: u64 = 4 << 20;
+const PIECE_BYTES: usize = 1 << 20;
 
 /// The folder of a data set: itself, or what its ZIP was unpacked to.
 pub(crate) struct Unpacked {
@@ -90,6 +90,7 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
     let mut left = file.metadata().map_err(io)?.len().saturating_mul(MAX_RATIO);
     let mut archive =
         zip::ZipArchive::new(BufReader::new(file)).map_err(|e| refused(format!("is no whole ZIP: {e}")))?;
+    let mut piece = vec![0; PIECE_BYTES];
     for index in 0..archive.len() {
         progress.check()?;
         let mut entry = archive.by_index(index).map_err(|e| damaged(format!("entry {index}"), e))?;
@@ -109,18 +110,20 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
         if let Some(parent) = place.parent() {
             fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create", e))?;
         }
-        let mut output = File::create(&place).map_err(|e| Error::io(&place, "create", e))?;
+        // What the disk does not take is no fault of the archive.
+        let full = |e| Error::io(target, "unpack the ZIP (TMPDIR names another folder for it)", e);
+        let mut output = File::create(&place).map_err(full)?;
         loop {
             progress.check()?;
-            let copied = io::copy(&mut Read::take(&mut entry, left.min(PIECE_BYTES)), &mut output);
-            let copied = copied.map_err(|e| refused(format!("{name:?}: {e}")))?;
-            left -= copied;
+            let read = entry.read(&mut piece).map_err(|e| refused(format!("{name:?}: {e}")))?;
+            if read == 0 {
+                break;
+            }
+            left = left.saturating_sub(read as u64);
             if left == 0 {
                 return Err(refused("unpacks to far more than photos can".into()));
             }
-            if copied == 0 {
-                break;
-            }
+            output.write_all(&piece[..read]).map_err(full)?;
         }
     }
     Ok(())
