@@ -158,7 +158,7 @@ fn killed_at_any_moment_training_goes_on() {
     // A low-discrepancy sequence over the time that a run takes; on a busy machine some come too late or too early.
     let (mut whole_files, mut alive, mut gone_on) = (0, 0, 0);
     for moment in 0..kills * 4 {
-        if moment >= kills && alive > 0 && gone_on > 0 {
+        if alive >= kills && gone_on > 0 {
             break;
         }
         let share = (0.5 + moment as f64 * 0.618_033_988_75) % 1.0;
