@@ -83,3 +83,24 @@ fn a_failed_iteration_saves_only_what_is_known_and_seen() {
     }
     assert!(seen > 0 && reset > 0 && unknown > 0, "{seen} {reset} {unknown}");
 }
+
+/// Iterations that were left out are counted, and have no loss in the log.
+#[test]
+fn iterations_that_are_left_out_are_counted() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut settings = Settings::default();
+    settings.data.model_path = folder.path().to_owned();
+    let context = Context::new(&ContextOptions::default()).expect("a device");
+    let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
+    for (iteration, left_out) in [(1, false), (2, true), (3, true)] {
+        let loss = if left_out { f32::NAN } else { 0.5 };
+        let report = StepReport { iteration, left_out, loss, instances: 9_000_000, ..StepReport::default() };
+        run.account(&report);
+        run.log.add(&report, None, &[]);
+    }
+    assert_eq!(run.left_out, 2);
+    run.log.finish().expect("written");
+    let rows = log::Rows::read(&folder.path().join(LOG_FILE)).expect("the log");
+    assert_eq!(rows.loss[0], 0.5);
+    assert!(rows.loss.len() == 3 && rows.loss[1..].iter().all(|loss| loss.is_nan()), "{:?}", rows.loss);
+}
