@@ -6,6 +6,7 @@
 
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
+use super::kernel::Access;
 use super::memory::MemoryKind;
 use super::recorder::{Recorder, Target};
 use super::submit;
@@ -108,8 +109,32 @@ impl Commands {
 }
 
 impl Recorder {
+    /// Keeps what a command wrote, where somebody audits.
+    pub(super) fn audit<'a>(
+        &mut self,
+        command: &'static str,
+        uses: impl Iterator<Item = (&'a Buffer, Access)>,
+    ) {
+        let Some(mut audit) = self.audit.take() else { return };
+        let written = uses.filter(|(_, access)| access.writes()).map(|(buffer, _)| buffer);
+        let copies = audit.snapshot(&self.inner, command, written);
+        self.record_barrier();
+        for (from, to) in copies {
+            let region = vk::BufferCopy::default()
+                .src_offset(from.offset())
+                .dst_offset(to.offset())
+                .size(from.bytes());
+            // SAFETY: recording state; ranges of equal size with transfer usage, in buffers that are kept, here or by
+            // the audit until they are hashed.
+            unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }
+        }
+        self.record_barrier();
+        self.audit = Some(audit);
+        self.submit_audited();
+    }
+
     /// Submits what is recorded so far where it holds many snapshots, and hashes those; then recording goes on.
-    pub(super) fn submit_audited(&mut self) {
+    fn submit_audited(&mut self) {
         if self.audit.as_ref().is_some_and(|audit| audit.bytes > MOST_BYTES)
             && let Err(error) = self.submit_snapshots()
         {

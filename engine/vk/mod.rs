@@ -7,7 +7,7 @@
 //! | `memory`, `buffer` | [`Context::allocate`]: requests packed into blocks; a [`Buffer`] is a named range of one |
 //! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
 //! | `allocator` | [`HostAllocator`]: memory from a host |
-//! | `image` | [`Image`]: a host's or our own |
+//! | `image`, `format` | [`Image`]: a host's or our own |
 //! | `requirements`, `foreign`, `lent` | what a host enables; [`Context::from_foreign`], [`RecordSlot`] |
 //! | `bind`, `descriptors` | binding for a dispatch; descriptor sets where push descriptors are missing |
 //! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
@@ -55,6 +55,7 @@ mod descriptors;
 mod device;
 mod faults;
 mod foreign;
+mod format;
 mod guards;
 pub mod hazard;
 mod image;

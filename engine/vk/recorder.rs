@@ -232,26 +232,6 @@ impl Recorder {
         }
     }
 
-    /// Keeps what a command wrote, where somebody audits.
-    fn audit<'a>(&mut self, command: &'static str, uses: impl Iterator<Item = (&'a Buffer, Access)>) {
-        let Some(mut audit) = self.audit.take() else { return };
-        let written = uses.filter(|(_, access)| access.writes()).map(|(buffer, _)| buffer);
-        let copies = audit.snapshot(&self.inner, command, written);
-        self.record_barrier();
-        for (from, to) in copies {
-            let region = vk::BufferCopy::default()
-                .src_offset(from.offset())
-                .dst_offset(to.offset())
-                .size(from.bytes());
-            // SAFETY: recording state; ranges of equal size with transfer usage, in buffers that are kept, here or by
-            // the audit until they are hashed.
-            unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }
-        }
-        self.record_barrier();
-        self.audit = Some(audit);
-        self.submit_audited();
-    }
-
     fn profile_dispatch(&mut self, pipeline: &Pipeline, buffers: &[&Buffer], grid: Option<[u32; 3]>) {
         let accesses = pipeline.bindings.iter().map(|info| info.access);
         self.audit(pipeline.name, buffers.iter().copied().zip(accesses));
@@ -401,7 +381,7 @@ impl Recorder {
         self.record_barrier();
     }
 
-    fn record_barrier(&self) {
+    pub(super) fn record_barrier(&self) {
         type Stage = vk::PipelineStageFlags2;
         type Flags = vk::AccessFlags2;
         // All stages on both sides: a write must also wait for reads before it.

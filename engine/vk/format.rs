@@ -1,0 +1,27 @@
+//! What is known of image formats.
+
+use ash::vk::{self, Format as F};
+
+/// The aspect that kernels see.
+pub(super) fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
+    match format {
+        F::D16_UNORM | F::X8_D24_UNORM_PACK32 | F::D32_SFLOAT => vk::ImageAspectFlags::DEPTH,
+        _ if has_stencil(format) => vk::ImageAspectFlags::DEPTH,
+        _ => vk::ImageAspectFlags::COLOR,
+    }
+}
+
+/// Bytes of a texel of the aspect that kernels see, where it is copied.
+pub(super) fn texel_bytes(format: vk::Format) -> u64 {
+    match format {
+        F::D16_UNORM | F::D16_UNORM_S8_UINT | F::R16_UNORM | F::R16_SFLOAT => 2,
+        F::R16G16B16A16_SFLOAT => 8,
+        F::R32G32B32A32_SFLOAT => 16,
+        _ => 4,
+    }
+}
+
+/// Whether there is a stencil beside the depth.
+pub(super) fn has_stencil(format: vk::Format) -> bool {
+    matches!(format, F::D16_UNORM_S8_UINT | F::D24_UNORM_S8_UINT | F::D32_SFLOAT_S8_UINT)
+}
