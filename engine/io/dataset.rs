@@ -17,8 +17,8 @@ use super::cameras_json::{self, NamedCamera};
 use super::images::{PhotoFile, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 use super::progress::Progress;
 use crate::Result;
-use crate::scene::init::{RANDOM_POINTS, random_points, seen_box};
-use crate::scene::{Bounds, Camera, Gaussians, PointCloud, scene_extent};
+use crate::scene::init::{RANDOM_POINTS, points_in_view, random_points, seen_box};
+use crate::scene::{Camera, Gaussians, PointCloud, scene_extent};
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
@@ -169,6 +169,14 @@ impl Dataset {
         let points = gallery.points.clone();
         if points.is_empty() {
             warnings.push(format!("no points to start from; {RANDOM_POINTS} random ones stand in for them"));
+            let cameras: Vec<Camera> = train.iter().map(|view| view.camera).collect();
+            if seen_box(&cameras).is_none() {
+                warnings.push(
+                    "the cameras do not look at one place and so do not tell how far the scene is: the random points are a \
+                     guess from how far apart the cameras are; give points"
+                        .into(),
+                );
+            }
         }
         Self { train, test, points, scene_extent: extent, source: gallery.source.clone(), warnings }
     }
@@ -185,21 +193,18 @@ impl Dataset {
         self.source.extension().is_some_and(|ending| ending == "json")
     }
 
-    /// The points, or, when there are none, 100,000 random ones: where all training cameras look
-    /// ([`seen_box`]), or where they look outwards, in the cube whose middle is that of the cameras' box and whose
-    /// half edge is the scene extent.
+    /// The points, or, when there are none, 100,000 random ones: in the box where all training cameras look
+    /// ([`seen_box`]), or where they do not look at one place, in what each of them sees ([`points_in_view`]), at depths
+    /// from a quarter to 16 times the scene extent.
     pub fn initial_points(&self, seed: u64) -> PointCloud {
         if !self.points.is_empty() {
             return self.points.clone();
         }
         let cameras: Vec<Camera> = self.train.iter().map(|view| view.camera).collect();
-        if let Some(bounds) = seen_box(&cameras) {
-            return random_points(RANDOM_POINTS, bounds, seed);
+        match seen_box(&cameras) {
+            Some(bounds) => random_points(RANDOM_POINTS, bounds, seed),
+            None => points_in_view(RANDOM_POINTS, &cameras, self.scene_extent, seed),
         }
-        let positions = self.train.iter().map(|view| view.camera.position());
-        let center = Bounds::of(positions).map_or(glam::Vec3::ZERO, |bounds| bounds.center());
-        let bounds = Bounds { min: center - self.scene_extent, max: center + self.scene_extent };
-        random_points(RANDOM_POINTS, bounds, seed)
     }
 
     /// The Gaussians that training starts from.

@@ -4,6 +4,7 @@
 //! shared or each frame's own: `fl_x fl_y cx cy w h` or `camera_angle_x`, and `k1 k2 k3 k4 p1 p2` with `camera_model`.
 
 mod frame;
+mod split;
 
 use std::path::{Path, PathBuf};
 

@@ -7,6 +7,15 @@ use crate::{Error, Result};
 /// Largest accepted width or height of an image, pixels. JPEG's own limit; larger claims are damage.
 pub const MAX_IMAGE_SIDE: u32 = 65_535;
 
+/// Least and greatest focal length of a camera that took photographs, image sizes.
+const FOCAL_LENGTHS: [f32; 2] = [1e-3, 1e6];
+
+/// Greatest distance of its principal point from the middle, image sizes.
+const PRINCIPAL_POINT: f32 = 100.0;
+
+/// Greatest distance of its centre from the origin, world units.
+const FARTHEST: f32 = 1e9;
+
 /// How far `R Rᵀ` of a camera's rotation may be from the identity, per element.
 const ORTHONORMAL_TOLERANCE: f32 = 1e-3;
 
@@ -59,7 +68,30 @@ impl Intrinsics {
     }
 }
 
+impl Intrinsics {
+    /// What no camera that took photographs has, though it could be rendered.
+    pub(crate) fn absurdity(&self) -> Option<String> {
+        let axes = [("x", self.fx, self.cx, self.width), ("y", self.fy, self.cy, self.height)];
+        axes.into_iter().find_map(|(axis, focal, center, side)| {
+            let side_px = side as f32;
+            if !(FOCAL_LENGTHS[0] * side_px..=FOCAL_LENGTHS[1] * side_px).contains(&focal) {
+                return Some(format!("the focal length in {axis} is {focal} for {side} pixels"));
+            }
+            let off = (center - 0.5 * side_px).abs() > PRINCIPAL_POINT * side_px;
+            off.then(|| format!("the principal point in {axis} is at {center} of {side} pixels"))
+        })
+    }
+}
+
 impl Camera {
+    /// What no camera of a scene has, though it is finite: arithmetic in single precision ends long before.
+    pub(crate) fn absurdity(&self) -> Option<String> {
+        let position = self.position();
+        // Also of what is no number.
+        let sane = position.length() <= FARTHEST;
+        (!sane).then(|| format!("its camera is at {position}, farther than {FARTHEST:e} from the origin"))
+    }
+
     /// A camera from its pose in COLMAP's form: the quaternion (w, x, y, z) of the rotation from world to
     /// camera, of any length but zero, and the translation from world to camera.
     ///

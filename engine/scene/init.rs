@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec3, Vec3};
 use kdtree::KdTree;
 use kdtree::distance::squared_euclidean;
 use rand::{RngExt, SeedableRng};
@@ -105,6 +105,26 @@ pub fn random_points(count: usize, bounds: Bounds, seed: u64) -> PointCloud {
         .map(|_| std::array::from_fn(|axis| min[axis] + size[axis] * random.random::<f32>()))
         .collect();
     PointCloud { positions, colors: vec![[128; 3]; count] }
+}
+
+/// Depths between which [`points_in_view`] places its points, in units of the cameras' spread.
+const DEPTHS: [f32; 2] = [0.25, 16.0];
+
+/// Grey points inside of what the cameras see, each camera's share uniform in its picture and in the logarithm of the
+/// depth, from a quarter to 16 times `spread`; the same ones for the same seed. None without cameras.
+pub fn points_in_view(count: usize, cameras: &[Camera], spread: f32, seed: u64) -> PointCloud {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let [near, far] = DEPTHS.map(|depth| (depth * spread).ln());
+    let positions = cameras.iter().cycle().take(count).map(|camera| {
+        let [u, v, t] = std::array::from_fn(|_| random.random::<f32>());
+        let depth = (near + (far - near) * t).exp();
+        let x = (u * camera.width as f32 - camera.cx) / camera.fx;
+        let y = (v * camera.height as f32 - camera.cy) / camera.fy;
+        let there = depth * Vec3::new(x, y, 1.0) - camera.translation;
+        (camera.camera_from_world.transpose() * there).to_array()
+    });
+    let positions: Vec<[f32; 3]> = positions.collect();
+    PointCloud { colors: vec![[128; 3]; positions.len()], positions }
 }
 
 /// Share of what a typical camera sees across that the box takes.

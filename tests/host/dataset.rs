@@ -17,19 +17,24 @@ fn write(folder: &Path, count: u32, points: usize) -> Vec<Camera> {
         Camera::look_at(3.0 * Vec3::new(cos, 0.0, sin), Vec3::ZERO, Vec3::NEG_Y, intrinsics)
     };
     let cameras: Vec<Camera> = (0..count).map(camera).collect();
+    write_with(folder, &cameras, points);
+    cameras
+}
+
+fn write_with(folder: &Path, cameras: &[Camera], points: usize) {
+    let count = cameras.len() as u32;
     let name = |i: u32| format!("{i:03}.png");
     // Registered in the opposite order of the names.
     let images: Vec<_> =
         (0..count).rev().map(|i| ColmapImage::posed(100 - i, 1, name(i), &cameras[i as usize])).collect();
     let points = PointCloud { positions: vec![[0.5, 0.0, -0.5]; points], colors: vec![[10, 20, 30]; points] };
-    colmap::write(folder.join("sparse/0"), &[ColmapCamera::pinhole(1, &camera(0))], &images, &points)
+    colmap::write(folder.join("sparse/0"), &[ColmapCamera::pinhole(1, &cameras[0])], &images, &points)
         .unwrap();
     std::fs::create_dir_all(folder.join("images")).unwrap();
     for i in 0..count {
         let photo = Photo { width: 20, height: 12, rgb: vec![i as u8; 20 * 12 * 3] };
         photo.write_png(folder.join("images").join(name(i))).unwrap();
     }
-    cameras
 }
 
 fn load(folder: &Path, options: &DatasetOptions) -> Dataset {
@@ -161,6 +166,36 @@ fn without_points_it_starts_from_random_ones_around_the_cameras() {
     let gaussians = dataset.initial_gaussians(1, 5).unwrap();
     gaussians.check_shapes().unwrap();
     assert!(gaussians.means == points.positions, "one Gaussian at each point");
+}
+
+/// Axes that meet nowhere tell no depth: the points are where the cameras look all the same.
+#[test]
+fn without_points_parallel_cameras_see_the_random_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    let intrinsics = Intrinsics { fx: 21.0, fy: 22.0, cx: 10.5, cy: 6.0, width: 20, height: 12 };
+    let camera = |i: u32, apart: f32| {
+        let eye = Vec3::new(5.0 + apart * i as f32, 0.0, 1.0);
+        Camera::look_at(eye, eye + Vec3::Y, Vec3::Z, intrinsics)
+    };
+    for apart in [0.0, 0.5] {
+        let cameras: Vec<Camera> = (0..4).map(|i| camera(i, apart)).collect();
+        write_with(folder.path(), &cameras, 0);
+        let dataset = load(folder.path(), &DatasetOptions::default());
+        assert!(
+            dataset.warnings.iter().any(|w| w.contains("do not look at one place")),
+            "{:?}",
+            dataset.warnings
+        );
+        let points = dataset.initial_points(5);
+        assert_eq!(points.len(), 100_000);
+        for camera in &cameras {
+            let seen = |&&p: &&[f32; 3]| {
+                let (x, y, depth) = camera.project(Vec3::from_array(p));
+                depth > 0.0 && (0.0..20.0).contains(&x) && (0.0..12.0).contains(&y)
+            };
+            assert!(points.positions.iter().filter(seen).count() > 25_000 - 100);
+        }
+    }
 }
 
 #[test]

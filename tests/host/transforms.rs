@@ -276,3 +276,97 @@ fn a_zip_is_a_data_set() {
     only.finish().unwrap();
     assert!(refusal(&folder.path().join("photos.zip")).contains("photos.zip: has no COLMAP model"));
 }
+
+#[test]
+fn lists_of_names_split_the_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let list = frames(folder.path(), "images", 0..6, ".png");
+    let named =
+        |indices: &[u32]| json!(indices.iter().map(|i| format!("images/r_{i}.png")).collect::<Vec<_>>());
+    let write = |lists: Value| {
+        let mut document = json!({ "camera_angle_x": angle(), "frames": list.clone() });
+        document.as_object_mut().unwrap().extend(lists.as_object().unwrap().clone());
+        write_json(&folder.path().join("transforms.json"), &document);
+    };
+    let split = || {
+        let dataset = load(folder.path(), &DatasetOptions { eval: true, ..Default::default() });
+        let names = |views: &[ashsplat::io::View]| views.iter().map(|v| v.name[9..10].to_owned()).collect();
+        let (train, test): (String, String) = (names(&dataset.train), names(&dataset.test));
+        (train, test, dataset.warnings[0].clone())
+    };
+    // The last is in none, and the one before only in what gives way to the test's list.
+    write(
+        json!({ "train_filenames": named(&[0, 1, 2]), "test_filenames": named(&[3]), "val_filenames": named(&[4]) }),
+    );
+    let (train, test, warning) = split();
+    assert_eq!((train.as_str(), test.as_str()), ("012", "3"));
+    assert!(warning.contains("2 of 6 frames are in none of the lists train_filenames and test_filenames"));
+    assert_eq!(load(folder.path(), &DatasetOptions::default()).train.len(), 4);
+    write(
+        json!({ "train_filenames": named(&[0, 1]), "test_filenames": [], "val_filenames": named(&[4, 5]) }),
+    );
+    let (train, test, _) = split();
+    assert_eq!((train.as_str(), test.as_str()), ("01", "45"));
+    write(json!({ "test_filenames": named(&[1]) }));
+    let (train, test, _) = split();
+    assert_eq!((train.as_str(), test.as_str()), ("02345", "1"));
+    write(json!({ "train_filenames": ["images/r_0.png", "images/other.png"] }));
+    assert!(
+        refusal(folder.path()).contains("train_filenames names \"images/other.png\", which no frame has")
+    );
+    write(json!({ "test_filenames": "images/r_0.png" }));
+    assert!(refusal(folder.path()).contains("test_filenames is not a list of names"));
+}
+
+#[test]
+fn masks_beside_the_photos_need_no_mask_path() {
+    let folder = tempfile::tempdir().unwrap();
+    let document = json!({ "camera_angle_x": angle(), "frames": frames(folder.path(), "images", 0..3, "") });
+    write_json(&folder.path().join("transforms.json"), &document);
+    std::fs::create_dir_all(folder.path().join("masks")).unwrap();
+    let half = image::GrayImage::from_fn(20, 12, |x, _| image::Luma([if x < 10 { 255 } else { 0 }]));
+    half.save(folder.path().join("masks/r_1.png")).unwrap();
+    let train = load(folder.path(), &DatasetOptions::default()).train;
+    let masks: Vec<_> = train.iter().map(|view| view.photo.mask().unwrap()).collect();
+    assert!(masks[0].is_none() && masks[2].is_none());
+    assert!(**masks[1].as_ref().unwrap() == **half.as_raw());
+}
+
+#[test]
+fn absurd_cameras_are_refused_or_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let list = frames(folder.path(), "images", 0..5, ".png");
+    let moved = |x: f64| {
+        let mut list = list.clone();
+        list[2]["transform_matrix"][0][3] = json!(x);
+        list
+    };
+    let write = |mut document: Value, frames: Vec<Value>| {
+        document["frames"] = json!(frames);
+        write_json(&folder.path().join("transforms.json"), &document);
+    };
+    for far in [1e38, 2e9] {
+        write(json!({ "fl_x": 21.0 }), moved(far));
+        let message = refusal(folder.path());
+        assert!(
+            message.contains("frame images/r_2.png: ") && message.contains("from the origin"),
+            "{message}"
+        );
+    }
+    for (key, value, what) in [
+        ("cx", 1e9, "the principal point in x is at 1000000000 of 20 pixels"),
+        ("fl_x", 1e-9, "the focal length in x is"),
+        ("fl_x", 1e9, "the focal length in x is"),
+    ] {
+        let mut document = json!({ "fl_x": 21.0, "fl_y": 21.0 });
+        document[key] = json!(value);
+        write(document, list.clone());
+        let message = refusal(folder.path());
+        assert!(message.contains(what), "{message}");
+    }
+    write(json!({ "fl_x": 21.0 }), moved(1e5));
+    let stray = |dataset: &Dataset| dataset.warnings.iter().any(|w| w.contains("images/r_2.png for example"));
+    assert!(stray(&load(folder.path(), &DatasetOptions::default())));
+    write(json!({ "fl_x": 21.0 }), moved(100.0));
+    assert!(!stray(&load(folder.path(), &DatasetOptions::default())));
+}

@@ -175,6 +175,11 @@ impl Model {
                 "run COLMAP's mapper again, or remove the image from the model",
             ));
         }
+        if let Some(what) = result.absurdity() {
+            let problem = format!("image {} ({}): {what}", image.id, image.name);
+            let remedy = "run COLMAP's mapper again, or remove the image from the model";
+            return Err(Error::input(file, problem, remedy));
+        }
         Ok(result)
     }
 
@@ -208,6 +213,9 @@ impl Model {
             ));
         }
         if let Some(problem) = upright.problem() {
+            return Err(Error::input(&file, format!("{place}: {problem}"), "run COLMAP again"));
+        }
+        if let Some(problem) = lens.intrinsics().absurdity() {
             return Err(Error::input(&file, format!("{place}: {problem}"), "run COLMAP again"));
         }
         Ok(lens)

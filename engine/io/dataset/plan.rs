@@ -16,6 +16,9 @@ use crate::scene::lens::Lens;
 use crate::scene::{Camera, Intrinsics, PointCloud};
 use crate::{Error, Result};
 
+/// A camera that is so many times as far from the middle as the median is a stray.
+const STRAY: f32 = 1000.0;
+
 /// Views, points, and what is odd.
 pub(super) struct Plan {
     /// The folder of the model, or the file with the cameras.
@@ -57,9 +60,34 @@ impl Plan {
     /// Finds out what a data set consists of; the photos are looked for, and where nothing else gives their size,
     /// opened, but not decoded.
     pub(super) fn of(path: &Path, options: &DatasetOptions) -> Result<Self> {
-        match transforms::find(path) {
-            Some(files) if !colmap::exists(path) => Self::of_transforms(path, &files, options),
-            _ => Self::of_model(path, &Model::of_dataset(path)?, options),
+        let mut plan = match transforms::find(path) {
+            Some(files) if !colmap::exists(path) => Self::of_transforms(path, &files, options)?,
+            _ => Self::of_model(path, &Model::of_dataset(path)?, options)?,
+        };
+        plan.warn_of_strays();
+        Ok(plan)
+    }
+
+    /// Names cameras that are so far from the others that they can only be mistakes.
+    fn warn_of_strays(&mut self) {
+        let views: Vec<&PlannedView> = self.views.iter().filter_map(|view| view.as_ref().ok()).collect();
+        let positions: Vec<Vec3> = views.iter().map(|view| view.camera().position()).collect();
+        let median = |mut values: Vec<f32>| {
+            values.sort_unstable_by(f32::total_cmp);
+            values.get(values.len() / 2).copied().unwrap_or_default()
+        };
+        let axis = |axis: usize| median(positions.iter().map(|p| p[axis]).collect());
+        let center = Vec3::new(axis(0), axis(1), axis(2));
+        let distances: Vec<f32> = positions.iter().map(|p| p.distance(center)).collect();
+        let limit = STRAY * median(distances.clone());
+        let mut strays = views.iter().zip(&distances).filter(|&(_, &d)| limit > 0.0 && d > limit);
+        if let Some((first, _)) = strays.next() {
+            let (list, name, count) = (self.list.display(), &first.name, 1 + strays.count());
+            self.warnings.push(format!(
+                "{list}: {count} of {} cameras, {name} for example, are more than {STRAY} times as far from the middle as \
+                 most: if their poses are wrong, remove them",
+                positions.len()
+            ));
         }
     }
 
@@ -184,7 +212,13 @@ impl Plan {
         {
             let view = plan.frame(frame, photo_path, turned, &mut lenses).map(|view| PlannedView {
                 image_id: index as u32,
-                mask_path: view.mask_path.map(|named| mask_in_folder(path, &options.images, &named)),
+                mask_path: match view.mask_path {
+                    Some(named) => Some(mask_in_folder(path, &options.images, &named)),
+                    None => {
+                        let name = frame.name.strip_prefix("images/").unwrap_or(&frame.name);
+                        mask_of(path, &options.images, name, &mut finder)
+                    }
+                },
                 ..view
             });
             plan.views.push(view);
@@ -225,7 +259,13 @@ impl Plan {
             Some([width, height]) => (width, height),
             None => header(&photo_path)?.size(turned),
         };
+        let problem = |problem: String| {
+            Error::input(&self.list, format!("frame {}: {problem}", frame.name), "correct the file")
+        };
         let lens = frame.optics.lens(width, height);
+        if let Some(what) = lens.intrinsics().absurdity() {
+            return Err(problem(what));
+        }
         // Frames share a few lenses; a distorted one is dear to fit.
         let pinhole = match lenses.iter().find(|(known, _)| *known == lens) {
             Some((_, pinhole)) => *pinhole,
@@ -236,12 +276,9 @@ impl Plan {
         };
         let kind = if lens.is_distorted() { "distorted" } else { "PINHOLE" };
         *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
-        let problem = |problem: String| {
-            Error::input(&self.list, format!("frame {}: {problem}", frame.name), "correct the file")
-        };
         let pinhole = pinhole.ok_or_else(|| problem("the lens sees too much for a pinhole".into()))?;
         let camera = Camera::with_pose(frame.camera_from_world, frame.translation, pinhole);
-        if let Some(what) = camera.problem() {
+        if let Some(what) = camera.problem().or_else(|| camera.absurdity()) {
             return Err(problem(what));
         }
         Ok(PlannedView {

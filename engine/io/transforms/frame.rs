@@ -7,6 +7,7 @@ use glam::{DMat3, DVec3, Mat3, Vec3, dvec2};
 use serde_json::Value;
 
 use super::inside;
+use super::split::{Part, Split};
 use crate::io::names::{Finder, has_photo_ending, plain};
 use crate::scene::camera::MAX_IMAGE_SIDE;
 use crate::scene::lens::{Distortion, Lens};
@@ -90,8 +91,8 @@ pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
     rows?.get(..3)?.try_into().ok()
 }
 
-/// Appends the frames of a file; a warning, if there is something odd about them.
-pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -> Result<Option<String>> {
+/// Appends the frames of a file; what is odd about them.
+pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -> Result<Vec<String>> {
     let Some(list) = document["frames"].as_array() else {
         return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
     };
@@ -102,26 +103,39 @@ pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -
             "the cameras were not found: compute them again",
         ));
     }
-    let listed = |key: &str, name: &str| -> bool {
-        let names = document[key].as_array().into_iter().flatten().filter_map(Value::as_str);
-        names.map(plain).any(|n| n == name)
-    };
     let finder = RefCell::new(Finder::default());
-    let mut elsewhere = 0;
+    let split = Split::of(path, document)?;
+    let mut warnings = Vec::new();
+    let (mut elsewhere, mut unused) = (0, 0);
     for (index, value) in list.iter().enumerate() {
         let reader = Reader { path, index, frame: value, document, finder: &finder };
         let (mut frame, led_out) = reader.read()?;
         elsewhere += usize::from(led_out);
-        frame.test = listed("test_filenames", &frame.name) || listed("val_filenames", &frame.name);
-        frames.push(frame);
+        match split.part_of(value["file_path"].as_str().unwrap_or_default(), &frame.name) {
+            Part::None => unused += 1,
+            part => {
+                frame.test = part == Part::HeldOut;
+                frames.push(frame);
+            }
+        }
     }
-    Ok((elsewhere > 0).then(|| {
-        format!(
+    split.check(path)?;
+    if elsewhere > 0 {
+        warnings.push(format!(
             "{}: {elsewhere} of {} paths lead out of its folder: the photos in it whose paths end as theirs are taken",
             path.display(),
             list.len()
-        )
-    }))
+        ));
+    }
+    if unused > 0 {
+        warnings.push(format!(
+            "{}: {unused} of {} frames are in none of the lists {} and are not used",
+            path.display(),
+            list.len(),
+            split.used_lists()
+        ));
+    }
+    Ok(warnings)
 }
 
 struct Reader<'a> {
