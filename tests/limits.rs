@@ -2,7 +2,7 @@
 
 use ashsplat::io::Photo;
 use ashsplat::scene::{Camera, Intrinsics};
-use ashsplat::trainer::{TrainView, Trainer};
+use ashsplat::trainer::{Checkpoint, TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
 use ashsplat::{Error, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
 use glam::Vec3;
@@ -231,6 +231,44 @@ fn limits_of_instances_leave_out_the_views_beyond_them() {
     assert_silent(&context);
 }
 
+/// A run whose last iteration was left out goes on like a longer run.
+#[test]
+fn limits_of_instances_leave_out_the_last_iteration_of_a_run() {
+    let (context, scene) = crowded();
+    let views = || vec![view_of([40, 30]), view_of([64, 48]), view_of([40, 30])];
+    let wanted = TrainSettings { densify_grad_threshold: 0.0, iterations: 9, ..settings() };
+    let run = |settings: &TrainSettings| {
+        let mut trainer = Trainer::new(&context, views(), &scene, 5.0, settings.clone()).expect("a trainer");
+        let steps: Result<Vec<_>> = (0..settings.iterations).map(|_| trainer.step()).collect();
+        steps.map(|reports| (trainer.checkpoint().expect("a checkpoint"), reports))
+    };
+    let seeds = (0..20).map(|seed| TrainSettings { seed, ..wanted.clone() });
+    let (longer, (end, reports)) =
+        seeds.filter_map(|s| run(&s).ok().map(|ran| (s, ran))).next().expect("one of the seeds");
+    let mut tried = 0;
+    for last in reports[..8].iter().filter(|r| r.left_out || r.iteration % 3 == 0) {
+        let short = TrainSettings { iterations: last.iteration, ..longer.clone() };
+        let (checkpoint, parts) = run(&short).expect("a shorter run");
+        assert_eq!(
+            (parts[parts.len() - 1].left_out, checkpoint.left_out > 0),
+            (last.left_out, last.left_out)
+        );
+        // Older checkpoints do not say it.
+        for left_out in [checkpoint.left_out, 0] {
+            let from = Checkpoint { left_out, ..checkpoint.clone() };
+            let resumed = Trainer::resume(&context, views(), 5.0, longer.clone(), &from);
+            let mut resumed = resumed.expect("resumed");
+            while resumed.iteration() < longer.iterations {
+                resumed.step().expect("a step");
+            }
+            assert!(resumed.checkpoint().expect("the end") == end, "a run of {}: other bits", last.iteration);
+        }
+        tried += u32::from(last.left_out);
+    }
+    assert!(tried >= 2, "{tried}");
+    assert_silent(&context);
+}
+
 /// Where not one view has room any more, training ends with the reason.
 #[test]
 fn limits_of_instances_end_a_training_of_nothing() {
@@ -242,8 +280,13 @@ fn limits_of_instances_end_a_training_of_nothing() {
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
     let mut trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
     for _ in 0..2 {
+        // However often it is interrupted.
+        let checkpoint = trainer.checkpoint().expect("a checkpoint");
+        trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
         assert!(trainer.step().expect("left out").left_out);
     }
+    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    let mut trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
     let error = trainer.step().expect_err("nothing is trained");
     assert!(matches!(error, Error::TooLarge { .. }) && error.to_string().contains("instances"), "{error}");
     // What there is can be had, and goes on where there is room.

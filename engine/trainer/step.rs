@@ -211,8 +211,11 @@ impl Trainer {
 
     /// The last iteration of a run leaves the parameters alone, as the reference's does; in a longer run it moves them.
     /// Runs it again for a run that has become longer: its view, on the same parameters, gives the same gradients. What it
-    /// added to the statistics is there already.
+    /// added to the statistics is there already. One that was left out stays so, and so is one that has no room here.
     pub(super) fn finish_last_iteration(&mut self) -> Result<()> {
+        if self.left_out > 0 {
+            return Ok(());
+        }
         let progress = self.progress;
         let before = Progress { iteration: progress.iteration - 1, ..progress };
         let plan = Plan { collects: false, ..self.plan_after(&before) };
@@ -220,8 +223,14 @@ impl Trainer {
             return Ok(());
         }
         self.photos.prepare(&self.context, plan.iteration)?;
-        self.run_step(&plan).map_err(Failed::error)?;
-        self.progress = Progress { due: progress.due, ..before.after(&plan) };
+        match self.run_step(&plan) {
+            Err(Failed::TooLittleRoom(why)) => self.leave_out(&plan, &why.0, why.1)?,
+            ran => {
+                ran.map_err(Failed::error)?;
+                self.progress = before.after(&plan);
+            }
+        }
+        self.progress.due = progress.due;
         Ok(())
     }
 

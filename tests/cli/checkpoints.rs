@@ -112,6 +112,10 @@ fn determinism_is_verified_without_writing() {
     let said = succeed(&["train", "-s", text(&data), "--verify-determinism", "3", "--quiet"]);
     assert!(said.starts_with("3 iterations twice on ") && said.contains("the same bits"), "{said}");
     assert_eq!(place.folder.path().read_dir().expect("the folder").count(), 1);
+    // The newest checkpoint of what?
+    let asked = ["train", "-s", text(&data), "--verify-determinism", "3", "--start_checkpoint", "latest"];
+    let run = finish(program().args(asked));
+    assert!(run.code != Some(0) && run.stderr.contains("-m/--model-path: is missing"), "{}", run.stderr);
     // From a checkpoint on: only what is left of the training.
     assert_trained(&place.train("parts", &["--iterations", "12", "--checkpoint_iterations", "9"]));
     let more = ["--iterations", "12", "--start_checkpoint", "latest", "--verify-determinism", "50"];

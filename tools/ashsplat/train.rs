@@ -22,7 +22,7 @@ use ashsplat::scene::Gaussians;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
-use checkpoints::Start;
+use checkpoints::{LATEST, Start};
 use clap::Args;
 use live::{Live, LiveArguments};
 use log::TrainLog;
@@ -77,8 +77,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     for (path, name) in
         [(&settings.data.source_path, "-s/--source-path"), (&settings.data.model_path, "-m/--model-path")]
     {
-        // Verification writes nothing.
-        let unused = arguments.verify_determinism.is_some() && name.starts_with("-m");
+        // Verification writes nothing, and reads the newest checkpoint if anything.
+        let newest = arguments.start_checkpoint.as_ref().is_some_and(|path| path.as_os_str() == LATEST);
+        let unused = arguments.verify_determinism.is_some() && !newest && name.starts_with("-m");
         if path.as_os_str().is_empty() && !unused {
             return Err(Error::argument(name, "is missing; give it here or in --config FILE"));
         }

@@ -18,6 +18,8 @@ const FORMAT: &str = "ashsplat-checkpoint/2";
 const FINGERPRINT: &str = "metadata_fingerprint";
 /// Only where memory was bounded.
 const MAX_MEMORY: &str = "room_max_memory";
+/// Older files lack it.
+const LEFT_OUT: &str = "left_out";
 /// Prefixes of the tensors' names.
 const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
 /// The data begin at a multiple of this.
@@ -118,6 +120,7 @@ impl Checkpoint {
             ("opacity_steps", self.opacity_steps.to_string()),
             ("densification_due", self.densification_due.to_string()),
             ("opacity_reset_due", self.opacity_reset_due.to_string()),
+            (LEFT_OUT, self.left_out.to_string()),
             ("room_gaussians", gaussians.to_string()),
             ("room_frame_gaussians", frame_gaussians.to_string()),
             ("room_frame_instances", frame_instances.to_string()),
@@ -180,6 +183,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         first_moments: gaussians(&tensors, SETS[1])?,
         second_moments: gaussians(&tensors, SETS[2])?,
         statistics: values(&tensors, "statistics", &[2])?,
+        left_out: metadata.optional(LEFT_OUT)?.unwrap_or(0),
         room: Room {
             gaussians: metadata.parsed("room_gaussians")?,
             frame_gaussians: metadata.parsed("room_frame_gaussians")?,
@@ -189,7 +193,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             blend_passes: metadata.parsed("room_blend_passes")?,
             backward: metadata.parsed("room_backward")?,
             most_instances: metadata.parsed("most_instances")?,
-            max_memory: metadata.0.get(MAX_MEMORY).map(|_| metadata.parsed(MAX_MEMORY)).transpose()?,
+            max_memory: metadata.optional(MAX_MEMORY)?,
         },
     };
     if !cfg!(fuzzing) && checkpoint.fingerprint() != metadata.hexadecimal("data_fingerprint")? {
@@ -209,6 +213,11 @@ impl Metadata {
     fn parsed<T: std::str::FromStr>(&self, name: &str) -> Result<T, String> {
         let text = self.text(name)?;
         text.parse().map_err(|_| format!("has '{text}' as the metadata '{name}'"))
+    }
+
+    /// None where there is none.
+    fn optional<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, String> {
+        self.0.contains_key(name).then(|| self.parsed(name)).transpose()
     }
 
     fn hexadecimal(&self, name: &str) -> Result<u64, String> {
