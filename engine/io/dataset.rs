@@ -113,6 +113,11 @@ pub struct Dataset {
 }
 
 impl Dataset {
+    /// Whether a file is a ZIP, whatever its name, and so may be a data set.
+    pub fn is_archive(path: impl AsRef<Path>) -> bool {
+        unpacked::starts_like_zip(path.as_ref())
+    }
+
     /// Loads a data set: a folder with a COLMAP model or with `transforms.json` (or `transforms_train.json`), or a ZIP
     /// of one. The photos are decoded, and where the lens distorts undistorted, in parallel.
     ///

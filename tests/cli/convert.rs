@@ -52,4 +52,28 @@ fn convert_refuses_in_one_line() {
     refuse(&["convert", "a.ply", "b.ply", "--scale", "0"], &["--scale", "positive"]);
     refuse(&["convert", "a.ply", "b.ply", "--crop-box", "1,2"], &["six numbers"]);
     assert!(!place("out.ply").exists());
+    // Nothing is overwritten that is not the output's own.
+    let gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 0).expect("Gaussians");
+    ashsplat::io::ply::write(place("in.ply"), &gaussians).expect("written");
+    let before = std::fs::read(place("in.ply")).expect("a file");
+    refuse(
+        &["convert", text(&place("in.ply")), text(&place("in.ply")), "--decimate", "50%"],
+        &["is the input itself"],
+    );
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink(place("in.ply"), place("link.ply")).expect("a link");
+        refuse(
+            &["convert", text(&place("link.ply")), text(&place("in.ply")), "--decimate", "50%"],
+            &["is the input itself"],
+        );
+    }
+    assert!(std::fs::read(place("in.ply")).expect("a file") == before);
+    std::fs::write(place("scene.bin"), "of somebody else").expect("written");
+    let (ply, gltf) = (place("in.ply"), place("scene.gltf"));
+    let run = ["convert", text(&ply), text(&gltf)];
+    refuse(&run, &["scene.bin", "something else's"]);
+    std::fs::remove_file(place("scene.bin")).expect("removed");
+    succeed(&run);
+    succeed(&run);
 }

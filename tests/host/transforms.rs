@@ -254,6 +254,27 @@ fn a_zip_is_a_data_set() {
     }
     zip.finish().unwrap();
     assert_eq!(load(&folder.path().join("finder.zip"), &DatasetOptions::default()).train, plain.train);
+    // Without an ending, and beside other folders.
+    std::fs::copy(folder.path().join("plain.zip"), folder.path().join("plain")).unwrap();
+    assert!(Dataset::is_archive(folder.path().join("plain")) && !Dataset::is_archive(&data));
+    assert_eq!(load(&folder.path().join("plain"), &DatasetOptions::default()).train, plain.train);
+    let several = |name: &str, files: &[&str]| {
+        let path = folder.path().join(name);
+        let mut zip = zip::ZipWriter::new(std::fs::File::create(&path).unwrap());
+        for file in files {
+            zip.start_file(*file, zip::write::SimpleFileOptions::default()).unwrap();
+            let source = data.join(file.split_once('/').unwrap().1);
+            zip.write_all(&std::fs::read(source).unwrap_or_default()).unwrap();
+        }
+        zip.finish().unwrap();
+        path
+    };
+    let photos = ["fox/transforms.json", "fox/images/r_0.png", "fox/images/r_1.png", "fox/images/r_2.png"];
+    let beside = several("beside.zip", &[&photos[..], &["notes/a.txt"]].concat());
+    assert_eq!(load(&beside, &DatasetOptions::default()).train, plain.train);
+    let two = several("two.zip", &["fox/transforms.json", "hare/transforms.json"]);
+    assert!(refusal(&two).contains("holds several data sets: fox, hare; unpack it"));
+    assert!(refusal(&several("empty.zip", &[])).contains("is an empty ZIP"));
     // Problems are told of the archive.
     let missing = pack("missing.zip", "", 2);
     assert!(

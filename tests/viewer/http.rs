@@ -46,6 +46,11 @@ fn viewer_lets_in_who_knows_the_token() {
     let path = write_ball(folder.path(), 50);
     refuse(&["view", text(&path), "--host", "0.0.0.0", "--port", "0"], &["--host", "0.0.0.0", "--token"]);
     refuse(&["view", text(&path), "--host", "0.0.0.0", "--port", "0", "--token", ""], &["--token"]);
+    // What could not be written is refused before anything is served.
+    refuse(
+        &["view", text(&path), "--port", "0", "-o", text(&path.join("below"))],
+        &["ball.ply", "no folder"],
+    );
     let mut server = Server::view(&path, &["--host", "0.0.0.0", "--token", "sesame"]);
     server.host = server.host.replace("0.0.0.0", "127.0.0.1");
     for (path, headers) in [
@@ -108,7 +113,8 @@ fn viewer_names_a_busy_port() {
     write_dataset(&data);
     let model = folder.path().join("model");
     let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "5", "--quiet"];
-    refuse(&[&train[..], &[&format!("--view={port}")]].concat(), &[&port, "in use"]);
+    refuse(&[&train[..], &[&format!("--view={port}")]].concat(), &[&port, "in use", "--view=PORT"]);
+    refuse(&[&train[..], &["--port", &port]].concat(), &["--ip"]);
     refuse(&[&train[..], &["--ip", "127.0.0.1", "--port", &port]].concat(), &[&port, "in use"]);
 }
 

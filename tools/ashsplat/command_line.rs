@@ -20,7 +20,7 @@ struct CommandLine {
 /// What to do.
 #[derive(Subcommand)]
 pub enum Command {
-    /// Train a scene from a COLMAP data set
+    /// Train a scene from a data set: COLMAP, transforms.json, or a ZIP of one
     Train(Box<train::Arguments>),
     /// Render a trained scene: a data set's views, an orbit or a camera path
     Render(render::Arguments),

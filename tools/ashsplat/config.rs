@@ -18,7 +18,7 @@ pub const CAMERAS_FILE: &str = "cameras.json";
 /// not given comes from `--config`, or else is the default.
 #[derive(Args, Serialize, Default)]
 pub struct Overrides {
-    /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them
+    /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them, or with transforms.json, or a ZIP of one
     #[arg(short, long, value_name = "DATASET")]
     source_path: Option<PathBuf>,
     /// Folder for everything that the run writes

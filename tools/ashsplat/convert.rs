@@ -78,6 +78,11 @@ fn parse_target(text: &str) -> Result<Target, String> {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let options = arguments.options()?;
+    let same = |input: PathBuf| arguments.output.canonicalize().is_ok_and(|output| input == output);
+    if arguments.input.canonicalize().is_ok_and(same) {
+        let problem = format!("{} is the input itself; give another file", arguments.output.display());
+        return Err(Error::argument("OUT", problem));
+    }
     let done = splats::convert(&arguments.input, &arguments.output, &options)?;
     for warning in &done.warnings {
         tell!("warning: {warning}");

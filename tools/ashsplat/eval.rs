@@ -66,18 +66,26 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
-    /// Mean over the views, dB.
+    /// Mean over the views, dB; no number where none was measured.
     pub fn psnr(&self) -> f64 {
         self.mean(|view| view.psnr)
     }
 
-    /// Mean over the views.
+    /// Mean over the views; no number where none was measured.
     pub fn ssim(&self) -> f64 {
         self.mean(|view| view.ssim)
     }
 
     fn mean(&self, value: impl Fn(&ViewResult) -> f64) -> f64 {
-        self.views.iter().map(value).sum::<f64>() / self.views.len().max(1) as f64
+        self.views.iter().map(value).sum::<f64>() / self.views.len() as f64
+    }
+
+    /// Both means in words.
+    pub fn describe(&self) -> String {
+        match self.views.is_empty() {
+            true => "PSNR and SSIM not measured".into(),
+            false => format!("PSNR {:.2} dB, SSIM {:.4}", self.psnr(), self.ssim()),
+        }
     }
 
     /// The reference's entry in results.json.
@@ -222,6 +230,10 @@ fn print_results(json: bool, evaluation: &Evaluation, gaussians: usize) -> Resul
     say!("{:<28} {:>8} {:>8}", "view", "PSNR", "SSIM");
     for view in &evaluation.views {
         say!("{:<28} {:>8.3} {:>8.4}", view.name, view.psnr, view.ssim);
+    }
+    if evaluation.views.is_empty() {
+        say!("no view was measured");
+        return Ok(());
     }
     let mean = format!("mean of {}", evaluation.views.len());
     say!("{mean:<28} {:>8.3} {:>8.4}", evaluation.psnr(), evaluation.ssim());

@@ -75,7 +75,7 @@ impl TrainProgress {
 
     /// After a test.
     pub fn tested(&mut self, psnr: f64) {
-        self.psnr = Some(psnr);
+        self.psnr = Some(psnr).filter(|psnr| !psnr.is_nan());
     }
 
     /// A line above the bar.

@@ -31,7 +31,7 @@ use report::KernelTimes;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Train a scene from a COLMAP data set.
+/// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
 ///
 /// Names and defaults are those of the reference implementation; hyphens and underscores are both accepted.
 /// Ctrl-C finishes the iteration, saves, writes a checkpoint, and exits with 130. When an iteration fails, the scene
@@ -399,9 +399,8 @@ impl Run {
         let Tested { iteration, gaussians, evaluation } = tested;
         let kind = if self.held_out { "held-out" } else { "training" };
         format!(
-            "iteration {iteration}: PSNR {:.2} dB, SSIM {:.4} on {} {kind} views, {} Gaussians",
-            evaluation.psnr(),
-            evaluation.ssim(),
+            "iteration {iteration}: {} on {} {kind} views, {} Gaussians",
+            evaluation.describe(),
             evaluation.views.len(),
             thousands(u64::from(*gaussians)),
         )

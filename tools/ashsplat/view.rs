@@ -17,7 +17,7 @@ pub use subject::Subject;
 
 use crate::args::DeviceArguments;
 use crate::render::LookArguments;
-use crate::session;
+use crate::{output, session};
 use ashsplat::{Renderer, Result};
 use clap::Args;
 use hub::Hub;
@@ -46,9 +46,9 @@ pub struct Arguments {
     iteration: Option<u32>,
     #[command(flatten)]
     serve: ServeArguments,
-    /// Folder for camera paths and films
-    #[arg(short, long, value_name = "DIR", default_value = "out/view")]
-    out: PathBuf,
+    /// Folder for camera paths and films [default: out/view]
+    #[arg(short, long, value_name = "DIR")]
+    out: Option<PathBuf>,
     #[command(flatten)]
     look: LookArguments,
     #[command(flatten)]
@@ -60,6 +60,9 @@ const REST: Duration = Duration::from_millis(200);
 
 /// Runs the command until Ctrl-C.
 pub fn run(arguments: &Arguments) -> Result<()> {
+    // Where nothing can be written in the usual place, one can look all the same.
+    arguments.out.as_deref().map(output::check_folder).transpose()?;
+    let out = arguments.out.clone().unwrap_or_else(|| "out/view".into());
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
     let subject = match &arguments.path {
@@ -80,12 +83,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let site = Site {
         hub: hub.clone(),
         photos: subject.photos,
-        films: arguments.out.clone(),
+        films: out.clone(),
         token: arguments.serve.token.clone(),
     };
     let server = server::start(&arguments.serve, site)?;
     announce(server.address, &arguments.serve);
-    let mut studio = Studio::new(hub, base, arguments.out.clone());
+    let mut studio = Studio::new(hub, base, out);
     while !stop.load(Ordering::Relaxed) {
         studio.serve(&mut renderer, REST)?;
     }

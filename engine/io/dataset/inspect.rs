@@ -12,6 +12,7 @@ use super::plan::{Plan, PlannedView, check_split};
 use super::unpacked::Unpacked;
 use crate::io::colmap;
 use crate::io::progress::Progress;
+use crate::scene::init::RANDOM_POINTS;
 use crate::scene::{Bounds, scene_extent};
 use crate::{Error, Result};
 
@@ -106,7 +107,11 @@ impl DatasetReport {
         self.point_bounds = plan.points.bounds();
         self.warnings.clone_from(&plan.warnings);
         if plan.points.is_empty() {
-            self.warnings.push("no points to start from; training needs --random-points".into());
+            let random = plan.source.extension().is_some_and(|ending| ending == "json");
+            self.warnings.push(match random {
+                true => format!("no points to start from; {RANDOM_POINTS} random ones stand in for them"),
+                false => "no points to start from; training needs --random-points".into(),
+            });
         }
     }
 

@@ -31,7 +31,7 @@ impl Unpacked {
         let target =
             tempfile::tempdir().map_err(|source| Error::io(std::env::temp_dir(), "create", source))?;
         extract(path, target.path(), progress)?;
-        let folder = data_folder(target.path());
+        let folder = data_folder(path, target.path())?;
         Ok(Self { folder, archive: Some((path.to_owned(), target)) })
     }
 
@@ -55,8 +55,9 @@ impl Unpacked {
 
     /// A temporary path, as one below the archive.
     pub(crate) fn named(&self, path: &Path) -> PathBuf {
-        let Some((archive, _)) = &self.archive else { return path.to_owned() };
-        match path.strip_prefix(&self.folder) {
+        let Some((archive, target)) = &self.archive else { return path.to_owned() };
+        let rest = path.strip_prefix(&self.folder).or_else(|_| path.strip_prefix(target.path()));
+        match rest {
             Ok(rest) if rest.as_os_str().is_empty() => archive.clone(),
             Ok(rest) => archive.join(rest),
             Err(_) => path.to_owned(),
@@ -65,14 +66,18 @@ impl Unpacked {
 
     /// The same of all such paths in a sentence.
     pub(crate) fn name_in(&self, text: &str) -> String {
-        let Some((archive, _)) = &self.archive else { return text.to_owned() };
-        text.replace(&*self.folder.to_string_lossy(), &archive.to_string_lossy())
+        let Some((archive, target)) = &self.archive else { return text.to_owned() };
+        let archive = archive.to_string_lossy();
+        text.replace(&*self.folder.to_string_lossy(), &archive)
+            .replace(&*target.path().to_string_lossy(), &archive)
     }
 }
 
-fn starts_like_zip(path: &Path) -> bool {
+/// Whether a file is a ZIP, whatever its name; also an empty one.
+pub(super) fn starts_like_zip(path: &Path) -> bool {
     let mut start = [0; 4];
-    File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok() && start == *b"PK\x03\x04"
+    File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok()
+        && (start == *b"PK\x03\x04" || start == *b"PK\x05\x06")
 }
 
 fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
@@ -90,6 +95,9 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
     let mut left = file.metadata().map_err(io)?.len().saturating_mul(MAX_RATIO);
     let mut archive =
         zip::ZipArchive::new(BufReader::new(file)).map_err(|e| refused(format!("is no whole ZIP: {e}")))?;
+    if archive.is_empty() {
+        return Err(Error::input(path, "is an empty ZIP", "pack the data set again"));
+    }
     let mut piece = vec![0; PIECE_BYTES];
     for index in 0..archive.len() {
         progress.check()?;
@@ -143,19 +151,30 @@ fn is_clutter(path: &Path) -> bool {
         .any(|part| part == "__MACOSX" || part == ".DS_Store" || part.starts_with("._"))
 }
 
-/// The data set's folder: archives often hold one folder with everything in it, or that in another.
-fn data_folder(unpacked: &Path) -> PathBuf {
+/// The data set's folder: archives often hold one folder with everything in it, or that in another, or other folders
+/// beside it.
+fn data_folder(archive: &Path, unpacked: &Path) -> Result<PathBuf> {
+    let is_data_set = |folder: &PathBuf| colmap::exists(folder) || transforms::find(folder).is_some();
     let mut folder = unpacked.to_owned();
-    while !colmap::exists(&folder) && transforms::find(&folder).is_none() {
+    while !is_data_set(&folder) {
         let entries = fs::read_dir(&folder).into_iter().flatten().filter_map(|e| Some(e.ok()?.path()));
         let folders: Vec<PathBuf> = entries.filter(|path| path.is_dir()).collect();
-        match folders.as_slice() {
+        let mut data: Vec<&PathBuf> = folders.iter().filter(|folder| is_data_set(folder)).collect();
+        data.sort();
+        match (data.as_slice(), folders.as_slice()) {
+            ([first, second, ..], _) => {
+                let [first, second] = [first, second].map(|folder| folder.strip_prefix(unpacked));
+                let (first, second) = (first.unwrap_or(archive), second.unwrap_or(archive));
+                let problem = format!("holds several data sets: {}, {}", first.display(), second.display());
+                return Err(Error::input(archive, problem, "unpack it and give one of them"));
+            }
+            ([only], _) => folder = (*only).clone(),
             // What lacks its cameras is not looked for in its photos.
-            [only] if !["sparse", "images"].iter().any(|name| only.ends_with(name)) => {
-                folder.clone_from(only)
+            ([], [only]) if !["sparse", "images"].iter().any(|name| only.ends_with(name)) => {
+                folder.clone_from(only);
             }
             _ => break,
         }
     }
-    folder
+    Ok(folder)
 }

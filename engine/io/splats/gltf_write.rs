@@ -55,6 +55,10 @@ pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mu
     let mut document = document(outline, bounds, &planes);
     if format == Format::Gltf {
         let binary = path.with_extension("bin");
+        if binary.exists() && !path.exists() {
+            let problem = format!("is there, and {} is not: it is something else's", path.display());
+            return Err(Error::input(binary, problem, "give another name, or remove it"));
+        }
         let name = binary.file_name().unwrap_or_default().to_string_lossy().into_owned();
         document["buffers"] = json!([{ "uri": escaped(&name), "byteLength": binary_bytes }]);
         atomic::write_seekable(&binary, |writer| {

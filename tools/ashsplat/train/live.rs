@@ -43,7 +43,7 @@ pub struct LiveArguments {
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1")]
     ip: Option<String>,
     /// Port for it; 0 takes a free one
-    #[arg(long, value_name = "N", default_value_t = 6009)]
+    #[arg(long, value_name = "N", default_value_t = 6009, requires = "ip")]
     port: u16,
 }
 
@@ -126,6 +126,7 @@ impl Live {
                 host: arguments.view_host.clone(),
                 port,
                 token: arguments.view_token.clone(),
+                of_training: true,
             };
             let (photos, token) = (subject.photos, serve.token.clone());
             let site = Site { hub: hub.clone(), photos, films: films.clone(), token };

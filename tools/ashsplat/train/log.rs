@@ -53,7 +53,7 @@ impl TrainLog {
     /// Adds an iteration, with its PSNR where it was tested, dB, and the memory of the arenas.
     pub fn add(&mut self, report: &StepReport, psnr: Option<f64>, memory: &[ArenaMemory]) {
         let tested = psnr.is_some();
-        let psnr = psnr.map_or_else(String::new, |psnr| format!("{psnr:.4}"));
+        let psnr = psnr.filter(|psnr| !psnr.is_nan()).map_or_else(String::new, |psnr| format!("{psnr:.4}"));
         let StepReport { iteration, loss, gaussians, milliseconds, skipped_non_finite, .. } = report;
         self.attempt(|file| {
             write!(file, "{iteration},{loss},{psnr},{gaussians},{milliseconds:.2},{skipped_non_finite}")?;
@@ -143,7 +143,8 @@ mod tests {
         log.add(&report(FLUSH_INTERVAL + 1), Some(20.0), &[]);
         assert_eq!(lines(), 2 + FLUSH_INTERVAL);
         let memory = [ArenaMemory { name: "frame".into(), bytes: 77, peak_bytes: 88 }];
-        log.add(&report(FLUSH_INTERVAL + 2), None, &memory);
+        // As where masks hide all that would be measured.
+        log.add(&report(FLUSH_INTERVAL + 2), Some(f64::NAN), &memory);
         log.finish().expect("written");
         let text = std::fs::read_to_string(&path).expect("the log");
         let own = |line: &str| line.split(',').take(6).map(str::to_owned).collect::<Vec<_>>().join(",");

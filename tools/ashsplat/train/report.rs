@@ -154,9 +154,10 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> S
         s if s >= 60 => format!("{}:{:02} min", s / 60, s % 60),
         _ => format!("{seconds:.1} s"),
     };
+    let measured = |value: String| if evaluation.views.is_empty() { "not measured".into() } else { value };
     let cards = [
-        (format!("{:.2} dB", evaluation.psnr()), format!("PSNR, {kind}")),
-        (format!("{:.4}", evaluation.ssim()), format!("SSIM, {kind}")),
+        (measured(format!("{:.2} dB", evaluation.psnr())), format!("PSNR, {kind}")),
+        (measured(format!("{:.4}", evaluation.ssim())), format!("SSIM, {kind}")),
         (thousands(gaussians as u64), "Gaussians".into()),
         (time, "in iterations".into()),
         (format!("{speed:.1} it/s"), "on average".into()),

@@ -35,6 +35,9 @@ pub struct ServeArguments {
     /// Whoever opens the page must know this word: http://HOST:PORT/?token=WORD
     #[arg(long, value_name = "WORD")]
     pub token: Option<String>,
+    /// Whether these are the options of `train --view`, which have other names.
+    #[arg(skip)]
+    pub of_training: bool,
 }
 
 /// A page that does not take a message within this time is given up.
@@ -100,29 +103,36 @@ pub fn start(arguments: &ServeArguments, site: Site) -> Result<Server> {
 
 /// Opens the port; an address that others can reach wants a token.
 fn bind(arguments: &ServeArguments) -> Result<TcpListener> {
-    let ServeArguments { host, port, token } = arguments;
+    let ServeArguments { host, port, token, of_training } = arguments;
+    let [host_option, port_option, token_option, other_port] = match of_training {
+        true => ["--view-host", "--view", "--view-token", "--view=PORT"],
+        false => ["--host", "--port", "--token", "--port N"],
+    };
     let plain = |word: &str| word.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c));
     if token.as_ref().is_some_and(|token| token.is_empty() || !plain(token)) {
         let problem = "must be of letters, digits, '-', '_' and '.', since it stands in the page's address";
-        return Err(Error::argument("--token", problem));
+        return Err(Error::argument(token_option, problem));
     }
     let addresses = (host.as_str(), *port).to_socket_addrs();
     let addresses: Vec<SocketAddr> = addresses
-        .map_err(|e| Error::argument("--host", format!("'{host}' is no address of this machine: {e}")))?
+        .map_err(|e| Error::argument(host_option, format!("'{host}' is no address of this machine: {e}")))?
         .collect();
     let open = addresses.iter().any(|address| !address.ip().is_loopback());
     if open && token.is_none() {
-        let problem = format!("'{host}' can be reached by others: give a secret word with --token WORD");
-        return Err(Error::argument("--host", problem));
+        let problem =
+            format!("'{host}' can be reached by others: give a secret word with {token_option} WORD");
+        return Err(Error::argument(host_option, problem));
     }
     TcpListener::bind(addresses.as_slice()).map_err(|e| {
         let problem = match e.kind() {
             std::io::ErrorKind::AddrInUse => {
-                format!("port {port} of {host} is in use by another program; choose another with --port N")
+                format!(
+                    "port {port} of {host} is in use by another program; choose another with {other_port}"
+                )
             }
             _ => format!("cannot listen at {host}:{port}: {e}"),
         };
-        Error::argument("--port", problem)
+        Error::argument(port_option, problem)
     })
 }
 
@@ -385,7 +395,7 @@ mod tests {
         let hub = Arc::new(Hub::default());
         hub.greet_with("{}".into());
         let site = Site { hub: hub.clone(), photos: None, films: PathBuf::new(), token: None };
-        let serve = ServeArguments { host: "127.0.0.1".into(), port: 0, token: None };
+        let serve = ServeArguments { host: "127.0.0.1".into(), port: 0, token: None, of_training: false };
         let server = start(&serve, site).expect("a port");
         let address = server.address;
         let page = || {
@@ -416,6 +426,14 @@ mod tests {
         pages(0);
         drop(server);
         assert!(std::net::TcpStream::connect(address).is_err() && Arc::strong_count(&hub) == 1);
+    }
+
+    #[test]
+    fn options_have_the_commands_names() {
+        let serve =
+            |of_training| ServeArguments { host: "0.0.0.0".into(), port: 0, token: None, of_training };
+        let said = |of_training| bind(&serve(of_training)).expect_err("open to others").to_string();
+        assert!(said(true).contains("--view-token WORD") && said(false).contains(" --token WORD"));
     }
 
     #[test]

@@ -107,6 +107,9 @@ pub fn table(evaluation: &Evaluation) -> String {
             view.ssim
         );
     }
+    if evaluation.views.is_empty() {
+        return out + "</table>\n";
+    }
     let _ = writeln!(
         out,
         "<tr class=\"sum\"><td></td><td class=\"name\">mean</td><td>{:.2}</td><td></td><td>{:.4}</td></tr></table>",
