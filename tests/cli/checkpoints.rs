@@ -169,8 +169,9 @@ fn killed_at_any_moment_training_goes_on() {
         let before = newest();
         let mut command = place.command("killed", &begin(before.is_some()));
         let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("it starts");
-        alive += u64::from(kill(child, whole.mul_f64(share)));
-        gone_on += u64::from(before.is_some() && newest() > before);
+        let hit = kill(child, whole.mul_f64(share));
+        alive += u64::from(hit);
+        gone_on += u64::from(hit && before.is_some() && newest() > before);
         for file in files_below(&place.model("killed")) {
             let name = file.to_string_lossy().into_owned();
             let path = place.model("killed").join(&file);
@@ -193,7 +194,7 @@ fn killed_at_any_moment_training_goes_on() {
             std::fs::remove_dir_all(place.model("killed")).expect("removed");
         }
     }
-    eprintln!("{alive} kills of a live process, {gone_on} runs that had gone on from a checkpoint");
+    eprintln!("{alive} kills of a live process, {gone_on} of runs that had gone on from a checkpoint");
     eprintln!("{whole_files} times a checkpoint was found whole");
     assert!(alive > 0 && gone_on > 0 && whole_files > 0, "{alive} {gone_on} {whole_files}");
     assert_trained(&place.train("killed", &begin(newest().is_some())));

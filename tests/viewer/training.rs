@@ -36,13 +36,13 @@ impl Page {
         self.send(&json!({ "type": "train", "action": action }));
     }
 
-    /// The iteration at which it has come to rest.
+    /// The iteration at which it has come to rest. Not before the first, which may take long.
     pub fn rest(&mut self) -> u64 {
         loop {
             let first = self.status(0);
             std::thread::sleep(Duration::from_millis(300));
             let second = self.status(0);
-            if first["iteration"] == second["iteration"] {
+            if first["iteration"] != 0 && first["iteration"] == second["iteration"] {
                 return first["iteration"].as_u64().expect("a number");
             }
         }

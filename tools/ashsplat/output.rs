@@ -2,7 +2,9 @@
 
 use ashsplat::io::{Photo, atomic};
 use ashsplat::{Error, Frame, Result};
-use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, SmallVec, WritableImage};
+use exr::prelude::{
+    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, LineOrder, SmallVec, WritableImage,
+};
 use serde::Serialize;
 use std::io::{Cursor, ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -188,7 +190,9 @@ pub fn write_exr(path: &Path, frame: &Frame) -> Result<()> {
     .into_iter()
     .collect();
     let size = (frame.width as usize, frame.height as usize);
-    let image = Image::from_encoded_channels(size, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels));
+    // In order, whichever tile is compressed first: the same picture is the same file.
+    let encoding = Encoding { line_order: LineOrder::Increasing, ..Encoding::FAST_LOSSLESS };
+    let image = Image::from_encoded_channels(size, encoding, AnyChannels::sort(channels));
     let mut bytes = Cursor::new(Vec::new());
     image
         .write()
