@@ -10,7 +10,7 @@ use crate::plan::{Blocks, blocks, tile_grid};
 use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
 use scratch::{ScratchBytes, Sweeps};
 
-pub use scratch::scratch_bytes;
+pub use scratch::scratch_requests;
 
 /// How SSIM's window is computed: the same numbers but for rounding, at a cost that depends on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -311,6 +311,17 @@ fn memory_that_cannot_suffice_is_said_before_any_work() {
         assert!(message.contains(word), "no '{word}' in {message}");
     }
     assert_eq!(context.memory_total().peak_bytes, 0, "nothing was allocated");
+    // What is said to be needed suffices, and less does not.
+    let Error::TooLarge { needed, .. } = refused else { unreachable!("asserted above") };
+    assert!(Trainer::new(&with_memory(needed - 1), views(2, 5), &start(), 5.0, settings()).is_err());
+    let context = with_memory(needed);
+    let trainer = Trainer::new(&context, views(2, 5), &start(), 5.0, settings());
+    let mut trainer = trainer.expect("as much as was asked for");
+    trainer.step().expect("a step");
+    assert_eq!(context.memory_total().peak_bytes, needed, "all of it, and no more");
+    for _ in 0..4 {
+        trainer.step().expect("a step");
+    }
 }
 
 /// With memory for the start and no more, training goes on without growing; what was enough before is enough now.

@@ -57,7 +57,10 @@ impl ScratchBytes {
 
     /// The largest of each buffer in images of these sizes.
     pub fn largest(loss: &Loss, sizes: impl IntoIterator<Item = (u32, u32)>) -> Self {
-        let all = sizes.into_iter().map(|(width, height)| Self::of(loss, width, height));
+        Self::maximum(sizes.into_iter().map(|(width, height)| Self::of(loss, width, height)))
+    }
+
+    fn maximum(all: impl Iterator<Item = Self>) -> Self {
         all.reduce(|a, b| Self {
             partials: a.partials.max(b.partials),
             planes: a.planes.zip(b.planes).map(|(a, b)| [a[0].max(b[0]), a[1].max(b[1])]),
@@ -108,9 +111,12 @@ impl ScratchBytes {
     }
 }
 
-/// Bytes of [`Loss::scratch_requests`] on a device for an image, with photographs of 8 bits.
-pub fn scratch_bytes(limits: &Limits, width: u32, height: u32) -> u64 {
-    let windowing = Windowing::for_device(limits);
-    let bytes = ScratchBytes::new(windowing, &Blocks::new(limits), PhotoFormat::Rgba8, width, height);
-    bytes.partials + bytes.planes.map_or(0, |[rendered, photo]| rendered + photo) + 3 * bytes.derivatives
+/// [`Loss::scratch_requests`] on a device for images of these sizes, with photographs of 8 bits.
+pub fn scratch_requests(
+    limits: &Limits,
+    sizes: impl IntoIterator<Item = (u32, u32)>,
+) -> Vec<(&'static str, u64)> {
+    let (windowing, blocks) = (Windowing::for_device(limits), Blocks::new(limits));
+    let of = |(width, height)| ScratchBytes::new(windowing, &blocks, PhotoFormat::Rgba8, width, height);
+    ScratchBytes::maximum(sizes.into_iter().map(of)).requests(limits)
 }

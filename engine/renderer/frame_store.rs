@@ -59,13 +59,15 @@ const NOTHING: FrameCapacity =
     FrameCapacity { gaussians: 0, instances: 0, width: 0, height: 0, blend_passes: 1, backward: false };
 
 impl FrameStore {
+    /// What the counts are read back through.
+    pub const READBACK: [(&str, u64); 1] = [("state_readback", c::STATE_WORDS as u64 * 4)];
+
     /// No buffers yet but the one for reading counts back.
     ///
     /// # Errors
     /// When the memory does not suffice.
     pub fn new(context: &Context) -> Result<Self> {
-        let words = [("state_readback", u64::from(c::STATE_WORDS) * 4)];
-        let mut readback = context.allocate("readback", &words, MemoryKind::HostVisible)?;
+        let mut readback = context.allocate("readback", &Self::READBACK, MemoryKind::HostVisible)?;
         let Some(readback) = readback.pop() else { unreachable!("one buffer per request") };
         let sizes = Blocks::new(context.limits());
         Ok(Self { context: context.clone(), sizes, readback, capacity: NOTHING, frame: None })

@@ -1,12 +1,15 @@
 //! What a training run needs of memory, before it is asked for.
 
+use super::LossScratch;
 use super::checkpoint::Room;
+use super::photos::PhotoBytes;
 use crate::error::{Error, Result};
 use crate::loss;
 use crate::plan::{
     Blocks, FrameCapacity, ScenePlan, check_grids, frame_bytes, frame_requests, initial_instances,
     max_trained_gaussians, max_trained_instances,
 };
+use crate::renderer::FrameStore;
 use crate::scene::Camera;
 use crate::vk::Context;
 
@@ -20,38 +23,43 @@ pub(super) fn sets_bytes(plan: &ScenePlan) -> u64 {
     SETS * plan.chunk_bytes() * u64::from(plan.chunks) + STATISTICS_BYTES * u64::from(plan.capacity)
 }
 
-/// Bytes of everything else that a run begins with: the loss, a frame.
-fn other_bytes(context: &Context, cameras: &[Camera], gaussians: u32) -> u64 {
-    let largest = |f: &dyn Fn(&Camera) -> u64| cameras.iter().map(f).max().unwrap_or(0);
-    let (width, height) = (largest(&|c| c.width.into()) as u32, largest(&|c| c.height.into()) as u32);
-    let capacity = FrameCapacity {
-        gaussians,
-        instances: initial_instances(context.limits(), gaussians, width, height),
-        width,
-        height,
-        blend_passes: 1,
-        backward: true,
-    };
-    largest(&|c| loss::scratch_bytes(context.limits(), c.width, c.height))
-        + frame_bytes(&capacity, &Blocks::new(context.limits()))
-}
-
 /// What a training run is going to have, before anything is allocated.
 pub(super) struct Before<'a> {
     pub cameras: &'a [Camera],
-    pub photo_bytes: u64,
+    pub photo_bytes: PhotoBytes,
     /// Gaussians to start from.
     pub count: u32,
     pub sh_degree: u32,
 }
 
 impl Before<'_> {
+    /// Bytes of all buffers but the photographs': as they are allocated by the end of the first iteration that has room.
+    fn buffer_bytes(&self, context: &Context, plan: &ScenePlan, frame: Option<FrameCapacity>) -> u64 {
+        let limits = context.limits();
+        let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
+        let planes = bytes(&vec![("planes", plan.chunk_bytes()); plan.chunks as usize]);
+        let statistics = bytes(&[("statistics", STATISTICS_BYTES * u64::from(plan.capacity))]);
+        let scratch = loss::scratch_requests(limits, self.cameras.iter().map(|c| (c.width, c.height)));
+        // The counts of training's frames and of pictures.
+        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&LossScratch::READBACK);
+        let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &Blocks::new(limits))));
+        SETS * planes + statistics + bytes(&LossScratch::with_losses(scratch)) + readback + frame
+    }
+
+    /// The first frame for so many Gaussians, with room for all views.
+    fn first_frame(&self, context: &Context, gaussians: u32) -> FrameCapacity {
+        let largest = |size: fn(&Camera) -> u32| self.cameras.iter().map(size).max().unwrap_or(0);
+        let (width, height) = (largest(|c| c.width), largest(|c| c.height));
+        let instances = initial_instances(context.limits(), gaussians, width, height);
+        FrameCapacity { gaussians, instances, width, height, blend_passes: 1, backward: true }
+    }
+
     /// How many Gaussians to make room for at the start: half as many again as there are, or as many as the memory holds.
     ///
     /// # Errors
     /// [`Error::TooLarge`] with what is needed, when even those that are there do not fit.
     pub fn initial_capacity(&self, context: &Context) -> Result<u32> {
-        let Self { cameras, photo_bytes, count, sh_degree } = *self;
+        let Self { cameras, ref photo_bytes, count, sh_degree } = *self;
         let most = max_trained_gaussians(context.limits());
         if count > most {
             return Err(Error::TooLarge {
@@ -66,22 +74,32 @@ impl Before<'_> {
         let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
         let Some((limit, limit_name)) = context.memory_limit() else { return Ok(wanted) };
         let free = limit.saturating_sub(context.memory_total().bytes);
-        let needed = |capacity: u32| -> Result<u64> {
+        let buffers = |capacity: u32| -> Result<u64> {
             let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
-            Ok(sets_bytes(&plan) + photo_bytes + other_bytes(context, cameras, capacity))
+            Ok(self.buffer_bytes(context, &plan, Some(self.first_frame(context, capacity))))
         };
-        if needed(wanted)? <= free {
+        let photos = photo_bytes.held + photo_bytes.staging;
+        if buffers(wanted)? + photos <= free {
             return Ok(wanted);
         }
-        let least = needed(count)?;
-        if least <= free {
+        let least = buffers(count)?;
+        if least + photos <= free {
             return Ok(count);
         }
+        // Photographs that may take half of the memory take more where there is more: all, or half of what is asked for.
+        let follow = photo_bytes.budget == Some(limit / 2);
+        let with_more = if follow { photo_bytes.all.min(least) + photo_bytes.staging } else { photos };
         let what = format!(
             "training {count} Gaussians of SH degree {sh_degree} on {} photographs (fewer or smaller ones need less, or --photo-memory)",
             cameras.len()
         );
-        Err(Error::TooLarge { what, needed: least, unit: "bytes", limit: free, limit_name })
+        Err(Error::TooLarge {
+            what,
+            needed: least + with_more.max(photos),
+            unit: "bytes",
+            limit: free,
+            limit_name,
+        })
     }
 
     /// Whether what a run before had is possible here, and worth having: it holds the Gaussians, and fits.
@@ -99,11 +117,7 @@ impl Before<'_> {
         if !fits || !(self.count..=max_trained_gaussians(limits)).contains(&room.gaussians) {
             return false;
         }
-        let largest = self.cameras.iter().map(|c| loss::scratch_bytes(limits, c.width, c.height)).max();
-        let needed = sets_bytes(&plan)
-            + self.photo_bytes
-            + largest.unwrap_or(0)
-            + frame.map_or(0, |frame| frame_bytes(&frame, &sizes));
+        let needed = self.buffer_bytes(context, &plan, frame) + self.photo_bytes.held;
         context
             .memory_limit()
             .is_none_or(|(limit, _)| needed <= limit.saturating_sub(context.memory_total().bytes))

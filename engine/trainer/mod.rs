@@ -150,11 +150,17 @@ pub(crate) struct LossScratch {
 }
 
 impl LossScratch {
+    const READBACK: [(&str, u64); 1] = [("loss_readback", 16)];
+
+    fn with_losses(mut scratch: Vec<(&'static str, u64)>) -> Vec<(&'static str, u64)> {
+        scratch.push(("losses", 16));
+        scratch
+    }
+
     fn new(context: &Context, loss: &Loss, cameras: &[Camera]) -> Result<Self> {
-        let mut requests = loss.scratch_requests(cameras.iter().map(|c| (c.width, c.height)));
-        requests.push(("losses", 16));
-        let mut device = context.allocate("loss", &requests, MemoryKind::Device)?;
-        let host = context.allocate("readback", &[("loss_readback", 16)], MemoryKind::HostVisible)?;
+        let requests = loss.scratch_requests(cameras.iter().map(|c| (c.width, c.height)));
+        let mut device = context.allocate("loss", &Self::with_losses(requests), MemoryKind::Device)?;
+        let host = context.allocate("readback", &Self::READBACK, MemoryKind::HostVisible)?;
         match (device.pop(), <[Buffer; 1]>::try_from(host)) {
             (Some(losses), Ok([readback])) => Ok(Self { loss: device, losses, readback }),
             _ => unreachable!("one buffer per request"),
@@ -202,7 +208,7 @@ impl Trainer {
         }
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         let count = crate::plan::to_u32(initial.len() as u64)?;
-        let photo_bytes = photos::device_bytes(&views)?;
+        let photo_bytes = photos::device_bytes(context, &views)?;
         let before = budget::Before { cameras: &cameras, photo_bytes, count, sh_degree: settings.sh_degree };
         let room = room.filter(|room| before.has_room(context, room));
         let capacity = match room {

@@ -47,14 +47,36 @@ impl Residence {
 }
 
 /// Bytes of device memory that the views' photographs take.
+pub(super) struct PhotoBytes {
+    /// As much of them as there is room for.
+    pub held: u64,
+    /// While one is uploaded beside all else.
+    pub staging: u64,
+    /// All of them.
+    pub all: u64,
+    /// What they may take, where they lie in a file.
+    pub budget: Option<u64>,
+}
+
+/// How much device memory the views' photographs take.
 ///
 /// # Errors
 /// [`Error::TooLarge`] when their budget is too small to read ahead.
-pub(super) fn device_bytes(views: &[TrainView]) -> Result<u64> {
+pub(super) fn device_bytes(context: &Context, views: &[TrainView]) -> Result<PhotoBytes> {
+    let all = context.allocation_bytes(&requests(views));
     Ok(match Residence::of(views)? {
-        Residence::All => views.iter().map(|view| view.photo.bytes()).sum(),
-        Residence::Slots { count, bytes } => count as u64 * bytes,
+        Residence::All => PhotoBytes { held: all, staging: 0, all, budget: None },
+        Residence::Slots { count, bytes } => PhotoBytes {
+            held: context.allocation_bytes(&vec![("photo", bytes); count]),
+            staging: context.staging_bytes(bytes),
+            all: all.max(context.allocation_bytes(&vec![("photo", bytes); views.len()])),
+            budget: views.iter().find_map(|view| view.photo.file()).map(|file| file.memory_bytes()),
+        },
     })
+}
+
+fn requests(views: &[TrainView]) -> Vec<(&'static str, u64)> {
+    views.iter().map(|view| ("photo", view.photo.bytes())).collect()
 }
 
 fn check(views: &[TrainView]) -> Result<()> {
@@ -79,9 +101,7 @@ impl Photos {
         let (count, bytes) = match Residence::of(views)? {
             Residence::Slots { count, bytes } => (count, bytes),
             Residence::All => {
-                let requests: Vec<(&'static str, u64)> =
-                    views.iter().map(|view| ("photo", view.photo.bytes())).collect();
-                let texels = context.allocate("photos", &requests, MemoryKind::Device)?;
+                let texels = context.allocate("photos", &requests(views), MemoryKind::Device)?;
                 for (buffer, view) in texels.iter().zip(views) {
                     context.upload(buffer, &view.photo.texels()?)?;
                 }

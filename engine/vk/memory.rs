@@ -325,6 +325,23 @@ fn memory_type(types: &[vk::MemoryType], allowed: u32, kind: MemoryKind, unified
 }
 
 impl Context {
+    fn guard(&self) -> u64 {
+        if self.0.guard_bands { GUARD_BYTES } else { 0 }
+    }
+
+    /// Bytes of each buffer with its bands.
+    fn sizes(&self, requests: &[(&'static str, u64)]) -> Vec<u64> {
+        let guarded = |bytes: u64| bytes.max(SMALLEST_BUFFER).next_multiple_of(4) + 2 * self.guard();
+        requests.iter().map(|(_, bytes)| guarded(*bytes)).collect()
+    }
+
+    /// Bytes that [`Context::allocate`] takes for these requests; of such as it refuses, their sum.
+    pub(crate) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
+        let sizes = self.sizes(requests);
+        let blocks = pack(&sizes, self.limits().max_allocation_bytes).map_or(sizes, |packing| packing.blocks);
+        blocks.iter().sum()
+    }
+
     /// Allocates buffers of one lifetime; all of them are named `arena.request` in messages.
     ///
     /// The requests (name, bytes) are packed into as few blocks as the device allows. Every buffer has at least 16
@@ -347,11 +364,8 @@ impl Context {
             let limit = limits.max_storage_buffer_range;
             return too_large(format!("buffer {arena}.{name}"), bytes, limit, "maxStorageBufferRange");
         }
-        let guard = if self.0.guard_bands { GUARD_BYTES } else { 0 };
-        let sizes: Vec<u64> = requests
-            .iter()
-            .map(|(_, bytes)| (*bytes).max(SMALLEST_BUFFER).next_multiple_of(4) + 2 * guard)
-            .collect();
+        let guard = self.guard();
+        let sizes = self.sizes(requests);
         let packing = match pack(&sizes, limits.max_allocation_bytes) {
             Ok(packing) => packing,
             Err(i) => {

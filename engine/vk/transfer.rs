@@ -99,6 +99,11 @@ impl Context {
         Ok(())
     }
 
+    /// Bytes of memory that an upload of so many takes for its time, at most.
+    pub(crate) fn staging_bytes(&self, bytes: u64) -> u64 {
+        if self.0.unified_memory { 0 } else { bytes.min(CHUNK_BYTES) }
+    }
+
     fn staging(&self, bytes: u64) -> Result<Buffer> {
         let request = [("staging", bytes.min(CHUNK_BYTES))];
         let mut buffers = self.allocate("staging", &request, MemoryKind::HostVisible)?;
