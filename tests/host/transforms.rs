@@ -275,6 +275,9 @@ fn a_zip_is_a_data_set() {
     let two = several("two.zip", &["fox/transforms.json", "hare/transforms.json"]);
     assert!(refusal(&two).contains("holds several data sets: fox, hare; unpack it"));
     assert!(refusal(&several("empty.zip", &[])).contains("is an empty ZIP"));
+    let text = folder.path().join("text.zip");
+    std::fs::write(&text, "none").unwrap();
+    assert!(refusal(&text).contains("is not a folder, nor a ZIP"));
     // Problems are told of the archive.
     let missing = pack("missing.zip", "", 2);
     assert!(

@@ -37,7 +37,7 @@ pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
                 true => "give the folder in which it lies",
                 false => "give the folder that contains sparse/ and images/, or transforms.json",
             };
-            return Err(Error::input(dataset, "is not a folder", remedy));
+            return Err(Error::input(dataset, "is not a folder, nor a ZIP", remedy));
         }
         Ok(_) => {}
     }
