@@ -173,15 +173,16 @@ impl Dataset {
         }
         let points = gallery.points.clone();
         if points.is_empty() {
-            warnings.push(format!("no points to start from; {RANDOM_POINTS} random ones stand in for them"));
             let cameras: Vec<Camera> = train.iter().map(|view| view.camera).collect();
-            if seen_box(&cameras).is_none() {
-                warnings.push(
-                    "the cameras do not look at one place and so do not tell how far the scene is: the random points are a \
-                     guess from how far apart the cameras are; give points"
-                        .into(),
-                );
-            }
+            let guessed = match seen_box(&cameras) {
+                Some(_) => "",
+                None => {
+                    ", at guessed depths: the cameras do not look at one place and so do not tell how far the scene is; \
+                     give points"
+                }
+            };
+            let random = format!("no points to start from; {RANDOM_POINTS} random ones stand in for them");
+            warnings.push(random + guessed);
         }
         Self { train, test, points, scene_extent: extent, source: gallery.source.clone(), warnings }
     }
