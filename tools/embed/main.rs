@@ -15,7 +15,10 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let folder = std::env::args_os().nth(1).map_or_else(|| PathBuf::from("."), PathBuf::from);
     let validation = ashsplat::vk::validation_available();
-    let drawn = guest::pictures(&folder, &host::HostOptions { validation, ..Default::default() });
+    let options = host::HostOptions { validation, ..Default::default() };
+    let drawn = std::fs::create_dir_all(&folder)
+        .map_err(|error| format!("{}: {error}", folder.display()).into())
+        .and_then(|()| guest::pictures(&folder, &options));
     match drawn {
         Ok(report) => {
             println!("{}", ashsplat::vk::Context::requirements());
