@@ -181,8 +181,7 @@ impl Dataset {
                      give points"
                 }
             };
-            let random = format!("no points to start from; {RANDOM_POINTS} random ones stand in for them");
-            warnings.push(random + guessed);
+            warnings.push(random_points_instead() + guessed);
         }
         Self { train, test, points, scene_extent: extent, source: gallery.source.clone(), warnings }
     }
@@ -196,7 +195,7 @@ impl Dataset {
 
     /// Whether a data set without points is in order: those of the NeRF kind have none.
     pub fn may_lack_points(&self) -> bool {
-        self.source.extension().is_some_and(|ending| ending == "json")
+        may_lack_points(&self.source)
     }
 
     /// The points, or, when there are none, 100,000 random ones: in the box where all training cameras look
@@ -258,4 +257,14 @@ fn photo_file(
         memory.folder.display()
     ));
     PhotoFile::create(memory).map(Some)
+}
+
+/// Whether what was read from a model folder or a file with cameras may have no points.
+fn may_lack_points(source: &Path) -> bool {
+    source.extension().is_some_and(|ending| ending == "json")
+}
+
+/// What is said of that.
+fn random_points_instead() -> String {
+    format!("no points to start from; {RANDOM_POINTS} random ones stand in for them")
 }

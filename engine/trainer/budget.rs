@@ -23,6 +23,12 @@ pub(super) fn sets_bytes(plan: &ScenePlan) -> u64 {
     SETS * plan.chunk_bytes() * u64::from(plan.chunks) + STATISTICS_BYTES * u64::from(plan.capacity)
 }
 
+/// The widest and the highest of the views, px: a frame's buffers serve all of them.
+pub(super) fn largest_sides(cameras: &[Camera]) -> (u32, u32) {
+    let largest = |side: fn(&Camera) -> u32| cameras.iter().map(side).max().unwrap_or(0);
+    (largest(|camera| camera.width), largest(|camera| camera.height))
+}
+
 /// What a training run is going to have, before anything is allocated.
 pub(super) struct Before<'a> {
     pub cameras: &'a [Camera],
@@ -48,8 +54,7 @@ impl Before<'_> {
 
     /// The first frame for so many Gaussians, with room for all views.
     fn first_frame(&self, context: &Context, gaussians: u32) -> FrameCapacity {
-        let largest = |size: fn(&Camera) -> u32| self.cameras.iter().map(size).max().unwrap_or(0);
-        let (width, height) = (largest(|c| c.width), largest(|c| c.height));
+        let (width, height) = largest_sides(self.cameras);
         let instances = initial_instances(context.limits(), gaussians, width, height);
         FrameCapacity { gaussians, instances, width, height, blend_passes: 1, backward: true }
     }

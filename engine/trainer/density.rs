@@ -7,7 +7,6 @@ use crate::forward::SceneBuffers;
 use crate::optimizer::Moments;
 use crate::plan::{Blocks, FrameCapacity, ScenePlan};
 use crate::planes;
-use crate::scene::Camera;
 use crate::vk::{Buffer, MemoryKind};
 
 /// Scales above this share of the scene's extent are pruned, once opacities have been reset (reference).
@@ -90,9 +89,8 @@ impl Trainer {
 
     fn present(&self) -> budget::Present<'_> {
         let frame = self.runner.capacity();
-        let largest = |size: fn(&Camera) -> u32| self.cameras.iter().map(size).max().unwrap_or(0);
         // Also for views that have not been seen yet.
-        let (width, height) = (largest(|c| c.width), largest(|c| c.height));
+        let (width, height) = budget::largest_sides(&self.cameras);
         budget::Present {
             context: &self.context,
             plan: &self.training.scene.plan,

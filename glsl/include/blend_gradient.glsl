@@ -37,12 +37,8 @@ layout(push_constant, scalar) uniform Push {
     uint splat_stride;
 };
 
-// Whether this dispatch handles the tile.
-bool is_due(uvec2 range) {
-    return range.x - first_instance < max_instances;
-}
-
 #include "splat_record.glsl"
+#include "tile_due.glsl"
 #include "tile_region.glsl"
 #include "blending.glsl"
 #include "splat_shuffle.glsl"

@@ -30,11 +30,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "splat_record.glsl"
-
-// Whether this dispatch handles the tile.
-bool is_due(uvec2 range) {
-    return range.x - first_instance < max_instances;
-}
+#include "tile_due.glsl"
 
 // Notes the longest tile, and tiles that the passes do not reach the end of.
 void note_tile(uint entries, uint end) {

@@ -48,9 +48,7 @@ const BAR: usize = 40;
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = &arguments.path;
-    let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"))
-        || Dataset::is_archive(path);
-    if is_archive || path.is_dir() && !path.join("point_cloud").is_dir() {
+    if session::is_dataset(path) {
         return dataset(arguments);
     }
     let model = Model::locate(path, None)?;

@@ -17,6 +17,32 @@ pub struct State {
     pub memory_bytes: u64,
 }
 
+/// A running mean of losses.
+pub struct MeanLoss {
+    /// Of the newest.
+    weight: f64,
+    mean: Option<f64>,
+}
+
+impl MeanLoss {
+    pub fn new(weight: f64) -> Self {
+        Self { weight, mean: None }
+    }
+
+    /// Takes in that of an iteration; one that was left out has none.
+    pub fn add(&mut self, loss: f32) {
+        let loss = f64::from(loss);
+        if loss.is_finite() {
+            self.mean = Some(self.mean.map_or(loss, |mean| mean + self.weight * (loss - mean)));
+        }
+    }
+
+    /// None before the first.
+    pub fn value(&self) -> Option<f64> {
+        self.mean
+    }
+}
+
 /// The progress of a training run.
 pub struct TrainProgress {
     bar: Option<ProgressBar>,
@@ -28,7 +54,7 @@ pub struct TrainProgress {
     /// When and at which iteration the present speed's measurement began.
     window: (Instant, u32),
     iterations_per_second: f64,
-    mean_loss: Option<f64>,
+    mean_loss: MeanLoss,
     psnr: Option<f64>,
 }
 
@@ -45,19 +71,14 @@ impl TrainProgress {
             start: Instant::now(),
             window: (Instant::now(), first),
             iterations_per_second: 0.0,
-            mean_loss: None,
+            mean_loss: MeanLoss::new(LOSS_WEIGHT),
             psnr: None,
         }
     }
 
     /// After each iteration.
     pub fn step(&mut self, state: &State) {
-        let loss = f64::from(state.loss);
-        // An iteration that was left out has none.
-        if loss.is_finite() {
-            let mean = self.mean_loss.map_or(loss, |mean| mean + LOSS_WEIGHT * (loss - mean));
-            self.mean_loss = Some(mean);
-        }
+        self.mean_loss.add(state.loss);
         let seconds = self.window.0.elapsed().as_secs_f64();
         if seconds > 1.0 || self.iterations_per_second == 0.0 {
             self.iterations_per_second = f64::from(state.iteration - self.window.1) / seconds.max(1e-9);
@@ -108,7 +129,7 @@ impl TrainProgress {
         format!(
             "{:.1} it/s  loss {:.4}  PSNR {psnr}  {} Gaussians  {} MiB  {} left",
             self.iterations_per_second,
-            self.mean_loss.unwrap_or(0.0),
+            self.mean_loss.value().unwrap_or(0.0),
             thousands(u64::from(state.gaussians)),
             state.memory_bytes >> 20,
             clock(left),

@@ -55,6 +55,13 @@ impl DataArguments {
     }
 }
 
+/// Whether a path is taken for a data set, and not for a scene or a model folder.
+pub fn is_dataset(path: &Path) -> bool {
+    let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"))
+        || Dataset::is_archive(path);
+    is_archive || path.is_dir() && !path.join("point_cloud").is_dir()
+}
+
 /// The options that the settings mean; all photos are held in memory.
 pub fn options(data: &DataSettings, white_background: bool) -> Result<DatasetOptions> {
     Ok(DatasetOptions {

@@ -7,12 +7,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::DatasetOptions;
 use super::plan::{Plan, PlannedView, check_split};
 use super::unpacked::Unpacked;
+use super::{DatasetOptions, may_lack_points, random_points_instead};
 use crate::io::colmap;
 use crate::io::progress::Progress;
-use crate::scene::init::RANDOM_POINTS;
 use crate::scene::{Bounds, scene_extent};
 use crate::{Error, Result};
 
@@ -107,9 +106,8 @@ impl DatasetReport {
         self.point_bounds = plan.points.bounds();
         self.warnings.clone_from(&plan.warnings);
         if plan.points.is_empty() {
-            let random = plan.source.extension().is_some_and(|ending| ending == "json");
-            self.warnings.push(match random {
-                true => format!("no points to start from; {RANDOM_POINTS} random ones stand in for them"),
+            self.warnings.push(match may_lack_points(&plan.source) {
+                true => random_points_instead(),
                 false => "no points to start from; training needs --random-points".into(),
             });
         }

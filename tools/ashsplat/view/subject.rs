@@ -7,7 +7,7 @@ use crate::model::Model;
 use crate::render::{self, LookArguments};
 use crate::session;
 use ashsplat::io::cameras_json::{self, NamedCamera};
-use ashsplat::io::{Dataset, DatasetOptions, Gallery};
+use ashsplat::io::{DatasetOptions, Gallery};
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, RenderSettings, Result};
 use glam::Vec3;
@@ -58,9 +58,7 @@ impl Subject {
         look: &LookArguments,
         stop: &AtomicBool,
     ) -> Result<Subject> {
-        let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"))
-            || Dataset::is_archive(path);
-        if is_archive || path.is_dir() && !path.join("point_cloud").is_dir() {
+        if session::is_dataset(path) {
             return Subject::of_dataset(path, stop);
         }
         let model = Model::locate(path, iteration)?;

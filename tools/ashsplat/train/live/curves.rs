@@ -1,5 +1,6 @@
 //! The curves of a training: bounded in memory, however long it runs.
 
+use crate::progress::MeanLoss;
 use ashsplat::trainer::StepReport;
 use serde_json::{Value, json};
 use std::time::Instant;
@@ -30,7 +31,7 @@ pub struct Curves {
     psnr: Curve,
     gaussians: Curve,
     rate: Curve,
-    mean_loss: Option<f64>,
+    mean_loss: MeanLoss,
     window: (Instant, u32),
     last_rate: f64,
     last_gaussians: u32,
@@ -48,7 +49,7 @@ impl Curves {
             psnr: Curve::default(),
             gaussians: Curve::default(),
             rate: Curve::default(),
-            mean_loss: None,
+            mean_loss: MeanLoss::new(LOSS_WEIGHT),
             window: (Instant::now(), 0),
             last_rate: 0.0,
             last_gaussians: 0,
@@ -62,13 +63,7 @@ impl Curves {
         }
         self.iteration = report.iteration;
         self.last_gaussians = report.gaussians;
-        let loss = f64::from(report.loss);
-        // An iteration that was left out has none.
-        let mean = match loss.is_finite() {
-            true => self.mean_loss.map_or(loss, |mean| mean + LOSS_WEIGHT * (loss - mean)),
-            false => self.mean_loss.unwrap_or_default(),
-        };
-        self.mean_loss = Some(mean);
+        self.mean_loss.add(report.loss);
         let seconds = self.window.0.elapsed().as_secs_f64();
         if seconds > RATE_WINDOW {
             self.last_rate = f64::from(report.iteration - self.window.1) / seconds;
@@ -76,7 +71,7 @@ impl Curves {
             self.window = (Instant::now(), report.iteration);
         }
         if report.iteration.is_multiple_of(self.stride) {
-            self.loss.points.push((report.iteration, mean));
+            self.loss.points.extend(self.mean_loss.value().map(|mean| (report.iteration, mean)));
             self.gaussians.points.push((report.iteration, f64::from(report.gaussians)));
         }
         self.thin();
@@ -127,7 +122,7 @@ impl Curves {
                 "gaussians": after(&self.gaussians), "rate": after(&self.rate),
             },
             "last": {
-                "loss": self.mean_loss, "psnr": psnr, "gaussians": self.last_gaussians,
+                "loss": self.mean_loss.value(), "psnr": psnr, "gaussians": self.last_gaussians,
                 "rate": if self.paused { 0.0 } else { self.last_rate },
             },
         })
@@ -160,6 +155,14 @@ mod tests {
         let loss = |since: u32| curves.status(since)["points"]["loss"].as_array().map(Vec::len);
         assert_eq!((loss(0), loss(15), loss(20)), (Some(20), Some(5), Some(0)));
         assert_eq!(curves.status(15)["points"]["fresh"], false);
+    }
+
+    #[test]
+    fn iterations_that_are_left_out_have_no_loss() {
+        let mut curves = Curves::new(10);
+        let left_out = StepReport { loss: f32::NAN, ..step(1) };
+        [left_out, step(2)].iter().for_each(|report| curves.step(report));
+        assert_eq!(curves.status(0)["points"]["loss"], json!([[2, 0.5]]));
     }
 
     #[test]
