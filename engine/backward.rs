@@ -49,7 +49,7 @@ macro_rules! blend_backward_arguments {
             mean2d_extent: splats.mean2d_extent,
             conic_opacity: splats.conic_opacity,
             color_inverse_depth: splats.color_inverse_depth,
-            accumulated: &f.accumulated,
+            rendered: f.rendered(sizes),
             inverse_depth: &f.inverse_depth,
             last_entries: &f.last_entries,
             image_gradient: &f.image_gradient,
@@ -95,7 +95,7 @@ impl Backward {
         let subgroup_size = self.context.limits().subgroup_size;
         let slot = &mut self.blend[usize::from(inverse_depth)];
         if slot.is_none() {
-            let Blocks { tile, column_chain, blend_backward_alone: alone, .. } = self.sizes;
+            let Blocks { tile, column_chain, blend_backward_alone: alone, strips, .. } = self.sizes;
             *slot = Some(if alone {
                 let workgroup_size = subgroup_size;
                 let spec = blend_backward_alone::Spec {
@@ -104,6 +104,7 @@ impl Backward {
                     inverse_depth,
                     column_chain,
                     count_hits: false,
+                    strips,
                 };
                 Blend::Alone(Kernel::new(&self.context, &spec)?)
             } else {
@@ -113,6 +114,7 @@ impl Backward {
                     inverse_depth,
                     column_chain,
                     count_hits: false,
+                    strips,
                 };
                 Blend::Regions(Kernel::new(&self.context, &spec)?)
             });

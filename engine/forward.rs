@@ -99,7 +99,7 @@ impl Forward {
             )?,
             expand: [expand(false)?, expand(true)?],
             ranges: [ranges(false)?, ranges(true)?],
-            blend: blending::Blend::default(),
+            blend: blending::Blend::new(&sizes),
         })
     }
 

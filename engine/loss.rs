@@ -1,15 +1,17 @@
 //! The loss of an image against a photograph, and its gradient: (1 - λ) L1 + λ (1 - SSIM).
 
+mod photo;
 mod scratch;
 
 use crate::error::Result;
 use crate::kernels::loss::{
-    loss_reduce, ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep, ssim_planes,
+    loss_reduce, ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep,
 };
-use crate::plan::{Blocks, blocks, tile_grid};
+use crate::plan::{Blocks, Strips, blocks, tile_grid};
 use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
 use scratch::{ScratchBytes, Sweeps};
 
+pub use photo::{photo_bytes, photo_on_device};
 pub use scratch::scratch_requests;
 
 /// How SSIM's window is computed: the same numbers but for rounding, at a cost that depends on the device.
@@ -17,14 +19,14 @@ pub use scratch::scratch_requests;
 pub enum Windowing {
     /// Workgroups share blocks of 16×16 pixels through shared memory.
     Blocks,
-    /// Each invocation goes down a strip of columns by itself, everything in registers.
+    /// Each invocation goes along a strip of eight rows by itself, everything in registers.
     Sweeps,
 }
 
 impl Windowing {
     /// Processors have no use for shared memory: it is memory like any other there.
     pub fn for_device(limits: &Limits) -> Self {
-        if limits.prefers_texels() { Self::Sweeps } else { Self::Blocks }
+        if Strips::suit(limits) { Self::Sweeps } else { Self::Blocks }
     }
 }
 
@@ -32,7 +34,6 @@ impl Windowing {
 pub struct Loss {
     limits: Limits,
     sizes: Blocks,
-    photos: PhotoFormat,
     windows: Windows,
     reduce: Kernel<loss_reduce::Interface>,
 }
@@ -43,7 +44,6 @@ enum Windows {
         backward: Kernel<ssim_backward::Interface>,
     },
     Sweeps {
-        planes: Kernel<ssim_planes::Interface>,
         forward: Kernel<ssim_forward_sweep::Interface>,
         backward: Kernel<ssim_backward_sweep::Interface>,
     },
@@ -58,7 +58,7 @@ impl Windows {
     }
 }
 
-/// How a photograph lies in memory.
+/// What a photograph consists of. [`photo_on_device`] has it as a device wants it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PhotoFormat {
     /// Four bytes per pixel, (r, g, b, unused), 255 being 1.
@@ -74,9 +74,11 @@ pub enum PhotoFormat {
 /// What the loss works on.
 #[derive(Clone, Copy)]
 pub struct LossInputs<'a> {
-    /// Per pixel: premultiplied colour without background, transmittance.
-    pub accumulated: &'a Buffer,
-    /// Per pixel: the photograph, in the format that [`Loss::new`] was told.
+    /// The picture as blending leaves it for backward. [`Windowing::Blocks`]: per pixel, premultiplied colour without
+    /// background, transmittance. [`Windowing::Sweeps`]: composited, three planes in [`Strips`], 0 below the picture.
+    pub rendered: &'a Buffer,
+    /// The photograph in the format that [`Loss::new`] was told. [`Windowing::Blocks`]: per pixel. [`Windowing::Sweeps`]: planes
+    /// in [`Strips`], see [`photo_on_device`].
     pub photo: &'a Buffer,
     /// The buffers that [`Loss::scratch_requests`] asks for, in its order.
     pub scratch: &'a [Buffer],
@@ -84,13 +86,14 @@ pub struct LossInputs<'a> {
     pub losses: &'a Buffer,
     /// Which slot of `losses`.
     pub slot: u32,
-    /// Out, per pixel: dL/d(r, g, b); the fourth component is not written.
+    /// Out: dL/d(r, g, b). [`Windowing::Blocks`]: per pixel, a fourth component is not written. [`Windowing::Sweeps`]: three
+    /// planes in [`Strips`].
     pub image_gradient: &'a Buffer,
     /// Size of the image, pixels.
     pub width: u32,
     /// Size of the image, pixels.
     pub height: u32,
-    /// Background the image is composited on.
+    /// Background that [`Windowing::Blocks`] composites the image on.
     pub background: [f32; 3],
     /// λ.
     pub lambda_dssim: f32,
@@ -145,12 +148,10 @@ impl Loss {
                 }
             }
             Windowing::Sweeps => {
-                let (workgroup_size, strip) = (sizes.loss_sweep, sizes.loss_sweep_strip);
-                let planes = ssim_planes::Spec { workgroup_size: sizes.loss, float_photo, masked };
-                let forward = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo };
-                let backward = ssim_backward_sweep::Spec { workgroup_size, strip, float_photo, masked };
+                let workgroup_size = sizes.loss_sweep;
+                let forward = ssim_forward_sweep::Spec { workgroup_size, float_photo, masked };
+                let backward = ssim_backward_sweep::Spec { workgroup_size, float_photo, masked };
                 Windows::Sweeps {
-                    planes: Kernel::new(context, &planes)?,
                     forward: Kernel::new(context, &forward)?,
                     backward: Kernel::new(context, &backward)?,
                 }
@@ -158,7 +159,11 @@ impl Loss {
         };
         let reduce = loss_reduce::Spec { workgroup_size: sizes.loss, subgroup_size };
         let reduce = Kernel::new(context, &reduce)?;
-        Ok(Self { limits: limits.clone(), sizes, photos, windows, reduce })
+        Ok(Self { limits: limits.clone(), sizes, windows, reduce })
+    }
+
+    pub(crate) fn sizes(&self) -> &Blocks {
+        &self.sizes
     }
 
     /// What the loss needs besides its inputs and outputs, for images of these sizes (width, height).
@@ -173,34 +178,26 @@ impl Loss {
     pub fn record(&self, r: &mut Recorder, inputs: &LossInputs) {
         let i = inputs;
         r.scope("loss", |r| {
-            let loss_partials = match (&self.windows, i.scratch) {
-                (Windows::Blocks { forward, backward }, [partials, derivatives @ ..]) => {
+            let [partials, derivatives @ ..] = i.scratch else {
+                panic!("no scratch buffers of the loss");
+            };
+            match &self.windows {
+                Windows::Blocks { forward, backward } => {
                     by_channels(r, derivatives, |r, part| Self::block_forward(r, forward, i, partials, part));
                     r.barrier();
                     by_channels(r, derivatives, |r, part| Self::block_backward(r, backward, i, part));
-                    partials
                 }
-                (
-                    Windows::Sweeps { planes, forward, backward },
-                    [partials, rendered_planes, photo_planes, derivatives @ ..],
-                ) => {
-                    let pictures = [rendered_planes, photo_planes];
-                    self.make_planes(r, planes, i, pictures);
-                    r.barrier();
+                Windows::Sweeps { forward, backward } => {
                     by_channels(r, derivatives, |r, part| {
-                        self.sweep_forward(r, forward, i, (pictures, partials), part);
+                        self.sweep_forward(r, forward, i, partials, part);
                     });
                     r.barrier();
-                    by_channels(r, derivatives, |r, part| {
-                        self.sweep_backward(r, backward, i, pictures, part)
-                    });
-                    partials
+                    by_channels(r, derivatives, |r, part| self.sweep_backward(r, backward, i, part));
                 }
-                _ => panic!("{} scratch buffers of the loss", i.scratch.len()),
-            };
+            }
             r.dispatch(
                 &self.reduce,
-                &loss_reduce::Bind { loss_partials, losses: i.losses },
+                &loss_reduce::Bind { loss_partials: partials, losses: i.losses },
                 &loss_reduce::Push {
                     partials: ScratchBytes::of(self, i.width, i.height).partials(),
                     slot: i.slot,
@@ -212,31 +209,6 @@ impl Loss {
         });
     }
 
-    fn sweeps(&self, i: &LossInputs) -> Sweeps {
-        Sweeps::new(self.sizes.loss_sweep_strip, i.width, i.height)
-    }
-
-    fn make_planes(
-        &self,
-        r: &mut Recorder,
-        kernel: &Kernel<ssim_planes::Interface>,
-        i: &LossInputs,
-        [rendered_planes, photo_planes]: [&Buffer; 2],
-    ) {
-        let Sweeps { groups, columns, .. } = self.sweeps(i);
-        let texels = u64::from(columns) * u64::from(i.height);
-        let bind =
-            ssim_planes::Bind { accumulated: i.accumulated, photo: i.photo, rendered_planes, photo_planes };
-        let push = ssim_planes::Push {
-            image_width: i.width,
-            image_height: i.height,
-            background: i.background,
-            groups,
-            columns,
-        };
-        r.dispatch(kernel, &bind, &push, blocks(texels, self.sizes.loss.into()));
-    }
-
     fn block_forward(
         r: &mut Recorder,
         kernel: &Kernel<ssim_forward::Interface>,
@@ -245,7 +217,7 @@ impl Loss {
         part: Channels,
     ) {
         let bind = ssim_forward::Bind {
-            accumulated: i.accumulated,
+            accumulated: i.rendered,
             photo: i.photo,
             derivatives: part.derivatives,
             loss_partials,
@@ -267,7 +239,7 @@ impl Loss {
         part: Channels,
     ) {
         let bind = ssim_backward::Bind {
-            accumulated: i.accumulated,
+            accumulated: i.rendered,
             photo: i.photo,
             derivatives: part.derivatives,
             image_gradient: i.image_gradient,
@@ -288,20 +260,23 @@ impl Loss {
         r: &mut Recorder,
         kernel: &Kernel<ssim_forward_sweep::Interface>,
         i: &LossInputs,
-        ([rendered_planes, photo_planes], loss_partials): ([&Buffer; 2], &Buffer),
+        loss_partials: &Buffer,
         part: Channels,
     ) {
-        let Sweeps { rows, per_channel, groups, .. } = self.sweeps(i);
+        let Sweeps { columns, per_channel } = Sweeps::new(i.width, i.height);
         let invocations = part.count * per_channel;
-        let derivatives = part.derivatives;
-        let bind = ssim_forward_sweep::Bind { rendered_planes, photo_planes, derivatives, loss_partials };
+        let bind = ssim_forward_sweep::Bind {
+            rendered: i.rendered,
+            photo: i.photo,
+            derivatives: part.derivatives,
+            loss_partials,
+        };
         let push = ssim_forward_sweep::Push {
             image_width: i.width,
             image_height: i.height,
-            groups,
             first_channel: part.first,
             invocations,
-            rows,
+            columns,
             first_partial: part.first * per_channel,
         };
         r.dispatch(kernel, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
@@ -312,25 +287,22 @@ impl Loss {
         r: &mut Recorder,
         kernel: &Kernel<ssim_backward_sweep::Interface>,
         i: &LossInputs,
-        [rendered_planes, photo_planes]: [&Buffer; 2],
         part: Channels,
     ) {
-        let Sweeps { rows, per_channel, groups, .. } = self.sweeps(i);
+        let Sweeps { columns, per_channel } = Sweeps::new(i.width, i.height);
         let invocations = part.count * per_channel;
         let bind = ssim_backward_sweep::Bind {
-            rendered_planes,
-            photo_planes,
-            derivatives: part.derivatives,
+            rendered: i.rendered,
             photo: i.photo,
+            derivatives: part.derivatives,
             image_gradient: i.image_gradient,
         };
         let push = ssim_backward_sweep::Push {
             image_width: i.width,
             image_height: i.height,
-            groups,
             first_channel: part.first,
             invocations,
-            rows,
+            columns,
             lambda_dssim: i.lambda_dssim,
         };
         r.dispatch(kernel, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));

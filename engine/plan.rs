@@ -6,9 +6,11 @@
 
 mod block_sizes;
 mod sorting;
+mod strips;
 
 pub use block_sizes::Blocks;
 pub use sorting::SortMethod;
+pub use strips::{STRIP, Strips};
 
 use block_sizes::STREAM_WORKGROUP;
 
@@ -191,6 +193,8 @@ struct FrameSizes {
     /// Instances with slots of their own, where backward needs them.
     slots: u64,
     pixels: u64,
+    /// Values of a plane in strips, of any image with as many tiles; 0 where there are none.
+    strips: u64,
     /// 1 with backward, 0 without.
     backward: u64,
     /// 1 when very long tiles need several passes backward.
@@ -221,6 +225,9 @@ impl FrameSizes {
             apart: u64::from(!together),
             slots: backward * instances,
             pixels: u64::from(capacity.width) * u64::from(capacity.height),
+            strips: backward
+                * u64::from(block.strips)
+                * Strips { width: columns * TILE_SIZE, height: rows * TILE_SIZE }.values(),
             backward,
             passes: backward * u64::from(capacity.blend_passes > 1),
         }
@@ -288,12 +295,14 @@ frame_requests! {
     tile_ranges: |s| s.tiles * 8;
     /// Per pixel: premultiplied colour without background, transmittance.
     accumulated: |s| s.pixels * 16;
+    /// The composited picture as three planes in strips, where backward wants it so.
+    composited: |s| 3 * s.strips * 4;
     /// Per pixel: sum of weights / z.
     inverse_depth: |s| s.pixels * 4;
     /// Per pixel: 1 + place of the last blended entry in its tile's list.
     last_entries: |s| s.pixels * 4;
-    /// Per pixel: dL/d(r, g, b, inverse depth).
-    image_gradient: |s| s.backward * s.pixels * 16;
+    /// Per pixel: dL/d(r, g, b, inverse depth); four planes where backward wants strips.
+    image_gradient: |s| s.backward * (s.pixels.max(s.strips)) * 16;
     /// Per pixel: state between passes of the blending's backward.
     running: |s| s.passes * s.pixels * 8;
     /// Per slot: moments 1, dx, dy, dx dx.
@@ -365,6 +374,11 @@ pub struct Splats<'a> {
 }
 
 impl FrameBuffers {
+    /// What blending leaves for loss and backward: [`Self::composited`] in strips, or [`Self::accumulated`].
+    pub fn rendered(&self, block: &Blocks) -> &Buffer {
+        if block.strips { &self.composited } else { &self.accumulated }
+    }
+
     /// The attributes of the visible.
     pub fn splats(&self) -> Splats<'_> {
         let records = &self.splats;

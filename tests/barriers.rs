@@ -1,8 +1,8 @@
 //! Every barrier of a training step is needed, and the hazard checker notices the absence of any one.
 
 use ashsplat::backward::{Backward, Statistics};
-use ashsplat::forward::{Forward, FrameInputs, SceneBuffers};
-use ashsplat::loss::{Loss, LossInputs, PhotoFormat};
+use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers};
+use ashsplat::loss::{Loss, LossInputs, PhotoFormat, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
 use ashsplat::plan::{Blocks, FrameBuffers, FrameCapacity, frame_requests};
 use ashsplat::planes;
@@ -33,6 +33,7 @@ struct Training {
     forward: Forward,
     loss: Loss,
     backward: Backward,
+    sizes: Blocks,
     optimizer: Optimizer,
     scene: SceneBuffers,
     moments: Moments,
@@ -69,7 +70,7 @@ impl Training {
         let [width, height] = SIZE;
         let loss = Loss::new(&context, PhotoFormat::Rgba8).expect("kernels");
         let mut others = vec![
-            ("photo", u64::from(width * height) * 4),
+            ("photo", photo_bytes(context.limits(), width, height, false)),
             ("losses", 16),
             ("statistics", 1200 * 8),
             ("mean2d_gradients", 1200 * 8),
@@ -79,6 +80,7 @@ impl Training {
             forward: Forward::new(&context).expect("kernels"),
             loss,
             backward: Backward::new(&context),
+            sizes: Blocks::new(context.limits()),
             optimizer: Optimizer::new(&context, false),
             moments: Moments { first: planes_of("moments"), second: planes_of("moments") },
             gradients: planes_of("gradients"),
@@ -90,7 +92,8 @@ impl Training {
             scene,
             context,
         };
-        training.forward.prepare(SH_DEGREE, true).expect("kernels");
+        let variant = BlendVariant { inverse_depth: true, backward: true, ..BlendVariant::default() };
+        training.forward.prepare_variant(SH_DEGREE, variant).expect("kernels");
         training.backward.prepare(SH_DEGREE, true).expect("kernels");
         training.backward.prepare_expand(SH_DEGREE).expect("kernels");
         training.optimizer.prepare(SH_DEGREE).expect("kernels");
@@ -108,6 +111,7 @@ impl Training {
             others: &[],
             depth_limits: None,
             linear_depth: false,
+            backward: true,
             keeps_overflow: false,
             scale: 1.0,
         };
@@ -124,7 +128,7 @@ impl Training {
             return;
         }
         let loss = LossInputs {
-            accumulated: &self.frame.accumulated,
+            rendered: self.frame.rendered(&self.sizes),
             photo,
             scratch,
             losses,

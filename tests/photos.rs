@@ -2,6 +2,7 @@
 
 use ashsplat::io::images::PhotoFile;
 use ashsplat::io::{Photo, PhotoMemory, StoredPhoto};
+use ashsplat::loss::photo_bytes;
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Gaussians, TrainSettings, metrics};
@@ -16,10 +17,16 @@ use crate::reference::types::View;
 
 const EXTENT: f32 = 5.0;
 
+/// Bytes of the largest photograph on the device.
+fn largest(views: &[TrainView]) -> u64 {
+    let limits = Gpu::new().context.limits();
+    let bytes = |photo: &StoredPhoto| photo_bytes(limits, photo.width, photo.height, photo.is_masked());
+    views.iter().map(|view| bytes(&view.photo)).max().expect("views")
+}
+
 /// The views with their photographs in a file, of which so many may be held at a time.
 fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
-    let largest = views.iter().map(|view| view.photo.bytes()).max().expect("views");
-    let memory = PhotoMemory { bytes: held * largest, folder: std::env::temp_dir() };
+    let memory = PhotoMemory { bytes: held * largest(views), folder: std::env::temp_dir() };
     let file = PhotoFile::create(&memory).expect("a file");
     let stored = |view: &TrainView| file.store(&view.photo).expect("stored");
     views.iter().map(|view| TrainView { photo: stored(view), ..view.clone() }).collect()
@@ -93,10 +100,14 @@ fn photos_from_a_file_give_the_same_bits() {
 #[test]
 fn photos_without_memory_to_read_ahead_are_refused() {
     let gpu = Gpu::new();
-    let views = in_a_file(&views(), 4);
+    let views = views();
+    let largest = largest(&views);
+    let views = in_a_file(&views, 4);
     let refused = Trainer::new(gpu.context, views, &checkpoints::start(), EXTENT, short()).err();
     let message = refused.expect("refused").to_string();
-    assert!(message.contains("24000 bytes, more than 19200 (the memory for photographs)"), "{message}");
+    let (needed, held) = (5 * largest, 4 * largest);
+    let expected = format!("{needed} bytes, more than {held} (the memory for photographs)");
+    assert!(message.contains(&expected), "{message}");
 }
 
 #[test]

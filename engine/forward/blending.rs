@@ -25,22 +25,17 @@ pub struct BlendVariant {
     pub linear_depth: bool,
     /// Splats behind the frame's depth limits do not count.
     pub depth_limit: bool,
-}
-
-impl BlendVariant {
-    fn index(self) -> usize {
-        usize::from(self.inverse_depth)
-            | usize::from(self.linear_depth) << 1
-            | usize::from(self.depth_limit) << 2
-    }
+    /// The picture is left as backward wants it.
+    pub backward: bool,
 }
 
 /// The blending kernels by variant, built when they are needed.
-#[derive(Default)]
 pub(super) struct Blend {
     blending: Blending,
-    regions: [Option<Kernel<blend::Interface>>; 8],
-    shared: [Option<Kernel<blend_shared::Interface>>; 8],
+    /// Whether what backward wants is something else.
+    strips: bool,
+    regions: [Option<Kernel<blend::Interface>>; 16],
+    shared: [Option<Kernel<blend_shared::Interface>>; 16],
 }
 
 /// The buffers of blend_io.glsl, for either kernel.
@@ -60,18 +55,31 @@ macro_rules! blend_bind {
             state: &frame.state,
             // Not read without a limit, but bound.
             depth_limits: $inputs.depth_limits.unwrap_or(&frame.tile_ranges),
+            composited: &frame.composited,
         }
     }};
 }
 
 impl Blend {
+    pub fn new(sizes: &Blocks) -> Self {
+        let (regions, shared) = Default::default();
+        Self { blending: Blending::default(), strips: sizes.strips, regions, shared }
+    }
+
+    fn index(&self, variant: BlendVariant) -> usize {
+        usize::from(variant.inverse_depth)
+            | usize::from(variant.linear_depth) << 1
+            | usize::from(variant.depth_limit) << 2
+            | usize::from(variant.backward && self.strips) << 3
+    }
+
     pub fn choose(&mut self, blending: Blending) {
         self.blending = blending;
     }
 
     pub fn prepare(&mut self, context: &Context, sizes: &Blocks, wanted: BlendVariant) -> Result<()> {
-        let BlendVariant { inverse_depth, linear_depth, depth_limit } = wanted;
-        let variant = wanted.index();
+        let BlendVariant { inverse_depth, linear_depth, depth_limit, backward } = wanted;
+        let (variant, strips) = (self.index(wanted), backward && self.strips);
         let subgroup_size = context.limits().subgroup_size;
         let Blocks { tile, tile_shared, column_chain, blend_parts: parts, .. } = *sizes;
         match self.blending {
@@ -85,6 +93,7 @@ impl Blend {
                     column_chain,
                     parts,
                     count_hits: false,
+                    strips,
                 };
                 self.regions[variant] = Some(Kernel::new(context, &spec)?);
             }
@@ -96,6 +105,7 @@ impl Blend {
                     depth_limit,
                     linear_depth,
                     column_chain,
+                    strips,
                 };
                 self.shared[variant] = Some(Kernel::new(context, &spec)?);
             }
@@ -105,7 +115,7 @@ impl Blend {
     }
 
     pub fn is_prepared(&self, wanted: BlendVariant) -> bool {
-        let variant = wanted.index();
+        let variant = self.index(wanted);
         match self.blending {
             Blending::Regions => self.regions[variant].is_some(),
             Blending::SharedMemory => self.shared[variant].is_some(),
@@ -114,7 +124,7 @@ impl Blend {
 
     /// Records the colour and transmittance of each pixel.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &Blocks) {
-        let variant = inputs.blend_variant().index();
+        let variant = self.index(inputs.blend_variant());
         match (self.blending, &self.regions[variant], &self.shared[variant]) {
             (Blending::Regions, Some(kernel), _) => {
                 record_passes(r, inputs, sizes, |r, push, tiles| {
@@ -165,6 +175,7 @@ pub(crate) fn record_passes(
             },
             last_pass: (pass + 1 == passes).into(),
             splat_stride: inputs.frame.splats().stride,
+            background: inputs.settings.background,
         };
         dispatch(r, push, u64::from(columns) * u64::from(rows));
     }

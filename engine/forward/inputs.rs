@@ -28,6 +28,8 @@ pub struct FrameInputs<'a> {
     pub depth_limits: Option<&'a Buffer>,
     /// Sum weights * z in place of weights / z.
     pub linear_depth: bool,
+    /// Backward follows: leave the picture as it is wanted there, see [`FrameBuffers::rendered`].
+    pub backward: bool,
     /// Leave STATE_OVERFLOW as the frame before has left it: what follows one that overflowed is void as well.
     pub keeps_overflow: bool,
 }
@@ -39,6 +41,7 @@ impl FrameInputs<'_> {
             inverse_depth: self.settings.inverse_depth,
             linear_depth: self.linear_depth,
             depth_limit: self.depth_limits.is_some(),
+            backward: self.backward,
         }
     }
 }

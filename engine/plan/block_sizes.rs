@@ -1,13 +1,12 @@
 //! How work is cut into workgroups and blocks on a device.
 
 use super::sorting::{self, SortMethod};
+use super::strips::Strips;
 use crate::kernels::constants::TILE_SIZE;
 use crate::vk::Limits;
 
 /// Invocations of a streaming workgroup, where the device allows it.
 pub(super) const STREAM_WORKGROUP: u32 = 256;
-/// Columns that one invocation of the loss goes down: what it keeps of them just fits into the fastest cache.
-const LOSS_SWEEP_STRIP: u32 = 8;
 /// Values of one invocation of a scan: read in fours. A processor rather has fewer invocations without barriers.
 const SCAN_ITEMS: [u32; 2] = [4, 256];
 /// Columns of 8 pixels, at most, in a tile: what its pixels are divided into where opacities are chained.
@@ -57,8 +56,8 @@ pub struct Blocks {
     pub loss_strip: u32,
     /// Invocations of the loss' workgroups where they share nothing.
     pub loss_sweep: u32,
-    /// Columns of one invocation of the loss there.
-    pub loss_sweep_strip: u32,
+    /// Whether blending, loss and blending's backward have pictures in strips ([`Strips`]).
+    pub strips: bool,
     /// Bytes that a buffer may have.
     pub max_binding_bytes: u64,
     /// Entries of a tile that one blending pass may handle.
@@ -124,7 +123,7 @@ impl Blocks {
             loss_strip: size("loss", "STRIP", if limits.is_cpu { 4 } else { 2 }).min(TILE_SIZE),
             // Few and long invocations: small workgroups spread them evenly.
             loss_sweep: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
-            loss_sweep_strip: size("loss", "STRIP", LOSS_SWEEP_STRIP),
+            strips: Strips::suit(limits),
             max_binding_bytes: limits.max_storage_buffer_range.min(limits.max_allocation_bytes),
             // Where the driver bounds the rounds of an invocation: an entry costs one in each region of its subgroup, and at
             // any subgroup size from 4 a part of one for its batch.

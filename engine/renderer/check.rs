@@ -41,6 +41,7 @@ impl Renderer {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
             linear_depth: frame.depth.is_some(),
             depth_limit: frame.occluder.is_some(),
+            backward: false,
         };
         if !reserved.variants().contains(&variant) {
             let problem = format!("{variant:?} was not reserved: see Reservation");

@@ -4,6 +4,7 @@ use super::{Failed, Renderer, Request};
 use crate::backward::Statistics;
 use crate::error::{Error, Result};
 use crate::forward::RenderSettings;
+use crate::plan::Strips;
 use crate::planes;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::MemoryKind;
@@ -52,18 +53,22 @@ impl Renderer {
         self.backward.prepare_expand(sh_degree)?;
         let count = u64::from(scene.count);
         let planes = planes::allocate(&self.context, "gradients", &scene.plan)?;
-        let requests =
-            [("mean2d_gradients", count * 8), ("statistics", count * 8), ("target", pixels as u64 * 16)];
-        let extra = self.context.allocate("gradients", &requests, MemoryKind::Device)?;
         let target: Vec<[f32; 4]> = (0..pixels)
             .map(|i| {
                 let [r, g, b] = image_gradient[i];
                 [r, g, b, inverse_depth_gradient.map_or(0.0, |d| d[i])]
             })
             .collect();
-        self.context.upload(&extra[2], bytemuck::cast_slice(&target))?;
+        let target = match Strips::suit(self.context.limits()) {
+            true => Strips { width: camera.width, height: camera.height }.planes(&target),
+            false => target.into_flattened(),
+        };
+        let target: &[u8] = bytemuck::cast_slice(&target);
+        let target_bytes = target.len() as u64;
+        let requests = [("mean2d_gradients", count * 8), ("statistics", count * 8), ("target", target_bytes)];
+        let extra = self.context.allocate("gradients", &requests, MemoryKind::Device)?;
+        self.context.upload(&extra[2], target)?;
 
-        let target_bytes = pixels as u64 * 16;
         let request = Request { scene: &scene, camera, settings, sh_degree, backward: true };
         let backward = &self.backward;
         let ran = self.runner.run(&request, |r, inputs| {

@@ -207,6 +207,7 @@ impl Renderer {
             others: &others,
             depth_limits: frame.occluder.as_ref().and(slot.depth_limits.as_ref()),
             linear_depth: frame.depth.is_some(),
+            backward: false,
             keeps_overflow: false,
         };
         forward.record(r, &inputs);

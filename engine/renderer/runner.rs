@@ -3,7 +3,7 @@
 use super::frame_store::{FrameStore, State};
 use super::{Frame, FrameStats};
 use crate::error::{Error, Result};
-use crate::forward::{Forward, FrameInputs, RenderSettings, SceneBuffers};
+use crate::forward::{BlendVariant, Forward, FrameInputs, RenderSettings, SceneBuffers};
 use crate::plan::{FrameBuffers, FrameCapacity};
 use crate::scene::Camera;
 use crate::vk::{Context, Recorder, RunReport};
@@ -40,6 +40,7 @@ impl<'a> Request<'a> {
             others: &[],
             depth_limits: None,
             linear_depth: false,
+            backward: self.backward,
             keeps_overflow: false,
         }
     }
@@ -91,7 +92,11 @@ impl FrameRunner {
         let Request { scene, camera, settings, sh_degree, backward } = *request;
         camera.check()?;
         settings.check()?;
-        self.forward.prepare(sh_degree, settings.inverse_depth)?;
+        let inverse_depth = settings.inverse_depth;
+        self.forward.prepare_variant(
+            sh_degree,
+            BlendVariant { inverse_depth, backward, ..BlendVariant::default() },
+        )?;
         let mut retries = 0;
         loop {
             let (frame, capacity) = self.store.ensure(scene.plan.capacity, camera, backward)?;
@@ -121,10 +126,12 @@ impl FrameRunner {
         self.store.release();
     }
 
-    /// Makes sure of buffers for these cameras and of the kernels up to an SH degree, for [`FrameRunner::record`].
+    /// Makes sure of buffers for these cameras with backward and of the kernels up to an SH degree, for
+    /// [`FrameRunner::record`].
     pub fn reserve(&mut self, gaussians: u32, cameras: &[Camera], sh_degree: u32) -> Result<()> {
+        let variant = BlendVariant { backward: true, ..BlendVariant::default() };
         for degree in 0..=sh_degree {
-            self.forward.prepare(degree, false)?;
+            self.forward.prepare_variant(degree, variant)?;
         }
         for camera in cameras {
             self.store.ensure(gaussians, camera, true)?;

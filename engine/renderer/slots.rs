@@ -104,7 +104,11 @@ impl Reservation {
             variants.push(BlendVariant { inverse_depth: true, ..BlendVariant::default() });
         }
         if self.expected_depth {
-            variants.push(BlendVariant { inverse_depth: true, linear_depth: true, depth_limit: false });
+            variants.push(BlendVariant {
+                inverse_depth: true,
+                linear_depth: true,
+                ..BlendVariant::default()
+            });
         }
         if self.occlusion {
             let hidden = variants.clone().into_iter();

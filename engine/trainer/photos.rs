@@ -7,14 +7,15 @@ use super::schedule::{Schedule, Use};
 use super::step::ViewOrder;
 use crate::error::{Error, Result};
 use crate::io::StoredPhoto;
-use crate::vk::{Buffer, Context, MemoryKind};
+use crate::loss::{photo_bytes, photo_on_device};
+use crate::vk::{Buffer, Context, Limits, MemoryKind};
 
 /// Photographs that wait on the host for their turn, read by a thread.
 const AHEAD: u64 = 2;
 /// Photographs on the host at a time: those that wait, one that is being read, one that is being uploaded.
 const ON_HOST: u64 = AHEAD + 2;
 
-/// RGBA8 texels of the views' photographs, the fourth byte being the mask.
+/// The views' photographs as [`photo_on_device`] makes them.
 pub(super) enum Photos {
     Resident { texels: Vec<Buffer>, masked: Vec<bool> },
     Streamed(Stream),
@@ -28,9 +29,10 @@ enum Residence {
 
 impl Residence {
     /// All of them, unless they lie in a file: then as many as fit its budget beside those that wait on the host.
-    fn of(views: &[TrainView]) -> Result<Self> {
+    fn of(limits: &Limits, views: &[TrainView]) -> Result<Self> {
         let Some(file) = views.iter().find_map(|view| view.photo.file()) else { return Ok(Self::All) };
-        let bytes = views.iter().map(|view| view.photo.bytes()).max().unwrap_or(0).max(4);
+        // Those that wait on the host are in the form for the device as well.
+        let bytes = views.iter().map(|view| bytes_of(limits, &view.photo)).max().unwrap_or(0).max(4);
         let held = file.memory_bytes() / bytes;
         if held <= ON_HOST {
             return Err(Error::TooLarge {
@@ -63,8 +65,8 @@ pub(super) struct PhotoBytes {
 /// # Errors
 /// [`Error::TooLarge`] when their budget is too small to read ahead.
 pub(super) fn device_bytes(context: &Context, views: &[TrainView]) -> Result<PhotoBytes> {
-    let all = context.allocation_bytes(&requests(views));
-    Ok(match Residence::of(views)? {
+    let all = context.allocation_bytes(&requests(context, views));
+    Ok(match Residence::of(context.limits(), views)? {
         Residence::All => PhotoBytes { held: all, staging: 0, all, budget: None },
         Residence::Slots { count, bytes } => PhotoBytes {
             held: context.allocation_bytes(&vec![("photo", bytes); count]),
@@ -75,8 +77,16 @@ pub(super) fn device_bytes(context: &Context, views: &[TrainView]) -> Result<Pho
     })
 }
 
-fn requests(views: &[TrainView]) -> Vec<(&'static str, u64)> {
-    views.iter().map(|view| ("photo", view.photo.bytes())).collect()
+fn requests(context: &Context, views: &[TrainView]) -> Vec<(&'static str, u64)> {
+    views.iter().map(|view| ("photo", bytes_of(context.limits(), &view.photo))).collect()
+}
+
+fn bytes_of(limits: &Limits, photo: &StoredPhoto) -> u64 {
+    photo_bytes(limits, photo.width, photo.height, photo.is_masked())
+}
+
+fn on_device(limits: &Limits, photo: &StoredPhoto) -> Result<Vec<u8>> {
+    Ok(photo_on_device(limits, photo.width, photo.height, photo.is_masked(), photo.texels()?))
 }
 
 fn check(views: &[TrainView]) -> Result<()> {
@@ -98,12 +108,12 @@ impl Photos {
     /// Uploads the views' photographs, or makes room for some of them; they are needed in the order of a seed.
     pub fn new(context: &Context, views: &[TrainView], seed: u32) -> Result<Self> {
         check(views)?;
-        let (count, bytes) = match Residence::of(views)? {
+        let (count, bytes) = match Residence::of(context.limits(), views)? {
             Residence::Slots { count, bytes } => (count, bytes),
             Residence::All => {
-                let texels = context.allocate("photos", &requests(views), MemoryKind::Device)?;
+                let texels = context.allocate("photos", &requests(context, views), MemoryKind::Device)?;
                 for (buffer, view) in texels.iter().zip(views) {
-                    context.upload(buffer, &view.photo.texels()?)?;
+                    context.upload(buffer, &on_device(context.limits(), &view.photo)?)?;
                 }
                 let masked = views.iter().map(|view| view.photo.is_masked()).collect();
                 return Ok(Self::Resident { texels, masked });
@@ -181,7 +191,7 @@ impl Stream {
         // Anew at the start, from a checkpoint and after a failure.
         let mut running = match self.running.take() {
             Some(running) if running.iteration + 1 == iteration => running,
-            _ => self.start(iteration)?,
+            _ => self.start(context.limits(), iteration)?,
         };
         running.iteration = iteration;
         running.at = running.schedule.advance();
@@ -198,10 +208,10 @@ impl Stream {
         Ok(())
     }
 
-    fn start(&self, iteration: u32) -> Result<Running> {
+    fn start(&self, limits: &Limits, iteration: u32) -> Result<Running> {
         let order = ViewOrder::new(self.seed, self.photos.len());
         let schedule = Schedule::new(order, self.slots.len(), iteration);
-        let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
+        let (mut ahead, photos, limits) = (schedule.clone(), self.photos.clone(), limits.clone());
         let (sender, texels) = sync_channel(AHEAD as usize);
         // Where all fit, none is read twice.
         let mut left = if self.slots.len() < photos.len() { usize::MAX } else { photos.len() };
@@ -209,7 +219,7 @@ impl Stream {
             while left > 0 {
                 let next = ahead.advance();
                 if next.load {
-                    let texels = photos[next.view].texels();
+                    let texels = on_device(&limits, &photos[next.view]);
                     left = if texels.is_ok() { left - 1 } else { 0 };
                     if sender.send(texels).is_err() {
                         return;

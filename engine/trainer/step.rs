@@ -170,7 +170,7 @@ impl Tail<'_> {
         self.loss.record(
             r,
             &LossInputs {
-                accumulated: &f.accumulated,
+                rendered: f.rendered(self.loss.sizes()),
                 photo: self.photo,
                 scratch: &scratch.loss,
                 losses: &scratch.losses,

@@ -34,6 +34,8 @@ layout(constant_id = 2) const bool INVERSE_DEPTH = false;
 layout(constant_id = 3) const bool COLUMN_CHAIN = false;
 // See blend.comp.
 layout(constant_id = 4) const bool COUNT_HITS = false;
+// See blend_gradient.glsl; for subgroups of at most 16.
+layout(constant_id = 5) const bool STRIPS = false;
 layout(local_size_x_id = 0) in;
 
 #include "blend_gradient.glsl"

@@ -7,8 +7,8 @@
 // lane tests one Gaussian's exact reach against a region, then all lanes blend the hits, passed round by shuffles;
 // workgroup: one tile
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
-// out, PerPixel: accumulated (r, g, b without background, T), inverse_depth, last_entries (1 + place of the last
-//     blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
+// out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, last_entries
+//     (1 + place of the last blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
 // Entries [first_entry, first_entry + max_entries) of each tile; with first_entry > 0 it goes on where the pass
 // before stopped (drivers that bound the iterations of an invocation need several passes for very long tiles). Frames of
 // very many instances take several dispatches, each over the tiles that begin in a range of them.
@@ -38,6 +38,8 @@ layout(constant_id = 5) const bool COLUMN_CHAIN = false;
 layout(constant_id = 6) const uint PARTS = 1;
 // Counts the pixels that Gaussians are blended over, to compare what the kernel computes with what the device could.
 layout(constant_id = 7) const bool COUNT_HITS = false;
+// See blend_io.glsl; for subgroups of at most 16, whose lanes have four rows of a column or eight.
+layout(constant_id = 8) const bool STRIPS = false;
 layout(local_size_x_id = 0) in;
 
 #include "tile_region.glsl"
@@ -93,6 +95,12 @@ void load_region(uvec2 corner, out Pixel pixels[MAX_PIXELS]) {
 void store_region(uvec2 corner, Pixel pixels[MAX_PIXELS], bool more) {
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
         store_pixel(corner + pixel_step(k), pixels[k], more);
+    }
+    if (STRIPS && !more) {
+        [[unroll]] for (uint k = 0; k + 3 < PIXELS; k += 4) {
+            store_composited(
+                corner + pixel_step(k), Pixel[](pixels[k], pixels[k + 1], pixels[k + 2], pixels[k + 3]));
+        }
     }
 }
 

@@ -9,8 +9,8 @@
 //
 // invocation: PIXELS pixels, and one Gaussian of each batch to fetch; workgroup: one tile, batches of WORKGROUP_SIZE
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
-// out, PerPixel: accumulated (r, g, b without background, T), inverse_depth, last_entries (1 + place of the last
-//     blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
+// out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, last_entries
+//     (1 + place of the last blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
 // Entries [first_entry, first_entry + max_entries) of each tile; with first_entry > 0 it goes on where the pass
 // before stopped (drivers that bound the iterations of an invocation need several passes for very long tiles).
 // shared: WORKGROUP_SIZE * 10 words and one; any subgroup size (no subgroup operations: its columns of pixels are those
@@ -33,12 +33,13 @@ layout(constant_id = 3) const bool DEPTH_LIMIT = false;
 layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 // See blending.glsl.
 layout(constant_id = 5) const bool COLUMN_CHAIN = false;
+// See blend_io.glsl; with COLUMN_CHAIN.
+layout(constant_id = 8) const bool STRIPS = false;
 layout(local_size_x_id = 0) in;
 
 #include "region_shape.glsl"
 
 const uint COLUMN_ROWS = COLUMN_CHAIN ? ROWS : 1;
-const uint COLUMN_STEP = COLUMN_CHAIN ? LANES_Y : 1;
 // Columns of an invocation, and its pixels.
 const uint OWN_COLUMNS = TILE_SIZE * TILE_SIZE / COLUMN_ROWS / WORKGROUP_SIZE;
 const uint PIXELS = OWN_COLUMNS * COLUMN_ROWS;
@@ -52,16 +53,14 @@ shared vec4 conics[WORKGROUP_SIZE];
 shared vec4 shades[WORKGROUP_SIZE];
 shared uint alive;
 
-// The first pixel of an invocation's column k within the tile: columns lie side by side, then COLUMN_STEP interleaved ones
-// below each other, then the next rows.
+// The first pixel of an invocation's column k within the tile: columns lie side by side, then the next rows of them.
 uvec2 column_origin(uint k) {
     uint column = gl_LocalInvocationID.x + k * WORKGROUP_SIZE;
-    uint row = column / TILE_SIZE;
-    return uvec2(column % TILE_SIZE, row / COLUMN_STEP * COLUMN_ROWS * COLUMN_STEP + row % COLUMN_STEP);
+    return uvec2(column % TILE_SIZE, column / TILE_SIZE * COLUMN_ROWS);
 }
 
 uvec2 pixel_of(uint k) {
-    return column_origin(k / COLUMN_ROWS) + uvec2(0, k % COLUMN_ROWS * COLUMN_STEP);
+    return column_origin(k / COLUMN_ROWS) + uvec2(0, k % COLUMN_ROWS);
 }
 
 void main() {
@@ -123,6 +122,11 @@ void main() {
     if (works) {
         [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
             store_pixel(corner + pixel_of(k), pixels[k], entries > end);
+        }
+        if (STRIPS && entries <= end) {
+            [[unroll]] for (uint k = 0; k + 3 < PIXELS; k += 4) {
+                store_composited(corner + pixel_of(k), Pixel[](pixels[k], pixels[k + 1], pixels[k + 2], pixels[k + 3]));
+            }
         }
     }
 }

@@ -1,6 +1,6 @@
 // Blending's backward over the pixels of a lane: buffers, push constants, and what one Gaussian owes to them. The same in all
 // variants of the kernel, which differ in how they add over lanes and regions; see blend_backward.comp for the derivative.
-// Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, COLUMN_CHAIN, COUNT_HITS, GL_KHR_shader_subgroup_basic and _shuffle.
+// Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, COLUMN_CHAIN, COUNT_HITS, STRIPS (see blend_io.glsl), GL_KHR_shader_subgroup_basic and _shuffle.
 
 // Training has nothing but splats, and inverse depth.
 const bool DEPTH_LIMIT = false;
@@ -12,9 +12,11 @@ UINT_READS(2, SortedSlots, sorted_slots);
 VEC4_READS(3, Mean2dExtent, mean2d_extent);
 VEC4_READS(4, ConicOpacity, conic_opacity);
 VEC4_READS(5, ColorInverseDepth, color_inverse_depth);
-VEC4_READS(6, Accumulated, accumulated);
+// Per pixel (r, g, b without background, T); with STRIPS three planes of the composited picture.
+VEC4_READS(6, Rendered, rendered);
 FLOAT_READS(7, InverseDepth, inverse_depth);
 UINT_READS(8, LastEntries, last_entries);
+// dL/d(r, g, b, inverse depth) per pixel; with STRIPS four planes of them.
 VEC4_READS(9, ImageGradient, image_gradient);
 layout(set = 0, binding = 10, scalar) buffer Running { vec2 running[]; };
 layout(set = 0, binding = 11, scalar) writeonly buffer SumsA { vec4 sums_a[]; };
@@ -39,6 +41,7 @@ layout(push_constant, scalar) uniform Push {
 
 #include "splat_record.glsl"
 #include "tile_due.glsl"
+#include "strips.glsl"
 #include "tile_region.glsl"
 #include "blending.glsl"
 #include "splat_shuffle.glsl"
@@ -77,19 +80,62 @@ bool is_pixel(uvec2 at) {
     return at.x < image_width && at.y < image_height;
 }
 
+// What loss and blending have left at a pixel: its composited colour, and its gradient.
+struct Handed {
+    vec3 color;
+    vec4 gradient;
+};
+
+// At four rows of a column, from a multiple of 4 on.
+void load_four(uvec2 at, bool tile_exists, out Handed handed[4]) {
+    bool inside = tile_exists && is_pixel(at);
+    vec4 rows[7];
+    [[unroll]] for (uint plane = 0; plane < 4; ++plane) {
+        uint texel = inside ? strip_texel(plane, at) : 0;
+        if (plane < 3) {
+            rows[4 + plane] = VEC4_AT(rendered, texel);
+        }
+        rows[plane] = plane < 3 || INVERSE_DEPTH ? VEC4_AT(image_gradient, texel) : vec4(0.0);
+    }
+    [[unroll]] for (uint k = 0; k < 4; ++k) {
+        // Nobody has written the gradient below the picture.
+        bool exists = at.y + k < image_height;
+        vec4 gradient = vec4(rows[0][k], rows[1][k], rows[2][k], rows[3][k]);
+        handed[k] = Handed(vec3(rows[4][k], rows[5][k], rows[6][k]), exists ? gradient : vec4(0.0));
+    }
+}
+
+Handed load_one(uvec2 at, bool tile_exists) {
+    uint index = tile_exists && is_pixel(at) ? at.y * image_width + at.x : 0;
+    vec4 color = VEC4_AT(rendered, index);
+    vec4 gradient = VEC4_AT(image_gradient, index);
+    if (!INVERSE_DEPTH) {
+        gradient.w = 0.0;
+    }
+    return Handed(color.xyz + color.w * background, gradient);
+}
+
 // The pixels of a lane in a region as this pass finds them; returns 1 + the last place that counts for any of them.
 uint load_pixels(uvec2 corner, bool tile_exists, out GradientPixel pixels[MAX_PIXELS]) {
     uint lane_last = 0;
+    Handed handed[MAX_PIXELS];
+    [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
+        if (!STRIPS) {
+            handed[k] = load_one(corner + pixel_step(k), tile_exists);
+        } else if (k % 4 == 0) {
+            Handed four[4];
+            load_four(corner + pixel_step(k), tile_exists, four);
+            [[unroll]] for (uint i = 0; i < 4; ++i) {
+                handed[k + i] = four[i];
+            }
+        }
+    }
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
         uvec2 at = corner + pixel_step(k);
         bool inside = tile_exists && is_pixel(at);
         uint index = inside ? at.y * image_width + at.x : 0;
-        vec4 color = VEC4_AT(accumulated, index);
-        vec4 gradient = VEC4_AT(image_gradient, index);
-        if (!INVERSE_DEPTH) {
-            gradient.w = 0.0;
-        }
-        float rest = dot(gradient.xyz, color.xyz + color.w * background);
+        vec4 gradient = handed[k].gradient;
+        float rest = dot(gradient.xyz, handed[k].color);
         if (INVERSE_DEPTH) {
             rest += gradient.w * FLOAT_AT(inverse_depth, index);
         }
@@ -131,7 +177,7 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, inout GradientPixel
         float column_1 = 0.0, column_y = 0.0, column_yy = 0.0;
         [[unroll]] for (uint row = 0; row < ROWS; ++row) {
             uint k = column * ROWS + row;
-            float dy = d0.y - float(row * LANES_Y);
+            float dy = d0.y - float(row);
             float unclamped = place <= pixels[k].last ? alphas[row] : 0.0;
             float alpha = min(ALPHA_MAX, unclamped);
             float transmittance = pixels[k].transmittance;

@@ -1,5 +1,6 @@
 // Buffers and push constants of the blending kernels, and how a pixel's state is kept between passes.
-// Needs blending.glsl.
+// Needs blending.glsl, buffers.glsl, STRIPS: the picture is left composited on the background, three planes in strips
+// (strips.glsl), as loss and blending's backward want it on processors; `accumulated` then only goes from pass to pass.
 
 layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
 UINT_READS(1, SortedVisible, sorted_visible);
@@ -12,6 +13,8 @@ layout(set = 0, binding = 7, scalar) buffer LastEntries { uint last_entries[]; }
 layout(set = 0, binding = 8, scalar) buffer State { uint state[]; };
 // Per pixel: 1/z of what else is in the picture, 0 for nothing. Only read with DEPTH_LIMIT.
 layout(set = 0, binding = 9, scalar) readonly buffer DepthLimits { float depth_limits[]; };
+
+VEC4_WRITES(10, Composited, composited);
 
 layout(push_constant, scalar) uniform Push {
     uint image_width;
@@ -27,10 +30,13 @@ layout(push_constant, scalar) uniform Push {
     // No pass follows: a tile with more entries than this one reaches leaves the frame invalid (STATE_OVERFLOW).
     uint last_pass;
     uint splat_stride;
+    // Only read with STRIPS.
+    vec3 background;
 };
 
 #include "splat_record.glsl"
 #include "tile_due.glsl"
+#include "strips.glsl"
 
 // Notes the longest tile, and tiles that the passes do not reach the end of.
 void note_tile(uint entries, uint end) {
@@ -66,10 +72,26 @@ Pixel load_pixel(uvec2 at) {
 void store_pixel(uvec2 at, Pixel pixel, bool more) {
     if (at.x < image_width && at.y < image_height) {
         uint index = at.y * image_width + at.x;
-        accumulated[index] = vec4(pixel.color, more ? pixel.transmittance : abs(pixel.transmittance));
+        if (!STRIPS || more) {
+            accumulated[index] = vec4(pixel.color, more ? pixel.transmittance : abs(pixel.transmittance));
+        }
         last_entries[index] = pixel.last;
         if (INVERSE_DEPTH) {
             inverse_depth[index] = pixel.depth;
+        }
+    }
+}
+
+// Four rows of a column, from a multiple of 4 on; rows below the picture are 0.
+void store_composited(uvec2 at, Pixel pixels[4]) {
+    if (at.x < image_width && at.y / STRIP < strips_of_image()) {
+        [[unroll]] for (uint channel = 0; channel < 3; ++channel) {
+            vec4 values;
+            [[unroll]] for (uint k = 0; k < 4; ++k) {
+                float value = pixels[k].color[channel] + abs(pixels[k].transmittance) * background[channel];
+                values[k] = at.y + k < image_height ? value : 0.0;
+            }
+            VEC4_PUT(composited, strip_texel(channel, at), values);
         }
     }
 }

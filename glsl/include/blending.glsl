@@ -1,6 +1,6 @@
 // One Gaussian blended over a column of pixels, front to back: the same arithmetic in every variant of the kernel.
-// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, COLUMN_CHAIN, COLUMN_ROWS and COLUMN_STEP (the pixels of a
-// column that belong to an invocation, and how many rows apart they are).
+// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, COLUMN_CHAIN and COLUMN_ROWS: the pixels of a column, one below
+// the other, that belong to an invocation.
 
 // No region gives an invocation more pixels in a column. Not COLUMN_ROWS: an array whose size is a specialization constant
 // has a type of its own in every declaration, and comes back from a function undefined.
@@ -35,7 +35,7 @@ struct Pixel {
 
 Splat splat_of(vec2 mean, vec4 conic_opacity, vec4 color_inverse_depth) {
     vec3 form = quadratic_form(conic_opacity.xyz);
-    float curvature = COLUMN_CHAIN ? exp2(2.0 * float(COLUMN_STEP * COLUMN_STEP) * form.z) : 0.0;
+    float curvature = COLUMN_CHAIN ? exp2(2.0 * form.z) : 0.0;
     return Splat(mean, form, conic_opacity.w, color_inverse_depth.xyz, color_inverse_depth.w, curvature);
 }
 
@@ -61,11 +61,10 @@ void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]
     // A power of at most 0 but for the rounding of products.
     float limit = splat.opacity * 1.00001;
     if (COLUMN_CHAIN && COLUMN_ROWS > 2) {
-        const float apart = float(COLUMN_STEP);
-        float dy = splat.mean.y - (first_px.y + float(middle * COLUMN_STEP));
+        float dy = splat.mean.y - (first_px.y + float(middle));
         precise float power = a_dx_dx + dy * (splat.form.z * dy + b_dx);
-        precise float slope = apart * (2.0 * splat.form.z * dy + b_dx);
-        precise float bend = apart * apart * splat.form.z;
+        precise float slope = 2.0 * splat.form.z * dy + b_dx;
+        precise float bend = splat.form.z;
         precise float alpha = splat.opacity * exp2(power);
         alphas[middle] = counted(alpha, limit);
         // Bounded, so that 0 times it stays 0.
@@ -85,7 +84,7 @@ void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]
         }
     } else {
         [[unroll]] for (uint k = 0; k < COLUMN_ROWS; ++k) {
-            float dy = splat.mean.y - (first_px.y + float(k * COLUMN_STEP));
+            float dy = splat.mean.y - (first_px.y + float(k));
             precise float power = a_dx_dx + dy * (splat.form.z * dy + b_dx);
             precise float alpha = splat.opacity * exp2(power);
             alphas[k] = power <= 0.0 && alpha >= ALPHA_MIN ? alpha : 0.0;

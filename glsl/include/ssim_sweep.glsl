@@ -1,60 +1,64 @@
-// The window by sweeps in registers: an invocation goes down STRIP columns of one channel. It windows each row along the
-// row, and adds the result to the windows of the eleven rows around it, ten of which wait for more.
-// Needs ssim.glsl, ssim_planes.glsl, dispatch.glsl, STRIP, SWEPT (vec3 or vec4: what is windowed together), and the push constants
-// image_width, image_height, groups, first_channel, invocations, rows.
+// The window by sweeps in registers: an invocation goes along a strip of one channel (strips.glsl). It windows each column along
+// the column, and adds the result to the windows of the eleven columns around it, ten of which wait for more.
+// Needs ssim.glsl, strips.glsl, dispatch.glsl, SWEPT (vec3 or vec4: what is windowed together), and the push constants
+// image_width, image_height, first_channel, invocations, columns.
 
-const uint SWEEP_ROW = STRIP + 2 * SSIM_RADIUS;
+const uint SWEEP_VALUES = STRIP + 2 * SSIM_RADIUS;
 const uint SWEEP_WAITING = SSIM_TAPS - 1;
-// Texels of a plane that a sweep reads of a row, and those of them that its own columns lie in, from the second on.
-const uint SWEEP_TEXELS = (SWEEP_ROW + 3) / 4;
-const uint OWN_TEXELS = (SSIM_RADIUS % 4 + STRIP + 3) / 4;
 
-// Values of the current row, from SSIM_RADIUS columns left of the strip to SSIM_RADIUS right of it.
-SWEPT sweep_row[SWEEP_ROW];
-// Windows of the rows below the one that is complete next.
+// Values of the current column, from SSIM_RADIUS rows above the strip to SSIM_RADIUS below it.
+SWEPT sweep_values[SWEEP_VALUES];
+// Windows of the columns right of the one that is complete next.
 SWEPT sweep_waiting[SWEEP_WAITING][STRIP];
 
-// The part of an invocation: `first` is its first pixel, rows `first.y` to `end_y` - 1 are its own.
+// The part of an invocation: columns `first_x` to `end_x` - 1 of a strip.
 struct Sweep {
     bool exists;
     uint channel;
-    ivec2 first;
-    int end_y;
+    uint strip;
+    int first_x;
+    int end_x;
+    bool has_above;
+    bool has_below;
 };
 
 Sweep sweep_of_invocation() {
     uint invocation = linear_invocation();
-    uint strips = (image_width + STRIP - 1) / STRIP;
-    uint per_channel = strips * ((image_height + rows - 1) / rows);
+    uint strips = strips_of_image();
+    uint per_channel = strips * ((image_width + columns - 1) / columns);
     Sweep sweep;
     sweep.exists = invocation < invocations;
     uint at = sweep.exists ? invocation : 0;
     sweep.channel = first_channel + at / per_channel;
-    sweep.first = ivec2(at % strips * STRIP, at % per_channel / strips * rows);
-    sweep.end_y = min(sweep.first.y + int(rows), int(image_height));
+    sweep.strip = at % strips;
+    sweep.first_x = int(at % per_channel / strips * columns);
+    sweep.end_x = min(sweep.first_x + int(columns), int(image_width));
+    sweep.has_above = sweep.strip > 0;
+    sweep.has_below = sweep.strip + 1 < strips;
     [[unroll]] for (uint k = 0; k < SWEEP_WAITING; ++k) {
-        [[unroll]] for (uint c = 0; c < STRIP; ++c) {
-            sweep_waiting[k][c] = SWEPT(0.0);
+        [[unroll]] for (uint row = 0; row < STRIP; ++row) {
+            sweep_waiting[k][row] = SWEPT(0.0);
         }
     }
     return sweep;
 }
 
-// Where texel t of those that a sweep reads of a row of a plane lies, see ssim_planes.glsl.
-uint sweep_texel(Sweep sweep, uint plane, uint t, int y) {
-    return plane_texel(plane, uint(sweep.first.x) / 4 + t) + uint(y) * GROUP_TEXELS;
+// A column of a plane in the strips above, of and below a sweep; where there is none, another one that can be read.
+uvec3 sweep_columns(Sweep sweep, uint plane, uint x) {
+    uint own = strip_column(plane, sweep.strip, x);
+    return uvec3(sweep.has_above ? own - strip_pitch() : own, own, sweep.has_below ? own + strip_pitch() : own);
 }
 
-// Takes the current row in, and returns the window of a column SSIM_RADIUS rows above it. Once per row and column.
-SWEPT sweep_window(uint column) {
-    SWEPT along_row = SSIM_WINDOW[SSIM_RADIUS] * sweep_row[column + SSIM_RADIUS];
+// Takes the current column in, and returns the window of a row SSIM_RADIUS columns left of it. Once per column and row.
+SWEPT sweep_window(uint row) {
+    SWEPT along_column = SSIM_WINDOW[SSIM_RADIUS] * sweep_values[row + SSIM_RADIUS];
     [[unroll]] for (uint tap = 0; tap < SSIM_RADIUS; ++tap) {
-        along_row += SSIM_WINDOW[tap] * (sweep_row[column + tap] + sweep_row[column + 2 * SSIM_RADIUS - tap]);
+        along_column += SSIM_WINDOW[tap] * (sweep_values[row + tap] + sweep_values[row + 2 * SSIM_RADIUS - tap]);
     }
-    SWEPT complete = sweep_waiting[0][column] + SSIM_WINDOW[0] * along_row;
+    SWEPT complete = sweep_waiting[0][row] + SSIM_WINDOW[0] * along_column;
     [[unroll]] for (uint k = 1; k < SWEEP_WAITING; ++k) {
-        sweep_waiting[k - 1][column] = sweep_waiting[k][column] + SSIM_WINDOW[k] * along_row;
+        sweep_waiting[k - 1][row] = sweep_waiting[k][row] + SSIM_WINDOW[k] * along_column;
     }
-    sweep_waiting[SWEEP_WAITING - 1][column] = SSIM_WINDOW[SWEEP_WAITING] * along_row;
+    sweep_waiting[SWEEP_WAITING - 1][row] = SSIM_WINDOW[SWEEP_WAITING] * along_column;
     return complete;
 }

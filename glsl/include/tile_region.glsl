@@ -8,7 +8,6 @@
 const uint PIXELS = COLUMNS * ROWS;
 // A column of blending.glsl.
 const uint COLUMN_ROWS = ROWS;
-const uint COLUMN_STEP = LANES_Y;
 
 // First pixel of a region, and this lane's first pixel in it.
 uvec2 region_origin(uvec2 tile, uint region) {
@@ -16,12 +15,12 @@ uvec2 region_origin(uvec2 tile, uint region) {
 }
 
 uvec2 lane_offset() {
-    return uvec2(gl_SubgroupInvocationID % LANES_X, gl_SubgroupInvocationID / LANES_X);
+    return uvec2(gl_SubgroupInvocationID % LANES_X, gl_SubgroupInvocationID / LANES_X * ROWS);
 }
 
-// Pixel k of a lane: column k / ROWS, row k % ROWS, LANES_X and LANES_Y apart.
+// Pixel k of a lane: row k % ROWS of its column k / ROWS. Columns are LANES_X apart, rows lie below each other.
 uvec2 pixel_step(uint k) {
-    return uvec2(k / ROWS * LANES_X, k % ROWS * LANES_Y);
+    return uvec2(k / ROWS * LANES_X, k % ROWS);
 }
 
 // Whether a Gaussian reaches alpha >= 1/255 at some point of the rectangle of the region's pixel centres. `form` is

@@ -390,5 +390,8 @@ fn photos_may_stay_on_disk() {
     assert_eq!(left, 3, "the file goes with the program");
     let model = folder.path().join("refused");
     let run = ["train", "-s", text(&data), "-m", text(&model), "--photo-memory", "20K"];
-    assert_refused(&finish(program().args(run)), &["reading ahead", "30720 bytes", "20480"]);
+    assert_refused(
+        &finish(program().args(run)),
+        &["reading ahead (5 of the largest photograph at a time)", "20480"],
+    );
 }

@@ -2,6 +2,7 @@
 
 use ashsplat::kernels::backward::{blend_backward, blend_backward_alone};
 use ashsplat::kernels::forward::{blend, blend_shared};
+use ashsplat::plan::Strips;
 use ashsplat::vk::Buffer;
 
 use super::gpu::Gpu;
@@ -10,6 +11,8 @@ use super::tiles::Lists;
 /// What the forward kernel leaves for the backward one.
 pub struct Blended {
     pub accumulated: Buffer,
+    /// Three planes; only written in strips.
+    pub composited: Buffer,
     pub inverse_depth: Buffer,
     pub last_entries: Buffer,
 }
@@ -33,6 +36,7 @@ macro_rules! blend_lists {
         let pixels = lists.view.pixels();
         let blended = Blended {
             accumulated: gpu.untouched::<[f32; 4]>("accumulated", pixels),
+            composited: gpu.untouched::<[f32; 3]>("composited", strips_of(lists).values() as usize),
             inverse_depth: gpu.untouched::<f32>("inverse_depth", pixels),
             last_entries: gpu.untouched::<u32>("last_entries", pixels),
         };
@@ -43,6 +47,7 @@ macro_rules! blend_lists {
             conic_opacity: &lists.frame.conic_opacity,
             color_inverse_depth: &lists.frame.color_inverse_depth,
             accumulated: &blended.accumulated,
+            composited: &blended.composited,
             inverse_depth: &blended.inverse_depth,
             last_entries: &blended.last_entries,
             state: &lists.state,
@@ -63,6 +68,7 @@ macro_rules! blend_lists {
                     max_instances,
                     last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
                     splat_stride: 1,
+                    background: lists.view.background.map(|x| x as f32),
                 };
                 recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
             }
@@ -80,13 +86,28 @@ pub struct How {
     /// PARTS: regions of a subgroup.
     pub parts: u32,
     pub entries_per_pass: u32,
+    /// STRIPS: pictures and gradients are planes in strips.
+    pub strips: bool,
+}
+
+/// How the planes of a view lie.
+pub fn strips_of(lists: &Lists) -> Strips {
+    let [width, height] = lists.view.size_px;
+    Strips { width, height }
+}
+
+/// Whether kernels can work in strips: a lane has four rows of a column or eight.
+pub fn has_strips(gpu: &Gpu) -> bool {
+    gpu.subgroup() <= 16
 }
 
 /// With inverse depth and in one pass.
 pub const CHAINED: How =
-    How { inverse_depth: true, column_chain: true, parts: 1, entries_per_pass: u32::MAX };
+    How { inverse_depth: true, column_chain: true, parts: 1, entries_per_pass: u32::MAX, strips: false };
 /// The same with an exponential for each opacity.
 pub const UNCHAINED: How = How { column_chain: false, ..CHAINED };
+/// Chained, with planes in strips.
+pub const IN_STRIPS: How = How { strips: true, ..CHAINED };
 
 /// Blends lists by `forward/blend`.
 pub fn forward(gpu: &Gpu, lists: &Lists, how: How) -> Blended {
@@ -101,7 +122,7 @@ pub fn forward_limited(
     linear_depth: bool,
     limits: Option<&Buffer>,
 ) -> Blended {
-    let How { inverse_depth, column_chain, parts, entries_per_pass } = how;
+    let How { inverse_depth, column_chain, parts, entries_per_pass, strips } = how;
     let spec = blend::Spec {
         workgroup_size: workgroup(gpu) / parts,
         subgroup_size: gpu.subgroup(),
@@ -111,6 +132,7 @@ pub fn forward_limited(
         column_chain,
         parts,
         count_hits: false,
+        strips,
     };
     blend_lists!(gpu, lists, blend, spec, entries_per_pass, limits)
 }
@@ -128,7 +150,7 @@ pub fn forward_shared_limited(
     how: How,
     limits: Option<&Buffer>,
 ) -> Blended {
-    let How { inverse_depth, column_chain, entries_per_pass, .. } = how;
+    let How { inverse_depth, column_chain, entries_per_pass, strips, .. } = how;
     let spec = blend_shared::Spec {
         workgroup_size,
         subgroup_size: gpu.subgroup(),
@@ -136,6 +158,7 @@ pub fn forward_shared_limited(
         depth_limit: limits.is_some(),
         linear_depth: false,
         column_chain,
+        strips,
     };
     blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass, limits)
 }
@@ -144,15 +167,17 @@ pub fn forward_shared_limited(
 macro_rules! backward_of_lists {
     ($kernel:ident, $gpu:expr, $lists:expr, $blended:expr, $gradient:expr, $how:expr, $workgroup_size:expr) => {{
         let (gpu, lists, blended) = ($gpu, $lists, $blended);
-        let How { inverse_depth, column_chain, entries_per_pass, .. } = $how;
+        let How { inverse_depth, column_chain, entries_per_pass, strips, .. } = $how;
         let (workgroup_size, subgroup_size) = ($workgroup_size, gpu.subgroup());
         let count_hits = false;
-        let spec = $kernel::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain, count_hits };
+        let spec =
+            $kernel::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain, count_hits, strips };
         let kernel = gpu.kernel::<$kernel::Interface>(&spec);
         let (pixels, slots) = (lists.view.pixels(), lists.slots.len());
         let image_gradient = match $gradient {
+            Some(gradient) if strips => gpu.buffer("image_gradient", &strips_of(lists).planes(gradient)),
             Some(gradient) => gpu.buffer("image_gradient", gradient),
-            None => gpu.zeros::<[f32; 4]>("image_gradient", pixels),
+            None => gpu.zeros::<[f32; 4]>("image_gradient", strips_of(lists).values() as usize),
         };
         let running = gpu.untouched::<[f32; 2]>("running", pixels);
         let [sums_a, sums_b] = ["sums_a", "sums_b"].map(|name| gpu.untouched::<[f32; 4]>(name, slots));
@@ -164,7 +189,7 @@ macro_rules! backward_of_lists {
             mean2d_extent: &lists.frame.mean2d_extent,
             conic_opacity: &lists.frame.conic_opacity,
             color_inverse_depth: &lists.frame.color_inverse_depth,
-            accumulated: &blended.accumulated,
+            rendered: if strips { &blended.composited } else { &blended.accumulated },
             inverse_depth: &blended.inverse_depth,
             last_entries: &blended.last_entries,
             image_gradient: &image_gradient,

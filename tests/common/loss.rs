@@ -1,8 +1,8 @@
 //! The kernels of the loss with their inputs on the device.
 
-use ashsplat::kernels::loss::{
-    ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep, ssim_planes,
-};
+use ashsplat::kernels::loss::{ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep};
+use ashsplat::loss::Windowing;
+use ashsplat::plan::Strips;
 use ashsplat::vk::Buffer;
 
 use super::gpu::Gpu;
@@ -78,91 +78,112 @@ impl Pictures {
         [Plane { width, height, values: rendered }, Plane { width, height, values: taken }]
     }
 
+    pub fn strips(&self) -> Strips {
+        let [width, height] = self.size;
+        Strips { width, height }
+    }
+
+    /// The rendered picture as the loss wants it.
+    pub fn rendered(&self, windowing: Windowing) -> Vec<f32> {
+        let composited = |t: &[f32; 4]| [0, 1, 2].map(|c| t[c] + t[3] * BACKGROUND[c] as f32);
+        match windowing {
+            Windowing::Blocks => self.accumulated.as_flattened().to_vec(),
+            Windowing::Sweeps => {
+                self.strips().planes(&self.accumulated.iter().map(composited).collect::<Vec<_>>())
+            }
+        }
+    }
+
+    /// The photograph as the loss wants it.
+    pub fn photo(&self, windowing: Windowing) -> Vec<u8> {
+        if windowing == Windowing::Blocks {
+            return bytemuck::cast_slice(&self.photo).to_vec();
+        }
+        let pixels = self.photo.iter().enumerate().map(|(i, word)| match self.counts(i) {
+            true => word.to_le_bytes(),
+            false => [0; 4],
+        });
+        let mut planes = self.strips().planes(&pixels.collect::<Vec<_>>());
+        if !self.masked {
+            planes.truncate(3 * self.strips().values() as usize);
+        }
+        planes.resize(planes.len().next_multiple_of(16), 0);
+        planes
+    }
+
+    /// Words of the gradient.
+    pub fn gradient_words(&self, windowing: Windowing) -> usize {
+        match windowing {
+            Windowing::Blocks => 4 * self.pixels(),
+            Windowing::Sweeps => 4 * self.strips().values() as usize,
+        }
+    }
+
+    /// The gradient per pixel.
+    pub fn gradient(&self, windowing: Windowing, words: &[f32]) -> Vec<[f32; 4]> {
+        match windowing {
+            Windowing::Blocks => words.as_chunks::<4>().0.to_vec(),
+            Windowing::Sweeps => (0..self.pixels() as u32)
+                .map(|i| {
+                    let (x, y) = (i % self.size[0], i / self.size[0]);
+                    [0, 1, 2, 3].map(|plane| words[self.strips().index(plane, x, y)])
+                })
+                .collect(),
+        }
+    }
+
     /// Workgroups: blocks of 16×16 and the channel.
     pub fn grid(&self) -> [u32; 3] {
         [self.size[0].div_ceil(16), self.size[1].div_ceil(16), 3]
     }
 }
 
-/// Where the texels of planes lie (glsl/include/ssim_planes.glsl).
-#[derive(Clone, Copy)]
-pub struct PlaneLayout {
-    /// Groups of 16 texels that make a row.
-    pub groups: usize,
-    /// Texels of a row of the pictures' planes.
-    pub columns: usize,
-    pub height: usize,
-}
-
-impl PlaneLayout {
-    pub fn new([width, height]: [u32; 2], strip: u32) -> PlaneLayout {
-        let columns = width.next_multiple_of(strip) as usize / 4 + 3;
-        PlaneLayout { groups: (columns + 1).div_ceil(16), columns, height: height as usize }
-    }
-
-    /// Of a plane.
-    pub fn texels(self) -> usize {
-        16 * self.groups * self.height
-    }
-
-    /// Where texel `column` of row `y` of a plane is.
-    pub fn texel(self, plane: usize, column: usize, y: usize) -> usize {
-        plane * self.texels() + (column / 16 * self.height + y) * 16 + column % 16
-    }
-}
-
-/// Both pictures as planes: floats, and words of four bytes.
-pub fn planes(gpu: &Gpu, pictures: &Pictures, strip: u32) -> [Buffer; 2] {
-    let layout = PlaneLayout::new(pictures.size, strip);
-    let rendered_planes = gpu.untouched::<[f32; 4]>("rendered_planes", 3 * layout.texels());
-    let photo_planes = gpu.untouched::<u32>("photo_planes", 3 * layout.texels());
-    let workgroup_size = gpu.workgroup(64);
-    let spec = ssim_planes::Spec { workgroup_size, float_photo: false, masked: pictures.masked };
-    let kernel = gpu.kernel::<ssim_planes::Interface>(&spec);
-    let bind = ssim_planes::Bind {
-        accumulated: &gpu.buffer("accumulated", &pictures.accumulated),
-        photo: &gpu.buffer("photo", &pictures.photo),
-        rendered_planes: &rendered_planes,
-        photo_planes: &photo_planes,
-    };
-    let [image_width, image_height] = pictures.size;
-    let background = BACKGROUND.map(|x| x as f32);
-    let (groups, columns) = (layout.groups as u32, layout.columns as u32);
-    let push = ssim_planes::Push { image_width, image_height, background, groups, columns };
-    let workgroups = u64::from(columns * image_height).div_ceil(workgroup_size.into());
-    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
-    [rendered_planes, photo_planes]
-}
-
 /// Which kernels compute the window, and how much one invocation does.
 #[derive(Clone, Copy, Debug)]
 pub enum Window {
     Block { strip: u32 },
-    Sweep { strip: u32, rows: u32 },
+    Sweep { columns: u32 },
 }
 
 impl Window {
+    pub fn windowing(self) -> Windowing {
+        match self {
+            Self::Block { .. } => Windowing::Blocks,
+            Self::Sweep { .. } => Windowing::Sweeps,
+        }
+    }
+
     /// Words of the derivatives.
     pub fn derivative_words(self, pictures: &Pictures) -> usize {
         match self {
             Self::Block { .. } => 9 * pictures.pixels(),
-            Self::Sweep { strip, .. } => 9 * 4 * PlaneLayout::new(pictures.size, strip).texels(),
+            Self::Sweep { .. } => 9 * pictures.strips().values() as usize,
         }
     }
 
     /// Where the derivative by moment k is, a word.
     pub fn derivative_place(self, pictures: &Pictures, channel: usize, pixel: usize, k: usize) -> usize {
-        let Self::Sweep { strip, .. } = self else {
-            return 3 * (channel * pictures.pixels() + pixel) + k;
+        let place = match self {
+            Self::Block { .. } => channel * pictures.pixels() + pixel,
+            Self::Sweep { .. } => {
+                let [width, pixel] = [pictures.size[0], pixel as u32];
+                pictures.strips().index(channel as u32, pixel % width, pixel / width)
+            }
         };
-        let layout = PlaneLayout::new(pictures.size, strip);
-        let width = pictures.size[0] as usize;
-        let (x, y) = (pixel % width, pixel / width);
-        match k {
-            // In pairs, from the sixth place on.
-            0 | 1 => 4 * layout.texel(3 * channel, (x + 5) / 2, y) + (x + 5) % 2 * 2 + k,
-            _ => 4 * layout.texel(3 * channel + 2, (x + 8) / 4, y) + x % 4,
+        3 * place + k
+    }
+
+    /// Derivatives of what is below the picture, in a strip: read, and 0.
+    pub fn derivatives_below(self, pictures: &Pictures) -> Vec<usize> {
+        if let Self::Block { .. } = self {
+            return Vec::new();
         }
+        let ([width, height], strips) = (pictures.size, pictures.strips());
+        let rows = height..height.next_multiple_of(8);
+        let places = (0..3).flat_map(|channel| {
+            rows.clone().flat_map(move |y| (0..width).map(move |x| 3 * strips.index(channel, x, y)))
+        });
+        places.flat_map(|place| [place, place + 1, place + 2]).collect()
     }
 
     /// Partial sums of a channel.
@@ -170,15 +191,15 @@ impl Window {
         let [width, height] = pictures.size;
         match self {
             Self::Block { .. } => (pictures.grid()[0] * pictures.grid()[1]) as usize,
-            Self::Sweep { strip, rows } => (width.div_ceil(strip) * height.div_ceil(rows)) as usize,
+            Self::Sweep { columns } => (height.div_ceil(8) * width.div_ceil(columns)) as usize,
         }
     }
 }
 
 /// Runs the forward kernel: derivatives of SSIM per channel and pixel, and partial sums.
 pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffer) {
-    let accumulated = &gpu.buffer("accumulated", &pictures.accumulated);
-    let photo = &gpu.buffer("photo", &pictures.photo);
+    let rendered = &gpu.buffer("rendered", &pictures.rendered(window.windowing()));
+    let photo = &gpu.buffer("photo", &pictures.photo(window.windowing()));
     let count = 3 * window.partials(pictures);
     let derivatives = gpu.untouched::<f32>("derivatives", window.derivative_words(pictures));
     let loss_partials = gpu.untouched::<[f32; 2]>("loss_partials", count);
@@ -191,7 +212,7 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffe
             let spec = ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo, masked };
             let kernel = gpu.kernel::<ssim_forward::Interface>(&spec);
             let bind = ssim_forward::Bind {
-                accumulated,
+                accumulated: rendered,
                 photo,
                 derivatives: &derivatives,
                 loss_partials: &loss_partials,
@@ -199,23 +220,21 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffe
             let push = ssim_forward::Push { image_width, image_height, background, first_channel: 0 };
             gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
         }
-        Window::Sweep { strip, rows } => {
-            let [rendered_planes, photo_planes] = &planes(gpu, pictures, strip);
-            let spec = ssim_forward_sweep::Spec { workgroup_size, strip, float_photo };
+        Window::Sweep { columns } => {
+            let spec = ssim_forward_sweep::Spec { workgroup_size, float_photo, masked };
             let kernel = gpu.kernel::<ssim_forward_sweep::Interface>(&spec);
             let bind = ssim_forward_sweep::Bind {
-                rendered_planes,
-                photo_planes,
+                rendered,
+                photo,
                 derivatives: &derivatives,
                 loss_partials: &loss_partials,
             };
             let push = ssim_forward_sweep::Push {
                 image_width,
                 image_height,
-                groups: PlaneLayout::new(pictures.size, strip).groups as u32,
                 first_channel: 0,
                 invocations: count as u32,
-                rows,
+                columns,
                 first_partial: 0,
             };
             let workgroups = (count as u64).div_ceil(workgroup_size.into());
@@ -233,9 +252,10 @@ pub fn backward(
     window: Window,
     lambda_dssim: f32,
 ) -> Vec<[f32; 4]> {
-    let accumulated = &gpu.buffer("accumulated", &pictures.accumulated);
-    let photo = &gpu.buffer("photo", &pictures.photo);
-    let image_gradient = gpu.untouched::<[f32; 4]>("image_gradient", pictures.pixels());
+    let rendered = &gpu.buffer("rendered", &pictures.rendered(window.windowing()));
+    let photo = &gpu.buffer("photo", &pictures.photo(window.windowing()));
+    let words = pictures.gradient_words(window.windowing());
+    let image_gradient = gpu.untouched::<f32>("image_gradient", words);
     let [image_width, image_height] = pictures.size;
     let background = BACKGROUND.map(|x| x as f32);
     let (workgroup_size, float_photo, first_channel) = (gpu.workgroup(64), false, 0);
@@ -244,42 +264,39 @@ pub fn backward(
         Window::Block { strip } => {
             let spec = ssim_backward::Spec { workgroup_size, strip, float_photo, masked };
             let kernel = gpu.kernel::<ssim_backward::Interface>(&spec);
-            let bind =
-                ssim_backward::Bind { accumulated, photo, derivatives, image_gradient: &image_gradient };
+            let bind = ssim_backward::Bind {
+                accumulated: rendered,
+                photo,
+                derivatives,
+                image_gradient: &image_gradient,
+            };
             let push =
                 ssim_backward::Push { image_width, image_height, background, first_channel, lambda_dssim };
             gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
         }
-        Window::Sweep { strip, rows } => {
-            let spec = ssim_backward_sweep::Spec { workgroup_size, strip, float_photo, masked };
+        Window::Sweep { columns } => {
+            let spec = ssim_backward_sweep::Spec { workgroup_size, float_photo, masked };
             let kernel = gpu.kernel::<ssim_backward_sweep::Interface>(&spec);
-            let [rendered_planes, photo_planes] = &planes(gpu, pictures, strip);
-            let bind = ssim_backward_sweep::Bind {
-                rendered_planes,
-                photo_planes,
-                derivatives,
-                photo,
-                image_gradient: &image_gradient,
-            };
+            let bind =
+                ssim_backward_sweep::Bind { rendered, photo, derivatives, image_gradient: &image_gradient };
             let invocations = 3 * window.partials(pictures) as u32;
             let push = ssim_backward_sweep::Push {
                 image_width,
                 image_height,
-                groups: PlaneLayout::new(pictures.size, strip).groups as u32,
                 first_channel,
                 invocations,
-                rows,
+                columns,
                 lambda_dssim,
             };
             let workgroups = u64::from(invocations.div_ceil(workgroup_size));
             gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
         }
     }
-    gpu.read(&image_gradient, pictures.pixels())
+    pictures.gradient(window.windowing(), &gpu.read::<f32>(&image_gradient, words))
 }
 
 /// Image sizes at which blocks and apron may go wrong.
 pub const SIZES: [[u32; 2]; 8] = [[1, 1], [5, 3], [16, 16], [17, 5], [15, 33], [31, 48], [64, 10], [90, 70]];
 
-/// Columns and rows of one invocation that sweeps.
-pub const SWEEPS: [(u32, u32); 3] = [(4, 3), (8, 7), (8, 48)];
+/// Columns of one invocation that sweeps.
+pub const SWEEPS: [u32; 3] = [3, 7, 48];

@@ -7,6 +7,7 @@ use ashsplat::forward::SceneBuffers;
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing};
 use ashsplat::optimizer::Moments;
 use ashsplat::plan::Blocks;
+use ashsplat::plan::Strips;
 use ashsplat::{TrainSettings, planes};
 
 use super::rendering::SINGLE;
@@ -33,22 +34,31 @@ fn device_loss(
     [width, height]: [u32; 2],
 ) -> ([f64; 3], Vec<f64>) {
     let loss = Loss::with_windowing(gpu.context, PhotoFormat::Float, windowing).expect("kernels");
-    let count = (width * height) as usize;
-    let texels: Vec<[f32; 4]> =
-        rows::<3>(image).iter().map(|[r, g, b]| [*r as f32, *g as f32, *b as f32, 0.0]).collect();
-    let truth: Vec<f32> = truth.iter().map(|&x| x as f32).collect();
-    let accumulated = gpu.buffer("accumulated", &texels);
-    let photo = gpu.buffer("photo", &truth);
+    let strips = Strips { width, height };
+    let [image, truth] = [image, truth].map(|x| {
+        let pixels: Vec<[f32; 3]> = rows::<3>(x).iter().map(|pixel| pixel.map(|x| x as f32)).collect();
+        pixels
+    });
+    let (rendered, photo) = match windowing {
+        // Without background, nothing shines through.
+        Windowing::Blocks => {
+            let texels: Vec<[f32; 4]> = image.iter().map(|&[r, g, b]| [r, g, b, 0.0]).collect();
+            (texels.into_flattened(), truth.into_flattened())
+        }
+        Windowing::Sweeps => (strips.planes(&image), strips.planes(&truth)),
+    };
+    let (rendered, photo) = (gpu.buffer("rendered", &rendered), gpu.buffer("photo", &photo));
     let scratch: Vec<_> = (loss.scratch_requests([(width, height)]).into_iter())
         .map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize))
         .collect();
     let losses = gpu.untouched::<[f32; 4]>("losses", 2);
-    let image_gradient = gpu.untouched::<[f32; 4]>("image_gradient", count);
+    let words = 4 * strips.values() as usize;
+    let image_gradient = gpu.untouched::<f32>("image_gradient", words);
     gpu.run(|recorder| {
         loss.record(
             recorder,
             &LossInputs {
-                accumulated: &accumulated,
+                rendered: &rendered,
                 photo: &photo,
                 scratch: &scratch,
                 losses: &losses,
@@ -62,8 +72,13 @@ fn device_loss(
         );
     });
     let [value, l1, ssim, _] = gpu.read::<[f32; 4]>(&losses, 2)[1];
-    let gradient = gpu.read::<[f32; 4]>(&image_gradient, count);
-    let gradient = gradient.iter().flat_map(|[r, g, b, _]| [*r, *g, *b].map(f64::from)).collect();
+    let gradient = gpu.read::<f32>(&image_gradient, words);
+    let place = |i: u32, channel: u32| match windowing {
+        Windowing::Blocks => 4 * i as usize + channel as usize,
+        Windowing::Sweeps => strips.index(channel, i % width, i / width),
+    };
+    let gradient = (0..width * height).flat_map(|i| [0, 1, 2].map(|c| f64::from(gradient[place(i, c)])));
+    let gradient = gradient.collect();
     ([value, l1, ssim].map(f64::from), gradient)
 }
 

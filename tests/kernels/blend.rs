@@ -4,7 +4,9 @@ use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW, STATE_WOR
 use ashsplat::kernels::forward::blend::{Bind, Interface, Push, Spec};
 use ashsplat::plan::Blocks;
 
-use crate::common::blending::{CHAINED, How, UNCHAINED, forward, forward_limited};
+use crate::common::blending::{
+    CHAINED, How, IN_STRIPS, UNCHAINED, forward, forward_limited, has_strips, strips_of,
+};
 use crate::common::compare::{PixelTolerance, pixels};
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::small_view;
@@ -17,9 +19,39 @@ const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstab
 
 /// Blends on the device, with and without chained columns, and by the twin, and compares every output.
 fn check(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) {
-    for column_chain in [false, true] {
-        check_one(gpu, lists, How { inverse_depth, column_chain, parts: 1, entries_per_pass });
+    for how in [UNCHAINED, CHAINED] {
+        check_one(gpu, lists, How { inverse_depth, entries_per_pass, ..how });
     }
+    if has_strips(gpu) {
+        check_strips(gpu, lists, How { inverse_depth, entries_per_pass, ..IN_STRIPS });
+    }
+}
+
+/// The picture composited in strips against what accumulated says, all else as without strips, to the bit.
+fn check_strips(gpu: &Gpu, lists: &Lists, how: How) {
+    let count = lists.view.pixels();
+    let usual = forward(gpu, lists, How { strips: false, ..how });
+    let blended = forward(gpu, lists, how);
+    let strips = strips_of(lists);
+    let background = lists.view.background.map(|x| x as f32);
+    let accumulated = gpu.read::<[f32; 4]>(&usual.accumulated, count);
+    let composited =
+        |[r, g, b, t]: &[f32; 4]| [r + t * background[0], g + t * background[1], b + t * background[2]];
+    let expected = strips.planes(&accumulated.iter().map(composited).collect::<Vec<_>>());
+    let written = strips.planes(&vec![[true; 3]; count]);
+    let planes = gpu.read::<f32>(&blended.composited, expected.len());
+    for (place, (&actual, &expected)) in planes.iter().zip(&expected).enumerate() {
+        let (column, row) = (place as u64 / 8 % u64::from(strips.pitch()), place % 8);
+        let beside = column >= u64::from(strips.width);
+        match written[place] {
+            true => assert!((actual - expected).abs() <= 1e-6, "{actual} for {expected} at {place}"),
+            false if beside => assert_eq!(actual.to_bits(), UNTOUCHED, "beside the picture, at {place}"),
+            false => assert_eq!(actual, 0.0, "below the picture, in row {row}"),
+        }
+    }
+    let equal = |a, b, words: usize| assert_eq!(gpu.read::<u32>(a, words), gpu.read::<u32>(b, words));
+    equal(&usual.inverse_depth, &blended.inverse_depth, count);
+    equal(&usual.last_entries, &blended.last_entries, count);
 }
 
 fn check_one(gpu: &Gpu, lists: &Lists, how: How) {
@@ -193,6 +225,7 @@ fn blend_reports_tiles_that_no_pass_finishes() {
         last_entries: &last_entries,
         state: &lists.state,
         depth_limits: &lists.tile_ranges,
+        composited: &accumulated,
     };
     let [tiles_per_row, rows] = lists.view.tiles();
     // Whether the last pass ends within the lists, at their end, or another follows.
@@ -208,6 +241,7 @@ fn blend_reports_tiles_that_no_pass_finishes() {
             max_instances: u32::MAX,
             last_pass,
             splat_stride: 1,
+            background: [0.0; 3],
         };
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows)));
         let state = gpu.read::<u32>(&lists.state, STATE_WORDS as usize);

@@ -1,6 +1,8 @@
 //! `backward/blend_backward` against its twin.
 
-use crate::common::blending::{Blended, CHAINED, How, SlotSums, UNCHAINED, backward, forward};
+use crate::common::blending::{
+    Blended, CHAINED, How, IN_STRIPS, SlotSums, UNCHAINED, backward, forward, has_strips,
+};
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, small_view};
@@ -78,7 +80,8 @@ pub type Kernel = fn(&Gpu, &Lists, &Blended, Option<&[[f32; 4]]>, How) -> SlotSu
 fn check(kernel: Kernel, gpu: &Gpu, lists: &Lists, entries_per_pass: u32) {
     let d_pixels = image_gradient(lists);
     let expected = expected(lists, &d_pixels);
-    for how in [UNCHAINED, CHAINED].map(|how| How { entries_per_pass, ..how }) {
+    let hows = [UNCHAINED, CHAINED].into_iter().chain(has_strips(gpu).then_some(IN_STRIPS));
+    for how in hows.map(|how| How { entries_per_pass, ..how }) {
         let blended = forward(gpu, lists, how);
         let sums = kernel(gpu, lists, &blended, Some(&d_pixels), how);
         compare(&actual(lists, &sums), &expected);

@@ -1,7 +1,8 @@
 //! `forward/blend_shared` against its twin, and against `forward/blend` to the bit.
 
 use crate::common::blending::{
-    CHAINED, How, UNCHAINED, forward, forward_limited, forward_shared, forward_shared_limited,
+    CHAINED, How, UNCHAINED, forward, forward_limited, forward_shared, forward_shared_limited, has_strips,
+    strips_of,
 };
 use crate::common::gpu::Gpu;
 use crate::common::scenes::small_view;
@@ -25,6 +26,13 @@ fn check_one(gpu: &Gpu, lists: &Lists, workgroup_size: u32, how: How) {
     assert_eq!(words(&shared.last_entries, count), words(&regions.last_entries, count), "{what}");
     assert_eq!(words(&shared.accumulated, 4 * count), words(&regions.accumulated, 4 * count), "{what}");
     assert_eq!(words(&shared.inverse_depth, count), words(&regions.inverse_depth, count), "{what}");
+    if has_strips(gpu) && how.column_chain {
+        let how = How { strips: true, ..how };
+        let shared = forward_shared(gpu, lists, workgroup_size, how);
+        let regions = forward(gpu, lists, How { entries_per_pass: u32::MAX, ..how });
+        let count = 3 * strips_of(lists).values() as usize;
+        assert_eq!(words(&shared.composited, count), words(&regions.composited, count), "{what}");
+    }
 
     let accumulated = gpu.read::<[f32; 4]>(&shared.accumulated, count);
     let unstable = lists.unstable();

@@ -21,6 +21,9 @@ pub fn check(gpu: &Gpu, pictures: &Pictures, window: Window) {
         .collect();
     let of_pixel = |t: &SsimPlane, i: usize| [t.d_mean[i], t.d_square[i], t.d_product[i]].map(|x| x as f32);
     let mut derivatives = vec![f32::NAN; window.derivative_words(pictures)];
+    for place in window.derivatives_below(pictures) {
+        derivatives[place] = 0.0;
+    }
     for (channel, t) in twins.iter().enumerate() {
         for i in 0..count {
             for (k, value) in of_pixel(t, i).into_iter().enumerate() {

@@ -10,6 +10,7 @@ pub fn check(gpu: &Gpu, pictures: &Pictures, window: Window) {
     let (derivatives, partials) = forward(gpu, pictures, window);
     let count = pictures.pixels();
     let derivatives = gpu.read::<f32>(&derivatives, window.derivative_words(pictures));
+    assert!(window.derivatives_below(pictures).iter().all(|&place| derivatives[place] == 0.0));
     let per_channel = window.partials(pictures);
     let partials = gpu.read::<[f32; 2]>(&partials, 3 * per_channel);
     for channel in 0..3 {

@@ -8,9 +8,9 @@ use crate::common::loss::{Pictures, SIZES, SWEEPS, Window};
 fn ssim_forward_sweep_equals_its_twin() {
     let gpu = Gpu::new();
     for size in SIZES {
-        for (strip, rows) in SWEEPS {
-            check(&gpu, &Pictures::random(size), Window::Sweep { strip, rows });
-            check(&gpu, &Pictures::masked(size), Window::Sweep { strip, rows });
+        for columns in SWEEPS {
+            check(&gpu, &Pictures::random(size), Window::Sweep { columns });
+            check(&gpu, &Pictures::masked(size), Window::Sweep { columns });
         }
     }
 }

@@ -50,6 +50,5 @@ pub mod ssim_backward;
 pub mod ssim_backward_sweep;
 pub mod ssim_forward;
 pub mod ssim_forward_sweep;
-pub mod ssim_planes;
 pub mod tiles;
 pub mod types;

@@ -9,7 +9,7 @@ use super::Photo;
 use crate::fingerprint::Fingerprint;
 use crate::{Error, Result};
 
-/// Bytes of a pixel in a file and on the device: r, g, b, mask.
+/// Bytes of a pixel in a file: r, g, b, mask.
 const TEXEL_BYTES: u64 = 4;
 
 /// A photo, and where it counts. Cheap to clone: the pixels are shared.
@@ -49,7 +49,7 @@ impl StoredPhoto {
         self.masked
     }
 
-    /// Bytes of the photo on a device.
+    /// Bytes of the photo in a file.
     pub fn bytes(&self) -> u64 {
         TEXEL_BYTES * u64::from(self.width) * u64::from(self.height)
     }
@@ -86,7 +86,7 @@ impl StoredPhoto {
         }
     }
 
-    /// The photo as a device has it: r, g, b and mask (255 without one) per pixel, row-major.
+    /// The photo and its mask: r, g, b and mask (255 without one) per pixel, row-major.
     ///
     /// # Errors
     /// As [`StoredPhoto::photo`].
@@ -145,7 +145,7 @@ pub struct PhotoMemory {
     pub folder: PathBuf,
 }
 
-/// Photos as a device wants them, one after the other in a file without a name, which goes with the value.
+/// Photos with their masks, one after the other in a file without a name, which goes with the value.
 #[derive(Debug)]
 pub struct PhotoFile {
     folder: PathBuf,

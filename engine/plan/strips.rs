@@ -1,0 +1,64 @@
+//! Planes of one value per pixel in strips of eight rows: how processors have what blending, loss and blending's backward
+//! hand on (glsl/include/strips.glsl).
+
+use crate::vk::Limits;
+
+/// Rows of a strip.
+pub const STRIP: u32 = 8;
+
+/// Where the values of an image's planes lie: those of a strip's column side by side, column by column, strip by strip,
+/// plane by plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Strips {
+    /// Width of the image, pixels.
+    pub width: u32,
+    /// Height of the image, pixels.
+    pub height: u32,
+}
+
+impl Strips {
+    /// Whether a device has planes in strips: one that reads by texels, with subgroups whose lanes have four rows of a
+    /// column or eight.
+    pub fn suit(limits: &Limits) -> bool {
+        limits.prefers_texels() && limits.subgroup_size <= 16
+    }
+
+    /// Strips of the image.
+    pub fn count(self) -> u32 {
+        self.height.div_ceil(STRIP)
+    }
+
+    /// Columns from one strip to the next, as `strip_pitch` of the shaders.
+    pub fn pitch(self) -> u32 {
+        (self.width + 1) / 4 * 4 + 2
+    }
+
+    /// Values of a plane.
+    pub fn values(self) -> u64 {
+        u64::from(STRIP) * u64::from(self.pitch()) * u64::from(self.count())
+    }
+
+    /// Where a pixel's value in a plane lies.
+    pub fn index(self, plane: u32, x: u32, y: u32) -> usize {
+        let strip = u64::from(plane) * u64::from(self.count()) + u64::from(y / STRIP);
+        let column = strip * u64::from(self.pitch()) + u64::from(x);
+        (column * u64::from(STRIP) + u64::from(y % STRIP)) as usize
+    }
+
+    /// Planes of what `pixels` have, row by row; what is no pixel is `T::default()`.
+    ///
+    /// # Panics
+    /// When there are not as many pixels as the image has.
+    pub fn planes<T: Copy + Default, const N: usize>(self, pixels: &[[T; N]]) -> Vec<T> {
+        assert_eq!(pixels.len() as u64, u64::from(self.width) * u64::from(self.height));
+        let mut planes = vec![T::default(); N * self.values() as usize];
+        for (y, row) in (0..self.height).zip(pixels.chunks_exact(self.width as usize)) {
+            for (x, pixel) in (0..self.width).zip(row) {
+                for (plane, value) in (0..).zip(pixel) {
+                    planes[self.index(plane, x, y)] = *value;
+                }
+            }
+        }
+        planes
+    }
+}

@@ -1,0 +1,11 @@
+// A column of a strip that is written at once: on processors a store is a loop over the lanes, whatever it stores.
+// Needs strips.glsl, GL_EXT_shader_explicit_arithmetic_types_int64.
+
+uint64_t pair(float first, float second) {
+    return packUint2x32(floatBitsToUint(vec2(first, second)));
+}
+
+u64vec4 eight(float values[STRIP]) {
+    return u64vec4(pair(values[0], values[1]), pair(values[2], values[3]), pair(values[4], values[5]),
+        pair(values[6], values[7]));
+}
