@@ -35,13 +35,13 @@ pub struct Loss {
     limits: Limits,
     sizes: Blocks,
     windows: Windows,
-    reduce: Kernel<loss_reduce::Interface>,
 }
 
 enum Windows {
     Blocks {
         forward: Kernel<ssim_forward::Interface>,
         backward: Kernel<ssim_backward::Interface>,
+        reduce: Kernel<loss_reduce::Interface>,
     },
     Sweeps {
         forward: Kernel<ssim_forward_sweep::Interface>,
@@ -142,24 +142,25 @@ impl Loss {
                 let forward =
                     ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo, masked };
                 let backward = ssim_backward::Spec { workgroup_size, strip, float_photo, masked };
+                let reduce = loss_reduce::Spec { workgroup_size, subgroup_size };
                 Windows::Blocks {
                     forward: Kernel::new(context, &forward)?,
                     backward: Kernel::new(context, &backward)?,
+                    reduce: Kernel::new(context, &reduce)?,
                 }
             }
             Windowing::Sweeps => {
                 let workgroup_size = sizes.loss_sweep;
                 let forward = ssim_forward_sweep::Spec { workgroup_size, float_photo, masked };
-                let backward = ssim_backward_sweep::Spec { workgroup_size, float_photo, masked };
+                let backward =
+                    ssim_backward_sweep::Spec { workgroup_size, subgroup_size, float_photo, masked };
                 Windows::Sweeps {
                     forward: Kernel::new(context, &forward)?,
                     backward: Kernel::new(context, &backward)?,
                 }
             }
         };
-        let reduce = loss_reduce::Spec { workgroup_size: sizes.loss, subgroup_size };
-        let reduce = Kernel::new(context, &reduce)?;
-        Ok(Self { limits: limits.clone(), sizes, windows, reduce })
+        Ok(Self { limits: limits.clone(), sizes, windows })
     }
 
     pub(crate) fn sizes(&self) -> &Blocks {
@@ -182,30 +183,22 @@ impl Loss {
                 panic!("no scratch buffers of the loss");
             };
             match &self.windows {
-                Windows::Blocks { forward, backward } => {
+                Windows::Blocks { forward, backward, reduce } => {
                     by_channels(r, derivatives, |r, part| Self::block_forward(r, forward, i, partials, part));
                     r.barrier();
                     by_channels(r, derivatives, |r, part| Self::block_backward(r, backward, i, part));
+                    self.block_reduce(r, reduce, i, partials);
                 }
                 Windows::Sweeps { forward, backward } => {
                     by_channels(r, derivatives, |r, part| {
                         self.sweep_forward(r, forward, i, partials, part);
                     });
                     r.barrier();
-                    by_channels(r, derivatives, |r, part| self.sweep_backward(r, backward, i, part));
+                    by_channels(r, derivatives, |r, part| {
+                        self.sweep_backward(r, backward, i, partials, part);
+                    });
                 }
             }
-            r.dispatch(
-                &self.reduce,
-                &loss_reduce::Bind { loss_partials: partials, losses: i.losses },
-                &loss_reduce::Push {
-                    partials: ScratchBytes::of(self, i.width, i.height).partials(),
-                    slot: i.slot,
-                    scale: 1.0 / (3.0 * i.width as f32 * i.height as f32),
-                    lambda_dssim: i.lambda_dssim,
-                },
-                1,
-            );
         });
     }
 
@@ -255,6 +248,22 @@ impl Loss {
         r.dispatch_3d(kernel, &bind, &push, [columns, rows, part.count]);
     }
 
+    fn block_reduce(
+        &self,
+        r: &mut Recorder,
+        kernel: &Kernel<loss_reduce::Interface>,
+        i: &LossInputs,
+        loss_partials: &Buffer,
+    ) {
+        let push = loss_reduce::Push {
+            partials: ScratchBytes::of(self, i.width, i.height).partials(),
+            slot: i.slot,
+            scale: 1.0 / (3.0 * i.width as f32 * i.height as f32),
+            lambda_dssim: i.lambda_dssim,
+        };
+        r.dispatch(kernel, &loss_reduce::Bind { loss_partials, losses: i.losses }, &push, 1);
+    }
+
     fn sweep_forward(
         &self,
         r: &mut Recorder,
@@ -287,15 +296,20 @@ impl Loss {
         r: &mut Recorder,
         kernel: &Kernel<ssim_backward_sweep::Interface>,
         i: &LossInputs,
+        loss_partials: &Buffer,
         part: Channels,
     ) {
         let Sweeps { columns, per_channel } = Sweeps::new(i.width, i.height);
         let invocations = part.count * per_channel;
+        // The first dispatch adds the sums of all channels, in a workgroup of its own.
+        let adds = part.first == 0;
         let bind = ssim_backward_sweep::Bind {
             rendered: i.rendered,
             photo: i.photo,
             derivatives: part.derivatives,
             image_gradient: i.image_gradient,
+            loss_partials,
+            losses: i.losses,
         };
         let push = ssim_backward_sweep::Push {
             image_width: i.width,
@@ -304,7 +318,10 @@ impl Loss {
             invocations,
             columns,
             lambda_dssim: i.lambda_dssim,
+            partials: if adds { 3 * per_channel } else { 0 },
+            slot: i.slot,
         };
-        r.dispatch(kernel, &bind, &push, blocks(invocations.into(), self.sizes.loss_sweep.into()));
+        let sweeps = blocks(invocations.into(), self.sizes.loss_sweep.into());
+        r.dispatch(kernel, &bind, &push, sweeps + u64::from(adds));
     }
 }

@@ -29,6 +29,11 @@ float ssim_and_derivatives(vec4 moments, out vec3 derivatives) {
     return ssim;
 }
 
+// The loss from the means of |x - y| and of SSIM.
+float total_loss(vec2 means, float lambda_dssim) {
+    return (1.0 - lambda_dssim) * means.x + lambda_dssim * (1.0 - means.y);
+}
+
 // Gradient of the loss at a pixel from the windowed derivatives of SSIM; `scale` is 1 / (3 W H).
 float loss_gradient(vec3 windowed, vec2 value, float scale, float lambda_dssim) {
     float d_ssim = windowed.x + 2.0 * value.x * windowed.y + value.y * windowed.z;

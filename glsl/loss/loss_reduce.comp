@@ -24,6 +24,8 @@ layout(push_constant, scalar) uniform Push {
     float lambda_dssim;
 };
 
+#include "ssim.glsl"
+
 shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
 
 void main() {
@@ -42,6 +44,6 @@ void main() {
             total += subgroup_sums[k];
         }
         total *= scale;
-        losses[slot] = vec4((1.0 - lambda_dssim) * total.x + lambda_dssim * (1.0 - total.y), total, 0.0);
+        losses[slot] = vec4(total_loss(total, lambda_dssim), total, 0.0);
     }
 }

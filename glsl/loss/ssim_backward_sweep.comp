@@ -4,6 +4,7 @@
 // invocation: `columns` columns of a strip of one channel, see ssim_sweep.glsl; subgroup, workgroup: nothing in common
 // in, strips: rendered, photo, see ssim_columns.glsl, derivatives as ssim_forward_sweep.comp leaves them; out, strips:
 //     image_gradient, a plane for each channel, undefined below the picture
+// One workgroup more, with `partials` of the forward pass, does what loss_reduce.comp does: a dispatch less.
 // shared: none; any subgroup size; reads texels, writes columns
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -11,8 +12,11 @@
 #extension GL_EXT_samplerless_texture_functions : require
 #extension GL_EXT_shader_explicit_arithmetic_types_int64 : require
 #extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 32;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 // The photograph's planes are floats instead of bytes.
 layout(constant_id = 3) const bool FLOAT_PHOTO = false;
 // Some pixels do not count: they are 0 in both pictures.
@@ -24,6 +28,9 @@ layout(set = 0, binding = 1) uniform textureBuffer photo;
 layout(set = 0, binding = 2) uniform textureBuffer derivatives;
 layout(set = 0, binding = 3, scalar) writeonly buffer ImageGradient { u64vec4 image_gradient[]; };
 
+layout(set = 0, binding = 4, scalar) readonly buffer LossPartials { vec2 loss_partials[]; };
+layout(set = 0, binding = 5, scalar) writeonly buffer Losses { vec4 losses[]; };
+
 layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
@@ -33,6 +40,9 @@ layout(push_constant, scalar) uniform Push {
     // Columns of one invocation.
     uint columns;
     float lambda_dssim;
+    // Of all channels; 0 where another dispatch adds them.
+    uint partials;
+    uint slot;
 };
 
 #define SWEPT vec3
@@ -57,9 +67,25 @@ vec3 derivatives_at(uint row) {
     return values;
 }
 
+// The loss, by one subgroup in one fixed order.
+void add_partials(float scale) {
+    vec2 sum = vec2(0.0);
+    for (uint index = gl_SubgroupInvocationID; index < partials; index += SUBGROUP_SIZE) {
+        sum += loss_partials[index];
+    }
+    sum = subgroupAdd(sum) * scale;
+    if (gl_LocalInvocationID.x == 0) {
+        losses[slot] = vec4(total_loss(sum, lambda_dssim), sum, 0.0);
+    }
+}
+
 void main() {
-    Sweep sweep = sweep_of_invocation();
     float scale = 1.0 / (3.0 * float(image_width) * float(image_height));
+    if (partials > 0 && linear_workgroup() == (invocations + WORKGROUP_SIZE - 1) / WORKGROUP_SIZE) {
+        add_partials(scale);
+        return;
+    }
+    Sweep sweep = sweep_of_invocation();
     uint own = strip_column(sweep.channel, sweep.strip, 0);
     uint own_mask = strip_column(MASK_PLANE, sweep.strip, 0);
     for (int x = sweep.first_x - int(SSIM_RADIUS); x < sweep.first_x + int(columns + SSIM_RADIUS); ++x) {

@@ -275,10 +275,18 @@ pub fn backward(
             gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
         }
         Window::Sweep { columns } => {
-            let spec = ssim_backward_sweep::Spec { workgroup_size, float_photo, masked };
+            let subgroup_size = gpu.subgroup();
+            let spec = ssim_backward_sweep::Spec { workgroup_size, subgroup_size, float_photo, masked };
             let kernel = gpu.kernel::<ssim_backward_sweep::Interface>(&spec);
-            let bind =
-                ssim_backward_sweep::Bind { rendered, photo, derivatives, image_gradient: &image_gradient };
+            let bind = ssim_backward_sweep::Bind {
+                rendered,
+                photo,
+                derivatives,
+                image_gradient: &image_gradient,
+                // Not touched without partial sums.
+                loss_partials: derivatives,
+                losses: derivatives,
+            };
             let invocations = 3 * window.partials(pictures) as u32;
             let push = ssim_backward_sweep::Push {
                 image_width,
@@ -287,6 +295,8 @@ pub fn backward(
                 invocations,
                 columns,
                 lambda_dssim,
+                partials: 0,
+                slot: 0,
             };
             let workgroups = u64::from(invocations.div_ceil(workgroup_size));
             gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
