@@ -39,7 +39,7 @@ pub struct Statistics<'a> {
 
 /// The buffers and push constants of blending's backward, which are the same in both kernels: blend_gradient.glsl.
 macro_rules! blend_backward_arguments {
-    ($kernel:ident, $backward:expr, $inputs:expr, $pass:expr) => {{
+    ($kernel:ident, $backward:expr, $inputs:expr, $gradient:expr, $pass:expr) => {{
         let (sizes, f) = (&$backward.sizes, $inputs.frame);
         let splats = f.splats();
         let bind = $kernel::Bind {
@@ -52,7 +52,7 @@ macro_rules! blend_backward_arguments {
             rendered: f.rendered(sizes),
             inverse_depth: &f.inverse_depth,
             last_entries: &f.last_entries,
-            image_gradient: &f.image_gradient,
+            image_gradient: $gradient,
             running: &f.running,
             sums_a: &f.sums_a,
             sums_b: &f.sums_b,
@@ -146,25 +146,39 @@ impl Backward {
         Ok(())
     }
 
-    /// Records the backward pass of the frame that was recorded before into the same buffers, from
-    /// `frame.image_gradient` to `frame.gradients`. The caller places a barrier before; it ends without one.
-    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics) {
-        r.scope("blend backward", |r| self.record_blend(r, inputs));
+    /// Records the backward pass of the frame that was recorded before into the same buffers, from `image_gradient` to
+    /// `frame.gradients`. The caller places a barrier before; it ends without one.
+    ///
+    /// `image_gradient`: per pixel dL/d(r, g, b, inverse depth), row by row; on devices that have [`Strips`], three planes
+    /// of them, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth). Without it, `frame.image_gradient`
+    /// will do.
+    ///
+    /// [`Strips`]: crate::plan::Strips
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        image_gradient: &Buffer,
+        statistics: Statistics,
+    ) {
+        r.scope("blend backward", |r| self.record_blend(r, inputs, image_gradient));
         r.barrier();
         r.scope("project backward", |r| self.record_project(r, inputs, statistics));
     }
 
-    fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs) {
+    fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
         let Some(kernel) = &self.blend[usize::from(inputs.settings.inverse_depth)] else {
             panic!("Backward::prepare was not called for inverse depth");
         };
         record_passes(r, inputs, &self.sizes, |r, pass, tiles| match kernel {
             Blend::Regions(kernel) => {
-                let (bind, push) = blend_backward_arguments!(blend_backward, self, inputs, pass);
+                let (bind, push) =
+                    blend_backward_arguments!(blend_backward, self, inputs, image_gradient, pass);
                 r.dispatch(kernel, &bind, &push, tiles);
             }
             Blend::Alone(kernel) => {
-                let (bind, push) = blend_backward_arguments!(blend_backward_alone, self, inputs, pass);
+                let (bind, push) =
+                    blend_backward_arguments!(blend_backward_alone, self, inputs, image_gradient, pass);
                 r.dispatch(kernel, &bind, &push, tiles);
             }
         });

@@ -10,7 +10,7 @@ mod strips;
 
 pub use block_sizes::Blocks;
 pub use sorting::SortMethod;
-pub use strips::{STRIP, Strips};
+pub use strips::{STRIP_ROWS, Strips};
 
 use block_sizes::STREAM_WORKGROUP;
 
@@ -227,7 +227,8 @@ impl FrameSizes {
             pixels: u64::from(capacity.width) * u64::from(capacity.height),
             strips: backward
                 * u64::from(block.strips)
-                * Strips { width: columns * TILE_SIZE, height: rows * TILE_SIZE }.values(),
+                * Strips { width: columns.saturating_mul(TILE_SIZE), height: rows.saturating_mul(TILE_SIZE) }
+                    .values(),
             backward,
             passes: backward * u64::from(capacity.blend_passes > 1),
         }
@@ -293,7 +294,8 @@ frame_requests! {
     slot_begins: |s| s.backward * s.gaussians * 4;
     /// Per tile: begin and end in the sorted instances.
     tile_ranges: |s| s.tiles * 8;
-    /// Per pixel: premultiplied colour without background, transmittance.
+    /// Per pixel: premultiplied colour without background, transmittance. Frames with backward in strips only hand it from
+    /// pass to pass.
     accumulated: |s| s.pixels * 16;
     /// The composited picture as three planes in strips, where backward wants it so.
     composited: |s| 3 * s.strips * 4;
@@ -301,8 +303,8 @@ frame_requests! {
     inverse_depth: |s| s.pixels * 4;
     /// Per pixel: 1 + place of the last blended entry in its tile's list.
     last_entries: |s| s.pixels * 4;
-    /// Per pixel: dL/d(r, g, b, inverse depth); four planes where backward wants strips.
-    image_gradient: |s| s.backward * (s.pixels.max(s.strips)) * 16;
+    /// The loss' gradient. Per pixel: dL/d(r, g, b, inverse depth); where backward wants strips, three planes of them.
+    image_gradient: |s| if s.strips > 0 { 3 * s.strips * 4 } else { s.backward * s.pixels * 16 };
     /// Per pixel: state between passes of the blending's backward.
     running: |s| s.passes * s.pixels * 8;
     /// Per slot: moments 1, dx, dy, dx dx.

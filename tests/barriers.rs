@@ -2,9 +2,9 @@
 
 use ashsplat::backward::{Backward, Statistics};
 use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers};
-use ashsplat::loss::{Loss, LossInputs, PhotoFormat, photo_bytes};
+use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
-use ashsplat::plan::{Blocks, FrameBuffers, FrameCapacity, frame_requests};
+use ashsplat::plan::{Blocks, FrameBuffers, FrameCapacity, Strips, frame_requests};
 use ashsplat::planes;
 use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind, Recorder};
 use ashsplat::{Camera, RenderSettings};
@@ -70,10 +70,12 @@ impl Training {
         let [width, height] = SIZE;
         let loss = Loss::new(&context, PhotoFormat::Rgba8).expect("kernels");
         let mut others = vec![
-            ("photo", photo_bytes(context.limits(), width, height, false)),
+            ("photo", photo_bytes(Windowing::for_device(context.limits()), width, height, false)),
             ("losses", 16),
             ("statistics", 1200 * 8),
             ("mean2d_gradients", 1200 * 8),
+            // With inverse depth, whichever form it has.
+            ("image_gradient", 16 * Strips { width, height }.values()),
         ];
         others.extend(loss.scratch_requests([(width, height)]));
         let mut training = Training {
@@ -115,14 +117,15 @@ impl Training {
             keeps_overflow: false,
             scale: 1.0,
         };
-        let [photo, losses, statistics, mean2d_gradients, scratch @ ..] = &self.others[..] else {
+        let [photo, losses, statistics, mean2d_gradients, image_gradient, scratch @ ..] = &self.others[..]
+        else {
             unreachable!("as many as were asked for")
         };
         let statistics = Statistics { buffer: statistics, accumulate: true };
         self.forward.record(recorder, &inputs);
         recorder.barrier();
         if kind == Kind::Gradients {
-            self.backward.record(recorder, &inputs, statistics);
+            self.backward.record(recorder, &inputs, image_gradient, statistics);
             recorder.barrier();
             self.backward.record_expand(recorder, &inputs, &self.gradients, mean2d_gradients);
             return;
@@ -133,7 +136,7 @@ impl Training {
             scratch,
             losses,
             slot: 0,
-            image_gradient: &self.frame.image_gradient,
+            image_gradient,
             width: SIZE[0],
             height: SIZE[1],
             background: [0.0; 3],
@@ -141,7 +144,7 @@ impl Training {
         };
         self.loss.record(recorder, &loss);
         recorder.barrier();
-        self.backward.record(recorder, &inputs, statistics);
+        self.backward.record(recorder, &inputs, image_gradient, statistics);
         recorder.barrier();
         let rates =
             Rates { mean: 1e-4, opacity: 0.025, quat: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };

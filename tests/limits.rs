@@ -1,6 +1,7 @@
 //! Lowered limits and little memory: the same picture and the same training, or an error that names the numbers.
 
 use ashsplat::io::Photo;
+use ashsplat::plan::{Blocks, FrameCapacity, frame_requests};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::trainer::{Checkpoint, TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
@@ -106,6 +107,27 @@ fn limits_of_large_images_are_named() {
         assert!(message.contains(word), "no '{word}' in {message}");
     }
     assert_silent(&context);
+}
+
+/// What can be drawn can be trained on: nothing that backward needs takes more per pixel than the picture itself.
+#[test]
+fn limits_of_images_are_those_of_the_picture_in_training_too() {
+    let largest = 128 << 20;
+    let context =
+        context(LimitsOverride { max_storage_buffer_range: Some(largest), ..LimitsOverride::default() });
+    for (width, height) in [(4096, 2048), (2048, 4096), (2896, 2896), (3840, 2160)] {
+        let capacity = FrameCapacity {
+            gaussians: 1000,
+            instances: 5000,
+            width,
+            height,
+            blend_passes: 1,
+            backward: true,
+        };
+        for (name, bytes) in frame_requests(&capacity, &Blocks::new(context.limits())) {
+            assert!(bytes <= largest, "{width}x{height}: {name} has {bytes} bytes");
+        }
+    }
 }
 
 /// Gradients lie in one buffer: growth ends where it does, and more than it holds is refused at once.

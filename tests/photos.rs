@@ -2,7 +2,8 @@
 
 use ashsplat::io::images::PhotoFile;
 use ashsplat::io::{Photo, PhotoMemory, StoredPhoto};
-use ashsplat::loss::photo_bytes;
+use ashsplat::loss::{Windowing, photo_bytes, photo_on_device};
+use ashsplat::plan::Strips;
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Gaussians, TrainSettings, metrics};
@@ -17,16 +18,18 @@ use crate::reference::types::View;
 
 const EXTENT: f32 = 5.0;
 
-/// Bytes of the largest photograph on the device.
-fn largest(views: &[TrainView]) -> u64 {
-    let limits = Gpu::new().context.limits();
-    let bytes = |photo: &StoredPhoto| photo_bytes(limits, photo.width, photo.height, photo.is_masked());
-    views.iter().map(|view| bytes(&view.photo)).max().expect("views")
+/// What so many photographs take on the device and, in the same form, on the host, while another is read.
+fn held_bytes(views: &[TrainView], held: u64) -> u64 {
+    let windowing = Windowing::for_device(Gpu::new().context.limits());
+    let bytes = |photo: &StoredPhoto| photo_bytes(windowing, photo.width, photo.height, photo.is_masked());
+    let largest = views.iter().map(|view| bytes(&view.photo)).max().expect("views");
+    let read = if windowing == Windowing::Sweeps { 4 * 40 * 30 } else { 0 };
+    held * largest + read
 }
 
 /// The views with their photographs in a file, of which so many may be held at a time.
 fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
-    let memory = PhotoMemory { bytes: held * largest(views), folder: std::env::temp_dir() };
+    let memory = PhotoMemory { bytes: held_bytes(views, held), folder: std::env::temp_dir() };
     let file = PhotoFile::create(&memory).expect("a file");
     let stored = |view: &TrainView| file.store(&view.photo).expect("stored");
     views.iter().map(|view| TrainView { photo: stored(view), ..view.clone() }).collect()
@@ -101,11 +104,10 @@ fn photos_from_a_file_give_the_same_bits() {
 fn photos_without_memory_to_read_ahead_are_refused() {
     let gpu = Gpu::new();
     let views = views();
-    let largest = largest(&views);
+    let (needed, held) = (held_bytes(&views, 5), held_bytes(&views, 4));
     let views = in_a_file(&views, 4);
     let refused = Trainer::new(gpu.context, views, &checkpoints::start(), EXTENT, short()).err();
     let message = refused.expect("refused").to_string();
-    let (needed, held) = (5 * largest, 4 * largest);
     let expected = format!("{needed} bytes, more than {held} (the memory for photographs)");
     assert!(message.contains(&expected), "{message}");
 }
@@ -132,6 +134,60 @@ fn photos_and_masks_of_wrong_sizes_are_refused() {
     assert!(refusal(photo(77).into()).contains("has 77 bytes, not three per pixel"));
     let masked = StoredPhoto::new(photo(3600), Some(vec![255; 3]));
     assert!(refusal(masked).contains("the mask has 3 bytes, not one per pixel"));
+}
+
+/// In strips each value is at its place, what does not count is 0, and so is everything else.
+#[test]
+fn photos_on_a_device_are_pixels_or_planes() {
+    let (width, height) = (21, 19);
+    let mut random = Random::new(5);
+    let rgbm: Vec<u8> = (0..4 * width * height).map(|_| random.below(256) as u8).collect();
+    let value = |x: u32, y: u32, channel: u32| rgbm[4 * (y * width + x) as usize + channel as usize];
+    for windowing in [Windowing::Blocks, Windowing::Sweeps] {
+        for masked in [false, true] {
+            let bytes = photo_on_device(windowing, width, height, masked, rgbm.clone());
+            assert_eq!(bytes.len() as u64, photo_bytes(windowing, width, height, masked));
+            if windowing == Windowing::Blocks {
+                assert_eq!(bytes, rgbm);
+                continue;
+            }
+            let strips = Strips { width, height };
+            let mut left = bytes.clone();
+            for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                let counts = !masked || value(x, y, 3) != 0;
+                for channel in 0..3 + u32::from(masked) {
+                    let place = strips.index(channel, x, y);
+                    assert_eq!(bytes[place], if counts { value(x, y, channel) } else { 0 });
+                    left[place] = 0;
+                }
+            }
+            assert!(left.iter().all(|&byte| byte == 0));
+        }
+    }
+}
+
+/// Views of several sizes, one wider and one higher than all others, some with masks: what processors do in strips is what
+/// others do by pixels, but for rounding.
+#[test]
+fn training_in_strips_is_training_by_pixels() {
+    let views: Vec<TrainView> = [[40, 30], [17, 45], [51, 9], [33, 23]]
+        .into_iter()
+        .enumerate()
+        .map(|(i, [width, height])| {
+            let turned =
+                View { camera_from_world: rotation_about_y(0.2 * i as f64), ..small_view([width, height]) };
+            let pixels = width * height;
+            let rgb = (0..3 * pixels).map(|k| (k * (i as u32 + 3) / 5 % 256) as u8).collect();
+            let mask = (i % 2 == 1).then(|| (0..pixels).map(|k| (k % 11 != 0).into()).collect());
+            let photo = StoredPhoto::new(Photo { width, height, rgb }, mask);
+            TrainView { camera: camera(&turned), photo }
+        })
+        .collect();
+    let [strips, pixels] =
+        [Gpu::new(), Gpu::without_texels()].map(|gpu| train(gpu.context, views.clone(), 9).1);
+    for (i, (a, b)) in strips.iter().zip(&pixels).enumerate() {
+        assert!((a - b).abs() <= 2e-5 * b, "iteration {}: {a} in strips, {b} by pixels", i + 1);
+    }
 }
 
 const SIZE: [u32; 2] = [70, 50];

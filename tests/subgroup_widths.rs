@@ -11,7 +11,7 @@ use crate::common::scenes::{Random, mixed_scene, small_view};
 
 /// What the child processes run: sort and scan (integers, equal to the twins to the bit), blending, its backward, the
 /// projection's backward (floats, within the tolerances), the loss, and whole frames with gradients.
-const SELECTION: [&str; 15] = [
+const SELECTION: [&str; 17] = [
     "subgroup_size_is_the_one_asked_for",
     "kernels::scan_apply::scan_apply_equals_its_twin",
     "kernels::scan_spine",
@@ -24,6 +24,8 @@ const SELECTION: [&str; 15] = [
     "kernels::blend::blend_equals_its_twin_on_images_of_all_sizes",
     "kernels::blend_backward::blend_backward_equals_its_twin_on_images_of_all_sizes",
     "kernels::blend_backward_alone::blend_backward_alone_equals_its_twin_on_images_of_all_sizes",
+    "kernels::blend_shared::blend_shared_equals_blend_on_images_of_all_sizes_and_opaque_layers",
+    "kernels::ssim_backward_sweep::loss_by_blocks_and_by_sweeps",
     "kernels::project_backward::project_backward_equals_its_twin_in_every_mode",
     "hard_cases::hard_case_images_of_odd_sizes",
     "subgroup_width_picture_in_a_child",

@@ -4,7 +4,7 @@
 use crate::vk::Limits;
 
 /// Rows of a strip.
-pub const STRIP: u32 = 8;
+pub const STRIP_ROWS: u32 = 8;
 
 /// Where the values of an image's planes lie: those of a strip's column side by side, column by column, strip by strip,
 /// plane by plane.
@@ -25,7 +25,7 @@ impl Strips {
 
     /// Strips of the image.
     pub fn count(self) -> u32 {
-        self.height.div_ceil(STRIP)
+        self.height.div_ceil(STRIP_ROWS)
     }
 
     /// Columns from one strip to the next, as `strip_pitch` of the shaders.
@@ -35,30 +35,35 @@ impl Strips {
 
     /// Values of a plane.
     pub fn values(self) -> u64 {
-        u64::from(STRIP) * u64::from(self.pitch()) * u64::from(self.count())
+        u64::from(STRIP_ROWS) * u64::from(self.pitch()) * u64::from(self.count())
     }
 
     /// Where a pixel's value in a plane lies.
     pub fn index(self, plane: u32, x: u32, y: u32) -> usize {
-        let strip = u64::from(plane) * u64::from(self.count()) + u64::from(y / STRIP);
+        let strip = u64::from(plane) * u64::from(self.count()) + u64::from(y / STRIP_ROWS);
         let column = strip * u64::from(self.pitch()) + u64::from(x);
-        (column * u64::from(STRIP) + u64::from(y % STRIP)) as usize
+        (column * u64::from(STRIP_ROWS) + u64::from(y % STRIP_ROWS)) as usize
     }
 
-    /// Planes of what `pixels` have, row by row; what is no pixel is `T::default()`.
+    /// Planes of what the image's pixels have, row by row; what is no pixel is `T::default()`.
     ///
     /// # Panics
     /// When there are not as many pixels as the image has.
-    pub fn planes<T: Copy + Default, const N: usize>(self, pixels: &[[T; N]]) -> Vec<T> {
-        assert_eq!(pixels.len() as u64, u64::from(self.width) * u64::from(self.height));
+    pub fn planes<T: Copy + Default, const N: usize>(
+        self,
+        pixels: impl IntoIterator<Item = [T; N]>,
+    ) -> Vec<T> {
         let mut planes = vec![T::default(); N * self.values() as usize];
-        for (y, row) in (0..self.height).zip(pixels.chunks_exact(self.width as usize)) {
-            for (x, pixel) in (0..self.width).zip(row) {
-                for (plane, value) in (0..).zip(pixel) {
-                    planes[self.index(plane, x, y)] = *value;
-                }
+        let mut pixels = pixels.into_iter();
+        for (x, y) in (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y))) {
+            let Some(pixel) = pixels.next() else {
+                panic!("fewer pixels than {}x{}", self.width, self.height)
+            };
+            for (plane, value) in (0..).zip(pixel) {
+                planes[self.index(plane, x, y)] = value;
             }
         }
+        assert!(pixels.next().is_none(), "more pixels than {}x{}", self.width, self.height);
         planes
     }
 }

@@ -122,7 +122,7 @@ impl FrameStore {
         let buffers = self.context.allocate("frame", &requests, MemoryKind::Device)?;
         let frame = FrameBuffers::from_allocated(buffers);
         if capacity.backward {
-            // Its fourth component stays 0 unless somebody writes it.
+            // Per pixel, a fourth component stays 0 unless somebody writes it.
             self.context.run("clear gradient", |r| {
                 r.fill(&frame.image_gradient, 0);
                 Ok(())

@@ -53,15 +53,15 @@ impl Renderer {
         self.backward.prepare_expand(sh_degree)?;
         let count = u64::from(scene.count);
         let planes = planes::allocate(&self.context, "gradients", &scene.plan)?;
-        let target: Vec<[f32; 4]> = (0..pixels)
-            .map(|i| {
-                let [r, g, b] = image_gradient[i];
-                [r, g, b, inverse_depth_gradient.map_or(0.0, |d| d[i])]
-            })
-            .collect();
-        let target = match Strips::suit(self.context.limits()) {
-            true => Strips { width: camera.width, height: camera.height }.planes(&target),
-            false => target.into_flattened(),
+        let target = (0..pixels).map(|i| {
+            let [r, g, b] = image_gradient[i];
+            [r, g, b, inverse_depth_gradient.map_or(0.0, |d| d[i])]
+        });
+        let strips = Strips { width: camera.width, height: camera.height };
+        let target: Vec<f32> = match (Strips::suit(self.context.limits()), settings.inverse_depth) {
+            (true, true) => strips.planes(target),
+            (true, false) => strips.planes(image_gradient.iter().copied()),
+            (false, _) => target.flatten().collect(),
         };
         let target: &[u8] = bytemuck::cast_slice(&target);
         let target_bytes = target.len() as u64;
@@ -72,9 +72,8 @@ impl Renderer {
         let request = Request { scene: &scene, camera, settings, sh_degree, backward: true };
         let backward = &self.backward;
         let ran = self.runner.run(&request, |r, inputs| {
-            r.copy(&extra[2].range(0, target_bytes), &inputs.frame.image_gradient.range(0, target_bytes));
             r.barrier();
-            backward.record(r, inputs, Statistics { buffer: &extra[1], accumulate: false });
+            backward.record(r, inputs, &extra[2], Statistics { buffer: &extra[1], accumulate: false });
             r.barrier();
             backward.record_expand(r, inputs, &planes, &extra[0]);
             Ok(())

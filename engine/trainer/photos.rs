@@ -7,8 +7,8 @@ use super::schedule::{Schedule, Use};
 use super::step::ViewOrder;
 use crate::error::{Error, Result};
 use crate::io::StoredPhoto;
-use crate::loss::{photo_bytes, photo_on_device};
-use crate::vk::{Buffer, Context, Limits, MemoryKind};
+use crate::loss::{Windowing, photo_bytes, photo_on_device};
+use crate::vk::{Buffer, Context, MemoryKind};
 
 /// Photographs that wait on the host for their turn, read by a thread.
 const AHEAD: u64 = 2;
@@ -29,15 +29,17 @@ enum Residence {
 
 impl Residence {
     /// All of them, unless they lie in a file: then as many as fit its budget beside those that wait on the host.
-    fn of(limits: &Limits, views: &[TrainView]) -> Result<Self> {
+    fn of(windowing: Windowing, views: &[TrainView]) -> Result<Self> {
         let Some(file) = views.iter().find_map(|view| view.photo.file()) else { return Ok(Self::All) };
-        // Those that wait on the host are in the form for the device as well.
-        let bytes = views.iter().map(|view| bytes_of(limits, &view.photo)).max().unwrap_or(0).max(4);
-        let held = file.memory_bytes() / bytes;
+        // Those that wait on the host are in the form for the device as well; the one that is being read is in both.
+        let bytes = views.iter().map(|view| bytes_of(windowing, &view.photo)).max().unwrap_or(0).max(4);
+        let read = views.iter().map(|view| view.photo.bytes()).max().unwrap_or(0);
+        let read = if windowing == Windowing::Sweeps { read } else { 0 };
+        let held = file.memory_bytes().saturating_sub(read) / bytes;
         if held <= ON_HOST {
             return Err(Error::TooLarge {
                 what: format!("reading ahead ({} of the largest photograph at a time)", ON_HOST + 1),
-                needed: (ON_HOST + 1) * bytes,
+                needed: (ON_HOST + 1) * bytes + read,
                 unit: "bytes",
                 limit: file.memory_bytes(),
                 limit_name: "the memory for photographs",
@@ -66,7 +68,7 @@ pub(super) struct PhotoBytes {
 /// [`Error::TooLarge`] when their budget is too small to read ahead.
 pub(super) fn device_bytes(context: &Context, views: &[TrainView]) -> Result<PhotoBytes> {
     let all = context.allocation_bytes(&requests(context, views));
-    Ok(match Residence::of(context.limits(), views)? {
+    Ok(match Residence::of(windowing_of(context), views)? {
         Residence::All => PhotoBytes { held: all, staging: 0, all, budget: None },
         Residence::Slots { count, bytes } => PhotoBytes {
             held: context.allocation_bytes(&vec![("photo", bytes); count]),
@@ -78,15 +80,20 @@ pub(super) fn device_bytes(context: &Context, views: &[TrainView]) -> Result<Pho
 }
 
 fn requests(context: &Context, views: &[TrainView]) -> Vec<(&'static str, u64)> {
-    views.iter().map(|view| ("photo", bytes_of(context.limits(), &view.photo))).collect()
+    views.iter().map(|view| ("photo", bytes_of(windowing_of(context), &view.photo))).collect()
 }
 
-fn bytes_of(limits: &Limits, photo: &StoredPhoto) -> u64 {
-    photo_bytes(limits, photo.width, photo.height, photo.is_masked())
+/// As [`Loss::new`](crate::loss::Loss::new) decides.
+fn windowing_of(context: &Context) -> Windowing {
+    Windowing::for_device(context.limits())
 }
 
-fn on_device(limits: &Limits, photo: &StoredPhoto) -> Result<Vec<u8>> {
-    Ok(photo_on_device(limits, photo.width, photo.height, photo.is_masked(), photo.texels()?))
+fn bytes_of(windowing: Windowing, photo: &StoredPhoto) -> u64 {
+    photo_bytes(windowing, photo.width, photo.height, photo.is_masked())
+}
+
+fn on_device(windowing: Windowing, photo: &StoredPhoto) -> Result<Vec<u8>> {
+    Ok(photo_on_device(windowing, photo.width, photo.height, photo.is_masked(), photo.texels()?))
 }
 
 fn check(views: &[TrainView]) -> Result<()> {
@@ -108,12 +115,12 @@ impl Photos {
     /// Uploads the views' photographs, or makes room for some of them; they are needed in the order of a seed.
     pub fn new(context: &Context, views: &[TrainView], seed: u32) -> Result<Self> {
         check(views)?;
-        let (count, bytes) = match Residence::of(context.limits(), views)? {
+        let (count, bytes) = match Residence::of(windowing_of(context), views)? {
             Residence::Slots { count, bytes } => (count, bytes),
             Residence::All => {
                 let texels = context.allocate("photos", &requests(context, views), MemoryKind::Device)?;
                 for (buffer, view) in texels.iter().zip(views) {
-                    context.upload(buffer, &on_device(context.limits(), &view.photo)?)?;
+                    context.upload(buffer, &on_device(windowing_of(context), &view.photo)?)?;
                 }
                 let masked = views.iter().map(|view| view.photo.is_masked()).collect();
                 return Ok(Self::Resident { texels, masked });
@@ -191,7 +198,7 @@ impl Stream {
         // Anew at the start, from a checkpoint and after a failure.
         let mut running = match self.running.take() {
             Some(running) if running.iteration + 1 == iteration => running,
-            _ => self.start(context.limits(), iteration)?,
+            _ => self.start(windowing_of(context), iteration)?,
         };
         running.iteration = iteration;
         running.at = running.schedule.advance();
@@ -208,10 +215,10 @@ impl Stream {
         Ok(())
     }
 
-    fn start(&self, limits: &Limits, iteration: u32) -> Result<Running> {
+    fn start(&self, windowing: Windowing, iteration: u32) -> Result<Running> {
         let order = ViewOrder::new(self.seed, self.photos.len());
         let schedule = Schedule::new(order, self.slots.len(), iteration);
-        let (mut ahead, photos, limits) = (schedule.clone(), self.photos.clone(), limits.clone());
+        let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
         let (sender, texels) = sync_channel(AHEAD as usize);
         // Where all fit, none is read twice.
         let mut left = if self.slots.len() < photos.len() { usize::MAX } else { photos.len() };
@@ -219,7 +226,7 @@ impl Stream {
             while left > 0 {
                 let next = ahead.advance();
                 if next.load {
-                    let texels = on_device(&limits, &photos[next.view]);
+                    let texels = on_device(windowing, &photos[next.view]);
                     left = if texels.is_ok() { left - 1 } else { 0 };
                     if sender.send(texels).is_err() {
                         return;

@@ -184,7 +184,7 @@ impl Tail<'_> {
         );
         r.barrier();
         let statistics = Statistics { buffer: &training.statistics, accumulate: plan.collects };
-        self.backward.record(r, inputs, statistics);
+        self.backward.record(r, inputs, &f.image_gradient, statistics);
         if plan.optimizes {
             r.barrier();
             self.optimizer.record(r, inputs, &training.moments, &plan.step);

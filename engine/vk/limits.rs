@@ -76,8 +76,8 @@ pub fn is_yardstick(kernel: &str) -> bool {
 
 /// Constants that the host counts workgroups with: it chooses them itself (and asks [`Limits::overridden`]), so that
 /// shader and host cannot differ.
-pub(super) const CHOSEN_BY_HOST: [&str; 7] =
-    ["WORKGROUP_SIZE", "SUBGROUP_SIZE", "ITEMS", "STRIP", "PARTS", "BLOCK", "SLOTS"];
+pub(super) const CHOSEN_BY_HOST: [&str; 8] =
+    ["WORKGROUP_SIZE", "SUBGROUP_SIZE", "ITEMS", "STRIP", "STRIPS", "PARTS", "BLOCK", "SLOTS"];
 
 /// Stricter limits than the device's, for tests: `None` keeps the device's.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -84,7 +84,7 @@ void store_pixel(uvec2 at, Pixel pixel, bool more) {
 
 // Four rows of a column, from a multiple of 4 on; rows below the picture are 0.
 void store_composited(uvec2 at, Pixel pixels[4]) {
-    if (at.x < image_width && at.y / STRIP < strips_of_image()) {
+    if (at.x < image_width && at.y / STRIP_ROWS < strips_of_image()) {
         [[unroll]] for (uint channel = 0; channel < 3; ++channel) {
             vec4 values;
             [[unroll]] for (uint k = 0; k < 4; ++k) {

@@ -15,12 +15,12 @@ uint photo_byte(uvec2 bytes, uint row) {
 }
 
 // Rendered value x and the photograph's y at each row of a column; `mask_column` is the same column of the mask.
-void read_column(uint column, uint mask_column, out vec2 values[STRIP]) {
+void read_column(uint column, uint mask_column, out vec2 values[STRIP_ROWS]) {
     uvec2 bytes = uvec2(0), mask = uvec2(0);
     if (!FLOAT_PHOTO) bytes = photo_bytes(column);
     if (MASKED) mask = photo_bytes(mask_column);
-    [[unroll]] for (uint part = 0; part < STRIP / 4; ++part) {
-        int texel = int(STRIP / 4 * column + part);
+    [[unroll]] for (uint part = 0; part < STRIP_ROWS / 4; ++part) {
+        int texel = int(STRIP_ROWS / 4 * column + part);
         vec4 x = texelFetch(rendered, texel);
         vec4 y = vec4(0.0);
         if (FLOAT_PHOTO) y = texelFetch(photo, texel);

@@ -3,13 +3,13 @@
 // Needs ssim.glsl, strips.glsl, dispatch.glsl, SWEPT (vec3 or vec4: what is windowed together), and the push constants
 // image_width, image_height, first_channel, invocations, columns.
 
-const uint SWEEP_VALUES = STRIP + 2 * SSIM_RADIUS;
+const uint SWEEP_VALUES = STRIP_ROWS + 2 * SSIM_RADIUS;
 const uint SWEEP_WAITING = SSIM_TAPS - 1;
 
 // Values of the current column, from SSIM_RADIUS rows above the strip to SSIM_RADIUS below it.
 SWEPT sweep_values[SWEEP_VALUES];
 // Windows of the columns right of the one that is complete next.
-SWEPT sweep_waiting[SWEEP_WAITING][STRIP];
+SWEPT sweep_waiting[SWEEP_WAITING][STRIP_ROWS];
 
 // The part of an invocation: columns `first_x` to `end_x` - 1 of a strip.
 struct Sweep {
@@ -36,7 +36,7 @@ Sweep sweep_of_invocation() {
     sweep.has_above = sweep.strip > 0;
     sweep.has_below = sweep.strip + 1 < strips;
     [[unroll]] for (uint k = 0; k < SWEEP_WAITING; ++k) {
-        [[unroll]] for (uint row = 0; row < STRIP; ++row) {
+        [[unroll]] for (uint row = 0; row < STRIP_ROWS; ++row) {
             sweep_waiting[k][row] = SWEPT(0.0);
         }
     }

@@ -95,29 +95,29 @@ void main() {
             derivative_texels[t] = texelFetch(derivatives, int(at.x + t));
         }
         [[unroll]] for (uint k = 0; k < SSIM_RADIUS; ++k) {
-            sweep_values[k] = inside && sweep.has_above ? derivatives_at(STRIP - SSIM_RADIUS + k) : vec3(0.0);
+            sweep_values[k] = inside && sweep.has_above ? derivatives_at(STRIP_ROWS - SSIM_RADIUS + k) : vec3(0.0);
         }
         [[unroll]] for (uint t = 0; t < END_DERIVATIVE_TEXEL_BELOW; ++t) {
             derivative_texels[t] = texelFetch(derivatives, int(at.z + t));
         }
         [[unroll]] for (uint k = 0; k < SSIM_RADIUS; ++k) {
-            sweep_values[SSIM_RADIUS + STRIP + k] = inside && sweep.has_below ? derivatives_at(k) : vec3(0.0);
+            sweep_values[SSIM_RADIUS + STRIP_ROWS + k] = inside && sweep.has_below ? derivatives_at(k) : vec3(0.0);
         }
         [[unroll]] for (uint t = 0; t < DERIVATIVE_TEXELS; ++t) {
             derivative_texels[t] = texelFetch(derivatives, int(at.y + t));
         }
-        [[unroll]] for (uint k = 0; k < STRIP; ++k) {
+        [[unroll]] for (uint k = 0; k < STRIP_ROWS; ++k) {
             sweep_values[SSIM_RADIUS + k] = inside ? derivatives_at(k) : vec3(0.0);
         }
         int complete_x = x - int(SSIM_RADIUS);
         bool complete = sweep.exists && complete_x >= sweep.first_x && complete_x < sweep.end_x;
         uint own_x = uint(complete ? complete_x : 0);
-        vec2 values[STRIP];
+        vec2 values[STRIP_ROWS];
         read_column(own + own_x, own_mask + own_x, values);
         uvec2 mask = uvec2(0);
         if (MASKED) mask = photo_bytes(own_mask + own_x);
-        float gradient[STRIP];
-        [[unroll]] for (uint row = 0; row < STRIP; ++row) {
+        float gradient[STRIP_ROWS];
+        [[unroll]] for (uint row = 0; row < STRIP_ROWS; ++row) {
             float d = loss_gradient(sweep_window(row), values[row], scale, lambda_dssim);
             gradient[row] = MASKED && photo_byte(mask, row) == 0 ? 0.0 : d;
         }

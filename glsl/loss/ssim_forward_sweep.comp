@@ -55,27 +55,27 @@ void main() {
         uint at_x = uint(inside ? x : 0);
         uvec3 at = sweep_columns(sweep, sweep.channel, at_x);
         uvec3 mask_at = MASKED ? sweep_columns(sweep, MASK_PLANE, at_x) : uvec3(0);
-        vec2 values[STRIP];
+        vec2 values[STRIP_ROWS];
         read_column(at.x, mask_at.x, values);
         [[unroll]] for (uint k = 0; k < SSIM_RADIUS; ++k) {
             bool exists = inside && sweep.has_above;
-            sweep_values[k] = ssim_moments(exists ? values[STRIP - SSIM_RADIUS + k] : vec2(0.0));
+            sweep_values[k] = ssim_moments(exists ? values[STRIP_ROWS - SSIM_RADIUS + k] : vec2(0.0));
         }
         read_column(at.z, mask_at.z, values);
         [[unroll]] for (uint k = 0; k < SSIM_RADIUS; ++k) {
             bool exists = inside && sweep.has_below;
-            sweep_values[SSIM_RADIUS + STRIP + k] = ssim_moments(exists ? values[k] : vec2(0.0));
+            sweep_values[SSIM_RADIUS + STRIP_ROWS + k] = ssim_moments(exists ? values[k] : vec2(0.0));
         }
         read_column(at.y, mask_at.y, values);
-        [[unroll]] for (uint k = 0; k < STRIP; ++k) {
+        [[unroll]] for (uint k = 0; k < STRIP_ROWS; ++k) {
             sweep_values[SSIM_RADIUS + k] = ssim_moments(inside ? values[k] : vec2(0.0));
         }
         bool own = sweep.exists && x >= sweep.first_x && x < sweep.end_x;
         int complete_x = x - int(SSIM_RADIUS);
         bool complete = sweep.exists && complete_x >= sweep.first_x && complete_x < sweep.end_x;
-        float found[DERIVATIVES * STRIP];
-        [[unroll]] for (uint row = 0; row < STRIP; ++row) {
-            bool exists = sweep.strip * STRIP + row < image_height;
+        float found[DERIVATIVES * STRIP_ROWS];
+        [[unroll]] for (uint row = 0; row < STRIP_ROWS; ++row) {
+            bool exists = sweep.strip * STRIP_ROWS + row < image_height;
             sum.x += own && exists ? abs(values[row].x - values[row].y) : 0.0;
             vec3 d;
             float ssim = ssim_and_derivatives(sweep_window(row), d);
@@ -87,9 +87,9 @@ void main() {
         if (complete) {
             uint place = to + DERIVATIVES * uint(complete_x);
             [[unroll]] for (uint k = 0; k < DERIVATIVES; ++k) {
-                float part[STRIP];
-                [[unroll]] for (uint i = 0; i < STRIP; ++i) {
-                    part[i] = found[STRIP * k + i];
+                float part[STRIP_ROWS];
+                [[unroll]] for (uint i = 0; i < STRIP_ROWS; ++i) {
+                    part[i] = found[STRIP_ROWS * k + i];
                 }
                 derivatives[place + k] = eight(part);
             }

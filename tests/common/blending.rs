@@ -175,7 +175,9 @@ macro_rules! backward_of_lists {
         let kernel = gpu.kernel::<$kernel::Interface>(&spec);
         let (pixels, slots) = (lists.view.pixels(), lists.slots.len());
         let image_gradient = match $gradient {
-            Some(gradient) if strips => gpu.buffer("image_gradient", &strips_of(lists).planes(gradient)),
+            Some(gradient) if strips => {
+                gpu.buffer("image_gradient", &strips_of(lists).planes(gradient.iter().copied()))
+            }
             Some(gradient) => gpu.buffer("image_gradient", gradient),
             None => gpu.zeros::<[f32; 4]>("image_gradient", strips_of(lists).values() as usize),
         };

@@ -1,7 +1,7 @@
 //! The kernels of the loss with their inputs on the device.
 
 use ashsplat::kernels::loss::{ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep};
-use ashsplat::loss::Windowing;
+use ashsplat::loss::{Windowing, photo_on_device};
 use ashsplat::plan::Strips;
 use ashsplat::vk::Buffer;
 
@@ -88,45 +88,33 @@ impl Pictures {
         let composited = |t: &[f32; 4]| [0, 1, 2].map(|c| t[c] + t[3] * BACKGROUND[c] as f32);
         match windowing {
             Windowing::Blocks => self.accumulated.as_flattened().to_vec(),
-            Windowing::Sweeps => {
-                self.strips().planes(&self.accumulated.iter().map(composited).collect::<Vec<_>>())
-            }
+            Windowing::Sweeps => self.strips().planes(self.accumulated.iter().map(composited)),
         }
     }
 
     /// The photograph as the loss wants it.
     pub fn photo(&self, windowing: Windowing) -> Vec<u8> {
-        if windowing == Windowing::Blocks {
-            return bytemuck::cast_slice(&self.photo).to_vec();
-        }
-        let pixels = self.photo.iter().enumerate().map(|(i, word)| match self.counts(i) {
-            true => word.to_le_bytes(),
-            false => [0; 4],
-        });
-        let mut planes = self.strips().planes(&pixels.collect::<Vec<_>>());
-        if !self.masked {
-            planes.truncate(3 * self.strips().values() as usize);
-        }
-        planes.resize(planes.len().next_multiple_of(16), 0);
-        planes
+        let [width, height] = self.size;
+        photo_on_device(windowing, width, height, self.masked, bytemuck::cast_slice(&self.photo).to_vec())
     }
 
     /// Words of the gradient.
     pub fn gradient_words(&self, windowing: Windowing) -> usize {
         match windowing {
             Windowing::Blocks => 4 * self.pixels(),
-            Windowing::Sweeps => 4 * self.strips().values() as usize,
+            Windowing::Sweeps => 3 * self.strips().values() as usize,
         }
     }
 
-    /// The gradient per pixel.
+    /// The gradient per pixel, with the fourth component of blocks.
     pub fn gradient(&self, windowing: Windowing, words: &[f32]) -> Vec<[f32; 4]> {
         match windowing {
             Windowing::Blocks => words.as_chunks::<4>().0.to_vec(),
             Windowing::Sweeps => (0..self.pixels() as u32)
                 .map(|i| {
                     let (x, y) = (i % self.size[0], i / self.size[0]);
-                    [0, 1, 2, 3].map(|plane| words[self.strips().index(plane, x, y)])
+                    let [r, g, b] = [0, 1, 2].map(|plane| words[self.strips().index(plane, x, y)]);
+                    [r, g, b, 0.0]
                 })
                 .collect(),
         }

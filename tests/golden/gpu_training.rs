@@ -45,7 +45,7 @@ fn device_loss(
             let texels: Vec<[f32; 4]> = image.iter().map(|&[r, g, b]| [r, g, b, 0.0]).collect();
             (texels.into_flattened(), truth.into_flattened())
         }
-        Windowing::Sweeps => (strips.planes(&image), strips.planes(&truth)),
+        Windowing::Sweeps => (strips.planes(image), strips.planes(truth)),
     };
     let (rendered, photo) = (gpu.buffer("rendered", &rendered), gpu.buffer("photo", &photo));
     let scratch: Vec<_> = (loss.scratch_requests([(width, height)]).into_iter())

@@ -37,8 +37,8 @@ fn check_strips(gpu: &Gpu, lists: &Lists, how: How) {
     let accumulated = gpu.read::<[f32; 4]>(&usual.accumulated, count);
     let composited =
         |[r, g, b, t]: &[f32; 4]| [r + t * background[0], g + t * background[1], b + t * background[2]];
-    let expected = strips.planes(&accumulated.iter().map(composited).collect::<Vec<_>>());
-    let written = strips.planes(&vec![[true; 3]; count]);
+    let expected = strips.planes(accumulated.iter().map(composited));
+    let written = strips.planes(vec![[true; 3]; count]);
     let planes = gpu.read::<f32>(&blended.composited, expected.len());
     for (place, (&actual, &expected)) in planes.iter().zip(&expected).enumerate() {
         let (column, row) = (place as u64 / 8 % u64::from(strips.pitch()), place % 8);

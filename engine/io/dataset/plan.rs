@@ -377,7 +377,7 @@ impl PlannedView {
         Ok((lens, lens.inscribed_pinhole().unwrap_or(lens.intrinsics())))
     }
 
-    /// Bytes of the photo on a device, before anybody looked at it.
+    /// Bytes of the photo with its mask, before anybody looked at it. On a device it takes about as much.
     pub(super) fn texel_bytes(&self, options: &DatasetOptions) -> u64 {
         let divided = |side: u32| (side / options.divisor()).max(1);
         let (width, height) =

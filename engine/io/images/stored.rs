@@ -189,7 +189,7 @@ impl PhotoFile {
     }
 
     fn read(&self, offset: u64, bytes: u64) -> Result<Vec<u8>> {
-        let mut texels = Vec::new();
+        let mut texels = Vec::with_capacity(bytes as usize);
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         file.seek(SeekFrom::Start(offset))
             .and_then(|_| Read::take(&mut *file, bytes).read_to_end(&mut texels))

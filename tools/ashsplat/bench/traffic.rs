@@ -6,7 +6,7 @@
 //! become faster but by moving less.
 
 use ashsplat::plan::{Blocks, FrameCapacity, frame_requests, parameter_planes};
-use ashsplat::vk::{Access, BoundBuffer, CommandRecord, Limits};
+use ashsplat::vk::{Access, BoundBuffer, CommandRecord, Limits, SMALLEST_BUFFER};
 use std::collections::HashMap;
 
 /// Bytes of a vec4.
@@ -86,8 +86,11 @@ impl Traffic {
             |b: &BoundBuffer| first && command.name.starts_with("sort/sort_scatter") && b.role == "values";
         // Blending reads its outputs only where a tile takes several passes.
         let outputs_only = first && command.name.starts_with("forward/blend");
+        // Blending that leaves the picture composited for backward leaves nothing else of it (FrameBuffers::rendered).
+        let composites = command.buffers.iter().any(|b| b.role == "composited" && b.bytes > SMALLEST_BUFFER);
+        let instead = |b: &BoundBuffer| composites && b.role == "accumulated";
         let (mut read, mut written) = (0, 0);
-        for buffer in command.buffers.iter().filter(|buffer| !made_up(buffer)) {
+        for buffer in command.buffers.iter().filter(|buffer| !made_up(buffer) && !instead(buffer)) {
             let bytes = self.touched(command, buffer);
             match buffer.access {
                 Access::Read => read += bytes,
