@@ -69,6 +69,9 @@ pub fn trials() -> Vec<Trial> {
             if wanted.is_empty() {
                 return absent(&full, "ASHSPLAT_NPM is not set (1, or a node_modules folder)");
             }
+            if (full.contains("playcanvas") || full.contains("chromium")) && !has_chromium() {
+                return absent(&full, "there is no chromium to run (Debian: apt-get install chromium)");
+            }
             if full.contains("trained") && !trained_scene().is_file() {
                 return absent(&full, format!("{} is not there", trained_scene().display()));
             }
@@ -86,6 +89,11 @@ pub fn trials() -> Vec<Trial> {
         })
         .chain([missing])
         .collect()
+}
+
+/// Whether the browser that pages are drawn in is there.
+fn has_chromium() -> bool {
+    Command::new("chromium").arg("--version").output().is_ok()
 }
 
 /// 185,761 Gaussians of SH degree 3.

@@ -30,7 +30,7 @@ impl Strips {
 
     /// Columns from one strip to the next, as `strip_pitch` of the shaders.
     pub fn pitch(self) -> u32 {
-        (self.width + 1) / 4 * 4 + 2
+        self.width.saturating_add(1) / 4 * 4 + 2
     }
 
     /// Values of a plane.

@@ -138,6 +138,7 @@ fn check_place(kernel: &str, name: &str) -> Result<(), String> {
         "SUBGROUP_SIZE" => &[""],
         "ITEMS" => &["sort", "scan"],
         "STRIP" => &["loss"],
+        "STRIPS" => return Err("how kernels hand pictures on follows from the device".into()),
         _ => return Ok(()),
     };
     if shared.contains(&kernel) {
@@ -171,6 +172,7 @@ mod tests {
         };
         assert_eq!(read("sort.ITEMS=8"), Ok(("sort".into(), "ITEMS".into(), 8)));
         assert_eq!(read("WORKGROUP_SIZE=128"), Ok((String::new(), "WORKGROUP_SIZE".into(), 128)));
+        assert!(read("STRIPS=0").expect_err("not to be set").contains("follows from the device"));
         let lanes = read("backward/project_backward.LANE_SLOTS=32").expect("a constant");
         assert_eq!(lanes, ("backward/project_backward".into(), "LANE_SLOTS".into(), 32));
         assert_eq!(read("optimizer.SPARSE=true").expect("a constant").2, 1);
