@@ -99,7 +99,7 @@ impl Forward {
             )?,
             expand: [expand(false)?, expand(true)?],
             ranges: [ranges(false)?, ranges(true)?],
-            blend: blending::Blend::new(&sizes),
+            blend: blending::Blend::default(),
         })
     }
 
@@ -126,7 +126,7 @@ impl Forward {
 
     /// Whether everything is built for an SH degree and a way to blend.
     pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
-        self.project[sh_degree as usize].is_some() && self.blend.is_prepared(variant)
+        self.project[sh_degree as usize].is_some() && self.blend.is_prepared(&self.sizes, variant)
     }
 
     /// Chooses how tiles are blended; before [`Forward::prepare`].

@@ -29,11 +29,23 @@ pub struct BlendVariant {
     pub backward: bool,
 }
 
+impl BlendVariant {
+    fn strips(self, sizes: &Blocks) -> bool {
+        self.backward && sizes.strips
+    }
+
+    fn index(self, sizes: &Blocks) -> usize {
+        usize::from(self.inverse_depth)
+            | usize::from(self.linear_depth) << 1
+            | usize::from(self.depth_limit) << 2
+            | usize::from(self.strips(sizes)) << 3
+    }
+}
+
 /// The blending kernels by variant, built when they are needed.
+#[derive(Default)]
 pub(super) struct Blend {
     blending: Blending,
-    /// Whether what backward wants is something else.
-    strips: bool,
     regions: [Option<Kernel<blend::Interface>>; 16],
     shared: [Option<Kernel<blend_shared::Interface>>; 16],
 }
@@ -61,25 +73,13 @@ macro_rules! blend_bind {
 }
 
 impl Blend {
-    pub fn new(sizes: &Blocks) -> Self {
-        let (regions, shared) = Default::default();
-        Self { blending: Blending::default(), strips: sizes.strips, regions, shared }
-    }
-
-    fn index(&self, variant: BlendVariant) -> usize {
-        usize::from(variant.inverse_depth)
-            | usize::from(variant.linear_depth) << 1
-            | usize::from(variant.depth_limit) << 2
-            | usize::from(variant.backward && self.strips) << 3
-    }
-
     pub fn choose(&mut self, blending: Blending) {
         self.blending = blending;
     }
 
     pub fn prepare(&mut self, context: &Context, sizes: &Blocks, wanted: BlendVariant) -> Result<()> {
-        let BlendVariant { inverse_depth, linear_depth, depth_limit, backward } = wanted;
-        let (variant, strips) = (self.index(wanted), backward && self.strips);
+        let BlendVariant { inverse_depth, linear_depth, depth_limit, .. } = wanted;
+        let (variant, strips) = (wanted.index(sizes), wanted.strips(sizes));
         let subgroup_size = context.limits().subgroup_size;
         let Blocks { tile, tile_shared, column_chain, blend_parts: parts, .. } = *sizes;
         match self.blending {
@@ -114,8 +114,8 @@ impl Blend {
         Ok(())
     }
 
-    pub fn is_prepared(&self, wanted: BlendVariant) -> bool {
-        let variant = self.index(wanted);
+    pub fn is_prepared(&self, sizes: &Blocks, wanted: BlendVariant) -> bool {
+        let variant = wanted.index(sizes);
         match self.blending {
             Blending::Regions => self.regions[variant].is_some(),
             Blending::SharedMemory => self.shared[variant].is_some(),
@@ -124,7 +124,7 @@ impl Blend {
 
     /// Records the colour and transmittance of each pixel.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &Blocks) {
-        let variant = self.index(inputs.blend_variant());
+        let variant = inputs.blend_variant().index(sizes);
         match (self.blending, &self.regions[variant], &self.shared[variant]) {
             (Blending::Regions, Some(kernel), _) => {
                 record_passes(r, inputs, sizes, |r, push, tiles| {

@@ -16,7 +16,7 @@ VEC4_READS(5, ColorInverseDepth, color_inverse_depth);
 VEC4_READS(6, Rendered, rendered);
 FLOAT_READS(7, InverseDepth, inverse_depth);
 UINT_READS(8, LastEntries, last_entries);
-// dL/d(r, g, b, inverse depth) per pixel; with STRIPS four planes of them.
+// dL/d(r, g, b, inverse depth) per pixel; with STRIPS three planes of them, or four with INVERSE_DEPTH.
 VEC4_READS(9, ImageGradient, image_gradient);
 layout(set = 0, binding = 10, scalar) buffer Running { vec2 running[]; };
 layout(set = 0, binding = 11, scalar) writeonly buffer SumsA { vec4 sums_a[]; };
