@@ -273,7 +273,7 @@ impl Forward {
                 color_inverse_depth: splats.color_inverse_depth,
                 depth_keys: &f.depth_keys_a,
                 footprints: splats.footprints,
-                visible_tiles: &f.visible_tiles,
+                tile_lists: &f.tile_lists,
             };
             if index > 0 {
                 r.barrier();
@@ -299,14 +299,17 @@ impl Forward {
         r.barrier();
     }
 
-    /// Tiles per visible Gaussian in depth order, their prefix sums, and the number of instances.
+    /// Tiles per visible Gaussian in depth order, their prefix sums, and the number of instances. Sorted depths are of no
+    /// more use: their buffers take the lists of tiles.
     fn record_count(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let bind = count::Bind {
             state: &f.state,
             order: &f.order_a,
-            visible_tiles: &f.visible_tiles,
+            tile_lists: &f.tile_lists,
             tile_counts: &f.tile_counts,
+            list_heads: &f.depth_keys_a,
+            list_rows: &f.depth_keys_b,
             block_sums: &f.scan_blocks,
         };
         let at = arguments(f, c::ARGUMENTS_VISIBLE_SCAN);
@@ -337,6 +340,8 @@ impl Forward {
             instance_offsets: &f.instance_offsets,
             mean2d_extent: splats.mean2d_extent,
             footprints: splats.footprints,
+            list_heads: &f.depth_keys_a,
+            list_rows: &f.depth_keys_b,
             instance_tiles: &f.tiles_a,
             instance_visible: if slots { &f.instance_visible } else { &f.sorted_a },
             slot_begins: &f.slot_begins,

@@ -258,11 +258,11 @@ frame_requests! {
     color_inverse_depth: |s| s.apart * s.gaussians * 16;
     /// Per visible: shape of its rows of tiles, number of tiles (tile_span.glsl).
     footprints: |s| s.apart * s.gaussians * 16;
-    /// Per visible: number of tiles.
-    visible_tiles: |s| s.gaussians * 4;
-    /// Per visible: bits of its depth; sorting scratch.
+    /// Per visible: its tiles, where they are few, or their number (tile_list.glsl).
+    tile_lists: |s| s.gaussians * 8;
+    /// Per visible: bits of its depth; sorting scratch; then per rank: first word of its tiles' list.
     depth_keys_a: |s| s.gaussians * 4;
-    /// Sorting scratch.
+    /// Sorting scratch; then per rank: second word of its tiles' list.
     depth_keys_b: |s| s.gaussians * 4;
     /// Per rank in depth: the visible Gaussian (after an even number of sorting passes).
     order_a: |s| s.gaussians * 4;

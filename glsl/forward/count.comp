@@ -1,17 +1,19 @@
-// How many tiles each visible Gaussian touches, in depth order, and the sums of blocks of them: first step of the prefix
-// sum that gives each Gaussian its instances (scan_reduce.comp, with a gather).
+// How many tiles each visible Gaussian touches and which, in depth order, and the sums of blocks of their numbers: first
+// step of the prefix sum that gives each Gaussian its instances (scan_reduce.comp, with a gather).
 //
 // invocation: ITEMS visible Gaussians; workgroup: one block of WORKGROUP_SIZE * ITEMS of them, a block of the scan
-// in: order[rank] = visible, visible_tiles[visible]
-// out: tile_counts[rank], block_sums[block]
+// in: order[rank] = visible, tile_lists[visible] (tile_span.glsl)
+// out: tile_counts[rank], list_heads[rank] and list_rows[rank] (the words of its list), block_sums[block]
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
 #include "constants.glsl"
+#include "buffers.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
@@ -19,25 +21,37 @@ layout(constant_id = 2) const uint ITEMS = 4;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer State { uint state[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer Order { uint order[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer VisibleTiles { uint visible_tiles[]; };
+UINT_READS(1, Order, order);
+UVEC2_READS(2, TileLists, tile_lists);
 layout(set = 0, binding = 3, scalar) writeonly buffer TileCounts { uint tile_counts[]; };
-layout(set = 0, binding = 4, scalar) writeonly buffer BlockSums { uint block_sums[]; };
+layout(set = 0, binding = 4, scalar) writeonly buffer ListHeads { uint list_heads[]; };
+layout(set = 0, binding = 5, scalar) writeonly buffer ListRows { uint list_rows[]; };
+layout(set = 0, binding = 6, scalar) writeonly buffer BlockSums { uint block_sums[]; };
 
 #include "dispatch.glsl"
 #include "workgroup_scan.glsl"
+#include "tile_list.glsl"
 
 void main() {
     uint n = state[STATE_VISIBLE];
     uint block = linear_workgroup();
     uint first = block * WORKGROUP_SIZE * ITEMS + gl_LocalInvocationID.x;
-    uint sum = 0;
-    for (uint k = 0; k < ITEMS; ++k) {
+    // All reads first: they lie all over the memory, and wait for it together.
+    uvec2 lists[ITEMS];
+    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
         uint rank = first + k * WORKGROUP_SIZE;
         bool exists = rank < n;
-        uint tiles = exists ? visible_tiles[order[exists ? rank : 0]] : 0;
-        if (exists) {
+        uvec2 list = UVEC2_AT(tile_lists, exists ? UINT_AT(order, exists ? rank : 0) : 0);
+        lists[k] = exists ? list : uvec2(0);
+    }
+    uint sum = 0;
+    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
+        uint rank = first + k * WORKGROUP_SIZE;
+        uint tiles = tiles_met(lists[k]);
+        if (rank < n) {
             tile_counts[rank] = tiles;
+            list_heads[rank] = lists[k].x;
+            list_rows[rank] = lists[k].y;
         }
         sum += tiles;
     }

@@ -4,7 +4,7 @@
 // invocation: one visible Gaussian of the bound range of parameters, walking over its tile rows to count its tiles
 // in: parameters (PerGaussian planes), visible_list, visible_ranges; out, PerVisible: mean2d_extent (x, y, half extents,
 //     px), conic_opacity (A, B, C, opacity), color_inverse_depth (r, g, b, 1/z), depth_keys (bits of z), footprints
-//     (tile_span.glsl), visible_tiles (how many tiles it touches)
+//     and tile_lists (tile_span.glsl)
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -25,7 +25,7 @@ layout(set = 0, binding = 4, scalar) writeonly buffer ConicOpacity { vec4 conic_
 layout(set = 0, binding = 5, scalar) writeonly buffer ColorInverseDepth { vec4 color_inverse_depth[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer DepthKeys { uint depth_keys[]; };
 layout(set = 0, binding = 7, scalar) writeonly buffer Footprints { uvec4 footprints[]; };
-layout(set = 0, binding = 8, scalar) writeonly buffer VisibleTiles { uint visible_tiles[]; };
+layout(set = 0, binding = 8, scalar) writeonly buffer TileLists { uvec2 tile_lists[]; };
 
 #define CAMERA_PUSH_SHAPE
 #include "camera_push.glsl"
@@ -67,11 +67,11 @@ void main() {
     vec4 mean2d = vec4(f.mean2d_px, f.half_extent_px);
     vec4 conic = vec4(vec3(p.cov2d.z, -p.cov2d.y, p.cov2d.x) / p.det, f.opacity);
     uvec3 shape = extent == EXTENT_REFERENCE ? uvec3(pack_tiles(f.tiles), f.radius_px) : row_shape(mean2d, conic);
-    uint tiles = count_tiles(mean2d, shape, f.tiles);
+    uvec2 list = list_tiles(mean2d, shape, f.tiles, (image_width + TILE_SIZE - 1) / TILE_SIZE);
     mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)] = mean2d;
     conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
     color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] = vec4(max(color, vec3(0.0)), 1.0 / p.mean_camera.z);
     depth_keys[visible] = floatBitsToUint(p.mean_camera.z);
-    footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles);
-    visible_tiles[visible] = tiles;
+    footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list));
+    tile_lists[visible] = list;
 }

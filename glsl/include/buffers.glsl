@@ -14,12 +14,14 @@
 #define VEC4_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING) uniform textureBuffer NAME
 #define UVEC4_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING) uniform textureBuffer NAME
 #define VEC2_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING) uniform utextureBuffer NAME
+#define UVEC2_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING) uniform utextureBuffer NAME
 #define UINT_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING) uniform utextureBuffer NAME
 #define FLOAT_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING) uniform utextureBuffer NAME
 
 #define UINT_AT(NAME, INDEX) texelFetch(NAME, int(INDEX)).x
 #define FLOAT_AT(NAME, INDEX) uintBitsToFloat(UINT_AT(NAME, INDEX))
 #define VEC2_AT(NAME, INDEX) vec2(FLOAT_AT(NAME, 2 * (INDEX)), FLOAT_AT(NAME, 2 * (INDEX) + 1))
+#define UVEC2_AT(NAME, INDEX) uvec2(UINT_AT(NAME, 2 * (INDEX)), UINT_AT(NAME, 2 * (INDEX) + 1))
 #define VEC4_AT(NAME, INDEX) texelFetch(NAME, int(INDEX))
 #define UVEC4_AT(NAME, INDEX) floatBitsToUint(texelFetch(NAME, int(INDEX)))
 
@@ -30,12 +32,14 @@
 #define VEC4_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) readonly buffer BLOCK { vec4 NAME[]; }
 #define UVEC4_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) readonly buffer BLOCK { uvec4 NAME[]; }
 #define VEC2_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) readonly buffer BLOCK { vec2 NAME[]; }
+#define UVEC2_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) readonly buffer BLOCK { uvec2 NAME[]; }
 #define UINT_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) readonly buffer BLOCK { uint NAME[]; }
 #define FLOAT_READS(BINDING, BLOCK, NAME) layout(set = 0, binding = BINDING, scalar) readonly buffer BLOCK { float NAME[]; }
 
 #define UINT_AT(NAME, INDEX) NAME[INDEX]
 #define FLOAT_AT(NAME, INDEX) NAME[INDEX]
 #define VEC2_AT(NAME, INDEX) NAME[INDEX]
+#define UVEC2_AT(NAME, INDEX) NAME[INDEX]
 #define VEC4_AT(NAME, INDEX) NAME[INDEX]
 #define UVEC4_AT(NAME, INDEX) NAME[INDEX]
 

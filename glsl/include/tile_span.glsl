@@ -5,6 +5,8 @@
 // A footprint is four words. Exact extent: shape of the rows (row_shape), tiles met. Reference extent: x0 | x1 << 16 and
 // y0 | y1 << 16 in tiles, the radius in px, tiles met.
 
+#include "tile_list.glsl"
+
 // Tiles that hold pixel centres of the box, (x0, x1, y0, y1), the second of each one past the last. Tile t holds the pixel
 // centres 16 t .. 16 t + 15.
 uvec4 tile_box(vec4 mean2d_extent_px, uvec2 grid) {
@@ -64,18 +66,32 @@ uvec2 tile_span(uint row, vec4 mean2d_extent_px, uvec3 shape, uvec2 tiles_x) {
     return uvec2(x0, x1);
 }
 
-// Tiles met in all the rows of a box, which has at least one.
-uint count_tiles(vec4 mean2d_extent_px, uvec3 shape, uvec4 box) {
+// Goes over all the rows of a box, which has at least one. A word is 0 where there is no list.
+uvec2 list_tiles(vec4 mean2d_extent_px, uvec3 shape, uvec4 box, uint tiles_per_row) {
     uint tiles = 0;
-    uint row = box.z;
+    uint row = 0;
+    uint first_column = 0;
+    uint columns = 0;
+    // Ends that are not set are those of rows behind the last: no tile lies behind them.
+    uint unset = 0;
     // Tested at its end: see blend.comp.
     for (;;) {
-        uvec2 span = tile_span(row, mean2d_extent_px, shape, box.xy);
+        uvec2 span = tile_span(box.z + row, mean2d_extent_px, shape, box.xy);
+        // Of a row without tiles any.
+        uint column = span.x - box.x & LISTED_COLUMNS - 1;
         tiles += span.y - span.x;
+        first_column = row == 0 ? column : first_column;
+        columns |= row > 0 && row < LISTED_ROWS ? column << LIST_COLUMNS_SHIFT + LIST_COLUMN_BITS * (row - 1) : 0;
+        unset |= row < LISTED_ROWS - 1 ? (tiles ^ LISTED_TILES) << LIST_TILES_BITS * row : 0;
         row += 1;
-        if (row >= box.w) {
+        if (box.z + row >= box.w) {
             break;
         }
     }
-    return tiles;
+    uint first_tile = box.z * tiles_per_row + box.x;
+    bool listed = tiles <= LISTED_TILES && box.y - box.x <= LISTED_COLUMNS && row <= LISTED_ROWS
+        && first_tile < 1u << LIST_COLUMN_SHIFT;
+    uint ends = ~unset & (1u << LIST_COLUMNS_SHIFT) - 1;
+    uint head = LISTED | tiles << LIST_TILES_SHIFT | first_column << LIST_COLUMN_SHIFT | first_tile;
+    return listed ? uvec2(head, columns | ends) : uvec2(tiles, 0);
 }

@@ -41,7 +41,7 @@ pub struct Projected {
     pub color_inverse_depth: Buffer,
     pub depth_keys: Buffer,
     pub footprints: Buffer,
-    pub visible_tiles: Buffer,
+    pub tile_lists: Buffer,
 }
 
 impl Projected {
@@ -61,8 +61,8 @@ impl Projected {
         let [mean2d_extent, conic_opacity, color_inverse_depth, footprints] =
             ["mean2d_extent", "conic_opacity", "color_inverse_depth", "footprints"]
                 .map(|name| gpu.untouched::<[u32; 4]>(name, count + 3));
-        let [depth_keys, visible_tiles] =
-            ["depth_keys", "visible_tiles"].map(|name| gpu.untouched::<u32>(name, count + 3));
+        let depth_keys = gpu.untouched::<u32>("depth_keys", count + 3);
+        let tile_lists = gpu.untouched::<[u32; 2]>("tile_lists", count + 3);
         let bind = project::Bind {
             parameters: &parameters,
             visible_ranges: &ranges,
@@ -72,7 +72,7 @@ impl Projected {
             color_inverse_depth: &color_inverse_depth,
             depth_keys: &depth_keys,
             footprints: &footprints,
-            visible_tiles: &visible_tiles,
+            tile_lists: &tile_lists,
         };
         let push = shape_push!(project::Push, view, gaussians.len(), stride);
         let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;
@@ -91,7 +91,7 @@ impl Projected {
             color_inverse_depth: behind(color_inverse_depth, 16),
             depth_keys: behind(depth_keys, 4),
             footprints: behind(footprints, 16),
-            visible_tiles: behind(visible_tiles, 4),
+            tile_lists: behind(tile_lists, 8),
         }
     }
 

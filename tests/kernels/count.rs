@@ -7,6 +7,7 @@ use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
 use crate::common::scenes::Random;
 use crate::reference::count::ordered;
 use crate::reference::scan_reduce::scan_reduce;
+use crate::reference::tile_list::{LISTED, tiles_met};
 
 #[test]
 fn count_equals_its_twin() {
@@ -16,24 +17,36 @@ fn count_equals_its_twin() {
     let block = (spec.workgroup_size * spec.items) as usize;
     for size in sizes(block) {
         let mut random = Random::new(size as u64);
-        let tiles: Vec<u32> = (0..size).map(|_| random.below(9)).collect();
+        let lists: Vec<[u32; 2]> = (0..size)
+            .map(|_| match random.below(2) {
+                0 => [random.below(5000), 0],
+                _ => [LISTED | random.below(32) << 26 | random.below(1 << 26), random.below(u32::MAX)],
+            })
+            .collect();
         let order = shuffled(size);
-        let expected = ordered(&order, &tiles);
+        let lists_in_order = ordered(&order, &lists);
+        let expected: Vec<u32> = lists_in_order.iter().copied().map(tiles_met).collect();
         let sums = scan_reduce(&expected, block);
         let (state, order) = (state(&gpu, size, 0), gpu.buffer("order", &order));
-        let visible_tiles = gpu.buffer("visible_tiles", &tiles);
-        let tile_counts = gpu.untouched::<u32>("tile_counts", size + 2);
+        let tile_lists = gpu.buffer("tile_lists", &lists);
+        let [tile_counts, list_heads, list_rows] =
+            ["tile_counts", "list_heads", "list_rows"].map(|name| gpu.untouched::<u32>(name, size + 2));
         let block_sums = gpu.untouched::<u32>("block_sums", sums.len() + 1);
         let bind = Bind {
             state: &state,
             order: &order,
-            visible_tiles: &visible_tiles,
+            tile_lists: &tile_lists,
             tile_counts: &tile_counts,
+            list_heads: &list_heads,
+            list_rows: &list_rows,
             block_sums: &block_sums,
         };
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &Push::default(), (size / block) as u64 + 1));
-        let actual = gpu.read::<u32>(&tile_counts, size + 2);
-        assert_eq!(actual, [expected.as_slice(), &[UNTOUCHED; 2]].concat(), "size {size}");
+        let [heads, rows] = [0, 1].map(|word| lists_in_order.iter().map(|list| list[word]).collect::<Vec<_>>());
+        for (buffer, expected) in [(&tile_counts, &expected), (&list_heads, &heads), (&list_rows, &rows)] {
+            let actual = gpu.read::<u32>(buffer, size + 2);
+            assert_eq!(actual, [expected.as_slice(), &[UNTOUCHED; 2]].concat(), "{}, size {size}", buffer.name());
+        }
         let actual = gpu.read::<u32>(&block_sums, sums.len() + 1);
         assert_eq!(actual, [sums.as_slice(), &[UNTOUCHED]].concat(), "size {size}");
     }

@@ -8,6 +8,7 @@ use crate::common::layout::extent_word;
 use crate::common::scenes::small_view;
 use crate::reference::count::ordered;
 use crate::reference::scan_spine::scan_spine;
+use crate::reference::tile_list::{LISTED, is_listed, tiles_met};
 use crate::reference::tiles::{touched, touches_by_pixels};
 use crate::reference::types::{Extent, Gaussian, Splat, View};
 
@@ -25,7 +26,9 @@ fn expanded(gpu: &Gpu, frame: &Projected, order: &[u32], view: &View) -> Expande
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
     let spec = Spec { workgroup_size, subgroup_size, items: 4, slots: true };
     let kernel = gpu.kernel::<Interface>(&spec);
-    let counts = ordered(order, &gpu.read::<u32>(&frame.visible_tiles, frame.expected.len()));
+    let lists = ordered(order, &gpu.read::<[u32; 2]>(&frame.tile_lists, frame.expected.len()));
+    let counts: Vec<u32> = lists.iter().copied().map(tiles_met).collect();
+    let [heads, rows] = [0, 1].map(|word| lists.iter().map(|list| list[word]).collect::<Vec<u32>>());
     let mut offsets = counts.clone();
     let instances = scan_spine(&mut offsets) as usize;
 
@@ -40,6 +43,8 @@ fn expanded(gpu: &Gpu, frame: &Projected, order: &[u32], view: &View) -> Expande
         instance_offsets: &offsets,
         mean2d_extent: &frame.mean2d_extent,
         footprints: &frame.footprints,
+        list_heads: &gpu.buffer("list_heads", &heads),
+        list_rows: &gpu.buffer("list_rows", &rows),
         instance_tiles: &tiles,
         instance_visible: &visible,
         slot_begins: &slot_begins,
@@ -120,7 +125,15 @@ fn expand_of_needles() {
             }
         })
         .collect();
-    check(&gpu, &needles, &View { sh_degree: 0, ..view });
+    let view = View { sh_degree: 0, ..view };
+    let lists = {
+        let frame = Projected::new(&gpu, &needles, &view);
+        gpu.read::<[u32; 2]>(&frame.tile_lists, frame.expected.len())
+    };
+    // With and without a list of their tiles, side by side.
+    let listed = lists.iter().filter(|&&list| is_listed(list)).count();
+    assert!((50..lists.len() - 50).contains(&listed), "{listed} of {} are listed", lists.len());
+    check(&gpu, &needles, &view);
 }
 
 /// Many Gaussians without a tile between others, and one with more tiles than a run has instances.
@@ -139,17 +152,13 @@ fn expand_of_many_without_tiles() {
         (0..900).map(|i| small(f64::from(i % 30) * 0.05, if i == 450 { 2.0 } else { -9.0 })).collect();
     let frame = Projected::new(&gpu, &gaussians, &view);
     // As if the ellipses of most met no row of their boxes.
-    let mut tiles = gpu.read::<u32>(&frame.visible_tiles, gaussians.len());
-    let mut footprints = gpu.read::<[u32; 4]>(&frame.footprints, gaussians.len());
-    for i in (0..gaussians.len()).filter(|i| i % 300 != 150) {
-        tiles[i] = 0;
-        footprints[i][3] = 0;
+    let mut lists = gpu.read::<[u32; 2]>(&frame.tile_lists, gaussians.len());
+    for (i, list) in lists.iter_mut().enumerate().filter(|(i, _)| i % 300 != 150) {
+        // As lists of nothing, and as none.
+        *list = [if i % 2 == 0 { LISTED } else { 0 }, 0];
     }
-    let frame = Projected {
-        visible_tiles: gpu.buffer("visible_tiles", &tiles),
-        footprints: gpu.buffer("footprints", &footprints),
-        ..frame
-    };
+    let tiles: Vec<u32> = lists.iter().copied().map(tiles_met).collect();
+    let frame = Projected { tile_lists: gpu.buffer("tile_lists", &lists), ..frame };
     let order: Vec<u32> = (0..gaussians.len() as u32).collect();
     let expanded = expanded(&gpu, &frame, &order, &view);
     let expected: Vec<u32> =

@@ -1,8 +1,9 @@
 //! `forward/project` against its twin.
 
-use crate::common::frame::{Projected, tile_bounds, visible_scene};
+use crate::common::frame::{Projected, tile_bounds, touched_at_most, visible_scene};
 use crate::common::gpu::{Gpu, sizes};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
+use crate::reference::tile_list::{is_listed, listed_tiles, tiles_met};
 use crate::reference::tiles::{half_extent_px, reference_square, touched};
 use crate::reference::types::{Extent, Splat, View};
 
@@ -34,13 +35,24 @@ fn check(gpu: &Gpu, size: usize, view: &View) {
 
 /// How many tiles are counted.
 fn check_tiles(gpu: &Gpu, projected: &Projected, footprints: &[[u32; 4]], view: &View) {
-    let counts = gpu.read::<u32>(&projected.visible_tiles, projected.expected.len());
+    let lists = gpu.read::<[u32; 2]>(&projected.tile_lists, projected.expected.len());
     let (mut counted, mut exact) = (0, 0);
     for (place, splat) in projected.splats(gpu, view).iter().enumerate() {
         let (fewest, most) = tile_bounds(splat, view);
-        let count = counts[place];
+        let count = tiles_met(lists[place]);
         assert!(fewest <= count && count <= most, "{count} not in {fewest}..={most}, {splat:?}");
         assert_eq!(footprints[place][3], count);
+        let within = match view.extent {
+            Extent::Exact => touched_at_most(splat, view),
+            Extent::Reference => touched(splat, view),
+        };
+        if is_listed(lists[place]) {
+            let tiles = listed_tiles(lists[place], view.tiles()[0]);
+            assert_eq!(tiles.len(), count as usize);
+            assert!(tiles.is_sorted_by(|a, b| a < b) && tiles.iter().all(|t| within.contains(t)), "{tiles:?}");
+        } else {
+            assert!(within.len() > 6, "{within:?} would do in a list");
+        }
         counted += count;
         exact += touched(splat, view).len() as u32;
     }

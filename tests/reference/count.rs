@@ -1,6 +1,6 @@
-//! The number of tiles of each Gaussian in depth order, the twin of `forward/count`.
+//! The tiles of each Gaussian in depth order, the twin of `forward/count`.
 
-/// `tiles[order[rank]]` for each rank.
-pub fn ordered(order: &[u32], tiles: &[u32]) -> Vec<u32> {
-    order.iter().map(|&visible| tiles[visible as usize]).collect()
+/// `lists[order[rank]]` for each rank.
+pub fn ordered<T: Copy>(order: &[u32], lists: &[T]) -> Vec<T> {
+    order.iter().map(|&visible| lists[visible as usize]).collect()
 }

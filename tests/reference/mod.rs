@@ -50,5 +50,6 @@ pub mod ssim_backward;
 pub mod ssim_backward_sweep;
 pub mod ssim_forward;
 pub mod ssim_forward_sweep;
+pub mod tile_list;
 pub mod tiles;
 pub mod types;
