@@ -19,7 +19,7 @@ use crate::kernels::constants::{
     ARGUMENTS_COUNT, GRADIENT_PLANES, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2, SH_PLANES_3,
     SPLAT_PLANES, STATE_WORDS, TILE_SIZE,
 };
-use crate::vk::{Buffer, Limits, PLACEMENT_ALIGNMENT, SMALLEST_BUFFER};
+use crate::vk::{Buffer, Limits, pack};
 
 /// `ceil(n / d)`.
 pub const fn blocks(n: u64, d: u64) -> u64 {
@@ -356,8 +356,8 @@ pub fn max_trained_gaussians(limits: &Limits) -> u32 {
 
 /// Bytes of all buffers of a frame, with the padding between them.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &Blocks) -> u64 {
-    let padded = |bytes: u64| bytes.max(SMALLEST_BUFFER).next_multiple_of(PLACEMENT_ALIGNMENT);
-    frame_requests(capacity, block).iter().map(|(_, bytes)| padded(*bytes)).sum()
+    let sizes: Vec<u64> = frame_requests(capacity, block).iter().map(|(_, bytes)| *bytes).collect();
+    pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
 }
 
 /// The attributes of the visible, as bindings: see splat_record.glsl.

@@ -26,6 +26,14 @@ pub const PLACEMENT_ALIGNMENT: u64 = 256;
 /// No buffer is smaller.
 pub const SMALLEST_BUFFER: u64 = 16;
 
+/// Buffers whose sizes are multiples of this would all begin in the same sets of a processor's caches, which a sort's
+/// scattered keys and values then contend for: 1.45 times the time at 2^22 pairs.
+const CACHE_WAY: u64 = 64 << 10;
+/// From this size it matters, bytes.
+const STAGGERED: u64 = 1 << 20;
+/// So the next one begins this much later, bytes: further than the keys of one digit stray from their expected place.
+const STAGGER: u64 = 33 * PLACEMENT_ALIGNMENT;
+
 /// Where each request lies.
 #[derive(Debug, PartialEq)]
 pub struct Packing {
@@ -41,12 +49,14 @@ pub struct Packing {
 /// The index of the first request that is larger than a block.
 pub fn pack(sizes: &[u64], largest_block: u64) -> Result<Packing, usize> {
     let mut packing = Packing { blocks: Vec::new(), places: Vec::with_capacity(sizes.len()) };
+    let mut stagger = 0;
     for (index, &bytes) in sizes.iter().enumerate() {
         let bytes = bytes.max(SMALLEST_BUFFER).next_multiple_of(4);
         if bytes > largest_block {
             return Err(index);
         }
-        let used = packing.blocks.last().map(|b| b.next_multiple_of(PLACEMENT_ALIGNMENT));
+        let used = packing.blocks.last().map(|b| b.next_multiple_of(PLACEMENT_ALIGNMENT) + stagger);
+        stagger = if bytes >= STAGGERED && bytes.is_multiple_of(CACHE_WAY) { STAGGER } else { 0 };
         match used {
             Some(used) if used + bytes <= largest_block => {
                 packing.places.push((packing.blocks.len() - 1, used));

@@ -14,6 +14,20 @@ fn requests_are_packed_in_order_without_overlap() {
     assert_eq!(packing.blocks, [784]);
 }
 
+/// So that equal large buffers do not begin in the same sets of a cache.
+#[test]
+fn large_buffers_of_round_sizes_are_staggered() {
+    const LARGE: u64 = 1 << 20;
+    let packing = pack(&[LARGE, LARGE, LARGE + 256, LARGE / 2, LARGE / 2, 16], u64::MAX).expect("fits");
+    let begins: Vec<u64> = packing.places.iter().map(|&(_, begin)| begin).collect();
+    let third = 2 * (LARGE + 8448);
+    let fourth = third + LARGE + 256;
+    assert_eq!(begins, [0, LARGE + 8448, third, fourth, fourth + LARGE / 2, fourth + LARGE]);
+    assert_eq!(packing.blocks, [fourth + LARGE + 16]);
+    // Where that would not fit, another block.
+    assert_eq!(pack(&[LARGE, 16], LARGE + 8000).expect("fits").places, [(0, 0), (1, 0)]);
+}
+
 #[test]
 fn a_full_block_is_followed_by_another() {
     let packing = pack(&[600, 300, 200, 1000], 1000).expect("fits");
