@@ -114,6 +114,8 @@ impl Traffic {
             ("planes", _) => self.planes(command.name, counts),
             // Off in what is measured: densification's statistics and the inverse depth.
             ("statistics" | "inverse_depth", _) => Some(0),
+            // Expansion reads attributes only of Gaussians with more tiles than a list holds.
+            _ if command.name == "forward/expand" && SPLAT_ROLES.contains(&buffer.role) => Some(0),
             // One buffer may be bound to several of these.
             _ if SPLAT_ROLES.contains(&buffer.role) => Some(u64::from(counts.visible) * VEC4),
             ("visible_flags" | "visible_blocks" | "visible_index", _) => self.all.get(buffer.name).copied(),
