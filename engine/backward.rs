@@ -68,6 +68,7 @@ macro_rules! blend_backward_arguments {
             max_entries: $pass.max_entries,
             first_instance: $pass.first_instance,
             max_instances: $pass.max_instances,
+            row_strands: $pass.row_strands,
             background: $inputs.settings.background,
             splat_stride: $pass.splat_stride,
         };

@@ -173,6 +173,7 @@ pub(crate) fn record_passes(
             } else {
                 sizes.instances_per_dispatch
             },
+            row_strands: sizes.row_strands,
             last_pass: (pass + 1 == passes).into(),
             splat_stride: inputs.frame.splats().stride,
             background: inputs.settings.background,

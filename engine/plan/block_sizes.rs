@@ -48,6 +48,9 @@ pub struct Blocks {
     pub blend_backward_alone: bool,
     /// Invocations of a tile's workgroup that blends from shared memory: at most one per pixel, or per column of them.
     pub tile_shared: u32,
+    /// Strands that the rows of tiles are dealt to, which consecutive workgroups take one after the other
+    /// (tile_order.glsl); a power of two.
+    pub row_strands: u32,
     /// Whether opacities follow from one another along a column of pixels instead of an exponential each.
     pub column_chain: bool,
     /// Invocations of the loss' workgroups.
@@ -112,6 +115,7 @@ impl Blocks {
             blend_backward_alone: whole_tiles,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
             tile_shared: stream.min(if limits.is_cpu { CHAINED_COLUMNS } else { TILE_SIZE * TILE_SIZE }),
+            row_strands: if limits.is_cpu { 16 } else { 1 },
             // A processor computes exp2 by some twenty instructions, a GPU by one.
             column_chain: limits.is_cpu,
             loss: limits.workgroup_size(size(

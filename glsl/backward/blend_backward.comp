@@ -89,7 +89,7 @@ void store_sums(uint base, Sums s) {
 }
 
 void main() {
-    uint tile = linear_workgroup();
+    uint tile = tile_of(linear_workgroup());
     bool tile_exists = tile < tile_count;
     uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);
     tile_exists = tile_exists && is_due(range);

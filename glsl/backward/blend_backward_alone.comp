@@ -83,7 +83,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
 }
 
 void main() {
-    uint tile = linear_workgroup();
+    uint tile = tile_of(linear_workgroup());
     if (tile >= tile_count) {
         return;
     }

@@ -105,7 +105,7 @@ void store_region(uvec2 corner, Pixel pixels[MAX_PIXELS], bool more) {
 }
 
 void main() {
-    uint tile = linear_workgroup();
+    uint tile = tile_of(linear_workgroup());
     if (tile >= tile_count) {
         return;
     }

@@ -64,7 +64,7 @@ uvec2 pixel_of(uint k) {
 }
 
 void main() {
-    uint tile = linear_workgroup();
+    uint tile = tile_of(linear_workgroup());
     bool tile_exists = tile < tile_count;
     uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);
     tile_exists = tile_exists && is_due(range);

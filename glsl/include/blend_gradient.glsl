@@ -35,12 +35,14 @@ layout(push_constant, scalar) uniform Push {
     // See blend_io.glsl.
     uint first_instance;
     uint max_instances;
+    uint row_strands;
     vec3 background;
     uint splat_stride;
 };
 
 #include "splat_record.glsl"
 #include "tile_due.glsl"
+#include "tile_order.glsl"
 #include "strips.glsl"
 #include "tile_region.glsl"
 #include "blending.glsl"

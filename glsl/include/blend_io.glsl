@@ -27,6 +27,8 @@ layout(push_constant, scalar) uniform Push {
     // This dispatch handles the tiles whose instances begin at [first_instance, first_instance + max_instances).
     uint first_instance;
     uint max_instances;
+    // See tile_order.glsl.
+    uint row_strands;
     // No pass follows: a tile with more entries than this one reaches leaves the frame invalid (STATE_OVERFLOW).
     uint last_pass;
     uint splat_stride;
@@ -36,6 +38,7 @@ layout(push_constant, scalar) uniform Push {
 
 #include "splat_record.glsl"
 #include "tile_due.glsl"
+#include "tile_order.glsl"
 #include "strips.glsl"
 
 // Notes the longest tile, and tiles that the passes do not reach the end of.

@@ -66,6 +66,7 @@ macro_rules! blend_lists {
                     max_entries: entries_per_pass,
                     first_instance,
                     max_instances,
+                    row_strands: ROW_STRANDS,
                     last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
                     splat_stride: 1,
                     background: lists.view.background.map(|x| x as f32),
@@ -214,6 +215,7 @@ macro_rules! backward_of_lists {
                     max_entries: entries_per_pass,
                     first_instance,
                     max_instances,
+                    row_strands: ROW_STRANDS,
                     background: lists.view.background.map(|x| x as f32),
                     splat_stride: 1,
                 };
@@ -253,6 +255,9 @@ pub fn backward_alone(
 ) -> SlotSums {
     backward_of_lists!(blend_backward_alone, gpu, lists, blended, gradient, how, gpu.subgroup())
 }
+
+/// Strands that rows of tiles are dealt to.
+const ROW_STRANDS: u32 = 4;
 
 fn passes(lists: &Lists, entries_per_pass: u32) -> u32 {
     let longest = lists.lists.iter().map(Vec::len).max().unwrap_or(0) as u32;

@@ -239,6 +239,7 @@ fn blend_reports_tiles_that_no_pass_finishes() {
             max_entries,
             first_instance: 0,
             max_instances: u32::MAX,
+            row_strands: 2,
             last_pass,
             splat_stride: 1,
             background: [0.0; 3],

@@ -42,10 +42,16 @@ fn count_equals_its_twin() {
             block_sums: &block_sums,
         };
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &Push::default(), (size / block) as u64 + 1));
-        let [heads, rows] = [0, 1].map(|word| lists_in_order.iter().map(|list| list[word]).collect::<Vec<_>>());
+        let [heads, rows] =
+            [0, 1].map(|word| lists_in_order.iter().map(|list| list[word]).collect::<Vec<_>>());
         for (buffer, expected) in [(&tile_counts, &expected), (&list_heads, &heads), (&list_rows, &rows)] {
             let actual = gpu.read::<u32>(buffer, size + 2);
-            assert_eq!(actual, [expected.as_slice(), &[UNTOUCHED; 2]].concat(), "{}, size {size}", buffer.name());
+            assert_eq!(
+                actual,
+                [expected.as_slice(), &[UNTOUCHED; 2]].concat(),
+                "{}, size {size}",
+                buffer.name()
+            );
         }
         let actual = gpu.read::<u32>(&block_sums, sums.len() + 1);
         assert_eq!(actual, [sums.as_slice(), &[UNTOUCHED]].concat(), "size {size}");

@@ -49,7 +49,10 @@ fn check_tiles(gpu: &Gpu, projected: &Projected, footprints: &[[u32; 4]], view: 
         if is_listed(lists[place]) {
             let tiles = listed_tiles(lists[place], view.tiles()[0]);
             assert_eq!(tiles.len(), count as usize);
-            assert!(tiles.is_sorted_by(|a, b| a < b) && tiles.iter().all(|t| within.contains(t)), "{tiles:?}");
+            assert!(
+                tiles.is_sorted_by(|a, b| a < b) && tiles.iter().all(|t| within.contains(t)),
+                "{tiles:?}"
+            );
         } else {
             assert!(within.len() > 6, "{within:?} would do in a list");
         }
