@@ -247,9 +247,8 @@ impl Backward {
                 camera_position: inputs.camera.position().to_array(),
                 first: range.first,
                 count: range.count,
-                stride: inputs.scene.plan.stride,
                 gradient_stride: inputs.capacity.gaussians,
-                planes: inputs.scene.plan.planes,
+                layout_word: inputs.scene.plan.layout_word(),
             };
             r.dispatch(kernel, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
         }

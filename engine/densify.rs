@@ -141,7 +141,6 @@ impl Densify {
                 let push = decide::Push {
                     first: range.first,
                     count: range.count,
-                    stride: scene.plan.stride,
                     blocks: all_blocks,
                     gradient_threshold: settings.gradient_threshold,
                     clone_scale: settings.clone_scale,
@@ -209,11 +208,10 @@ impl Densify {
                 let push = gather::Push {
                     from_first: source.first,
                     from_count: source.count,
-                    from_stride: from.plan.stride,
+                    from_layout: from.plan.layout_word(),
                     to_first: target.first,
                     to_count: target.count,
-                    to_stride: to.plan.stride,
-                    planes: from.plan.planes,
+                    to_layout: to.plan.layout_word(),
                     noise_stride: key.explicit.map_or(0, |noise| noise.stride),
                     seed: key.seed,
                     iteration: key.iteration,
@@ -233,7 +231,7 @@ impl Densify {
                     moments_1: &moments.first[range.chunk],
                     moments_2: &moments.second[range.chunk],
                 };
-                let push = reset_opacity::Push { count: range.count, stride: scene.plan.stride, max_logit };
+                let push = reset_opacity::Push { count: range.count, max_logit };
                 r.dispatch(&self.reset, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
             }
         });

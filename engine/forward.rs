@@ -225,7 +225,7 @@ impl Forward {
                     blocks: culled_blocks,
                     first_block: placed.first / self.sizes.stream,
                     own_blocks: placed.scene.count.div_ceil(self.sizes.stream),
-                    blocks_per_range: plan.stride / self.sizes.stream,
+                    blocks_per_range: plan.chunk_gaussians / self.sizes.stream,
                     block_stream: self.sizes.stream,
                     max_workgroups_per_axis: self.context.limits().max_workgroups_per_axis,
                 },

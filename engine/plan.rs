@@ -16,8 +16,8 @@ use block_sizes::STREAM_WORKGROUP;
 
 use crate::error::{Error, Result};
 use crate::kernels::constants::{
-    ARGUMENTS_COUNT, GRADIENT_PLANES, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2, SH_PLANES_3,
-    SPLAT_PLANES, STATE_WORDS, TILE_SIZE,
+    ARGUMENTS_COUNT, GRADIENT_PLANES, PLANE_ROW, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2,
+    SH_PLANES_3, SPLAT_PLANES, STATE_WORDS, TILE_SIZE,
 };
 use crate::vk::{Buffer, Limits, pack};
 
@@ -57,8 +57,8 @@ pub struct ScenePlan {
     pub sh_degree: u32,
     /// vec4 planes per Gaussian.
     pub planes: u32,
-    /// Gaussians of one chunk: the stride of its planes. A multiple of every block size.
-    pub stride: u32,
+    /// Gaussians that one chunk holds. A multiple of every block size.
+    pub chunk_gaussians: u32,
     /// Number of chunks.
     pub chunks: u32,
 }
@@ -85,23 +85,40 @@ impl ScenePlan {
         let largest =
             limits.max_storage_buffer_range.min(limits.max_allocation_bytes) / bytes_per_gaussian / align;
         let wanted = blocks(u64::from(capacity).max(1), align);
-        let stride = wanted.min(largest.max(1)) * align;
-        let chunks = blocks(u64::from(capacity).max(1), stride);
-        Ok(Self { capacity, sh_degree, planes, stride: to_u32(stride)?, chunks: to_u32(chunks)? })
+        let chunk_gaussians = wanted.min(largest.max(1)) * align;
+        let chunks = to_u32(blocks(u64::from(capacity).max(1), chunk_gaussians))?;
+        Ok(Self { capacity, sh_degree, planes, chunk_gaussians: to_u32(chunk_gaussians)?, chunks })
     }
 
     /// Bytes of one chunk.
     pub fn chunk_bytes(&self) -> u64 {
-        u64::from(self.stride) * u64::from(self.planes) * 16
+        u64::from(self.chunk_gaussians) * u64::from(self.planes) * 16
+    }
+
+    /// Where plane `plane` of the `index`-th Gaussian of a chunk lies in it, in vec4: in rows of eight Gaussians, first the
+    /// three planes of geometry of all of them, `(index / 8 * 3 + plane) * 8 + index % 8`, then those of SH.
+    pub fn place(&self, plane: u32, index: usize) -> usize {
+        let row = PLANE_ROW as usize;
+        let (first, own, planes) = match plane.checked_sub(PLANE_SH) {
+            None => (0, plane, PLANE_SH),
+            Some(own) => (PLANE_SH as usize * self.chunk_gaussians as usize, own, self.planes - PLANE_SH),
+        };
+        first + (index / row * planes as usize + own as usize) * row + index % row
+    }
+
+    /// The same for planes.glsl: [`Self::chunk_gaussians`], and in its lowest byte, which is free, the planes of SH.
+    pub fn layout_word(&self) -> u32 {
+        const { assert!(STREAM_WORKGROUP.is_multiple_of(256)) };
+        self.chunk_gaussians | (self.planes - PLANE_SH)
     }
 
     /// The chunks that `count` Gaussians occupy.
     pub fn ranges(&self, count: u32) -> impl Iterator<Item = GaussianRange> + use<> {
-        let stride = self.stride;
-        (0..count.div_ceil(stride)).map(move |chunk| GaussianRange {
+        let own = self.chunk_gaussians;
+        (0..count.div_ceil(own)).map(move |chunk| GaussianRange {
             chunk: chunk as usize,
-            first: chunk * stride,
-            count: (count - chunk * stride).min(stride),
+            first: chunk * own,
+            count: (count - chunk * own).min(own),
         })
     }
 }

@@ -49,7 +49,7 @@ pub fn fill(context: &Context, scene: &SceneBuffers, gaussians: &Gaussians) -> R
     }
     for range in scene.plan.ranges(scene.count) {
         let (first, end) = (range.first as usize, (range.first + range.count) as usize);
-        let words = pack(gaussians, first..end, &scene.plan);
+        let words = pack(gaussians, first..end, &scene.plan, 0);
         context.upload(&scene.chunks[range.chunk], bytemuck::cast_slice(&words))?;
     }
     Ok(())
@@ -76,29 +76,35 @@ pub fn download(context: &Context, scene: &SceneBuffers) -> Result<Gaussians> {
     Ok(out)
 }
 
-pub(crate) fn pack(g: &Gaussians, range: std::ops::Range<usize>, plan: &ScenePlan) -> Vec<[f32; 4]> {
-    let stride = plan.stride as usize;
-    let mut planes = vec![[0.0f32; 4]; stride * plan.planes as usize];
-    let plane = |p: u32, i: usize| p as usize * stride + i;
-    let first = range.start;
-    for source in range {
-        let i = source - first;
+/// The chunk of a plan with the Gaussians of `range` in it, from the `begin`-th on; the others are zero.
+pub(crate) fn pack(
+    g: &Gaussians,
+    range: std::ops::Range<usize>,
+    plan: &ScenePlan,
+    begin: usize,
+) -> Vec<[f32; 4]> {
+    let mut planes = vec![[0.0f32; 4]; plan.chunk_gaussians as usize * plan.planes as usize];
+    let stored = sh_coefficients(plan.sh_degree);
+    for (i, source) in (begin..).zip(range) {
+        let mut put = |plane: u32, values| planes[plan.place(plane, i)] = values;
         let [x, y, z] = g.means[source];
-        planes[plane(c::PLANE_MEAN_OPACITY, i)] = [x, y, z, g.opacity_logits[source]];
-        planes[plane(c::PLANE_QUAT, i)] = g.quats[source];
+        put(c::PLANE_MEAN_OPACITY, [x, y, z, g.opacity_logits[source]]);
+        put(c::PLANE_QUAT, g.quats[source]);
         let [x, y, z] = g.log_scales[source];
-        planes[plane(c::PLANE_LOG_SCALE, i)] = [x, y, z, 0.0];
-        let stored = sh_coefficients(plan.sh_degree);
-        for (float, &value) in g.sh_of(source).iter().take(stored).flatten().enumerate() {
-            planes[plane(c::PLANE_SH + float as u32 / 4, i)][float % 4] = value;
+        put(c::PLANE_LOG_SCALE, [x, y, z, 0.0]);
+        let sh = &g.sh_of(source);
+        let floats = sh[..stored.min(sh.len())].as_flattened();
+        for (plane, floats) in (c::PLANE_SH..).zip(floats.chunks(4)) {
+            let mut values = [0.0; 4];
+            values[..floats.len()].copy_from_slice(floats);
+            put(plane, values);
         }
     }
     planes
 }
 
 fn unpack(planes: &[[f32; 4]], count: usize, plan: &ScenePlan, out: &mut Gaussians) {
-    let stride = plan.stride as usize;
-    let at = |p: u32, i: usize| planes[p as usize * stride + i];
+    let at = |p: u32, i: usize| planes[plan.place(p, i)];
     let k = sh_coefficients(plan.sh_degree);
     for i in 0..count {
         let [x, y, z, opacity] = at(c::PLANE_MEAN_OPACITY, i);

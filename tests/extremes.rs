@@ -153,13 +153,9 @@ fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
     use ashsplat::vk::{Kernel, MemoryKind};
     const ROWS: u32 = 256;
     let context = Context::new(&ContextOptions { guard_bands: true, ..options() }).expect("a device");
-    let (rows, stride) = (u64::from(ROWS), 2 * ROWS);
-    let requests = [
-        ("parameters", 16 * 15 * u64::from(stride)),
-        ("statistics", 8 * u64::from(stride)),
-        ("decisions", 4 * rows),
-        ("blocks", 4096),
-    ];
+    let (rows, room) = (u64::from(ROWS), 2 * u64::from(ROWS));
+    let requests =
+        [("parameters", 16 * 15 * room), ("statistics", 8 * room), ("decisions", 4 * rows), ("blocks", 4096)];
     let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
     let [parameters, statistics, decisions, block_counts] = &buffers[..] else { unreachable!("four") };
     let limits = context.limits();
@@ -170,7 +166,6 @@ fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
         let push = decide::Push {
             first: 0,
             count,
-            stride,
             blocks: count.div_ceil(spec.workgroup_size),
             gradient_threshold: 1.0,
             clone_scale: 1.0,

@@ -1,7 +1,7 @@
 //! Lowered limits and little memory: the same picture and the same training, or an error that names the numbers.
 
 use ashsplat::io::Photo;
-use ashsplat::plan::{Blocks, FrameCapacity, frame_requests};
+use ashsplat::plan::{Blocks, FrameCapacity, ScenePlan, frame_requests};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::trainer::{Checkpoint, TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
@@ -410,5 +410,22 @@ fn memory_budget_is_trainings_whoever_looks_on() {
         let (looked_at, also_limited, most, seen) = train(bytes, true);
         assert!(looked_at == alone && also_limited == limited, "{share} %: looking on changes what is grown");
         assert!(Some(most) <= bytes && seen == 10, "{share} %: {most} bytes, {seen} pictures");
+    }
+}
+
+/// Every vec4 of a chunk belongs to one plane of one Gaussian, and a row of a plane lies together.
+#[test]
+fn limits_of_a_chunk_hold_every_plane_once() {
+    let gpu = Gpu::new();
+    for (sh_degree, planes) in [(0, 4), (1, 6), (2, 10), (3, 15)] {
+        let plan = ScenePlan::new(gpu.context.limits(), 700, sh_degree).expect("a plan");
+        assert_eq!((plan.chunk_gaussians, plan.planes, plan.layout_word()), (768, planes, 768 + planes - 3));
+        let mut owners = vec![0; 768 * planes as usize];
+        for (plane, index) in (0..planes).flat_map(|plane| (0..768).map(move |index| (plane, index))) {
+            let place = plan.place(plane, index);
+            owners[place] += 1;
+            assert_eq!(place - plan.place(plane, index - index % 8), index % 8);
+        }
+        assert!(owners.iter().all(|&count| count == 1), "{plan:?}");
     }
 }

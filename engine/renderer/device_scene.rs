@@ -9,8 +9,8 @@ use crate::vk::{Buffer, Context};
 
 /// Gaussians on the device, for [`super::Renderer::record`]: any number of them make up a frame.
 ///
-/// The parameters lie in chunks, one buffer each, as vec4 planes (`PLANE_*` in `glsl/include/constants.glsl`): plane p of
-/// Gaussian i of a chunk lies at `p * stride + i`; [`ScenePlan`] says how many chunks, planes and Gaussians.
+/// The parameters lie in chunks, one buffer each, as vec4 planes (`PLANE_*` in `glsl/include/constants.glsl`) in rows of
+/// eight Gaussians: [`ScenePlan::place`] says where, the plan's fields how many chunks, planes and Gaussians.
 #[derive(Clone)]
 pub struct DeviceScene {
     context: Context,

@@ -2,10 +2,12 @@
 
 use super::device_scene::DeviceScene;
 use crate::error::Result;
+use crate::kernels::constants::{PLANE_ROW, PLANE_SH};
 use crate::plan::ScenePlan;
 use crate::planes;
 use crate::scene::Gaussians;
 use crate::vk::{Buffer, Recorder};
+use std::ops::Range;
 
 /// New parameters for some of a scene's Gaussians, copied before the frame is rendered.
 #[derive(Clone, Copy)]
@@ -80,7 +82,7 @@ pub(super) fn record_copies(r: &mut Recorder, staged: &[Staged]) {
     });
 }
 
-/// A run of vec4s in one plane of one chunk.
+/// A run of vec4s of one chunk.
 struct Piece {
     chunk: usize,
     /// Bytes from the chunk's start.
@@ -93,20 +95,46 @@ fn pieces(update: &Update<'_>, plan: &ScenePlan) -> Vec<Piece> {
     let (first, end) = (update.first, update.first + update.gaussians.len() as u32);
     let mut pieces = Vec::new();
     for range in plan.ranges(end) {
-        let begin = first.max(range.first);
-        let stop = range.first + range.count;
+        let (begin, stop) = (first.max(range.first), range.first + range.count);
         if begin >= stop {
             continue;
         }
-        let count = stop - begin;
-        // Packed as if they were a scene of their own: plane behind plane.
-        let own = ScenePlan { stride: count, ..*plan };
-        let words = planes::pack(update.gaussians, (begin - first) as usize..(stop - first) as usize, &own);
-        pieces.extend(words.chunks(count as usize).enumerate().map(|(plane, words)| Piece {
-            chunk: range.chunk,
-            offset: 16 * (plane as u64 * u64::from(plan.stride) + u64::from(begin - range.first)),
-            words: words.to_vec(),
-        }));
+        let own = (begin - first) as usize..(stop - first) as usize;
+        // Packed as if the rows that they touch were a chunk of their own.
+        let (begin, stop) = (begin - range.first, stop - range.first);
+        let rows = begin / PLANE_ROW..stop.div_ceil(PLANE_ROW);
+        let skipped = rows.start * PLANE_ROW;
+        let packed_plan = ScenePlan { chunk_gaussians: (rows.end - rows.start) * PLANE_ROW, ..*plan };
+        let packed = planes::pack(update.gaussians, own, &packed_plan, (begin - skipped) as usize);
+        for (at, run) in runs(plan, &packed_plan, rows, (begin, stop)) {
+            let words = packed[run].to_vec();
+            pieces.push(Piece { chunk: range.chunk, offset: 16 * at as u64, words });
+        }
     }
     pieces
+}
+
+/// Where Gaussians `begin` to `stop` of a chunk lie in it, and where in a chunk of nothing but their rows.
+fn runs(
+    plan: &ScenePlan,
+    packed: &ScenePlan,
+    rows: Range<u32>,
+    (begin, stop): (u32, u32),
+) -> Vec<(usize, Range<usize>)> {
+    let mut runs: Vec<(usize, Range<usize>)> = Vec::new();
+    for planes in [0..PLANE_SH, PLANE_SH..plan.planes] {
+        for row in rows.clone() {
+            let from = begin.max(row * PLANE_ROW);
+            let count = (stop.min((row + 1) * PLANE_ROW) - from) as usize;
+            for plane in planes.clone() {
+                let at = plan.place(plane, from as usize);
+                let own = packed.place(plane, (from - rows.start * PLANE_ROW) as usize);
+                match runs.last_mut() {
+                    Some((begun, run)) if *begun + run.len() == at && run.end == own => run.end += count,
+                    _ => runs.push((at, own..own + count)),
+                }
+            }
+        }
+    }
+    runs
 }

@@ -26,13 +26,13 @@ layout(push_constant, scalar) uniform Push {
     vec3 camera_position;
     uint first;
     uint count;
-    uint stride;
     uint gradient_stride;
-    // Planes of the stored degree, which may be above the active one.
-    uint planes;
+    // Of the stored degree, which may be above the active one.
+    uint layout_word;
 };
 
 #include "dispatch.glsl"
+#include "planes.glsl"
 #include "sh.glsl"
 #include "sh_gradient.glsl"
 
@@ -48,18 +48,19 @@ void main() {
     vec4 quat = gradients[GRADIENT_QUAT * gradient_stride + row];
     vec4 log_scale_x = gradients[GRADIENT_LOG_SCALE * gradient_stride + row];
     vec4 color_y = gradients[GRADIENT_COLOR * gradient_stride + row];
-    vec3 mean = parameters[PLANE_MEAN_OPACITY * stride + index].xyz;
+    uint own = geometry_at(index), sh_own = sh_at(index, layout_word);
+    vec3 mean = parameters[own + PLANE_MEAN_OPACITY * PLANE_ROW].xyz;
     float basis[16];
     sh_basis(normalize(mean - camera_position), basis);
 
-    parameter_gradients[PLANE_MEAN_OPACITY * stride + index] = seen ? mean_opacity : vec4(0.0);
-    parameter_gradients[PLANE_QUAT * stride + index] = seen ? quat : vec4(0.0);
-    parameter_gradients[PLANE_LOG_SCALE * stride + index] = seen ? vec4(log_scale_x.xyz, 0.0) : vec4(0.0);
+    parameter_gradients[own + PLANE_MEAN_OPACITY * PLANE_ROW] = seen ? mean_opacity : vec4(0.0);
+    parameter_gradients[own + PLANE_QUAT * PLANE_ROW] = seen ? quat : vec4(0.0);
+    parameter_gradients[own + PLANE_LOG_SCALE * PLANE_ROW] = seen ? vec4(log_scale_x.xyz, 0.0) : vec4(0.0);
     mean2d_gradients[first + index] = seen ? vec2(log_scale_x.w, color_y.w) : vec2(0.0);
     [[unroll]] for (uint plane = 0; plane < SH_PLANES_3; ++plane) {
         vec4 g = plane < SH_PLANES ? sh_plane_gradient(plane, basis, color_y.xyz) : vec4(0.0);
-        if (PLANE_SH + plane < planes) {
-            parameter_gradients[(PLANE_SH + plane) * stride + index] = seen ? g : vec4(0.0);
+        if (plane < stored_sh_planes(layout_word)) {
+            parameter_gradients[sh_own + plane * PLANE_ROW] = seen ? g : vec4(0.0);
         }
     }
 }

@@ -45,6 +45,7 @@ UVEC4_READS(11, VisibleRanges, visible_ranges);
 
 #include "camera_push.glsl"
 #include "dispatch.glsl"
+#include "planes.glsl"
 #include "splat_record.glsl"
 #include "subgroup.glsl"
 #include "tile_span.glsl"
@@ -143,9 +144,10 @@ void main() {
     slots = state[STATE_OVERFLOW] != 0 ? 0 : slots;
     Sums sums = sum_slots(begin, slots, exists);
 
-    vec4 mean_opacity = VEC4_AT(parameters, PLANE_MEAN_OPACITY * stride + index);
-    vec4 quat = VEC4_AT(parameters, PLANE_QUAT * stride + index);
-    vec4 log_scale = VEC4_AT(parameters, PLANE_LOG_SCALE * stride + index);
+    uint own = geometry_at(index);
+    vec4 mean_opacity = VEC4_AT(parameters, own + PLANE_MEAN_OPACITY * PLANE_ROW);
+    vec4 quat = VEC4_AT(parameters, own + PLANE_QUAT * PLANE_ROW);
+    vec4 log_scale = VEC4_AT(parameters, own + PLANE_LOG_SCALE * PLANE_ROW);
     vec4 conic = VEC4_AT(conic_opacity, splat_at(slot_visible, SPLAT_CONIC_OPACITY));
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
 
@@ -198,7 +200,7 @@ void main() {
     vec3 derivative[16];
     sh_basis_derivative(direction, derivative);
     vec3 sh[16];
-    sh_coefficients(index, sh);
+    sh_coefficients(sh_at(index, layout_word), sh);
     vec3 color = vec3(0.5);
     for (uint k = 0; k < 16; ++k) {
         color += basis[k] * sh[k];

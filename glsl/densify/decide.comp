@@ -26,7 +26,6 @@ layout(set = 0, binding = 3, scalar) writeonly buffer BlockCounts { uint block_c
 layout(push_constant, scalar) uniform Push {
     uint first;
     uint count;
-    uint stride;
     uint blocks;
     float gradient_threshold;
     // Largest scale that is cloned rather than split, world units.
@@ -37,14 +36,16 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
+#include "planes.glsl"
 #include "workgroup_scan.glsl"
 
 void main() {
     uint local = linear_invocation();
     bool exists = local < count;
     uint index = exists ? local : 0;
-    float opacity = 1.0 / (1.0 + exp(-parameters[PLANE_MEAN_OPACITY * stride + index].w));
-    vec3 scale = exp(parameters[PLANE_LOG_SCALE * stride + index].xyz);
+    uint own = geometry_at(index);
+    float opacity = 1.0 / (1.0 + exp(-parameters[own + PLANE_MEAN_OPACITY * PLANE_ROW].w));
+    vec3 scale = exp(parameters[own + PLANE_LOG_SCALE * PLANE_ROW].xyz);
     float largest = max(scale.x, max(scale.y, scale.z));
     vec2 statistic = statistics[first + index];
     float gradient = statistic.y > 0.0 ? statistic.x / statistic.y : 0.0;

@@ -25,17 +25,17 @@ layout(set = 0, binding = 3, scalar) readonly buffer Noise { vec3 noise[]; };
 layout(push_constant, scalar) uniform Push {
     uint from_first;
     uint from_count;
-    uint from_stride;
+    uint from_layout;
     uint to_first;
     uint to_count;
-    uint to_stride;
-    uint planes;
+    uint to_layout;
     uint noise_stride;
     uint seed;
     uint iteration;
 };
 
 #include "dispatch.glsl"
+#include "planes.glsl"
 #include "random.glsl"
 
 // log 1.6: halves of a split are smaller by this factor.
@@ -59,16 +59,22 @@ void main() {
     if (index >= from_count) {
         return;
     }
+    uint source_at = geometry_at(index), own = geometry_at(row);
+    uint source_sh = sh_at(index, from_layout), own_sh = sh_at(row, to_layout), sh_planes = stored_sh_planes(to_layout);
     bool split = kind == KIND_SPLIT_0 || kind == KIND_SPLIT_1;
     if (MOMENTS) {
-        for (uint plane = 0; plane < planes; ++plane) {
-            vec4 value = from[plane * from_stride + index];
-            to[plane * to_stride + row] = kind == KIND_KEPT ? value : vec4(0.0);
+        for (uint plane = 0; plane < PLANE_SH; ++plane) {
+            vec4 value = from[source_at + plane * PLANE_ROW];
+            to[own + plane * PLANE_ROW] = kind == KIND_KEPT ? value : vec4(0.0);
+        }
+        for (uint plane = 0; plane < sh_planes; ++plane) {
+            vec4 value = from[source_sh + plane * PLANE_ROW];
+            to[own_sh + plane * PLANE_ROW] = kind == KIND_KEPT ? value : vec4(0.0);
         }
     } else {
-        vec4 mean_opacity = from[PLANE_MEAN_OPACITY * from_stride + index];
-        vec4 quat = from[PLANE_QUAT * from_stride + index];
-        vec4 log_scale = from[PLANE_LOG_SCALE * from_stride + index];
+        vec4 mean_opacity = from[source_at + PLANE_MEAN_OPACITY * PLANE_ROW];
+        vec4 quat = from[source_at + PLANE_QUAT * PLANE_ROW];
+        vec4 log_scale = from[source_at + PLANE_LOG_SCALE * PLANE_ROW];
         uint child = kind == KIND_SPLIT_1 ? 1 : 0;
         vec3 normal = EXPLICIT_NOISE ? noise[child * noise_stride + gaussian]
                                      : random_normal(uvec4(seed, iteration, gaussian, child));
@@ -76,11 +82,11 @@ void main() {
             mean_opacity.xyz += rotate(quat, normal * exp(log_scale.xyz));
             log_scale.xyz -= LOG_SPLIT;
         }
-        to[PLANE_MEAN_OPACITY * to_stride + row] = mean_opacity;
-        to[PLANE_QUAT * to_stride + row] = quat;
-        to[PLANE_LOG_SCALE * to_stride + row] = log_scale;
-        for (uint plane = PLANE_SH; plane < planes; ++plane) {
-            to[plane * to_stride + row] = from[plane * from_stride + index];
+        to[own + PLANE_MEAN_OPACITY * PLANE_ROW] = mean_opacity;
+        to[own + PLANE_QUAT * PLANE_ROW] = quat;
+        to[own + PLANE_LOG_SCALE * PLANE_ROW] = log_scale;
+        for (uint plane = 0; plane < sh_planes; ++plane) {
+            to[own_sh + plane * PLANE_ROW] = from[source_sh + plane * PLANE_ROW];
         }
     }
 }

@@ -18,19 +18,19 @@ layout(set = 0, binding = 2, scalar) buffer Moments2 { vec4 moments_2[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint count;
-    uint stride;
     // Logit of the largest opacity that remains.
     float max_logit;
 };
 
 #include "dispatch.glsl"
+#include "planes.glsl"
 
 void main() {
     uint index = linear_invocation();
     if (index >= count) {
         return;
     }
-    uint at = PLANE_MEAN_OPACITY * stride + index;
+    uint at = geometry_at(index) + PLANE_MEAN_OPACITY * PLANE_ROW;
     parameters[at].w = min(parameters[at].w, max_logit);
     moments_1[at].w = 0.0;
     moments_2[at].w = 0.0;

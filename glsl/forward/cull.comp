@@ -24,6 +24,7 @@ layout(set = 0, binding = 2, scalar) writeonly buffer BlockCounts { uint block_c
 #define CAMERA_PUSH_SHAPE
 #include "camera_push.glsl"
 #include "dispatch.glsl"
+#include "planes.glsl"
 #include "workgroup_scan.glsl"
 #include "tile_span.glsl"
 #include "projection.glsl"
@@ -32,9 +33,10 @@ void main() {
     uint local = linear_invocation();
     bool exists = local < count;
     uint index = exists ? local : 0;
-    vec4 mean_opacity = VEC4_AT(parameters, PLANE_MEAN_OPACITY * stride + index);
-    vec4 quat = VEC4_AT(parameters, PLANE_QUAT * stride + index);
-    vec4 log_scale = VEC4_AT(parameters, PLANE_LOG_SCALE * stride + index);
+    uint own = geometry_at(index);
+    vec4 mean_opacity = VEC4_AT(parameters, own + PLANE_MEAN_OPACITY * PLANE_ROW);
+    vec4 quat = VEC4_AT(parameters, own + PLANE_QUAT * PLANE_ROW);
+    vec4 log_scale = VEC4_AT(parameters, own + PLANE_LOG_SCALE * PLANE_ROW);
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
     Footprint f = footprint_of(p, mean_opacity.w);
     uint flag = exists && f.visible ? 1 : 0;

@@ -30,6 +30,7 @@ layout(set = 0, binding = 8, scalar) writeonly buffer TileLists { uvec2 tile_lis
 #define CAMERA_PUSH_SHAPE
 #include "camera_push.glsl"
 #include "dispatch.glsl"
+#include "planes.glsl"
 #include "splat_record.glsl"
 #include "tile_span.glsl"
 #include "projection.glsl"
@@ -44,9 +45,10 @@ void main() {
         return;
     }
     uint index = UINT_AT(visible_list, visible) - first;
-    vec4 mean_opacity = VEC4_AT(parameters, PLANE_MEAN_OPACITY * stride + index);
-    vec4 quat = VEC4_AT(parameters, PLANE_QUAT * stride + index);
-    vec4 log_scale = VEC4_AT(parameters, PLANE_LOG_SCALE * stride + index);
+    uint own = geometry_at(index);
+    vec4 mean_opacity = VEC4_AT(parameters, own + PLANE_MEAN_OPACITY * PLANE_ROW);
+    vec4 quat = VEC4_AT(parameters, own + PLANE_QUAT * PLANE_ROW);
+    vec4 log_scale = VEC4_AT(parameters, own + PLANE_LOG_SCALE * PLANE_ROW);
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
     Footprint f = footprint_of(p, mean_opacity.w);
 
@@ -54,7 +56,7 @@ void main() {
     float basis[16];
     sh_basis(direction, basis);
     vec3 sh[16];
-    sh_coefficients(index, sh);
+    sh_coefficients(sh_at(index, layout_word), sh);
     vec3 color = vec3(0.5);
     for (uint k = 0; k < 16; ++k) {
         color += basis[k] * sh[k];

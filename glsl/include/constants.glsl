@@ -18,7 +18,11 @@ const float ELLIPSOID_LEAST_OPACITY = 0.2;
 const uint EXTENT_EXACT = 0;
 const uint EXTENT_REFERENCE = 1;
 
-// Parameters of a Gaussian as vec4 planes: plane p of Gaussian i lies at p * stride + i.
+// Parameters of a Gaussian as vec4 planes, in rows of PLANE_ROW Gaussians: the rows of a Gaussian's planes lie one behind
+// the other, those of geometry of all Gaussians first, those of SH behind them (planes.glsl). A row is a cache line of a GPU, which
+// coalesces it; and a kernel reads two streams of memory: planes of all Gaussians were a stream each, 45 in the optimiser,
+// more than a processor fetches ahead.
+const uint PLANE_ROW = 8;
 const uint PLANE_MEAN_OPACITY = 0;
 const uint PLANE_QUAT = 1;
 const uint PLANE_LOG_SCALE = 2;
@@ -36,7 +40,7 @@ const uint SPLAT_COLOR_INVERSE_DEPTH = 2;
 const uint SPLAT_FOOTPRINT = 3;
 const uint SPLAT_PLANES = 4;
 
-// Gradient planes of a visible Gaussian, same stride rule.
+// Gradient planes of a visible Gaussian: plane p of the i-th visible lies at p * stride + i.
 const uint GRADIENT_MEAN_OPACITY = 0;
 const uint GRADIENT_QUAT = 1;
 const uint GRADIENT_LOG_SCALE = 2;

@@ -39,7 +39,7 @@ layout(push_constant, scalar) uniform Push {
     vec3 camera_position;
     uint first;
     uint count;
-    uint stride;
+    uint layout_word;
     uint gradient_stride;
     float beta_1;
     float beta_2;
@@ -60,11 +60,11 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
+#include "planes.glsl"
 #include "sh.glsl"
 #include "sh_gradient.glsl"
 
-void update(uint plane, uint index, vec4 g, vec4 rate, vec4 inverse_bias) {
-    uint at = plane * stride + index;
+void update(uint at, vec4 g, vec4 rate, vec4 inverse_bias) {
     vec4 m = beta_1 * VEC4_AT(old_moments_1, at) + one_minus_beta_1 * g;
     vec4 v = beta_2 * VEC4_AT(old_moments_2, at) + one_minus_beta_2 * g * g;
     VEC4_PUT(moments_1, at, m);
@@ -101,19 +101,20 @@ void main() {
         atomicAdd(state[STATE_NON_FINITE], 1);
         return;
     }
+    uint own = geometry_at(index), sh_own = sh_at(index, layout_word);
     // The direction is that of the forward pass: it needs the mean from before this step.
-    vec3 mean = VEC4_AT(old_parameters, PLANE_MEAN_OPACITY * stride + index).xyz;
+    vec3 mean = VEC4_AT(old_parameters, own + PLANE_MEAN_OPACITY * PLANE_ROW).xyz;
     float basis[16];
     // Outside the view the colour has no gradient, but a Gaussian at the camera has no direction: NaN times 0 is NaN.
     sh_basis(seen ? normalize(mean - camera_position) : vec3(0.0), basis);
 
     vec4 bias = vec4(inverse_bias_2);
-    update(PLANE_MEAN_OPACITY, index, d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),
+    update(own + PLANE_MEAN_OPACITY * PLANE_ROW, d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),
         vec4(bias.xyz, inverse_bias_2_opacity));
-    update(PLANE_QUAT, index, d_quat, vec4(rate_quat), bias);
-    update(PLANE_LOG_SCALE, index, d_log_scale, vec4(vec3(rate_log_scale), 0.0), bias);
+    update(own + PLANE_QUAT * PLANE_ROW, d_quat, vec4(rate_quat), bias);
+    update(own + PLANE_LOG_SCALE * PLANE_ROW, d_log_scale, vec4(vec3(rate_log_scale), 0.0), bias);
     [[unroll]] for (uint plane = 0; plane < SH_PLANES; ++plane) {
         vec4 rate = plane == 0 ? vec4(vec3(rate_sh_dc), rate_sh_rest) : vec4(rate_sh_rest);
-        update(PLANE_SH + plane, index, sh_plane_gradient(plane, basis, d_color.xyz), rate, bias);
+        update(sh_own + plane * PLANE_ROW, sh_plane_gradient(plane, basis, d_color.xyz), rate, bias);
     }
 }

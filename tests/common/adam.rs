@@ -5,7 +5,7 @@ use ashsplat::kernels::optimizer::adam::{self, Push};
 use ashsplat::vk::{Buffer, Kernel};
 
 use super::gpu::Gpu;
-use super::layout::{pack, planes, unpack};
+use super::layout::{layout_word, pack, planes, room, unpack};
 use crate::reference::types::Gaussian;
 
 /// Gradients of a visible Gaussian as the kernel reads them.
@@ -50,7 +50,7 @@ pub struct AdamState<'a> {
     workgroup: u32,
     count: usize,
     coefficients: usize,
-    stride: usize,
+    room: usize,
     parameters: Buffer,
     moments: [Buffer; 2],
 }
@@ -59,16 +59,16 @@ impl<'a> AdamState<'a> {
     /// Uploads Gaussians with zero moments.
     pub fn new(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, sparse: bool) -> AdamState<'a> {
         let (count, coefficients) = (gaussians.len(), gaussians[0].sh.len());
-        let stride = count + 3;
-        let zeros = || gpu.zeros::<[f32; 4]>("moments", planes(coefficients) * stride);
+        let room = room(count);
+        let zeros = || gpu.zeros::<[f32; 4]>("moments", planes(coefficients) * room);
         AdamState {
             gpu,
             kernel: kernel(gpu, sh_degree, sparse),
             workgroup: gpu.workgroup(64),
             count,
             coefficients,
-            stride,
-            parameters: gpu.buffer("parameters", &pack(gaussians, stride)),
+            room,
+            parameters: gpu.buffer("parameters", &pack(gaussians, room)),
             moments: [zeros(), zeros()],
         }
     }
@@ -120,7 +120,7 @@ impl<'a> AdamState<'a> {
             camera_position: step.camera_position.map(|x| x as f32),
             first: 0,
             count: self.count as u32,
-            stride: self.stride as u32,
+            layout_word: layout_word(self.room, self.coefficients),
             gradient_stride: self.count as u32 + 1,
             beta_1: beta_1 as f32,
             beta_2: beta_2 as f32,
@@ -164,8 +164,8 @@ impl<'a> AdamState<'a> {
     /// Parameters, first and second moments.
     pub fn download(&self) -> [Vec<Gaussian>; 3] {
         [&self.parameters, &self.moments[0], &self.moments[1]].map(|buffer| {
-            let words = self.gpu.read::<[f32; 4]>(buffer, planes(self.coefficients) * self.stride);
-            unpack(&words, self.stride, self.count, self.coefficients)
+            let words = self.gpu.read::<[f32; 4]>(buffer, planes(self.coefficients) * self.room);
+            unpack(&words, self.room, self.count, self.coefficients)
         })
     }
 }

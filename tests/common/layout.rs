@@ -6,40 +6,59 @@ use crate::reference::project::slope_limits;
 use crate::reference::tiles::half_extent_px;
 use crate::reference::types::{Gaussian, Splat, View};
 
-/// vec4 planes for coefficients stored: plane p of Gaussian i at p · stride + i.
+/// vec4 planes for coefficients stored.
 pub fn planes(coefficients: usize) -> usize {
     PLANE_SH as usize + (3 * coefficients).div_ceil(4)
 }
 
+/// For how many Gaussians planes have room that are made for `count` of them and a few more.
+pub fn room(count: usize) -> usize {
+    (count + 3).next_multiple_of(256)
+}
+
+/// What the kernels know of planes with this room.
+pub fn layout_word(room: usize, coefficients: usize) -> u32 {
+    (room + planes(coefficients)) as u32 - PLANE_SH
+}
+
+/// Where plane `plane` of the `index`-th Gaussian lies: rows of eight Gaussians, first all of geometry, then all of SH.
+fn place(plane: u32, index: usize, room: usize, coefficients: usize) -> usize {
+    let (first, own, planes) =
+        if plane < PLANE_SH { (0, plane, 3) } else { (3 * room, plane - PLANE_SH, planes(coefficients) - 3) };
+    first + (index / 8 * planes + own as usize) * 8 + index % 8
+}
+
 /// Gaussians as planes.
-pub fn pack(gaussians: &[Gaussian], stride: usize) -> Vec<[f32; 4]> {
+pub fn pack(gaussians: &[Gaussian], room: usize) -> Vec<[f32; 4]> {
     let coefficients = gaussians.first().map_or(16, |g| g.sh.len());
-    let mut packed = vec![[0.0; 4]; planes(coefficients) * stride];
+    let mut packed = vec![[0.0; 4]; planes(coefficients) * room];
+    let at = |plane: u32, i: usize| place(plane, i, room, coefficients);
     for (i, gaussian) in gaussians.iter().enumerate() {
         let f = |x: f64| x as f32;
         let [x, y, z] = gaussian.mean.map(f);
-        packed[PLANE_MEAN_OPACITY as usize * stride + i] = [x, y, z, f(gaussian.opacity_logit)];
-        packed[PLANE_QUAT as usize * stride + i] = gaussian.quat.map(f);
+        packed[at(PLANE_MEAN_OPACITY, i)] = [x, y, z, f(gaussian.opacity_logit)];
+        packed[at(PLANE_QUAT, i)] = gaussian.quat.map(f);
         let [a, b, c] = gaussian.log_scale.map(f);
-        packed[PLANE_LOG_SCALE as usize * stride + i] = [a, b, c, 0.0];
-        for (place, value) in gaussian.sh.as_flattened().iter().enumerate() {
-            packed[(PLANE_SH as usize + place / 4) * stride + i][place % 4] = f(*value);
+        packed[at(PLANE_LOG_SCALE, i)] = [a, b, c, 0.0];
+        for (float, value) in gaussian.sh.as_flattened().iter().enumerate() {
+            packed[at(PLANE_SH + float as u32 / 4, i)][float % 4] = f(*value);
         }
     }
     packed
 }
 
 /// The inverse of [`pack`].
-pub fn unpack(packed: &[[f32; 4]], stride: usize, count: usize, coefficients: usize) -> Vec<Gaussian> {
+pub fn unpack(packed: &[[f32; 4]], room: usize, count: usize, coefficients: usize) -> Vec<Gaussian> {
     let f = |x: f32| f64::from(x);
+    let at = |plane: u32, i: usize| packed[place(plane, i, room, coefficients)];
     (0..count)
         .map(|i| {
-            let [x, y, z, opacity_logit] = packed[PLANE_MEAN_OPACITY as usize * stride + i].map(f);
-            let [a, b, c, _] = packed[PLANE_LOG_SCALE as usize * stride + i].map(f);
-            let flat = |place: usize| f(packed[(PLANE_SH as usize + place / 4) * stride + i][place % 4]);
+            let [x, y, z, opacity_logit] = at(PLANE_MEAN_OPACITY, i).map(f);
+            let [a, b, c, _] = at(PLANE_LOG_SCALE, i).map(f);
+            let flat = |float: usize| f(at(PLANE_SH + float as u32 / 4, i)[float % 4]);
             Gaussian {
                 mean: [x, y, z],
-                quat: packed[PLANE_QUAT as usize * stride + i].map(f),
+                quat: at(PLANE_QUAT, i).map(f),
                 log_scale: [a, b, c],
                 opacity_logit,
                 sh: (0..coefficients).map(|k| [0, 1, 2].map(|channel| flat(3 * k + channel))).collect(),
@@ -73,11 +92,11 @@ impl CameraValues {
     }
 }
 
-/// The push constants of a kernel that projects; further fields behind the count and the stride.
+/// The push constants of a kernel that projects; further fields behind the count and the layout.
 // Each test binary uses a part of what they share.
 #[allow(unused_macros)]
 macro_rules! camera_push {
-    ($push:path, $view:expr, $count:expr, $stride:expr $(, $field:ident: $value:expr)*) => {{
+    ($push:path, $view:expr, $count:expr, $layout:expr $(, $field:ident: $value:expr)*) => {{
         let view: &$crate::reference::types::View = $view;
         let camera = $crate::common::layout::CameraValues::of(view);
         $push {
@@ -92,7 +111,7 @@ macro_rules! camera_push {
             image_height: view.size_px[1],
             first: 0,
             count: $count as u32,
-            stride: $stride as u32,
+            layout_word: $layout,
             extent: $crate::common::layout::extent_word(view),
             antialias: u32::from(view.antialias),
             splat_stride: 1,
@@ -107,12 +126,12 @@ pub(crate) use camera_push;
 /// The push constants of a kernel of the forward pass that projects: with what is drawn of the Gaussians.
 #[allow(unused_macros)]
 macro_rules! shape_push {
-    ($push:path, $view:expr, $count:expr, $stride:expr) => {
+    ($push:path, $view:expr, $count:expr, $layout:expr) => {
         $crate::common::layout::camera_push!(
             $push,
             $view,
             $count,
-            $stride,
+            $layout,
             scale_modifier: $view.drawn.scale_modifier as f32,
             dilation_px2: $view.drawn.dilation_px2 as f32,
             opacity_drawn: $view.drawn.opacity as f32

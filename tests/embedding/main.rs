@@ -25,3 +25,4 @@ mod scenes;
 mod stage;
 mod table;
 mod training;
+mod updates;

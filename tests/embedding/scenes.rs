@@ -9,7 +9,7 @@ use ashsplat::scene::{Gaussians, Pose, Similarity};
 use ashsplat::vk::{Buffer, Context, ContextOptions, Image, ImageState, ImageUse, LimitsOverride};
 use ashsplat::{
     DepthTarget, DeviceScene, Error, Frame, HostImage, Placed, RecordedFrame, RenderSettings, Renderer,
-    Reservation, Update,
+    Reservation,
 };
 use glam::{Mat3, Quat, Vec3};
 
@@ -23,7 +23,7 @@ fn appended(a: &Gaussians, b: &Gaussians) -> Gaussians {
     both
 }
 
-fn renderer(context: &Context, gaussians: u32, staging_bytes: u64) -> Renderer {
+pub fn renderer(context: &Context, gaussians: u32, staging_bytes: u64) -> Renderer {
     let mut renderer = Renderer::new(context).expect("kernels");
     let reservation = Reservation { scenes: 3, staging_bytes, ..Reservation::new(gaussians, 1, 110, 70) };
     renderer.reserve(&reservation).expect("memory");
@@ -144,75 +144,6 @@ fn a_pose_scales_a_scene() {
 }
 
 #[test]
-fn updates_replace_a_part_of_a_scene() {
-    with_host(&options(), |host| {
-        let context = guest(host);
-        let (start, new) = (cloud(500, 1), cloud(120, 2));
-        let mut expected = start.clone();
-        expected.means[200..320].copy_from_slice(&new.means);
-        expected.quats[200..320].copy_from_slice(&new.quats);
-        expected.log_scales[200..320].copy_from_slice(&new.log_scales);
-        expected.opacity_logits[200..320].copy_from_slice(&new.opacity_logits);
-        expected.sh[800..1280].copy_from_slice(&new.sh);
-        let scene = DeviceScene::upload(&context, &start, 0).expect("a scene");
-        let mut renderer = renderer(&context, 500, Reservation::update_bytes(500, 1));
-        let (settings, camera) = (RenderSettings::default(), camera(0.1, 110, 70));
-        let placed = [Placed::from(&scene)];
-        let before = RecordedFrame::new(&placed, &camera, &settings);
-        let update = [Update { scene: &scene, first: 200, gaussians: &new }];
-        assert_same(&rendered(host, &mut renderer, &before), &owned(&start, &camera, &settings), [0.0; 3]);
-        let frame = RecordedFrame { updates: &update, ..before };
-        let after = owned(&expected, &camera, &settings);
-        assert_same(&rendered(host, &mut renderer, &frame), &after, [0.0; 3]);
-        assert_same(&rendered(host, &mut renderer, &before), &after, [0.0; 3]);
-        assert_eq!(scene.download().expect("Gaussians"), expected);
-
-        // A scene that was empty.
-        let mut empty = DeviceScene::empty(&context, 500, 1).expect("a scene");
-        let update = [Update { scene: &empty, first: 0, gaussians: &start }];
-        let frame = RecordedFrame { updates: &update, ..before };
-        rendered(host, &mut renderer, &frame);
-        empty.set_count(500).expect("room");
-        let placed = [Placed::from(&empty)];
-        let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
-        assert_same(&pixels, &owned(&start, &camera, &settings), [0.0; 3]);
-        assert!(empty.set_count(501).is_err());
-    });
-}
-
-/// Of updates that replace the same Gaussians, the later one counts.
-#[test]
-fn overlapping_updates_are_made_in_their_order() {
-    with_host(&options(), |host| {
-        let context = guest(host);
-        let [start, first, second, none] = [cloud(300, 1), cloud(100, 2), cloud(100, 3), cloud(0, 4)];
-        let mut expected = start.clone();
-        for (new, at) in [(&first, 100), (&second, 150)] {
-            expected.means[at..at + 100].copy_from_slice(&new.means);
-            expected.quats[at..at + 100].copy_from_slice(&new.quats);
-            expected.log_scales[at..at + 100].copy_from_slice(&new.log_scales);
-            expected.opacity_logits[at..at + 100].copy_from_slice(&new.opacity_logits);
-            expected.sh[4 * at..4 * at + 400].copy_from_slice(&new.sh);
-        }
-        let scene = DeviceScene::upload(&context, &start, 0).expect("a scene");
-        let mut renderer = renderer(&context, 300, Reservation::update_bytes(400, 1));
-        let (settings, camera, clone) = (RenderSettings::default(), camera(0.1, 110, 70), scene.clone());
-        let update = |scene, first, gaussians| Update { scene, first, gaussians };
-        let updates = [
-            update(&scene, 150, &first),
-            update(&scene, 100, &first),
-            update(&scene, 0, &none),
-            // A clone is the same scene.
-            update(&clone, 150, &second),
-        ];
-        let placed = [Placed::from(&scene)];
-        let frame = RecordedFrame { updates: &updates, ..RecordedFrame::new(&placed, &camera, &settings) };
-        assert_same(&rendered(host, &mut renderer, &frame), &owned(&expected, &camera, &settings), [0.0; 3]);
-        assert_eq!(scene.download().expect("Gaussians"), expected);
-    });
-}
-
-#[test]
 fn a_scene_may_lie_in_the_hosts_buffers() {
     with_host(&options(), |host| {
         let context = guest(host);
@@ -221,7 +152,7 @@ fn a_scene_may_lie_in_the_hosts_buffers() {
         assert_eq!(plan.chunks, 1);
         let bytes = plan.chunk_bytes() + 4096;
         let own = HostBuffer::new(host, bytes).expect("memory");
-        own.write(host, &planes(&gaussians, plan.stride as usize)).expect("written");
+        own.write(host, &planes(&gaussians, plan.chunk_gaussians as usize)).expect("written");
         // SAFETY: the buffer is the host's, of this size, and outlives the scene.
         let adopted = unsafe { Buffer::adopt(&context, "host's scene", own.raw, 0, bytes) };
         let adopted = adopted.expect("adopted");
@@ -235,8 +166,8 @@ fn a_scene_may_lie_in_the_hosts_buffers() {
         let short = adopted.range(0, 64);
         assert!(DeviceScene::from_buffers(&context, plan, vec![short], 300).is_err());
         for wrong in [
-            ScenePlan { stride: 0, ..plan },
-            ScenePlan { stride: plan.stride - 1, ..plan },
+            ScenePlan { chunk_gaussians: 0, ..plan },
+            ScenePlan { chunk_gaussians: plan.chunk_gaussians - 1, ..plan },
             ScenePlan { planes: 3, ..plan },
             ScenePlan { capacity: 100_000, ..plan },
             ScenePlan { sh_degree: 2, ..plan },
@@ -269,7 +200,7 @@ fn a_hosts_buffers_may_exceed_what_can_be_bound() {
         let plan = DeviceScene::plan_for(&context, 1200, 1).expect("a plan");
         assert_eq!(plan.chunks, 2, "{plan:?}");
         let own = [0; 2].map(|_| HostBuffer::new(host, 1 << 20).expect("memory"));
-        own[0].write(host, &planes(&gaussians, plan.stride as usize)).expect("written");
+        own[0].write(host, &planes(&gaussians, plan.chunk_gaussians as usize)).expect("written");
         // SAFETY: the buffers are the host's, of this size, and outlive the scene.
         let adopt = |b: &HostBuffer| unsafe { Buffer::adopt(&context, "planes", b.raw, 0, 1 << 20) };
         let adopted: Vec<_> = own.iter().map(|b| adopt(b).expect("adopted")).collect();
@@ -293,16 +224,17 @@ fn a_hosts_buffers_may_exceed_what_can_be_bound() {
 }
 
 /// The layout that [`DeviceScene`] documents, at SH degree 1.
-fn planes(g: &Gaussians, stride: usize) -> Vec<u8> {
-    let mut planes = vec![[0.0f32; 4]; 6 * stride];
+fn planes(g: &Gaussians, room: usize) -> Vec<u8> {
+    let mut planes = vec![[0.0f32; 4]; 6 * room];
     for i in 0..g.len() {
         let ([x, y, z], [a, b, c]) = (g.means[i], g.log_scales[i]);
-        planes[i] = [x, y, z, g.opacity_logits[i]];
-        planes[stride + i] = g.quats[i];
-        planes[2 * stride + i] = [a, b, c, 0.0];
+        let row = i / 8 * 24 + i % 8;
+        planes[row] = [x, y, z, g.opacity_logits[i]];
+        planes[row + 8] = g.quats[i];
+        planes[row + 16] = [a, b, c, 0.0];
         let sh = g.sh[4 * i..4 * i + 4].as_flattened();
         for (plane, values) in sh.chunks(4).enumerate() {
-            planes[(3 + plane) * stride + i].copy_from_slice(values);
+            planes[3 * room + row + 8 * plane].copy_from_slice(values);
         }
     }
     bytemuck::cast_slice(&planes).to_vec()

@@ -3,7 +3,7 @@
 use ashsplat::kernels::forward::cull::{Bind, Interface, Push, Spec};
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{pack, shape_push};
+use crate::common::layout::{layout_word, pack, room, shape_push};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::cull::cull;
 use crate::reference::project::project;
@@ -34,13 +34,12 @@ fn cull_equals_its_twin() {
     {
         let gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
         let view = View { extent, antialias, ..small_view([53, 37]) };
-        let stride = size.max(1) + 3;
-        let parameters = gpu.buffer("parameters", &pack(&gaussians, stride));
+        let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
         let blocks = size.div_ceil(block);
         let flags = gpu.untouched::<u32>("visible_flags", size + 2);
         let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
         let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-        let push = shape_push!(Push, &view, size, stride);
+        let push = shape_push!(Push, &view, size, layout_word(room(size), 1));
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
 
         let flags = gpu.read::<u32>(&flags, size + 2);
@@ -68,7 +67,7 @@ fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
     let kernel = gpu.kernel::<Interface>(&spec);
     let size = 700;
     let gaussians = mixed_scene(&mut Random::new(11), size, 1);
-    let parameters = gpu.buffer("parameters", &pack(&gaussians, size));
+    let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
     let blocks = size.div_ceil(spec.workgroup_size as usize);
     let mut seen = Vec::new();
     for drawn in drawn_shapes() {
@@ -76,7 +75,7 @@ fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
         let flags = gpu.untouched::<u32>("visible_flags", size);
         let counts = gpu.untouched::<u32>("block_counts", blocks);
         let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-        let push = shape_push!(Push, &view, size, size);
+        let push = shape_push!(Push, &view, size, layout_word(room(size), 1));
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64));
         let flags = gpu.read::<u32>(&flags, size);
         let expected = cull(&gaussians, &view);
@@ -118,11 +117,11 @@ fn cull_of_non_finite_parameters() {
     let gaussians: Vec<Gaussian> = cases.iter().map(|(gaussian, _)| gaussian.clone()).collect();
     let expected: Vec<u32> = cases.iter().map(|(_, visible)| *visible).collect();
     let view = small_view([53, 37]);
-    let parameters = gpu.buffer("parameters", &pack(&gaussians, cases.len()));
+    let parameters = gpu.buffer("parameters", &pack(&gaussians, room(cases.len())));
     let flags = gpu.untouched::<u32>("visible_flags", cases.len());
     let counts = gpu.untouched::<u32>("block_counts", 1);
     let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-    let push = shape_push!(Push, &view, cases.len(), cases.len());
+    let push = shape_push!(Push, &view, cases.len(), layout_word(room(cases.len()), 1));
     gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
     assert_eq!(gpu.read::<u32>(&flags, cases.len()), expected);
 }

@@ -3,7 +3,7 @@
 use ashsplat::kernels::densify::decide::{Bind, Interface, Push, Spec};
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::pack;
+use crate::common::layout::{pack, room};
 use crate::common::scenes::{Random, mixed_scene};
 use crate::reference::decide::{Decision, GRADIENT_THRESHOLD, Statistic, decide, is_pruned};
 use crate::reference::types::Gaussian;
@@ -40,9 +40,8 @@ fn decide_equals_its_twin() {
             // Scales around the bounds of cloning (0.4) and pruning (4).
             gaussian.log_scale = [0; 3].map(|_| random.between(-3.0, 1.8));
         }
-        let stride = size.max(1) + 3;
         let blocks = size.div_ceil(block);
-        let parameters = gpu.buffer("parameters", &pack(&gaussians, stride));
+        let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
         let statistics_buffer = gpu.buffer("statistics", &statistics);
         let decisions = gpu.untouched::<u32>("decisions", size + 1);
         let counts = gpu.untouched::<u32>("block_counts", 3 * blocks + 1);
@@ -55,7 +54,6 @@ fn decide_equals_its_twin() {
         let push = Push {
             first: 0,
             count: size as u32,
-            stride: stride as u32,
             blocks: blocks as u32,
             gradient_threshold: GRADIENT_THRESHOLD as f32,
             clone_scale: (0.01 * SCENE_EXTENT) as f32,

@@ -5,7 +5,7 @@ use ashsplat::kernels::constants::GRADIENT_PLANES;
 
 use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{pack, planes, unpack};
+use crate::common::layout::{layout_word, pack, planes, room, unpack};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::expand_gradients::sh_gradient;
 use crate::reference::project::{camera_position, view_direction};
@@ -25,13 +25,13 @@ fn check(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize) {
             if i % 3 == 0 { u32::MAX } else { count - 1 }
         })
         .collect();
-    let (stride, gradient_stride) = (size.max(1) + 3, count as usize + 2);
+    let (room, gradient_stride) = (room(size), count as usize + 2);
     let rows: Vec<[f32; 4]> = (0..GRADIENT_PLANES as usize * gradient_stride)
         .map(|_| [0; 4].map(|_| random.signed() as f32))
         .collect();
-    let parameters = gpu.buffer("parameters", &pack(&gaussians, stride));
+    let parameters = gpu.buffer("parameters", &pack(&gaussians, room));
     let (index, gradients) = (gpu.buffer("visible_index", &visible_index), gpu.buffer("gradients", &rows));
-    let words = planes(coefficients) * stride;
+    let words = planes(coefficients) * room;
     let parameter_gradients = gpu.untouched::<[f32; 4]>("parameter_gradients", words);
     let mean2d = gpu.untouched::<[f32; 2]>("mean2d_gradients", size + 1);
     let bind = Bind {
@@ -45,14 +45,13 @@ fn check(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize) {
         camera_position: camera_position(&view).map(|x| x as f32),
         first: 0,
         count: size as u32,
-        stride: stride as u32,
         gradient_stride: gradient_stride as u32,
-        planes: planes(coefficients) as u32,
+        layout_word: layout_word(room, coefficients),
     };
     gpu.run(|recorder| {
         recorder.dispatch(&kernel, &bind, &push, size as u64 / u64::from(spec.workgroup_size) + 1)
     });
-    let actual = unpack(&gpu.read::<[f32; 4]>(&parameter_gradients, words), stride, size, coefficients);
+    let actual = unpack(&gpu.read::<[f32; 4]>(&parameter_gradients, words), room, size, coefficients);
     let mean2d = gpu.read::<[u32; 2]>(&mean2d, size + 1);
     for (i, (gaussian, actual)) in gaussians.iter().zip(&actual).enumerate() {
         let row = |plane: usize| match visible_index[i] {

@@ -5,7 +5,7 @@ use ashsplat::vk::Buffer;
 
 use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{pack, planes, unpack};
+use crate::common::layout::{layout_word, pack, planes, room, unpack};
 use crate::common::scenes::{Random, mixed_scene};
 use crate::reference::gather::{child_of, random_normal};
 use crate::reference::types::Gaussian;
@@ -39,20 +39,19 @@ impl Rows {
     fn gathered(&self, gpu: &Gpu, spec: Spec, noise: Option<&Buffer>) -> Vec<Gaussian> {
         let kernel = gpu.kernel::<Interface>(&spec);
         let (before, after) = (self.gaussians.len(), self.sources.len());
-        let (from_stride, to_stride) = (before + 3, after + 5);
+        let (from_room, to_room) = (room(before), room(after) + 256);
         let sources = gpu.buffer("sources", &self.sources);
-        let from = gpu.buffer("from", &pack(&self.gaussians, from_stride));
-        let words = planes(COEFFICIENTS) * to_stride;
+        let from = gpu.buffer("from", &pack(&self.gaussians, from_room));
+        let words = planes(COEFFICIENTS) * to_room;
         let to = gpu.untouched::<[f32; 4]>("to", words);
         let bind = Bind { sources: &sources, from: &from, to: &to, noise: noise.unwrap_or(&sources) };
         let push = Push {
             from_first: 0,
             from_count: before as u32,
-            from_stride: from_stride as u32,
+            from_layout: layout_word(from_room, COEFFICIENTS),
             to_first: 0,
             to_count: after as u32,
-            to_stride: to_stride as u32,
-            planes: planes(COEFFICIENTS) as u32,
+            to_layout: layout_word(to_room, COEFFICIENTS),
             noise_stride: before as u32,
             seed: SEED,
             iteration: ITERATION,
@@ -60,7 +59,7 @@ impl Rows {
         gpu.run(|recorder| {
             recorder.dispatch(&kernel, &bind, &push, after as u64 / u64::from(spec.workgroup_size) + 1)
         });
-        unpack(&gpu.read::<[f32; 4]>(&to, words), to_stride, after, COEFFICIENTS)
+        unpack(&gpu.read::<[f32; 4]>(&to, words), to_room, after, COEFFICIENTS)
     }
 }
 

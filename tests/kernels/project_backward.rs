@@ -6,7 +6,7 @@ use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBL
 use super::blend_backward::from_moments;
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{camera_push, pack};
+use crate::common::layout::{camera_push, layout_word, pack, room};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::project::{color, project};
 use crate::reference::project_backward::{mean2d_statistic, project_backward};
@@ -86,7 +86,7 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
     };
     let kernel = gpu.kernel::<Interface>(&spec);
     let (size, count) = (scene.gaussians.len(), scene.visible.len());
-    let (stride, gradient_stride) = (size.max(1) + 3, count + 5);
+    let (room, gradient_stride) = (room(size), count + 5);
     let mut words = vec![0; STATE_WORDS as usize];
     words[STATE_VISIBLE as usize] = count as u32;
     words[STATE_OVERFLOW as usize] = u32::from(overflow);
@@ -105,7 +105,7 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
         .iter()
         .map(|s| [s.conic[0], s.conic[1], s.conic[2], s.opacity].map(|x| x as f32))
         .collect();
-    let parameters = gpu.buffer("parameters", &pack(&scene.gaussians, stride));
+    let parameters = gpu.buffer("parameters", &pack(&scene.gaussians, room));
     let state = gpu.buffer("state", &words);
     let visible_ranges = gpu.buffer("visible_ranges", &[[0; 4], [0, count as u32, 0, 0]]);
     let visible_list = gpu.buffer("visible_list", &scene.visible);
@@ -132,7 +132,7 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
         statistics: &statistics,
     };
     let push = camera_push!(
-        Push, &scene.view, size, stride,
+        Push, &scene.view, size, layout_word(room, 16),
         gradient_stride: gradient_stride as u32, accumulate: u32::from(accumulate)
     );
     gpu.run(|recorder| {

@@ -3,7 +3,7 @@
 use ashsplat::kernels::densify::reset_opacity::{Bind, Interface, Push, Spec};
 
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{pack, planes, unpack};
+use crate::common::layout::{pack, planes, room, unpack};
 use crate::common::scenes::{Random, mixed_scene};
 use crate::reference::reset_opacity::reset_opacity;
 use crate::reference::types::Gaussian;
@@ -19,17 +19,17 @@ fn reset_opacity_equals_its_twin() {
             gaussians[1].opacity_logit = f64::INFINITY;
             gaussians[2].opacity_logit = f64::NEG_INFINITY;
         }
-        let stride = size.max(1) + 3;
+        let room = room(size);
         let [parameters, moments_1, moments_2] =
-            ["parameters", "moments_1", "moments_2"].map(|name| gpu.buffer(name, &pack(&gaussians, stride)));
+            ["parameters", "moments_1", "moments_2"].map(|name| gpu.buffer(name, &pack(&gaussians, room)));
         let bind = Bind { parameters: &parameters, moments_1: &moments_1, moments_2: &moments_2 };
         let max_logit = (0.01_f64 / 0.99).ln() as f32;
-        let push = Push { count: size as u32, stride: stride as u32, max_logit };
+        let push = Push { count: size as u32, max_logit };
         gpu.run(|recorder| {
             recorder.dispatch(&kernel, &bind, &push, size as u64 / u64::from(spec.workgroup_size) + 1)
         });
         let [after, moments_1, moments_2] = [parameters, moments_1, moments_2]
-            .map(|buffer| unpack(&gpu.read::<[f32; 4]>(&buffer, planes(4) * stride), stride, size, 4));
+            .map(|buffer| unpack(&gpu.read::<[f32; 4]>(&buffer, planes(4) * room), room, size, 4));
         for (i, before) in gaussians.iter().enumerate() {
             let expected = reset_opacity(before.opacity_logit);
             let actual = after[i].opacity_logit;

@@ -91,7 +91,7 @@ pub unsafe extern "C" fn ashsplat_scene_plan(
         *borrowed_mut(plan, "plan")? = AshsplatScenePlan {
             chunks: made.chunks,
             planes: made.planes,
-            stride: made.stride,
+            chunk_gaussians: made.chunk_gaussians,
             chunk_bytes: made.chunk_bytes(),
         };
         Ok(())

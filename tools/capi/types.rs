@@ -210,18 +210,21 @@ pub struct AshsplatGaussians {
     pub sh: *const f32,
 }
 
-/// How parameters lie in a host's own buffers: plane p of the i-th Gaussian of a chunk at 16 * (p * stride + i) bytes,
-/// four floats. Planes: mean and opacity logit; quaternion (w, x, y, z); log-scales and 0; then the coefficients of the
-/// spherical harmonics, red, green and blue one after the other, filled up with zeros.
+/// How parameters lie in a host's own buffers: as planes of four floats, in rows of eight Gaussians. Three planes of geometry
+/// come first, of all Gaussians, those of the spherical harmonics behind them: of the i-th Gaussian of a chunk
+/// - plane p of 0 (mean, opacity logit), 1 (quaternion w, x, y, z) and 2 (log-scales, 0) at
+///   16 * ((i / 8 * 3 + p) * 8 + i % 8) bytes;
+/// - plane q of planes - 3, which hold the coefficients, red, green and blue one after the other, filled up with zeros, at
+///   16 * (3 * chunk_gaussians + (i / 8 * (planes - 3) + q) * 8 + i % 8) bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatScenePlan {
     /// Buffers.
     pub chunks: u32,
-    /// Planes of a buffer.
+    /// Planes of a Gaussian: three, and those of the spherical harmonics.
     pub planes: u32,
-    /// Gaussians of a buffer.
-    pub stride: u32,
+    /// Gaussians that a buffer holds.
+    pub chunk_gaussians: u32,
     /// Bytes of a buffer.
     pub chunk_bytes: u64,
 }

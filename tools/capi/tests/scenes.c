@@ -33,9 +33,10 @@ static void fill_planes(float *floats, const AshsplatScenePlan *plan, uint32_t c
                               {quats[i][0], quats[i][1], quats[i][2], quats[i][3]},
                               {log_scales[i][0], log_scales[i][1], log_scales[i][2], 0},
                               {sh[i][0], sh[i][1], sh[i][2], 0}};
-        for (uint32_t p = 0; p < plan->planes; ++p) {
-            memcpy(floats + 4 * (p * plan->stride + i), planes[p], sizeof planes[p]);
+        for (uint32_t p = 0; p < 3; ++p) {
+            memcpy(floats + 4 * ((i / 8 * 3 + p) * 8 + i % 8), planes[p], sizeof planes[p]);
         }
+        memcpy(floats + 4 * (3 * plan->chunk_gaussians + i), planes[3], sizeof planes[3]);
     }
 }
 
@@ -53,7 +54,8 @@ int main(int count, char **arguments) {
     /* A scene in the host's own buffer. */
     AshsplatScenePlan plan;
     check(ashsplat_scene_plan(context, OWN, 0, &plan), "planning");
-    EXPECT(plan.chunks == 1 && plan.planes == 4 && plan.stride >= OWN && plan.chunk_bytes == 64u * plan.stride);
+    EXPECT(plan.chunks == 1 && plan.planes == 4 && plan.chunk_gaussians >= OWN);
+    EXPECT(plan.chunk_bytes == 64u * plan.chunk_gaussians);
     HostBuffer planes = host_buffer(&host, plan.chunk_bytes, USAGE_BUFFER_COPIES | USAGE_BUFFER_STORAGE);
     grid(0.15f);
     fill_planes(planes.mapped, &plan, OWN);
