@@ -248,7 +248,8 @@ impl Backward {
                 first: range.first,
                 count: range.count,
                 gradient_stride: inputs.capacity.gaussians,
-                layout_word: inputs.scene.plan.layout_word(),
+                chunk_gaussians: inputs.scene.plan.chunk_gaussians,
+                planes: inputs.scene.plan.planes,
             };
             r.dispatch(kernel, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
         }

@@ -208,10 +208,11 @@ impl Densify {
                 let push = gather::Push {
                     from_first: source.first,
                     from_count: source.count,
-                    from_layout: from.plan.layout_word(),
+                    from_chunk_gaussians: from.plan.chunk_gaussians,
                     to_first: target.first,
                     to_count: target.count,
-                    to_layout: to.plan.layout_word(),
+                    to_chunk_gaussians: to.plan.chunk_gaussians,
+                    planes: from.plan.planes,
                     noise_stride: key.explicit.map_or(0, |noise| noise.stride),
                     seed: key.seed,
                     iteration: key.iteration,

@@ -121,7 +121,7 @@ fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push
         camera_position: inputs.camera.position().to_array(),
         first,
         count,
-        layout_word: inputs.scene.plan.layout_word(),
+        chunk_gaussians: inputs.scene.plan.chunk_gaussians,
         gradient_stride: inputs.capacity.gaussians,
         beta_1: BETA_1 as f32,
         beta_2: BETA_2 as f32,

@@ -20,6 +20,7 @@ use crate::kernels::constants::{
     SH_PLANES_3, SPLAT_PLANES, STATE_WORDS, TILE_SIZE,
 };
 use crate::vk::{Buffer, Limits, pack};
+use std::ops::Range;
 
 /// `ceil(n / d)`.
 pub const fn blocks(n: u64, d: u64) -> u64 {
@@ -35,6 +36,22 @@ pub const fn parameter_planes(sh_degree: u32) -> u32 {
             2 => SH_PLANES_2,
             _ => SH_PLANES_3,
         }
+}
+
+/// The planes that lie together with one: those of geometry, or of an SH degree.
+pub(crate) fn plane_group(plane: u32) -> Range<u32> {
+    const ENDS: [u32; 5] = [
+        PLANE_SH,
+        PLANE_SH + SH_PLANES_0,
+        PLANE_SH + SH_PLANES_1,
+        PLANE_SH + SH_PLANES_2,
+        PLANE_SH + SH_PLANES_3,
+    ];
+    match ENDS.iter().position(|&end| plane < end) {
+        Some(0) => 0..PLANE_SH,
+        Some(group) => ENDS[group - 1]..ENDS[group],
+        None => unreachable!("no Gaussian has a plane {plane}"),
+    }
 }
 
 /// A range of Gaussians whose parameter planes lie in one buffer.
@@ -95,21 +112,16 @@ impl ScenePlan {
         u64::from(self.chunk_gaussians) * u64::from(self.planes) * 16
     }
 
-    /// Where plane `plane` of the `index`-th Gaussian of a chunk lies in it, in vec4: in rows of eight Gaussians, first the
-    /// three planes of geometry of all of them, `(index / 8 * 3 + plane) * 8 + index % 8`, then those of SH.
+    /// Where plane `plane` of the `index`-th Gaussian of a chunk lies in it, in vec4. Planes 0 to 2, 3, 4 and 5, 6 to 9, and 10
+    /// to 14 (geometry, then one SH degree each) lie together for all Gaussians, in rows of eight: planes `first` to
+    /// `end - 1` at `first * chunk_gaussians + (index / 8 * (end - first) + plane - first) * 8 + index % 8`.
     pub fn place(&self, plane: u32, index: usize) -> usize {
         let row = PLANE_ROW as usize;
-        let (first, own, planes) = match plane.checked_sub(PLANE_SH) {
-            None => (0, plane, PLANE_SH),
-            Some(own) => (PLANE_SH as usize * self.chunk_gaussians as usize, own, self.planes - PLANE_SH),
-        };
-        first + (index / row * planes as usize + own as usize) * row + index % row
-    }
-
-    /// The same for planes.glsl: [`Self::chunk_gaussians`], and in its lowest byte, which is free, the planes of SH.
-    pub fn layout_word(&self) -> u32 {
-        const { assert!(STREAM_WORKGROUP.is_multiple_of(256)) };
-        self.chunk_gaussians | (self.planes - PLANE_SH)
+        let Range { start, end } = plane_group(plane);
+        let (first, planes) = (start as usize, (end - start) as usize);
+        first * self.chunk_gaussians as usize
+            + (index / row * planes + plane as usize - first) * row
+            + index % row
     }
 
     /// The chunks that `count` Gaussians occupy.

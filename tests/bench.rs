@@ -232,15 +232,18 @@ fn bench_scaling_fits_and_plots() {
     let plot = folder.path().join("plot.svg");
     let sizes = ["--counts", "100,1000", "--widths", "32,64", "--plot", text(&plot)];
     let few = ["bench", "scaling", "--gaussians", "400", "--iterations", "3", "--warmup", "1"];
-    let table = succeed(&[&few[..], &sizes].concat());
-    assert!(table.contains("exponent") && table.contains("tile sort") && table.contains("1,000"), "{table}");
-    assert_eq!(
-        table.matches("\nblend: forward/blend").count(),
-        2,
-        "every kernel, by Gaussians and by pixels: {table}"
-    );
+    let all = succeed(&[&few[..], &sizes].concat());
+    assert!(all.contains("exponent") && all.contains("tile sort") && all.contains("1,000"), "{all}");
     let svg = std::fs::read_to_string(&plot).expect("a plot");
     assert!(svg.starts_with("<svg") && svg.contains("blend") && svg.contains("pixels"), "{svg}");
+    let frames = succeed(&[&few[..], &sizes, &["--of", "frames"]].concat());
+    let steps = succeed(&[&few[..], &sizes, &["--of", "steps"]].concat());
+    // Every kernel, by Gaussians and by pixels.
+    for (table, blended, optimised) in [(all, 4, 2), (frames, 2, 0), (steps, 2, 2)] {
+        assert_eq!(table.matches("\nblend: forward/blend").count(), blended, "{table}");
+        assert_eq!(table.matches("\nadam: optimizer/adam").count(), optimised, "{table}");
+    }
+    assert_eq!(svg.matches("rotate(-90)").count(), 4, "a panel each: {svg}");
 }
 
 #[test]

@@ -419,7 +419,7 @@ fn limits_of_a_chunk_hold_every_plane_once() {
     let gpu = Gpu::new();
     for (sh_degree, planes) in [(0, 4), (1, 6), (2, 10), (3, 15)] {
         let plan = ScenePlan::new(gpu.context.limits(), 700, sh_degree).expect("a plan");
-        assert_eq!((plan.chunk_gaussians, plan.planes, plan.layout_word()), (768, planes, 768 + planes - 3));
+        assert_eq!((plan.chunk_gaussians, plan.planes), (768, planes));
         let mut owners = vec![0; 768 * planes as usize];
         for (plane, index) in (0..planes).flat_map(|plane| (0..768).map(move |index| (plane, index))) {
             let place = plan.place(plane, index);

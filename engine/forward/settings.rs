@@ -125,7 +125,7 @@ macro_rules! camera_push {
             image_height: camera.height,
             first: $range.first,
             count: $range.count,
-            layout_word: $inputs.scene.plan.layout_word(),
+            chunk_gaussians: $inputs.scene.plan.chunk_gaussians,
             extent: $inputs.settings.extent_word(),
             antialias: $inputs.settings.antialias.into(),
             splat_stride: $inputs.frame.splats().stride,

@@ -2,8 +2,8 @@
 
 use super::device_scene::DeviceScene;
 use crate::error::Result;
-use crate::kernels::constants::{PLANE_ROW, PLANE_SH};
-use crate::plan::ScenePlan;
+use crate::kernels::constants::PLANE_ROW;
+use crate::plan::{ScenePlan, plane_group};
 use crate::planes;
 use crate::scene::Gaussians;
 use crate::vk::{Buffer, Recorder};
@@ -122,7 +122,10 @@ fn runs(
     (begin, stop): (u32, u32),
 ) -> Vec<(usize, Range<usize>)> {
     let mut runs: Vec<(usize, Range<usize>)> = Vec::new();
-    for planes in [0..PLANE_SH, PLANE_SH..plan.planes] {
+    let mut next = 0;
+    while next < plan.planes {
+        let planes = plane_group(next);
+        next = planes.end;
         for row in rows.clone() {
             let from = begin.max(row * PLANE_ROW);
             let count = (stop.min((row + 1) * PLANE_ROW) - from) as usize;

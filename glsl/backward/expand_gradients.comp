@@ -27,8 +27,9 @@ layout(push_constant, scalar) uniform Push {
     uint first;
     uint count;
     uint gradient_stride;
-    // Of the stored degree, which may be above the active one.
-    uint layout_word;
+    uint chunk_gaussians;
+    // Planes of the stored degree, which may be above the active one.
+    uint planes;
 };
 
 #include "dispatch.glsl"
@@ -48,19 +49,18 @@ void main() {
     vec4 quat = gradients[GRADIENT_QUAT * gradient_stride + row];
     vec4 log_scale_x = gradients[GRADIENT_LOG_SCALE * gradient_stride + row];
     vec4 color_y = gradients[GRADIENT_COLOR * gradient_stride + row];
-    uint own = geometry_at(index), sh_own = sh_at(index, layout_word);
-    vec3 mean = parameters[own + PLANE_MEAN_OPACITY * PLANE_ROW].xyz;
+    vec3 mean = parameters[plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)].xyz;
     float basis[16];
     sh_basis(normalize(mean - camera_position), basis);
 
-    parameter_gradients[own + PLANE_MEAN_OPACITY * PLANE_ROW] = seen ? mean_opacity : vec4(0.0);
-    parameter_gradients[own + PLANE_QUAT * PLANE_ROW] = seen ? quat : vec4(0.0);
-    parameter_gradients[own + PLANE_LOG_SCALE * PLANE_ROW] = seen ? vec4(log_scale_x.xyz, 0.0) : vec4(0.0);
+    parameter_gradients[plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)] = seen ? mean_opacity : vec4(0.0);
+    parameter_gradients[plane_at(PLANE_QUAT, index, chunk_gaussians)] = seen ? quat : vec4(0.0);
+    parameter_gradients[plane_at(PLANE_LOG_SCALE, index, chunk_gaussians)] = seen ? vec4(log_scale_x.xyz, 0.0) : vec4(0.0);
     mean2d_gradients[first + index] = seen ? vec2(log_scale_x.w, color_y.w) : vec2(0.0);
     [[unroll]] for (uint plane = 0; plane < SH_PLANES_3; ++plane) {
         vec4 g = plane < SH_PLANES ? sh_plane_gradient(plane, basis, color_y.xyz) : vec4(0.0);
-        if (plane < stored_sh_planes(layout_word)) {
-            parameter_gradients[sh_own + plane * PLANE_ROW] = seen ? g : vec4(0.0);
+        if (PLANE_SH + plane < planes) {
+            parameter_gradients[plane_at(PLANE_SH + plane, index, chunk_gaussians)] = seen ? g : vec4(0.0);
         }
     }
 }

@@ -43,9 +43,8 @@ void main() {
     uint local = linear_invocation();
     bool exists = local < count;
     uint index = exists ? local : 0;
-    uint own = geometry_at(index);
-    float opacity = 1.0 / (1.0 + exp(-parameters[own + PLANE_MEAN_OPACITY * PLANE_ROW].w));
-    vec3 scale = exp(parameters[own + PLANE_LOG_SCALE * PLANE_ROW].xyz);
+    float opacity = 1.0 / (1.0 + exp(-parameters[geometry_at(PLANE_MEAN_OPACITY, index)].w));
+    vec3 scale = exp(parameters[geometry_at(PLANE_LOG_SCALE, index)].xyz);
     float largest = max(scale.x, max(scale.y, scale.z));
     vec2 statistic = statistics[first + index];
     float gradient = statistic.y > 0.0 ? statistic.x / statistic.y : 0.0;

@@ -25,10 +25,11 @@ layout(set = 0, binding = 3, scalar) readonly buffer Noise { vec3 noise[]; };
 layout(push_constant, scalar) uniform Push {
     uint from_first;
     uint from_count;
-    uint from_layout;
+    uint from_chunk_gaussians;
     uint to_first;
     uint to_count;
-    uint to_layout;
+    uint to_chunk_gaussians;
+    uint planes;
     uint noise_stride;
     uint seed;
     uint iteration;
@@ -59,22 +60,16 @@ void main() {
     if (index >= from_count) {
         return;
     }
-    uint source_at = geometry_at(index), own = geometry_at(row);
-    uint source_sh = sh_at(index, from_layout), own_sh = sh_at(row, to_layout), sh_planes = stored_sh_planes(to_layout);
     bool split = kind == KIND_SPLIT_0 || kind == KIND_SPLIT_1;
     if (MOMENTS) {
-        for (uint plane = 0; plane < PLANE_SH; ++plane) {
-            vec4 value = from[source_at + plane * PLANE_ROW];
-            to[own + plane * PLANE_ROW] = kind == KIND_KEPT ? value : vec4(0.0);
-        }
-        for (uint plane = 0; plane < sh_planes; ++plane) {
-            vec4 value = from[source_sh + plane * PLANE_ROW];
-            to[own_sh + plane * PLANE_ROW] = kind == KIND_KEPT ? value : vec4(0.0);
+        for (uint plane = 0; plane < planes; ++plane) {
+            vec4 value = from[plane_at(plane, index, from_chunk_gaussians)];
+            to[plane_at(plane, row, to_chunk_gaussians)] = kind == KIND_KEPT ? value : vec4(0.0);
         }
     } else {
-        vec4 mean_opacity = from[source_at + PLANE_MEAN_OPACITY * PLANE_ROW];
-        vec4 quat = from[source_at + PLANE_QUAT * PLANE_ROW];
-        vec4 log_scale = from[source_at + PLANE_LOG_SCALE * PLANE_ROW];
+        vec4 mean_opacity = from[plane_at(PLANE_MEAN_OPACITY, index, from_chunk_gaussians)];
+        vec4 quat = from[plane_at(PLANE_QUAT, index, from_chunk_gaussians)];
+        vec4 log_scale = from[plane_at(PLANE_LOG_SCALE, index, from_chunk_gaussians)];
         uint child = kind == KIND_SPLIT_1 ? 1 : 0;
         vec3 normal = EXPLICIT_NOISE ? noise[child * noise_stride + gaussian]
                                      : random_normal(uvec4(seed, iteration, gaussian, child));
@@ -82,11 +77,11 @@ void main() {
             mean_opacity.xyz += rotate(quat, normal * exp(log_scale.xyz));
             log_scale.xyz -= LOG_SPLIT;
         }
-        to[own + PLANE_MEAN_OPACITY * PLANE_ROW] = mean_opacity;
-        to[own + PLANE_QUAT * PLANE_ROW] = quat;
-        to[own + PLANE_LOG_SCALE * PLANE_ROW] = log_scale;
-        for (uint plane = 0; plane < sh_planes; ++plane) {
-            to[own_sh + plane * PLANE_ROW] = from[source_sh + plane * PLANE_ROW];
+        to[plane_at(PLANE_MEAN_OPACITY, row, to_chunk_gaussians)] = mean_opacity;
+        to[plane_at(PLANE_QUAT, row, to_chunk_gaussians)] = quat;
+        to[plane_at(PLANE_LOG_SCALE, row, to_chunk_gaussians)] = log_scale;
+        for (uint plane = PLANE_SH; plane < planes; ++plane) {
+            to[plane_at(plane, row, to_chunk_gaussians)] = from[plane_at(plane, index, from_chunk_gaussians)];
         }
     }
 }

@@ -30,7 +30,7 @@ void main() {
     if (index >= count) {
         return;
     }
-    uint at = geometry_at(index) + PLANE_MEAN_OPACITY * PLANE_ROW;
+    uint at = geometry_at(PLANE_MEAN_OPACITY, index);
     parameters[at].w = min(parameters[at].w, max_logit);
     moments_1[at].w = 0.0;
     moments_2[at].w = 0.0;

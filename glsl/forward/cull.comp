@@ -33,10 +33,9 @@ void main() {
     uint local = linear_invocation();
     bool exists = local < count;
     uint index = exists ? local : 0;
-    uint own = geometry_at(index);
-    vec4 mean_opacity = VEC4_AT(parameters, own + PLANE_MEAN_OPACITY * PLANE_ROW);
-    vec4 quat = VEC4_AT(parameters, own + PLANE_QUAT * PLANE_ROW);
-    vec4 log_scale = VEC4_AT(parameters, own + PLANE_LOG_SCALE * PLANE_ROW);
+    vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
+    vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
+    vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
     Footprint f = footprint_of(p, mean_opacity.w);
     uint flag = exists && f.visible ? 1 : 0;

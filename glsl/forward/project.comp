@@ -45,10 +45,9 @@ void main() {
         return;
     }
     uint index = UINT_AT(visible_list, visible) - first;
-    uint own = geometry_at(index);
-    vec4 mean_opacity = VEC4_AT(parameters, own + PLANE_MEAN_OPACITY * PLANE_ROW);
-    vec4 quat = VEC4_AT(parameters, own + PLANE_QUAT * PLANE_ROW);
-    vec4 log_scale = VEC4_AT(parameters, own + PLANE_LOG_SCALE * PLANE_ROW);
+    vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
+    vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
+    vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
     Footprint f = footprint_of(p, mean_opacity.w);
 
@@ -56,7 +55,7 @@ void main() {
     float basis[16];
     sh_basis(direction, basis);
     vec3 sh[16];
-    sh_coefficients(sh_at(index, layout_word), sh);
+    sh_coefficients(index, sh);
     vec3 color = vec3(0.5);
     for (uint k = 0; k < 16; ++k) {
         color += basis[k] * sh[k];

@@ -13,10 +13,10 @@ layout(push_constant, scalar) uniform Push {
     vec4 jacobian_limits;
     uint image_width;
     uint image_height;
-    // First Gaussian of the bound range of parameters, how many it holds, and their layout (planes.glsl).
+    // First Gaussian of the bound range of parameters, how many of it are drawn, and how many it can hold.
     uint first;
     uint count;
-    uint layout_word;
+    uint chunk_gaussians;
     // EXTENT_EXACT or EXTENT_REFERENCE; opacity compensation of Mip-Splatting's 2D filter when `antialias` != 0.
     uint extent;
     uint antialias;

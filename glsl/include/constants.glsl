@@ -18,10 +18,10 @@ const float ELLIPSOID_LEAST_OPACITY = 0.2;
 const uint EXTENT_EXACT = 0;
 const uint EXTENT_REFERENCE = 1;
 
-// Parameters of a Gaussian as vec4 planes, in rows of PLANE_ROW Gaussians: the rows of a Gaussian's planes lie one behind
-// the other, those of geometry of all Gaussians first, those of SH behind them (planes.glsl). A row is a cache line of a GPU, which
-// coalesces it; and a kernel reads two streams of memory: planes of all Gaussians were a stream each, 45 in the optimiser,
-// more than a processor fetches ahead.
+// Parameters of a Gaussian as vec4 planes, in rows of PLANE_ROW Gaussians. Planes that are read together, those of geometry and
+// those of each SH degree, lie together for all Gaussians, row by row (planes.glsl). A row is a cache line of a GPU, which coalesces
+// it. A processor reads few streams of memory: planes of all Gaussians were a stream each, 45 in the optimiser, more than
+// it fetches ahead; and it fetches nothing of degrees that are not in use yet.
 const uint PLANE_ROW = 8;
 const uint PLANE_MEAN_OPACITY = 0;
 const uint PLANE_QUAT = 1;

@@ -1,17 +1,17 @@
 // Reads the active SH coefficients of one Gaussian from its planes: coefficient k is floats 3 k to 3 k + 2.
-// Needs sh.glsl, `parameters`; `own` is sh_at of the Gaussian.
+// Needs sh.glsl, planes.glsl, `parameters`, `chunk_gaussians`.
 
-vec4 sh_plane(uint plane, uint own) {
+vec4 sh_plane(uint plane, uint index) {
     // Planes above the active degree may not exist: read one that does, and drop it.
-    vec4 value = VEC4_AT(parameters, (plane < SH_PLANES ? plane : 0) * PLANE_ROW + own);
+    vec4 value = VEC4_AT(parameters, plane_at(PLANE_SH + (plane < SH_PLANES ? plane : 0), index, chunk_gaussians));
     return plane < SH_PLANES ? value : vec4(0.0);
 }
 
-void sh_coefficients(uint own, out vec3 sh[16]) {
-    vec4 a = sh_plane(0, own);
+void sh_coefficients(uint index, out vec3 sh[16]) {
+    vec4 a = sh_plane(0, index);
     sh[0] = a.xyz;
     if (SH_DEGREE >= 1) {
-        vec4 b = sh_plane(1, own), c = sh_plane(2, own);
+        vec4 b = sh_plane(1, index), c = sh_plane(2, index);
         sh[1] = vec3(a.w, b.xy);
         sh[2] = vec3(b.zw, c.x);
         sh[3] = c.yzw;
@@ -19,7 +19,7 @@ void sh_coefficients(uint own, out vec3 sh[16]) {
         sh[1] = sh[2] = sh[3] = vec3(0.0);
     }
     if (SH_DEGREE >= 2) {
-        vec4 d = sh_plane(3, own), e = sh_plane(4, own), f = sh_plane(5, own), g = sh_plane(6, own);
+        vec4 d = sh_plane(3, index), e = sh_plane(4, index), f = sh_plane(5, index), g = sh_plane(6, index);
         sh[4] = d.xyz;
         sh[5] = vec3(d.w, e.xy);
         sh[6] = vec3(e.zw, f.x);
@@ -30,8 +30,8 @@ void sh_coefficients(uint own, out vec3 sh[16]) {
         sh[4] = sh[5] = sh[6] = sh[7] = sh[8] = sh[9] = vec3(0.0);
     }
     if (SH_DEGREE >= 3) {
-        vec4 h = sh_plane(7, own), i = sh_plane(8, own), j = sh_plane(9, own);
-        vec4 k = sh_plane(10, own), l = sh_plane(11, own);
+        vec4 h = sh_plane(7, index), i = sh_plane(8, index), j = sh_plane(9, index);
+        vec4 k = sh_plane(10, index), l = sh_plane(11, index);
         sh[9].yz = h.xy;
         sh[10] = vec3(h.zw, i.x);
         sh[11] = i.yzw;

@@ -39,7 +39,7 @@ layout(push_constant, scalar) uniform Push {
     vec3 camera_position;
     uint first;
     uint count;
-    uint layout_word;
+    uint chunk_gaussians;
     uint gradient_stride;
     float beta_1;
     float beta_2;
@@ -101,20 +101,19 @@ void main() {
         atomicAdd(state[STATE_NON_FINITE], 1);
         return;
     }
-    uint own = geometry_at(index), sh_own = sh_at(index, layout_word);
     // The direction is that of the forward pass: it needs the mean from before this step.
-    vec3 mean = VEC4_AT(old_parameters, own + PLANE_MEAN_OPACITY * PLANE_ROW).xyz;
+    vec3 mean = VEC4_AT(old_parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)).xyz;
     float basis[16];
     // Outside the view the colour has no gradient, but a Gaussian at the camera has no direction: NaN times 0 is NaN.
     sh_basis(seen ? normalize(mean - camera_position) : vec3(0.0), basis);
 
     vec4 bias = vec4(inverse_bias_2);
-    update(own + PLANE_MEAN_OPACITY * PLANE_ROW, d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),
+    update(plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians), d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),
         vec4(bias.xyz, inverse_bias_2_opacity));
-    update(own + PLANE_QUAT * PLANE_ROW, d_quat, vec4(rate_quat), bias);
-    update(own + PLANE_LOG_SCALE * PLANE_ROW, d_log_scale, vec4(vec3(rate_log_scale), 0.0), bias);
+    update(plane_at(PLANE_QUAT, index, chunk_gaussians), d_quat, vec4(rate_quat), bias);
+    update(plane_at(PLANE_LOG_SCALE, index, chunk_gaussians), d_log_scale, vec4(vec3(rate_log_scale), 0.0), bias);
     [[unroll]] for (uint plane = 0; plane < SH_PLANES; ++plane) {
         vec4 rate = plane == 0 ? vec4(vec3(rate_sh_dc), rate_sh_rest) : vec4(rate_sh_rest);
-        update(sh_own + plane * PLANE_ROW, sh_plane_gradient(plane, basis, d_color.xyz), rate, bias);
+        update(plane_at(PLANE_SH + plane, index, chunk_gaussians), sh_plane_gradient(plane, basis, d_color.xyz), rate, bias);
     }
 }

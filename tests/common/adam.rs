@@ -5,7 +5,7 @@ use ashsplat::kernels::optimizer::adam::{self, Push};
 use ashsplat::vk::{Buffer, Kernel};
 
 use super::gpu::Gpu;
-use super::layout::{layout_word, pack, planes, room, unpack};
+use super::layout::{pack, planes, room, unpack};
 use crate::reference::types::Gaussian;
 
 /// Gradients of a visible Gaussian as the kernel reads them.
@@ -120,7 +120,7 @@ impl<'a> AdamState<'a> {
             camera_position: step.camera_position.map(|x| x as f32),
             first: 0,
             count: self.count as u32,
-            layout_word: layout_word(self.room, self.coefficients),
+            chunk_gaussians: self.room as u32,
             gradient_stride: self.count as u32 + 1,
             beta_1: beta_1 as f32,
             beta_2: beta_2 as f32,

@@ -5,7 +5,7 @@ use ashsplat::kernels::forward::project;
 use ashsplat::vk::Buffer;
 
 use super::gpu::{Gpu, UNTOUCHED};
-use super::layout::{SplatPlanes, layout_word, pack, pack_splats, room, rounded, shape_push};
+use super::layout::{SplatPlanes, pack, pack_splats, room, rounded, shape_push};
 use super::scenes::{Random, mixed_scene};
 use crate::reference::project as twin;
 use crate::reference::tiles::{touched, touches_by_pixels};
@@ -54,7 +54,6 @@ impl Projected {
         let visible: Vec<u32> =
             (0..gaussians.len() as u32).filter(|&i| splats[i as usize].is_some()).collect();
         let (room, count) = (room(gaussians.len()), visible.len());
-        let coefficients = gaussians.first().map_or(16, |g| g.sh.len());
         let parameters = gpu.buffer("parameters", &pack(gaussians, room));
         // Two in front that do not belong to this range.
         let list = gpu.buffer("visible_list", &[&[UNTOUCHED; 2], visible.as_slice()].concat());
@@ -75,7 +74,7 @@ impl Projected {
             footprints: &footprints,
             tile_lists: &tile_lists,
         };
-        let push = shape_push!(project::Push, view, gaussians.len(), layout_word(room, coefficients));
+        let push = shape_push!(project::Push, view, gaussians.len(), room);
         let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
         let behind = |buffer: Buffer, bytes: u64| {

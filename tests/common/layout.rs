@@ -16,23 +16,24 @@ pub fn room(count: usize) -> usize {
     (count + 3).next_multiple_of(256)
 }
 
-/// What the kernels know of planes with this room.
-pub fn layout_word(room: usize, coefficients: usize) -> u32 {
-    (room + planes(coefficients)) as u32 - PLANE_SH
-}
-
-/// Where plane `plane` of the `index`-th Gaussian lies: rows of eight Gaussians, first all of geometry, then all of SH.
-fn place(plane: u32, index: usize, room: usize, coefficients: usize) -> usize {
-    let (first, own, planes) =
-        if plane < PLANE_SH { (0, plane, 3) } else { (3 * room, plane - PLANE_SH, planes(coefficients) - 3) };
-    first + (index / 8 * planes + own as usize) * 8 + index % 8
+/// Where plane `plane` of the `index`-th Gaussian lies: geometry and each SH degree for itself, in rows of eight Gaussians.
+fn place(plane: u32, index: usize, room: usize) -> usize {
+    let (first, planes) = match plane {
+        0..3 => (0, 3),
+        3 => (3, 1),
+        4..6 => (4, 2),
+        6..10 => (6, 4),
+        10..15 => (10, 5),
+        _ => panic!("no Gaussian has a plane {plane}"),
+    };
+    first * room + (index / 8 * planes + plane as usize - first) * 8 + index % 8
 }
 
 /// Gaussians as planes.
 pub fn pack(gaussians: &[Gaussian], room: usize) -> Vec<[f32; 4]> {
     let coefficients = gaussians.first().map_or(16, |g| g.sh.len());
     let mut packed = vec![[0.0; 4]; planes(coefficients) * room];
-    let at = |plane: u32, i: usize| place(plane, i, room, coefficients);
+    let at = |plane: u32, i: usize| place(plane, i, room);
     for (i, gaussian) in gaussians.iter().enumerate() {
         let f = |x: f64| x as f32;
         let [x, y, z] = gaussian.mean.map(f);
@@ -50,7 +51,7 @@ pub fn pack(gaussians: &[Gaussian], room: usize) -> Vec<[f32; 4]> {
 /// The inverse of [`pack`].
 pub fn unpack(packed: &[[f32; 4]], room: usize, count: usize, coefficients: usize) -> Vec<Gaussian> {
     let f = |x: f32| f64::from(x);
-    let at = |plane: u32, i: usize| packed[place(plane, i, room, coefficients)];
+    let at = |plane: u32, i: usize| packed[place(plane, i, room)];
     (0..count)
         .map(|i| {
             let [x, y, z, opacity_logit] = at(PLANE_MEAN_OPACITY, i).map(f);
@@ -92,11 +93,11 @@ impl CameraValues {
     }
 }
 
-/// The push constants of a kernel that projects; further fields behind the count and the layout.
+/// The push constants of a kernel that projects; further fields behind the count and the room.
 // Each test binary uses a part of what they share.
 #[allow(unused_macros)]
 macro_rules! camera_push {
-    ($push:path, $view:expr, $count:expr, $layout:expr $(, $field:ident: $value:expr)*) => {{
+    ($push:path, $view:expr, $count:expr, $room:expr $(, $field:ident: $value:expr)*) => {{
         let view: &$crate::reference::types::View = $view;
         let camera = $crate::common::layout::CameraValues::of(view);
         $push {
@@ -111,7 +112,7 @@ macro_rules! camera_push {
             image_height: view.size_px[1],
             first: 0,
             count: $count as u32,
-            layout_word: $layout,
+            chunk_gaussians: $room as u32,
             extent: $crate::common::layout::extent_word(view),
             antialias: u32::from(view.antialias),
             splat_stride: 1,
@@ -126,12 +127,12 @@ pub(crate) use camera_push;
 /// The push constants of a kernel of the forward pass that projects: with what is drawn of the Gaussians.
 #[allow(unused_macros)]
 macro_rules! shape_push {
-    ($push:path, $view:expr, $count:expr, $layout:expr) => {
+    ($push:path, $view:expr, $count:expr, $room:expr) => {
         $crate::common::layout::camera_push!(
             $push,
             $view,
             $count,
-            $layout,
+            $room,
             scale_modifier: $view.drawn.scale_modifier as f32,
             dilation_px2: $view.drawn.dilation_px2 as f32,
             opacity_drawn: $view.drawn.opacity as f32

@@ -234,7 +234,8 @@ fn planes(g: &Gaussians, room: usize) -> Vec<u8> {
         planes[row + 16] = [a, b, c, 0.0];
         let sh = g.sh[4 * i..4 * i + 4].as_flattened();
         for (plane, values) in sh.chunks(4).enumerate() {
-            planes[3 * room + row + 8 * plane].copy_from_slice(values);
+            let at = if plane == 0 { 3 * room + i } else { 4 * room + i / 8 * 16 + 8 * (plane - 1) + i % 8 };
+            planes[at].copy_from_slice(values);
         }
     }
     bytemuck::cast_slice(&planes).to_vec()

@@ -3,7 +3,7 @@
 use ashsplat::kernels::forward::cull::{Bind, Interface, Push, Spec};
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{layout_word, pack, room, shape_push};
+use crate::common::layout::{pack, room, shape_push};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::cull::cull;
 use crate::reference::project::project;
@@ -39,7 +39,7 @@ fn cull_equals_its_twin() {
         let flags = gpu.untouched::<u32>("visible_flags", size + 2);
         let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
         let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-        let push = shape_push!(Push, &view, size, layout_word(room(size), 1));
+        let push = shape_push!(Push, &view, size, room(size));
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
 
         let flags = gpu.read::<u32>(&flags, size + 2);
@@ -75,7 +75,7 @@ fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
         let flags = gpu.untouched::<u32>("visible_flags", size);
         let counts = gpu.untouched::<u32>("block_counts", blocks);
         let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-        let push = shape_push!(Push, &view, size, layout_word(room(size), 1));
+        let push = shape_push!(Push, &view, size, room(size));
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64));
         let flags = gpu.read::<u32>(&flags, size);
         let expected = cull(&gaussians, &view);
@@ -121,7 +121,7 @@ fn cull_of_non_finite_parameters() {
     let flags = gpu.untouched::<u32>("visible_flags", cases.len());
     let counts = gpu.untouched::<u32>("block_counts", 1);
     let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-    let push = shape_push!(Push, &view, cases.len(), layout_word(room(cases.len()), 1));
+    let push = shape_push!(Push, &view, cases.len(), room(cases.len()));
     gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
     assert_eq!(gpu.read::<u32>(&flags, cases.len()), expected);
 }

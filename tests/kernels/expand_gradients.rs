@@ -5,7 +5,7 @@ use ashsplat::kernels::constants::GRADIENT_PLANES;
 
 use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{layout_word, pack, planes, room, unpack};
+use crate::common::layout::{pack, planes, room, unpack};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::expand_gradients::sh_gradient;
 use crate::reference::project::{camera_position, view_direction};
@@ -46,7 +46,8 @@ fn check(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize) {
         first: 0,
         count: size as u32,
         gradient_stride: gradient_stride as u32,
-        layout_word: layout_word(room, coefficients),
+        chunk_gaussians: room as u32,
+        planes: planes(coefficients) as u32,
     };
     gpu.run(|recorder| {
         recorder.dispatch(&kernel, &bind, &push, size as u64 / u64::from(spec.workgroup_size) + 1)

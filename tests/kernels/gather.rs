@@ -5,7 +5,7 @@ use ashsplat::vk::Buffer;
 
 use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{layout_word, pack, planes, room, unpack};
+use crate::common::layout::{pack, planes, room, unpack};
 use crate::common::scenes::{Random, mixed_scene};
 use crate::reference::gather::{child_of, random_normal};
 use crate::reference::types::Gaussian;
@@ -48,10 +48,11 @@ impl Rows {
         let push = Push {
             from_first: 0,
             from_count: before as u32,
-            from_layout: layout_word(from_room, COEFFICIENTS),
+            from_chunk_gaussians: from_room as u32,
             to_first: 0,
             to_count: after as u32,
-            to_layout: layout_word(to_room, COEFFICIENTS),
+            to_chunk_gaussians: to_room as u32,
+            planes: planes(COEFFICIENTS) as u32,
             noise_stride: before as u32,
             seed: SEED,
             iteration: ITERATION,

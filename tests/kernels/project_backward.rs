@@ -6,7 +6,7 @@ use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBL
 use super::blend_backward::from_moments;
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{camera_push, layout_word, pack, room};
+use crate::common::layout::{camera_push, pack, room};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::project::{color, project};
 use crate::reference::project_backward::{mean2d_statistic, project_backward};
@@ -132,7 +132,7 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
         statistics: &statistics,
     };
     let push = camera_push!(
-        Push, &scene.view, size, layout_word(room, 16),
+        Push, &scene.view, size, room,
         gradient_stride: gradient_stride as u32, accumulate: u32::from(accumulate)
     );
     gpu.run(|recorder| {

@@ -327,12 +327,11 @@ typedef struct AshsplatRelease {
   struct AshsplatImageState expected_depth;
 } AshsplatRelease;
 
-// How parameters lie in a host's own buffers: as planes of four floats, in rows of eight Gaussians. Three planes of geometry
-// come first, of all Gaussians, those of the spherical harmonics behind them: of the i-th Gaussian of a chunk
-// - plane p of 0 (mean, opacity logit), 1 (quaternion w, x, y, z) and 2 (log-scales, 0) at
-//   16 * ((i / 8 * 3 + p) * 8 + i % 8) bytes;
-// - plane q of planes - 3, which hold the coefficients, red, green and blue one after the other, filled up with zeros, at
-//   16 * (3 * chunk_gaussians + (i / 8 * (planes - 3) + q) * 8 + i % 8) bytes.
+// How parameters lie in a host's own buffers: as planes of four floats. Plane 0 is mean and opacity logit, 1 the quaternion
+// (w, x, y, z), 2 log-scales and 0; the others are the coefficients of the spherical harmonics, red, green and blue one after
+// the other, filled up with zeros. Planes 0 to 2 (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (a degree each) lie together for
+// all Gaussians, in rows of eight: of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at
+// 16 * (first * chunk_gaussians + (i / 8 * (end - first) + p - first) * 8 + i % 8) bytes.
 typedef struct AshsplatScenePlan {
   // Buffers.
   uint32_t chunks;

@@ -16,35 +16,39 @@ pub struct Panel {
     pub series: Vec<Series>,
 }
 
-const COLORS: [&str; 12] = [
+const COLORS: [&str; 18] = [
     "#222222", "#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#00a5a5", "#f032e6", "#808000",
-    "#9a6324", "#808080", "#000075",
+    "#9a6324", "#808080", "#000075", "#5c0000", "#7fb800", "#e0a800", "#006b3c", "#b07aa1", "#0095ff",
 ];
 const WIDTH: f64 = 470.0;
 const HEIGHT: f64 = 400.0;
 const MARGIN: f64 = 60.0;
 const LEGEND_WIDTH: f64 = 150.0;
+const PANELS_PER_ROW: usize = 2;
 
-/// The panels side by side, with one legend for all.
+/// The panels, two in a row, with one legend for all.
 pub fn svg(subtitle: &str, panels: &[Panel]) -> String {
-    let width = WIDTH * panels.len() as f64 + LEGEND_WIDTH;
-    let total_height = HEIGHT + 30.0;
+    let names = names(panels);
+    let columns = panels.len().min(PANELS_PER_ROW) as f64;
+    let width = WIDTH * columns + LEGEND_WIDTH;
+    let rows_height = HEIGHT * panels.len().div_ceil(PANELS_PER_ROW) as f64;
+    let total_height = 30.0 + rows_height.max(50.0 + 20.0 * names.len() as f64);
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {total_height}\" \
          font-family=\"sans-serif\" font-size=\"12\">\n\
          <rect width=\"{width}\" height=\"{total_height}\" fill=\"#ffffff\"/>\n\
-         <text x=\"{}\" y=\"20\" text-anchor=\"middle\" font-size=\"13\">Time of each stage of a frame on {}</text>\n",
+         <text x=\"{}\" y=\"20\" text-anchor=\"middle\" font-size=\"13\">Time of each stage on {}</text>\n",
         width / 2.0,
         escape(subtitle)
     );
-    let names = names(panels);
     for (i, panel) in panels.iter().enumerate() {
-        let _ = writeln!(out, "<g transform=\"translate({} 30)\">", WIDTH * i as f64);
+        let (x, y) = (WIDTH * (i % PANELS_PER_ROW) as f64, 30.0 + HEIGHT * (i / PANELS_PER_ROW) as f64);
+        let _ = writeln!(out, "<g transform=\"translate({x} {y})\">");
         one_panel(&mut out, panel, &names);
         out.push_str("</g>\n");
     }
     for (i, name) in names.iter().enumerate() {
-        let (x, y) = (WIDTH * panels.len() as f64, 60.0 + 20.0 * i as f64);
+        let (x, y) = (WIDTH * columns, 60.0 + 20.0 * i as f64);
         let color = COLORS[i % COLORS.len()];
         let _ = writeln!(
             out,
@@ -118,7 +122,7 @@ fn one_panel(out: &mut String, panel: &Panel, names: &[&str]) {
             power(decade)
         );
     }
-    for series in &panel.series {
+    for (number, series) in panel.series.iter().enumerate() {
         let index = names.iter().position(|name| *name == series.name).unwrap_or(0);
         let color = COLORS[index % COLORS.len()];
         let mut path = String::new();
@@ -127,7 +131,8 @@ fn one_panel(out: &mut String, panel: &Panel, names: &[&str]) {
             let _ = write!(path, "{}{x:.1} {y:.1}", if path.is_empty() { "M" } else { "L" });
             let _ = writeln!(out, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.5\" fill=\"{color}\"/>");
         }
-        let thick = if index == 0 { 3.0 } else { 1.5 };
+        // The first of a panel is the whole.
+        let thick = if number == 0 { 3.0 } else { 1.5 };
         let _ = writeln!(
             out,
             "<path d=\"{path}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"{thick}\"><title>{}</title></path>",

@@ -10,13 +10,25 @@ use super::{assemble, plot, table};
 use crate::output;
 use ashsplat::Result;
 use ashsplat::vk::Context;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
-/// Sweep the number of Gaussians at one resolution, then the resolution at one number of Gaussians, and fit how the
-/// time of each stage grows: time ~ count^exponent.
+/// What is swept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Task {
+    /// Frames, as `bench render` measures them
+    Frames,
+    /// Training steps, as `bench train-step` measures them
+    Steps,
+}
+
+/// Sweep the number of Gaussians at one resolution, then the resolution at one number of Gaussians, of frames and of
+/// training steps, and fit how the time of each stage grows: time ~ count^exponent.
 #[derive(Args)]
 pub struct Arguments {
+    /// What to sweep
+    #[arg(long, value_name = "WHAT,...", value_delimiter = ',', value_enum, default_values_t = [Task::Frames, Task::Steps])]
+    of: Vec<Task>,
     /// Numbers of Gaussians
     #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [10_000, 30_000, 100_000, 300_000, 1_200_000], value_parser = clap::value_parser!(u32).range(1..=MOST_GAUSSIANS))]
     counts: Vec<u32>,
@@ -55,33 +67,32 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let context = arguments.output.context()?;
     let yardsticks = Yardsticks::measure(&context)?;
-    let (mut by_count, mut by_pixels): (Sweep, Sweep) = (Vec::new(), Vec::new());
-    for &count in &arguments.counts {
-        let run = arguments.measure(&context, &yardsticks, (count, arguments.width))?;
-        by_count.push((f64::from(count), run));
-    }
-    for &width in &arguments.widths {
-        let run = arguments.measure(&context, &yardsticks, (arguments.gaussians, width))?;
-        by_pixels.push((f64::from(width) * f64::from(height_of(width)), run));
-    }
-    let growth = |title: String, axis: &str, sweep: &Sweep| Panel {
-        title,
-        axis: axis.to_owned(),
-        series: series(sweep),
-    };
     let (width, fixed) = (arguments.width, table::grouped(arguments.gaussians.into()));
-    let panels = [
-        growth(format!("{width}x{} pixels", height_of(width)), "Gaussians", &by_count),
-        growth(format!("{fixed} Gaussians"), "pixels", &by_pixels),
-    ];
+    let (mut panels, mut sweeps): (Vec<Panel>, Vec<Sweep>) = (Vec::new(), Vec::new());
+    for task in Task::value_variants().iter().copied().filter(|task| arguments.of.contains(task)) {
+        let measure = |size| arguments.measure(task, &context, &yardsticks, size);
+        let by_count = arguments.counts.iter().map(|&n| Ok((f64::from(n), measure((n, width))?)));
+        let by_count = by_count.collect::<Result<Sweep>>()?;
+        let pixels = |width: u32| f64::from(width) * f64::from(height_of(width));
+        let by_pixels = arguments.widths.iter().map(|&w| Ok((pixels(w), measure((arguments.gaussians, w))?)));
+        let by_pixels = by_pixels.collect::<Result<Sweep>>()?;
+        let growth = |fixed: String, axis: &str, sweep: &Sweep| Panel {
+            title: format!("{}, {fixed}", task.plural()),
+            axis: axis.to_owned(),
+            series: series(task, sweep),
+        };
+        panels.push(growth(format!("{width}x{} pixels", height_of(width)), "Gaussians", &by_count));
+        panels.push(growth(format!("{fixed} Gaussians"), "pixels", &by_pixels));
+        sweeps.extend([by_count, by_pixels]);
+    }
     if !arguments.output.quiet {
-        for (panel, sweep) in panels.iter().zip([&by_count, &by_pixels]) {
+        for (panel, sweep) in panels.iter().zip(&sweeps) {
             let title =
                 format!("{}: milliseconds by {}, and the exponent of their growth", panel.title, panel.axis);
             say!("\n{title}\n{}", exponents(&panel.axis, &[&panel.series[..], &kernel_series(sweep)]));
         }
     }
-    let mut runs = by_count.into_iter().chain(by_pixels).map(|(_, run)| run).collect::<Vec<_>>();
+    let mut runs = sweeps.into_iter().flatten().map(|(_, run)| run).collect::<Vec<_>>();
     super::name_apart(&mut runs);
     let report: Report = assemble(&context, arguments.iterations.get(), arguments.seed, (yardsticks, runs));
     arguments.output.write(&report)?;
@@ -104,9 +115,10 @@ impl Arguments {
         }
     }
 
-    /// A frame of so many Gaussians and so wide.
+    /// A frame, or a step, of so many Gaussians and so wide.
     fn measure(
         &self,
+        task: Task,
         context: &Context,
         yardsticks: &Yardsticks,
         (gaussians, width): (u32, u32),
@@ -114,9 +126,29 @@ impl Arguments {
         let scene = self.scene(gaussians, width).load()?;
         let iterations: Iterations = self.iterations.get();
         let (copy, seed) = (yardsticks.copy.as_ref(), self.seed);
-        let (run, _) = frames::render(&frames::Job { context, iterations, copy, scene: &scene, seed })?;
-        tell!("{}: {:.2} ms", table::describe(&run.workload), run.wall_ms.median);
+        let job = frames::Job { context, iterations, copy, scene: &scene, seed };
+        let (run, _) = match task {
+            Task::Frames => frames::render(&job)?,
+            Task::Steps => frames::train_step(&job)?,
+        };
+        tell!("{}, {}: {:.2} ms", task.singular(), table::describe(&run.workload), run.wall_ms.median);
         Ok(run)
+    }
+}
+
+impl Task {
+    fn singular(self) -> &'static str {
+        match self {
+            Self::Frames => "frame",
+            Self::Steps => "training step",
+        }
+    }
+
+    fn plural(self) -> &'static str {
+        match self {
+            Self::Frames => "Frames",
+            Self::Steps => "Training steps",
+        }
     }
 }
 
@@ -125,10 +157,10 @@ fn height_of(width: u32) -> u32 {
 }
 
 /// Device time of each stage, milliseconds; the wall time first.
-fn series(sweep: &Sweep) -> Vec<Series> {
+fn series(task: Task, sweep: &Sweep) -> Vec<Series> {
     let wall = sweep.iter().map(|(x, r)| (*x, r.wall_ms.median)).collect();
-    let frame = Series { name: "frame".into(), points: wall };
-    std::iter::once(frame).chain(grouped(sweep, |kernel| stage_of(&kernel.scope))).collect()
+    let whole = Series { name: task.singular().into(), points: wall };
+    std::iter::once(whole).chain(grouped(sweep, |kernel| stage_of(&kernel.scope))).collect()
 }
 
 /// Device time of each kernel of each stage, milliseconds.
