@@ -280,6 +280,37 @@ fn bench_measures_files_and_refuses_bad_ones() {
     assert_ne!(hash("1"), hash("2"));
 }
 
+/// All rows of a table in one run: a scene in a size of its own, a second data set up to the first window.
+#[test]
+fn bench_all_measures_a_scene_and_data_sets() {
+    let folder = tempdir().expect("a temporary folder");
+    let [first, second, ply, json] =
+        ["first", "second", "scene.ply", "a.json"].map(|name| folder.path().join(name));
+    crate::cli::write_dataset(&first);
+    crate::cli::write_dataset(&second);
+    let points =
+        ashsplat::scene::PointCloud { positions: vec![[0.0; 3]; 9], colors: vec![[200, 100, 50]; 9] };
+    let gaussians = ashsplat::scene::Gaussians::from_points(&points, 1).expect("Gaussians");
+    ashsplat::io::ply::write(&ply, &gaussians).expect("written");
+    let own = ["--scene", text(&ply), "--scene-size", "80x48", "--frames", "900@64x64"];
+    let sets = ["--dataset", text(&first), "--dataset", text(&second), "--windows", "200,100"];
+    measure("all", &[&own[..], &sets, &["--json", text(&json)]].concat());
+    let report = read(&json);
+    let of = |name: &str| {
+        runs(&report).iter().filter(|run| run["workload"]["source"].to_string().contains(name)).count()
+    };
+    assert_eq!(
+        (of("first, iterations"), of("second, iterations"), of("second, iterations 1 to 100")),
+        (2, 1, 1)
+    );
+    let scene = runs(&report).iter().find(|run| run["workload"]["source"] == text(&ply)).expect("the scene");
+    assert_eq!((&scene["workload"]["width"], &scene["workload"]["height"]), (&80.into(), &48.into()));
+    for bad in ["80", "80x", "0x48", "80x-4"] {
+        refuse(&["bench", "all", "--scene", text(&ply), "--scene-size", bad], &["--scene-size", "1280x720"]);
+    }
+    refuse(&["bench", "all", "--scene-size", "80x48"], &["--scene"]);
+}
+
 #[test]
 fn bench_train_measures_windows_of_real_training() {
     let folder = tempdir().expect("a temporary folder");

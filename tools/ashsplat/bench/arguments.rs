@@ -137,9 +137,12 @@ pub struct AllArguments {
     /// Its camera: entry N (from 0) of a cameras.json [default: N = 0; without it, one that sees the whole scene]
     #[arg(long, value_name = "FILE[:N]", requires = "scene")]
     pub camera: Option<String>,
-    /// Training of this data set besides
+    /// Size of its picture [default: --width and --height, where given, else the camera's own]
+    #[arg(long, value_name = "WxH", value_parser = tasks::parse_size, requires = "scene")]
+    pub scene_size: Option<(u32, u32)>,
+    /// Training of this data set besides; given again, of another one up to the end of the first window
     #[arg(long, value_name = "DATASET")]
-    pub dataset: Option<PathBuf>,
+    pub dataset: Vec<PathBuf>,
     /// Where its measurements end; each covers a hundred iterations
     #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [100], requires = "dataset")]
     pub windows: Vec<u32>,

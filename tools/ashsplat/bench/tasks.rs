@@ -53,17 +53,25 @@ impl std::str::FromStr for FrameSize {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let parsed = text.split_once('@').and_then(|(gaussians, size)| {
-            let (width, height) = size.split_once('x')?;
-            Some((gaussians.parse().ok()?, width.parse().ok()?, height.parse().ok()?))
-        });
+        let parsed = text
+            .split_once('@')
+            .and_then(|(gaussians, size)| Some((gaussians.parse().ok()?, parse_size(size).ok()?)));
         match parsed {
-            Some((gaussians, ..)) if i64::from(gaussians) > MOST_GAUSSIANS => {
+            Some((gaussians, _)) if i64::from(gaussians) > MOST_GAUSSIANS => {
                 Err(format!("{gaussians} Gaussians are more than {MOST_GAUSSIANS}"))
             }
-            Some((gaussians @ 1.., width @ 1.., height @ 1..)) => Ok(Self { gaussians, width, height }),
+            Some((gaussians @ 1.., (width, height))) => Ok(Self { gaussians, width, height }),
             _ => Err("give Gaussians and size, as in 1140000@1280x720".to_owned()),
         }
+    }
+}
+
+/// The size of a picture on the command line: "1280x720".
+pub fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let parsed = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    match parsed {
+        Some(size @ (1.., 1..)) => Ok(size),
+        _ => Err("give width and height, as in 1280x720".to_owned()),
     }
 }
 
@@ -89,7 +97,7 @@ pub fn of_training(dataset: &Path, windows: &[u32], sh_degree: u32) -> Result<Ve
     Ok(vec![Task::Train(Box::new(Training::load(dataset, windows, sh_degree)?))])
 }
 
-/// The primitives at two sizes, synthetic frames and steps, and the trained scene and the data set where given.
+/// The primitives at two sizes, synthetic frames and steps, and the trained scene and the data sets where given.
 pub fn of_all(arguments: &AllArguments, is_cpu: bool) -> Result<Vec<Task>> {
     let own = &arguments.synthetic;
     let of_size = |&FrameSize { gaussians, width, height }: &FrameSize| SyntheticArguments {
@@ -119,12 +127,15 @@ pub fn of_all(arguments: &AllArguments, is_cpu: bool) -> Result<Vec<Task>> {
         tasks.push(Task::Render(Rc::new(of_size(size).load()?), iterations));
     }
     if let Some(file) = &arguments.scene {
-        let trained = SceneArguments::of_file(file, arguments.camera.as_deref(), (own.width, own.height));
+        let size = arguments.scene_size.map_or((own.width, own.height), |(w, h)| (Some(w), Some(h)));
+        let trained = SceneArguments::of_file(file, arguments.camera.as_deref(), size);
         tasks.push(Task::Render(Rc::new(trained.load(false)?), iterations));
     }
     tasks.push(Task::TrainStep(synthetic, iterations));
-    if let Some(dataset) = &arguments.dataset {
-        tasks.extend(of_training(dataset, &arguments.windows, own.sh_degree())?);
+    let first_window = arguments.windows.iter().min().map_or(&[][..], std::slice::from_ref);
+    for (number, dataset) in arguments.dataset.iter().enumerate() {
+        let windows = if number == 0 { &arguments.windows } else { first_window };
+        tasks.extend(of_training(dataset, windows, own.sh_degree())?);
     }
     Ok(tasks)
 }
