@@ -115,9 +115,12 @@ impl ScenePlan {
     /// Where plane `plane` of the `index`-th Gaussian of a chunk lies in it, in vec4. Planes 0 to 2, 3, 4 and 5, 6 to 9, and 10
     /// to 14 (geometry, then one SH degree each) lie together for all Gaussians, in rows of eight: planes `first` to
     /// `end - 1` at `first * chunk_gaussians + (index / 8 * (end - first) + plane - first) * 8 + index % 8`.
+    ///
+    /// # Panics
+    /// Unless `plane` is below `planes` and `index`, which counts from the chunk's first, below `chunk_gaussians`.
     pub fn place(&self, plane: u32, index: usize) -> usize {
-        let row = PLANE_ROW as usize;
-        let Range { start, end } = plane_group(plane);
+        assert!(plane < self.planes && index < self.chunk_gaussians as usize, "{plane}, {index}: {self:?}");
+        let (row, Range { start, end }) = (PLANE_ROW as usize, plane_group(plane));
         let (first, planes) = (start as usize, (end - start) as usize);
         first * self.chunk_gaussians as usize
             + (index / row * planes + plane as usize - first) * row

@@ -269,6 +269,11 @@ fn bench_measures_files_and_refuses_bad_ones() {
     refuse(&["bench", "render", "--gaussians", &most], &["--gaussians", "67108864"]);
     refuse(&["bench", "scaling", "--counts", &most], &["--counts", "67108864"]);
     refuse(&["bench", "scaling", "--gaussians", &most], &["--gaussians", "67108864"]);
+    // Before any frame is measured.
+    let steps = folder.path().join("steps.json");
+    let many = ["bench", "scaling", "--counts", "10,67108864", "--widths", "64", "--json", text(&steps)];
+    refuse(&many, &["67,108,864 Gaussians", "trains at most", "--of frames"]);
+    assert!(!steps.exists());
     refuse(&["bench", "all", "--frames", &format!("{most}@9x9")], &["--frames", "67108864"]);
     // The seed disturbs what is trained on its own picture.
     let hash = |seed: &str| {

@@ -130,6 +130,30 @@ fn extremes_do_not_spread_by_densification() {
     }
 }
 
+/// More (tile, Gaussian) instances than 32 bits count, where prefix sums wrap around: said, and nothing written out of bounds.
+#[test]
+fn extremes_of_more_instances_than_32_bits_are_refused() {
+    let context = guarded();
+    // 128 x 128 tiles, each met by every other Gaussian, few by those between; the sums begin anew after three quarters.
+    let count = 700_000;
+    let is_large = |i: usize| !i.is_multiple_of(2);
+    let scene = Gaussians {
+        sh_degree: 0,
+        means: vec![[0.0; 3]; count],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
+        log_scales: (0..count).map(|i| [if is_large(i) { 6.0 } else { -6.0 }; 3]).collect(),
+        opacity_logits: vec![2.0; count],
+        sh: vec![[0.5; 3]; count],
+    };
+    let mut renderer = Renderer::new(context).expect("a renderer");
+    renderer.upload(&scene).expect("upload");
+    let result = renderer.render(&camera(&small_view([2048, 2048])), &RenderSettings::default());
+    let error = result.err().expect("too many instances").to_string();
+    assert!(error.contains("instances"), "{error}");
+    assert_eq!(context.breached_guards().expect("guards"), Vec::<&str>::new());
+    assert_silent(context);
+}
+
 /// The bands would show a write outside: here one of the host's.
 #[test]
 fn extremes_would_be_seen_by_the_guards() {

@@ -10,7 +10,8 @@ use crate::vk::{Buffer, Context};
 /// Gaussians on the device, for [`super::Renderer::record`]: any number of them make up a frame.
 ///
 /// The parameters lie in chunks, one buffer each, as vec4 planes (`PLANE_*` in `glsl/include/constants.glsl`) in rows of
-/// eight Gaussians, geometry and each SH degree for itself: [`ScenePlan::place`] says where, the plan's fields how many chunks, planes and Gaussians.
+/// eight Gaussians, geometry and each SH degree for itself: [`ScenePlan::place`] says where, the plan's fields how many
+/// chunks, planes and Gaussians.
 #[derive(Clone)]
 pub struct DeviceScene {
     context: Context,

@@ -94,7 +94,7 @@ void put_unlisted(bool any, uint rank, uint visible_count, uint run_begin, uint 
         uint head = UINT_AT(list_heads, safe_rank);
         uint tiles = exists ? tiles_met(uvec2(head, 0)) : 0;
         bool ends = !exists || offset >= run_end;
-        bool many = !ends && !is_listed(uvec2(head, 0)) && offset + tiles > run_begin;
+        bool many = !ends && !is_listed(uvec2(head, 0)) && tiles > 0 && offset + tiles > run_begin;
         uvec4 found = subgroupBallot(many);
         bool one = subgroupAny(many);
         uint owner = one ? subgroupBallotFindLSB(found) : 0;
@@ -114,11 +114,15 @@ void put_unlisted(bool any, uint rank, uint visible_count, uint run_begin, uint 
             uint row_end = rows_begin + subgroupInclusiveAdd(width);
             uint row_begin = row_end - width;
             rows_begin = subgroupShuffle(row_end, SUBGROUP_SIZE - 1);
-            uint rows_end = min(rows_begin, stop);
+            // The last row takes what is left: should a driver round here otherwise than where tiles were counted, each
+            // instance still gets a tile of the box.
+            uint last_lane = box.w - 1 - first_row;
+            uint rows_end = last_lane < SUBGROUP_SIZE ? stop : min(rows_begin, stop);
             do {
                 uint instance = next + gl_SubgroupInvocationID;
-                uint from = owner_of(instance, row_begin);
+                uint from = min(owner_of(instance, row_begin), last_lane);
                 uint column = subgroupShuffle(span.x, from) + instance - subgroupShuffle(row_begin, from);
+                column = min(column, box.y - 1);
                 if (instance < rows_end) {
                     instance_tiles[instance] = (first_row + from) * tiles_per_row + column;
                     instance_visible[instance] = visible;

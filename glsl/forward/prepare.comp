@@ -2,8 +2,9 @@
 // and the indirect arguments of the dispatches over it.
 //
 // One invocation in all.
-// in: state[count_index] = how many are needed
-// out: state[count_index + 1] = min(needed, capacity); state[STATE_OVERFLOW] set when clamped;
+// in: state[count_index] = how many are needed; 0xFFFFFFFF for more than 32 bits hold (scan_spine.comp)
+// out: state[count_index + 1] = min(needed, capacity), 0 where prefix sums have wrapped around, which lead nowhere then;
+//      state[STATE_OVERFLOW] set when clamped;
 //      arguments[3]: workgroups for blocks of `block_stream`, `block_sort` and `block_third` elements (of the
 //      scan for the visible, of expansion for the instances)
 #version 460
@@ -31,9 +32,10 @@ layout(push_constant, scalar) uniform Push {
 
 void main() {
     uint needed = state[count_index];
-    uint elements = min(needed, capacity);
+    bool wrapped = needed == 0xFFFFFFFF;
+    uint elements = wrapped ? 0 : min(needed, capacity);
     state[count_index + 1] = elements;
-    if (needed > capacity) {
+    if (wrapped || needed > capacity) {
         state[STATE_OVERFLOW] = 1;
     }
     arguments[first_argument] = workgroup_count(elements, block_stream);

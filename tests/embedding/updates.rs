@@ -13,7 +13,8 @@ fn replace(all: &mut Gaussians, first: usize, new: &Gaussians) {
     all.quats[first..end].copy_from_slice(&new.quats);
     all.log_scales[first..end].copy_from_slice(&new.log_scales);
     all.opacity_logits[first..end].copy_from_slice(&new.opacity_logits);
-    all.sh[4 * first..4 * end].copy_from_slice(&new.sh);
+    let sh = all.sh.len() / all.len();
+    all.sh[sh * first..sh * end].copy_from_slice(&new.sh);
 }
 
 #[test]
@@ -49,49 +50,64 @@ fn updates_replace_a_part_of_a_scene() {
     });
 }
 
+/// A cloud with spherical harmonics of some degree.
+fn cloud_of_degree(sh_degree: u32, count: usize, seed: u32) -> Gaussians {
+    let own = cloud(count, seed);
+    let coefficients = (sh_degree as usize + 1).pow(2);
+    let value = |i: usize, k: usize| own.sh[4 * i + k % 4].map(|x| x / (1 + k) as f32);
+    let sh = (0..count * coefficients).map(|at| value(at / coefficients, at % coefficients)).collect();
+    Gaussians { sh_degree, sh, ..own }
+}
+
 /// Whatever part of rows and chunks it begins and ends in, an update replaces its Gaussians and no others.
 #[test]
 fn updates_replace_any_range() {
+    const RANGES: [(usize, usize); 12] = [
+        (0, 1),
+        (7, 2),
+        (8, 8),
+        (19, 4),
+        (30, 33),
+        (1000, 24),
+        (1020, 9),
+        (1023, 1),
+        (1024, 16),
+        (1199, 1),
+        (130, 950),
+        (200, 1000),
+    ];
     with_host(&options(), |host| {
-        let lowered =
-            LimitsOverride { max_storage_buffer_range: Some(96 * 1024), ..LimitsOverride::default() };
-        let options = ContextOptions {
-            hazard_check: true,
-            limits_override: Some(lowered),
-            ..ContextOptions::default()
-        };
-        // SAFETY: as in `guest`.
-        let context = unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context");
-        let mut expected = cloud(1200, 1);
-        let scene = DeviceScene::upload(&context, &expected, 0).expect("a scene");
-        assert_eq!((scene.plan().chunk_gaussians, scene.plan().chunks), (1024, 2));
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        let staging_bytes = Reservation::update_bytes(1000, 1);
-        let reservation = Reservation { staging_bytes, ..Reservation::new(1200, 1, 16, 16) };
-        renderer.reserve(&reservation).expect("memory");
-        let (settings, camera, placed) = (RenderSettings::default(), camera(0.1, 16, 16), [(&scene).into()]);
-        let ranges = [
-            (0, 1),
-            (7, 2),
-            (8, 8),
-            (19, 4),
-            (30, 33),
-            (1000, 24),
-            (1020, 9),
-            (1023, 1),
-            (1024, 16),
-            (1199, 1),
-            (130, 950),
-            (200, 1000),
-        ];
-        for (number, (first, count)) in ranges.into_iter().enumerate() {
-            let new = cloud(count, 10 + number as u32);
-            replace(&mut expected, first, &new);
-            let updates = [Update { scene: &scene, first: first as u32, gaussians: &new }];
-            let frame =
-                RecordedFrame { updates: &updates, ..RecordedFrame::new(&placed, &camera, &settings) };
-            rendered(host, &mut renderer, &frame);
-            assert!(scene.download().expect("Gaussians") == expected, "{count} from {first}");
+        for (sh_degree, planes) in [(0, 4), (1, 6), (2, 10), (3, 15)] {
+            let lowered = LimitsOverride {
+                max_storage_buffer_range: Some(planes * 16 * 1024),
+                ..LimitsOverride::default()
+            };
+            let options = ContextOptions {
+                hazard_check: true,
+                limits_override: Some(lowered),
+                ..ContextOptions::default()
+            };
+            // SAFETY: as in `guest`.
+            let context = unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context");
+            let mut expected = cloud_of_degree(sh_degree, 1200, 1);
+            let scene = DeviceScene::upload(&context, &expected, 0).expect("a scene");
+            assert_eq!((scene.plan().chunk_gaussians, scene.plan().chunks), (1024, 2));
+            let mut renderer = Renderer::new(&context).expect("kernels");
+            let staging_bytes = Reservation::update_bytes(1000, sh_degree);
+            let reservation = Reservation { staging_bytes, ..Reservation::new(1200, sh_degree, 16, 16) };
+            renderer.reserve(&reservation).expect("memory");
+            let (settings, camera) = (RenderSettings::default(), camera(0.1, 16, 16));
+            let placed = [(&scene).into()];
+            for (number, (first, count)) in RANGES.into_iter().enumerate() {
+                let new = cloud_of_degree(sh_degree, count, 10 + number as u32);
+                replace(&mut expected, first, &new);
+                let updates = [Update { scene: &scene, first: first as u32, gaussians: &new }];
+                let frame =
+                    RecordedFrame { updates: &updates, ..RecordedFrame::new(&placed, &camera, &settings) };
+                rendered(host, &mut renderer, &frame);
+                let same = scene.download().expect("Gaussians") == expected;
+                assert!(same, "degree {sh_degree}: {count} from {first}");
+            }
         }
     });
 }

@@ -166,3 +166,47 @@ fn expand_of_many_without_tiles() {
     assert!(tiles[450] > 500, "{} tiles", tiles[450]);
     assert_eq!(expanded.visible, expected);
 }
+
+/// Should a driver round otherwise where tiles are counted than where they are listed, each instance still gets a tile of the
+/// Gaussian's box, none is left unwritten.
+#[test]
+fn expand_of_other_counts_stays_in_the_box() {
+    let gpu = Gpu::new();
+    for extent in [Extent::Exact, Extent::Reference] {
+        let view = View { sh_degree: 0, extent, ..small_view([640, 480]) };
+        let gaussians: Vec<Gaussian> = (0..20)
+            .map(|i| Gaussian {
+                mean: [f64::from(i) * 0.1 - 1.0, 0.0, 0.0],
+                quat: [0.9, 0.0, 0.0, 0.1],
+                log_scale: [-2.5 + f64::from(i) * 0.1, -2.0, -2.0],
+                opacity_logit: 3.0,
+                sh: vec![[0.0; 3]],
+            })
+            .collect();
+        let frame = Projected::new(&gpu, &gaussians, &view);
+        let splats = frame.splats(&gpu, &view);
+        let mut lists = gpu.read::<[u32; 2]>(&frame.tile_lists, splats.len());
+        let unlisted: Vec<usize> = (0..lists.len()).filter(|&i| !is_listed(lists[i])).collect();
+        assert!(unlisted.len() > 5, "{} without a list", unlisted.len());
+        for (k, &i) in unlisted.iter().enumerate() {
+            lists[i][0] = if k % 2 == 0 { lists[i][0] + 3 } else { lists[i][0] - 3 };
+        }
+        let frame = Projected { tile_lists: gpu.buffer("tile_lists", &lists), ..frame };
+        let order: Vec<u32> = (0..splats.len() as u32).collect();
+        let Expanded { tiles, visible, .. } = expanded(&gpu, &frame, &order, &view);
+        let columns = view.tiles()[0];
+        for (tile, &gaussian) in tiles.iter().zip(&visible) {
+            let allowed = match extent {
+                Extent::Exact => touched_at_most(&splats[gaussian as usize], &view),
+                Extent::Reference => touched(&splats[gaussian as usize], &view),
+            };
+            let column_of = |tile: &u32| tile % columns;
+            let rows = allowed[0] / columns..=allowed[allowed.len() - 1] / columns;
+            let columns_met = allowed.iter().map(column_of).min()..=allowed.iter().map(column_of).max();
+            assert!(
+                rows.contains(&(tile / columns)) && columns_met.contains(&Some(column_of(tile))),
+                "tile {tile} of {gaussian}, which has {allowed:?}"
+            );
+        }
+    }
+}

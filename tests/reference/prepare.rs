@@ -1,8 +1,9 @@
 //! Workgroup counts of a dispatch over a number of elements, the twin of `forward/prepare`.
 
-/// The elements within the capacity, and whether some had no room.
+/// The elements within the capacity, and whether some had no room. A number that 32 bits do not hold is `u32::MAX`: then
+/// none, as nobody knows where each of them is.
 pub fn clamp(needed: u32, capacity: u32) -> (u32, bool) {
-    (needed.min(capacity), needed > capacity)
+    if needed == u32::MAX { (0, true) } else { (needed.min(capacity), needed > capacity) }
 }
 
 /// x, y, z for one workgroup per block: two-dimensional above the limit of an axis, with all zero for nothing.

@@ -6,6 +6,8 @@ use ashsplat::Error;
 use ashsplat::vk::{
     Context, ContextOptions, Image, ImageUse, LimitsOverride, MemoryKind, PLACEMENT_ALIGNMENT, pack,
 };
+use proptest::collection::vec;
+use proptest::prelude::*;
 
 #[test]
 fn requests_are_packed_in_order_without_overlap() {
@@ -21,7 +23,7 @@ fn large_buffers_of_round_sizes_are_staggered() {
     let packing = pack(&[LARGE, LARGE, LARGE + 256, LARGE / 2, LARGE / 2, 16], u64::MAX).expect("fits");
     let begins: Vec<u64> = packing.places.iter().map(|&(_, begin)| begin).collect();
     let third = 2 * (LARGE + 8448);
-    let fourth = third + LARGE + 256;
+    let fourth = third + LARGE + 8448;
     assert_eq!(begins, [0, LARGE + 8448, third, fourth, fourth + LARGE / 2, fourth + LARGE]);
     assert_eq!(packing.blocks, [fourth + LARGE + 16]);
     // Where that would not fit, another block.
@@ -37,21 +39,32 @@ fn a_full_block_is_followed_by_another() {
     assert_eq!(pack(&[1000, 1001], 1000), Err(1));
 }
 
-proptest::proptest! {
+/// Requests and the largest block: many small ones, or few that are large and staggered, some of them round.
+fn requests() -> impl Strategy<Value = (Vec<u64>, u64)> {
+    let large = prop_oneof![0_u64..2_500_000, (0_u64..600).prop_map(|pages| pages * 4096)];
+    prop_oneof![(vec(0_u64..5000, 0..40), 5000_u64..20_000), (vec(large, 0..20), 2_500_000_u64..9_000_000)]
+}
+
+proptest! {
     #[test]
-    fn packing_holds_everything(sizes in proptest::collection::vec(0u64..5000, 0..40), block in 5000u64..20_000) {
+    fn packing_holds_everything((sizes, block) in requests()) {
         let packing = pack(&sizes, block).expect("each fits");
         let mut taken: Vec<(usize, u64, u64)> = (packing.places.iter().zip(&sizes))
             .map(|(&(block, offset), &bytes)| (block, offset, offset + bytes.max(16)))
             .collect();
         taken.sort_unstable();
         for (block, start, end) in &taken {
-            proptest::prop_assert!(start % PLACEMENT_ALIGNMENT == 0 && *end <= packing.blocks[*block]);
+            prop_assert!(start % PLACEMENT_ALIGNMENT == 0 && *end <= packing.blocks[*block]);
         }
         for pair in taken.windows(2) {
-            proptest::prop_assert!(pair[0].0 < pair[1].0 || pair[0].2 <= pair[1].1);
+            prop_assert!(pair[0].0 < pair[1].0 || pair[0].2 <= pair[1].1);
         }
-        proptest::prop_assert!(packing.blocks.iter().all(|b| *b <= block));
+        for (k, pair) in packing.places.windows(2).enumerate() {
+            let apart = pair[1].1.wrapping_sub(pair[0].1) % 65_536;
+            let is_staggered = (8448..=65_536 - 8448).contains(&apart);
+            prop_assert!(sizes[k] < 1 << 20 || pair[0].0 < pair[1].0 || is_staggered);
+        }
+        prop_assert!(packing.blocks.iter().all(|b| *b <= block));
     }
 }
 

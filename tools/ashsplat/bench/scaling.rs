@@ -8,8 +8,9 @@ use super::schema::{KernelResult, Report, Run};
 use super::workload::{MOST_GAUSSIANS, SyntheticArguments};
 use super::{assemble, plot, table};
 use crate::output;
-use ashsplat::Result;
+use ashsplat::plan::max_trained_gaussians;
 use ashsplat::vk::Context;
+use ashsplat::{Error, Result};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -66,6 +67,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         arguments.scene(count, arguments.width).check()?;
     }
     let context = arguments.output.context()?;
+    let most = max_trained_gaussians(context.limits());
+    let counts = arguments.counts.iter().chain([&arguments.gaussians]);
+    if let Some(count) = counts.copied().filter(|&n| n > most && arguments.of.contains(&Task::Steps)).max() {
+        let problem = format!(
+            "this device trains at most {} (a binding holds the gradients of no more); \
+             sweep fewer with --counts and --gaussians, or --of frames alone",
+            table::grouped(most.into())
+        );
+        return Err(Error::argument(format!("{} Gaussians", table::grouped(count.into())), problem));
+    }
     let yardsticks = Yardsticks::measure(&context)?;
     let (width, fixed) = (arguments.width, table::grouped(arguments.gaussians.into()));
     let (mut panels, mut sweeps): (Vec<Panel>, Vec<Sweep>) = (Vec::new(), Vec::new());
