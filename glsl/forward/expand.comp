@@ -82,13 +82,12 @@ uint owner_of(uint instance, uint begin) {
     return owner;
 }
 
-// Instances of the run from `run_begin` to `run_end` of Gaussians without a list, the first of them not below `rank`. Does
-// nothing unless `any`: processors go through all of a shader's branches, so this is no branch.
-void put_unlisted(bool any, uint rank, uint visible_count, uint run_begin, uint run_end) {
+// Instances of the run from `run_begin` to `run_end` of Gaussians without a list, the first of them not below `rank`.
+void put_unlisted(uint rank, uint visible_count, uint run_begin, uint run_end) {
     bool done = false;
     do {
         uint own_rank = rank + gl_SubgroupInvocationID;
-        bool exists = any && own_rank < visible_count;
+        bool exists = own_rank < visible_count;
         uint safe_rank = exists ? own_rank : 0;
         uint offset = UINT_AT(instance_offsets, safe_rank);
         uint head = UINT_AT(list_heads, safe_rank);
@@ -188,5 +187,7 @@ void main() {
         first_rank = min(first_rank + SUBGROUP_SIZE, visible_count - 1);
         first_rank = find_rank(next, first_rank, found_none ? visible_count - first_rank : 1);
     }
-    put_unlisted(subgroupAny(any_unlisted), run_rank, visible_count, run_begin, run_end);
+    if (subgroupAny(any_unlisted)) {
+        put_unlisted(run_rank, visible_count, run_begin, run_end);
+    }
 }
