@@ -146,7 +146,8 @@ pub struct SlotReport {
     pub longest_tile: u32,
     /// Passes of blending that the fullest tile needs.
     pub blend_passes_needed: u32,
-    /// Whether something did not fit: the picture lacks what lies farthest back. [`Reservation::grown`] helps.
+    /// Whether something did not fit: the picture lacks what lies farthest back, or, where `instances_needed` is
+    /// `u32::MAX`, everything. [`Reservation::grown`] helps against the first.
     pub overflow: bool,
     /// Device time per stage; empty where there are no timestamps.
     pub scopes: Vec<ScopeTime>,

@@ -31,22 +31,14 @@ pub const SMALLEST_BUFFER: u64 = 16;
 const CACHE_WAY: u64 = 64 << 10;
 /// From this size it matters, bytes.
 const STAGGERED: u64 = 1 << 20;
-/// So two that follow each other begin at least this far apart in those sets, bytes: further than the keys of one digit
-/// stray from their expected place.
+/// So each begins this much later in those sets than the one before, bytes: further than the keys of one digit stray from
+/// their expected place. Keys and values that a sort writes lie two apart.
 const STAGGER: u64 = 33 * PLACEMENT_ALIGNMENT;
 
 /// How much later than right behind a buffer of this size the next one begins, bytes.
 const fn stagger_behind(bytes: u64) -> u64 {
     let apart = bytes.next_multiple_of(PLACEMENT_ALIGNMENT) % CACHE_WAY;
-    if bytes < STAGGERED {
-        0
-    } else if apart < STAGGER {
-        STAGGER - apart
-    } else if apart > CACHE_WAY - STAGGER {
-        CACHE_WAY + STAGGER - apart
-    } else {
-        0
-    }
+    if bytes < STAGGERED { 0 } else { (CACHE_WAY + STAGGER - apart) % CACHE_WAY }
 }
 
 /// Where each request lies.

@@ -386,7 +386,8 @@ typedef struct AshsplatReservation {
 typedef struct AshsplatReport {
   // Whether the frame has finished; nothing else is said before.
   bool finished;
-  // Whether something did not fit: the picture lacks what lies farthest back.
+  // Whether something did not fit: the picture lacks what lies farthest back, or, where `instances_needed` is
+  // `UINT32_MAX`, everything.
   bool overflow;
   // Gaussians in the frame's scenes.
   uint32_t gaussians;

@@ -375,7 +375,8 @@ impl From<&Release> for AshsplatRelease {
 pub struct AshsplatReport {
     /// Whether the frame has finished; nothing else is said before.
     pub finished: bool,
-    /// Whether something did not fit: the picture lacks what lies farthest back.
+    /// Whether something did not fit: the picture lacks what lies farthest back, or, where `instances_needed` is
+    /// `UINT32_MAX`, everything.
     pub overflow: bool,
     /// Gaussians in the frame's scenes.
     pub gaussians: u32,
