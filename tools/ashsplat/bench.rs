@@ -11,6 +11,7 @@ mod primitives;
 mod samples;
 mod scaling;
 pub mod schema;
+mod sizes;
 mod synthetic;
 pub mod table;
 mod tasks;

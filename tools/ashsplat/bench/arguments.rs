@@ -2,8 +2,9 @@
 
 use super::measure::Iterations;
 use super::schema::Report;
+use super::sizes::{FrameSize, parse_size};
+use super::table;
 use super::workload::{SceneArguments, SyntheticArguments};
-use super::{table, tasks};
 use crate::args::DeviceArguments;
 use crate::output;
 use ashsplat::Result;
@@ -129,8 +130,8 @@ pub struct AllArguments {
     #[command(flatten)]
     pub synthetic: SyntheticArguments,
     /// More synthetic frames: Gaussians and size of each
-    #[arg(long, value_name = "N@WxH,...", value_delimiter = ',', default_values_t = [tasks::FrameSize::LARGE])]
-    pub frames: Vec<tasks::FrameSize>,
+    #[arg(long, value_name = "N@WxH,...", value_delimiter = ',', default_values_t = [FrameSize::LARGE])]
+    pub frames: Vec<FrameSize>,
     /// A frame of a trained scene besides
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
@@ -138,7 +139,7 @@ pub struct AllArguments {
     #[arg(long, value_name = "FILE[:N]", requires = "scene")]
     pub camera: Option<String>,
     /// Size of its picture [default: --width and --height, where given, else the camera's own]
-    #[arg(long, value_name = "WxH", value_parser = tasks::parse_size, requires = "scene")]
+    #[arg(long, value_name = "WxH", value_parser = parse_size, requires = "scene")]
     pub scene_size: Option<(u32, u32)>,
     /// Training of this data set besides; given again, of another one up to the end of the first window
     #[arg(long, value_name = "DATASET")]

@@ -63,20 +63,11 @@ type Sweep = Vec<(f64, Run)>;
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.output.check(&[("--plot", arguments.plot.as_deref())])?;
-    for &count in arguments.counts.iter().chain([&arguments.gaussians]) {
+    for count in arguments.all_counts() {
         arguments.scene(count, arguments.width).check()?;
     }
     let context = arguments.output.context()?;
-    let most = max_trained_gaussians(context.limits());
-    let counts = arguments.counts.iter().chain([&arguments.gaussians]);
-    if let Some(count) = counts.copied().filter(|&n| n > most && arguments.of.contains(&Task::Steps)).max() {
-        let problem = format!(
-            "this device trains at most {} (a binding holds the gradients of no more); \
-             sweep fewer with --counts and --gaussians, or --of frames alone",
-            table::grouped(most.into())
-        );
-        return Err(Error::argument(format!("{} Gaussians", table::grouped(count.into())), problem));
-    }
+    arguments.check_trained(max_trained_gaussians(context.limits()))?;
     let yardsticks = Yardsticks::measure(&context)?;
     let (width, fixed) = (arguments.width, table::grouped(arguments.gaussians.into()));
     let (mut panels, mut sweeps): (Vec<Panel>, Vec<Sweep>) = (Vec::new(), Vec::new());
@@ -116,6 +107,25 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 impl Arguments {
+    /// All numbers of Gaussians that are measured.
+    fn all_counts(&self) -> impl Iterator<Item = u32> {
+        self.counts.iter().copied().chain([self.gaussians])
+    }
+
+    /// Refuses steps of more Gaussians than the device trains, before frames are measured for nothing.
+    fn check_trained(&self, most: u32) -> Result<()> {
+        let largest = self.all_counts().max().unwrap_or(0);
+        if largest <= most || !self.of.contains(&Task::Steps) {
+            return Ok(());
+        }
+        let problem = format!(
+            "this device trains at most {} (a binding holds the gradients of no more); \
+             sweep fewer with --counts and --gaussians, or --of frames alone",
+            table::grouped(most.into())
+        );
+        Err(Error::argument(format!("{} Gaussians", table::grouped(largest.into())), problem))
+    }
+
     fn scene(&self, gaussians: u32, width: u32) -> SyntheticArguments {
         SyntheticArguments {
             gaussians: Some(gaussians),
