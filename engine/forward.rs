@@ -5,13 +5,15 @@
 //! remain to be sorted: the order is that of the 64-bit (tile | depth) key. And a tile is touched only if the ellipse
 //! where alpha reaches 1/255 meets it.
 
+mod blend_forms;
 mod blending;
 mod inputs;
 mod settings;
 mod shape;
 
+pub use blend_forms::{BlendMeasurement, Blending};
+pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
-pub use blending::{BlendVariant, Blending};
 pub use inputs::{FrameInputs, PlacedScene};
 pub use settings::{Extent, JacobianLimit, RenderSettings};
 pub(crate) use settings::{camera_push, jacobian_limits};
@@ -99,7 +101,7 @@ impl Forward {
             )?,
             expand: [expand(false)?, expand(true)?],
             ranges: [ranges(false)?, ranges(true)?],
-            blend: blending::Blend::default(),
+            blend: blending::Blend::new(limits),
         })
     }
 
@@ -129,7 +131,7 @@ impl Forward {
         self.project[sh_degree as usize].is_some() && self.blend.is_prepared(&self.sizes, variant)
     }
 
-    /// Chooses how tiles are blended; before [`Forward::prepare`].
+    /// Chooses how tiles are blended, in place of [`Blending::of_device`]; before [`Forward::prepare`].
     pub fn set_blending(&mut self, blending: Blending) {
         self.blend.choose(blending);
     }

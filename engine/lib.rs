@@ -43,7 +43,7 @@ pub mod vk;
 pub use ash;
 pub use compose::Behind;
 pub use error::{Error, Result};
-pub use forward::{Blending, Extent, JacobianLimit, RenderSettings, Shape};
+pub use forward::{BlendMeasurement, Blending, Extent, JacobianLimit, RenderSettings, Shape};
 pub use renderer::{
     BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, Occluder, PixelReport,
     Placed, RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport, Target, TileReport, Update,

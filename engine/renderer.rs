@@ -59,7 +59,7 @@ pub struct Frame {
 }
 
 /// Samples, each a Gaussian at a pixel, that the blending kernels compute, also those that turn out not to count. 0 but in a
-/// context whose overrides set `COUNT_HITS` (see [`crate::vk::SpecOverride`]), and for [`crate::Blending::SharedMemory`].
+/// context whose overrides set `COUNT_HITS` (see [`crate::vk::SpecOverride`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BlendSamples {
     /// Of the forward pass.
@@ -125,9 +125,9 @@ impl Renderer {
         self.runner.store.set_instances(instances);
     }
 
-    /// Chooses how tiles are blended.
+    /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Bits do not depend on it.
     pub fn set_blending(&mut self, blending: Blending) {
-        self.runner.forward.set_blending(blending);
+        self.runner.set_blending(blending);
     }
 
     /// Renders the scene.

@@ -3,6 +3,7 @@
 mod architecture;
 mod barriers;
 mod bench;
+mod blending_forms;
 mod checkpoints;
 mod cli;
 mod common;

@@ -1,20 +1,11 @@
-//! Blending, in two variants.
+//! Blending, in two forms.
 
+use super::blend_forms::Blending;
 use super::{Forward, FrameInputs};
 use crate::error::Result;
 use crate::kernels::forward::{blend, blend_shared};
 use crate::plan::{Blocks, tile_grid};
-use crate::vk::{Context, Kernel, Recorder};
-
-/// How a tile is blended: the same picture to the bit, at a cost that depends on the device.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Blending {
-    /// Each subgroup culls against its own region of the tile and passes Gaussians round by shuffles.
-    #[default]
-    Regions,
-    /// The paper's form: batches in shared memory, every invocation walks over all of them.
-    SharedMemory,
-}
+use crate::vk::{Context, Kernel, Limits, Recorder};
 
 /// What is blended besides colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,7 +34,6 @@ impl BlendVariant {
 }
 
 /// The blending kernels by variant, built when they are needed.
-#[derive(Default)]
 pub(super) struct Blend {
     blending: Blending,
     regions: [Option<Kernel<blend::Interface>>; 16],
@@ -73,6 +63,14 @@ macro_rules! blend_bind {
 }
 
 impl Blend {
+    pub fn new(limits: &Limits) -> Self {
+        Self {
+            blending: Blending::of_device(limits),
+            regions: Default::default(),
+            shared: Default::default(),
+        }
+    }
+
     pub fn choose(&mut self, blending: Blending) {
         self.blending = blending;
     }
@@ -105,6 +103,7 @@ impl Blend {
                     depth_limit,
                     linear_depth,
                     column_chain,
+                    count_hits: false,
                     strips,
                 };
                 self.shared[variant] = Some(Kernel::new(context, &spec)?);

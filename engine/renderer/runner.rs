@@ -3,7 +3,7 @@
 use super::frame_store::{FrameStore, State};
 use super::{Frame, FrameStats};
 use crate::error::{Error, Result};
-use crate::forward::{BlendVariant, Forward, FrameInputs, RenderSettings, SceneBuffers};
+use crate::forward::{BlendVariant, Blending, Forward, FrameInputs, RenderSettings, SceneBuffers};
 use crate::plan::{FrameBuffers, FrameCapacity};
 use crate::scene::Camera;
 use crate::vk::{Context, Recorder, RunReport};
@@ -80,6 +80,11 @@ impl FrameRunner {
     pub fn new(context: &Context) -> Result<Self> {
         let (forward, store) = (Forward::new(context)?, FrameStore::new(context)?);
         Ok(Self { context: context.clone(), forward, store })
+    }
+
+    /// See [`Forward::set_blending`].
+    pub fn set_blending(&mut self, blending: Blending) {
+        self.forward.set_blending(blending);
     }
 
     /// Runs a frame; `record_more` records what follows the blending. An overflowed frame is run again with more room,

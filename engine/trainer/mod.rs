@@ -22,7 +22,7 @@ pub use settings::{OptimizerType, TrainSettings};
 use crate::backward::Backward;
 use crate::densify::Densify;
 use crate::error::{Error, Result};
-use crate::forward::{RenderSettings, SceneBuffers};
+use crate::forward::{Blending, RenderSettings, SceneBuffers};
 use crate::io::StoredPhoto;
 use crate::loss::{Loss, PhotoFormat};
 use crate::optimizer::{Moments, Optimizer};
@@ -260,6 +260,13 @@ impl Trainer {
     /// The settings.
     pub fn settings(&self) -> &TrainSettings {
         &self.settings
+    }
+
+    /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Bits do not depend on it. Steps that are recorded
+    /// already keep the form that they have; before another one can be, maintenance is due.
+    pub fn set_blending(&mut self, blending: Blending) {
+        self.runner.set_blending(blending);
+        self.recording.frame_is_ready = false;
     }
 
     /// Iterations done. Recorded ones count once they have finished and [`Trainer::settle`] has taken note.

@@ -33,6 +33,8 @@ layout(constant_id = 3) const bool DEPTH_LIMIT = false;
 layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 // See blending.glsl.
 layout(constant_id = 5) const bool COLUMN_CHAIN = false;
+// Counts the pixels that Gaussians are blended over, as blend.comp does.
+layout(constant_id = 7) const bool COUNT_HITS = false;
 // See blend_io.glsl; with COLUMN_CHAIN.
 layout(constant_id = 8) const bool STRIPS = false;
 layout(local_size_x_id = 0) in;
@@ -83,6 +85,8 @@ void main() {
         pixels[k] = load_pixel(corner + pixel_of(k));
     }
 
+    // Gaussians that all pixels of the tile walk over, with COUNT_HITS.
+    uint walked = 0;
     for (uint batch = begin; batch < end; batch += WORKGROUP_SIZE) {
         if (gl_LocalInvocationID.x == 0) {
             alive = 0;
@@ -113,6 +117,7 @@ void main() {
                 }
             }
         }
+        if (COUNT_HITS) walked += fetched;
         barrier();
         if (fetched == 0) {
             break;
@@ -127,6 +132,9 @@ void main() {
             [[unroll]] for (uint k = 0; k + 3 < PIXELS; k += 4) {
                 store_composited(corner + pixel_of(k), Pixel[](pixels[k], pixels[k + 1], pixels[k + 2], pixels[k + 3]));
             }
+        }
+        if (COUNT_HITS && gl_LocalInvocationID.x == 0) {
+            atomicAdd(state[STATE_BLEND_HITS], walked * (TILE_SIZE * TILE_SIZE / 64));
         }
     }
 }

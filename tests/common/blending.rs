@@ -159,6 +159,7 @@ pub fn forward_shared_limited(
         depth_limit: limits.is_some(),
         linear_depth: false,
         column_chain,
+        count_hits: false,
         strips,
     };
     blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass, limits)

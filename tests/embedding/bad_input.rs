@@ -233,10 +233,12 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         assert!(error.to_string().contains("another device"), "{error}");
 
         // What is set after the reservation has no kernels.
-        renderer.set_blending(Blending::SharedMemory);
+        let own = Blending::of_device(context.limits());
+        let other = Blending::ALL.into_iter().find(|&form| form != own).expect("two forms");
+        renderer.set_blending(other);
         let error = renderer.record(adopt(&context, &in_flight), 0, &good).expect_err("no kernels");
         assert!(error.to_string().contains("not built"), "{error}");
-        renderer.set_blending(Blending::Regions);
+        renderer.set_blending(own);
 
         // Still usable; then in flight until it has been executed.
         renderer.record(adopt(&context, &in_flight), 0, &good).expect("a recording");

@@ -3,6 +3,7 @@
 mod arguments;
 pub mod compare;
 mod cpu_sorts;
+pub mod forms;
 pub mod frames;
 pub mod machine;
 pub mod measure;
@@ -19,7 +20,10 @@ pub mod traffic;
 mod training;
 pub mod workload;
 
-use arguments::{AllArguments, FrameArguments, OutputArguments, PrimitiveArguments, TrainArguments};
+use arguments::{
+    AllArguments, BlendingArguments, FrameArguments, IterationArguments, OutputArguments, PrimitiveArguments,
+    TrainArguments,
+};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use clap::{Args, Subcommand};
@@ -28,6 +32,7 @@ use schema::{Report, Run, Settings};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use tasks::Task;
+use workload::SceneArguments;
 
 /// Exit code of a comparison that found what --fail-above looks for, apart from that of every failure.
 const REGRESSION: u8 = 1;
@@ -51,6 +56,8 @@ enum What {
     Sort(PrimitiveArguments),
     /// A frame
     Render(FrameArguments),
+    /// A frame in both forms of blending, in turn
+    Blending(BlendingArguments),
     /// A training step
     TrainStep(FrameArguments),
     /// Training of a data set from its points, as `train` does it
@@ -80,8 +87,15 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     match &arguments.what {
         What::Scan(a) => measure_all(&a.output, Plan::of_primitive(a), |_| Ok(tasks::of_scan(a))),
         What::Sort(a) => measure_all(&a.output, Plan::of_primitive(a), |_| Ok(tasks::of_sort(a))),
-        What::Render(a) => measure_all(&a.output, Plan::of_frames(a), |_| tasks::of_frames(a, false)),
-        What::TrainStep(a) => measure_all(&a.output, Plan::of_frames(a), |_| tasks::of_frames(a, true)),
+        What::Render(a) => {
+            measure_all(&a.output, Plan::of(a.iterations, &a.scene), |_| tasks::of_frames(a, false))
+        }
+        What::Blending(a) => {
+            measure_all(&a.output, Plan::of(a.iterations, &a.scene), |_| tasks::of_blending(a))
+        }
+        What::TrainStep(a) => {
+            measure_all(&a.output, Plan::of(a.iterations, &a.scene), |_| tasks::of_frames(a, true))
+        }
         What::Train(a) => {
             let plan = Plan { iterations: training::ITERATIONS, seed: a.seed };
             measure_all(&a.output, plan, |_| tasks::of_training(&a.dataset, &a.windows, a.sh_degree))
@@ -108,8 +122,8 @@ impl Plan {
         Self { iterations: arguments.iterations.get(), seed: arguments.seed }
     }
 
-    fn of_frames(arguments: &FrameArguments) -> Self {
-        Self { iterations: arguments.iterations.get(), seed: arguments.scene.synthetic.seed() }
+    fn of(iterations: IterationArguments, scene: &SceneArguments) -> Self {
+        Self { iterations: iterations.get(), seed: scene.synthetic.seed() }
     }
 }
 
@@ -163,7 +177,8 @@ fn measure_all(
     let mut counter = samples::Counter::new(&output.device, seed);
     for task in tasks {
         let mut results = task.run(&context, seed, yardsticks.copy.as_ref())?;
-        if let (Some(samples), [run]) = (counter.count(&task)?, results.as_mut_slice()) {
+        let samples = counter.count(&task, &results)?;
+        for (run, samples) in results.iter_mut().zip(samples) {
             samples::enter(run, samples, context.limits(), yardsticks.arithmetic.as_ref());
         }
         runs.extend(results);
@@ -173,6 +188,10 @@ fn measure_all(
     output.write(&report)?;
     if !output.quiet {
         say!("{}", table::render(&report).trim_end());
+        let ratios = forms::ratios(&report.runs);
+        if !ratios.is_empty() {
+            say!("\n{}", ratios.trim_end());
+        }
     }
     output.device.report_validation(&context);
     counter.report_validation();

@@ -9,6 +9,7 @@ mod trace;
 mod watch;
 
 use crate::args::DeviceArguments;
+use crate::bench::forms::FormArguments;
 use crate::bench::measure::{Iterations, Yardsticks};
 use crate::bench::schema::KernelResult;
 use crate::bench::workload::{self, SceneArguments};
@@ -21,7 +22,7 @@ use std::path::PathBuf;
 use subject::Subject;
 
 /// Nothing is run for a dump.
-const NOT_WITH_DUMP: [&str; 23] = [
+const NOT_WITH_DUMP: [&str; 24] = [
     "what",
     "html",
     "trace",
@@ -42,6 +43,7 @@ const NOT_WITH_DUMP: [&str; 23] = [
     "camera",
     "dataset",
     "view",
+    "blending",
     "device",
     "validation",
     "max_memory",
@@ -58,6 +60,8 @@ pub struct Arguments {
     what: What,
     #[command(flatten)]
     scene: SceneArguments,
+    #[command(flatten)]
+    form: FormArguments,
     /// Measured iterations [default: 20, with --watch 7]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
@@ -181,8 +185,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let yardsticks = Yardsticks::measure(&context)?;
     let iterations = Iterations { measured: arguments.frames(), warmup: arguments.warmup(), timed: true };
     let seed = arguments.seed();
-    let job =
-        frames::Job { context: &context, iterations, copy: yardsticks.copy.as_ref(), scene: &scene, seed };
+    let (copy, blending) = (yardsticks.copy.as_ref(), arguments.form.get());
+    let job = frames::Job { context: &context, iterations, copy, scene: &scene, blending, seed };
     let (mut run, measured) = match arguments.what {
         What::Render => frames::render(&job)?,
         What::TrainStep => frames::train_step(&job)?,
@@ -207,7 +211,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// One iteration for RenderDoc, which has no frames of its own to capture where there is no window.
 fn capture(arguments: &Arguments, context: &Context, scene: &workload::Scene) -> Result<()> {
-    let mut subject = Subject::new(context, scene, arguments.what, arguments.seed())?;
+    let mut subject = Subject::new(context, scene, arguments)?;
     subject.warm_up(arguments.warmup())?;
     subject.captured()?;
     say!("one {} was marked as a capture", arguments.what.name());

@@ -1,5 +1,6 @@
 //! What the sub-commands of `bench` take: each only what it uses.
 
+use super::forms::FormArguments;
 use super::measure::Iterations;
 use super::schema::Report;
 use super::sizes::{FrameSize, parse_size};
@@ -94,6 +95,19 @@ pub struct PrimitiveArguments {
 /// `render` and `train-step`.
 #[derive(Args)]
 pub struct FrameArguments {
+    #[command(flatten)]
+    pub scene: SceneArguments,
+    #[command(flatten)]
+    pub form: FormArguments,
+    #[command(flatten)]
+    pub iterations: IterationArguments,
+    #[command(flatten)]
+    pub output: OutputArguments,
+}
+
+/// `blending`.
+#[derive(Args)]
+pub struct BlendingArguments {
     #[command(flatten)]
     pub scene: SceneArguments,
     #[command(flatten)]

@@ -139,9 +139,17 @@ pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
     Ok(lines)
 }
 
-/// Kernels whose time only one of the reports has, and processor times: "only in A: ...".
+/// Kernels whose time only one of the reports has, and processor times: "only in A: ..."; and runs that are blended in another
+/// form.
 pub fn unpaired(a: &Report, b: &Report) -> Vec<String> {
     let mut found = Vec::new();
+    for (a, b) in a.runs.iter().zip(&b.runs) {
+        if let (Some(a_form), Some(b_form)) = (&a.workload.blending, &b.workload.blending)
+            && a_form != b_form
+        {
+            found.push(format!("{}: the form of blending is '{a_form}' in A, '{b_form}' in B", a.name));
+        }
+    }
     for (name, one, other) in [("A", a, b), ("B", b, a)] {
         for (one, other) in one.runs.iter().zip(&other.runs) {
             let timed = one.kernels.iter().filter(|k| k.time_us.is_some());

@@ -1,6 +1,7 @@
 //! `bench render` and `bench train-step`.
 
-use super::measure::{Iterations, Measured, measure};
+use super::forms;
+use super::measure::{Iterations, Measured, Measurement, measure};
 use super::schema::{CopyBandwidth, Run, Workload};
 use super::synthetic;
 use super::traffic::{Counts, Traffic};
@@ -8,7 +9,9 @@ use super::workload::Scene;
 use ashsplat::io::Photo;
 use ashsplat::plan::ScenePlan;
 use ashsplat::vk::Context;
-use ashsplat::{FrameStats, RenderSettings, Renderer, Result, StepReport, TrainSettings, TrainView, Trainer};
+use ashsplat::{
+    Blending, FrameStats, RenderSettings, Renderer, Result, StepReport, TrainSettings, TrainView, Trainer,
+};
 
 /// What both are given.
 #[derive(Clone, Copy)]
@@ -17,6 +20,8 @@ pub struct Job<'a> {
     pub iterations: Iterations,
     pub copy: Option<&'a CopyBandwidth>,
     pub scene: &'a Scene,
+    /// None: the device's.
+    pub blending: Option<Blending>,
     pub seed: u64,
 }
 
@@ -27,8 +32,22 @@ impl Job<'_> {
         counts(self.context, (g.len() as u32, capacity), g.sh_degree, size)
     }
 
+    fn blending(&self) -> Blending {
+        self.blending.unwrap_or_else(|| Blending::of_device(self.context.limits()))
+    }
+
     fn run(&self, name: &str, workload: Workload, measured: &Measured, counts: Counts) -> Run {
         result(self.context, name, workload, measured, counts, self.copy)
+    }
+
+    fn rendered(&self, name: &str, stats: &FrameStats, form: Blending, measured: &Measured) -> Result<Run> {
+        let counts = self.counts(stats.gaussians)?.seen(stats.visible, stats.instances);
+        let workload = Workload {
+            longest_tile: Some(stats.longest_tile),
+            blending: Some(forms::name(form).to_owned()),
+            ..self.scene.workload(&RenderSettings::default())
+        };
+        Ok(self.run(name, workload, measured, counts))
     }
 }
 
@@ -61,6 +80,7 @@ pub fn result(
 /// A frame, read back, and how it was measured.
 pub fn render(job: &Job) -> Result<(Run, Measured)> {
     let mut renderer = Renderer::new(job.context)?;
+    renderer.set_blending(job.blending());
     renderer.upload(&job.scene.gaussians)?;
     let settings = RenderSettings::default();
     let mut stats = FrameStats::default();
@@ -69,9 +89,37 @@ pub fn render(job: &Job) -> Result<(Run, Measured)> {
         Ok(())
     };
     let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
-    let counts = job.counts(stats.gaussians)?.seen(stats.visible, stats.instances);
-    let workload = Workload { longest_tile: Some(stats.longest_tile), ..job.scene.workload(&settings) };
-    Ok((job.run("render", workload, &measured, counts), measured))
+    Ok((job.rendered("render", &stats, job.blending(), &measured)?, measured))
+}
+
+/// A frame in both forms of blending, in turn, the device's own first: on the same machine at the same time.
+pub fn render_both(job: &Job) -> Result<Vec<Run>> {
+    let own = Blending::of_device(job.context.limits());
+    let mut renderer = Renderer::new(job.context)?;
+    renderer.upload(&job.scene.gaussians)?;
+    let settings = RenderSettings::default();
+    let mut stats = FrameStats::default();
+    let mut frame = |blending: Blending| {
+        renderer.set_blending(blending);
+        stats = renderer.render(&job.scene.camera, &settings)?.stats;
+        Ok(())
+    };
+    job.context.reset_memory_peaks();
+    let mut both = Vec::new();
+    for form in std::iter::once(own).chain(Blending::ALL.into_iter().filter(|&form| form != own)) {
+        let measurement = Measurement::begin(job.context, job.iterations, || Ok(()), || frame(form))?;
+        both.push((form, measurement));
+    }
+    for _ in 0..job.iterations.measured.max(1) {
+        for (form, measurement) in &mut both {
+            measurement.round(|| Ok(()), || frame(*form))?;
+        }
+    }
+    let run = |(form, measurement): (Blending, Measurement)| {
+        let name = format!("render-{}", forms::name(form));
+        job.rendered(&name, &stats, form, &measurement.end())
+    };
+    both.into_iter().map(run).collect()
 }
 
 /// Settings that make every step the same work: full SH degree, no densification.
@@ -116,6 +164,7 @@ pub fn reach_full_degree(trainer: &mut Trainer) -> Result<()> {
 /// A training step (forward, loss, backward, Adam), and how it was measured.
 pub fn train_step(job: &Job) -> Result<(Run, Measured)> {
     let mut trainer = trainer(job.context, job.scene, job.seed)?;
+    trainer.set_blending(job.blending());
     reach_full_degree(&mut trainer)?;
     let mut report = StepReport::default();
     let iterate = || {
@@ -127,6 +176,7 @@ pub fn train_step(job: &Job) -> Result<(Run, Measured)> {
     let capacity = count.saturating_add(count / 2).max(1 << 12);
     let counts = job.counts(capacity)?.seen(report.visible, report.instances);
     let workload = job.scene.training_workload(&trainer.render_settings(), job.seed);
-    let workload = Workload { longest_tile: Some(report.longest_tile), ..workload };
+    let blending = Some(forms::name(job.blending()).to_owned());
+    let workload = Workload { longest_tile: Some(report.longest_tile), blending, ..workload };
     Ok((job.run("train-step", workload, &measured, counts), measured))
 }

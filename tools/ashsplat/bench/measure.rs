@@ -5,7 +5,7 @@ use super::traffic::Traffic;
 use crate::cpu_time::process_seconds;
 use ashsplat::Result;
 use ashsplat::arithmetic::Arithmetic;
-use ashsplat::vk::{Context, MemoryKind, Submission};
+use ashsplat::vk::{Context, MemoryKind, Profile, Submission};
 use std::time::{Duration, Instant};
 
 /// Iterations of a measurement.
@@ -45,51 +45,103 @@ pub fn measure(
     mut iterate: impl FnMut() -> Result<()>,
 ) -> Result<Measured> {
     context.reset_memory_peaks();
-    for _ in 0..iterations.warmup {
+    let mut measurement = Measurement::begin(context, iterations, &mut prepare, &mut iterate)?;
+    for _ in 0..iterations.measured.max(1) {
+        measurement.round(&mut prepare, &mut iterate)?;
+    }
+    Ok(measurement.end())
+}
+
+/// A workload's rounds. Those of several workloads may be measured in turn.
+pub struct Measurement<'a> {
+    context: &'a Context,
+    timed: bool,
+    profile: Profile,
+    iterations: Vec<Iteration>,
+    untimed_ms: Vec<f64>,
+    cpu: Option<Vec<f64>>,
+    ratios: Vec<f64>,
+    cpu_ratios: Option<Vec<f64>>,
+}
+
+impl<'a> Measurement<'a> {
+    /// Warms up.
+    pub fn begin(
+        context: &'a Context,
+        iterations: Iterations,
+        mut prepare: impl FnMut() -> Result<()>,
+        mut iterate: impl FnMut() -> Result<()>,
+    ) -> Result<Self> {
+        for _ in 0..iterations.warmup {
+            prepare()?;
+            iterate()?;
+        }
+        let profile = context.profile();
+        // Its own memory is not what is measured.
         prepare()?;
         iterate()?;
-    }
-    let mut measured = Measured { iterations: Vec::new(), untimed_ms: None, cpu_seconds: None, cost: None };
-    let mut all_untimed = Vec::new();
-    let (mut cpu, mut ratios, mut cpu_ratios) = (Some(Vec::new()), Vec::new(), Some(Vec::new()));
-    let profile = context.profile();
-    // Its own memory is not what is measured.
-    prepare()?;
-    iterate()?;
-    for _ in 0..iterations.measured.max(1) {
         context.set_profile(None);
+        Ok(Self {
+            context,
+            timed: iterations.timed,
+            profile,
+            iterations: Vec::new(),
+            untimed_ms: Vec::new(),
+            cpu: Some(Vec::new()),
+            ratios: Vec::new(),
+            cpu_ratios: Some(Vec::new()),
+        })
+    }
+
+    /// One iteration without timestamps, one with.
+    pub fn round(
+        &mut self,
+        mut prepare: impl FnMut() -> Result<()>,
+        mut iterate: impl FnMut() -> Result<()>,
+    ) -> Result<()> {
+        let context = self.context;
         context.set_timestamps(false);
         prepare()?;
         let (begun, cpu_begun) = (Instant::now(), process_seconds());
         iterate()?;
         let untimed = begun.elapsed();
-        all_untimed.push(untimed.as_secs_f64() * 1e3);
+        self.untimed_ms.push(untimed.as_secs_f64() * 1e3);
         let spent = cpu_begun.zip(process_seconds()).map(spent_between);
-        cpu = cpu.zip(spent).map(|(mut all, spent)| {
-            all.push(spent);
-            all
-        });
-        context.set_timestamps(iterations.timed);
+        let with = |all: Option<Vec<f64>>, value: Option<f64>| {
+            all.zip(value).map(|(mut all, value)| {
+                all.push(value);
+                all
+            })
+        };
+        self.cpu = with(self.cpu.take(), spent);
+        context.set_timestamps(self.timed);
         prepare()?;
-        context.set_profile(Some(&profile));
-        profile.take();
+        context.set_profile(Some(&self.profile));
+        self.profile.take();
         let (begun, cpu_begun) = (Instant::now(), process_seconds());
         iterate()?;
         let wall = begun.elapsed();
         let timed = cpu_begun.zip(process_seconds()).map(spent_between);
-        cpu_ratios = cpu_ratios.zip(timed.zip(spent)).map(|(mut all, (timed, untimed))| {
-            all.push(timed / untimed.max(1e-9));
-            all
-        });
-        ratios.push(wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
-        measured.iterations.push(Iteration { begun, wall, submissions: profile.take() });
+        context.set_profile(None);
+        context.set_timestamps(true);
+        let ratio = timed.zip(spent).map(|(timed, untimed)| timed / untimed.max(1e-9));
+        self.cpu_ratios = with(self.cpu_ratios.take(), ratio);
+        self.ratios.push(wall.as_secs_f64() / untimed.as_secs_f64().max(1e-9));
+        self.iterations.push(Iteration { begun, wall, submissions: self.profile.take() });
+        Ok(())
     }
-    measured.untimed_ms = Spread::of(all_untimed);
-    measured.cpu_seconds = cpu.and_then(Spread::of);
-    context.set_timestamps(true);
-    let ratios = if iterations.timed { ratios } else { Vec::new() };
-    measured.cost = Spread::of(ratios).map(|wall| Cost { wall, processor: cpu_ratios.and_then(Spread::of) });
-    Ok(measured)
+
+    /// What came of all rounds.
+    pub fn end(self) -> Measured {
+        let ratios = if self.timed { self.ratios } else { Vec::new() };
+        let processor = self.cpu_ratios.and_then(Spread::of);
+        Measured {
+            iterations: self.iterations,
+            untimed_ms: Spread::of(self.untimed_ms),
+            cpu_seconds: self.cpu.and_then(Spread::of),
+            cost: Spread::of(ratios).map(|wall| Cost { wall, processor }),
+        }
+    }
 }
 
 /// The clock knows living threads only: it goes back when one ends.

@@ -1,14 +1,14 @@
 //! How much of the device's arithmetic the blending kernels reach: their samples are counted, in a run of its own, and the
 //! operations of a sample are known.
 
-use super::frames;
 use super::schema::{ArithmeticRate, Run};
 use super::tasks::Task;
 use super::workload::Scene;
+use super::{forms, frames};
 use crate::args::DeviceArguments;
 use ashsplat::plan::Blocks;
 use ashsplat::vk::{Context, Limits, SpecOverride};
-use ashsplat::{BlendSamples, RenderSettings, Renderer, Result};
+use ashsplat::{BlendSamples, Blending, RenderSettings, Renderer, Result};
 
 /// Counts on a context of its own, which is opened when a task first needs it.
 pub struct Counter<'a> {
@@ -23,17 +23,23 @@ impl<'a> Counter<'a> {
         Self { device, seed, context: None }
     }
 
-    /// The samples of a task's frame; None for tasks that blend nothing, and for training, which blends something else in
-    /// each iteration.
-    pub fn count(&mut self, task: &Task) -> Result<Option<BlendSamples>> {
-        match task {
-            Task::Render(scene, _) => Ok(Some(of_frame(self.context()?, scene)?)),
-            Task::TrainStep(scene, _) => {
-                let seed = self.seed;
-                Ok(Some(of_step(self.context()?, scene, seed)?))
-            }
-            Task::Scan(..) | Task::Sort(..) | Task::Train(_) => Ok(None),
+    /// The samples of a task's frame, for each of its runs; none for tasks that blend nothing, and for training, which blends
+    /// something else in each iteration.
+    pub fn count(&mut self, task: &Task, runs: &[Run]) -> Result<Vec<BlendSamples>> {
+        let form = |run: &Run| {
+            let named = |form: &Blending| run.workload.blending.as_deref() == Some(forms::name(*form));
+            Blending::ALL.into_iter().find(named)
+        };
+        let seed = self.seed;
+        let count = |context: &Context, form: Blending| match task {
+            Task::Render(scene, ..) | Task::RenderBoth(scene, _) => of_frame(context, scene, form),
+            Task::TrainStep(scene, ..) => of_step(context, scene, form, seed),
+            Task::Scan(..) | Task::Sort(..) | Task::Train(_) => Ok(BlendSamples::default()),
+        };
+        if matches!(task, Task::Scan(..) | Task::Sort(..) | Task::Train(_)) {
+            return Ok(Vec::new());
         }
+        runs.iter().filter_map(form).map(|form| count(self.context()?, form)).collect()
     }
 
     fn context(&mut self) -> Result<&Context> {
@@ -53,14 +59,16 @@ impl<'a> Counter<'a> {
     }
 }
 
-fn of_frame(context: &Context, scene: &Scene) -> Result<BlendSamples> {
+fn of_frame(context: &Context, scene: &Scene, form: Blending) -> Result<BlendSamples> {
     let mut renderer = Renderer::new(context)?;
+    renderer.set_blending(form);
     renderer.upload(&scene.gaussians)?;
     Ok(renderer.render(&scene.camera, &RenderSettings::default())?.stats.samples)
 }
 
-fn of_step(context: &Context, scene: &Scene, seed: u64) -> Result<BlendSamples> {
+fn of_step(context: &Context, scene: &Scene, form: Blending, seed: u64) -> Result<BlendSamples> {
     let mut trainer = frames::trainer(context, scene, seed)?;
+    trainer.set_blending(form);
     frames::reach_full_degree(&mut trainer)?;
     Ok(trainer.step()?.samples)
 }
@@ -98,7 +106,7 @@ pub fn enter(run: &mut Run, samples: BlendSamples, limits: &Limits, arithmetic: 
     let operations = Operations::on(limits);
     for kernel in &mut run.kernels {
         let counted = match kernel.kernel.as_str() {
-            "forward/blend" => samples.forward as f64 * operations.forward,
+            "forward/blend" | "forward/blend_shared" => samples.forward as f64 * operations.forward,
             name if name.starts_with("backward/blend_backward") => {
                 samples.backward as f64 * operations.backward
             }

@@ -147,7 +147,7 @@ impl Arguments {
         let scene = self.scene(gaussians, width).load()?;
         let iterations: Iterations = self.iterations.get();
         let (copy, seed) = (yardsticks.copy.as_ref(), self.seed);
-        let job = frames::Job { context, iterations, copy, scene: &scene, seed };
+        let job = frames::Job { context, iterations, copy, scene: &scene, blending: None, seed };
         let (run, _) = match task {
             Task::Frames => frames::render(&job)?,
             Task::Steps => frames::train_step(&job)?,

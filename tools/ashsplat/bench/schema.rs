@@ -102,7 +102,8 @@ pub struct ArithmeticRate {
 /// One workload.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// "scan", "sort", "render", "train-step" or "train".
+    /// "scan", "sort", "render", "train-step" or "train"; "render-regions" and "render-shared" where both forms of blending are
+    /// measured.
     pub name: String,
     pub workload: Workload,
     /// Measured iterations; 0 in files written before it was added.
@@ -171,6 +172,9 @@ pub struct Workload {
     pub instances: Option<u32>,
     /// Entries of the fullest tile.
     pub longest_tile: Option<u32>,
+    /// How its frames are blended, "regions" or "shared"; null where nothing is, and in files written before it was added.
+    #[serde(default)]
+    pub blending: Option<String>,
 }
 
 /// A kernel within a stage; all of its dispatches there together.

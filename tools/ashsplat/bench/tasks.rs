@@ -1,6 +1,6 @@
 //! What a sub-command measures, one task after another.
 
-use super::arguments::{AllArguments, FrameArguments, PrimitiveArguments};
+use super::arguments::{AllArguments, BlendingArguments, FrameArguments, PrimitiveArguments};
 use super::frames::{self, Job};
 use super::measure::Iterations;
 use super::primitives;
@@ -8,8 +8,8 @@ use super::schema::{CopyBandwidth, Run};
 use super::sizes::FrameSize;
 use super::training::Training;
 use super::workload::{Scene, SceneArguments, SyntheticArguments};
-use ashsplat::Result;
 use ashsplat::vk::Context;
+use ashsplat::{Blending, Result};
 use std::path::Path;
 use std::rc::Rc;
 
@@ -17,8 +17,10 @@ use std::rc::Rc;
 pub enum Task {
     Scan(u32, Iterations),
     Sort(u32, Iterations),
-    Render(Rc<Scene>, Iterations),
-    TrainStep(Rc<Scene>, Iterations),
+    Render(Rc<Scene>, Iterations, Option<Blending>),
+    /// A frame in both forms of blending.
+    RenderBoth(Rc<Scene>, Iterations),
+    TrainStep(Rc<Scene>, Iterations, Option<Blending>),
     Train(Box<Training>),
 }
 
@@ -44,8 +46,14 @@ pub fn of_sort(arguments: &PrimitiveArguments) -> Vec<Task> {
 /// One scene: synthetic, or what the arguments name.
 pub fn of_frames(arguments: &FrameArguments, train_step: bool) -> Result<Vec<Task>> {
     let scene = Rc::new(arguments.scene.load(train_step)?);
-    let iterations = arguments.iterations.get();
-    Ok(vec![if train_step { Task::TrainStep(scene, iterations) } else { Task::Render(scene, iterations) }])
+    let (iterations, form) = (arguments.iterations.get(), arguments.form.get());
+    let task = if train_step { Task::TrainStep } else { Task::Render };
+    Ok(vec![task(scene, iterations, form)])
+}
+
+/// One scene in both forms of blending.
+pub fn of_blending(arguments: &BlendingArguments) -> Result<Vec<Task>> {
+    Ok(vec![Task::RenderBoth(Rc::new(arguments.scene.load(false)?), arguments.iterations.get())])
 }
 
 /// Training of a data set.
@@ -71,23 +79,29 @@ pub fn of_all(arguments: &AllArguments, is_cpu: bool) -> Result<Vec<Task>> {
         Task::Scan(arguments.elements.saturating_mul(VALUES_PER_PAIR).min(1 << 28), iterations),
         Task::Sort(few, smaller),
         Task::Sort(arguments.elements, iterations),
-        Task::Render(synthetic.clone(), iterations),
+        Task::Render(synthetic.clone(), iterations, None),
     ];
+    let few = Iterations {
+        measured: iterations.measured.min(FEW_ITERATIONS),
+        warmup: iterations.warmup.min(1),
+        ..iterations
+    };
+    tasks.push(Task::RenderBoth(synthetic.clone(), if is_cpu { few } else { iterations }));
     for size in &arguments.frames {
-        let few = Iterations {
-            measured: iterations.measured.min(FEW_ITERATIONS),
-            warmup: iterations.warmup.min(1),
-            ..iterations
-        };
+        let scene = Rc::new(of_size(size).load()?);
         let iterations = if is_cpu && size.gaussians > MANY { few } else { iterations };
-        tasks.push(Task::Render(Rc::new(of_size(size).load()?), iterations));
+        tasks.push(Task::Render(scene.clone(), iterations, None));
+        // A processor takes seconds for them, and its table of forms is made from the frame above.
+        if !is_cpu {
+            tasks.push(Task::RenderBoth(scene, iterations));
+        }
     }
     if let Some(file) = &arguments.scene {
         let size = arguments.scene_size.map_or((own.width, own.height), |(w, h)| (Some(w), Some(h)));
         let trained = SceneArguments::of_file(file, arguments.camera.as_deref(), size);
-        tasks.push(Task::Render(Rc::new(trained.load(false)?), iterations));
+        tasks.push(Task::Render(Rc::new(trained.load(false)?), iterations, None));
     }
-    tasks.push(Task::TrainStep(synthetic, iterations));
+    tasks.push(Task::TrainStep(synthetic, iterations, None));
     let first_window = arguments.windows.iter().min().map_or(&[][..], std::slice::from_ref);
     for (number, dataset) in arguments.dataset.iter().enumerate() {
         let windows = if number == 0 { &arguments.windows } else { first_window };
@@ -101,14 +115,16 @@ impl Task {
     pub fn run(&self, context: &Context, seed: u64, copy: Option<&CopyBandwidth>) -> Result<Vec<Run>> {
         let primitive =
             |&elements, &iterations| primitives::Job { context, iterations, copy, elements, seed };
+        let frame = |scene, &iterations, &blending| Job { context, iterations, copy, scene, blending, seed };
         Ok(match self {
             Task::Scan(elements, iterations) => vec![primitives::scan(&primitive(elements, iterations))?],
             Task::Sort(elements, iterations) => vec![primitives::sort(&primitive(elements, iterations))?],
-            Task::Render(scene, iterations) => {
-                vec![frames::render(&Job { context, iterations: *iterations, copy, scene, seed })?.0]
+            Task::Render(scene, iterations, form) => {
+                vec![frames::render(&frame(scene, iterations, form))?.0]
             }
-            Task::TrainStep(scene, iterations) => {
-                vec![frames::train_step(&Job { context, iterations: *iterations, copy, scene, seed })?.0]
+            Task::RenderBoth(scene, iterations) => frames::render_both(&frame(scene, iterations, &None))?,
+            Task::TrainStep(scene, iterations, form) => {
+                vec![frames::train_step(&frame(scene, iterations, form))?.0]
             }
             Task::Train(training) => training.measure(context, copy, seed)?,
         })

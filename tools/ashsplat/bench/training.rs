@@ -1,12 +1,12 @@
 //! `bench train`: real training of a data set from its points, in windows of its iterations.
 
-use super::frames;
 use super::measure::{Iterations, measure};
 use super::schema::{CopyBandwidth, Run, Workload};
 use super::workload::Fnv;
+use super::{forms, frames};
 use ashsplat::io::{Dataset, DatasetOptions, Progress};
 use ashsplat::vk::Context;
-use ashsplat::{Error, Gaussians, Result, StepReport, TrainSettings, TrainView, Trainer};
+use ashsplat::{Blending, Error, Gaussians, Result, StepReport, TrainSettings, TrainView, Trainer};
 use std::path::Path;
 
 /// Iterations of a window. Every second one is timed kernel by kernel, the others not at all.
@@ -78,7 +78,8 @@ impl Training {
                 Ok(())
             };
             let measured = measure(context, ITERATIONS, || Ok(()), iterate)?;
-            let workload = self.workload(end, &last, trainer.settings());
+            let blending = Blending::of_device(context.limits());
+            let workload = self.workload(end, &last, trainer.settings(), blending);
             let count = last.gaussians;
             let size = (workload.width.unwrap_or(0), workload.height.unwrap_or(0));
             let capacity = count.saturating_add(count / 2).max(1 << 12);
@@ -89,7 +90,13 @@ impl Training {
         Ok(runs)
     }
 
-    fn workload(&self, end: u32, last: &StepReport, settings: &TrainSettings) -> Workload {
+    fn workload(
+        &self,
+        end: u32,
+        last: &StepReport,
+        settings: &TrainSettings,
+        blending: Blending,
+    ) -> Workload {
         let mut hash = Fnv::default();
         hash.gaussians(&self.initial);
         for view in &self.views {
@@ -109,6 +116,7 @@ impl Training {
             width: camera.map(|camera| camera.width),
             height: camera.map(|camera| camera.height),
             longest_tile: Some(last.longest_tile),
+            blending: Some(forms::name(blending).to_owned()),
             ..Workload::default()
         }
     }

@@ -18,7 +18,7 @@ pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<
     };
     let (with_a, with_b) = (with(a)?, with(b)?);
     let contexts = [open(arguments, &with_a)?, open(arguments, &with_b)?];
-    let subject = |index: usize| Subject::new(&contexts[index], scene, arguments.what, arguments.seed());
+    let subject = |index: usize| Subject::new(&contexts[index], scene, arguments);
     let mut subjects = [subject(0)?, subject(1)?];
     for subject in &mut subjects {
         subject.warm_up(arguments.warmup())?;

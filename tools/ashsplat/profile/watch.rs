@@ -123,7 +123,7 @@ mod reloading {
     }
 
     fn measure(arguments: &Arguments, context: &Context, scene: &Scene) -> Result<State> {
-        let mut subject = Subject::new(context, scene, arguments.what, arguments.seed())?;
+        let mut subject = Subject::new(context, scene, arguments)?;
         subject.warm_up(arguments.warmup.unwrap_or(WARMUP))?;
         let picture = subject.picture()?;
         let iterations =

@@ -1,0 +1,104 @@
+//! Which form of blending a device gets: by a table of measurements.
+
+use crate::vk::Limits;
+
+/// How a tile is blended: the same picture to the bit, at a cost that depends on the device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blending {
+    /// Each subgroup culls against its own region of the tile and passes Gaussians round by shuffles.
+    Regions,
+    /// The paper's form: batches in shared memory, every invocation walks over all of them.
+    SharedMemory,
+}
+
+/// One measurement of both forms.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BlendMeasurement {
+    /// As [`Limits::is_cpu`].
+    pub is_cpu: bool,
+    /// Lanes of a subgroup.
+    pub subgroup_size: u32,
+    /// Time of [`Blending::SharedMemory`] over that of [`Blending::Regions`], of the blending alone: `ashsplat bench blending`.
+    pub shared_over_regions: f32,
+}
+
+impl Blending {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Regions, Self::SharedMemory];
+
+    /// What was measured, each by `ashsplat bench blending` with the scene that it has by itself (300,000 Gaussians at 1920×1080);
+    /// README, "Two forms of blending", names the machines. A device that is measured belongs in here.
+    pub const MEASURED: [BlendMeasurement; 3] = [
+        BlendMeasurement { is_cpu: true, subgroup_size: 4, shared_over_regions: 1.0 },
+        BlendMeasurement { is_cpu: true, subgroup_size: 8, shared_over_regions: 1.0 },
+        BlendMeasurement { is_cpu: true, subgroup_size: 16, shared_over_regions: 1.0 },
+    ];
+
+    /// The form for a device: the faster one in [`Blending::MEASURED`], see [`Blending::by`].
+    pub fn of_device(limits: &Limits) -> Self {
+        Self::by(&Self::MEASURED, limits.is_cpu, limits.subgroup_size)
+    }
+
+    /// The faster form in that measurement of the same kind of device (processors, or others) whose subgroups are next in size,
+    /// the smaller ones of two equally near; [`Blending::Regions`], which computes fewer samples, where none of that kind was
+    /// measured or both forms took equally long.
+    pub fn by(measured: &[BlendMeasurement], is_cpu: bool, subgroup_size: u32) -> Self {
+        let steps = |size: u32| size.max(1).ilog2().abs_diff(subgroup_size.max(1).ilog2());
+        let of_kind = measured.iter().filter(|m| m.is_cpu == is_cpu);
+        match of_kind.min_by_key(|m| (steps(m.subgroup_size), m.subgroup_size)) {
+            Some(nearest) if nearest.shared_over_regions < 1.0 => Self::SharedMemory,
+            _ => Self::Regions,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BlendMeasurement, Blending};
+
+    fn row(is_cpu: bool, subgroup_size: u32, shared_over_regions: f32) -> BlendMeasurement {
+        BlendMeasurement { is_cpu, subgroup_size, shared_over_regions }
+    }
+
+    #[test]
+    fn blending_follows_the_nearest_measurement_of_the_same_kind() {
+        let measured = [
+            row(true, 8, 2.0),
+            row(true, 16, 0.5),
+            row(false, 32, 0.9),
+            row(false, 64, 1.3),
+            row(false, 16, 1.0),
+        ];
+        let form = |is_cpu, size| Blending::by(&measured, is_cpu, size);
+        let sizes = [4, 8, 16, 32, 64, 128];
+        use Blending::{Regions, SharedMemory};
+        assert_eq!(
+            sizes.map(|size| form(true, size)),
+            [Regions, Regions, SharedMemory, SharedMemory, SharedMemory, SharedMemory]
+        );
+        assert_eq!(
+            sizes.map(|size| form(false, size)),
+            [Regions, Regions, Regions, SharedMemory, Regions, Regions]
+        );
+        // Between two rows: the smaller subgroups.
+        let gap = [row(false, 64, 1.3), row(false, 16, 0.5)];
+        assert_eq!(Blending::by(&gap, false, 32), SharedMemory);
+    }
+
+    #[test]
+    fn blending_without_a_measurement_is_by_regions() {
+        assert_eq!(Blending::by(&[], false, 32), Blending::Regions);
+        assert_eq!(Blending::by(&[row(true, 32, 0.1)], false, 32), Blending::Regions);
+        assert_eq!(Blending::by(&[row(false, 32, f32::NAN)], false, 32), Blending::Regions);
+    }
+
+    #[test]
+    fn blending_measurements_are_of_one_device_each() {
+        let all = Blending::MEASURED;
+        for (i, a) in all.iter().enumerate() {
+            assert!(a.subgroup_size.is_power_of_two() && a.shared_over_regions > 0.0, "{a:?}");
+            let same = |b: &&BlendMeasurement| (b.is_cpu, b.subgroup_size) == (a.is_cpu, a.subgroup_size);
+            assert!(!all[..i].iter().any(|b| same(&b)), "{a:?} twice");
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! The two forms of blending: the same bits through renderer and trainer, other work, and `bench` that tells them apart.
+
+use ashsplat::io::Photo;
+use ashsplat::trainer::{TrainView, Trainer};
+use ashsplat::vk::{Context, ContextOptions, SpecOverride};
+use ashsplat::{BlendSamples, Blending, Frame, Gaussians, RenderSettings, Renderer, TrainSettings};
+use serde_json::Value;
+use tempfile::tempdir;
+
+use crate::cli::{refuse, succeed, text};
+use crate::common::context;
+use crate::common::engine::{camera, gaussians, settings};
+use crate::common::scenes::{Random, mixed_scene, small_scene, small_view};
+
+/// A device that counts what is blended: from the count follows which kernel ran.
+fn counting() -> Context {
+    let count = SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 };
+    let options = ContextOptions { overrides: vec![count], ..Default::default() };
+    Context::new(&options).expect("a device")
+}
+
+fn bits(frame: &Frame) -> Vec<u32> {
+    let depth = frame.inverse_depth.iter().flatten();
+    frame.color.iter().flatten().chain(&frame.transmittance).chain(depth).map(|x| x.to_bits()).collect()
+}
+
+#[test]
+fn blending_forms_draw_the_same_picture_with_other_work() {
+    let context = counting();
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    let view = small_view([150, 90]);
+    let target = vec![[0.5, -1.0, 0.25]; 150 * 90];
+    for (seed, count) in [(31, 3000), (32, 300)] {
+        renderer.upload(&gaussians(&mixed_scene(&mut Random::new(seed), count, 9))).expect("upload");
+        let [regions, shared] = Blending::ALL.map(|form| {
+            renderer.set_blending(form);
+            let frame = renderer.render(&camera(&view), &settings(&view)).expect("a picture");
+            let gradients = renderer.gradients(&camera(&view), &settings(&view), &target, None);
+            (frame, gradients.expect("gradients"))
+        });
+        assert!(regions.0.color.iter().flatten().filter(|x| **x > 0.1).count() > 1000, "little to be seen");
+        assert!(bits(&regions.0) == bits(&shared.0), "seed {seed}: the pictures differ");
+        assert!(regions.1 == shared.1, "seed {seed}: the gradients differ");
+        let samples = |frame: &Frame| frame.stats.samples.forward;
+        // A region skips what does not meet it; the tile as a whole walks over all of its list.
+        assert!(samples(&regions.0) > 0 && samples(&shared.0) > samples(&regions.0), "seed {seed}");
+    }
+}
+
+/// Where nothing is opaque, no tile ends early: each instance is walked over by all pixels of its tile.
+#[test]
+fn blending_from_shared_memory_walks_over_whole_lists() {
+    let context = counting();
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    let mut scene = gaussians(&small_scene(&mut Random::new(33), 700, 1));
+    scene.opacity_logits.fill(-4.0);
+    renderer.upload(&scene).expect("upload");
+    renderer.set_blending(Blending::SharedMemory);
+    let frame =
+        renderer.render(&camera(&small_view([96, 64])), &RenderSettings::default()).expect("a picture");
+    let expected = BlendSamples { forward: 256 * u64::from(frame.stats.instances), backward: 0 };
+    assert!(frame.stats.instances > 1000);
+    assert_eq!(frame.stats.samples, expected);
+}
+
+/// Trains with one form, and from an iteration on with another; the samples of each half, and what was learnt.
+fn train(context: &Context, [first, then]: [Blending; 2]) -> ([u64; 2], Vec<u32>, Gaussians) {
+    let photo = |number: u32| {
+        let rgb = (0..56 * 40 * 3).map(|k| (k * (number + 2) / 7) as u8).collect();
+        let photo = Photo { width: 56, height: 40, rgb };
+        TrainView { camera: camera(&small_view([56, 40])), photo: photo.into() }
+    };
+    let settings = TrainSettings {
+        iterations: 40,
+        sh_degree: 1,
+        sh_degree_interval: 10,
+        densify_from_iter: 5,
+        densification_interval: 10,
+        densify_until_iter: 35,
+        opacity_reset_interval: 15,
+        densify_grad_threshold: 2e-5,
+        ..TrainSettings::default()
+    };
+    let start = gaussians(&small_scene(&mut Random::new(34), 200, 4));
+    let mut trainer =
+        Trainer::new(context, vec![photo(0), photo(1)], &start, 5.0, settings).expect("a trainer");
+    trainer.set_blending(first);
+    let (mut samples, mut losses) = ([0; 2], Vec::new());
+    for iteration in 0..40 {
+        if iteration == 20 {
+            trainer.set_blending(then);
+        }
+        let report = trainer.step().expect("a step");
+        samples[usize::from(iteration >= 20)] += report.samples.forward;
+        losses.push(report.loss.to_bits());
+    }
+    (samples, losses, trainer.gaussians().expect("Gaussians"))
+}
+
+#[test]
+fn blending_forms_train_to_the_same_bits() {
+    let context = counting();
+    let [regions, shared] = Blending::ALL.map(|form| train(&context, [form; 2]));
+    let mixed = train(&context, Blending::ALL);
+    assert!(regions.1 == shared.1 && regions.1 == mixed.1, "the losses differ");
+    assert!(regions.2 == shared.2 && regions.2 == mixed.2, "the Gaussians differ");
+    assert_ne!(regions.2.len(), 200, "nothing was densified");
+    // Each half did the work of its own form.
+    assert!(regions.0.iter().zip(&shared.0).all(|(regions, shared)| 0 < *regions && regions < shared));
+    assert_eq!(mixed.0, [regions.0[0], shared.0[1]]);
+}
+
+const FRAME: [&str; 8] = ["--gaussians", "400", "--width", "72", "--height", "48", "--iterations", "3"];
+
+/// Names of a run's kernels of the stage "blend".
+fn blended(run: &Value) -> Vec<&str> {
+    let kernels = run["kernels"].as_array().expect("kernels");
+    kernels.iter().filter(|k| k["scope"] == "blend").filter_map(|k| k["kernel"].as_str()).collect()
+}
+
+#[test]
+fn bench_blending_measures_both_forms_in_turn() {
+    let folder = tempdir().expect("a temporary folder");
+    let json = folder.path().join("a.json");
+    let table = succeed(&[&["bench", "blending", "--json", text(&json)], &FRAME[..]].concat());
+    let line = table.lines().last().expect("a line");
+    assert!(
+        line.starts_with("blending from shared memory takes ") && line.contains("400 Gaussians"),
+        "{table}"
+    );
+    let report: Value = serde_json::from_str(&std::fs::read_to_string(&json).expect("a file")).expect("JSON");
+    let runs = report["runs"].as_array().expect("runs");
+    let of = |form: &str| {
+        let name = format!("render-{form}");
+        let run = runs.iter().find(|run| run["name"] == name.as_str()).unwrap_or_else(|| panic!("no {name}"));
+        assert_eq!(run["workload"]["blending"], form);
+        assert_eq!(run["iterations"], 3);
+        let kernel = run["kernels"].as_array().expect("kernels").iter().find(|k| k["scope"] == "blend");
+        let operations = kernel.and_then(|k| k["operations"].as_f64()).expect("operations");
+        (run, operations)
+    };
+    let ((regions, few), (shared, many)) = (of("regions"), of("shared"));
+    assert_eq!(runs.len(), 2);
+    assert_eq!(regions["workload"]["hash"], shared["workload"]["hash"]);
+    assert_eq!((blended(regions), blended(shared)), (vec!["forward/blend"], vec!["forward/blend_shared"]));
+    assert!(0.0 < few && few < many);
+    assert!(line.contains(&format!("for {:.2} times as many samples", many / few)), "{line}");
+    // The device's own form comes first.
+    let own = Blending::of_device(context().limits());
+    assert_eq!(runs[0]["workload"]["blending"] == "regions", own == Blending::Regions);
+    // By the host's clock no kernel has a time, and there is nothing to say about two of them.
+    let table = succeed(&[&["bench", "blending", "--host-clock"], &FRAME[..]].concat());
+    assert!(!table.contains("takes"), "{table}");
+}
+
+#[test]
+fn bench_measures_the_form_that_is_asked_for_and_does_not_mix_them() {
+    let folder = tempdir().expect("a temporary folder");
+    let run = |what: &str, form: &str| {
+        let json = folder.path().join(format!("{what}-{form}.json"));
+        succeed(&[&["bench", what, "--blending", form, "--json", text(&json)], &FRAME[..]].concat());
+        let report = std::fs::read_to_string(&json).expect("a file");
+        (json, serde_json::from_str::<Value>(&report).expect("JSON"))
+    };
+    for what in ["render", "train-step"] {
+        let [(a, regions), (b, shared)] = ["regions", "shared"].map(|form| run(what, form));
+        for (report, form, kernel) in
+            [(&regions, "regions", "forward/blend"), (&shared, "shared", "forward/blend_shared")]
+        {
+            let run = &report["runs"][0];
+            assert_eq!((&run["name"], &run["workload"]["blending"]), (&what.into(), &form.into()));
+            assert_eq!(blended(run), [kernel]);
+            let blending = run["kernels"].as_array().expect("kernels").iter().find(|k| k["kernel"] == kernel);
+            assert!(blending.is_some_and(|k| k["operations"].as_f64() > Some(0.0)));
+        }
+        let compared = succeed(&["bench", "compare", text(&a), text(&b)]);
+        let said = format!("{what}: the form of blending is 'regions' in A, 'shared' in B");
+        assert!(compared.contains(&said) && compared.contains("only in A: "), "{compared}");
+        refuse(
+            &["bench", "compare", text(&a), text(&b), "--fail-above", "9"],
+            &["cannot be compared", "form of blending"],
+        );
+    }
+    let profiled = ["profile", "render", "--blending", "shared", "--gaussians", "400", "--width", "72"];
+    let table = succeed(&[&profiled[..], &["--height", "48", "--frames", "2"]].concat());
+    assert!(table.contains("forward/blend_shared"), "{table}");
+    refuse(&["bench", "render", "--blending", "tiles"], &["--blending", "regions", "shared"]);
+    refuse(&["bench", "sort", "--blending", "shared"], &["--blending"]);
+    refuse(&["bench", "blending", "--blending", "shared"], &["--blending"]);
+}
