@@ -29,9 +29,9 @@ impl Blending {
     /// What was measured, each by `ashsplat bench blending` with the scene that it has by itself (300,000 Gaussians at 1920×1080);
     /// README, "Two forms of blending", names the machines. A device that is measured belongs in here.
     pub const MEASURED: [BlendMeasurement; 3] = [
-        BlendMeasurement { is_cpu: true, subgroup_size: 4, shared_over_regions: 1.0 },
-        BlendMeasurement { is_cpu: true, subgroup_size: 8, shared_over_regions: 1.0 },
-        BlendMeasurement { is_cpu: true, subgroup_size: 16, shared_over_regions: 1.0 },
+        BlendMeasurement { is_cpu: true, subgroup_size: 4, shared_over_regions: 2.54 },
+        BlendMeasurement { is_cpu: true, subgroup_size: 8, shared_over_regions: 3.91 },
+        BlendMeasurement { is_cpu: true, subgroup_size: 16, shared_over_regions: 1.74 },
     ];
 
     /// The form for a device: the faster one in [`Blending::MEASURED`], see [`Blending::by`].
@@ -90,6 +90,39 @@ mod tests {
         assert_eq!(Blending::by(&[], false, 32), Blending::Regions);
         assert_eq!(Blending::by(&[row(true, 32, 0.1)], false, 32), Blending::Regions);
         assert_eq!(Blending::by(&[row(false, 32, f32::NAN)], false, 32), Blending::Regions);
+    }
+
+    /// "| processor ... | 8 | 3.91 (...) |": a row of README's table for each row here, in the same order.
+    #[test]
+    fn blending_measurements_are_those_of_the_readme() {
+        let readme = include_str!("../../README.md");
+        let section = readme.split("### Two forms of blending").nth(1).expect("its section");
+        let section = section.split("\n### ").next().expect("its end");
+        let rows = section.lines().filter(|line| line.starts_with('|')).skip(2);
+        let mut is_cpu = false;
+        let rows = rows.filter_map(|row| {
+            let cells: Vec<&str> = row.split('|').map(str::trim).collect();
+            is_cpu = cells[1].starts_with("processor") || (is_cpu && cells[1] == "the same");
+            let ratio = cells[3].split(' ').next()?.parse().ok()?;
+            Some((
+                super::BlendMeasurement {
+                    is_cpu,
+                    subgroup_size: cells[2].parse().ok()?,
+                    shared_over_regions: ratio,
+                },
+                cells[6],
+            ))
+        });
+        let rows: Vec<_> = rows.collect();
+        assert_eq!(rows.iter().map(|row| row.0).collect::<Vec<_>>(), Blending::MEASURED);
+        for (row, form) in rows {
+            let chosen = Blending::by(&Blending::MEASURED, row.is_cpu, row.subgroup_size);
+            assert_eq!(
+                form,
+                if chosen == Blending::Regions { "regions" } else { "shared memory" },
+                "{row:?}"
+            );
+        }
     }
 
     #[test]

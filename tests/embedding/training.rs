@@ -7,7 +7,8 @@ use ashsplat::io::{Photo, PhotoMemory, StoredPhoto};
 use ashsplat::trainer::{StepOutcome, StepReservation, Trainer};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, LimitsOverride};
 use ashsplat::{
-    Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings, TrainView,
+    Blending, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings,
+    TrainView,
 };
 
 /// Densifies after 40, 80, 120, 160, resets opacities after 100.
@@ -113,6 +114,34 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     for push_descriptors in [true, false] {
         with_host(&HostOptions { push_descriptors, ..options() }, train_recorded);
     }
+}
+
+/// Another form of blending has kernels of its own: steps are recorded again once they are built, with the same bits.
+#[test]
+fn another_form_of_blending_is_due_maintenance() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let own = Blending::of_device(context.limits());
+        let other = Blending::ALL.into_iter().find(|&form| form != own).expect("two forms");
+        let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
+        recorded.reserve_steps(&StepReservation { slots: 1, instances: 0 }).expect("memory");
+        let frame = InFlight::new(host).expect("a command buffer");
+        let first = step(host, &mut recorded, &context, &frame);
+        recorded.set_blending(other);
+        assert!(recorded.maintenance_is_due().expect("an answer"));
+        let refused = InFlight::new(host).expect("a command buffer");
+        refused.begin(host).expect("recording");
+        let error = recorded.record_step(adopt(&context, &refused), 0).expect_err("no kernels");
+        assert!(error.to_string().contains("maintain"), "{error}");
+        refused.destroy(host);
+        recorded.maintain().expect("kernels");
+        let second = step(host, &mut recorded, &context, &frame);
+        for got in [first, second] {
+            assert_eq!(got.loss.to_bits(), expected.step().expect("a step").loss.to_bits());
+        }
+        assert!(recorded.checkpoint().expect("a state") == expected.checkpoint().expect("a state"));
+        frame.destroy(host);
+    });
 }
 
 /// A step without room leaves everything as it was, and so do those behind it that were recorded before anybody knew.

@@ -41,6 +41,11 @@ pub fn name(blending: Blending) -> &'static str {
     }
 }
 
+/// The form of a name.
+pub fn of_name(named: &str) -> Option<Blending> {
+    Blending::ALL.into_iter().find(|&form| name(form) == named)
+}
+
 /// A run's kernel that blends forward, where it has a time.
 fn kernel(run: &Run) -> Option<(&KernelResult, Spread)> {
     let own = |k: &&KernelResult| k.kernel.starts_with("forward/blend");

@@ -26,20 +26,17 @@ impl<'a> Counter<'a> {
     /// The samples of a task's frame, for each of its runs; none for tasks that blend nothing, and for training, which blends
     /// something else in each iteration.
     pub fn count(&mut self, task: &Task, runs: &[Run]) -> Result<Vec<BlendSamples>> {
-        let form = |run: &Run| {
-            let named = |form: &Blending| run.workload.blending.as_deref() == Some(forms::name(*form));
-            Blending::ALL.into_iter().find(named)
-        };
-        let seed = self.seed;
-        let count = |context: &Context, form: Blending| match task {
-            Task::Render(scene, ..) | Task::RenderBoth(scene, _) => of_frame(context, scene, form),
-            Task::TrainStep(scene, ..) => of_step(context, scene, form, seed),
-            Task::Scan(..) | Task::Sort(..) | Task::Train(_) => Ok(BlendSamples::default()),
-        };
-        if matches!(task, Task::Scan(..) | Task::Sort(..) | Task::Train(_)) {
-            return Ok(Vec::new());
+        let form = |run: &Run| forms::of_name(run.workload.blending.as_deref()?);
+        let forms: Vec<Blending> = runs.iter().filter_map(form).collect();
+        match task {
+            Task::Render(scene, ..) | Task::RenderBoth(scene, _) => of_frame(self.context()?, scene, &forms),
+            Task::TrainStep(scene, ..) => {
+                let seed = self.seed;
+                let context = self.context()?;
+                forms.into_iter().map(|form| of_step(context, scene, form, seed)).collect()
+            }
+            Task::Scan(..) | Task::Sort(..) | Task::Train(_) => Ok(Vec::new()),
         }
-        runs.iter().filter_map(form).map(|form| count(self.context()?, form)).collect()
     }
 
     fn context(&mut self) -> Result<&Context> {
@@ -59,11 +56,14 @@ impl<'a> Counter<'a> {
     }
 }
 
-fn of_frame(context: &Context, scene: &Scene, form: Blending) -> Result<BlendSamples> {
+fn of_frame(context: &Context, scene: &Scene, forms: &[Blending]) -> Result<Vec<BlendSamples>> {
     let mut renderer = Renderer::new(context)?;
-    renderer.set_blending(form);
     renderer.upload(&scene.gaussians)?;
-    Ok(renderer.render(&scene.camera, &RenderSettings::default())?.stats.samples)
+    let mut count = |form: &Blending| {
+        renderer.set_blending(*form);
+        Ok(renderer.render(&scene.camera, &RenderSettings::default())?.stats.samples)
+    };
+    forms.iter().map(&mut count).collect()
 }
 
 fn of_step(context: &Context, scene: &Scene, form: Blending, seed: u64) -> Result<BlendSamples> {
