@@ -1,14 +1,19 @@
 //! Adaptive density control, wholly on the device: decide, prefix-sum, place, gather; and the opacity reset.
 //!
 //! The new set has the reference's order: those that stay, then clones, then the first and the second halves of split
-//! Gaussians. Random numbers are keyed by (seed, iteration, Gaussian, half), so that the result does not depend on
+//! Gaussians; training then puts it into that of a space-filling curve ([`Densify::record_order`]). Random numbers are keyed by (seed, iteration, Gaussian, half), so that the result does not depend on
 //! scheduling.
+
+mod order;
+
+pub use order::{Curve, OrderBuffers};
 
 use crate::error::Result;
 use crate::forward::SceneBuffers;
-use crate::kernels::densify::{decide, gather, place, reset_opacity};
+use crate::kernels::densify::{decide, gather, place, reset_opacity, zorder};
 use crate::plan::{Blocks, blocks};
 use crate::scan::Scan;
+use crate::sort::RadixSort;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Opacity that the reset leaves at most.
@@ -34,13 +39,16 @@ pub struct DensifyBuffers {
     pub decisions: Buffer,
     /// Per block of Gaussians, three counts, then offsets.
     pub blocks: Buffer,
-    /// How many stay, are cloned, split.
+    /// How many stay, are cloned, split; and rows that are sorted.
     pub totals: Buffer,
     /// Per row of the new set: where it comes from.
     pub sources: Buffer,
 }
 
 impl DensifyBuffers {
+    /// Which word of `totals` holds how many rows are sorted.
+    const ROWS: u64 = 3;
+
     /// Names and bytes, in the order of the fields, for up to `gaussians` before and `rows` after.
     pub fn requests(sizes: &Blocks, gaussians: u32, rows: u32) -> [(&'static str, u64); 4] {
         let blocks = blocks(gaussians.into(), sizes.stream.into());
@@ -94,6 +102,8 @@ pub struct Densify {
     gather_explicit: Kernel<gather::Interface>,
     gather_moments: Kernel<gather::Interface>,
     reset: Kernel<reset_opacity::Interface>,
+    zorder: Kernel<zorder::Interface>,
+    sort: RadixSort,
 }
 
 impl Densify {
@@ -114,6 +124,8 @@ impl Densify {
             gather_explicit: Kernel::new(context, &gather::Spec { explicit_noise: true, ..gather })?,
             gather_moments: Kernel::new(context, &gather::Spec { moments: true, ..gather })?,
             reset: Kernel::new(context, &reset_opacity::Spec { workgroup_size })?,
+            zorder: Kernel::new(context, &zorder::Spec { workgroup_size })?,
+            sort: RadixSort::new(context)?,
         })
     }
 

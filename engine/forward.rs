@@ -132,8 +132,9 @@ impl Forward {
     }
 
     /// Chooses how tiles are blended, in place of [`Blending::of_device`]; before [`Forward::prepare`].
-    pub fn set_blending(&mut self, blending: Blending) {
-        self.blend.choose(blending);
+    /// Whether it was another form before.
+    pub fn set_blending(&mut self, blending: Blending) -> bool {
+        self.blend.choose(blending)
     }
 
     /// Records a frame; [`Forward::prepare`] must have been called for its variants. Ends without a barrier.

@@ -125,7 +125,8 @@ impl Renderer {
         self.runner.store.set_instances(instances);
     }
 
-    /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Bits do not depend on it.
+    /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Frames that are recorded into a host's commands need
+    /// [`Renderer::reserve`] again, which builds the kernels.
     pub fn set_blending(&mut self, blending: Blending) {
         self.runner.set_blending(blending);
     }

@@ -3,7 +3,9 @@
 use ashsplat::io::Photo;
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions, SpecOverride};
-use ashsplat::{BlendSamples, Blending, Frame, Gaussians, RenderSettings, Renderer, TrainSettings};
+use ashsplat::{
+    BlendSamples, Blending, Frame, Gaussians, Gradients, RenderSettings, Renderer, TrainSettings,
+};
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -19,9 +21,24 @@ fn counting() -> Context {
     Context::new(&options).expect("a device")
 }
 
-fn bits(frame: &Frame) -> Vec<u32> {
+fn values(frame: &Frame) -> Vec<f32> {
     let depth = frame.inverse_depth.iter().flatten();
-    frame.color.iter().flatten().chain(&frame.transmittance).chain(depth).map(|x| x.to_bits()).collect()
+    frame.color.iter().flatten().chain(&frame.transmittance).chain(depth).copied().collect()
+}
+
+fn derivatives(gradients: &Gradients) -> Vec<f32> {
+    let Gaussians { means, quats, log_scales, opacity_logits, sh, .. } = &gradients.parameters;
+    let vectors = means.iter().chain(log_scales).chain(sh).flatten();
+    let rest = quats.iter().flatten().chain(opacity_logits).chain(gradients.mean2d_px.iter().flatten());
+    vectors.chain(rest).copied().collect()
+}
+
+/// To the bit on processors. Another compiler may fuse sums of products in one kernel and not in the other.
+fn assert_same(context: &Context, a: &[f32], b: &[f32], (what, error): (&str, f32)) {
+    let same = |(a, b): (&f32, &f32)| {
+        a.to_bits() == b.to_bits() || (!context.limits().is_cpu && (a - b).abs() <= error * (1.0 + b.abs()))
+    };
+    assert!(a.len() == b.len() && a.iter().zip(b).all(same), "{what} differ");
 }
 
 #[test]
@@ -39,8 +56,10 @@ fn blending_forms_draw_the_same_picture_with_other_work() {
             (frame, gradients.expect("gradients"))
         });
         assert!(regions.0.color.iter().flatten().filter(|x| **x > 0.1).count() > 1000, "little to be seen");
-        assert!(bits(&regions.0) == bits(&shared.0), "seed {seed}: the pictures differ");
-        assert!(regions.1 == shared.1, "seed {seed}: the gradients differ");
+        assert_same(&context, &values(&regions.0), &values(&shared.0), ("the pictures", 1e-5));
+        let [of_regions, of_shared] = [&regions.1, &shared.1].map(derivatives);
+        assert!(of_regions.iter().any(|d| *d != 0.0));
+        assert_same(&context, &of_regions, &of_shared, ("the gradients", 1e-3));
         let samples = |frame: &Frame| frame.stats.samples.forward;
         // A region skips what does not meet it; the tile as a whole walks over all of its list.
         assert!(samples(&regions.0) > 0 && samples(&shared.0) > samples(&regions.0), "seed {seed}");
@@ -102,12 +121,14 @@ fn blending_forms_train_to_the_same_bits() {
     let context = counting();
     let [regions, shared] = Blending::ALL.map(|form| train(&context, [form; 2]));
     let mixed = train(&context, Blending::ALL);
-    assert!(regions.1 == shared.1 && regions.1 == mixed.1, "the losses differ");
-    assert!(regions.2 == shared.2 && regions.2 == mixed.2, "the Gaussians differ");
+    if context.limits().is_cpu {
+        assert!(regions.1 == shared.1 && regions.1 == mixed.1, "the losses differ");
+        assert!(regions.2 == shared.2 && regions.2 == mixed.2, "the Gaussians differ");
+        assert_eq!(mixed.0, [regions.0[0], shared.0[1]]);
+    }
     assert_ne!(regions.2.len(), 200, "nothing was densified");
     // Each half did the work of its own form.
     assert!(regions.0.iter().zip(&shared.0).all(|(regions, shared)| 0 < *regions && regions < shared));
-    assert_eq!(mixed.0, [regions.0[0], shared.0[1]]);
 }
 
 const FRAME: [&str; 8] = ["--gaussians", "400", "--width", "72", "--height", "48", "--iterations", "3"];

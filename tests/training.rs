@@ -13,10 +13,11 @@ use crate::reference::decide::Statistic;
 use crate::reference::gather::random_normal;
 use crate::reference::loss_reduce;
 use crate::reference::pipeline::{backward, render};
-use crate::reference::place::{Densify, Kind, place};
+use crate::reference::place::{Densify, Kind, Placed, place};
 use crate::reference::project_backward::mean2d_statistic;
 use crate::reference::reset_opacity::reset_opacity;
 use crate::reference::types::{Gaussian, Gradient, View};
+use crate::reference::zorder::zorder;
 
 const SIZE: [u32; 2] = [48, 36];
 /// A hundredth of it lies amid the scales, so that Gaussians are cloned and split.
@@ -40,6 +41,10 @@ fn training_settings() -> TrainSettings {
 /// Black background, no inverse depth: as the trainer renders.
 fn view(sh_degree: u32) -> View {
     View { background: [0.0; 3], sh_degree, ..small_view(SIZE) }
+}
+
+fn camera_position() -> [f64; 3] {
+    camera(&view(0)).position().to_array().map(f64::from)
 }
 
 fn photo() -> Photo {
@@ -167,9 +172,12 @@ impl Twin {
             .collect();
         // Nobody was pruned between the numbering of the splits and here: the first half are first children.
         let splits = &parents[..parents.len() / 2];
-        let placed = place(&self.gaussians, &self.statistics, densify, |child, split| {
+        let mut placed = place(&self.gaussians, &self.statistics, densify, |child, split| {
             random_normal([SEED, iteration, splits[split] as u32, child as u32])
         });
+        // Along the curve about the only camera, by where the parents were.
+        let parent = |p: &Placed| zorder(self.gaussians[p.parent].mean, camera_position(), SCENE_EXTENT);
+        placed.sort_by_key(parent);
         let moments = |kind: Kind, parent: usize| match kind {
             Kind::Kept => self.moments[parent].clone(),
             _ => vec![Parameter::default(); self.moments[parent].len()],

@@ -2,7 +2,8 @@
 
 use crate::vk::Limits;
 
-/// How a tile is blended: the same picture to the bit, at a cost that depends on the device.
+/// How a tile is blended: the same picture, at a cost that depends on the device. To the bit where a driver's compiler treats sums
+/// of products alike in both kernels, as llvmpipe's does: which Gaussians count is decided by `precise` arithmetic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blending {
     /// Each subgroup culls against its own region of the tile and passes Gaussians round by shuffles.
@@ -11,7 +12,7 @@ pub enum Blending {
     SharedMemory,
 }
 
-/// One measurement of both forms.
+/// One measurement of both forms on a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendMeasurement {
     /// As [`Limits::is_cpu`].
@@ -28,7 +29,7 @@ impl Blending {
 
     /// What was measured, each by `ashsplat bench blending` with the scene that it has by itself (300,000 Gaussians at 1920×1080);
     /// README, "Two forms of blending", names the machines. A device that is measured belongs in here.
-    pub const MEASURED: [BlendMeasurement; 3] = [
+    pub const MEASURED: &[BlendMeasurement] = &[
         BlendMeasurement { is_cpu: true, subgroup_size: 4, shared_over_regions: 2.54 },
         BlendMeasurement { is_cpu: true, subgroup_size: 8, shared_over_regions: 3.91 },
         BlendMeasurement { is_cpu: true, subgroup_size: 16, shared_over_regions: 1.74 },
@@ -36,19 +37,19 @@ impl Blending {
 
     /// The form for a device: the faster one in [`Blending::MEASURED`], see [`Blending::by`].
     pub fn of_device(limits: &Limits) -> Self {
-        Self::by(&Self::MEASURED, limits.is_cpu, limits.subgroup_size)
+        Self::by(Self::MEASURED, limits.is_cpu, limits.subgroup_size)
     }
 
-    /// The faster form in that measurement of the same kind of device (processors, or others) whose subgroups are next in size,
-    /// the smaller ones of two equally near; [`Blending::Regions`], which computes fewer samples, where none of that kind was
-    /// measured or both forms took equally long.
+    /// The faster form, in the geometric mean, on the measured devices of the same kind (processors, or others) whose subgroups are
+    /// next in size, the smaller ones of two equally near; [`Blending::Regions`], which computes fewer samples, where none of
+    /// that kind was measured or both forms took equally long.
     pub fn by(measured: &[BlendMeasurement], is_cpu: bool, subgroup_size: u32) -> Self {
         let steps = |size: u32| size.max(1).ilog2().abs_diff(subgroup_size.max(1).ilog2());
-        let of_kind = measured.iter().filter(|m| m.is_cpu == is_cpu);
-        match of_kind.min_by_key(|m| (steps(m.subgroup_size), m.subgroup_size)) {
-            Some(nearest) if nearest.shared_over_regions < 1.0 => Self::SharedMemory,
-            _ => Self::Regions,
-        }
+        let of_kind = || measured.iter().filter(|m| m.is_cpu == is_cpu);
+        let nearest = of_kind().map(|m| m.subgroup_size).min_by_key(|&size| (steps(size), size));
+        let of_size = of_kind().filter(|m| Some(m.subgroup_size) == nearest);
+        let product: f32 = of_size.map(|m| m.shared_over_regions).product();
+        if product < 1.0 { Self::SharedMemory } else { Self::Regions }
     }
 }
 
@@ -116,7 +117,7 @@ mod tests {
         let rows: Vec<_> = rows.collect();
         assert_eq!(rows.iter().map(|row| row.0).collect::<Vec<_>>(), Blending::MEASURED);
         for (row, form) in rows {
-            let chosen = Blending::by(&Blending::MEASURED, row.is_cpu, row.subgroup_size);
+            let chosen = Blending::by(Blending::MEASURED, row.is_cpu, row.subgroup_size);
             assert_eq!(
                 form,
                 if chosen == Blending::Regions { "regions" } else { "shared memory" },
@@ -126,12 +127,16 @@ mod tests {
     }
 
     #[test]
-    fn blending_measurements_are_of_one_device_each() {
-        let all = Blending::MEASURED;
-        for (i, a) in all.iter().enumerate() {
-            assert!(a.subgroup_size.is_power_of_two() && a.shared_over_regions > 0.0, "{a:?}");
-            let same = |b: &&BlendMeasurement| (b.is_cpu, b.subgroup_size) == (a.is_cpu, a.subgroup_size);
-            assert!(!all[..i].iter().any(|b| same(&b)), "{a:?} twice");
+    fn blending_measurements_of_a_size_count_together() {
+        let by = |ratios: &[f32]| {
+            let rows: Vec<_> = ratios.iter().map(|&ratio| row(false, 32, ratio)).collect();
+            Blending::by(&rows, false, 32)
+        };
+        assert_eq!(by(&[1.3, 0.7]), Blending::SharedMemory);
+        assert_eq!(by(&[0.7, 1.5]), Blending::Regions);
+        assert_eq!(by(&[0.9, f32::NAN]), Blending::Regions);
+        for m in Blending::MEASURED {
+            assert!(m.subgroup_size.is_power_of_two() && m.shared_over_regions > 0.0, "{m:?}");
         }
     }
 }

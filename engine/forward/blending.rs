@@ -71,8 +71,8 @@ impl Blend {
         }
     }
 
-    pub fn choose(&mut self, blending: Blending) {
-        self.blending = blending;
+    pub fn choose(&mut self, blending: Blending) -> bool {
+        std::mem::replace(&mut self.blending, blending) != blending
     }
 
     pub fn prepare(&mut self, context: &Context, sizes: &Blocks, wanted: BlendVariant) -> Result<()> {

@@ -83,8 +83,8 @@ impl FrameRunner {
     }
 
     /// See [`Forward::set_blending`].
-    pub fn set_blending(&mut self, blending: Blending) {
-        self.forward.set_blending(blending);
+    pub fn set_blending(&mut self, blending: Blending) -> bool {
+        self.forward.set_blending(blending)
     }
 
     /// Runs a frame; `record_more` records what follows the blending. An overflowed frame is run again with more room,

@@ -1,13 +1,15 @@
 //! Densification and the opacity reset of a training run.
 
 use super::{Densified, Trainer, Training, allocate_statistics, budget};
-use crate::densify::{DensifyBuffers, DensifySettings, Gather, RandomKey};
+use crate::densify::{Curve, DensifyBuffers, DensifySettings, Gather, OrderBuffers, RandomKey};
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
 use crate::optimizer::Moments;
 use crate::plan::{Blocks, FrameCapacity, ScenePlan};
 use crate::planes;
+use crate::scene::Camera;
 use crate::vk::{Buffer, MemoryKind};
+use glam::Vec3;
 
 /// Scales above this share of the scene's extent are pruned, once opacities have been reset (reference).
 const LARGE_SCALE_SHARE: f64 = 0.1;
@@ -68,6 +70,18 @@ impl Trainer {
             unreachable!("one buffer per request")
         };
         Ok(Some(DensifyBuffers { decisions, blocks, totals, sources }))
+    }
+
+    /// What sorting the new set along the curve takes; None without memory for it: then it has the reference's order.
+    fn order_buffers(&self, rows: u32) -> Result<Option<OrderBuffers>> {
+        let requests = OrderBuffers::requests(&Blocks::new(self.context.limits()), rows);
+        let buffers = or_none(self.context.allocate("densify", &requests, MemoryKind::Device))?;
+        Ok(buffers.map(OrderBuffers::from_allocated))
+    }
+
+    fn curve(&self) -> Curve {
+        let sum: Vec3 = self.cameras.iter().map(Camera::position).sum();
+        Curve { center: sum / self.cameras.len() as f32, extent: self.scene_extent }
     }
 
     /// Planes, and a frame, for so many rows: with half as many again, with none to spare, or with as many as the memory
@@ -148,11 +162,12 @@ impl Trainer {
         let key = RandomKey { seed: self.settings.seed, iteration, explicit: None };
         let plan = fresh.as_ref().map_or(old.scene.plan, |fresh| fresh.plan);
         // Without growth the four sets of planes rotate: each is gathered into the one that was freed before it.
-        let sources = [&old.scene.chunks, &old.moments.first, &old.moments.second];
+        let sets = [&old.scene.chunks, &old.moments.first, &old.moments.second];
         let targets: [&Vec<Buffer>; 3] = match &fresh {
             Some(fresh) => [&fresh.sets[0], &fresh.sets[1], &fresh.sets[2]],
             None => [&old.spare, &old.scene.chunks, &old.moments.first],
         };
+        let (order, curve) = (self.order_buffers(rows)?, self.curve());
         let (spare, statistics) = match &fresh {
             Some(fresh) => (&fresh.sets[3], &fresh.statistics),
             None => (&old.moments.second, &old.statistics),
@@ -162,10 +177,13 @@ impl Trainer {
             r.fill(statistics, 0);
             self.densify.record_place(r, old.scene.count, rows, buffers);
             r.barrier();
-            for (set, (from, to)) in sources.iter().zip(targets).enumerate() {
+            let sources = order.as_ref().map_or(&buffers.sources, |order| {
+                self.densify.record_order(r, (&old.scene, rows), buffers, order, &curve)
+            });
+            for (set, (from, to)) in sets.iter().zip(targets).enumerate() {
                 let from = SceneBuffers { chunks: from.to_vec(), ..old.scene.clone() };
                 let to = SceneBuffers { chunks: to.clone(), plan, count: rows };
-                let gather = Gather { from: &from, to: &to, sources: &buffers.sources };
+                let gather = Gather { from: &from, to: &to, sources };
                 if set == 0 {
                     self.densify.record_gather_parameters(r, &gather, &key);
                 } else {

@@ -262,11 +262,12 @@ impl Trainer {
         &self.settings
     }
 
-    /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Bits do not depend on it. Steps that are recorded
-    /// already keep the form that they have; before another one can be, maintenance is due.
+    /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Steps that are recorded already keep the form that they
+    /// have; before another one can be recorded, maintenance is due.
     pub fn set_blending(&mut self, blending: Blending) {
-        self.runner.set_blending(blending);
-        self.recording.frame_is_ready = false;
+        if self.runner.set_blending(blending) {
+            self.recording.frame_is_ready = false;
+        }
     }
 
     /// Iterations done. Recorded ones count once they have finished and [`Trainer::settle`] has taken note.

@@ -75,6 +75,9 @@ const uint SORT_BINS = 256;
 // Marks a Gaussian that is not visible in this frame.
 const uint NOT_VISIBLE = 0xFFFFFFFF;
 
+// Bits of a place on the curve that densification orders Gaussians along, ten for each axis.
+const uint ZORDER_BITS = 30;
+
 // What becomes of a Gaussian at densification (kinds of a row of the new set).
 const uint KIND_KEPT = 0;
 const uint KIND_CLONE = 1;

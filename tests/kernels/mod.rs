@@ -39,3 +39,4 @@ mod ssim_backward;
 mod ssim_backward_sweep;
 mod ssim_forward;
 mod ssim_forward_sweep;
+mod zorder;

@@ -53,3 +53,4 @@ pub mod ssim_forward_sweep;
 pub mod tile_list;
 pub mod tiles;
 pub mod types;
+pub mod zorder;

@@ -62,7 +62,8 @@ enum What {
     TrainStep(FrameArguments),
     /// Training of a data set from its points, as `train` does it
     Train(TrainArguments),
-    /// Everything: the primitives at two sizes, two synthetic frames, a step; --scene and --dataset besides
+    /// Everything: the primitives at two sizes, two synthetic frames, one of them in both forms of blending, a step; --scene and
+    /// --dataset besides
     All(AllArguments),
     /// Two result files, kernel by kernel; exit code 1 where --fail-above finds something slower
     Compare(CompareArguments),

@@ -53,19 +53,21 @@ fn kernel(run: &Run) -> Option<(&KernelResult, Spread)> {
     Some((kernel, kernel.time_us.filter(|time| time.min > 0.0)?))
 }
 
-/// One line for each frame that was blended in both forms: what shared memory takes, by what regions take.
+/// One line for each frame that was blended in both forms: what shared memory takes, by what regions take. The two runs of a
+/// frame follow each other.
 pub fn ratios(runs: &[Run]) -> String {
-    let of = |form: Blending| {
-        let named = format!("render-{}", name(form));
-        runs.iter().filter(move |run| run.name.starts_with(&named))
-    };
-    let pairs = of(Blending::Regions).filter_map(|regions| {
-        let same = |run: &&Run| run.workload.hash == regions.workload.hash;
-        Some((regions, of(Blending::SharedMemory).find(same)?))
-    });
-    let lines = pairs.filter_map(|(regions, shared)| {
+    let is_of = |run: &Run, form: Blending| run.name.starts_with(&format!("render-{}", name(form)));
+    let lines = runs.windows(2).filter_map(|pair| {
+        let (regions, shared) = match pair {
+            [a, b] if is_of(a, Blending::Regions) && is_of(b, Blending::SharedMemory) => (a, b),
+            [a, b] if is_of(b, Blending::Regions) && is_of(a, Blending::SharedMemory) => (b, a),
+            _ => return None,
+        };
+        if regions.workload.hash != shared.workload.hash {
+            return None;
+        }
         let ((kernel_a, a), (kernel_b, b)) = (kernel(regions)?, kernel(shared)?);
-        let samples = kernel_a.operations.zip(kernel_b.operations).map_or_else(String::new, |(a, b)| {
+        let samples = kernel_a.samples.zip(kernel_b.samples).map_or_else(String::new, |(a, b)| {
             format!(" for {:.2} times as many samples", b as f64 / a.max(1) as f64)
         });
         Some(format!(
@@ -79,4 +81,54 @@ pub fn ratios(runs: &[Run]) -> String {
         ))
     });
     lines.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Blending, ratios};
+    use crate::bench::schema::{KernelResult, Run, Spread, Workload};
+
+    fn run(name: &str, hash: &str, time: f64) -> Run {
+        let spread = Spread { min: time, median: time, p90: time, mean: time };
+        let kernel = KernelResult {
+            kernel: "forward/blend".into(),
+            time_us: Some(spread),
+            samples: Some(time as u64),
+            ..KernelResult::default()
+        };
+        let workload = Workload { hash: hash.into(), gaussians: Some(time as u32), ..Workload::default() };
+        Run { name: name.into(), workload, kernels: vec![kernel], ..Run::default() }
+    }
+
+    /// The same frame twice, as where a size is asked for twice: each ratio is of runs that were measured in turn.
+    #[test]
+    fn forms_are_paired_with_their_neighbours() {
+        let runs = [
+            run("render", "a", 9.0),
+            run("render-regions", "a", 10.0),
+            run("render-shared", "a", 20.0),
+            run("render-10@9x9", "a", 9.0),
+            run("render-shared-10@9x9", "a", 90.0),
+            run("render-regions-10@9x9", "a", 30.0),
+            run("render-shared'", "b", 1.0),
+            run("train-step", "a", 7.0),
+        ];
+        let text = ratios(&runs);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 2, "{text}");
+        assert!(
+            lines[0].contains("takes 2.00 times") && lines[0].contains("for 2.00 times as many"),
+            "{text}"
+        );
+        assert!(lines[1].contains("takes 3.00 times"), "{text}");
+        assert_eq!(ratios(&runs[..2]), "");
+    }
+
+    #[test]
+    fn forms_have_names_of_their_own() {
+        for form in Blending::ALL {
+            assert_eq!(super::of_name(super::name(form)), Some(form));
+        }
+        assert_eq!(super::of_name("tiles"), None);
+    }
 }

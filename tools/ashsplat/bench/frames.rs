@@ -40,12 +40,18 @@ impl Job<'_> {
         result(self.context, name, workload, measured, counts, self.copy)
     }
 
-    fn rendered(&self, name: &str, stats: &FrameStats, form: Blending, measured: &Measured) -> Result<Run> {
+    fn rendered(
+        &self,
+        name: &str,
+        (stats, workload): (&FrameStats, Workload),
+        form: Blending,
+        measured: &Measured,
+    ) -> Result<Run> {
         let counts = self.counts(stats.gaussians)?.seen(stats.visible, stats.instances);
         let workload = Workload {
             longest_tile: Some(stats.longest_tile),
             blending: Some(forms::name(form).to_owned()),
-            ..self.scene.workload(&RenderSettings::default())
+            ..workload
         };
         Ok(self.run(name, workload, measured, counts))
     }
@@ -89,7 +95,8 @@ pub fn render(job: &Job) -> Result<(Run, Measured)> {
         Ok(())
     };
     let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
-    Ok((job.rendered("render", &stats, job.blending(), &measured)?, measured))
+    let workload = job.scene.workload(&settings);
+    Ok((job.rendered("render", (&stats, workload), job.blending(), &measured)?, measured))
 }
 
 /// A frame in both forms of blending, in turn, the device's own first: on the same machine at the same time.
@@ -110,14 +117,18 @@ pub fn render_both(job: &Job) -> Result<Vec<Run>> {
         let measurement = Measurement::begin(job.context, job.iterations, || Ok(()), || frame(form))?;
         both.push((form, measurement));
     }
-    for _ in 0..job.iterations.measured.max(1) {
+    for round in 0..job.iterations.measured.max(1) {
+        // Neither always goes first.
+        both.rotate_left(usize::from(round > 0));
         for (form, measurement) in &mut both {
             measurement.round(|| Ok(()), || frame(*form))?;
         }
     }
+    both.sort_by_key(|(form, _)| *form != own);
+    let workload = job.scene.workload(&settings);
     let run = |(form, measurement): (Blending, Measurement)| {
         let name = format!("render-{}", forms::name(form));
-        job.rendered(&name, &stats, form, &measurement.end())
+        job.rendered(&name, (&stats, workload.clone()), form, &measurement.end())
     };
     both.into_iter().map(run).collect()
 }

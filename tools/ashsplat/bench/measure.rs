@@ -250,6 +250,7 @@ impl Measured {
                     bytes_written: written,
                     gigabytes_per_second: None,
                     share_of_copy_bandwidth: None,
+                    samples: None,
                     operations: None,
                     gigaoperations_per_second: None,
                     share_of_arithmetic: None,

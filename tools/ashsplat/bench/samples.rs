@@ -76,49 +76,69 @@ fn of_step(context: &Context, scene: &Scene, form: Blending, seed: u64) -> Resul
 /// Additions, subtractions, multiplications and divisions of a sample in glsl/include/blending.glsl (comparisons, minima,
 /// selections, shuffles and exp2 do not count): what follows from the opacity, and the opacity itself.
 struct Operations {
-    forward: f64,
+    regions: f64,
+    shared: f64,
     backward: f64,
 }
 
 impl Operations {
-    fn on(limits: &Limits) -> Self {
+    /// Where opacities are chained or not, at a subgroup size.
+    fn of(chained: bool, subgroup_size: u32) -> Self {
         // Pixels of a lane in one column: region_shape.glsl.
-        let side = if limits.subgroup_size <= 64 { 8 } else { 16 };
-        let rows = f64::from(side / (limits.subgroup_size / limits.subgroup_size.min(8)).max(1));
-        let opacity = if Blocks::new(limits).column_chain && rows > 2.0 {
-            // 16 at the middle of a column and for its two quotients, then two products a row.
-            (16.0 + 2.0 * (rows - 1.0)) / rows
-        } else {
-            // dy, the form, the product; three more per column.
-            6.0 + 3.0 / rows
+        let side = if subgroup_size <= 64 { 8 } else { 16 };
+        let rows = f64::from(side / (subgroup_size / subgroup_size.min(8)).max(1));
+        let opacity = |rows: f64| {
+            if chained && rows > 2.0 {
+                // 16 at the middle of a column and for its two quotients, then two products a row.
+                (16.0 + 2.0 * (rows - 1.0)) / rows
+            } else {
+                // dy, the form, the product; three more per column.
+                6.0 + 3.0 / rows
+            }
         };
         // 1 - alpha, T (1 - alpha), the weight, three colours by product and sum.
-        let forward = opacity + 9.0;
+        let forward = |rows: f64| opacity(rows) + 9.0;
         // 1 - alpha, the weight, g . c (5), the rest (2), dL/dalpha (3), dL/dpower, T, three colours (6), dy and the column's
         // moments (6); dx and the sums over columns, 10 a column.
-        let backward = opacity + 26.0 + 10.0 / rows;
-        Self { forward, backward }
+        let backward = opacity(rows) + 26.0 + 10.0 / rows;
+        // Without chains an invocation of blend_shared.comp has pixels here and there.
+        Self { regions: forward(rows), shared: forward(if chained { rows } else { 1.0 }), backward }
     }
 }
 
-/// Enters the operations of the blending kernels into a task's results.
+/// Enters the samples and operations of the blending kernels into a task's results.
 pub fn enter(run: &mut Run, samples: BlendSamples, limits: &Limits, arithmetic: Option<&ArithmeticRate>) {
-    let operations = Operations::on(limits);
+    let operations = Operations::of(Blocks::new(limits).column_chain, limits.subgroup_size);
     for kernel in &mut run.kernels {
-        let counted = match kernel.kernel.as_str() {
-            "forward/blend" | "forward/blend_shared" => samples.forward as f64 * operations.forward,
-            name if name.starts_with("backward/blend_backward") => {
-                samples.backward as f64 * operations.backward
-            }
-            _ => 0.0,
+        let (samples, operations) = match kernel.kernel.as_str() {
+            "forward/blend" => (samples.forward, operations.regions),
+            "forward/blend_shared" => (samples.forward, operations.shared),
+            name if name.starts_with("backward/blend_backward") => (samples.backward, operations.backward),
+            _ => continue,
         };
-        if counted == 0.0 {
+        if samples == 0 {
             continue;
         }
+        let counted = samples as f64 * operations;
+        kernel.samples = Some(samples);
         kernel.operations = Some(counted as u64);
         kernel.gigaoperations_per_second = kernel.time_us.map(|time| counted / time.median * 1e-3);
         let best = arithmetic.map(|rate| rate.gigaoperations_per_second);
         kernel.share_of_arithmetic =
             kernel.gigaoperations_per_second.zip(best).map(|(rate, best)| rate / best);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Operations;
+    /// By hand from blending.glsl: a GPU's lanes have two pixels of a column at 32, one at 64; shared memory always one.
+    #[test]
+    fn operations_of_a_sample_follow_its_columns() {
+        let of = |chained, subgroup_size| {
+            let Operations { regions, shared, .. } = Operations::of(chained, subgroup_size);
+            (regions, shared)
+        };
+        assert_eq!([of(false, 32), of(false, 64), of(true, 8)], [(16.5, 18.0), (18.0, 18.0), (12.75, 12.75)]);
     }
 }

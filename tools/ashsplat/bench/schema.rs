@@ -100,7 +100,7 @@ pub struct ArithmeticRate {
 }
 
 /// One workload.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Run {
     /// "scan", "sort", "render", "train-step" or "train"; "render-regions" and "render-shared" where both forms of blending are
     /// measured.
@@ -178,7 +178,7 @@ pub struct Workload {
 }
 
 /// A kernel within a stage; all of its dispatches there together.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct KernelResult {
     /// The stage.
     pub scope: String,
@@ -198,6 +198,9 @@ pub struct KernelResult {
     pub gigabytes_per_second: Option<f64>,
     /// That over the device's own copy bandwidth.
     pub share_of_copy_bandwidth: Option<f64>,
+    /// Gaussians at pixels that a blending kernel computes per iteration; null for others, and in files written before it was added.
+    #[serde(default)]
+    pub samples: Option<u64>,
     /// Additions, multiplications and divisions per iteration, of the blending kernels; null for others.
     #[serde(default)]
     pub operations: Option<u64>,

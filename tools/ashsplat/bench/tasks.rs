@@ -86,14 +86,15 @@ pub fn of_all(arguments: &AllArguments, is_cpu: bool) -> Result<Vec<Task>> {
         warmup: iterations.warmup.min(1),
         ..iterations
     };
-    tasks.push(Task::RenderBoth(synthetic.clone(), if is_cpu { few } else { iterations }));
+    // A ratio of the two, beside what was measured above, takes few.
+    tasks.push(Task::RenderBoth(synthetic.clone(), few));
     for size in &arguments.frames {
         let scene = Rc::new(of_size(size).load()?);
         let iterations = if is_cpu && size.gaussians > MANY { few } else { iterations };
         tasks.push(Task::Render(scene.clone(), iterations, None));
         // A processor takes seconds for them, and its table of forms is made from the frame above.
         if !is_cpu {
-            tasks.push(Task::RenderBoth(scene, iterations));
+            tasks.push(Task::RenderBoth(scene, few));
         }
     }
     if let Some(file) = &arguments.scene {

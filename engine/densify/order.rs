@@ -1,0 +1,107 @@
+//! The new set in the order of a space-filling curve, so that Gaussians that are seen together lie together.
+
+use super::{Densify, DensifyBuffers};
+use crate::forward::SceneBuffers;
+use crate::kernels::constants::ZORDER_BITS;
+use crate::kernels::densify::zorder;
+use crate::plan::{Blocks, blocks};
+use crate::scan::Workgroups;
+use crate::sort::{SortBuffers, Values};
+use crate::vk::{Buffer, Recorder};
+use glam::Vec3;
+
+/// Where on the curve a place lies: see zorder.comp.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Curve {
+    /// The middle of the cameras, world.
+    pub center: Vec3,
+    /// The scene's extent, world units; positive.
+    pub extent: f32,
+}
+
+/// Scratch of the sort along a curve.
+#[derive(Clone)]
+pub struct OrderBuffers {
+    /// Per row: its place on the curve; sorting scratch.
+    pub keys: [Buffer; 2],
+    /// As [`DensifyBuffers::sources`].
+    pub sources: Buffer,
+    /// Sorting scratch: digit by block, and by run.
+    pub histogram: Buffer,
+    /// Sorting scratch: keys per digit.
+    pub digit_totals: Buffer,
+}
+
+impl OrderBuffers {
+    /// Names and bytes, in the order of the fields, for so many rows.
+    pub fn requests(sizes: &Blocks, rows: u32) -> [(&'static str, u64); 5] {
+        let words = u64::from(rows) * 4;
+        [
+            ("zorder_keys_a", words),
+            ("zorder_keys_b", words),
+            ("ordered_sources", words),
+            ("zorder_histogram", sizes.sort_histogram_words(rows.into(), ZORDER_BITS) * 4),
+            ("zorder_digit_totals", (1 << sizes.sort_digit_bits()) * 4),
+        ]
+    }
+
+    /// Names the buffers that were allocated for [`OrderBuffers::requests`].
+    ///
+    /// # Panics
+    /// When there are not as many.
+    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+        let Ok([a, b, sources, histogram, digit_totals]) = <[Buffer; 5]>::try_from(buffers) else {
+            panic!("one buffer per request")
+        };
+        Self { keys: [a, b], sources, histogram, digit_totals }
+    }
+}
+
+impl Densify {
+    /// Records the sort of `rows` sources that [`Densify::record_place`] has left, behind a barrier, and ends with one. Returns
+    /// where they lie afterwards: rows of one cell of the curve keep their order.
+    pub fn record_order<'a>(
+        &self,
+        r: &mut Recorder,
+        (scene, rows): (&SceneBuffers, u32),
+        buffers: &'a DensifyBuffers,
+        order: &'a OrderBuffers,
+        curve: &Curve,
+    ) -> &'a Buffer {
+        let sources = [&buffers.sources, &order.sources];
+        r.scope("order", |r| {
+            r.fill(&buffers.totals.range(DensifyBuffers::ROWS * 4, 4), rows);
+            for range in scene.plan.ranges(scene.count) {
+                if range.chunk > 0 {
+                    r.barrier();
+                }
+                let bind = zorder::Bind {
+                    sources: sources[0],
+                    parameters: &scene.chunks[range.chunk],
+                    keys: &order.keys[0],
+                };
+                let push = zorder::Push {
+                    first: range.first,
+                    count: range.count,
+                    rows,
+                    center: curve.center.to_array(),
+                    extent: curve.extent,
+                };
+                r.dispatch(&self.zorder, &bind, &push, blocks(rows.into(), self.sizes.stream.into()));
+            }
+            r.barrier();
+            let pairs = SortBuffers {
+                counts: &buffers.totals,
+                count_index: DensifyBuffers::ROWS as u32,
+                keys: [&order.keys[0], &order.keys[1]],
+                values: sources,
+                histogram: &order.histogram,
+                digit_totals: &order.digit_totals,
+            };
+            let elements = Workgroups::Elements(rows.into());
+            let end = self.sort.record(r, &pairs, Values::Given, ZORDER_BITS, elements);
+            r.barrier();
+            sources[end]
+        })
+    }
+}

@@ -1,0 +1,62 @@
+// Where each row of the new set lies on the Z-order curve (Morton 1966) through all of space: sorted by it, Gaussians that are
+// close to each other in the scene, and so in most pictures, are close to each other in memory.
+//
+// Along each axis space is folded into (-1, 1), d / (1 + |d|) for a distance d from the cameras' middle in extents of the
+// scene, and cut into 1024 cells: half of them lie within one extent.
+//
+// invocation: one row of the new set; those whose source lies outside the bound range leave at once
+// in: sources[row], parameters (PerGaussian planes); out: keys[row] < 2^ZORDER_BITS, a cell's bits in turn, x lowest
+// shared: none; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Sources { uint sources[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer Parameters { vec4 parameters[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer Keys { uint keys[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint first;
+    uint count;
+    uint rows;
+    // The cameras' middle, and the scene's extent.
+    vec3 center;
+    float extent;
+};
+
+#include "dispatch.glsl"
+#include "planes.glsl"
+
+const uint CELLS = 1 << (ZORDER_BITS / 3);
+
+uint cell(float distance) {
+    float folded = distance / (1.0 + abs(distance));
+    // False for what has no place: it goes to the first cell, as a conversion of NaN would be anything.
+    return folded > -1.0 ? min(uint((0.5 + 0.5 * folded) * float(CELLS)), CELLS - 1) : 0;
+}
+
+// Two zero bits between each two of the lower ten.
+uint spread(uint v) {
+    v = (v | v << 16) & 0x030000FF;
+    v = (v | v << 8) & 0x0300F00F;
+    v = (v | v << 4) & 0x030C30C3;
+    return (v | v << 2) & 0x09249249;
+}
+
+void main() {
+    uint row = linear_invocation();
+    if (row >= rows) {
+        return;
+    }
+    uint index = (sources[row] & 0x3FFFFFFF) - first;
+    if (index >= count) {
+        return;
+    }
+    vec3 d = (parameters[geometry_at(PLANE_MEAN_OPACITY, index)].xyz - center) / extent;
+    keys[row] = spread(cell(d.x)) | spread(cell(d.y)) << 1 | spread(cell(d.z)) << 2;
+}

@@ -1,0 +1,135 @@
+//! `densify/zorder` against its twin, and rows in the curve's order.
+
+use ashsplat::densify::{Curve, Densify, DensifyBuffers, OrderBuffers};
+use ashsplat::forward::SceneBuffers;
+use ashsplat::kernels::densify::zorder::{Bind, Interface, Push, Spec};
+use ashsplat::plan::Blocks;
+use ashsplat::planes;
+use ashsplat::vk::MemoryKind;
+use glam::Vec3;
+
+use crate::common::engine::gaussians;
+use crate::common::gpu::{Gpu, sizes};
+use crate::common::layout::{pack, room};
+use crate::common::scenes::{Random, small_scene};
+use crate::reference::types::Gaussian;
+use crate::reference::zorder::{cell, zorder};
+
+const CENTER: [f64; 3] = [0.5, -1.25, 2.0];
+const EXTENT: f64 = 3.0;
+
+/// Gaussians all over space, and what has no place in it.
+fn scattered(count: usize) -> Vec<Gaussian> {
+    let mut random = Random::new(count as u64);
+    let mut scene = small_scene(&mut Random::new(7), count, 1);
+    for gaussian in &mut scene {
+        let far = 10f64.powf(4.0 * random.unit() - 2.0);
+        gaussian.mean = gaussian.mean.map(|_| f64::from((far * random.normal()) as f32));
+    }
+    let odd = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e38, -1e38, 0.0, -0.0];
+    for (gaussian, odd) in scene.iter_mut().zip(odd) {
+        gaussian.mean[1] = f64::from(odd as f32);
+    }
+    scene
+}
+
+/// A cell's number on one axis of a key.
+fn cell_of(key: u32, axis: u32) -> u32 {
+    (0..10).map(|bit| (key >> (3 * bit + axis) & 1) << bit).sum()
+}
+
+#[test]
+fn zorder_equals_its_twin() {
+    let gpu = Gpu::new();
+    let spec = Spec { workgroup_size: gpu.workgroup(64) };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    for size in sizes(spec.workgroup_size as usize) {
+        let scene = scattered(size.max(8));
+        let mut random = Random::new(3);
+        let sources: Vec<u32> =
+            (0..size).map(|_| random.below(scene.len() as u32) | random.below(4) << 30).collect();
+        // In two ranges of Gaussians, as where parameters lie in two buffers.
+        let half = scene.len() / 2;
+        let keys = gpu.buffer("keys", &vec![u32::MAX; size + 1]);
+        for (first, range) in [(0, &scene[..half]), (half, &scene[half..])] {
+            let parameters = gpu.buffer("parameters", &pack(range, room(range.len())));
+            let bind =
+                Bind { sources: &gpu.buffer("sources", &sources), parameters: &parameters, keys: &keys };
+            let push = Push {
+                first: first as u32,
+                count: range.len() as u32,
+                rows: size as u32,
+                center: CENTER.map(|x| x as f32),
+                extent: EXTENT as f32,
+            };
+            let groups = size as u64 / u64::from(spec.workgroup_size) + 1;
+            gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, groups));
+        }
+        let keys = gpu.read::<u32>(&keys, size + 1);
+        assert_eq!(keys[size], u32::MAX, "written behind the rows");
+        for (source, key) in sources.iter().zip(&keys) {
+            let mean = scene[(source & 0x3FFF_FFFF) as usize].mean;
+            assert!(key >> 30 == 0, "{mean:?}: {key:#x}");
+            for axis in 0..3 {
+                let (expected, actual) = (cell(mean[axis], CENTER[axis], EXTENT), cell_of(*key, axis as u32));
+                // Rounding may take what lies at a border to the other side.
+                let near = (expected - expected.round()).abs() < 1e-3;
+                let (low, high) =
+                    (expected - if near { 1e-3 } else { 0.0 }, expected + if near { 1e-3 } else { 0.0 });
+                let allowed = low.max(0.0) as u32..=high as u32;
+                assert!(allowed.contains(&actual), "{mean:?}, axis {axis}: {actual}, expected {expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn zorder_keys_are_the_bits_of_cells_in_turn() {
+    let corner = |x: f64, y: f64, z: f64| zorder([x, y, z], [0.0; 3], 1.0);
+    // The middle of space is the first cell of the upper half.
+    assert_eq!(corner(0.0, -1e9, -1e9), 1 << 27);
+    assert_eq!(corner(-1e9, 0.0, -1e9), 1 << 28);
+    assert_eq!(corner(-1e9, -1e9, 0.0), 1 << 29);
+    assert_eq!(corner(1e9, 1e9, 1e9), (1 << 30) - 1);
+    assert_eq!(corner(f64::NAN, -1e9, -1e9), 0);
+    assert_eq!(corner(1.0, -1e9, -1e9), 1 << 27 | 1 << 24);
+}
+
+/// The rows by their keys, those of one key in the order that they had: with parameters in several buffers.
+#[test]
+fn zorder_puts_rows_into_the_curves_order() {
+    let gpu = Gpu::new();
+    let context = gpu.context;
+    let densify = Densify::new(context).expect("kernels");
+    let sizes = Blocks::new(context.limits());
+    for rows in [1_u32, 2, 77, 3000] {
+        let scene = scattered(rows.max(8) as usize);
+        let count = scene.len() as u32;
+        let stored = gaussians(&scene);
+        let uploaded = planes::upload(context, "scene", &stored, count, stored.sh_degree).expect("a scene");
+        let allocate = |requests: &[(&'static str, u64)]| {
+            context.allocate("densify", requests, MemoryKind::Device).expect("memory")
+        };
+        let buffers = allocate(&DensifyBuffers::requests(&sizes, count, 2 * count));
+        let [decisions, blocks, totals, sources] =
+            <[_; 4]>::try_from(buffers).unwrap_or_else(|_| panic!("four buffers"));
+        let buffers = DensifyBuffers { decisions, blocks, totals, sources };
+        let order = OrderBuffers::from_allocated(allocate(&OrderBuffers::requests(&sizes, rows)));
+        let mut random = Random::new(rows.into());
+        let listed: Vec<u32> = (0..rows).map(|_| random.below(count) | random.below(4) << 30).collect();
+        context.upload(&buffers.sources, bytemuck::cast_slice(&listed)).expect("uploaded");
+        let curve = Curve { center: Vec3::from_array(CENTER.map(|x| x as f32)), extent: EXTENT as f32 };
+        let mut sorted = None;
+        gpu.run(|recorder| {
+            let scene: &SceneBuffers = &uploaded;
+            sorted = Some(densify.record_order(recorder, (scene, rows), &buffers, &order, &curve).clone());
+        });
+        let mut expected = listed;
+        expected.sort_by_key(|source| {
+            let mean = scene[(source & 0x3FFF_FFFF) as usize].mean;
+            zorder(mean, CENTER, EXTENT)
+        });
+        let actual = gpu.read::<u32>(&sorted.expect("recorded"), rows as usize);
+        assert!(actual == expected, "{rows} rows");
+    }
+}

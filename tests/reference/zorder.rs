@@ -1,0 +1,23 @@
+//! Places on the Z-order curve that densification orders Gaussians along: the twin of `densify/zorder`.
+
+/// Cells of an axis.
+const CELLS: f64 = 1024.0;
+
+/// The cell of a place on one axis: space folded into (-1, 1) about the middle of the cameras, in extents of the scene.
+pub fn cell(place: f64, center: f64, extent: f64) -> f64 {
+    let distance = (place - center) / extent;
+    let folded = distance / (1.0 + distance.abs());
+    if folded.is_nan() { 0.0 } else { ((0.5 + 0.5 * folded) * CELLS).min(CELLS - 1.0) }
+}
+
+/// A place's number on the curve: the bits of its cells in turn, x lowest.
+pub fn zorder(place: [f64; 3], center: [f64; 3], extent: f64) -> u32 {
+    let mut key = 0;
+    for axis in 0..3 {
+        let cell = cell(place[axis], center[axis], extent) as u32;
+        for bit in 0..10 {
+            key |= (cell >> bit & 1) << (3 * bit + axis as u32);
+        }
+    }
+    key
+}
