@@ -1,8 +1,8 @@
 //! Adaptive density control, wholly on the device: decide, prefix-sum, place, gather; and the opacity reset.
 //!
 //! The new set has the reference's order: those that stay, then clones, then the first and the second halves of split
-//! Gaussians; training then puts it into that of a space-filling curve ([`Densify::record_order`]). Random numbers are keyed by (seed, iteration, Gaussian, half), so that the result does not depend on
-//! scheduling.
+//! Gaussians; training then puts it into that of a space-filling curve ([`Densify::record_order`]). Random numbers are keyed by
+//! (seed, iteration, Gaussian, half), so that the result does not depend on scheduling.
 
 mod order;
 

@@ -126,7 +126,7 @@ impl Renderer {
     }
 
     /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Frames that are recorded into a host's commands need
-    /// [`Renderer::reserve`] again, which builds the kernels.
+    /// [`Renderer::reserve`] again, once none is in flight: it builds the kernels.
     pub fn set_blending(&mut self, blending: Blending) {
         self.runner.set_blending(blending);
     }

@@ -196,15 +196,17 @@ pub(super) fn is_rotation(r: Mat3) -> bool {
     (r * r.transpose()).abs_diff_eq(Mat3::IDENTITY, ORTHONORMAL_TOLERANCE) && r.determinant() > 0.0
 }
 
+/// The mean of the cameras' positions, world; None without any.
+pub(crate) fn middle(positions: impl Iterator<Item = Vec3>) -> Option<DVec3> {
+    let (sum, count) = positions.fold((DVec3::ZERO, 0.0), |(s, n), p| (s + p.as_dvec3(), n + 1.0));
+    (count > 0.0).then(|| sum / count)
+}
+
 /// Scene extent: 1.1 × the largest distance of a camera to the cameras' mean, world units; 0 for no or one
 /// camera. Scales the learning rate of the positions and densification (reference implementation,
 /// `getNerfppNorm`).
 pub fn scene_extent(positions: impl Iterator<Item = Vec3> + Clone) -> f32 {
-    let (sum, count) = positions.clone().fold((DVec3::ZERO, 0.0), |(s, n), p| (s + p.as_dvec3(), n + 1.0));
-    if count == 0.0 {
-        return 0.0;
-    }
-    let mean = sum / count;
+    let Some(mean) = middle(positions.clone()) else { return 0.0 };
     let largest = positions.map(|p| p.as_dvec3().distance(mean)).fold(0.0, f64::max);
     (1.1 * largest) as f32
 }

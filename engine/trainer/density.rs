@@ -8,8 +8,8 @@ use crate::optimizer::Moments;
 use crate::plan::{Blocks, FrameCapacity, ScenePlan};
 use crate::planes;
 use crate::scene::Camera;
+use crate::scene::camera::middle;
 use crate::vk::{Buffer, MemoryKind};
-use glam::Vec3;
 
 /// Scales above this share of the scene's extent are pruned, once opacities have been reset (reference).
 const LARGE_SCALE_SHARE: f64 = 0.1;
@@ -28,12 +28,13 @@ impl Trainer {
         let settings = self.densify_settings(iteration);
         let before = self.training.scene.count;
         self.pictures.release();
-        let Some(buffers) = self.decision_buffers()? else {
-            return Ok(Densified { before, kept: before, limited: true, ..Densified::default() });
-        };
+        let unchanged = Densified { before, kept: before, limited: true, ..Densified::default() };
+        let Some(buffers) = self.decision_buffers()? else { return Ok(unchanged) };
         let wanted = self.decide(&buffers, &settings)?;
         let most = self.present().most_rows_by_instances(before, self.most_instances);
         let rows = wanted.rows().min(most);
+        // Before there are two sets of planes. No other order in its place: the bits would go by what else takes memory.
+        let Some(order) = self.order_buffers(rows)? else { return Ok(unchanged) };
         let fresh = if rows > self.training.scene.plan.capacity { self.make_room(rows)? } else { None };
         let room = fresh.as_ref().map_or(self.training.scene.plan.capacity, |fresh| fresh.plan.capacity);
         let room = room.min(most);
@@ -41,7 +42,7 @@ impl Trainer {
             true => wanted,
             false => Densified { limited: true, ..self.decide_within(&buffers, &settings, room)? },
         };
-        self.gather(densified.rows(), fresh, &buffers, iteration)?;
+        self.gather((densified.rows(), iteration), fresh, &buffers, &order)?;
         self.most_instances = budget::remembered_instances(self.most_instances, before, densified.rows());
         Ok(densified)
     }
@@ -72,7 +73,7 @@ impl Trainer {
         Ok(Some(DensifyBuffers { decisions, blocks, totals, sources }))
     }
 
-    /// What sorting the new set along the curve takes; None without memory for it: then it has the reference's order.
+    /// What sorting so many rows along the curve takes; None without memory for it: then all stay as they are.
     fn order_buffers(&self, rows: u32) -> Result<Option<OrderBuffers>> {
         let requests = OrderBuffers::requests(&Blocks::new(self.context.limits()), rows);
         let buffers = or_none(self.context.allocate("densify", &requests, MemoryKind::Device))?;
@@ -80,8 +81,8 @@ impl Trainer {
     }
 
     fn curve(&self) -> Curve {
-        let sum: Vec3 = self.cameras.iter().map(Camera::position).sum();
-        Curve { center: sum / self.cameras.len() as f32, extent: self.scene_extent }
+        let middle = middle(self.cameras.iter().map(Camera::position)).unwrap_or_default();
+        Curve { center: middle.as_vec3(), extent: self.scene_extent }
     }
 
     /// Planes, and a frame, for so many rows: with half as many again, with none to spare, or with as many as the memory
@@ -153,10 +154,10 @@ impl Trainer {
     /// Fills new planes with `rows` Gaussians and their moments: fresh ones, or those at hand.
     fn gather(
         &mut self,
-        rows: u32,
+        (rows, iteration): (u32, u32),
         fresh: Option<Fresh>,
         buffers: &DensifyBuffers,
-        iteration: u32,
+        order: &OrderBuffers,
     ) -> Result<()> {
         let old = &self.training;
         let key = RandomKey { seed: self.settings.seed, iteration, explicit: None };
@@ -167,7 +168,7 @@ impl Trainer {
             Some(fresh) => [&fresh.sets[0], &fresh.sets[1], &fresh.sets[2]],
             None => [&old.spare, &old.scene.chunks, &old.moments.first],
         };
-        let (order, curve) = (self.order_buffers(rows)?, self.curve());
+        let curve = self.curve();
         let (spare, statistics) = match &fresh {
             Some(fresh) => (&fresh.sets[3], &fresh.statistics),
             None => (&old.moments.second, &old.statistics),
@@ -177,9 +178,7 @@ impl Trainer {
             r.fill(statistics, 0);
             self.densify.record_place(r, old.scene.count, rows, buffers);
             r.barrier();
-            let sources = order.as_ref().map_or(&buffers.sources, |order| {
-                self.densify.record_order(r, (&old.scene, rows), buffers, order, &curve)
-            });
+            let sources = self.densify.record_order(r, (&old.scene, rows), buffers, order, &curve);
             for (set, (from, to)) in sets.iter().zip(targets).enumerate() {
                 let from = SceneBuffers { chunks: from.to_vec(), ..old.scene.clone() };
                 let to = SceneBuffers { chunks: to.clone(), plan, count: rows };

@@ -36,8 +36,9 @@ const uint CELLS = 1 << (ZORDER_BITS / 3);
 
 uint cell(float distance) {
     float folded = distance / (1.0 + abs(distance));
-    // False for what has no place: it goes to the first cell, as a conversion of NaN would be anything.
-    return folded > -1.0 ? min(uint((0.5 + 0.5 * folded) * float(CELLS)), CELLS - 1) : 0;
+    // What has no place goes to the first cell: NaN and infinity, by their bits, as a compiler may take no number for them.
+    bool placed = (floatBitsToUint(distance) & 0x7F800000) != 0x7F800000;
+    return placed ? min(uint(max(0.5 + 0.5 * folded, 0.0) * float(CELLS)), CELLS - 1) : 0;
 }
 
 // Two zero bits between each two of the lower ten.

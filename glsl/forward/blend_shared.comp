@@ -4,7 +4,8 @@
 //   C += T alpha c, T <- T (1 - alpha); a pixel stops before the Gaussian that would bring T below 1e-4.
 //
 // The paper's form of it: the workgroup fetches a batch of Gaussians into shared memory, and every invocation walks over
-// all of them for its own pixels. Bit for bit the picture of blend.comp, which culls per region instead; which is faster
+// all of them for its own pixels. The picture of blend.comp, which culls per region instead (to the bit, where a
+// compiler fuses sums of products in both or in neither); which is faster
 // depends on the device.
 //
 // invocation: PIXELS pixels, and one Gaussian of each batch to fetch; workgroup: one tile, batches of WORKGROUP_SIZE

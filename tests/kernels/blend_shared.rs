@@ -1,4 +1,4 @@
-//! `forward/blend_shared` against its twin, and against `forward/blend` to the bit.
+//! `forward/blend_shared` against its twin, and against `forward/blend`: on processors to the bit.
 
 use crate::common::blending::{
     CHAINED, How, UNCHAINED, forward, forward_limited, forward_shared, forward_shared_limited, has_strips,

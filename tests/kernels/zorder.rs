@@ -1,16 +1,16 @@
 //! `densify/zorder` against its twin, and rows in the curve's order.
 
 use ashsplat::densify::{Curve, Densify, DensifyBuffers, OrderBuffers};
-use ashsplat::forward::SceneBuffers;
 use ashsplat::kernels::densify::zorder::{Bind, Interface, Push, Spec};
 use ashsplat::plan::Blocks;
 use ashsplat::planes;
-use ashsplat::vk::MemoryKind;
+use ashsplat::vk::{Context, ContextOptions, LimitsOverride, MemoryKind};
 use glam::Vec3;
 
 use crate::common::engine::gaussians;
 use crate::common::gpu::{Gpu, sizes};
 use crate::common::layout::{pack, room};
+use crate::common::options;
 use crate::common::scenes::{Random, small_scene};
 use crate::reference::types::Gaussian;
 use crate::reference::zorder::{cell, zorder};
@@ -29,6 +29,20 @@ fn scattered(count: usize) -> Vec<Gaussian> {
     let odd = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e38, -1e38, 0.0, -0.0];
     for (gaussian, odd) in scene.iter_mut().zip(odd) {
         gaussian.mean[1] = f64::from(odd as f32);
+    }
+    scene
+}
+
+/// The same a hundredth of a cell away from borders at least, where rounding decides.
+fn inside_cells(count: usize) -> Vec<Gaussian> {
+    let mut scene = scattered(count);
+    for gaussian in &mut scene {
+        for axis in 0..3 {
+            let mean = &mut gaussian.mean[axis];
+            while mean.abs() < 1e30 && !(0.01..0.99).contains(&cell(*mean, CENTER[axis], EXTENT).fract()) {
+                *mean = f64::from((*mean + 1e-4 * (1.0 + mean.abs())) as f32);
+            }
+        }
     }
     scene
 }
@@ -95,22 +109,33 @@ fn zorder_keys_are_the_bits_of_cells_in_turn() {
     assert_eq!(corner(1.0, -1e9, -1e9), 1 << 27 | 1 << 24);
 }
 
-/// The rows by their keys, those of one key in the order that they had: with parameters in several buffers.
+/// The rows by their keys, those of one key in the order that they had; with so many rows that one workgroup does not sort
+/// them alone, and with parameters in several buffers.
 #[test]
 fn zorder_puts_rows_into_the_curves_order() {
     let gpu = Gpu::new();
-    let context = gpu.context;
-    let densify = Densify::new(context).expect("kernels");
-    let sizes = Blocks::new(context.limits());
-    for rows in [1_u32, 2, 77, 3000] {
-        let scene = scattered(rows.max(8) as usize);
+    let limits = LimitsOverride { max_storage_buffer_range: Some(1 << 20), ..LimitsOverride::default() };
+    let options = ContextOptions { limits_override: Some(limits), ..options() };
+    let in_chunks = Context::new(&options).expect("a device");
+    for (context, count, rows) in [
+        (gpu.context, 8, 0),
+        (gpu.context, 8, 1),
+        (gpu.context, 8, 2),
+        (gpu.context, 77, 77),
+        (gpu.context, 3000, 200_000),
+        (&in_chunks, 20_000, 30_000),
+    ] {
+        let scene = inside_cells(count);
         let count = scene.len() as u32;
         let stored = gaussians(&scene);
         let uploaded = planes::upload(context, "scene", &stored, count, stored.sh_degree).expect("a scene");
+        assert_eq!(uploaded.plan.chunks > 1, context.limits().max_storage_buffer_range == 1 << 20);
+        let densify = Densify::new(context).expect("kernels");
+        let sizes = Blocks::new(context.limits());
         let allocate = |requests: &[(&'static str, u64)]| {
             context.allocate("densify", requests, MemoryKind::Device).expect("memory")
         };
-        let buffers = allocate(&DensifyBuffers::requests(&sizes, count, 2 * count));
+        let buffers = allocate(&DensifyBuffers::requests(&sizes, count, rows));
         let [decisions, blocks, totals, sources] =
             <[_; 4]>::try_from(buffers).unwrap_or_else(|_| panic!("four buffers"));
         let buffers = DensifyBuffers { decisions, blocks, totals, sources };
@@ -120,16 +145,17 @@ fn zorder_puts_rows_into_the_curves_order() {
         context.upload(&buffers.sources, bytemuck::cast_slice(&listed)).expect("uploaded");
         let curve = Curve { center: Vec3::from_array(CENTER.map(|x| x as f32)), extent: EXTENT as f32 };
         let mut sorted = None;
-        gpu.run(|recorder| {
-            let scene: &SceneBuffers = &uploaded;
-            sorted = Some(densify.record_order(recorder, (scene, rows), &buffers, &order, &curve).clone());
+        let recorded = context.run("order", |recorder| {
+            let rows = (&uploaded, rows);
+            sorted = Some(densify.record_order(recorder, rows, &buffers, &order, &curve).clone());
+            Ok(())
         });
+        recorded.expect("sorted");
         let mut expected = listed;
-        expected.sort_by_key(|source| {
-            let mean = scene[(source & 0x3FFF_FFFF) as usize].mean;
-            zorder(mean, CENTER, EXTENT)
-        });
-        let actual = gpu.read::<u32>(&sorted.expect("recorded"), rows as usize);
-        assert!(actual == expected, "{rows} rows");
+        let keys: Vec<u32> = scene.iter().map(|g| zorder(g.mean, CENTER, EXTENT)).collect();
+        expected.sort_by_key(|source| keys[(source & 0x3FFF_FFFF) as usize]);
+        let bytes = context.download(&sorted.expect("recorded")).expect("read");
+        let actual: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
+        assert!(actual[..rows as usize] == expected, "{count} Gaussians, {rows} rows");
     }
 }

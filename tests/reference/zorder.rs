@@ -7,7 +7,7 @@ const CELLS: f64 = 1024.0;
 pub fn cell(place: f64, center: f64, extent: f64) -> f64 {
     let distance = (place - center) / extent;
     let folded = distance / (1.0 + distance.abs());
-    if folded.is_nan() { 0.0 } else { ((0.5 + 0.5 * folded) * CELLS).min(CELLS - 1.0) }
+    if !distance.is_finite() { 0.0 } else { ((0.5 + 0.5 * folded) * CELLS).min(CELLS - 1.0) }
 }
 
 /// A place's number on the curve: the bits of its cells in turn, x lowest.
