@@ -37,9 +37,8 @@ fn scattered(count: usize) -> Vec<Gaussian> {
 fn inside_cells(count: usize) -> Vec<Gaussian> {
     let mut scene = scattered(count);
     for gaussian in &mut scene {
-        for axis in 0..3 {
-            let mean = &mut gaussian.mean[axis];
-            while mean.abs() < 1e30 && !(0.01..0.99).contains(&cell(*mean, CENTER[axis], EXTENT).fract()) {
+        for (mean, center) in gaussian.mean.iter_mut().zip(CENTER) {
+            while mean.abs() < 1e30 && !(0.01..0.99).contains(&cell(*mean, center, EXTENT).fract()) {
                 *mean = f64::from((*mean + 1e-4 * (1.0 + mean.abs())) as f32);
             }
         }
