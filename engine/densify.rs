@@ -59,6 +59,17 @@ impl DensifyBuffers {
             ("sources", u64::from(rows) * 4),
         ]
     }
+
+    /// Names the buffers that were allocated for [`DensifyBuffers::requests`].
+    ///
+    /// # Panics
+    /// When there are not as many.
+    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+        let Ok([decisions, blocks, totals, sources]) = <[Buffer; 4]>::try_from(buffers) else {
+            panic!("one buffer per request")
+        };
+        Self { decisions, blocks, totals, sources }
+    }
 }
 
 /// Standard normal numbers given from outside, for comparisons with other implementations.

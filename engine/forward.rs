@@ -132,9 +132,14 @@ impl Forward {
     }
 
     /// Chooses how tiles are blended, in place of [`Blending::of_device`]; before [`Forward::prepare`].
-    /// Whether it was another form before.
+    /// Returns whether it was another form before.
     pub fn set_blending(&mut self, blending: Blending) -> bool {
         self.blend.choose(blending)
+    }
+
+    /// How tiles are blended.
+    pub fn blending(&self) -> Blending {
+        self.blend.blending()
     }
 
     /// Records a frame; [`Forward::prepare`] must have been called for its variants. Ends without a barrier.

@@ -125,6 +125,11 @@ impl Renderer {
         self.runner.store.set_instances(instances);
     }
 
+    /// How tiles are blended.
+    pub fn blending(&self) -> Blending {
+        self.runner.blending()
+    }
+
     /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Frames that are recorded into a host's commands need
     /// [`Renderer::reserve`] again, once none is in flight: it builds the kernels.
     pub fn set_blending(&mut self, blending: Blending) {

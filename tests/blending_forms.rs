@@ -2,7 +2,7 @@
 
 use ashsplat::io::Photo;
 use ashsplat::trainer::{TrainView, Trainer};
-use ashsplat::vk::{Context, ContextOptions, SpecOverride};
+use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{
     BlendSamples, Blending, Frame, Gaussians, Gradients, RenderSettings, Renderer, TrainSettings,
 };
@@ -10,14 +10,14 @@ use serde_json::Value;
 use tempfile::tempdir;
 
 use crate::cli::{refuse, succeed, text};
-use crate::common::context;
+use crate::common::blending::assert_same;
 use crate::common::engine::{camera, gaussians, settings};
 use crate::common::scenes::{Random, mixed_scene, small_scene, small_view};
+use crate::common::{context, count_hits, options};
 
 /// A device that counts what is blended: from the count follows which kernel ran.
 fn counting() -> Context {
-    let count = SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 };
-    let options = ContextOptions { overrides: vec![count], ..Default::default() };
+    let options = ContextOptions { overrides: vec![count_hits()], ..options() };
     Context::new(&options).expect("a device")
 }
 
@@ -31,14 +31,6 @@ fn derivatives(gradients: &Gradients) -> Vec<f32> {
     let vectors = means.iter().chain(log_scales).chain(sh).flatten();
     let rest = quats.iter().flatten().chain(opacity_logits).chain(gradients.mean2d_px.iter().flatten());
     vectors.chain(rest).copied().collect()
-}
-
-/// To the bit on processors. Another compiler may fuse sums of products in one kernel and not in the other.
-fn assert_same(context: &Context, a: &[f32], b: &[f32], (what, error): (&str, f32)) {
-    let same = |(a, b): (&f32, &f32)| {
-        a.to_bits() == b.to_bits() || (!context.limits().is_cpu && (a - b).abs() <= error * (1.0 + b.abs()))
-    };
-    assert!(a.len() == b.len() && a.iter().zip(b).all(same), "{what} differ");
 }
 
 #[test]

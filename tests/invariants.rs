@@ -6,8 +6,8 @@ use ashsplat::{BlendSamples, Frame, Renderer, TrainSettings, TrainView, Trainer}
 
 use crate::common::engine::{camera, gaussians, renderer, settings};
 use crate::common::gpu::Gpu;
-use crate::common::options;
 use crate::common::scenes::{Random, mixed_scene, small_scene, small_view};
+use crate::common::{count_hits, options};
 use crate::reference::types::{Extent, Gaussian, View};
 
 fn frame(scene: &[Gaussian], view: &View) -> Frame {
@@ -193,8 +193,7 @@ fn invariant_under_counting_samples() {
         let step = trainer.step().expect("a step");
         (frame.color, frame.stats.samples, step.samples, step.loss.to_bits())
     };
-    let count = SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 };
-    let (counted, silent) = (run(vec![count]), run(Vec::new()));
+    let (counted, silent) = (run(vec![count_hits()]), run(Vec::new()));
     let samples = 3 * 64 * 48;
     assert_eq!(counted.1, BlendSamples { forward: samples, backward: 0 });
     assert_eq!(counted.2, BlendSamples { forward: samples, backward: samples });

@@ -71,6 +71,10 @@ impl Blend {
         }
     }
 
+    pub fn blending(&self) -> Blending {
+        self.blending
+    }
+
     pub fn choose(&mut self, blending: Blending) -> bool {
         std::mem::replace(&mut self.blending, blending) != blending
     }

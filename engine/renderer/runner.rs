@@ -82,6 +82,11 @@ impl FrameRunner {
         Ok(Self { context: context.clone(), forward, store })
     }
 
+    /// See [`Forward::blending`].
+    pub fn blending(&self) -> Blending {
+        self.forward.blending()
+    }
+
     /// See [`Forward::set_blending`].
     pub fn set_blending(&mut self, blending: Blending) -> bool {
         self.forward.set_blending(blending)

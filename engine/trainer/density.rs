@@ -64,13 +64,8 @@ impl Trainer {
         let before = self.training.scene.count;
         // At most two rows per Gaussian: one stays and one is cloned, or it is split into two.
         let requests = DensifyBuffers::requests(&sizes, before, before.saturating_mul(2));
-        let Some(buffers) = or_none(self.context.allocate("densify", &requests, MemoryKind::Device))? else {
-            return Ok(None);
-        };
-        let Ok([decisions, blocks, totals, sources]) = <[Buffer; 4]>::try_from(buffers) else {
-            unreachable!("one buffer per request")
-        };
-        Ok(Some(DensifyBuffers { decisions, blocks, totals, sources }))
+        let buffers = or_none(self.context.allocate("densify", &requests, MemoryKind::Device))?;
+        Ok(buffers.map(DensifyBuffers::from_allocated))
     }
 
     /// What sorting so many rows along the curve takes; None without memory for it: then all stay as they are.

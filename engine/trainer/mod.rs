@@ -262,6 +262,11 @@ impl Trainer {
         &self.settings
     }
 
+    /// How tiles are blended.
+    pub fn blending(&self) -> Blending {
+        self.runner.blending()
+    }
+
     /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Steps that are recorded already keep the form that they
     /// have; before another one can be recorded, maintenance is due.
     pub fn set_blending(&mut self, blending: Blending) {

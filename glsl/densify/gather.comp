@@ -54,8 +54,8 @@ void main() {
         return;
     }
     uint source = sources[to_first + row];
-    uint kind = source >> 30;
-    uint gaussian = source & 0x3FFFFFFF;
+    uint kind = source >> KIND_SHIFT;
+    uint gaussian = source & ((1 << KIND_SHIFT) - 1);
     uint index = gaussian - from_first;
     if (index >= from_count) {
         return;

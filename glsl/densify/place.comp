@@ -3,7 +3,7 @@
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians, the same blocks as in decide
 // in: decisions[Gaussian], block_offsets[decision * blocks + block], totals[3]
-// out: sources[row] = Gaussian | kind << 30; rows behind the capacity are dropped
+// out: sources[row] = Gaussian | kind << KIND_SHIFT; rows behind the capacity are dropped
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -33,7 +33,7 @@ layout(push_constant, scalar) uniform Push {
 
 void place(bool wanted, uint row, uint source, uint kind) {
     if (wanted && row < capacity) {
-        sources[row] = source | kind << 30;
+        sources[row] = source | kind << KIND_SHIFT;
     }
 }
 

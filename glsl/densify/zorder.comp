@@ -54,7 +54,7 @@ void main() {
     if (row >= rows) {
         return;
     }
-    uint index = (sources[row] & 0x3FFFFFFF) - first;
+    uint index = (sources[row] & ((1 << KIND_SHIFT) - 1)) - first;
     if (index >= count) {
         return;
     }

@@ -83,6 +83,8 @@ const uint KIND_KEPT = 0;
 const uint KIND_CLONE = 1;
 const uint KIND_SPLIT_0 = 2;
 const uint KIND_SPLIT_1 = 3;
+// A row's source is its Gaussian | kind << KIND_SHIFT.
+const uint KIND_SHIFT = 30;
 
 // Sums of one (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth.
 const uint INSTANCE_SUMS = 10;

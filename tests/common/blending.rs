@@ -3,7 +3,7 @@
 use ashsplat::kernels::backward::{blend_backward, blend_backward_alone};
 use ashsplat::kernels::forward::{blend, blend_shared};
 use ashsplat::plan::Strips;
-use ashsplat::vk::Buffer;
+use ashsplat::vk::{Buffer, Context};
 
 use super::gpu::Gpu;
 use super::tiles::Lists;
@@ -21,6 +21,14 @@ pub struct Blended {
 pub struct SlotSums {
     /// 1, dx, dy, dx², dx·dy, dy², r, g, b, inverse depth.
     pub sums: Vec<[f64; 10]>,
+}
+
+/// What the forms of blending leave: to the bit on processors. Another compiler may fuse sums of products in one kernel and not in the other.
+pub fn assert_same(context: &Context, a: &[f32], b: &[f32], (what, error): (&str, f32)) {
+    let same = |(a, b): (&f32, &f32)| {
+        a.to_bits() == b.to_bits() || (!context.limits().is_cpu && (a - b).abs() <= error * (1.0 + b.abs()))
+    };
+    assert!(a.len() == b.len() && a.iter().zip(b).all(same), "{what} differ");
 }
 
 /// Invocations of a workgroup of one tile.

@@ -1,6 +1,6 @@
 //! The device that all tests share, with every check on.
 
-use ashsplat::vk::{Context, ContextOptions, validation_available};
+use ashsplat::vk::{Context, ContextOptions, SpecOverride, validation_available};
 use std::cell::RefCell;
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
@@ -20,6 +20,11 @@ pub fn options() -> ContextOptions {
         mine.get_or_insert_with(|| TURN.lock().unwrap_or_else(PoisonError::into_inner));
     });
     checked()
+}
+
+/// Has blending kernels count what they compute.
+pub fn count_hits() -> SpecOverride {
+    SpecOverride { kernel: String::new(), constant: "COUNT_HITS".to_owned(), bits: 1 }
 }
 
 /// Validation, where it is installed, and hazard checks.

@@ -292,9 +292,8 @@ fn densified(
     let input = engine::gaussians(before);
     let scene = planes::upload(gpu.context, "test", &input, count, input.sh_degree).expect("upload");
     let requests = DensifyBuffers::requests(&Blocks::new(gpu.context.limits()), count, 2 * count);
-    let [decisions, blocks, totals, sources] =
-        requests.map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
-    let buffers = DensifyBuffers { decisions, blocks, totals, sources };
+    let buffers = requests.map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
+    let buffers = DensifyBuffers::from_allocated(buffers.into());
     let statistics = gpu.buffer("statistics", statistics);
     gpu.run(|recorder| densify.record_decide(recorder, &scene, &statistics, &buffers, settings));
     let totals = gpu.read::<u32>(&buffers.totals, 3);

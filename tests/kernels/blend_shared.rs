@@ -1,8 +1,8 @@
 //! `forward/blend_shared` against its twin, and against `forward/blend`: on processors to the bit.
 
 use crate::common::blending::{
-    CHAINED, How, UNCHAINED, forward, forward_limited, forward_shared, forward_shared_limited, has_strips,
-    strips_of,
+    Blended, CHAINED, How, UNCHAINED, assert_same, forward, forward_limited, forward_shared,
+    forward_shared_limited, has_strips, strips_of,
 };
 use crate::common::gpu::Gpu;
 use crate::common::scenes::small_view;
@@ -17,6 +17,16 @@ fn check(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass: u32) {
     check_one(gpu, lists, workgroup_size.min(32), How { entries_per_pass, ..CHAINED });
 }
 
+/// Colours, transmittances and inverse depths.
+fn assert_alike(gpu: &Gpu, [a, b]: [&Blended; 2], count: usize, what: &str) {
+    for (a, b, values) in
+        [(&a.accumulated, &b.accumulated, 4 * count), (&a.inverse_depth, &b.inverse_depth, count)]
+    {
+        let [a, b] = [a, b].map(|buffer| gpu.read::<f32>(buffer, values));
+        assert_same(gpu.context, &a, &b, (what, 1e-5));
+    }
+}
+
 fn check_one(gpu: &Gpu, lists: &Lists, workgroup_size: u32, how: How) {
     let shared = forward_shared(gpu, lists, workgroup_size, how);
     let regions = forward(gpu, lists, How { entries_per_pass: u32::MAX, ..how });
@@ -25,12 +35,7 @@ fn check_one(gpu: &Gpu, lists: &Lists, workgroup_size: u32, how: How) {
     let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
     // Which entries count is decided by precise arithmetic, everywhere.
     assert_eq!(words(&shared.last_entries, count), words(&regions.last_entries, count), "{what}");
-    // Another compiler may fuse sums of products in one kernel and not in the other; the twin judges both.
-    let exact = gpu.context.limits().is_cpu;
-    if exact {
-        assert_eq!(words(&shared.accumulated, 4 * count), words(&regions.accumulated, 4 * count), "{what}");
-        assert_eq!(words(&shared.inverse_depth, count), words(&regions.inverse_depth, count), "{what}");
-    }
+    assert_alike(gpu, [&shared, &regions], count, &what);
     if has_strips(gpu) && how.column_chain {
         let how = How { strips: true, ..how };
         let shared = forward_shared(gpu, lists, workgroup_size, how);
@@ -96,9 +101,6 @@ fn blend_shared_equals_blend_with_depth_limits() {
         let regions = forward_limited(&gpu, &lists, how, false, Some(&buffer));
         let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
         assert!(words(&shared.last_entries, count) == words(&regions.last_entries, count));
-        if gpu.context.limits().is_cpu {
-            assert!(words(&shared.accumulated, 4 * count) == words(&regions.accumulated, 4 * count));
-            assert!(words(&shared.inverse_depth, count) == words(&regions.inverse_depth, count));
-        }
+        assert_alike(&gpu, [&shared, &regions], count, &format!("{workgroup_size} invocations"));
     }
 }

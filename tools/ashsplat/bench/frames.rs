@@ -32,10 +32,6 @@ impl Job<'_> {
         counts(self.context, (g.len() as u32, capacity), g.sh_degree, size)
     }
 
-    fn blending(&self) -> Blending {
-        self.blending.unwrap_or_else(|| Blending::of_device(self.context.limits()))
-    }
-
     fn run(&self, name: &str, workload: Workload, measured: &Measured, counts: Counts) -> Run {
         result(self.context, name, workload, measured, counts, self.copy)
     }
@@ -86,7 +82,9 @@ pub fn result(
 /// A frame, read back, and how it was measured.
 pub fn render(job: &Job) -> Result<(Run, Measured)> {
     let mut renderer = Renderer::new(job.context)?;
-    renderer.set_blending(job.blending());
+    if let Some(form) = job.blending {
+        renderer.set_blending(form);
+    }
     renderer.upload(&job.scene.gaussians)?;
     let settings = RenderSettings::default();
     let mut stats = FrameStats::default();
@@ -96,13 +94,16 @@ pub fn render(job: &Job) -> Result<(Run, Measured)> {
     };
     let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
     let workload = job.scene.workload(&settings);
-    Ok((job.rendered("render", (&stats, workload), job.blending(), &measured)?, measured))
+    Ok((job.rendered("render", (&stats, workload), renderer.blending(), &measured)?, measured))
 }
 
 /// A frame in both forms of blending, in turn, the device's own first: on the same machine at the same time.
 pub fn render_both(job: &Job) -> Result<Vec<Run>> {
-    let own = Blending::of_device(job.context.limits());
     let mut renderer = Renderer::new(job.context)?;
+    let mut forms = Blending::ALL;
+    if forms[0] != renderer.blending() {
+        forms.reverse();
+    }
     renderer.upload(&job.scene.gaussians)?;
     let settings = RenderSettings::default();
     let mut stats = FrameStats::default();
@@ -113,18 +114,17 @@ pub fn render_both(job: &Job) -> Result<Vec<Run>> {
     };
     job.context.reset_memory_peaks();
     let mut both = Vec::new();
-    for form in std::iter::once(own).chain(Blending::ALL.into_iter().filter(|&form| form != own)) {
+    for form in forms {
         let measurement = Measurement::begin(job.context, job.iterations, || Ok(()), || frame(form))?;
         both.push((form, measurement));
     }
     for round in 0..job.iterations.measured.max(1) {
         // Neither always goes first.
-        both.rotate_left(usize::from(round > 0));
-        for (form, measurement) in &mut both {
+        for turn in [round, round + 1] {
+            let (form, measurement) = &mut both[turn as usize % 2];
             measurement.round(|| Ok(()), || frame(*form))?;
         }
     }
-    both.sort_by_key(|(form, _)| *form != own);
     let workload = job.scene.workload(&settings);
     let run = |(form, measurement): (Blending, Measurement)| {
         let name = format!("render-{}", forms::name(form));
@@ -175,7 +175,9 @@ pub fn reach_full_degree(trainer: &mut Trainer) -> Result<()> {
 /// A training step (forward, loss, backward, Adam), and how it was measured.
 pub fn train_step(job: &Job) -> Result<(Run, Measured)> {
     let mut trainer = trainer(job.context, job.scene, job.seed)?;
-    trainer.set_blending(job.blending());
+    if let Some(form) = job.blending {
+        trainer.set_blending(form);
+    }
     reach_full_degree(&mut trainer)?;
     let mut report = StepReport::default();
     let iterate = || {
@@ -187,7 +189,7 @@ pub fn train_step(job: &Job) -> Result<(Run, Measured)> {
     let capacity = count.saturating_add(count / 2).max(1 << 12);
     let counts = job.counts(capacity)?.seen(report.visible, report.instances);
     let workload = job.scene.training_workload(&trainer.render_settings(), job.seed);
-    let blending = Some(forms::name(job.blending()).to_owned());
+    let blending = Some(forms::name(trainer.blending()).to_owned());
     let workload = Workload { longest_tile: Some(report.longest_tile), blending, ..workload };
     Ok((job.run("train-step", workload, &measured, counts), measured))
 }

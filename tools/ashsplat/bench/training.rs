@@ -6,7 +6,7 @@ use super::workload::Fnv;
 use super::{forms, frames};
 use ashsplat::io::{Dataset, DatasetOptions, Progress};
 use ashsplat::vk::Context;
-use ashsplat::{Blending, Error, Gaussians, Result, StepReport, TrainSettings, TrainView, Trainer};
+use ashsplat::{Error, Gaussians, Result, StepReport, TrainSettings, TrainView, Trainer};
 use std::path::Path;
 
 /// Iterations of a window. Every second one is timed kernel by kernel, the others not at all.
@@ -78,8 +78,7 @@ impl Training {
                 Ok(())
             };
             let measured = measure(context, ITERATIONS, || Ok(()), iterate)?;
-            let blending = Blending::of_device(context.limits());
-            let workload = self.workload(end, &last, trainer.settings(), blending);
+            let workload = self.workload(end, &last, &trainer);
             let count = last.gaussians;
             let size = (workload.width.unwrap_or(0), workload.height.unwrap_or(0));
             let capacity = count.saturating_add(count / 2).max(1 << 12);
@@ -90,13 +89,8 @@ impl Training {
         Ok(runs)
     }
 
-    fn workload(
-        &self,
-        end: u32,
-        last: &StepReport,
-        settings: &TrainSettings,
-        blending: Blending,
-    ) -> Workload {
+    fn workload(&self, end: u32, last: &StepReport, trainer: &Trainer) -> Workload {
+        let settings = trainer.settings();
         let mut hash = Fnv::default();
         hash.gaussians(&self.initial);
         for view in &self.views {
@@ -116,7 +110,7 @@ impl Training {
             width: camera.map(|camera| camera.width),
             height: camera.map(|camera| camera.height),
             longest_tile: Some(last.longest_tile),
-            blending: Some(forms::name(blending).to_owned()),
+            blending: Some(forms::name(trainer.blending()).to_owned()),
             ..Workload::default()
         }
     }

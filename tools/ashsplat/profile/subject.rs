@@ -5,7 +5,7 @@ use crate::bench::frames;
 use crate::bench::measure::{Iteration, Measured};
 use crate::bench::workload::Scene;
 use ashsplat::vk::{Context, Profile};
-use ashsplat::{Blending, RenderSettings, Renderer, Result, Trainer};
+use ashsplat::{RenderSettings, Renderer, Result, Trainer};
 use std::time::Instant;
 
 /// A frame or a step on a device.
@@ -24,17 +24,21 @@ enum Work {
 impl<'a> Subject<'a> {
     /// Builds its kernels and loads the scene.
     pub fn new(context: &'a Context, scene: &'a Scene, arguments: &Arguments) -> Result<Self> {
-        let form = arguments.form.get().unwrap_or_else(|| Blending::of_device(context.limits()));
+        let form = arguments.form.get();
         let work = match arguments.what {
             What::Render => {
                 let mut renderer = Renderer::new(context)?;
-                renderer.set_blending(form);
+                if let Some(form) = form {
+                    renderer.set_blending(form);
+                }
                 renderer.upload(&scene.gaussians)?;
                 Work::Frame(Box::new(renderer))
             }
             What::TrainStep => {
                 let mut trainer = frames::trainer(context, scene, arguments.seed())?;
-                trainer.set_blending(form);
+                if let Some(form) = form {
+                    trainer.set_blending(form);
+                }
                 frames::reach_full_degree(&mut trainer)?;
                 Work::Step(Box::new(trainer))
             }
