@@ -6,17 +6,19 @@
 
 use crate::error::Result;
 use crate::forward::{Forward, FrameInputs, camera_push, range_arguments, record_passes};
-use crate::kernels::backward::{blend_backward, blend_backward_alone, expand_gradients, project_backward};
-use crate::plan::{Blocks, blocks};
+use crate::kernels::backward::{
+    blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
+};
+use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Tiles above which a Gaussian's slots are added by its whole subgroup.
-const LANE_SLOTS: u32 = 64;
+const LANE_INSTANCES: u32 = 64;
 
 /// The kernels of the backward pass.
 pub struct Backward {
     context: Context,
-    sizes: Blocks,
+    sizes: LaunchSizes,
     blend: [Option<Blend>; 2],
     project: [Option<Kernel<project_backward::Interface>>; 4],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
@@ -25,7 +27,7 @@ pub struct Backward {
 /// The kernel of blending's backward: where each region of a tile has a subgroup, or where all have one.
 enum Blend {
     Regions(Kernel<blend_backward::Interface>),
-    Alone(Kernel<blend_backward_alone::Interface>),
+    Alone(Kernel<blend_backward_subgroup_per_tile::Interface>),
 }
 
 /// Where the densification statistics go: per Gaussian, the sum of NDC gradient norms and the number of views.
@@ -45,7 +47,7 @@ macro_rules! blend_backward_arguments {
         let bind = $kernel::Bind {
             tile_ranges: &f.tile_ranges,
             sorted_visible: Forward::sorted_visible(sizes, f, $inputs.capacity, $inputs.camera),
-            sorted_slots: Forward::sorted_slots(sizes, f, $inputs.camera),
+            sorted_instances: Forward::sorted_instances(sizes, f, $inputs.camera),
             mean2d_extent: splats.mean2d_extent,
             conic_opacity: splats.conic_opacity,
             color_inverse_depth: splats.color_inverse_depth,
@@ -53,10 +55,10 @@ macro_rules! blend_backward_arguments {
             inverse_depth: &f.inverse_depth,
             last_entries: &f.last_entries,
             image_gradient: $gradient,
-            running: &f.running,
-            sums_a: &f.sums_a,
-            sums_b: &f.sums_b,
-            sums_c: &f.sums_c,
+            backward_state: &f.backward_state,
+            instance_gradients_a: &f.instance_gradients_a,
+            instance_gradients_b: &f.instance_gradients_b,
+            instance_gradients_c: &f.instance_gradients_c,
             state: &f.state,
         };
         let push = $kernel::Push {
@@ -68,7 +70,7 @@ macro_rules! blend_backward_arguments {
             max_entries: $pass.max_entries,
             first_instance: $pass.first_instance,
             max_instances: $pass.max_instances,
-            row_strands: $pass.row_strands,
+            tile_row_interleave: $pass.tile_row_interleave,
             background: $inputs.settings.background,
             splat_stride: $pass.splat_stride,
         };
@@ -81,7 +83,7 @@ impl Backward {
     pub fn new(context: &Context) -> Self {
         Self {
             context: context.clone(),
-            sizes: Blocks::new(context.limits()),
+            sizes: LaunchSizes::new(context.limits()),
             blend: Default::default(),
             project: Default::default(),
             expand: Default::default(),
@@ -96,14 +98,16 @@ impl Backward {
         let subgroup_size = self.context.limits().subgroup_size;
         let slot = &mut self.blend[usize::from(inverse_depth)];
         if slot.is_none() {
-            let Blocks { tile, column_chain, blend_backward_alone: alone, strips, .. } = self.sizes;
+            let LaunchSizes {
+                tile, incremental_exp, blend_backward_subgroup_per_tile: alone, strips, ..
+            } = self.sizes;
             *slot = Some(if alone {
                 let workgroup_size = subgroup_size;
-                let spec = blend_backward_alone::Spec {
+                let spec = blend_backward_subgroup_per_tile::Spec {
                     workgroup_size,
                     subgroup_size,
                     inverse_depth,
-                    column_chain,
+                    incremental_exp,
                     count_hits: false,
                     strips,
                 };
@@ -113,7 +117,7 @@ impl Backward {
                     workgroup_size: tile,
                     subgroup_size,
                     inverse_depth,
-                    column_chain,
+                    incremental_exp,
                     count_hits: false,
                     strips,
                 };
@@ -124,24 +128,24 @@ impl Backward {
         if slot.is_none() {
             let spec = project_backward::Spec {
                 // The dispatch over the visible is counted in blocks of the streaming workgroup's size.
-                workgroup_size: self.sizes.stream,
+                workgroup_size: self.sizes.elementwise_workgroup,
                 subgroup_size,
                 sh_degree,
-                lane_slots: LANE_SLOTS,
+                lane_instances: LANE_INSTANCES,
             };
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         Ok(())
     }
 
-    /// Builds the kernel behind [`Backward::record_expand`].
+    /// Builds the kernel behind [`Backward::record_duplicate`].
     ///
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_expand(&mut self, sh_degree: u32) -> Result<()> {
         let slot = &mut self.expand[sh_degree as usize];
         if slot.is_none() {
-            let spec = expand_gradients::Spec { workgroup_size: self.sizes.stream, sh_degree };
+            let spec = expand_gradients::Spec { workgroup_size: self.sizes.elementwise_workgroup, sh_degree };
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         Ok(())
@@ -178,8 +182,13 @@ impl Backward {
                 r.dispatch(kernel, &bind, &push, tiles);
             }
             Blend::Alone(kernel) => {
-                let (bind, push) =
-                    blend_backward_arguments!(blend_backward_alone, self, inputs, image_gradient, pass);
+                let (bind, push) = blend_backward_arguments!(
+                    blend_backward_subgroup_per_tile,
+                    self,
+                    inputs,
+                    image_gradient,
+                    pass
+                );
                 r.dispatch(kernel, &bind, &push, tiles);
             }
         });
@@ -207,11 +216,11 @@ impl Backward {
                 visible_ranges: &f.visible_ranges,
                 visible_list: &f.visible_list,
                 footprints: f.splats().footprints,
-                slot_begins: &f.slot_begins,
+                first_instances: &f.first_instances,
                 conic_opacity: f.splats().conic_opacity,
-                sums_a: &f.sums_a,
-                sums_b: &f.sums_b,
-                sums_c: &f.sums_c,
+                instance_gradients_a: &f.instance_gradients_a,
+                instance_gradients_b: &f.instance_gradients_b,
+                instance_gradients_c: &f.instance_gradients_c,
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
             };
@@ -221,7 +230,7 @@ impl Backward {
 
     /// Records the expansion of `frame.gradients` to gradients of all parameters of all Gaussians, laid out like the
     /// scene's own planes, and of the 2D means in pixels. The caller places barriers before and after.
-    pub fn record_expand(
+    pub fn record_duplicate(
         &self,
         r: &mut Recorder,
         inputs: &FrameInputs,
@@ -251,7 +260,12 @@ impl Backward {
                 chunk_gaussians: inputs.scene.plan.chunk_gaussians,
                 planes: inputs.scene.plan.planes,
             };
-            r.dispatch(kernel, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
+            r.dispatch(
+                kernel,
+                &bind,
+                &push,
+                blocks(range.count.into(), self.sizes.elementwise_workgroup.into()),
+            );
         }
     }
 }

@@ -11,7 +11,7 @@ use ash::vk;
 
 /// What lies behind the splats.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Behind {
+pub enum Background {
     /// A background of this colour; the result is opaque.
     Color([f32; 3]),
     /// Nothing: premultiplied colour with the alpha 1 - T, for a host that blends it itself.
@@ -110,12 +110,12 @@ impl Compose {
         accumulated: &Buffer,
         size: [u32; 2],
         region: Region<'_>,
-        behind: Behind,
+        behind: Background,
     ) {
         let (mode, background) = match behind {
-            Behind::Color(color) => (c::COMPOSE_BACKGROUND, color),
-            Behind::Nothing => (c::COMPOSE_PREMULTIPLIED, [0.0; 3]),
-            Behind::Image => (c::COMPOSE_OVER, [0.0; 3]),
+            Background::Color(color) => (c::COMPOSE_BACKGROUND, color),
+            Background::Nothing => (c::COMPOSE_PREMULTIPLIED, [0.0; 3]),
+            Background::Image => (c::COMPOSE_OVER, [0.0; 3]),
         };
         let [image_width, image_height] = size;
         let [offset_x, offset_y] = region.offset;

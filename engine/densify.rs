@@ -1,4 +1,4 @@
-//! Adaptive density control, wholly on the device: decide, prefix-sum, place, gather; and the opacity reset.
+//! Adaptive density control, wholly on the device: classify, prefix-sum, scatter sources, gather; and the opacity reset.
 //!
 //! The new set has the reference's order: those that stay, then clones, then the first and the second halves of split
 //! Gaussians; training then puts it into that of a space-filling curve ([`Densify::record_order`]). Random numbers are keyed by
@@ -10,8 +10,8 @@ pub use order::{Curve, OrderBuffers};
 
 use crate::error::Result;
 use crate::forward::SceneBuffers;
-use crate::kernels::densify::{decide, gather, place, reset_opacity, zorder};
-use crate::plan::{Blocks, blocks};
+use crate::kernels::densify::{classify, gather, reset_opacity, scatter_sources, zorder};
+use crate::plan::{LaunchSizes, blocks};
 use crate::scan::Scan;
 use crate::sort::RadixSort;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
@@ -50,8 +50,8 @@ impl DensifyBuffers {
     const ROWS: u64 = 3;
 
     /// Names and bytes, in the order of the fields, for up to `gaussians` before and `rows` after.
-    pub fn requests(sizes: &Blocks, gaussians: u32, rows: u32) -> [(&'static str, u64); 4] {
-        let blocks = blocks(gaussians.into(), sizes.stream.into());
+    pub fn requests(sizes: &LaunchSizes, gaussians: u32, rows: u32) -> [(&'static str, u64); 4] {
+        let blocks = blocks(gaussians.into(), sizes.elementwise_workgroup.into());
         [
             ("decisions", u64::from(gaussians) * 4),
             ("densify_blocks", blocks * 12),
@@ -105,10 +105,10 @@ pub struct Gather<'a> {
 
 /// The kernels of densification.
 pub struct Densify {
-    sizes: Blocks,
+    sizes: LaunchSizes,
     scan: Scan,
-    decide: Kernel<decide::Interface>,
-    place: Kernel<place::Interface>,
+    classify: Kernel<classify::Interface>,
+    scatter_sources: Kernel<scatter_sources::Interface>,
     gather_parameters: Kernel<gather::Interface>,
     gather_explicit: Kernel<gather::Interface>,
     gather_moments: Kernel<gather::Interface>,
@@ -123,14 +123,14 @@ impl Densify {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
-        let sizes = Blocks::new(context.limits());
-        let (workgroup_size, subgroup_size) = (sizes.stream, context.limits().subgroup_size);
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
         let gather = gather::Spec { workgroup_size, moments: false, explicit_noise: false };
         Ok(Self {
             sizes,
             scan: Scan::new(context)?,
-            decide: Kernel::new(context, &decide::Spec { workgroup_size, subgroup_size })?,
-            place: Kernel::new(context, &place::Spec { workgroup_size, subgroup_size })?,
+            classify: Kernel::new(context, &classify::Spec { workgroup_size, subgroup_size })?,
+            scatter_sources: Kernel::new(context, &scatter_sources::Spec { workgroup_size, subgroup_size })?,
             gather_parameters: Kernel::new(context, &gather)?,
             gather_explicit: Kernel::new(context, &gather::Spec { explicit_noise: true, ..gather })?,
             gather_moments: Kernel::new(context, &gather::Spec { moments: true, ..gather })?,
@@ -141,7 +141,7 @@ impl Densify {
     }
 
     /// Records the decisions and the number of Gaussians that stay, are cloned and split, into `buffers.totals`.
-    pub fn record_decide(
+    pub fn record_classify(
         &self,
         r: &mut Recorder,
         scene: &SceneBuffers,
@@ -149,19 +149,19 @@ impl Densify {
         buffers: &DensifyBuffers,
         settings: &DensifySettings,
     ) {
-        let all_blocks = scene.count.div_ceil(self.sizes.stream);
-        r.scope("decide", |r| {
+        let all_blocks = scene.count.div_ceil(self.sizes.elementwise_workgroup);
+        r.scope("classify", |r| {
             for range in scene.plan.ranges(scene.count) {
                 if range.chunk > 0 {
                     r.barrier();
                 }
-                let bind = decide::Bind {
+                let bind = classify::Bind {
                     parameters: &scene.chunks[range.chunk],
                     statistics,
                     decisions: &buffers.decisions,
                     block_counts: &buffers.blocks,
                 };
-                let push = decide::Push {
+                let push = classify::Push {
                     first: range.first,
                     count: range.count,
                     blocks: all_blocks,
@@ -170,7 +170,12 @@ impl Densify {
                     min_opacity: settings.min_opacity,
                     max_scale: settings.max_scale,
                 };
-                r.dispatch(&self.decide, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
+                r.dispatch(
+                    &self.classify,
+                    &bind,
+                    &push,
+                    blocks(range.count.into(), self.sizes.elementwise_workgroup.into()),
+                );
             }
             // Three rows of one buffer, whose offsets need not meet the device's alignment: one dispatch each.
             for decision in 0..3 {
@@ -182,17 +187,17 @@ impl Densify {
     }
 
     /// Records where each row of the new set comes from: at most `rows` of them.
-    pub fn record_place(&self, r: &mut Recorder, count: u32, rows: u32, buffers: &DensifyBuffers) {
-        let all_blocks = count.div_ceil(self.sizes.stream);
+    pub fn record_scatter_sources(&self, r: &mut Recorder, count: u32, rows: u32, buffers: &DensifyBuffers) {
+        let all_blocks = count.div_ceil(self.sizes.elementwise_workgroup);
         r.dispatch(
-            &self.place,
-            &place::Bind {
+            &self.scatter_sources,
+            &scatter_sources::Bind {
                 decisions: &buffers.decisions,
                 block_offsets: &buffers.blocks,
                 totals: &buffers.totals,
                 sources: &buffers.sources,
             },
-            &place::Push { count, blocks: all_blocks, capacity: rows },
+            &scatter_sources::Push { count, blocks: all_blocks, capacity: rows },
             all_blocks.into(),
         );
     }
@@ -240,7 +245,12 @@ impl Densify {
                     seed: key.seed,
                     iteration: key.iteration,
                 };
-                r.dispatch(kernel, &bind, &push, blocks(target.count.into(), self.sizes.stream.into()));
+                r.dispatch(
+                    kernel,
+                    &bind,
+                    &push,
+                    blocks(target.count.into(), self.sizes.elementwise_workgroup.into()),
+                );
             }
         }
     }
@@ -256,7 +266,12 @@ impl Densify {
                     moments_2: &moments.second[range.chunk],
                 };
                 let push = reset_opacity::Push { count: range.count, max_logit };
-                r.dispatch(&self.reset, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
+                r.dispatch(
+                    &self.reset,
+                    &bind,
+                    &push,
+                    blocks(range.count.into(), self.sizes.elementwise_workgroup.into()),
+                );
             }
         });
     }

@@ -22,9 +22,11 @@ pub(crate) use shape::{ShapePush, shape_push};
 
 use crate::error::Result;
 use crate::kernels::constants as c;
-use crate::kernels::forward::{compact, count, cull, expand, prepare, prepare_ranges, project, ranges};
+use crate::kernels::forward::{
+    compact, count, cull, duplicate_with_tiles, project, ranges, write_indirect_args, write_visible_ranges,
+};
 use crate::plan::{
-    Blocks, FrameBuffers, FrameCapacity, GaussianRange, ScenePlan, blocks, tile_bits, tile_grid,
+    FrameBuffers, FrameCapacity, GaussianRange, LaunchSizes, ScenePlan, blocks, tile_bits, tile_grid,
 };
 use crate::scan::{Scan, ScanBuffers, Workgroups};
 use crate::scene::Camera;
@@ -52,17 +54,17 @@ impl SceneBuffers {
 /// The kernels of the forward pass.
 pub struct Forward {
     context: Context,
-    pub(crate) sizes: Blocks,
+    pub(crate) sizes: LaunchSizes,
     scan: Scan,
     sort: RadixSort,
     cull: Kernel<cull::Interface>,
     compact: Kernel<compact::Interface>,
-    prepare: Kernel<prepare::Interface>,
-    prepare_ranges: Kernel<prepare_ranges::Interface>,
+    write_indirect_args: Kernel<write_indirect_args::Interface>,
+    write_visible_ranges: Kernel<write_visible_ranges::Interface>,
     project: [Option<Kernel<project::Interface>>; 4],
     count: Kernel<count::Interface>,
-    /// Without slots, as rendering alone needs none, and with.
-    expand: [Kernel<expand::Interface>; 2],
+    /// For rendering alone, and with what backward needs.
+    duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
     ranges: [Kernel<ranges::Interface>; 2],
     blend: blending::Blend,
 }
@@ -74,13 +76,18 @@ impl Forward {
     /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
         let limits = context.limits();
-        let sizes = Blocks::new(limits);
-        let (workgroup_size, subgroup_size) = (sizes.stream, limits.subgroup_size);
-        let expand = |slots| {
-            let spec = expand::Spec { workgroup_size, subgroup_size, items: sizes.expand_items, slots };
+        let sizes = LaunchSizes::new(limits);
+        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, limits.subgroup_size);
+        let duplicate = |for_backward| {
+            let spec = duplicate_with_tiles::Spec {
+                workgroup_size,
+                subgroup_size,
+                items: sizes.duplicate_items,
+                for_backward,
+            };
             Kernel::new(context, &spec)
         };
-        let ranges = |slots| Kernel::new(context, &ranges::Spec { workgroup_size, slots });
+        let ranges = |for_backward| Kernel::new(context, &ranges::Spec { workgroup_size, for_backward });
         Ok(Self {
             context: context.clone(),
             sizes,
@@ -92,14 +99,14 @@ impl Forward {
                 context,
                 &compact::Spec { workgroup_size, subgroup_size, block: workgroup_size },
             )?,
-            prepare: Kernel::new(context, &prepare::Spec::default())?,
-            prepare_ranges: Kernel::new(context, &prepare_ranges::Spec { workgroup_size })?,
+            write_indirect_args: Kernel::new(context, &write_indirect_args::Spec::default())?,
+            write_visible_ranges: Kernel::new(context, &write_visible_ranges::Spec { workgroup_size })?,
             project: Default::default(),
             count: Kernel::new(
                 context,
                 &count::Spec { workgroup_size: sizes.scan_workgroup, subgroup_size, items: sizes.scan_items },
             )?,
-            expand: [expand(false)?, expand(true)?],
+            duplicate: [duplicate(false)?, duplicate(true)?],
             ranges: [ranges(false)?, ranges(true)?],
             blend: blending::Blend::new(limits),
         })
@@ -120,7 +127,7 @@ impl Forward {
     pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
         let slot = &mut self.project[sh_degree as usize];
         if slot.is_none() {
-            let spec = project::Spec { workgroup_size: self.sizes.stream, sh_degree };
+            let spec = project::Spec { workgroup_size: self.sizes.elementwise_workgroup, sh_degree };
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         self.blend.prepare(&self.context, &self.sizes, variant)
@@ -161,7 +168,7 @@ impl Forward {
         r.scope("project", |r| self.record_project(r, inputs));
         r.scope("depth sort", |r| self.record_depth_sort(r, f));
         r.scope("count", |r| self.record_count(r, inputs));
-        r.scope("expand", |r| self.record_expand(r, inputs));
+        r.scope("duplicate", |r| self.record_duplicate(r, inputs));
         let sorted = r.scope("tile sort", |r| self.record_tile_sort(r, inputs));
         r.scope("ranges", |r| self.record_ranges(r, inputs, sorted));
         r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
@@ -186,11 +193,16 @@ impl Forward {
             if !std::mem::take(&mut fresh) {
                 r.barrier();
             }
-            r.dispatch(&self.cull, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
+            r.dispatch(
+                &self.cull,
+                &bind,
+                &push,
+                blocks(range.count.into(), self.sizes.elementwise_workgroup.into()),
+            );
         }
         r.barrier();
         let (count, subgroup_size) = (inputs.index_count(), self.context.limits().subgroup_size);
-        let culled_blocks = count.div_ceil(self.sizes.stream);
+        let culled_blocks = count.div_ceil(self.sizes.elementwise_workgroup);
         self.scan.record_block_sums(
             r,
             &f.visible_blocks,
@@ -209,7 +221,7 @@ impl Forward {
             },
             &compact::Push { count },
             // A block per subgroup.
-            blocks(culled_blocks.into(), (self.sizes.stream / subgroup_size).into()),
+            blocks(culled_blocks.into(), (self.sizes.elementwise_workgroup / subgroup_size).into()),
         );
         let counted =
             [c::STATE_VISIBLE_NEEDED, inputs.capacity.gaussians, c::ARGUMENTS_VISIBLE, self.sizes.scan];
@@ -222,22 +234,22 @@ impl Forward {
             let plan = &placed.scene.plan;
             let ranges = plan.ranges(placed.scene.count).count() as u32;
             r.dispatch(
-                &self.prepare_ranges,
-                &prepare_ranges::Bind {
+                &self.write_visible_ranges,
+                &write_visible_ranges::Bind {
                     state: &f.state,
                     block_offsets: &f.visible_blocks,
                     visible_ranges: &f.visible_ranges,
                 },
-                &prepare_ranges::Push {
+                &write_visible_ranges::Push {
                     ranges,
                     blocks: culled_blocks,
-                    first_block: placed.first / self.sizes.stream,
-                    own_blocks: placed.scene.count.div_ceil(self.sizes.stream),
-                    blocks_per_range: plan.chunk_gaussians / self.sizes.stream,
-                    block_stream: self.sizes.stream,
+                    first_block: placed.first / self.sizes.elementwise_workgroup,
+                    own_blocks: placed.scene.count.div_ceil(self.sizes.elementwise_workgroup),
+                    blocks_per_range: plan.chunk_gaussians / self.sizes.elementwise_workgroup,
+                    block_elementwise: self.sizes.elementwise_workgroup,
                     max_workgroups_per_axis: self.context.limits().max_workgroups_per_axis,
                 },
-                blocks(ranges.into(), self.sizes.stream.into()),
+                blocks(ranges.into(), self.sizes.elementwise_workgroup.into()),
             );
         }
         r.barrier();
@@ -247,13 +259,13 @@ impl Forward {
     fn record_prepare(&self, r: &mut Recorder, f: &FrameBuffers, counted: [u32; 4]) {
         let [count_index, capacity, first_argument, block_third] = counted;
         r.dispatch(
-            &self.prepare,
-            &prepare::Bind { state: &f.state, arguments: &f.arguments },
-            &prepare::Push {
+            &self.write_indirect_args,
+            &write_indirect_args::Bind { state: &f.state, arguments: &f.arguments },
+            &write_indirect_args::Push {
                 count_index,
                 capacity,
                 first_argument,
-                block_stream: self.sizes.stream,
+                block_elementwise: self.sizes.elementwise_workgroup,
                 block_sort: self.sizes.sort,
                 block_third,
                 max_workgroups_per_axis: self.context.limits().max_workgroups_per_axis,
@@ -315,7 +327,7 @@ impl Forward {
             state: &f.state,
             order: &f.order_a,
             tile_lists: &f.tile_lists,
-            tile_counts: &f.tile_counts,
+            tiles_touched: &f.tiles_touched,
             list_heads: &f.depth_keys_a,
             list_rows: &f.depth_keys_b,
             block_sums: &f.scan_blocks,
@@ -327,22 +339,23 @@ impl Forward {
             counts: &f.state,
             count_index: c::STATE_VISIBLE,
             total_index: c::STATE_INSTANCES_NEEDED,
-            values: &f.tile_counts,
+            values: &f.tiles_touched,
             prefix: &f.instance_offsets,
             block_sums: &f.scan_blocks,
         };
         self.scan.record_from_block_sums(r, &buffers, Workgroups::Indirect(&at));
         r.barrier();
-        let (capacity, block) = (inputs.capacity.instances, self.sizes.stream * self.sizes.expand_items);
+        let (capacity, block) =
+            (inputs.capacity.instances, self.sizes.elementwise_workgroup * self.sizes.duplicate_items);
         self.record_prepare(r, f, [c::STATE_INSTANCES_NEEDED, capacity, c::ARGUMENTS_INSTANCES, block]);
         r.barrier();
     }
 
     /// One (tile, Gaussian) instance per touched tile.
-    fn record_expand(&self, r: &mut Recorder, inputs: &FrameInputs) {
+    fn record_duplicate(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        let (slots, splats) = (inputs.capacity.backward, f.splats());
-        let bind = expand::Bind {
+        let (for_backward, splats) = (inputs.capacity.backward, f.splats());
+        let bind = duplicate_with_tiles::Bind {
             state: &f.state,
             order: &f.order_a,
             instance_offsets: &f.instance_offsets,
@@ -351,14 +364,14 @@ impl Forward {
             list_heads: &f.depth_keys_a,
             list_rows: &f.depth_keys_b,
             instance_tiles: &f.tiles_a,
-            instance_visible: if slots { &f.instance_visible } else { &f.sorted_a },
-            slot_begins: &f.slot_begins,
+            instance_visible: if for_backward { &f.instance_visible } else { &f.sorted_a },
+            first_instances: &f.first_instances,
         };
         let (tiles_per_row, tile_rows) = tile_grid(inputs.camera.width, inputs.camera.height);
         let (extent, splat_stride) = (inputs.settings.extent_word(), splats.stride);
-        let push = expand::Push { extent, tiles_per_row, tile_rows, splat_stride };
+        let push = duplicate_with_tiles::Push { extent, tiles_per_row, tile_rows, splat_stride };
         let at = arguments(f, c::ARGUMENTS_INSTANCES_EXPAND);
-        r.dispatch_indirect(&self.expand[usize::from(slots)], &bind, &push, &at);
+        r.dispatch_indirect(&self.duplicate[usize::from(for_backward)], &bind, &push, &at);
         r.barrier();
     }
 
@@ -389,7 +402,7 @@ impl Forward {
         let bind = ranges::Bind {
             state: &f.state,
             sorted_tiles: [&f.tiles_a, &f.tiles_b][sorted],
-            sorted_slots: [&f.sorted_a, &f.sorted_b][sorted],
+            sorted_instances: [&f.sorted_a, &f.sorted_b][sorted],
             instance_visible: &f.instance_visible,
             tile_ranges: &f.tile_ranges,
             sorted_visible: &f.sorted_visible,
@@ -400,20 +413,20 @@ impl Forward {
     }
 
     /// Which of the frame's two buffers of sorted values hold the result for an image of this size.
-    fn sorted_values<'a>(sizes: &Blocks, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
+    fn sorted_values<'a>(sizes: &LaunchSizes, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
         let (columns, rows) = tile_grid(camera.width, camera.height);
         let passes = sizes.sort_passes(tile_bits(columns * rows));
         if passes.is_multiple_of(2) { &frame.sorted_a } else { &frame.sorted_b }
     }
 
     /// The slots of the sorted instances, in a frame with backward.
-    pub fn sorted_slots<'a>(sizes: &Blocks, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
+    pub fn sorted_instances<'a>(sizes: &LaunchSizes, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
         Self::sorted_values(sizes, frame, camera)
     }
 
     /// The visible Gaussian of each sorted instance.
     pub fn sorted_visible<'a>(
-        sizes: &Blocks,
+        sizes: &LaunchSizes,
         frame: &'a FrameBuffers,
         capacity: &FrameCapacity,
         camera: &Camera,
@@ -424,8 +437,8 @@ impl Forward {
 
 /// The indirect arguments of a dispatch over the visible of one range of parameters, whose place in `visible_ranges` is
 /// that of its first block of culling.
-pub(crate) fn range_arguments(frame: &FrameBuffers, sizes: &Blocks, range: GaussianRange) -> Buffer {
-    frame.visible_ranges.range(32 * u64::from(range.first / sizes.stream), 12)
+pub(crate) fn range_arguments(frame: &FrameBuffers, sizes: &LaunchSizes, range: GaussianRange) -> Buffer {
+    frame.visible_ranges.range(32 * u64::from(range.first / sizes.elementwise_workgroup), 12)
 }
 
 /// The indirect arguments of this name (ARGUMENTS_*).

@@ -4,7 +4,7 @@
 //!            per Gaussian        per visible              per (tile, Gaussian) instance          per tile, per pixel
 //!  forward   cull → compact ──→ project → depth sort ──→ count → scan → expand → tile sort ──→ ranges → blend
 //!  backward  adam ←──────────── project backward ←────── slots ←──────────────────────────────── blend backward ← loss
-//!            densify: decide → place → gather
+//!            densify: classify → scatter sources → gather
 //! ```
 //!
 //! - [`Renderer`] and [`Trainer`] own their submissions: they record, submit, wait and read back.
@@ -41,7 +41,7 @@ pub mod vk;
 
 /// The Vulkan bindings whose types the API shows.
 pub use ash;
-pub use compose::Behind;
+pub use compose::Background;
 pub use error::{Error, Result};
 pub use forward::{BlendMeasurement, Blending, Extent, JacobianLimit, RenderSettings, Shape};
 pub use renderer::{

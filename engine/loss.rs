@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::kernels::loss::{
     loss_reduce, ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep,
 };
-use crate::plan::{Blocks, Strips, blocks, tile_grid};
+use crate::plan::{LaunchSizes, Strips, blocks, tile_grid};
 use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
 use scratch::{ScratchBytes, Sweeps};
 
@@ -33,7 +33,7 @@ impl Windowing {
 /// The kernels of the loss.
 pub struct Loss {
     limits: Limits,
-    sizes: Blocks,
+    sizes: LaunchSizes,
     windows: Windows,
 }
 
@@ -135,7 +135,7 @@ impl Loss {
         let (float_photo, masked) = (photos == PhotoFormat::Float, photos == PhotoFormat::MaskedRgba8);
         let limits = context.limits();
         let subgroup_size = limits.subgroup_size;
-        let sizes = Blocks::new(limits);
+        let sizes = LaunchSizes::new(limits);
         let windows = match windowing {
             Windowing::Blocks => {
                 let (workgroup_size, strip) = (sizes.loss, sizes.loss_strip);
@@ -163,7 +163,7 @@ impl Loss {
         Ok(Self { limits: limits.clone(), sizes, windows })
     }
 
-    pub(crate) fn sizes(&self) -> &Blocks {
+    pub(crate) fn sizes(&self) -> &LaunchSizes {
         &self.sizes
     }
 

@@ -3,7 +3,7 @@
 use crate::error::Result;
 use crate::forward::{FrameInputs, SceneBuffers};
 use crate::kernels::optimizer::adam;
-use crate::plan::{Blocks, blocks};
+use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Adam's constants in the reference: β₁, β₂, ε.
@@ -53,7 +53,7 @@ pub struct Moments {
 /// The kernels of the optimiser.
 pub struct Optimizer {
     context: Context,
-    sizes: Blocks,
+    sizes: LaunchSizes,
     sparse: bool,
     adam: [Option<Kernel<adam::Interface>>; 4],
 }
@@ -61,7 +61,7 @@ pub struct Optimizer {
 impl Optimizer {
     /// Prepares for a device. Sparse Adam leaves Gaussians outside the view alone and corrects no bias.
     pub fn new(context: &Context, sparse: bool) -> Self {
-        let sizes = Blocks::new(context.limits());
+        let sizes = LaunchSizes::new(context.limits());
         Self { context: context.clone(), sizes, sparse, adam: Default::default() }
     }
 
@@ -72,7 +72,11 @@ impl Optimizer {
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
         let slot = &mut self.adam[sh_degree as usize];
         if slot.is_none() {
-            let spec = adam::Spec { workgroup_size: self.sizes.stream, sh_degree, sparse: self.sparse };
+            let spec = adam::Spec {
+                workgroup_size: self.sizes.elementwise_workgroup,
+                sh_degree,
+                sparse: self.sparse,
+            };
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         Ok(())
@@ -103,7 +107,12 @@ impl Optimizer {
                     old_moments_2: moments_2,
                 };
                 let push = push(inputs, step, range.first, range.count);
-                r.dispatch(kernel, &bind, &push, blocks(range.count.into(), self.sizes.stream.into()));
+                r.dispatch(
+                    kernel,
+                    &bind,
+                    &push,
+                    blocks(range.count.into(), self.sizes.elementwise_workgroup.into()),
+                );
             }
         });
     }

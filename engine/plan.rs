@@ -4,15 +4,15 @@
 //! (one (tile, Gaussian) pair), per tile, per pixel. How many Gaussians are visible, and how many instances a frame has,
 //! is known only on the device: here are capacities.
 
-mod block_sizes;
+mod launch_sizes;
 mod sorting;
 mod strips;
 
-pub use block_sizes::Blocks;
+pub use launch_sizes::LaunchSizes;
 pub use sorting::SortMethod;
 pub use strips::{STRIP_ROWS, Strips};
 
-use block_sizes::STREAM_WORKGROUP;
+use launch_sizes::ELEMENTWISE_WORKGROUP;
 
 use crate::error::{Error, Result};
 use crate::kernels::constants::{
@@ -97,7 +97,7 @@ impl ScenePlan {
             });
         }
         let planes = parameter_planes(sh_degree);
-        let align = u64::from(STREAM_WORKGROUP);
+        let align = u64::from(ELEMENTWISE_WORKGROUP);
         let bytes_per_gaussian = u64::from(planes) * 16;
         let largest =
             limits.max_storage_buffer_range.min(limits.max_allocation_bytes) / bytes_per_gaussian / align;
@@ -149,7 +149,7 @@ pub struct FrameCapacity {
     pub width: u32,
     /// Height of the largest image, pixels.
     pub height: u32,
-    /// Passes of blending: each handles [`Blocks::entries_per_pass`] entries of a tile.
+    /// Passes of blending: each handles [`LaunchSizes::entries_per_pass`] entries of a tile.
     pub blend_passes: u32,
     /// With what backward needs.
     pub backward: bool,
@@ -180,7 +180,7 @@ pub fn initial_instances(limits: &Limits, gaussians: u32, width: u32, height: u3
 pub fn max_trained_instances(limits: &Limits) -> u32 {
     let axis = u64::from(limits.max_workgroups_per_axis);
     let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
-    let most = (bytes / INSTANCE_BYTES).min(axis * axis * u64::from(Blocks::new(limits).smallest()));
+    let most = (bytes / INSTANCE_BYTES).min(axis * axis * u64::from(LaunchSizes::new(limits).smallest()));
     most.clamp(1, u32::MAX.into()) as u32
 }
 
@@ -191,7 +191,7 @@ macro_rules! frame_requests {
         pub struct FrameBuffers { $($(#[$doc])* pub $name: Buffer,)* }
 
         /// Names and bytes of [`FrameBuffers`], in order.
-        pub fn frame_requests(capacity: &FrameCapacity, block: &Blocks) -> Vec<(&'static str, u64)> {
+        pub fn frame_requests(capacity: &FrameCapacity, block: &LaunchSizes) -> Vec<(&'static str, u64)> {
             let sizes = FrameSizes::new(capacity, block);
             vec![$((stringify!($name), { let f: fn(&FrameSizes) -> u64 = $bytes; f(&sizes) }),)*]
         }
@@ -234,7 +234,7 @@ struct FrameSizes {
 }
 
 impl FrameSizes {
-    fn new(capacity: &FrameCapacity, block: &Blocks) -> Self {
+    fn new(capacity: &FrameCapacity, block: &LaunchSizes) -> Self {
         let gaussians = u64::from(capacity.gaussians);
         let instances = u64::from(capacity.instances);
         let (columns, rows) = tile_grid(capacity.width, capacity.height);
@@ -247,7 +247,7 @@ impl FrameSizes {
         let together = gaussians * record <= block.max_binding_bytes;
         Self {
             gaussians,
-            gaussian_blocks: blocks(gaussians, block.stream.into()),
+            gaussian_blocks: blocks(gaussians, block.elementwise_workgroup.into()),
             scan_blocks: blocks(gaussians, block.scan.into()),
             instances,
             histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)),
@@ -301,7 +301,7 @@ frame_requests! {
     /// Sorting scratch.
     order_b: |s| s.gaussians * 4;
     /// Per rank: tiles touched.
-    tile_counts: |s| s.gaussians * 4;
+    tiles_touched: |s| s.gaussians * 4;
     /// Per rank: first instance.
     instance_offsets: |s| s.gaussians * 4;
     /// Sums and offsets of the scan's blocks.
@@ -323,7 +323,7 @@ frame_requests! {
     /// Per sorted instance: the visible Gaussian.
     sorted_visible: |s| s.slots * 4;
     /// Per visible: its first slot.
-    slot_begins: |s| s.backward * s.gaussians * 4;
+    first_instances: |s| s.backward * s.gaussians * 4;
     /// Per tile: begin and end in the sorted instances.
     tile_ranges: |s| s.tiles * 8;
     /// Per pixel: premultiplied colour without background, transmittance. Frames with backward in strips only hand it from
@@ -338,13 +338,13 @@ frame_requests! {
     /// The loss' gradient. Per pixel: dL/d(r, g, b, inverse depth); where backward wants strips, three planes of them.
     image_gradient: |s| if s.strips > 0 { 3 * s.strips * 4 } else { s.backward * s.pixels * 16 };
     /// Per pixel: state between passes of the blending's backward.
-    running: |s| s.passes * s.pixels * 8;
+    backward_state: |s| s.passes * s.pixels * 8;
     /// Per slot: moments 1, dx, dy, dx dx.
-    sums_a: |s| s.slots * 16;
+    instance_gradients_a: |s| s.slots * 16;
     /// Per slot: moments dx dy, dy dy; d red, d green.
-    sums_b: |s| s.slots * 16;
+    instance_gradients_b: |s| s.slots * 16;
     /// Per slot: d blue, d inverse depth.
-    sums_c: |s| s.slots * 8;
+    instance_gradients_c: |s| s.slots * 8;
     /// Per visible, planes named GRADIENT_*.
     gradients: |s| s.backward * s.gaussians * 16 * u64::from(GRADIENT_PLANES);
 }
@@ -354,7 +354,7 @@ frame_requests! {
 ///
 /// # Errors
 /// [`Error::TooLarge`] with the number of workgroups.
-pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &Blocks) -> Result<()> {
+pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSizes) -> Result<()> {
     let smallest = block.smallest();
     let (columns, rows) = tile_grid(capacity.width, capacity.height);
     let axis = u64::from(limits.max_workgroups_per_axis);
@@ -387,7 +387,7 @@ pub fn max_trained_gaussians(limits: &Limits) -> u32 {
 }
 
 /// Bytes of all buffers of a frame, with the padding between them.
-pub fn frame_bytes(capacity: &FrameCapacity, block: &Blocks) -> u64 {
+pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
     let sizes: Vec<u64> = frame_requests(capacity, block).iter().map(|(_, bytes)| *bytes).collect();
     pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
 }
@@ -409,7 +409,7 @@ pub struct Splats<'a> {
 
 impl FrameBuffers {
     /// What blending leaves for loss and backward: [`Self::composited`] in strips, or [`Self::accumulated`].
-    pub fn rendered(&self, block: &Blocks) -> &Buffer {
+    pub fn rendered(&self, block: &LaunchSizes) -> &Buffer {
         if block.strips { &self.composited } else { &self.accumulated }
     }
 

@@ -6,7 +6,7 @@
 
 use crate::error::Result;
 use crate::kernels::scan::{scan_apply, scan_reduce, scan_spine};
-use crate::plan::{Blocks, blocks};
+use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// The kernels of a prefix sum.
@@ -51,7 +51,7 @@ impl Scan {
     /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
         let limits = context.limits();
-        let sizes = Blocks::new(limits);
+        let sizes = LaunchSizes::new(limits);
         let subgroup_size = limits.subgroup_size;
         let (workgroup_size, items) = (sizes.scan_workgroup, sizes.scan_items);
         let reduce = scan_reduce::Spec { workgroup_size, subgroup_size, items };

@@ -3,31 +3,38 @@
 //! Least significant digit first, three dispatches for each: a histogram per block, the scan of each digit's row, a
 //! stable scatter. Reduce-then-scan, so no forward progress between workgroups is assumed, and any subgroup size from 4
 //! to 128 does. Only as many bits as the keys have are sorted. Counting and scattering exist in two forms, see
-//! [`SortMethod`]; few pairs are sorted by a single workgroup in one dispatch where [`Blocks::sorts_alone`] says so.
+//! [`SortMethod`]; few pairs are sorted by a single workgroup in one dispatch where [`LaunchSizes::sorts_in_single_subgroup`] says so.
 
 use crate::error::Result;
 use crate::kernels::sort::{
-    sort_alone, sort_count, sort_count_runs, sort_scan, sort_scatter, sort_scatter_runs,
+    sort_downsweep, sort_downsweep_serial, sort_single_subgroup, sort_spine, sort_upsweep,
+    sort_upsweep_serial,
 };
-use crate::plan::{Blocks, SortMethod, blocks};
+use crate::plan::{LaunchSizes, SortMethod, blocks};
 use crate::scan::Workgroups;
 use crate::vk::{Buffer, Context, Kernel, KernelInterface, Recorder};
 
 /// The kernels of a sort.
 pub struct RadixSort {
-    sizes: Blocks,
+    sizes: LaunchSizes,
     kernels: Kernels,
-    scan: Kernel<sort_scan::Interface>,
+    scan: Kernel<sort_spine::Interface>,
     /// With given values, or the keys' positions.
-    alone: Option<[Kernel<sort_alone::Interface>; 2]>,
+    alone: Option<[Kernel<sort_single_subgroup::Interface>; 2]>,
     /// Digits of one workgroup of the histogram's scan.
     rows: u32,
 }
 
 /// Counting, and scattering with given values or the keys' positions.
 enum Kernels {
-    Matching { count: Kernel<sort_count::Interface>, scatter: [Kernel<sort_scatter::Interface>; 2] },
-    Runs { count: Kernel<sort_count_runs::Interface>, scatter: [Kernel<sort_scatter_runs::Interface>; 2] },
+    Matching {
+        count: Kernel<sort_upsweep::Interface>,
+        scatter: [Kernel<sort_downsweep::Interface>; 2],
+    },
+    Runs {
+        count: Kernel<sort_upsweep_serial::Interface>,
+        scatter: [Kernel<sort_downsweep_serial::Interface>; 2],
+    },
 }
 
 /// What a sort works on. Keys start in `keys[0]`; where they end depends on the number of passes, see
@@ -70,28 +77,29 @@ impl RadixSort {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
-        Self::with_sizes(context, Blocks::new(context.limits()))
+        Self::with_sizes(context, LaunchSizes::new(context.limits()))
     }
 
-    /// Builds the kernels of these sizes, which are those of [`Blocks::with_sort_method`].
+    /// Builds the kernels of these sizes, which are those of [`LaunchSizes::with_sort_method`].
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn with_sizes(context: &Context, sizes: Blocks) -> Result<Self> {
+    pub fn with_sizes(context: &Context, sizes: LaunchSizes) -> Result<Self> {
         let subgroup_size = context.limits().subgroup_size;
-        let scan = sort_scan::Spec { workgroup_size: sizes.stream, subgroup_size };
+        let scan = sort_spine::Spec { workgroup_size: sizes.elementwise_workgroup, subgroup_size };
         let alone = |identity_values| {
-            let spec = sort_alone::Spec { workgroup_size: subgroup_size, subgroup_size, identity_values };
+            let spec =
+                sort_single_subgroup::Spec { workgroup_size: subgroup_size, subgroup_size, identity_values };
             Kernel::new(context, &spec)
         };
         Ok(Self {
             kernels: match sizes.sort_method {
                 SortMethod::Matching => Kernels::matching(context, &sizes)?,
-                SortMethod::Runs => Kernels::runs(context, &sizes)?,
+                SortMethod::Serial => Kernels::runs(context, &sizes)?,
             },
             scan: Kernel::new(context, &scan)?,
-            alone: if sizes.sort_alone { Some([alone(false)?, alone(true)?]) } else { None },
-            rows: sizes.stream / subgroup_size,
+            alone: if sizes.sort_single_subgroup { Some([alone(false)?, alone(true)?]) } else { None },
+            rows: sizes.elementwise_workgroup / subgroup_size,
             sizes,
         })
     }
@@ -132,11 +140,12 @@ impl RadixSort {
     ) -> usize {
         let passes = self.passes(key_bits);
         let digit_bits = key_bits.div_ceil(passes);
-        let alone = self.alone.as_ref().filter(|_| self.sizes.sorts_alone(buffers.capacity(), key_bits));
+        let alone =
+            self.alone.as_ref().filter(|_| self.sizes.sorts_in_single_subgroup(buffers.capacity(), key_bits));
         if let Some(alone) = alone {
             let kernel = &alone[usize::from(values == Values::Positions)];
             let bytes = u64::from(self.sizes.sort_workgroup) * self.sizes.sort_digits(key_bits) * 4;
-            let bind = sort_alone::Bind {
+            let bind = sort_single_subgroup::Bind {
                 counts: buffers.counts,
                 keys_a: buffers.keys[0],
                 values_a: buffers.values[0],
@@ -144,7 +153,7 @@ impl RadixSort {
                 values_b: buffers.values[1],
                 run_counts: &buffers.histogram.range(0, bytes),
             };
-            let push = sort_alone::Push { count_index: buffers.count_index, digit_bits, passes };
+            let push = sort_single_subgroup::Push { count_index: buffers.count_index, digit_bits, passes };
             recorder.dispatch(kernel, &bind, &push, 1);
             return (passes % 2) as usize;
         }
@@ -177,16 +186,16 @@ impl RadixSort {
         b: &SortBuffers,
         digit: Digit,
         workgroups: Workgroups,
-        (count, scatter): (&Kernel<sort_count::Interface>, &[Kernel<sort_scatter::Interface>; 2]),
+        (count, scatter): (&Kernel<sort_upsweep::Interface>, &[Kernel<sort_downsweep::Interface>; 2]),
     ) {
         let Digit { shift, bits, from, identity } = digit;
         let (counts, count_index, histogram) = (b.counts, b.count_index, b.histogram);
-        let bind = sort_count::Bind { counts, keys: b.keys[from], histogram };
-        self.dispatch(recorder, count, &bind, &sort_count::Push { count_index, shift, bits }, workgroups);
+        let bind = sort_upsweep::Bind { counts, keys: b.keys[from], histogram };
+        self.dispatch(recorder, count, &bind, &sort_upsweep::Push { count_index, shift, bits }, workgroups);
         recorder.barrier();
         self.record_scan(recorder, b, histogram, digit);
         recorder.barrier();
-        let bind = sort_scatter::Bind {
+        let bind = sort_downsweep::Bind {
             counts,
             keys: b.keys[from],
             values: b.values[from],
@@ -195,7 +204,7 @@ impl RadixSort {
             sorted_keys: b.keys[1 - from],
             sorted_values: b.values[1 - from],
         };
-        let push = sort_scatter::Push { count_index, shift, bits };
+        let push = sort_downsweep::Push { count_index, shift, bits };
         self.dispatch(recorder, &scatter[usize::from(identity)], &bind, &push, workgroups);
     }
 
@@ -205,7 +214,10 @@ impl RadixSort {
         b: &SortBuffers,
         digit: Digit,
         workgroups: Workgroups,
-        (count, scatter): (&Kernel<sort_count_runs::Interface>, &[Kernel<sort_scatter_runs::Interface>; 2]),
+        (count, scatter): (
+            &Kernel<sort_upsweep_serial::Interface>,
+            &[Kernel<sort_downsweep_serial::Interface>; 2],
+        ),
     ) {
         let Digit { shift, bits, from, identity } = digit;
         let (counts, count_index) = (b.counts, b.count_index);
@@ -214,19 +226,19 @@ impl RadixSort {
         let of_blocks = (blocks << bits) * 4;
         let of_runs = blocks * u64::from(self.sizes.sort_workgroup) * (1 << bits).max(4) * 4;
         let histogram = &b.histogram.range(0, of_blocks);
-        let run_counts = &b.histogram.range(Blocks::sort_runs_offset(of_blocks), of_runs);
-        let bind = sort_count_runs::Bind { counts, keys: b.keys[from], histogram, run_counts };
+        let run_counts = &b.histogram.range(LaunchSizes::sort_runs_offset(of_blocks), of_runs);
+        let bind = sort_upsweep_serial::Bind { counts, keys: b.keys[from], histogram, run_counts };
         self.dispatch(
             recorder,
             count,
             &bind,
-            &sort_count_runs::Push { count_index, shift, bits },
+            &sort_upsweep_serial::Push { count_index, shift, bits },
             workgroups,
         );
         recorder.barrier();
         self.record_scan(recorder, b, histogram, digit);
         recorder.barrier();
-        let bind = sort_scatter_runs::Bind {
+        let bind = sort_downsweep_serial::Bind {
             counts,
             keys: b.keys[from],
             values: b.values[from],
@@ -236,7 +248,7 @@ impl RadixSort {
             sorted_keys: b.keys[1 - from],
             sorted_values: b.values[1 - from],
         };
-        let push = sort_scatter_runs::Push { count_index, shift, bits };
+        let push = sort_downsweep_serial::Push { count_index, shift, bits };
         self.dispatch(recorder, &scatter[usize::from(identity)], &bind, &push, workgroups);
     }
 
@@ -244,8 +256,8 @@ impl RadixSort {
         let digits = 1 << digit.bits;
         recorder.dispatch(
             &self.scan,
-            &sort_scan::Bind { counts: b.counts, histogram, digit_totals: b.digit_totals },
-            &sort_scan::Push { count_index: b.count_index, block_size: self.sizes.sort, digits },
+            &sort_spine::Bind { counts: b.counts, histogram, digit_totals: b.digit_totals },
+            &sort_spine::Push { count_index: b.count_index, block_size: self.sizes.sort, digits },
             blocks(digits.into(), self.rows.into()),
         );
     }
@@ -267,27 +279,27 @@ impl RadixSort {
 }
 
 impl Kernels {
-    fn matching(context: &Context, sizes: &Blocks) -> Result<Self> {
+    fn matching(context: &Context, sizes: &LaunchSizes) -> Result<Self> {
         let (workgroup_size, items) = (sizes.sort_workgroup, sizes.sort_items);
         let subgroup_size = context.limits().subgroup_size;
         let scatter = |identity_values| {
-            let spec = sort_scatter::Spec { workgroup_size, subgroup_size, items, identity_values };
+            let spec = sort_downsweep::Spec { workgroup_size, subgroup_size, items, identity_values };
             Kernel::new(context, &spec)
         };
         Ok(Self::Matching {
-            count: Kernel::new(context, &sort_count::Spec { workgroup_size, items })?,
+            count: Kernel::new(context, &sort_upsweep::Spec { workgroup_size, items })?,
             scatter: [scatter(false)?, scatter(true)?],
         })
     }
 
-    fn runs(context: &Context, sizes: &Blocks) -> Result<Self> {
+    fn runs(context: &Context, sizes: &LaunchSizes) -> Result<Self> {
         let (workgroup_size, items) = (sizes.sort_workgroup, sizes.sort_items);
         let subgroup_size = context.limits().subgroup_size;
         let scatter = |identity_values| {
-            let spec = sort_scatter_runs::Spec { workgroup_size, subgroup_size, items, identity_values };
+            let spec = sort_downsweep_serial::Spec { workgroup_size, subgroup_size, items, identity_values };
             Kernel::new(context, &spec)
         };
-        let count = sort_count_runs::Spec { workgroup_size, subgroup_size, items };
+        let count = sort_upsweep_serial::Spec { workgroup_size, subgroup_size, items };
         Ok(Self::Runs { count: Kernel::new(context, &count)?, scatter: [scatter(false)?, scatter(true)?] })
     }
 }

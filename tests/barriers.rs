@@ -4,7 +4,7 @@ use ashsplat::backward::{Backward, Statistics};
 use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers};
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
-use ashsplat::plan::{Blocks, FrameBuffers, FrameCapacity, Strips, frame_requests};
+use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, Strips, frame_requests};
 use ashsplat::planes;
 use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind, Recorder};
 use ashsplat::{Camera, RenderSettings};
@@ -33,7 +33,7 @@ struct Training {
     forward: Forward,
     loss: Loss,
     backward: Backward,
-    sizes: Blocks,
+    sizes: LaunchSizes,
     optimizer: Optimizer,
     scene: SceneBuffers,
     moments: Moments,
@@ -65,7 +65,7 @@ impl Training {
             blend_passes: 2,
             backward: true,
         };
-        let requests = frame_requests(&capacity, &Blocks::new(context.limits()));
+        let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("frame", &requests, MemoryKind::Device).expect("a frame");
         let [width, height] = SIZE;
         let loss = Loss::new(&context, PhotoFormat::Rgba8).expect("kernels");
@@ -82,7 +82,7 @@ impl Training {
             forward: Forward::new(&context).expect("kernels"),
             loss,
             backward: Backward::new(&context),
-            sizes: Blocks::new(context.limits()),
+            sizes: LaunchSizes::new(context.limits()),
             optimizer: Optimizer::new(&context, false),
             moments: Moments { first: planes_of("moments"), second: planes_of("moments") },
             gradients: planes_of("gradients"),
@@ -127,7 +127,7 @@ impl Training {
         if kind == Kind::Gradients {
             self.backward.record(recorder, &inputs, image_gradient, statistics);
             recorder.barrier();
-            self.backward.record_expand(recorder, &inputs, &self.gradients, mean2d_gradients);
+            self.backward.record_duplicate(recorder, &inputs, &self.gradients, mean2d_gradients);
             return;
         }
         let loss = LossInputs {

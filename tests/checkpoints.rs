@@ -150,7 +150,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         second_moments: one.clone(),
         gaussians: one,
         statistics: vec![[0.5, 2.0]],
-        left_out: 2,
+        skipped: 2,
         room: Room::default(),
     };
     let folder = tempdir().expect("a temporary folder");

@@ -175,7 +175,7 @@ fn extremes_would_be_seen_by_the_guards() {
 /// drops what lies outside of what is bound.
 #[test]
 fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
-    use ashsplat::kernels::densify::decide;
+    use ashsplat::kernels::densify::classify;
     use ashsplat::vk::{Kernel, MemoryKind};
     const ROWS: u32 = 256;
     let context = Context::new(&ContextOptions { guard_bands: true, ..options() }).expect("a device");

@@ -79,7 +79,7 @@ fn invariant_under_culled_gaussians() {
     let before = frame(&scene, &view);
     let mut unseen = mixed_scene(&mut Random::new(6), 300, 16);
     for gaussian in &mut unseen {
-        // Behind the camera, which is 4 in front of the origin.
+        // Background the camera, which is 4 in front of the origin.
         gaussian.mean[2] = -20.0 - gaussian.mean[2].abs();
     }
     let mixed: Vec<Gaussian> = unseen[..150].iter().chain(&scene).chain(&unseen[150..]).cloned().collect();

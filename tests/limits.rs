@@ -1,7 +1,7 @@
 //! Lowered limits and little memory: the same picture and the same training, or an error that names the numbers.
 
 use ashsplat::io::Photo;
-use ashsplat::plan::{Blocks, FrameCapacity, ScenePlan, frame_requests};
+use ashsplat::plan::{FrameCapacity, LaunchSizes, ScenePlan, frame_requests};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::trainer::{Checkpoint, TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
@@ -124,7 +124,7 @@ fn limits_of_images_are_those_of_the_picture_in_training_too() {
             blend_passes: 1,
             backward: true,
         };
-        for (name, bytes) in frame_requests(&capacity, &Blocks::new(context.limits())) {
+        for (name, bytes) in frame_requests(&capacity, &LaunchSizes::new(context.limits())) {
             assert!(bytes <= largest, "{width}x{height}: {name} has {bytes} bytes");
         }
     }
@@ -219,27 +219,27 @@ fn limits_of_instances_leave_out_the_views_beyond_them() {
     assert!(matches!(refused, Error::TooLarge { .. }), "{refused}");
     let (mut trainer, _, settings) =
         (0..20).map(begin).find(|(_, first, _)| first.is_ok()).expect("one of the seeds");
-    let (mut left_out, mut trained, mut checkpoints) = (0, 0, Vec::new());
+    let (mut skipped, mut trained, mut checkpoints) = (0, 0, Vec::new());
     for _ in 0..11 {
         let before = trainer.gaussians().expect("Gaussians");
         checkpoints.push(trainer.checkpoint().expect("a checkpoint"));
         let report = trainer.step().expect("a step");
-        assert_eq!(report.left_out, report.view == 1, "{report:?}");
-        assert_eq!(report.left_out, report.instances > FEW && report.loss.is_nan(), "{report:?}");
+        assert_eq!(report.skipped, report.view == 1, "{report:?}");
+        assert_eq!(report.skipped, report.instances > FEW && report.loss.is_nan(), "{report:?}");
         let (same, grown) = (trainer.gaussians().expect("Gaussians") == before, report.densified);
-        if left_out > 0
+        if skipped > 0
             && let Some(densified) = grown
         {
             assert!(densified.limited && densified.rows() <= densified.before, "{densified:?}");
         }
-        if report.left_out {
+        if report.skipped {
             assert!(same || grown.is_some(), "an iteration that was left out has changed something");
-            left_out += 1;
+            skipped += 1;
         } else {
             trained += u32::from(!same);
         }
     }
-    assert!(left_out >= 3 && trained >= 2, "{left_out} {trained}");
+    assert!(skipped >= 3 && trained >= 2, "{skipped} {trained}");
     let end = trainer.checkpoint().expect("the end");
     for checkpoint in checkpoints.iter().step_by(3) {
         let resumed = Trainer::resume(&context, views(), 5.0, settings.clone(), checkpoint);
@@ -268,16 +268,13 @@ fn limits_of_instances_leave_out_the_last_iteration_of_a_run() {
     let (longer, (end, reports)) =
         seeds.filter_map(|s| run(&s).ok().map(|ran| (s, ran))).next().expect("one of the seeds");
     let mut tried = 0;
-    for last in reports[..8].iter().filter(|r| r.left_out || r.iteration % 3 == 0) {
+    for last in reports[..8].iter().filter(|r| r.skipped || r.iteration % 3 == 0) {
         let short = TrainSettings { iterations: last.iteration, ..longer.clone() };
         let (checkpoint, parts) = run(&short).expect("a shorter run");
-        assert_eq!(
-            (parts[parts.len() - 1].left_out, checkpoint.left_out > 0),
-            (last.left_out, last.left_out)
-        );
+        assert_eq!((parts[parts.len() - 1].skipped, checkpoint.skipped > 0), (last.skipped, last.skipped));
         // Older checkpoints do not say it.
-        for left_out in [checkpoint.left_out, 0] {
-            let from = Checkpoint { left_out, ..checkpoint.clone() };
+        for skipped in [checkpoint.skipped, 0] {
+            let from = Checkpoint { skipped, ..checkpoint.clone() };
             let resumed = Trainer::resume(&context, views(), 5.0, longer.clone(), &from);
             let mut resumed = resumed.expect("resumed");
             while resumed.iteration() < longer.iterations {
@@ -285,7 +282,7 @@ fn limits_of_instances_leave_out_the_last_iteration_of_a_run() {
             }
             assert!(resumed.checkpoint().expect("the end") == end, "a run of {}: other bits", last.iteration);
         }
-        tried += u32::from(last.left_out);
+        tried += u32::from(last.skipped);
     }
     assert!(tried >= 2, "{tried}");
     assert_silent(&context);
@@ -305,7 +302,7 @@ fn limits_of_instances_end_a_training_of_nothing() {
         // However often it is interrupted.
         let checkpoint = trainer.checkpoint().expect("a checkpoint");
         trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
-        assert!(trainer.step().expect("left out").left_out);
+        assert!(trainer.step().expect("left out").skipped);
     }
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
     let mut trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
@@ -314,7 +311,7 @@ fn limits_of_instances_end_a_training_of_nothing() {
     // What there is can be had, and goes on where there is room.
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
     let mut resumed = Trainer::resume(gpu.context, views(), 5.0, settings(), &checkpoint).expect("resumed");
-    assert!(!resumed.step().expect("there is room here").left_out);
+    assert!(!resumed.step().expect("there is room here").skipped);
     drop(trainer);
     assert_silent(&context);
 }

@@ -136,22 +136,22 @@ fn profile_dumps_modules_with_their_instructions() {
     assert!(
         table.lines().next().is_some_and(|head| head.contains("subgroup") && head.contains("transcend."))
     );
-    let line = table.lines().find(|line| line.starts_with("sort/sort_scatter")).expect("its line");
+    let line = table.lines().find(|line| line.starts_with("sort/sort_downsweep")).expect("its line");
     let numbers: Vec<u32> = line.split_whitespace().skip(1).filter_map(|n| n.parse().ok()).collect();
     assert!(numbers.len() == 9 && numbers[0] > 100 && numbers[1] > 10, "{line}");
-    let module = std::fs::read(folder.path().join("sort/sort_scatter.spv")).expect("a module");
+    let module = std::fs::read(folder.path().join("sort/sort_downsweep.spv")).expect("a module");
     assert_eq!(module[..4], 0x0723_0203u32.to_le_bytes());
     assert_eq!(module.len(), 4 * numbers[0] as usize);
     assert!(folder.path().join("instructions.txt").is_file());
     let few = succeed(&["profile", "--dump", text(folder.path()), "--kernel", "scan"]);
-    assert!(few.contains("scan/scan_apply") && !few.contains("sort/sort_scatter"), "{few}");
+    assert!(few.contains("scan/scan_apply") && !few.contains("sort/sort_downsweep"), "{few}");
 }
 
 #[test]
 fn profile_lists_what_exists_when_a_name_is_wrong() {
-    refuse(&["profile", "--kernel", "sorting"], &["sorting", "sort/sort_scatter"]);
+    refuse(&["profile", "--kernel", "sorting"], &["sorting", "sort/sort_downsweep"]);
     refuse(&["profile", "--spec", "sort.WHAT=1"], &["WHAT", "ITEMS", "WORKGROUP_SIZE"]);
-    refuse(&["profile", "--spec", "sorting.ITEMS=1"], &["sorting", "sort/sort_scatter"]);
+    refuse(&["profile", "--spec", "sorting.ITEMS=1"], &["sorting", "sort/sort_downsweep"]);
     refuse(&["profile", "--spec", "sort.ITEMS=x"], &["'x'"]);
     refuse(&["profile", "--ab", "-", "sort.WHAT=1"], &["WHAT"]);
     refuse(&["profile", "--ab", "", "-"], &["--ab", "write - for none"]);
@@ -215,7 +215,7 @@ mod hot_reload {
         pause();
         edit(&glsl.join("include/sh.glsl"), "const float SH_C0 = 0.28", "const float SH_C0 = 0.18");
         pause();
-        edit(&glsl.join("sort/sort_count.comp"), "void main() {", "void main( {");
+        edit(&glsl.join("sort/sort_upsweep.comp"), "void main() {", "void main( {");
         let output = child.wait_with_output().expect("it ends");
         let said = String::from_utf8_lossy(&output.stdout).into_owned();
         assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
@@ -223,7 +223,7 @@ mod hot_reload {
         let difference = said.lines().find_map(|l| l.strip_prefix("largest difference of the pictures: "));
         assert!(difference.and_then(|d| d.parse().ok()).is_some_and(|d: f32| d > 0.01), "{said}");
         assert!(
-            said.contains("glsl/sort/sort_count.comp:") && said.contains("the old kernels stay"),
+            said.contains("glsl/sort/sort_upsweep.comp:") && said.contains("the old kernels stay"),
             "{said}"
         );
     }

@@ -1,6 +1,6 @@
 //! The radix sort as a whole, by every method: order, permutation and stability.
 
-use ashsplat::plan::{Blocks, SortMethod};
+use ashsplat::plan::{LaunchSizes, SortMethod};
 use ashsplat::scan::Workgroups;
 use ashsplat::sort::{RadixSort, SortBuffers, Values};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride, SpecOverride};
@@ -12,9 +12,12 @@ use crate::reference::sort::sort_pairs;
 
 /// The sort by matching, by runs, and by runs with few pairs left to a single workgroup.
 fn sorts(gpu: &Gpu) -> [RadixSort; 3] {
-    let methods = [(SortMethod::Matching, false), (SortMethod::Runs, false), (SortMethod::Runs, true)];
-    methods.map(|(method, sort_alone)| {
-        let sizes = Blocks { sort_alone, ..Blocks::with_sort_method(gpu.context.limits(), method) };
+    let methods = [(SortMethod::Matching, false), (SortMethod::Serial, false), (SortMethod::Serial, true)];
+    methods.map(|(method, sort_single_subgroup)| {
+        let sizes = LaunchSizes {
+            sort_single_subgroup,
+            ..LaunchSizes::with_sort_method(gpu.context.limits(), method)
+        };
         RadixSort::with_sizes(gpu.context, sizes).expect("the kernels of the sort")
     })
 }
@@ -79,7 +82,7 @@ fn sort_of_many_sizes() {
     let gpu = Gpu::new();
     for sort in sorts(&gpu) {
         let block = sort.block() as usize;
-        let run = Blocks::with_sort_method(gpu.context.limits(), SortMethod::Runs).sort_items as usize;
+        let run = LaunchSizes::with_sort_method(gpu.context.limits(), SortMethod::Serial).sort_items as usize;
         let sizes = [0, 1, 2, 3, 4, 5, 31, 32, 33, run - 1, run, run + 1, 20_000];
         let of_blocks = [block - 1, block, block + 1, 2 * block - 1, 5 * block + 77];
         for n in sizes.into_iter().chain(of_blocks) {

@@ -9,13 +9,13 @@ use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, small_scene, small_view};
 use crate::reference::adam::{Parameter, adam};
 use crate::reference::blend_backward::PixelGradient;
-use crate::reference::decide::Statistic;
+use crate::reference::classify::Statistic;
 use crate::reference::gather::random_normal;
 use crate::reference::loss_reduce;
 use crate::reference::pipeline::{backward, render};
-use crate::reference::place::{Densify, Kind, Placed, place};
 use crate::reference::project_backward::mean2d_statistic;
 use crate::reference::reset_opacity::reset_opacity;
+use crate::reference::scatter_sources::{Densify, Kind, Placed, place};
 use crate::reference::types::{Gaussian, Gradient, View};
 use crate::reference::zorder::zorder;
 

@@ -4,7 +4,7 @@ use super::{Densify, DensifyBuffers};
 use crate::forward::SceneBuffers;
 use crate::kernels::constants::ZORDER_BITS;
 use crate::kernels::densify::zorder;
-use crate::plan::{Blocks, blocks};
+use crate::plan::{LaunchSizes, blocks};
 use crate::scan::Workgroups;
 use crate::sort::{SortBuffers, Values};
 use crate::vk::{Buffer, Recorder};
@@ -34,7 +34,7 @@ pub struct OrderBuffers {
 
 impl OrderBuffers {
     /// Names and bytes, in the order of the fields, for so many rows.
-    pub fn requests(sizes: &Blocks, rows: u32) -> [(&'static str, u64); 5] {
+    pub fn requests(sizes: &LaunchSizes, rows: u32) -> [(&'static str, u64); 5] {
         let words = u64::from(rows) * 4;
         [
             ("zorder_keys_a", words),
@@ -58,7 +58,7 @@ impl OrderBuffers {
 }
 
 impl Densify {
-    /// Records the sort of `rows` sources that [`Densify::record_place`] has left, behind a barrier, and ends with one. Returns
+    /// Records the sort of `rows` sources that [`Densify::record_scatter_sources`] has left, behind a barrier, and ends with one. Returns
     /// where they lie afterwards: rows of one cell of the curve keep their order.
     pub fn record_order<'a>(
         &self,
@@ -87,7 +87,12 @@ impl Densify {
                     center: curve.center.to_array(),
                     extent: curve.extent,
                 };
-                r.dispatch(&self.zorder, &bind, &push, blocks(rows.into(), self.sizes.stream.into()));
+                r.dispatch(
+                    &self.zorder,
+                    &bind,
+                    &push,
+                    blocks(rows.into(), self.sizes.elementwise_workgroup.into()),
+                );
             }
             r.barrier();
             let pairs = SortBuffers {

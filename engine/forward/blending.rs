@@ -4,7 +4,7 @@ use super::blend_forms::Blending;
 use super::{Forward, FrameInputs};
 use crate::error::Result;
 use crate::kernels::forward::{blend, blend_shared};
-use crate::plan::{Blocks, tile_grid};
+use crate::plan::{LaunchSizes, tile_grid};
 use crate::vk::{Context, Kernel, Limits, Recorder};
 
 /// What is blended besides colours.
@@ -21,11 +21,11 @@ pub struct BlendVariant {
 }
 
 impl BlendVariant {
-    fn strips(self, sizes: &Blocks) -> bool {
+    fn strips(self, sizes: &LaunchSizes) -> bool {
         self.backward && sizes.strips
     }
 
-    fn index(self, sizes: &Blocks) -> usize {
+    fn index(self, sizes: &LaunchSizes) -> usize {
         usize::from(self.inverse_depth)
             | usize::from(self.linear_depth) << 1
             | usize::from(self.depth_limit) << 2
@@ -79,21 +79,21 @@ impl Blend {
         std::mem::replace(&mut self.blending, blending) != blending
     }
 
-    pub fn prepare(&mut self, context: &Context, sizes: &Blocks, wanted: BlendVariant) -> Result<()> {
+    pub fn prepare(&mut self, context: &Context, sizes: &LaunchSizes, wanted: BlendVariant) -> Result<()> {
         let BlendVariant { inverse_depth, linear_depth, depth_limit, .. } = wanted;
         let (variant, strips) = (wanted.index(sizes), wanted.strips(sizes));
         let subgroup_size = context.limits().subgroup_size;
-        let Blocks { tile, tile_shared, column_chain, blend_parts: parts, .. } = *sizes;
+        let LaunchSizes { tile, tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
         match self.blending {
             Blending::Regions if self.regions[variant].is_none() => {
                 let spec = blend::Spec {
-                    workgroup_size: tile / parts,
+                    workgroup_size: tile / regions_per_subgroup,
                     subgroup_size,
                     inverse_depth,
                     depth_limit,
                     linear_depth,
-                    column_chain,
-                    parts,
+                    incremental_exp,
+                    regions_per_subgroup,
                     count_hits: false,
                     strips,
                 };
@@ -106,7 +106,7 @@ impl Blend {
                     inverse_depth,
                     depth_limit,
                     linear_depth,
-                    column_chain,
+                    incremental_exp,
                     count_hits: false,
                     strips,
                 };
@@ -117,7 +117,7 @@ impl Blend {
         Ok(())
     }
 
-    pub fn is_prepared(&self, sizes: &Blocks, wanted: BlendVariant) -> bool {
+    pub fn is_prepared(&self, sizes: &LaunchSizes, wanted: BlendVariant) -> bool {
         let variant = wanted.index(sizes);
         match self.blending {
             Blending::Regions => self.regions[variant].is_some(),
@@ -126,7 +126,7 @@ impl Blend {
     }
 
     /// Records the colour and transmittance of each pixel.
-    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &Blocks) {
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &LaunchSizes) {
         let variant = inputs.blend_variant().index(sizes);
         match (self.blending, &self.regions[variant], &self.shared[variant]) {
             (Blending::Regions, Some(kernel), _) => {
@@ -150,7 +150,7 @@ impl Blend {
 pub(crate) fn record_passes(
     r: &mut Recorder,
     inputs: &FrameInputs,
-    sizes: &Blocks,
+    sizes: &LaunchSizes,
     dispatch: impl Fn(&mut Recorder, blend_shared::Push, u64),
 ) {
     let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
@@ -176,7 +176,7 @@ pub(crate) fn record_passes(
             } else {
                 sizes.instances_per_dispatch
             },
-            row_strands: sizes.row_strands,
+            tile_row_interleave: sizes.tile_row_interleave,
             last_pass: (pass + 1 == passes).into(),
             splat_stride: inputs.frame.splats().stride,
             background: inputs.settings.background,

@@ -58,7 +58,7 @@ pub struct PlacedScene<'a> {
     /// SH degree that is evaluated.
     pub sh_degree: u32,
     /// Index of its first Gaussian among all of the frame: behind the scene before, a multiple of
-    /// [`Blocks::stream`](crate::plan::Blocks::stream), so that a block of culling belongs to one scene.
+    /// [`LaunchSizes::elementwise_workgroup`](crate::plan::LaunchSizes::elementwise_workgroup), so that a block of culling belongs to one scene.
     pub first: u32,
 }
 

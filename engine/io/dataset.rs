@@ -1,10 +1,10 @@
 //! A data set to train on: photographs with their cameras, and points to start from.
 
+mod exif_orientation;
 mod gallery;
 mod inspect;
 mod mask;
 mod plan;
-mod turned;
 mod unpacked;
 
 use std::path::{Path, PathBuf};

@@ -12,7 +12,7 @@ mod gltf_write;
 mod spz;
 mod spz_pack;
 mod spz_write;
-mod unusable;
+mod validation;
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +23,7 @@ use crate::{Error, Result};
 
 pub use convert::{ConvertOptions, Converted, Target, convert};
 pub use format::Format;
-use unusable::Unusable;
+use validation::Unusable;
 
 /// Gaussians that are handled at once, at most.
 pub(super) const BLOCK: usize = 16_384;

@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 /// A compiled shader.
 pub struct Kernel {
-    /// Path below glsl/ without extension, "sort/sort_count".
+    /// Path below glsl/ without extension, "sort/sort_upsweep".
     pub name: String,
     /// Its source, for the comments.
     pub source: String,

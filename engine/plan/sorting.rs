@@ -1,6 +1,6 @@
 //! What a radix sort needs: digits, passes, scratch.
 
-use super::{Blocks, blocks};
+use super::{LaunchSizes, blocks};
 use crate::kernels::constants::SORT_BINS;
 use crate::vk::Limits;
 
@@ -15,9 +15,9 @@ const SORT_RUN: u32 = 1024;
 const SORT_RUN_DIGIT_BITS: u32 = 10;
 /// Pairs times passes that a single workgroup sorts on a processor: beyond, a second core gains more than dispatches
 /// cost. (An invocation's loops stay within what [`Limits::max_loop_iterations`] allows, at four lanes as well.)
-const SORT_ALONE: u64 = 1 << 18;
+const SORT_SINGLE_SUBGROUP: u64 = 1 << 18;
 /// And pairs, in however few passes.
-const SORT_ALONE_PAIRS: u64 = 1 << 17;
+const SORT_SINGLE_SUBGROUP_PAIRS: u64 = 1 << 17;
 /// No device asks for more between the beginnings of two buffers in one allocation, bytes.
 const BUFFER_ALIGNMENT: u64 = 256;
 
@@ -28,7 +28,7 @@ pub enum SortMethod {
     Matching,
     /// Each invocation takes a run of keys one after the other, with a histogram of its own in device memory: for
     /// processors, where neither coalescing nor many invocations count, but every memory access and every barrier.
-    Runs,
+    Serial,
 }
 
 /// Invocations of a sorting workgroup, and keys of each. `size` is the usual value of a constant, or another one that was
@@ -36,31 +36,33 @@ pub enum SortMethod {
 pub(super) fn shape(
     limits: &Limits,
     method: SortMethod,
-    stream: u32,
+    elementwise: u32,
     size: impl Fn(&str, &str, u32) -> u32,
 ) -> (u32, u32) {
     match method {
         SortMethod::Matching => {
             let preferred = size("sort", "WORKGROUP_SIZE", SORT_SUBGROUPS * limits.subgroup_size);
-            (limits.workgroup_size(preferred.min(stream)), size("sort", "ITEMS", SORT_ITEMS))
+            (limits.workgroup_size(preferred.min(elementwise)), size("sort", "ITEMS", SORT_ITEMS))
         }
         // Keys are read in fours.
-        SortMethod::Runs => (limits.subgroup_size, size("sort", "ITEMS", SORT_RUN).max(4)),
+        SortMethod::Serial => (limits.subgroup_size, size("sort", "ITEMS", SORT_RUN).max(4)),
     }
 }
 
-impl Blocks {
+impl LaunchSizes {
     /// Whether a single workgroup sorts up to `capacity` keys below 2^`key_bits`.
-    pub fn sorts_alone(&self, capacity: u64, key_bits: u32) -> bool {
+    pub fn sorts_in_single_subgroup(&self, capacity: u64, key_bits: u32) -> bool {
         let passes = u64::from(self.sort_passes(key_bits));
-        self.sort_alone && capacity <= SORT_ALONE_PAIRS && capacity * passes <= SORT_ALONE
+        self.sort_single_subgroup
+            && capacity <= SORT_SINGLE_SUBGROUP_PAIRS
+            && capacity * passes <= SORT_SINGLE_SUBGROUP
     }
 
     /// Bits of a sort's digit at most.
     pub const fn sort_digit_bits(&self) -> u32 {
         match self.sort_method {
             SortMethod::Matching => SORT_BINS.ilog2(),
-            SortMethod::Runs => SORT_RUN_DIGIT_BITS,
+            SortMethod::Serial => SORT_RUN_DIGIT_BITS,
         }
     }
 
@@ -73,7 +75,7 @@ impl Blocks {
     pub fn sort_histogram_words(&self, n: u64, key_bits: u32) -> u64 {
         let histograms = match self.sort_method {
             SortMethod::Matching => 1,
-            SortMethod::Runs => 1 + u64::from(self.sort_workgroup),
+            SortMethod::Serial => 1 + u64::from(self.sort_workgroup),
         };
         let padding = BUFFER_ALIGNMENT / 4;
         blocks(n, self.sort.into()).max(1) * histograms * self.sort_digits(key_bits) + padding

@@ -4,7 +4,7 @@ use super::Renderer;
 use super::record::{HostImage, RecordedFrame, Target};
 use super::slots::Reservation;
 use super::updates::Update;
-use crate::compose::{Behind, Compose};
+use crate::compose::{Background, Compose};
 use crate::error::{Error, Result};
 use crate::forward::BlendVariant;
 use crate::plan::{FrameCapacity, tile_grid};
@@ -79,10 +79,10 @@ impl Renderer {
             check(to, ImageUse::Storage)?;
             Compose::check_color(to.image)?;
             match behind {
-                Behind::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {
+                Background::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {
                     return Err(Error::argument("background", format!("{color:?} is not finite")));
                 }
-                Behind::Image => check_contents(to)?,
+                Background::Image => check_contents(to)?,
                 _ => {}
             }
         }

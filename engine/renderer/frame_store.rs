@@ -4,7 +4,7 @@ use super::BlendSamples;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::plan::{
-    Blocks, FrameBuffers, FrameCapacity, check_grids, frame_bytes, frame_requests, initial_instances,
+    FrameBuffers, FrameCapacity, LaunchSizes, check_grids, frame_bytes, frame_requests, initial_instances,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
@@ -12,7 +12,7 @@ use crate::vk::{Buffer, Context, MemoryKind, Recorder};
 /// Buffers of a frame that grow with what is asked of them.
 pub struct FrameStore {
     context: Context,
-    sizes: Blocks,
+    sizes: LaunchSizes,
     readback: Buffer,
     capacity: FrameCapacity,
     frame: Option<FrameBuffers>,
@@ -69,7 +69,7 @@ impl FrameStore {
     pub fn new(context: &Context) -> Result<Self> {
         let mut readback = context.allocate("readback", &Self::READBACK, MemoryKind::HostVisible)?;
         let Some(readback) = readback.pop() else { unreachable!("one buffer per request") };
-        let sizes = Blocks::new(context.limits());
+        let sizes = LaunchSizes::new(context.limits());
         Ok(Self { context: context.clone(), sizes, readback, capacity: NOTHING, frame: None })
     }
 
@@ -202,7 +202,7 @@ impl FrameStore {
     ///
     /// # Errors
     /// When the memory or a limit of the device does not suffice.
-    pub fn grow(&mut self, state: &State, sizes: &Blocks) -> Result<bool> {
+    pub fn grow(&mut self, state: &State, sizes: &LaunchSizes) -> Result<bool> {
         let mut capacity = self.capacity;
         if state.instances > capacity.instances {
             // Half as much again: the next frames will not need exactly this many.

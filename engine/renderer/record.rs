@@ -5,7 +5,7 @@ use super::check::check_capacity;
 use super::device_scene::DeviceScene;
 use super::slots::{Reservation, Slot, SlotReport};
 use super::updates::{Update, record_copies, stage_updates};
-use crate::compose::{Behind, Compose, Region};
+use crate::compose::{Background, Compose, Region};
 use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, PlacedScene, RenderSettings};
 use crate::scene::{Camera, DepthMapping, Pose};
@@ -52,7 +52,7 @@ pub enum Target<'a> {
         /// The image.
         to: HostImage<'a>,
         /// What lies behind the splats.
-        behind: Behind,
+        behind: Background,
     },
 }
 
@@ -175,9 +175,9 @@ impl Renderer {
         let forward = &self.runner.forward;
         let slot = self.slots.get(slot)?;
         slot.record.check_free()?;
-        check_capacity(frame, &slot.capacity, forward.sizes.stream)?;
+        check_capacity(frame, &slot.capacity, forward.sizes.elementwise_workgroup)?;
         let Some(compose) = &self.compose else { unreachable!("built by reserve") };
-        let [main, others] = place(frame, forward.sizes.stream);
+        let [main, others] = place(frame, forward.sizes.elementwise_workgroup);
         let Some(first) = main.first() else { unreachable!("checked") };
         let settings = RenderSettings {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::forward::BlendVariant;
 use crate::kernels::constants as c;
 use crate::plan::{
-    Blocks, FrameBuffers, FrameCapacity, ScenePlan, check_grids, frame_requests, initial_instances,
+    FrameBuffers, FrameCapacity, LaunchSizes, ScenePlan, check_grids, frame_requests, initial_instances,
 };
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder, ScopeTime};
 
@@ -125,7 +125,7 @@ impl Reservation {
             .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree))?;
         // Per chunk of parameters: culling and projection, and per scene the ranges of its chunks.
         let projection = 2 * (plan.chunks + self.scenes) + self.scenes;
-        let blending = Blocks::new(context.limits()).blend_dispatches(self.instances, self.blend_passes);
+        let blending = LaunchSizes::new(context.limits()).blend_dispatches(self.instances, self.blend_passes);
         Ok((PER_FRAME + blending + projection) as usize)
     }
 }
@@ -177,7 +177,7 @@ pub(super) struct Slots {
 
 impl Slots {
     /// Allocates what a reservation asks for in place of what there is.
-    pub fn reserve(&mut self, context: &Context, sizes: &Blocks, wanted: &Reservation) -> Result<()> {
+    pub fn reserve(&mut self, context: &Context, sizes: &LaunchSizes, wanted: &Reservation) -> Result<()> {
         wanted.check()?;
         for slot in &self.slots {
             if !slot.record.finished()? {
@@ -205,9 +205,10 @@ impl Slots {
 }
 
 impl Slot {
-    fn new(context: &Context, sizes: &Blocks, wanted: &Reservation, dispatches: usize) -> Result<Self> {
+    fn new(context: &Context, sizes: &LaunchSizes, wanted: &Reservation, dispatches: usize) -> Result<Self> {
         // Between scenes lie gaps of less than a block.
-        let gaussians = wanted.gaussians.saturating_add((wanted.scenes - 1).saturating_mul(sizes.stream));
+        let gaussians =
+            wanted.gaussians.saturating_add((wanted.scenes - 1).saturating_mul(sizes.elementwise_workgroup));
         let Reservation { width, height, .. } = *wanted;
         let instances = match wanted.instances {
             0 => initial_instances(context.limits(), gaussians, width, height),
@@ -250,7 +251,7 @@ impl Slot {
     }
 
     /// What the last recording needed; None while it is in flight, and where there was none.
-    pub fn report(&mut self, sizes: &Blocks) -> Result<Option<SlotReport>> {
+    pub fn report(&mut self, sizes: &LaunchSizes) -> Result<Option<SlotReport>> {
         if !self.record.is_recorded() || !self.record.finished()? {
             return Ok(None);
         }

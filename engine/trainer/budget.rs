@@ -6,7 +6,7 @@ use super::photos::PhotoBytes;
 use crate::error::{Error, Result};
 use crate::loss;
 use crate::plan::{
-    Blocks, FrameCapacity, ScenePlan, check_grids, frame_bytes, frame_requests, initial_instances,
+    FrameCapacity, LaunchSizes, ScenePlan, check_grids, frame_bytes, frame_requests, initial_instances,
     max_trained_gaussians, max_trained_instances,
 };
 use crate::renderer::FrameStore;
@@ -48,7 +48,7 @@ impl Before<'_> {
         let scratch = loss::scratch_requests(limits, self.cameras.iter().map(|c| (c.width, c.height)));
         // The counts of training's frames and of pictures.
         let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&LossScratch::READBACK);
-        let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &Blocks::new(limits))));
+        let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
         SETS * planes + statistics + bytes(&LossScratch::with_losses(scratch)) + readback + frame
     }
 
@@ -111,7 +111,7 @@ impl Before<'_> {
     pub fn has_room(&self, context: &Context, room: &Room) -> bool {
         let limits = context.limits();
         let Ok(plan) = ScenePlan::new(limits, room.gaussians, self.sh_degree) else { return false };
-        let sizes = Blocks::new(limits);
+        let sizes = LaunchSizes::new(limits);
         let frame = room.frame();
         let fits = frame.is_none_or(|frame| {
             let one = |(_, bytes): &(_, u64)| {
@@ -154,7 +154,7 @@ impl Present<'_> {
             return false;
         }
         let Some((limit, _)) = context.memory_limit() else { return true };
-        let sizes = Blocks::new(limits);
+        let sizes = LaunchSizes::new(limits);
         let grown = FrameCapacity { gaussians: plan.capacity, ..*frame };
         // More Gaussians have more instances.
         let instances =
@@ -196,7 +196,7 @@ impl Present<'_> {
         let full = FrameCapacity { instances: instances.max(self.frame.instances), ..self.frame };
         let beside = self.context.memory_total().bytes.saturating_sub(self.frame_bytes);
         instances <= self.frame.instances
-            || beside + frame_bytes(&full, &Blocks::new(self.context.limits())) <= limit
+            || beside + frame_bytes(&full, &LaunchSizes::new(self.context.limits())) <= limit
     }
 }
 

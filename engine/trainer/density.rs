@@ -5,7 +5,7 @@ use crate::densify::{Curve, DensifyBuffers, DensifySettings, Gather, OrderBuffer
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
 use crate::optimizer::Moments;
-use crate::plan::{Blocks, FrameCapacity, ScenePlan};
+use crate::plan::{FrameCapacity, LaunchSizes, ScenePlan};
 use crate::planes;
 use crate::scene::Camera;
 use crate::scene::camera::middle;
@@ -30,7 +30,7 @@ impl Trainer {
         self.pictures.release();
         let unchanged = Densified { before, kept: before, limited: true, ..Densified::default() };
         let Some(buffers) = self.decision_buffers()? else { return Ok(unchanged) };
-        let wanted = self.decide(&buffers, &settings)?;
+        let wanted = self.classify(&buffers, &settings)?;
         let most = self.present().most_rows_by_instances(before, self.most_instances);
         let rows = wanted.rows().min(most);
         // Before there are two sets of planes. No other order in its place: the bits would go by what else takes memory.
@@ -60,7 +60,7 @@ impl Trainer {
 
     /// What deciding takes; None without memory for it: then all stay as they are.
     fn decision_buffers(&self) -> Result<Option<DensifyBuffers>> {
-        let sizes = Blocks::new(self.context.limits());
+        let sizes = LaunchSizes::new(self.context.limits());
         let before = self.training.scene.count;
         // At most two rows per Gaussian: one stays and one is cloned, or it is split into two.
         let requests = DensifyBuffers::requests(&sizes, before, before.saturating_mul(2));
@@ -70,7 +70,7 @@ impl Trainer {
 
     /// What sorting so many rows along the curve takes; None without memory for it: then all stay as they are.
     fn order_buffers(&self, rows: u32) -> Result<Option<OrderBuffers>> {
-        let requests = OrderBuffers::requests(&Blocks::new(self.context.limits()), rows);
+        let requests = OrderBuffers::requests(&LaunchSizes::new(self.context.limits()), rows);
         let buffers = or_none(self.context.allocate("densify", &requests, MemoryKind::Device))?;
         Ok(buffers.map(OrderBuffers::from_allocated))
     }
@@ -120,25 +120,25 @@ impl Trainer {
         const ROUNDS: u32 = 24;
         // Numbers from 0 to infinity, which lets none through, have the order of their bits.
         let (mut low, mut high) = (settings.gradient_threshold.abs().to_bits(), f32::INFINITY.to_bits());
-        let decide = |bits: u32| {
-            self.decide(buffers, &DensifySettings { gradient_threshold: f32::from_bits(bits), ..*settings })
+        let classify = |bits: u32| {
+            self.classify(buffers, &DensifySettings { gradient_threshold: f32::from_bits(bits), ..*settings })
         };
         for _ in 0..ROUNDS {
             let middle = low + (high - low) / 2;
-            let densified = decide(middle)?;
+            let densified = classify(middle)?;
             let rows = densified.rows();
             if rows <= room && rows >= room - room / 64 {
                 return Ok(densified);
             }
             if rows <= room { high = middle } else { low = middle }
         }
-        decide(high)
+        classify(high)
     }
 
-    fn decide(&self, buffers: &DensifyBuffers, settings: &DensifySettings) -> Result<Densified> {
-        self.context.run("densify: decide", |r| {
+    fn classify(&self, buffers: &DensifyBuffers, settings: &DensifySettings) -> Result<Densified> {
+        self.context.run("densify: classify", |r| {
             let Training { scene, statistics, .. } = &self.training;
-            self.densify.record_decide(r, scene, statistics, buffers, settings);
+            self.densify.record_classify(r, scene, statistics, buffers, settings);
             Ok(())
         })?;
         let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&self.context.download(&buffers.totals)?);
@@ -171,7 +171,7 @@ impl Trainer {
         // One submission: either all of it comes to pass or the old set stays.
         self.context.run("densify: gather", |r| {
             r.fill(statistics, 0);
-            self.densify.record_place(r, old.scene.count, rows, buffers);
+            self.densify.record_scatter_sources(r, old.scene.count, rows, buffers);
             r.barrier();
             let sources = self.densify.record_order(r, (&old.scene, rows), buffers, order, &curve);
             for (set, (from, to)) in sets.iter().zip(targets).enumerate() {

@@ -49,7 +49,7 @@ pub struct StepReport {
     pub iteration: u32,
     /// Whether the iteration was left out, because its frame has more (tile, Gaussian) instances than the device or the
     /// memory has room for: it has changed nothing, and its losses are NaN. See [`Trainer::step`].
-    pub left_out: bool,
+    pub skipped: bool,
     /// (1 - λ) L1 + λ (1 - SSIM) before the step.
     pub loss: f32,
     /// Mean absolute difference.
@@ -137,7 +137,7 @@ pub struct Trainer {
     /// Of a frame, at most; see [`Room::most_instances`].
     most_instances: u32,
     /// Iterations that were left out, one after the other.
-    left_out: u32,
+    skipped: u32,
     /// Whether a submission that changes the scene may or may not have come to pass.
     broken: bool,
 }
@@ -247,7 +247,7 @@ impl Trainer {
             progress: step::Progress::default(),
             recording: record::Recording::default(),
             most_instances: 0,
-            left_out: 0,
+            skipped: 0,
             broken: false,
         })
     }

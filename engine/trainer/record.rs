@@ -4,11 +4,11 @@
 //! memory and numbers from the device, opacity resets, and more room after a step that had too little. A step without
 //! room, and whatever was recorded behind it, changes nothing: the device keeps its overflow flag until then.
 
-use super::step::{Plan, Progress, read_losses, step_parts};
+use super::step::{IterationPlan, Progress, read_losses, step_parts};
 use super::{Densified, StepReport, Trainer};
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
-use crate::plan::Blocks;
+use crate::plan::LaunchSizes;
 use crate::renderer::{DeviceScene, Release, State};
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder};
 use ash::vk;
@@ -70,7 +70,7 @@ pub struct Maintenance {
     /// Whether there is more room now, after a step that overflowed.
     pub grown: bool,
     /// The iteration that was left out, because there cannot be as much room as it needs: see [`Trainer::step`].
-    pub left_out: Option<u32>,
+    pub skipped: Option<u32>,
 }
 
 /// The steps that a host records.
@@ -95,7 +95,7 @@ struct StepSlot {
 
 struct InFlight {
     slot: usize,
-    plan: Plan,
+    plan: IterationPlan,
     after: Progress,
     gaussians: u32,
 }
@@ -199,7 +199,12 @@ impl Trainer {
     }
 
     /// A step, and the copies of its counts and its loss to where the host reads them.
-    fn record_plan(&self, r: &mut Recorder, plan: &Plan, [state, losses]: [&Buffer; 2]) -> Result<()> {
+    fn record_plan(
+        &self,
+        r: &mut Recorder,
+        plan: &IterationPlan,
+        [state, losses]: [&Buffer; 2],
+    ) -> Result<()> {
         let (runner, request, tail) = step_parts!(self, plan);
         runner.record(r, &request, |r, inputs| {
             tail.record(r, inputs, losses);
@@ -237,7 +242,7 @@ impl Trainer {
                 }
             } else {
                 self.progress = first.after;
-                self.left_out = 0;
+                self.skipped = 0;
                 self.most_instances = self.most_instances.max(state.instances);
                 let losses = read_losses(&slot.losses)?;
                 StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, losses, &state))
@@ -346,7 +351,7 @@ impl Trainer {
                 let progress = self.progress;
                 let plan = self.plan_after(&progress);
                 self.leave_out(&plan, &first, error)?;
-                done.left_out = Some(plan.iteration);
+                done.skipped = Some(plan.iteration);
             }
         }
         Ok(())
@@ -388,7 +393,7 @@ impl Trainer {
         // Per chunk of parameters: culling, projection, its backward, the optimiser.
         let frame = self.runner.capacity();
         let blending =
-            Blocks::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
+            LaunchSizes::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
         (PER_STEP + 4 * self.training.scene.plan.chunks + 2 * blending) as usize
     }
 

@@ -53,7 +53,7 @@ impl Trainer {
             first_moments: planes_of(&training.moments.first)?,
             second_moments: planes_of(&training.moments.second)?,
             statistics,
-            left_out: self.left_out,
+            skipped: self.skipped,
             room: self.room(),
         })
     }
@@ -100,7 +100,7 @@ impl Trainer {
         }
         context.upload(&training.statistics, bytemuck::cast_slice(&from.statistics))?;
         trainer.most_instances = from.room.most_instances;
-        trainer.left_out = from.left_out;
+        trainer.skipped = from.skipped;
         if from.iteration > 0 && from.iteration == from.settings.iterations {
             trainer.finish_last_iteration()?;
         }

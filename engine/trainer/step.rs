@@ -77,8 +77,8 @@ pub(super) struct Progress {
 }
 
 impl Progress {
-    /// Behind an iteration.
-    pub fn after(&self, plan: &Plan) -> Self {
+    /// Background an iteration.
+    pub fn after(&self, plan: &IterationPlan) -> Self {
         Self {
             iteration: plan.iteration,
             steps: self.steps + u64::from(plan.optimizes),
@@ -90,7 +90,7 @@ impl Progress {
 
 /// What an iteration is going to do.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Plan {
+pub(super) struct IterationPlan {
     pub iteration: u32,
     pub view: usize,
     collects: bool,
@@ -101,7 +101,7 @@ pub(super) struct Plan {
     step: Step,
 }
 
-impl Plan {
+impl IterationPlan {
     /// Everything that any iteration does, of some view: for a recording that is never executed.
     pub fn rehearsal(self, view: usize) -> Self {
         Self { view, optimizes: true, ..self }
@@ -109,7 +109,7 @@ impl Plan {
 }
 
 /// What an iteration records behind its frame.
-pub(super) struct Tail<'a> {
+pub(super) struct LossAndUpdate<'a> {
     pub loss: &'a Loss,
     pub backward: &'a Backward,
     pub optimizer: &'a Optimizer,
@@ -117,7 +117,7 @@ pub(super) struct Tail<'a> {
     pub scratch: &'a LossScratch,
     pub photo: &'a Buffer,
     pub lambda_dssim: f32,
-    pub plan: &'a Plan,
+    pub plan: &'a IterationPlan,
 }
 
 /// What runs a trainer's frames, and of a planned iteration the frame and what follows it. A macro, because the first is
@@ -138,7 +138,7 @@ macro_rules! step_parts {
             ..
         } = $trainer;
         let masked = masked_loss.as_ref().filter(|_| photos.is_masked($plan.view));
-        let tail = $crate::trainer::step::Tail {
+        let tail = $crate::trainer::step::LossAndUpdate {
             loss: masked.unwrap_or(loss),
             backward,
             optimizer,
@@ -160,7 +160,7 @@ macro_rules! step_parts {
 }
 pub(super) use step_parts;
 
-impl Tail<'_> {
+impl LossAndUpdate<'_> {
     /// Records loss, backward and the optimiser's step; `losses` is a copy that the host can read. Nothing that lasts
     /// changes when the frame overflowed.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, losses: &Buffer) {
@@ -195,7 +195,7 @@ impl Tail<'_> {
 
 impl Trainer {
     /// Runs one iteration. One whose frame has more instances than the device or the memory has room for is left out: it
-    /// changes nothing, and the iteration counts ([`StepReport::left_out`]).
+    /// changes nothing, and the iteration counts ([`StepReport::skipped`]).
     ///
     /// # Errors
     /// When memory does not suffice, also where not one view has room: the Gaussians are then as before the iteration, and it may be tried again. When the
@@ -213,12 +213,12 @@ impl Trainer {
     /// Runs it again for a run that has become longer: its view, on the same parameters, gives the same gradients. What it
     /// added to the statistics is there already. One that was left out stays so, and so is one that has no room here.
     pub(super) fn finish_last_iteration(&mut self) -> Result<()> {
-        if self.left_out > 0 {
+        if self.skipped > 0 {
             return Ok(());
         }
         let progress = self.progress;
         let before = Progress { iteration: progress.iteration - 1, ..progress };
-        let plan = Plan { collects: false, ..self.plan_after(&before) };
+        let plan = IterationPlan { collects: false, ..self.plan_after(&before) };
         if !plan.optimizes {
             return Ok(());
         }
@@ -264,7 +264,7 @@ impl Trainer {
                 let (state, error) = *why;
                 self.leave_out(&plan, &state, error)?;
                 return Ok(StepReport {
-                    left_out: true,
+                    skipped: true,
                     milliseconds: start.elapsed().as_secs_f64() * 1e3,
                     densified,
                     ..StepReport::new(&plan, self.training.scene.count, [f32::NAN; 3], &state)
@@ -273,7 +273,7 @@ impl Trainer {
             ran => ran.map_err(Failed::error)?,
         };
         self.progress = self.progress.after(&plan);
-        self.left_out = 0;
+        self.skipped = 0;
         self.most_instances = self.most_instances.max(ran.state.instances);
         let losses = read_losses(&self.scratch.readback)?;
         Ok(StepReport {
@@ -285,12 +285,12 @@ impl Trainer {
     }
 
     /// The iteration that follows.
-    pub(super) fn plan_after(&mut self, progress: &Progress) -> Plan {
+    pub(super) fn plan_after(&mut self, progress: &Progress) -> IterationPlan {
         let iteration = progress.iteration + 1;
         let view = self.order.view(iteration);
         let s = &self.settings;
         let due = Due { densifies: s.densifies_at(iteration), resets: s.resets_opacity_at(iteration) };
-        Plan {
+        IterationPlan {
             iteration,
             view,
             collects: s.collects_statistics_at(iteration),
@@ -333,21 +333,21 @@ impl Trainer {
     /// # Errors
     /// The one given, where it is another, where no step has come to pass yet, and where none of the views can have been
     /// among the last: a training that does nothing is to end.
-    pub(super) fn leave_out(&mut self, plan: &Plan, needed: &State, error: Error) -> Result<()> {
+    pub(super) fn leave_out(&mut self, plan: &IterationPlan, needed: &State, error: Error) -> Result<()> {
         // One view that fits comes at the beginning of one epoch and at the end of the next.
         let apart = 2 * (self.cameras.len() as u64 - 1);
-        let trains = self.progress.steps > 0 && u64::from(self.left_out) < apart;
+        let trains = self.progress.steps > 0 && u64::from(self.skipped) < apart;
         if !matches!(error, Error::TooLarge { .. }) || !trains {
             return Err(error);
         }
-        self.left_out += 1;
+        self.skipped += 1;
         self.most_instances = self.most_instances.max(needed.instances);
         self.progress = Progress { iteration: plan.iteration, due: plan.due, ..self.progress };
         Ok(())
     }
 
     /// Forward, loss, backward and the optimiser's step in one submission.
-    fn run_step(&mut self, plan: &Plan) -> Result<Ran, Failed> {
+    fn run_step(&mut self, plan: &IterationPlan) -> Result<Ran, Failed> {
         self.backward.prepare(plan.sh_degree, plan.settings.inverse_depth)?;
         self.optimizer.prepare(plan.sh_degree)?;
         let (runner, request, tail) = step_parts!(self, plan);
@@ -379,7 +379,12 @@ impl Trainer {
 
 impl StepReport {
     /// Of a step that has finished; times are not in it.
-    pub(super) fn new(plan: &Plan, gaussians: u32, [loss, l1, ssim]: [f32; 3], state: &State) -> Self {
+    pub(super) fn new(
+        plan: &IterationPlan,
+        gaussians: u32,
+        [loss, l1, ssim]: [f32; 3],
+        state: &State,
+    ) -> Self {
         Self {
             iteration: plan.iteration,
             loss,

@@ -1,7 +1,7 @@
 //! The opt-in audit of a context: what every command wrote, as a hash. Two audited runs of the same work that should have
 //! the same bits show which command first had others.
 //!
-//! Behind each command stand barriers and a copy of what it wrote, so that an audited recording is slow and hides races
+//! Background each command stand barriers and a copy of what it wrote, so that an audited recording is slow and hides races
 //! between commands. It is submitted piece by piece: no more than a few copies are held at a time. New device memory is cleared, so that what a command leaves alone is the same too.
 
 use super::buffer::Buffer;

@@ -6,7 +6,7 @@ use super::context::{Context, ContextOptions, Inner, Owner, Parts};
 use super::descriptors::OwnedSets;
 use super::device;
 use super::faults;
-use super::lent::{Home, Lent};
+use super::pool::{Pool, PoolGuard};
 use super::profiler::{MAX_SCOPES, Profiler, ScopeTime};
 use super::recorder::{ForeignTarget, Recorder};
 use super::requirements::Features;
@@ -183,9 +183,9 @@ pub struct RecordSlot {
     inner: Arc<Inner>,
     event: vk::Event,
     queries: vk::QueryPool,
-    descriptors: Home<OwnedSets>,
+    descriptors: Pool<OwnedSets>,
     /// What the last recording uses.
-    kept: Home<Kept>,
+    kept: Pool<Kept>,
     profiler: Option<Profiler>,
     /// Whether a recording was begun and not discarded.
     recorded: bool,
@@ -204,7 +204,7 @@ impl RecordSlot {
             event: vk::Event::null(),
             queries: vk::QueryPool::null(),
             descriptors: Arc::new(Mutex::new(OwnedSets::new(&inner, dispatches)?)),
-            kept: Home::default(),
+            kept: Pool::default(),
             profiler: None,
             recorded: false,
             discarded_late: false,
@@ -316,12 +316,12 @@ impl RecordSlot {
             // SAFETY: recording state outside of a render pass, as the adopter has promised; the pool is idle.
             unsafe { inner.device.cmd_reset_query_pool(commands.raw, queries, 0, 2 * MAX_SCOPES) }
         }
-        let mut descriptors = Lent::from_home(&self.descriptors);
+        let mut descriptors = PoolGuard::take_from(&self.descriptors);
         if let Some(sets) = descriptors.sets() {
             sets.reset();
         }
         let target = ForeignTarget { raw: commands.raw, queries, descriptors };
-        let mut recorder = Recorder::foreign(inner, target, Lent::from_home(&self.kept), label);
+        let mut recorder = Recorder::foreign(inner, target, PoolGuard::take_from(&self.kept), label);
         recorder.barrier();
         Ok(recorder)
     }

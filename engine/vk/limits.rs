@@ -63,7 +63,7 @@ pub struct SpecOverride {
     pub bits: u32,
 }
 
-/// Whether a kernel is the one that is named, "sort/sort_scan", or lies in the folder of kernels that is, "sort".
+/// Whether a kernel is the one that is named, "sort/sort_spine", or lies in the folder of kernels that is, "sort".
 pub fn is_kernel_of(kernel: &str, named: &str) -> bool {
     kernel.strip_prefix(named).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
@@ -76,8 +76,16 @@ pub fn is_yardstick(kernel: &str) -> bool {
 
 /// Constants that the host counts workgroups with: it chooses them itself (and asks [`Limits::overridden`]), so that
 /// shader and host cannot differ.
-pub(super) const CHOSEN_BY_HOST: [&str; 8] =
-    ["WORKGROUP_SIZE", "SUBGROUP_SIZE", "ITEMS", "STRIP", "STRIPS", "PARTS", "BLOCK", "SLOTS"];
+pub(super) const CHOSEN_BY_HOST: [&str; 8] = [
+    "WORKGROUP_SIZE",
+    "SUBGROUP_SIZE",
+    "ITEMS",
+    "STRIP",
+    "STRIPS",
+    "REGIONS_PER_SUBGROUP",
+    "BLOCK",
+    "FOR_BACKWARD",
+];
 
 /// Stricter limits than the device's, for tests: `None` keeps the device's.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -8,7 +8,7 @@
 //! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
 //! | `allocator` | [`HostAllocator`]: memory from a host |
 //! | `image`, `format` | [`Image`]: a host's or our own |
-//! | `requirements`, `foreign`, `lent` | what a host enables; [`Context::from_foreign`], [`RecordSlot`] |
+//! | `requirements`, `foreign`, `pool` | what a host enables; [`Context::from_foreign`], [`RecordSlot`] |
 //! | `bind`, `descriptors` | binding for a dispatch; descriptor sets where push descriptors are missing |
 //! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
 //! | `hazard` | finds missing barriers while recording |
@@ -61,9 +61,9 @@ pub mod hazard;
 mod image;
 mod instance;
 mod kernel;
-mod lent;
 mod limits;
 mod memory;
+mod pool;
 mod profile;
 mod profiler;
 mod recorder;

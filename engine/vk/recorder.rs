@@ -8,7 +8,7 @@ use super::descriptors::{DescriptorSets, OwnedSets};
 use super::hazard::{HazardTracker, Use};
 use super::image::Image;
 use super::kernel::{Access, Kernel, KernelInterface, Pipeline};
-use super::lent::Lent;
+use super::pool::PoolGuard;
 use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled};
 use super::profiler::Profiler;
 use super::submit::{Commands, Kept};
@@ -28,7 +28,7 @@ pub struct Recorder {
     pub(super) commands: Target,
     pub(super) inner: Arc<Inner>,
     profiler: Profiler,
-    pub(super) kept: Lent<Kept>,
+    pub(super) kept: PoolGuard<Kept>,
     pub(super) bound: vk::Pipeline,
     hazards: Option<Hazards>,
     barriers: u32,
@@ -48,7 +48,7 @@ pub(super) enum Target {
 pub(super) struct ForeignTarget {
     pub(super) raw: vk::CommandBuffer,
     pub(super) queries: vk::QueryPool,
-    pub(super) descriptors: Lent<OwnedSets>,
+    pub(super) descriptors: PoolGuard<OwnedSets>,
 }
 
 impl Target {
@@ -110,8 +110,13 @@ impl Recorder {
         recorder
     }
 
-    /// Records into a command buffer of somebody else, who submits it: see [`super::RecordSlot::begin`].
-    pub(super) fn foreign(inner: &Arc<Inner>, target: ForeignTarget, kept: Lent<Kept>, label: &str) -> Self {
+    /// Records into a command buffer of the host, who submits it: see [`super::RecordSlot::begin`].
+    pub(super) fn foreign(
+        inner: &Arc<Inner>,
+        target: ForeignTarget,
+        kept: PoolGuard<Kept>,
+        label: &str,
+    ) -> Self {
         let queries = target.queries;
         let mut recorder = Self::with_target(Target::Foreign(target), inner.clone(), queries);
         recorder.kept = kept;
@@ -119,8 +124,8 @@ impl Recorder {
         recorder
     }
 
-    /// Ends a recording into a command buffer of somebody else. What was lent goes home when it is dropped.
-    pub(super) fn finish_foreign(mut self) -> (ForeignTarget, Profiler, Lent<Kept>) {
+    /// Ends a recording into a command buffer of the host. Borrowed objects go back to their pools when they are dropped.
+    pub(super) fn finish_foreign(mut self) -> (ForeignTarget, Profiler, PoolGuard<Kept>) {
         self.profiler.end(&self.inner, self.raw());
         match self.commands {
             Target::Foreign(target) => (target, self.profiler, self.kept),
@@ -132,7 +137,7 @@ impl Recorder {
         Self {
             commands,
             profiler: Profiler::new(queries, None),
-            kept: Lent::default(),
+            kept: PoolGuard::default(),
             bound: vk::Pipeline::null(),
             hazards: inner.hazard_check.then(|| Hazards::new(false)),
             barriers: 0,

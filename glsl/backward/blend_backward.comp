@@ -9,10 +9,10 @@
 //
 // invocation: COLUMNS x ROWS pixels; subgroup: a region of the tile, culls and passes Gaussians round as in blend, then
 // adds over its lanes by a transposing butterfly; workgroup: one tile; regions meet in shared memory per batch
-// in: tile_ranges, sorted_visible, sorted_slots, PerVisible attributes; PerPixel: accumulated, inverse_depth,
+// in: tile_ranges, sorted_visible, sorted_instances, PerVisible attributes; PerPixel: accumulated, inverse_depth,
 //     last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
-// out, PerInstance: sums_a (1, dx, dy, dx dx), sums_b (dx dy, dy dy, r, g), sums_c (b, inverse depth)
-// in/out, PerPixel: running (T, R) between passes over very long tiles, see blend; state[STATE_BLEND_BACKWARD_HITS] where
+// out, PerInstance: instance_gradients_a (1, dx, dy, dx dx), instance_gradients_b (dx dy, dy dy, r, g), instance_gradients_c (b, inverse depth)
+// in/out, PerPixel: backward_state (T, R) between passes over very long tiles, see blend; state[STATE_BLEND_BACKWARD_HITS] where
 //     COUNT_HITS asks for it
 // shared: BATCH * REGIONS * INSTANCE_SUMS words and masks; subgroup sizes 4 to 128
 #version 460
@@ -31,7 +31,7 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
 // See blending.glsl.
-layout(constant_id = 3) const bool COLUMN_CHAIN = false;
+layout(constant_id = 3) const bool INCREMENTAL_EXP = false;
 // See blend.comp.
 layout(constant_id = 4) const bool COUNT_HITS = false;
 // See blend_gradient.glsl; for subgroups of at most 16.
@@ -92,7 +92,7 @@ void main() {
     uint tile = tile_of(linear_workgroup());
     bool tile_exists = tile < tile_count;
     uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);
-    tile_exists = tile_exists && is_due(range);
+    tile_exists = tile_exists && in_dispatch_range(range);
     range = tile_exists ? range : uvec2(0);
     uint entries = range.y - range.x;
     uint begin = min(first_entry, entries);

@@ -3,7 +3,7 @@
 //
 // invocation: one visible Gaussian; subgroup: adds the slots of Gaussians with many tiles together, the lanes' in a
 // fixed order, so that results do not depend on scheduling
-// in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, slot_begins, conic_opacity, sums_a, sums_b, sums_c
+// in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, first_instances, conic_opacity, instance_gradients_a, instance_gradients_b, instance_gradients_c
 // out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
 //      (d colour before its clamp at 0, dL/dy px)
 // in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) when `accumulate` is set, nothing overflowed
@@ -24,18 +24,18 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // Slots above which a Gaussian is summed by its whole subgroup.
-layout(constant_id = 3) const uint LANE_SLOTS = 64;
+layout(constant_id = 3) const uint LANE_INSTANCES = 64;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
 layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
 UINT_READS(2, VisibleList, visible_list);
 UVEC4_READS(3, Footprints, footprints);
-UINT_READS(4, SlotBegins, slot_begins);
+UINT_READS(4, FirstInstances, first_instances);
 VEC4_READS(5, ConicOpacity, conic_opacity);
-VEC4_READS(6, SumsA, sums_a);
-VEC4_READS(7, SumsB, sums_b);
-VEC2_READS(8, SumsC, sums_c);
+VEC4_READS(6, InstanceGradientsA, instance_gradients_a);
+VEC4_READS(7, InstanceGradientsB, instance_gradients_b);
+VEC2_READS(8, InstanceGradientsC, instance_gradients_c);
 layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
@@ -65,13 +65,13 @@ Sums subgroup_sum(Sums sums) {
 
 Sums sum_slots(uint begin, uint slots, bool exists) {
     Sums sums = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
-    uint alone = slots <= LANE_SLOTS ? slots : 0;
+    uint alone = slots <= LANE_INSTANCES ? slots : 0;
     for (uint k = 0; k < alone; ++k) {
-        sums.a += VEC4_AT(sums_a, begin + k);
-        sums.b += VEC4_AT(sums_b, begin + k);
-        sums.c += VEC2_AT(sums_c, begin + k);
+        sums.a += VEC4_AT(instance_gradients_a, begin + k);
+        sums.b += VEC4_AT(instance_gradients_b, begin + k);
+        sums.c += VEC2_AT(instance_gradients_c, begin + k);
     }
-    uvec4 large = subgroupBallot(exists && slots > LANE_SLOTS);
+    uvec4 large = subgroupBallot(exists && slots > LANE_INSTANCES);
     for (uint word = 0; word < BALLOT_WORDS; ++word) {
         uint bits = large[word];
         while (bits != 0) {
@@ -81,9 +81,9 @@ Sums sum_slots(uint begin, uint slots, bool exists) {
             uint their_slots = subgroupShuffle(slots, lane);
             Sums share = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
             for (uint k = gl_SubgroupInvocationID; k < their_slots; k += SUBGROUP_SIZE) {
-                share.a += VEC4_AT(sums_a, their_begin + k);
-                share.b += VEC4_AT(sums_b, their_begin + k);
-                share.c += VEC2_AT(sums_c, their_begin + k);
+                share.a += VEC4_AT(instance_gradients_a, their_begin + k);
+                share.b += VEC4_AT(instance_gradients_b, their_begin + k);
+                share.c += VEC2_AT(instance_gradients_c, their_begin + k);
             }
             share = subgroup_sum(share);
             if (gl_SubgroupInvocationID == lane) {
@@ -140,7 +140,7 @@ void main() {
     uint index = exists ? gaussian - first : 0;
     uint slots = exists ? UVEC4_AT(footprints, splat_at(slot_visible, SPLAT_FOOTPRINT)).w : 0;
     // Slots beyond the capacity do not exist; the frame is then run again anyway.
-    uint begin = slots == 0 ? 0 : UINT_AT(slot_begins, slot_visible);
+    uint begin = slots == 0 ? 0 : UINT_AT(first_instances, slot_visible);
     slots = state[STATE_OVERFLOW] != 0 ? 0 : slots;
     Sums sums = sum_slots(begin, slots, exists);
 

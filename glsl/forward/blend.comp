@@ -3,7 +3,7 @@
 //   alpha = min(0.99, o exp(-(A dx^2 + C dy^2) / 2 - B dx dy)), skipped below 1/255;
 //   C += T alpha c, T <- T (1 - alpha); a pixel stops before the Gaussian that would bring T below 1e-4.
 //
-// invocation: COLUMNS x ROWS pixels of each of PARTS regions; subgroup: PARTS regions of the tile (tile_region.glsl): each
+// invocation: COLUMNS x ROWS pixels of each of REGIONS_PER_SUBGROUP regions; subgroup: REGIONS_PER_SUBGROUP regions of the tile (tile_region.glsl): each
 // lane tests one Gaussian's exact reach against a region, then all lanes blend the hits, passed round by shuffles;
 // workgroup: one tile
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
@@ -33,9 +33,9 @@ layout(constant_id = 3) const bool DEPTH_LIMIT = false;
 // With INVERSE_DEPTH: the sum of weights * z in place of weights / z.
 layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 // See blending.glsl.
-layout(constant_id = 5) const bool COLUMN_CHAIN = false;
+layout(constant_id = 5) const bool INCREMENTAL_EXP = false;
 // Regions of a subgroup, 1, 2 or 4: with more of them a Gaussian is fetched fewer times, and a lane has more pixels.
-layout(constant_id = 6) const uint PARTS = 1;
+layout(constant_id = 6) const uint REGIONS_PER_SUBGROUP = 1;
 // Counts the pixels that Gaussians are blended over, to compare what the kernel computes with what the device could.
 layout(constant_id = 7) const bool COUNT_HITS = false;
 // See blend_io.glsl; for subgroups of at most 16, whose lanes have four rows of a column or eight.
@@ -111,7 +111,7 @@ void main() {
     }
     uvec2 range = tile_ranges[tile];
     uint entries = range.y - range.x;
-    if (!is_due(range) || (first_entry > 0 && entries <= first_entry)) {
+    if (!in_dispatch_range(range) || (first_entry > 0 && entries <= first_entry)) {
         return;
     }
     uint end = first_entry + min(entries - first_entry, max_entries);
@@ -119,7 +119,7 @@ void main() {
         note_tile(entries, end);
     }
     uvec2 tile_xy = uvec2(tile % tiles_per_row, tile / tiles_per_row);
-    uint region = gl_SubgroupID * PARTS;
+    uint region = gl_SubgroupID * REGIONS_PER_SUBGROUP;
     uvec2 origin_0 = region_origin(tile_xy, region);
     uvec2 origin_1 = region_origin(tile_xy, region + 1);
     uvec2 origin_2 = region_origin(tile_xy, region + 2);
@@ -129,13 +129,13 @@ void main() {
     Pixel pixels_2[MAX_PIXELS];
     Pixel pixels_3[MAX_PIXELS];
     bool alive_0 = true;
-    bool alive_1 = PARTS > 1;
-    bool alive_2 = PARTS > 2;
-    bool alive_3 = PARTS > 2;
+    bool alive_1 = REGIONS_PER_SUBGROUP > 1;
+    bool alive_2 = REGIONS_PER_SUBGROUP > 2;
+    bool alive_3 = REGIONS_PER_SUBGROUP > 2;
     load_region(origin_0 + lane_offset(), pixels_0);
-    if (PARTS > 1) load_region(origin_1 + lane_offset(), pixels_1);
-    if (PARTS > 2) load_region(origin_2 + lane_offset(), pixels_2);
-    if (PARTS > 2) load_region(origin_3 + lane_offset(), pixels_3);
+    if (REGIONS_PER_SUBGROUP > 1) load_region(origin_1 + lane_offset(), pixels_1);
+    if (REGIONS_PER_SUBGROUP > 2) load_region(origin_2 + lane_offset(), pixels_2);
+    if (REGIONS_PER_SUBGROUP > 2) load_region(origin_3 + lane_offset(), pixels_3);
 
     // Both loops test at their end: a loop that tests first costs a driver without branches one more masked iteration.
     uint batch = first_entry;
@@ -148,9 +148,9 @@ void main() {
         vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
         Splat own = splat_of(mean2d.xy, conic, shade);
         blend_region(own, mean2d, exists, origin_0, batch, pixels_0, alive_0);
-        if (PARTS > 1) blend_region(own, mean2d, exists, origin_1, batch, pixels_1, alive_1);
-        if (PARTS > 2) blend_region(own, mean2d, exists, origin_2, batch, pixels_2, alive_2);
-        if (PARTS > 2) blend_region(own, mean2d, exists, origin_3, batch, pixels_3, alive_3);
+        if (REGIONS_PER_SUBGROUP > 1) blend_region(own, mean2d, exists, origin_1, batch, pixels_1, alive_1);
+        if (REGIONS_PER_SUBGROUP > 2) blend_region(own, mean2d, exists, origin_2, batch, pixels_2, alive_2);
+        if (REGIONS_PER_SUBGROUP > 2) blend_region(own, mean2d, exists, origin_3, batch, pixels_3, alive_3);
         batch += SUBGROUP_SIZE;
         if (batch >= end || !(alive_0 || alive_1 || alive_2 || alive_3)) {
             break;
@@ -158,9 +158,9 @@ void main() {
     }
 
     store_region(origin_0 + lane_offset(), pixels_0, entries > end);
-    if (PARTS > 1) store_region(origin_1 + lane_offset(), pixels_1, entries > end);
-    if (PARTS > 2) store_region(origin_2 + lane_offset(), pixels_2, entries > end);
-    if (PARTS > 2) store_region(origin_3 + lane_offset(), pixels_3, entries > end);
+    if (REGIONS_PER_SUBGROUP > 1) store_region(origin_1 + lane_offset(), pixels_1, entries > end);
+    if (REGIONS_PER_SUBGROUP > 2) store_region(origin_2 + lane_offset(), pixels_2, entries > end);
+    if (REGIONS_PER_SUBGROUP > 2) store_region(origin_3 + lane_offset(), pixels_3, entries > end);
     if (COUNT_HITS && gl_SubgroupInvocationID == 0) {
         atomicAdd(state[STATE_BLEND_HITS], hit_count * (REGION_HEIGHT / 8));
     }

@@ -15,7 +15,7 @@
 // Entries [first_entry, first_entry + max_entries) of each tile; with first_entry > 0 it goes on where the pass
 // before stopped (drivers that bound the iterations of an invocation need several passes for very long tiles).
 // shared: WORKGROUP_SIZE * 10 words and one; any subgroup size (no subgroup operations: its columns of pixels are those
-// of blend.comp where COLUMN_CHAIN makes a pixel depend on its place in one)
+// of blend.comp where INCREMENTAL_EXP makes a pixel depend on its place in one)
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -33,16 +33,16 @@ layout(constant_id = 3) const bool DEPTH_LIMIT = false;
 // With INVERSE_DEPTH: the sum of weights * z in place of weights / z.
 layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 // See blending.glsl.
-layout(constant_id = 5) const bool COLUMN_CHAIN = false;
+layout(constant_id = 5) const bool INCREMENTAL_EXP = false;
 // Counts the pixels that Gaussians are blended over, as blend.comp does.
 layout(constant_id = 7) const bool COUNT_HITS = false;
-// See blend_io.glsl; with COLUMN_CHAIN.
+// See blend_io.glsl; with INCREMENTAL_EXP.
 layout(constant_id = 8) const bool STRIPS = false;
 layout(local_size_x_id = 0) in;
 
 #include "region_shape.glsl"
 
-const uint COLUMN_ROWS = COLUMN_CHAIN ? ROWS : 1;
+const uint COLUMN_ROWS = INCREMENTAL_EXP ? ROWS : 1;
 // Columns of an invocation, and its pixels.
 const uint OWN_COLUMNS = TILE_SIZE * TILE_SIZE / COLUMN_ROWS / WORKGROUP_SIZE;
 const uint PIXELS = OWN_COLUMNS * COLUMN_ROWS;
@@ -70,7 +70,7 @@ void main() {
     uint tile = tile_of(linear_workgroup());
     bool tile_exists = tile < tile_count;
     uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);
-    tile_exists = tile_exists && is_due(range);
+    tile_exists = tile_exists && in_dispatch_range(range);
     range = tile_exists ? range : uvec2(0);
     uint entries = range.y - range.x;
     uint begin = min(first_entry, entries);

@@ -3,7 +3,7 @@
 //
 // invocation: ITEMS visible Gaussians; workgroup: one block of WORKGROUP_SIZE * ITEMS of them, a block of the scan
 // in: order[rank] = visible, tile_lists[visible] (tile_span.glsl)
-// out: tile_counts[rank], list_heads[rank] and list_rows[rank] (the words of its list), block_sums[block]
+// out: tiles_touched[rank], list_heads[rank] and list_rows[rank] (the words of its list), block_sums[block]
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -23,7 +23,7 @@ layout(local_size_x_id = 0) in;
 layout(set = 0, binding = 0, scalar) readonly buffer State { uint state[]; };
 UINT_READS(1, Order, order);
 UVEC2_READS(2, TileLists, tile_lists);
-layout(set = 0, binding = 3, scalar) writeonly buffer TileCounts { uint tile_counts[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer TileCounts { uint tiles_touched[]; };
 layout(set = 0, binding = 4, scalar) writeonly buffer ListHeads { uint list_heads[]; };
 layout(set = 0, binding = 5, scalar) writeonly buffer ListRows { uint list_rows[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer BlockSums { uint block_sums[]; };
@@ -49,7 +49,7 @@ void main() {
         uint rank = first + k * WORKGROUP_SIZE;
         uint tiles = tiles_met(lists[k]);
         if (rank < n) {
-            tile_counts[rank] = tiles;
+            tiles_touched[rank] = tiles;
             list_heads[rank] = lists[k].x;
             list_rows[rank] = lists[k].y;
         }

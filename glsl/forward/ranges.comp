@@ -1,9 +1,9 @@
-// Where each tile's instances begin and end in the sorted sequence (paper, section 6: identifyTileRanges), and with SLOTS
+// Where each tile's instances begin and end in the sorted sequence (paper, section 6: identifyTileRanges), and with FOR_BACKWARD
 // which Gaussian each sorted instance shows; without, it is what was sorted.
 //
 // invocation: one sorted instance, compared with its neighbours
-// in: sorted_tiles[n]; with SLOTS sorted_slots[n] (places before the sort), instance_visible[slot]
-// out: tile_ranges[tile] = (begin, end), only of tiles that occur; with SLOTS sorted_visible[n]
+// in: sorted_tiles[n]; with FOR_BACKWARD sorted_instances[n] (places before the sort), instance_visible[slot]
+// out: tile_ranges[tile] = (begin, end), only of tiles that occur; with FOR_BACKWARD sorted_visible[n]
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -12,12 +12,12 @@
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-layout(constant_id = 1) const bool SLOTS = true;
+layout(constant_id = 1) const bool FOR_BACKWARD = true;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer State { uint state[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer SortedTiles { uint sorted_tiles[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer SortedSlots { uint sorted_slots[]; };
+layout(set = 0, binding = 2, scalar) readonly buffer SortedInstances { uint sorted_instances[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer InstanceVisible { uint instance_visible[]; };
 layout(set = 0, binding = 4, scalar) writeonly buffer TileRanges { uvec2 tile_ranges[]; };
 layout(set = 0, binding = 5, scalar) writeonly buffer SortedVisible { uint sorted_visible[]; };
@@ -31,8 +31,8 @@ void main() {
         return;
     }
     uint tile = sorted_tiles[index];
-    if (SLOTS) {
-        sorted_visible[index] = instance_visible[sorted_slots[index]];
+    if (FOR_BACKWARD) {
+        sorted_visible[index] = instance_visible[sorted_instances[index]];
     }
     if (index == 0 || sorted_tiles[max(index, 1) - 1] != tile) {
         tile_ranges[tile].x = index;

@@ -1,6 +1,6 @@
 // Blending's backward over the pixels of a lane: buffers, push constants, and what one Gaussian owes to them. The same in all
 // variants of the kernel, which differ in how they add over lanes and regions; see blend_backward.comp for the derivative.
-// Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, COLUMN_CHAIN, COUNT_HITS, STRIPS (see blend_io.glsl), GL_KHR_shader_subgroup_basic and _shuffle.
+// Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see blend_io.glsl), GL_KHR_shader_subgroup_basic and _shuffle.
 
 // Training has nothing but splats, and inverse depth.
 const bool DEPTH_LIMIT = false;
@@ -8,7 +8,7 @@ const bool LINEAR_DEPTH = false;
 
 layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
 UINT_READS(1, SortedVisible, sorted_visible);
-UINT_READS(2, SortedSlots, sorted_slots);
+UINT_READS(2, SortedInstances, sorted_instances);
 VEC4_READS(3, Mean2dExtent, mean2d_extent);
 VEC4_READS(4, ConicOpacity, conic_opacity);
 VEC4_READS(5, ColorInverseDepth, color_inverse_depth);
@@ -18,10 +18,10 @@ FLOAT_READS(7, InverseDepth, inverse_depth);
 UINT_READS(8, LastEntries, last_entries);
 // dL/d(r, g, b, inverse depth) per pixel; with STRIPS three planes of them, or four with INVERSE_DEPTH.
 VEC4_READS(9, ImageGradient, image_gradient);
-layout(set = 0, binding = 10, scalar) buffer Running { vec2 running[]; };
-layout(set = 0, binding = 11, scalar) writeonly buffer SumsA { vec4 sums_a[]; };
-layout(set = 0, binding = 12, scalar) writeonly buffer SumsB { vec4 sums_b[]; };
-layout(set = 0, binding = 13, scalar) writeonly buffer SumsC { vec2 sums_c[]; };
+layout(set = 0, binding = 10, scalar) buffer BackwardState { vec2 backward_state[]; };
+layout(set = 0, binding = 11, scalar) writeonly buffer InstanceGradientsA { vec4 instance_gradients_a[]; };
+layout(set = 0, binding = 12, scalar) writeonly buffer InstanceGradientsB { vec4 instance_gradients_b[]; };
+layout(set = 0, binding = 13, scalar) writeonly buffer InstanceGradientsC { vec2 instance_gradients_c[]; };
 
 layout(set = 0, binding = 14, scalar) buffer State { uint state[]; };
 
@@ -35,13 +35,13 @@ layout(push_constant, scalar) uniform Push {
     // See blend_io.glsl.
     uint first_instance;
     uint max_instances;
-    uint row_strands;
+    uint tile_row_interleave;
     vec3 background;
     uint splat_stride;
 };
 
 #include "splat_record.glsl"
-#include "tile_due.glsl"
+#include "dispatch_range.glsl"
 #include "tile_order.glsl"
 #include "strips.glsl"
 #include "tile_region.glsl"
@@ -148,7 +148,7 @@ uint load_pixels(uvec2 corner, bool tile_exists, out GradientPixel pixels[MAX_PI
     if (first_entry > 0) {
         [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
             uvec2 at = corner + pixel_step(k);
-            vec2 before = running[tile_exists && is_pixel(at) ? at.y * image_width + at.x : 0];
+            vec2 before = backward_state[tile_exists && is_pixel(at) ? at.y * image_width + at.x : 0];
             pixels[k].transmittance = before.x;
             pixels[k].rest = before.y;
         }
@@ -161,7 +161,7 @@ void store_pixels(uvec2 corner, bool tile_exists, GradientPixel pixels[MAX_PIXEL
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
         uvec2 at = corner + pixel_step(k);
         if (tile_exists && is_pixel(at)) {
-            running[at.y * image_width + at.x] = vec2(pixels[k].transmittance, pixels[k].rest);
+            backward_state[at.y * image_width + at.x] = vec2(pixels[k].transmittance, pixels[k].rest);
         }
     }
 }
@@ -208,10 +208,10 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, inout GradientPixel
 
 // To the instance's own slot: (1, dx, dy, dx dx), (dx dy, dy dy, r, g), (b, inverse depth).
 void store_instance(uint place, Sums sums) {
-    uint target = UINT_AT(sorted_slots, place);
-    sums_a[target] = vec4(sums.linear, sums.quadratic.x);
-    sums_b[target] = vec4(sums.quadratic.yz, sums.value.xy);
-    sums_c[target] = sums.value.zw;
+    uint target = UINT_AT(sorted_instances, place);
+    instance_gradients_a[target] = vec4(sums.linear, sums.quadratic.x);
+    instance_gradients_b[target] = vec4(sums.quadratic.yz, sums.value.xy);
+    instance_gradients_c[target] = sums.value.zw;
 }
 
 Sums no_sums() {

@@ -28,7 +28,7 @@ layout(push_constant, scalar) uniform Push {
     uint first_instance;
     uint max_instances;
     // See tile_order.glsl.
-    uint row_strands;
+    uint tile_row_interleave;
     // No pass follows: a tile with more entries than this one reaches leaves the frame invalid (STATE_OVERFLOW).
     uint last_pass;
     uint splat_stride;
@@ -37,7 +37,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "splat_record.glsl"
-#include "tile_due.glsl"
+#include "dispatch_range.glsl"
 #include "tile_order.glsl"
 #include "strips.glsl"
 

@@ -1,5 +1,5 @@
 // One Gaussian blended over a column of pixels, front to back: the same arithmetic in every variant of the kernel.
-// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, COLUMN_CHAIN and COLUMN_ROWS: the pixels of a column, one below
+// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, INCREMENTAL_EXP and COLUMN_ROWS: the pixels of a column, one below
 // the other, that belong to an invocation.
 
 // No region gives an invocation more pixels in a column. Not COLUMN_ROWS: an array whose size is a specialization constant
@@ -35,7 +35,7 @@ struct Pixel {
 
 Splat splat_of(vec2 mean, vec4 conic_opacity, vec4 color_inverse_depth) {
     vec3 form = quadratic_form(conic_opacity.xyz);
-    float curvature = COLUMN_CHAIN ? exp2(2.0 * form.z) : 0.0;
+    float curvature = INCREMENTAL_EXP ? exp2(2.0 * form.z) : 0.0;
     return Splat(mean, form, conic_opacity.w, color_inverse_depth.xyz, color_inverse_depth.w, curvature);
 }
 
@@ -48,7 +48,7 @@ float counted(float alpha, float opacity) {
 // Opacities of a splat at the pixels of a column whose first is at `first_px`. Precise, so that all kernels decide alike: a
 // compiler must not contract the products in one of them only.
 //
-// COLUMN_CHAIN: along a column a Gaussian is a geometric sequence of second order, alpha(k + 1) = alpha(k) r(k) and
+// INCREMENTAL_EXP: along a column a Gaussian is a geometric sequence of second order, alpha(k + 1) = alpha(k) r(k) and
 // r(k + 1) = r(k) curvature, from its middle outwards: three exponentials and two products per pixel instead of an
 // exponential each. It pays where exp2 is computed by many instructions. Within the half column of at most 4 px,
 // opacities that count are within 2^82 of the middle's (the form's coefficient is at least -2.41 because of the
@@ -60,7 +60,7 @@ void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]
     precise float a_dx_dx = splat.form.x * dx * dx;
     // A power of at most 0 but for the rounding of products.
     float limit = splat.opacity * 1.00001;
-    if (COLUMN_CHAIN && COLUMN_ROWS > 2) {
+    if (INCREMENTAL_EXP && COLUMN_ROWS > 2) {
         float dy = splat.mean.y - (first_px.y + float(middle));
         precise float power = a_dx_dx + dy * (splat.form.z * dy + b_dx);
         precise float slope = 2.0 * splat.form.z * dy + b_dx;

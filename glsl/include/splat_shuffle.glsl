@@ -8,5 +8,5 @@ Splat shuffled(Splat splat, uint lane) {
         subgroupShuffle(splat.opacity, lane),
         vec3(subgroupShuffle(splat.rgb.x, lane), subgroupShuffle(splat.rgb.y, lane), subgroupShuffle(splat.rgb.z, lane)),
         INVERSE_DEPTH || DEPTH_LIMIT ? subgroupShuffle(splat.inverse_z, lane) : 0.0,
-        COLUMN_CHAIN ? subgroupShuffle(splat.curvature, lane) : 0.0);
+        INCREMENTAL_EXP ? subgroupShuffle(splat.curvature, lane) : 0.0);
 }

@@ -1,6 +1,6 @@
 //! The two blending kernels over tile lists.
 
-use ashsplat::kernels::backward::{blend_backward, blend_backward_alone};
+use ashsplat::kernels::backward::{blend_backward, blend_backward_subgroup_per_tile};
 use ashsplat::kernels::forward::{blend, blend_shared};
 use ashsplat::plan::Strips;
 use ashsplat::vk::{Buffer, Context};
@@ -74,7 +74,7 @@ macro_rules! blend_lists {
                     max_entries: entries_per_pass,
                     first_instance,
                     max_instances,
-                    row_strands: ROW_STRANDS,
+                    tile_row_interleave: ROW_STRANDS,
                     last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
                     splat_stride: 1,
                     background: lists.view.background.map(|x| x as f32),
@@ -90,9 +90,9 @@ macro_rules! blend_lists {
 #[derive(Clone, Copy, Debug)]
 pub struct How {
     pub inverse_depth: bool,
-    /// COLUMN_CHAIN: opacities along a column follow from one another.
-    pub column_chain: bool,
-    /// PARTS: regions of a subgroup.
+    /// INCREMENTAL_EXP: opacities along a column follow from one another.
+    pub incremental_exp: bool,
+    /// REGIONS_PER_SUBGROUP: regions of a subgroup.
     pub parts: u32,
     pub entries_per_pass: u32,
     /// STRIPS: pictures and gradients are planes in strips.
@@ -112,9 +112,9 @@ pub fn has_strips(gpu: &Gpu) -> bool {
 
 /// With inverse depth and in one pass.
 pub const CHAINED: How =
-    How { inverse_depth: true, column_chain: true, parts: 1, entries_per_pass: u32::MAX, strips: false };
+    How { inverse_depth: true, incremental_exp: true, parts: 1, entries_per_pass: u32::MAX, strips: false };
 /// The same with an exponential for each opacity.
-pub const UNCHAINED: How = How { column_chain: false, ..CHAINED };
+pub const UNCHAINED: How = How { incremental_exp: false, ..CHAINED };
 /// Chained, with planes in strips.
 pub const IN_STRIPS: How = How { strips: true, ..CHAINED };
 
@@ -131,14 +131,14 @@ pub fn forward_limited(
     linear_depth: bool,
     limits: Option<&Buffer>,
 ) -> Blended {
-    let How { inverse_depth, column_chain, parts, entries_per_pass, strips } = how;
+    let How { inverse_depth, incremental_exp, parts, entries_per_pass, strips } = how;
     let spec = blend::Spec {
         workgroup_size: workgroup(gpu) / parts,
         subgroup_size: gpu.subgroup(),
         inverse_depth,
         depth_limit: limits.is_some(),
         linear_depth,
-        column_chain,
+        incremental_exp,
         parts,
         count_hits: false,
         strips,
@@ -159,14 +159,14 @@ pub fn forward_shared_limited(
     how: How,
     limits: Option<&Buffer>,
 ) -> Blended {
-    let How { inverse_depth, column_chain, entries_per_pass, strips, .. } = how;
+    let How { inverse_depth, incremental_exp, entries_per_pass, strips, .. } = how;
     let spec = blend_shared::Spec {
         workgroup_size,
         subgroup_size: gpu.subgroup(),
         inverse_depth,
         depth_limit: limits.is_some(),
         linear_depth: false,
-        column_chain,
+        incremental_exp,
         count_hits: false,
         strips,
     };
@@ -177,11 +177,17 @@ pub fn forward_shared_limited(
 macro_rules! backward_of_lists {
     ($kernel:ident, $gpu:expr, $lists:expr, $blended:expr, $gradient:expr, $how:expr, $workgroup_size:expr) => {{
         let (gpu, lists, blended) = ($gpu, $lists, $blended);
-        let How { inverse_depth, column_chain, entries_per_pass, strips, .. } = $how;
+        let How { inverse_depth, incremental_exp, entries_per_pass, strips, .. } = $how;
         let (workgroup_size, subgroup_size) = ($workgroup_size, gpu.subgroup());
         let count_hits = false;
-        let spec =
-            $kernel::Spec { workgroup_size, subgroup_size, inverse_depth, column_chain, count_hits, strips };
+        let spec = $kernel::Spec {
+            workgroup_size,
+            subgroup_size,
+            inverse_depth,
+            incremental_exp,
+            count_hits,
+            strips,
+        };
         let kernel = gpu.kernel::<$kernel::Interface>(&spec);
         let (pixels, slots) = (lists.view.pixels(), lists.slots.len());
         let image_gradient = match $gradient {
@@ -191,13 +197,14 @@ macro_rules! backward_of_lists {
             Some(gradient) => gpu.buffer("image_gradient", gradient),
             None => gpu.zeros::<[f32; 4]>("image_gradient", strips_of(lists).values() as usize),
         };
-        let running = gpu.untouched::<[f32; 2]>("running", pixels);
-        let [sums_a, sums_b] = ["sums_a", "sums_b"].map(|name| gpu.untouched::<[f32; 4]>(name, slots));
-        let sums_c = gpu.untouched::<[f32; 2]>("sums_c", slots);
+        let backward_state = gpu.untouched::<[f32; 2]>("backward_state", pixels);
+        let [instance_gradients_a, instance_gradients_b] = ["instance_gradients_a", "instance_gradients_b"]
+            .map(|name| gpu.untouched::<[f32; 4]>(name, slots));
+        let instance_gradients_c = gpu.untouched::<[f32; 2]>("instance_gradients_c", slots);
         let bind = $kernel::Bind {
             tile_ranges: &lists.tile_ranges,
             sorted_visible: &lists.sorted_visible,
-            sorted_slots: &lists.sorted_slots,
+            sorted_instances: &lists.sorted_instances,
             mean2d_extent: &lists.frame.mean2d_extent,
             conic_opacity: &lists.frame.conic_opacity,
             color_inverse_depth: &lists.frame.color_inverse_depth,
@@ -205,10 +212,10 @@ macro_rules! backward_of_lists {
             inverse_depth: &blended.inverse_depth,
             last_entries: &blended.last_entries,
             image_gradient: &image_gradient,
-            running: &running,
-            sums_a: &sums_a,
-            sums_b: &sums_b,
-            sums_c: &sums_c,
+            backward_state: &backward_state,
+            instance_gradients_a: &instance_gradients_a,
+            instance_gradients_b: &instance_gradients_b,
+            instance_gradients_c: &instance_gradients_c,
             state: &lists.state,
         };
         let [tiles_per_row, rows] = lists.view.tiles();
@@ -224,15 +231,18 @@ macro_rules! backward_of_lists {
                     max_entries: entries_per_pass,
                     first_instance,
                     max_instances,
-                    row_strands: ROW_STRANDS,
+                    tile_row_interleave: ROW_STRANDS,
                     background: lists.view.background.map(|x| x as f32),
                     splat_stride: 1,
                 };
                 recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
             }
         });
-        let (a, b) = (gpu.read::<[f32; 4]>(&sums_a, slots), gpu.read::<[f32; 4]>(&sums_b, slots));
-        let c = gpu.read::<[f32; 2]>(&sums_c, slots);
+        let (a, b) = (
+            gpu.read::<[f32; 4]>(&instance_gradients_a, slots),
+            gpu.read::<[f32; 4]>(&instance_gradients_b, slots),
+        );
+        let c = gpu.read::<[f32; 2]>(&instance_gradients_c, slots);
         let sums = (0..slots)
             .map(|slot| {
                 let all = [a[slot].as_slice(), &b[slot], &c[slot]].concat();
@@ -254,7 +264,7 @@ pub fn backward(
     backward_of_lists!(blend_backward, gpu, lists, blended, gradient, how, workgroup(gpu))
 }
 
-/// The same by `backward/blend_backward_alone`.
+/// The same by `backward/blend_backward_subgroup_per_tile`.
 pub fn backward_alone(
     gpu: &Gpu,
     lists: &Lists,
@@ -262,7 +272,7 @@ pub fn backward_alone(
     gradient: Option<&[[f32; 4]]>,
     how: How,
 ) -> SlotSums {
-    backward_of_lists!(blend_backward_alone, gpu, lists, blended, gradient, how, gpu.subgroup())
+    backward_of_lists!(blend_backward_subgroup_per_tile, gpu, lists, blended, gradient, how, gpu.subgroup())
 }
 
 /// Strands that rows of tiles are dealt to.

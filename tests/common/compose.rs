@@ -1,7 +1,7 @@
 //! The kernels that write a host's images, over random pixels.
 
 use ashsplat::ash::vk;
-use ashsplat::compose::{Behind, Compose, Region};
+use ashsplat::compose::{Background, Compose, Region};
 use ashsplat::vk::{Image, ImageUse};
 
 use super::gpu::Gpu;
@@ -32,7 +32,7 @@ pub fn pixels() -> Vec<[f32; 4]> {
 }
 
 /// Composes [`pixels`] over an image of texels; returns what the image holds then.
-pub fn composed(gpu: &Gpu, format: vk::Format, texels: &[u8], behind: Behind) -> Vec<u8> {
+pub fn composed(gpu: &Gpu, format: vk::Format, texels: &[u8], behind: Background) -> Vec<u8> {
     let compose = Compose::new(gpu.context).expect("kernels");
     let image = Image::new(gpu.context, "target", format, IMAGE, ImageUse::Storage).expect("an image");
     Compose::check_color(&image).expect("a possible format");
@@ -50,7 +50,7 @@ pub fn composed(gpu: &Gpu, format: vk::Format, texels: &[u8], behind: Behind) ->
 pub fn check(
     before: &[[f64; 4]],
     after: &[[f64; 4]],
-    behind: Behind,
+    behind: Background,
     tolerance: f64,
     twin: impl Fn([f32; 4], [f64; 4]) -> [f64; 4],
 ) {
@@ -65,9 +65,9 @@ pub fn check(
             }
             let pixel = pixels[((y - OFFSET[1]) * SIZE[0] + x - OFFSET[0]) as usize];
             let below = match behind {
-                Behind::Color([r, g, b]) => [r, g, b, 1.0].map(f64::from),
-                Behind::Nothing => [0.0; 4],
-                Behind::Image => before[texel],
+                Background::Color([r, g, b]) => [r, g, b, 1.0].map(f64::from),
+                Background::Nothing => [0.0; 4],
+                Background::Image => before[texel],
             };
             let expected = twin(pixel, below);
             for (actual, expected) in after[texel].iter().zip(expected) {
@@ -79,4 +79,5 @@ pub fn check(
 }
 
 /// What lies behind, in all its forms.
-pub const BEHIND: [Behind; 3] = [Behind::Color([0.2, 0.4, 0.7]), Behind::Nothing, Behind::Image];
+pub const BEHIND: [Background; 3] =
+    [Background::Color([0.2, 0.4, 0.7]), Background::Nothing, Background::Image];

@@ -21,7 +21,7 @@ pub struct Lists {
     pub sorted_visible: Buffer,
     /// Place before the tile sort of each sorted instance.
     pub slots: Vec<u32>,
-    pub sorted_slots: Buffer,
+    pub sorted_instances: Buffer,
     pub state: Buffer,
 }
 
@@ -42,7 +42,7 @@ impl Lists {
             lists,
             tile_ranges: gpu.buffer("tile_ranges", &ranges),
             sorted_visible: gpu.buffer("sorted_visible", &sorted),
-            sorted_slots: gpu.buffer("sorted_slots", &slots),
+            sorted_instances: gpu.buffer("sorted_instances", &slots),
             slots,
             state: gpu.zeros::<u32>("state", STATE_WORDS as usize),
         }

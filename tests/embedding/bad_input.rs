@@ -11,7 +11,7 @@ use ashsplat::vk::{
     LimitsOverride, MemoryKind, Recorder,
 };
 use ashsplat::{
-    Behind, Blending, DepthTarget, DeviceScene, Error, HostImage, Occluder, Placed, RecordedFrame,
+    Background, Blending, DepthTarget, DeviceScene, Error, HostImage, Occluder, Placed, RecordedFrame,
     RenderSettings, Renderer, Reservation, Target, Update,
 };
 use glam::{Mat3, Vec3};
@@ -147,7 +147,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         ];
         let into = |image| Target::Image {
             to: HostImage { image, from: ImageState::UNDEFINED, offset: [0; 2] },
-            behind: Behind::Nothing,
+            behind: Background::Nothing,
         };
         let nan = { ashsplat::Camera { fx: f32::NAN, ..good_camera } };
         let nothing = { ashsplat::Camera { width: 0, ..good_camera } };
@@ -213,8 +213,8 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
                 RecordedFrame { occluder: Some(Occluder { depth, mapping }), depth: expected(0.5), ..good },
                 "is also the depth",
             ),
-            (RecordedFrame { target: onto(Behind::Image), ..good }, "UNDEFINED"),
-            (RecordedFrame { target: onto(Behind::Color([0.0, f32::NAN, 0.0])), ..good }, "not finite"),
+            (RecordedFrame { target: onto(Background::Image), ..good }, "UNDEFINED"),
+            (RecordedFrame { target: onto(Background::Color([0.0, f32::NAN, 0.0])), ..good }, "not finite"),
             (RecordedFrame { settings: &no_background, ..good }, "not finite"),
             (RecordedFrame { depth: expected(f32::NAN), ..good }, "least weight"),
             (RecordedFrame { depth: expected(0.5), ..good }, "not reserved"),

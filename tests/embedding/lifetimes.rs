@@ -6,7 +6,7 @@ use crate::stage::{adopt, assert_same, camera, cloud, guest, options, owned, ren
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::vk::{Buffer, Context, ContextOptions, Image, ImageState, ImageUse, MemoryKind, RecordSlot};
 use ashsplat::{
-    Behind, Camera, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
+    Background, Camera, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
     Target,
 };
 
@@ -50,7 +50,7 @@ fn what_is_dropped_lives_as_long_as_its_slots_need_it() {
                 },
             };
             let to = HostImage { image: &image, from, offset: [0; 2] };
-            let target = Target::Image { to, behind: Behind::Nothing };
+            let target = Target::Image { to, behind: Background::Nothing };
             let recorded = RecordedFrame { target, ..RecordedFrame::new(&placed, &view, &settings) };
             renderer.record(adopt(&context, frame), slot, &recorded).expect("a recording");
             let error = renderer.release_slot(slot).expect_err("in flight");

@@ -64,13 +64,13 @@ fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &InFli
 
 /// As many steps in flight as there are slots, and maintenance whenever it is due.
 fn train_recorded(host: &Host) {
-    const SLOTS: usize = 3;
+    const FOR_BACKWARD: usize = 3;
     let context = guest(host);
     let mut owned = trainer(&context, settings());
     let expected: Vec<StepReport> = (0..200).map(|_| owned.step().expect("a step")).collect();
     let mut recorded = trainer(&context, settings());
-    recorded.reserve_steps(&StepReservation { slots: SLOTS as u32, instances: 0 }).expect("memory");
-    let frames = [0; SLOTS].map(|_| InFlight::new(host).expect("a command buffer"));
+    recorded.reserve_steps(&StepReservation { slots: FOR_BACKWARD as u32, instances: 0 }).expect("memory");
+    let frames = [0; FOR_BACKWARD].map(|_| InFlight::new(host).expect("a command buffer"));
     let (mut pending, mut densifications) = (Vec::<(usize, u32)>::new(), 0);
     let check = |trainer: &mut Trainer, (slot, iteration): (usize, u32)| {
         frames[slot].wait(host).expect("done");
@@ -82,7 +82,7 @@ fn train_recorded(host: &Host) {
         assert_eq!(numbers(&got), numbers(wanted), "iteration {iteration}");
     };
     for number in 0..200 {
-        let slot = number % SLOTS;
+        let slot = number % FOR_BACKWARD;
         if recorded.maintenance_is_due().expect("an answer") {
             for step in pending.drain(..) {
                 check(&mut recorded, step);
@@ -91,7 +91,7 @@ fn train_recorded(host: &Host) {
             densifications += u32::from(maintenance.densified.is_some_and(|d| d.cloned + d.split > 0));
             assert!(!recorded.maintenance_is_due().expect("an answer"));
             assert_eq!(recorded.maintain().expect("nothing to do"), Default::default());
-        } else if pending.len() == SLOTS {
+        } else if pending.len() == FOR_BACKWARD {
             check(&mut recorded, pending.remove(0));
         }
         frames[slot].begin(host).expect("recording");
@@ -224,10 +224,10 @@ fn steps_that_no_room_suffices_for_are_left_out() {
         let expected: Vec<StepReport> = (0..24).map(|_| owned.step().expect("a step")).collect();
         recorded.reserve_steps(&StepReservation { slots: 1, instances: 0 }).expect("memory");
         let in_flight = InFlight::new(host).expect("a command buffer");
-        let mut left_out = Vec::new();
+        let mut skipped = Vec::new();
         while recorded.iteration() < 24 {
             if recorded.maintenance_is_due().expect("an answer") {
-                left_out.extend(recorded.maintain().expect("maintained").left_out);
+                skipped.extend(recorded.maintain().expect("maintained").skipped);
                 continue;
             }
             in_flight.begin(host).expect("recording");
@@ -236,9 +236,9 @@ fn steps_that_no_room_suffices_for_are_left_out() {
             in_flight.wait(host).expect("done");
             recorded.settle().expect("an answer");
         }
-        let wanted: Vec<u32> = expected.iter().filter(|r| r.left_out).map(|r| r.iteration).collect();
-        assert!(left_out == wanted && wanted.len() >= 8, "{left_out:?} {wanted:?}");
-        assert!(expected.iter().all(|r| r.left_out == (r.instances > INSTANCES)), "{expected:?}");
+        let wanted: Vec<u32> = expected.iter().filter(|r| r.skipped).map(|r| r.iteration).collect();
+        assert!(skipped == wanted && wanted.len() >= 8, "{skipped:?} {wanted:?}");
+        assert!(expected.iter().all(|r| r.skipped == (r.instances > INSTANCES)), "{expected:?}");
         let (got, mut wanted) =
             (recorded.checkpoint().expect("a state"), owned.checkpoint().expect("a state"));
         wanted.room = got.room;

@@ -6,7 +6,7 @@ use ashsplat::densify::{Densify, DensifyBuffers, DensifySettings, ExplicitNoise,
 use ashsplat::forward::SceneBuffers;
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing};
 use ashsplat::optimizer::Moments;
-use ashsplat::plan::Blocks;
+use ashsplat::plan::LaunchSizes;
 use ashsplat::plan::Strips;
 use ashsplat::{TrainSettings, planes};
 
@@ -291,11 +291,11 @@ fn densified(
     let count = before.len() as u32;
     let input = engine::gaussians(before);
     let scene = planes::upload(gpu.context, "test", &input, count, input.sh_degree).expect("upload");
-    let requests = DensifyBuffers::requests(&Blocks::new(gpu.context.limits()), count, 2 * count);
+    let requests = DensifyBuffers::requests(&LaunchSizes::new(gpu.context.limits()), count, 2 * count);
     let buffers = requests.map(|(name, bytes)| gpu.untouched::<u8>(name, bytes as usize));
     let buffers = DensifyBuffers::from_allocated(buffers.into());
     let statistics = gpu.buffer("statistics", statistics);
-    gpu.run(|recorder| densify.record_decide(recorder, &scene, &statistics, &buffers, settings));
+    gpu.run(|recorder| densify.record_classify(recorder, &scene, &statistics, &buffers, settings));
     let totals = gpu.read::<u32>(&buffers.totals, 3);
     let rows = totals[0] + totals[1] + 2 * totals[2];
     let target = planes::upload(gpu.context, "test", &ashsplat::Gaussians::default(), rows, input.sh_degree);
@@ -304,7 +304,7 @@ fn densified(
     let explicit = Some(ExplicitNoise { buffer: &noise, stride: count });
     let key = RandomKey { seed: 0, iteration: 0, explicit };
     gpu.run(|recorder| {
-        densify.record_place(recorder, count, rows, &buffers);
+        densify.record_scatter_sources(recorder, count, rows, &buffers);
         recorder.barrier();
         let gather = Gather { from: &scene, to: &target, sources: &buffers.sources };
         densify.record_gather_parameters(recorder, &gather, &key);

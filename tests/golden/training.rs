@@ -8,10 +8,10 @@ use crate::common::compare::{GradientTolerance, PixelTolerance, elementwise, equ
 use crate::common::npz::Npz;
 use crate::reference::adam::{Parameter, adam as adam_step, adam_sparse};
 use crate::reference::blend_backward::PixelGradient;
-use crate::reference::decide::{Decision, Statistic, decide};
+use crate::reference::classify::{Decision, Statistic, decide};
 use crate::reference::pipeline::{Frame, backward, pixels_of, render, tile_of};
-use crate::reference::place::{Densify, place};
 use crate::reference::project::intermediate;
+use crate::reference::scatter_sources::{Densify, place};
 use crate::reference::tiles::alpha_unclamped;
 use crate::reference::types::{ALPHA_MAX, Gaussian, Gradient, View};
 use crate::reference::{loss_reduce, reset_opacity as reset_twin, schedule};
@@ -114,7 +114,7 @@ pub fn densify(path: &Path) -> Result<(), String> {
     let noise = npz.rows::<3>("noise");
     let settings = Densify { scene_extent, prune_big: npz.scalar("max_screen") != 0.0 };
     let after = place(&before, &statistics, settings, |child, split| noise[child * splits + split]);
-    let column = |value: &dyn Fn(&crate::reference::place::Placed) -> Vec<f64>| -> Vec<f64> {
+    let column = |value: &dyn Fn(&crate::reference::scatter_sources::Placed) -> Vec<f64>| -> Vec<f64> {
         after.iter().flat_map(value).collect()
     };
     equal("parent", &column(&|p| vec![p.parent as f64]), npz.values("out_parent"))?;

@@ -2,7 +2,7 @@
 
 use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::kernels::forward::blend::{Bind, Interface, Push, Spec};
-use ashsplat::plan::Blocks;
+use ashsplat::plan::LaunchSizes;
 
 use crate::common::blending::{
     CHAINED, How, IN_STRIPS, UNCHAINED, forward, forward_limited, has_strips, strips_of,
@@ -239,7 +239,7 @@ fn blend_reports_tiles_that_no_pass_finishes() {
             max_entries,
             first_instance: 0,
             max_instances: u32::MAX,
-            row_strands: 2,
+            tile_row_interleave: 2,
             last_pass,
             splat_stride: 1,
             background: [0.0; 3],
@@ -298,7 +298,7 @@ fn blend_stops_at_the_depth_limit() {
 fn blend_of_more_hits_than_an_invocation_has_rounds() {
     const ENTRIES: usize = 20_000;
     let gpu = Gpu::new();
-    let blocks = Blocks::new(gpu.context.limits());
+    let blocks = LaunchSizes::new(gpu.context.limits());
     let splat = |mean2d_px, variance: f64, opacity| Splat {
         depth: 1.0,
         mean2d_px,
@@ -312,18 +312,18 @@ fn blend_of_more_hits_than_an_invocation_has_rounds() {
     let list = [vec![0; ENTRIES - 1], vec![1]].concat();
     let lists = Lists::new(&gpu, splats, vec![list], &small_view([16, 16]));
     let blend = |parts, entries_per_pass| {
-        let how = How { parts, column_chain: blocks.column_chain, entries_per_pass, ..CHAINED };
+        let how = How { parts, incremental_exp: blocks.incremental_exp, entries_per_pass, ..CHAINED };
         gpu.read::<[f32; 4]>(&forward(&gpu, &lists, how).accumulated, 256)
     };
-    let chosen = blend(blocks.blend_parts, blocks.entries_per_pass);
+    let chosen = blend(blocks.regions_per_subgroup, blocks.entries_per_pass);
     let [red, _, _, transmittance] = chosen[2 * 16 + 2];
     assert!(red > 0.8 && transmittance < 0.2, "the last entry is lost: {red}, {transmittance}");
     assert!(chosen == blend(1, 1000), "fewer entries per pass change the picture");
     // This test can tell.
     let rounds = gpu.context.limits().max_loop_iterations.map_or(usize::MAX, |rounds| rounds as usize);
-    if blocks.blend_parts as usize * ENTRIES > rounds {
+    if blocks.regions_per_subgroup as usize * ENTRIES > rounds {
         assert!(
-            chosen != blend(blocks.blend_parts, u32::MAX),
+            chosen != blend(blocks.regions_per_subgroup, u32::MAX),
             "the driver has more rounds than it is said to"
         );
     }

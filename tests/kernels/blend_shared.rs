@@ -36,7 +36,7 @@ fn check_one(gpu: &Gpu, lists: &Lists, workgroup_size: u32, how: How) {
     // Which entries count is decided by precise arithmetic, everywhere.
     assert_eq!(words(&shared.last_entries, count), words(&regions.last_entries, count), "{what}");
     assert_alike(gpu, [&shared, &regions], count, &what);
-    if has_strips(gpu) && how.column_chain {
+    if has_strips(gpu) && how.incremental_exp {
         let how = How { strips: true, ..how };
         let shared = forward_shared(gpu, lists, workgroup_size, how);
         let regions = forward(gpu, lists, How { entries_per_pass: u32::MAX, ..how });

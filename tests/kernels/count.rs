@@ -29,14 +29,14 @@ fn count_equals_its_twin() {
         let sums = scan_reduce(&expected, block);
         let (state, order) = (state(&gpu, size, 0), gpu.buffer("order", &order));
         let tile_lists = gpu.buffer("tile_lists", &lists);
-        let [tile_counts, list_heads, list_rows] =
-            ["tile_counts", "list_heads", "list_rows"].map(|name| gpu.untouched::<u32>(name, size + 2));
+        let [tiles_touched, list_heads, list_rows] =
+            ["tiles_touched", "list_heads", "list_rows"].map(|name| gpu.untouched::<u32>(name, size + 2));
         let block_sums = gpu.untouched::<u32>("block_sums", sums.len() + 1);
         let bind = Bind {
             state: &state,
             order: &order,
             tile_lists: &tile_lists,
-            tile_counts: &tile_counts,
+            tiles_touched: &tiles_touched,
             list_heads: &list_heads,
             list_rows: &list_rows,
             block_sums: &block_sums,
@@ -44,7 +44,7 @@ fn count_equals_its_twin() {
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &Push::default(), (size / block) as u64 + 1));
         let [heads, rows] =
             [0, 1].map(|word| lists_in_order.iter().map(|list| list[word]).collect::<Vec<_>>());
-        for (buffer, expected) in [(&tile_counts, &expected), (&list_heads, &heads), (&list_rows, &rows)] {
+        for (buffer, expected) in [(&tiles_touched, &expected), (&list_heads, &heads), (&list_rows, &rows)] {
             let actual = gpu.read::<u32>(buffer, size + 2);
             assert_eq!(
                 actual,

@@ -110,11 +110,12 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
     let visible_ranges = gpu.buffer("visible_ranges", &[[0; 4], [0, count as u32, 0, 0]]);
     let visible_list = gpu.buffer("visible_list", &scene.visible);
     let footprints = gpu.buffer("footprints", &footprints);
-    let slot_begins = gpu.buffer("slot_begins", &begins);
+    let first_instances = gpu.buffer("first_instances", &begins);
     let conic_opacity = gpu.buffer("conic_opacity", &conic);
-    let (sums_a, sums_b) = (gpu.buffer("sums_a", &part(0)), gpu.buffer("sums_b", &part(4)));
-    let sums_c: Vec<[f32; 2]> = flat.iter().map(|s| [s[8] as f32, s[9] as f32]).collect();
-    let sums_c = gpu.buffer("sums_c", &sums_c);
+    let (instance_gradients_a, instance_gradients_b) =
+        (gpu.buffer("instance_gradients_a", &part(0)), gpu.buffer("instance_gradients_b", &part(4)));
+    let instance_gradients_c: Vec<[f32; 2]> = flat.iter().map(|s| [s[8] as f32, s[9] as f32]).collect();
+    let instance_gradients_c = gpu.buffer("instance_gradients_c", &instance_gradients_c);
     let gradients = gpu.untouched::<[f32; 4]>("gradients", GRADIENT_PLANES as usize * gradient_stride);
     let statistics = gpu.buffer("statistics", &vec![[2.0_f32, 3.0]; size]);
     let bind = Bind {
@@ -123,11 +124,11 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
         visible_ranges: &visible_ranges,
         visible_list: &visible_list,
         footprints: &footprints,
-        slot_begins: &slot_begins,
+        first_instances: &first_instances,
         conic_opacity: &conic_opacity,
-        sums_a: &sums_a,
-        sums_b: &sums_b,
-        sums_c: &sums_c,
+        instance_gradients_a: &instance_gradients_a,
+        instance_gradients_b: &instance_gradients_b,
+        instance_gradients_c: &instance_gradients_c,
         gradients: &gradients,
         statistics: &statistics,
     };

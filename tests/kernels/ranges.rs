@@ -23,14 +23,14 @@ fn ranges_equal_their_twin() {
         let visible: Vec<u32> = (0..size).map(|_| random.bits() as u32).collect();
         let state = state(&gpu, 0, size);
         let sorted_tiles = gpu.buffer("sorted_tiles", &tiles);
-        let sorted_slots = gpu.buffer("sorted_slots", &slots);
+        let sorted_instances = gpu.buffer("sorted_instances", &slots);
         let instance_visible = gpu.buffer("instance_visible", &visible);
         let tile_ranges = gpu.zeros::<[u32; 2]>("tile_ranges", tile_count as usize);
         let sorted_visible = gpu.untouched::<u32>("sorted_visible", size + 2);
         let bind = Bind {
             state: &state,
             sorted_tiles: &sorted_tiles,
-            sorted_slots: &sorted_slots,
+            sorted_instances: &sorted_instances,
             instance_visible: &instance_visible,
             tile_ranges: &tile_ranges,
             sorted_visible: &sorted_visible,
@@ -39,7 +39,7 @@ fn ranges_equal_their_twin() {
         let expected = ranges(&tiles, tile_count);
         assert_eq!(gpu.read::<[u32; 2]>(&tile_ranges, tile_count as usize), expected, "size {size}");
         let (tile_ranges, others) =
-            (gpu.zeros::<[u32; 2]>("tile_ranges", tile_count as usize), &sorted_slots);
+            (gpu.zeros::<[u32; 2]>("tile_ranges", tile_count as usize), &sorted_instances);
         let bind = Bind { tile_ranges: &tile_ranges, instance_visible: others, ..bind };
         gpu.run(|recorder| recorder.dispatch(&alone, &bind, &Push::default(), (size / block) as u64 + 1));
         assert_eq!(gpu.read::<[u32; 2]>(&tile_ranges, tile_count as usize), expected, "size {size}");

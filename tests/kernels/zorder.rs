@@ -2,7 +2,7 @@
 
 use ashsplat::densify::{Curve, Densify, DensifyBuffers, OrderBuffers};
 use ashsplat::kernels::densify::zorder::{Bind, Interface, Push, Spec};
-use ashsplat::plan::Blocks;
+use ashsplat::plan::LaunchSizes;
 use ashsplat::planes;
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride, MemoryKind};
 use glam::Vec3;
@@ -116,7 +116,7 @@ fn zorder_puts_rows_into_the_curves_order() {
         let uploaded = planes::upload(context, "scene", &stored, count, stored.sh_degree).expect("a scene");
         assert_eq!(uploaded.plan.chunks > 1, context.limits().max_storage_buffer_range == 1 << 20);
         let densify = Densify::new(context).expect("kernels");
-        let sizes = Blocks::new(context.limits());
+        let sizes = LaunchSizes::new(context.limits());
         let allocate = |requests: &[(&'static str, u64)]| {
             context.allocate("densify", requests, MemoryKind::Device).expect("memory")
         };

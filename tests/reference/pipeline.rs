@@ -5,7 +5,7 @@ use super::blend_backward::{PixelGradient, blend_backward};
 use super::project::project;
 use super::project_backward::project_backward;
 use super::types::{Gaussian, Gradient, Splat, SplatGradient, TILE, View};
-use super::{expand, ranges, sort};
+use super::{duplicate_with_tiles, ranges, sort};
 
 /// A frame with everything on the way.
 pub struct Frame {
@@ -30,7 +30,7 @@ pub struct FrameGradient {
 /// Renders.
 pub fn render(gaussians: &[Gaussian], view: &View) -> Frame {
     let splats: Vec<Option<Splat>> = gaussians.iter().map(|g| project(g, view)).collect();
-    let mut instances = expand::expand(&splats, view);
+    let mut instances = duplicate_with_tiles::expand(&splats, view);
     let tiles_touched = tiles_touched(&instances, gaussians.len());
     sort::sort_by_tile_and_depth(&mut instances);
     let tile_ids: Vec<u32> = instances.iter().map(|instance| instance.tile).collect();
@@ -108,7 +108,7 @@ fn splats_of<'a>(splats: &'a [Option<Splat>], list: &[u32]) -> Vec<&'a Splat> {
     list.iter().map(|&g| splats[g as usize].as_ref().expect("only visible Gaussians are listed")).collect()
 }
 
-fn tiles_touched(instances: &[expand::Instance], gaussians: usize) -> Vec<u32> {
+fn tiles_touched(instances: &[duplicate_with_tiles::Instance], gaussians: usize) -> Vec<u32> {
     let mut touched = vec![0; gaussians];
     for instance in instances {
         touched[instance.gaussian as usize] += 1;

@@ -1,6 +1,6 @@
 //! The order of blending, and a stable sort of keys with values.
 
-use super::expand::Instance;
+use super::duplicate_with_tiles::Instance;
 
 /// Sorts by tile, then depth bits, then Gaussian (spec: "Forward" 7).
 pub fn sort_by_tile_and_depth(instances: &mut [Instance]) {

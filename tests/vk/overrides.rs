@@ -56,7 +56,7 @@ fn a_constant_of_one_kernel_can_be_overridden() {
     let usual = render(Vec::new());
     let plain = render(vec![override_of("forward/project", "SH_DEGREE", 0)]);
     assert_ne!(plain.color, usual.color);
-    assert_eq!(render(vec![override_of("sort/sort_count", "SH_DEGREE", 0)]).color, usual.color);
+    assert_eq!(render(vec![override_of("sort/sort_upsweep", "SH_DEGREE", 0)]).color, usual.color);
 }
 
 #[test]

@@ -68,7 +68,7 @@ pub struct Arguments {
     /// Iterations before them that do not count [default: 3, with --watch 1]
     #[arg(long, value_name = "N")]
     warmup: Option<u32>,
-    /// Show only this kernel, "sort/sort_scatter", or those of this folder, "sort"
+    /// Show only this kernel, "sort/sort_downsweep", or those of this folder, "sort"
     #[arg(long, value_name = "NAME")]
     kernel: Option<String>,
     /// Write one self-contained page here: timeline, stages, history, memory, tiles, histograms

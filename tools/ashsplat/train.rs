@@ -152,7 +152,7 @@ pub struct Run {
     /// Whether it was said that there is no more room.
     limited: bool,
     /// Iterations that were left out, because their frames were too large.
-    left_out: u32,
+    skipped: u32,
     /// Iteration of the checkpoint that the run began with.
     started: u32,
     /// Iteration whose scene was saved last.
@@ -217,7 +217,7 @@ impl Run {
             gaussians: 0,
             skipped: 0,
             limited: false,
-            left_out: 0,
+            skipped: 0,
             saved: None,
             checkpointed: None,
             kernels: KernelTimes::new(context),
@@ -316,8 +316,8 @@ impl Run {
                 report.iteration
             ));
         }
-        if report.left_out {
-            if self.left_out == 0 {
+        if report.skipped {
+            if self.skipped == 0 {
                 self.progress.warn(&format!(
                     "warning: iteration {} is left out: its frame has {} (tile, Gaussian) instances, more than the device's \
                      limits or the memory hold; densification adds nothing until there are fewer. Smaller photos (-r 2), \
@@ -326,7 +326,7 @@ impl Run {
                     thousands(report.instances.into())
                 ));
             }
-            self.left_out += 1;
+            self.skipped += 1;
         }
         self.progress.step(&State {
             iteration: report.iteration,
@@ -417,8 +417,8 @@ impl Run {
         if let Some(total) = self.total {
             say!("all {} iterations: {total}, {:.1} s", total.iterations, total.seconds);
         }
-        if self.left_out > 0 {
-            say!("{} iterations were left out: their frames were too large", thousands(self.left_out.into()));
+        if self.skipped > 0 {
+            say!("{} iterations were left out: their frames were too large", thousands(self.skipped.into()));
         }
         if self.skipped > 0 {
             say!("{} updates with a gradient that is not finite were skipped", thousands(self.skipped));

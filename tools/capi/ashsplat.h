@@ -34,14 +34,14 @@ typedef enum AshsplatStatus {
 } AshsplatStatus;
 
 // What lies behind the splats.
-typedef enum AshsplatBehind {
+typedef enum AshsplatBackground {
   // A background colour; the result is opaque.
-  AshsplatBehind_Color = 0,
+  AshsplatBackground_Color = 0,
   // Nothing: premultiplied colour and alpha.
-  AshsplatBehind_Nothing = 1,
+  AshsplatBackground_Nothing = 1,
   // What the image holds.
-  AshsplatBehind_Image = 2,
-} AshsplatBehind;
+  AshsplatBackground_Image = 2,
+} AshsplatBackground;
 
 // Which pixels a Gaussian counts at.
 typedef enum AshsplatExtent {
@@ -284,9 +284,9 @@ typedef struct AshsplatFrame {
   struct AshsplatImageState target_from;
   // The target's texel that is the frame's pixel (0, 0).
   uint32_t target_offset[2];
-  // What lies behind the splats in the target: an AshsplatBehind.
+  // What lies behind the splats in the target: an AshsplatBackground.
   uint32_t behind;
-  // Its colour, for AshsplatBehind_Color.
+  // Its colour, for AshsplatBackground_Color.
   float background[3];
   // The host's depth image, or NULL: splats behind it are hidden.
   const struct AshsplatImage *depth;
@@ -444,7 +444,7 @@ typedef struct AshsplatMaintenance {
   bool grown;
   // The iteration that was left out, because there cannot be as much room as its frame needs; 0 for none. The next step
   // is the one behind it.
-  uint32_t left_out;
+  uint32_t skipped;
 } AshsplatMaintenance;
 
 #ifdef __cplusplus

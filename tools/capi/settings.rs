@@ -1,12 +1,12 @@
 //! How a frame is rendered, in C. Enumerations arrive as numbers, for a C program may write any: they are checked here.
 
 use super::{AshsplatStatus, borrowed_mut, guarded};
-use ashsplat::{Behind, Error, Extent, JacobianLimit, RenderSettings, Result, Shape};
+use ashsplat::{Background, Error, Extent, JacobianLimit, RenderSettings, Result, Shape};
 
 /// What lies behind the splats.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AshsplatBehind {
+pub enum AshsplatBackground {
     /// A background colour; the result is opaque.
     Color = 0,
     /// Nothing: premultiplied colour and alpha.
@@ -93,9 +93,9 @@ impl AshsplatRenderSettings {
     }
 }
 
-/// What lies behind the splats, from an AshsplatBehind's number.
-pub(super) fn behind(number: u32, background: [f32; 3]) -> Result<Behind> {
-    one_of("behind", number, &[Behind::Color(background), Behind::Nothing, Behind::Image])
+/// What lies behind the splats, from an AshsplatBackground's number.
+pub(super) fn behind(number: u32, background: [f32; 3]) -> Result<Background> {
+    one_of("behind", number, &[Background::Color(background), Background::Nothing, Background::Image])
 }
 
 /// The settings that a scene is trained with and shown as it is.

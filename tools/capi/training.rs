@@ -85,7 +85,7 @@ pub struct AshsplatMaintenance {
     pub grown: bool,
     /// The iteration that was left out, because there cannot be as much room as its frame needs; 0 for none. The next step
     /// is the one behind it.
-    pub left_out: u32,
+    pub skipped: u32,
 }
 
 impl From<Maintenance> for AshsplatMaintenance {
@@ -94,7 +94,7 @@ impl From<Maintenance> for AshsplatMaintenance {
             densified: m.densified.is_some(),
             opacities_reset: m.opacities_reset,
             grown: m.grown,
-            left_out: m.left_out.unwrap_or(0),
+            skipped: m.skipped.unwrap_or(0),
         }
     }
 }

@@ -295,9 +295,9 @@ pub struct AshsplatFrame {
     pub target_from: AshsplatImageState,
     /// The target's texel that is the frame's pixel (0, 0).
     pub target_offset: [u32; 2],
-    /// What lies behind the splats in the target: an AshsplatBehind.
+    /// What lies behind the splats in the target: an AshsplatBackground.
     pub behind: u32,
-    /// Its colour, for AshsplatBehind_Color.
+    /// Its colour, for AshsplatBackground_Color.
     pub background: [f32; 3],
     /// The host's depth image, or NULL: splats behind it are hidden.
     pub depth: *const super::AshsplatImage,

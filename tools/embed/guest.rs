@@ -7,7 +7,7 @@ use ashsplat::ash::vk;
 use ashsplat::scene::{ClipY, HostView, Pose};
 use ashsplat::vk::{Context, ContextOptions, Image, ImageState, ImageUse};
 use ashsplat::{
-    Behind, DeviceScene, Gaussians, HostImage, Occluder, Placed, RecordedFrame, Release, RenderSettings,
+    Background, DeviceScene, Gaussians, HostImage, Occluder, Placed, RecordedFrame, Release, RenderSettings,
     Renderer, Reservation, Target,
 };
 use glam::camera::rh::{proj::vulkan, view::look_at_mat4};
@@ -203,7 +203,7 @@ impl Guest {
         let scenes = if picture.second { &scenes[..] } else { &scenes[..1] };
         let settings = RenderSettings::default();
         // 6. The frame, composed over what the host has drawn, hidden where the host's depth is nearer.
-        let target = Target::Image { to: used(&self.color, COLOR_WRITTEN), behind: Behind::Image };
+        let target = Target::Image { to: used(&self.color, COLOR_WRITTEN), behind: Background::Image };
         let occluder = Some(Occluder { depth: used(&self.depth, DEPTH_WRITTEN), mapping });
         let frame = RecordedFrame { target, occluder, ..RecordedFrame::new(scenes, &camera, &settings) };
         Ok(self.renderer.record(commands, slot, &frame)?)

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use glam::{Mat3, Vec3};
 
+use super::exif_orientation::Turned;
 use super::mask::{Mask, mask_in_folder, mask_of};
-use super::turned::Turned;
 use super::{DatasetOptions, View};
 use crate::io::colmap::{self, ColmapCamera, ColmapImage, Model};
 use crate::io::images::{Photo, StoredPhoto, header};

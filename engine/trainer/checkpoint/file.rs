@@ -19,7 +19,7 @@ const FINGERPRINT: &str = "metadata_fingerprint";
 /// Only where memory was bounded.
 const MAX_MEMORY: &str = "room_max_memory";
 /// Older files lack it.
-const LEFT_OUT: &str = "left_out";
+const SKIPPED: &str = "skipped";
 /// Prefixes of the tensors' names.
 const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
 /// The data begin at a multiple of this.
@@ -120,7 +120,7 @@ impl Checkpoint {
             ("opacity_steps", self.opacity_steps.to_string()),
             ("densification_due", self.densification_due.to_string()),
             ("opacity_reset_due", self.opacity_reset_due.to_string()),
-            (LEFT_OUT, self.left_out.to_string()),
+            (SKIPPED, self.skipped.to_string()),
             ("room_gaussians", gaussians.to_string()),
             ("room_frame_gaussians", frame_gaussians.to_string()),
             ("room_frame_instances", frame_instances.to_string()),
@@ -183,7 +183,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         first_moments: gaussians(&tensors, SETS[1])?,
         second_moments: gaussians(&tensors, SETS[2])?,
         statistics: values(&tensors, "statistics", &[2])?,
-        left_out: metadata.optional(LEFT_OUT)?.unwrap_or(0),
+        skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
         room: Room {
             gaussians: metadata.parsed("room_gaussians")?,
             frame_gaussians: metadata.parsed("room_frame_gaussians")?,

@@ -45,8 +45,8 @@ pub struct Checkpoint {
     pub second_moments: Gaussians,
     /// Per Gaussian: sum of the 2D mean's gradient norms (NDC), number of views.
     pub statistics: Vec<[f32; 2]>,
-    /// Iterations up to this one that were left out, one after the other ([`super::StepReport::left_out`]).
-    pub left_out: u32,
+    /// Iterations up to this one that were left out, one after the other ([`super::StepReport::skipped`]).
+    pub skipped: u32,
     /// What there was room for.
     pub room: Room,
 }

@@ -33,7 +33,7 @@ fn seeds() {
             second_moments: gaussians.clone(),
             gaussians,
             statistics: vec![[0.0; 2]; 2],
-            left_out: 1,
+            skipped: 1,
             room: Room::default(),
         };
         checkpoint.write(&*FILE).expect("written");
@@ -49,7 +49,7 @@ fuzz_target!(init: seeds(), |data: &[u8]| {
             checkpoint.write(&*FILE).expect("written");
             let again = Checkpoint::read(&*FILE).expect("its own");
             assert_eq!(again.fingerprint(), checkpoint.fingerprint());
-            assert_eq!((again.room, again.left_out), (checkpoint.room, checkpoint.left_out));
+            assert_eq!((again.room, again.skipped), (checkpoint.room, checkpoint.skipped));
         }
         Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
     }

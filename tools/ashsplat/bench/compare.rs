@@ -226,7 +226,7 @@ pub fn table(lines: &[Line]) -> String {
     out
 }
 
-/// The kernels that became slower than `limit` times, beyond their spread: "sort sort/sort_count in 'sort' 2.00 times".
+/// The kernels that became slower than `limit` times, beyond their spread: "sort sort/sort_upsweep in 'sort' 2.00 times".
 pub fn slower(lines: &[Line], limit: f64) -> Vec<String> {
     let slow = lines.iter().filter(|line| line.verdict() == Verdict::Slower && line.ratio() > limit);
     let named = slow.map(|line| {
@@ -245,7 +245,7 @@ mod tests {
         Line {
             run: "sort".into(),
             scope: "sort".into(),
-            kernel: "sort/sort_count".into(),
+            kernel: "sort/sort_upsweep".into(),
             calls: 1,
             a_us: spread(a),
             b_us: spread(b),
@@ -265,7 +265,7 @@ mod tests {
         assert_eq!(slower.verdict(), Verdict::Slower);
         assert!((slower.ratio() - 2.0).abs() < 1e-9);
         assert_eq!(line([1900.0, 2000.0, 2200.0], [900.0, 1000.0, 1100.0]).verdict(), Verdict::Faster);
-        assert_eq!(super::slower(&[slower], 1.15), ["sort sort/sort_count in 'sort' 2.00 times"]);
+        assert_eq!(super::slower(&[slower], 1.15), ["sort sort/sort_upsweep in 'sort' 2.00 times"]);
         assert!(super::slower(&[line([900.0, 1000.0, 1100.0], [950.0, 1300.0, 1500.0])], 1.15).is_empty());
     }
 }

@@ -6,7 +6,7 @@ use super::tasks::Task;
 use super::workload::Scene;
 use super::{forms, frames};
 use crate::args::DeviceArguments;
-use ashsplat::plan::Blocks;
+use ashsplat::plan::LaunchSizes;
 use ashsplat::vk::{Context, Limits, SpecOverride};
 use ashsplat::{BlendSamples, Blending, RenderSettings, Renderer, Result};
 
@@ -108,7 +108,7 @@ impl Operations {
 
 /// Enters the samples and operations of the blending kernels into a task's results.
 pub fn enter(run: &mut Run, samples: BlendSamples, limits: &Limits, arithmetic: Option<&ArithmeticRate>) {
-    let operations = Operations::of(Blocks::new(limits).column_chain, limits.subgroup_size);
+    let operations = Operations::of(LaunchSizes::new(limits).incremental_exp, limits.subgroup_size);
     for kernel in &mut run.kernels {
         let (samples, operations) = match kernel.kernel.as_str() {
             "forward/blend" => (samples.forward, operations.regions),

@@ -182,7 +182,7 @@ pub struct Workload {
 pub struct KernelResult {
     /// The stage.
     pub scope: String,
-    /// "sort/sort_count", or "fill", "copy", "update".
+    /// "sort/sort_upsweep", or "fill", "copy", "update".
     pub kernel: String,
     /// Dispatches per iteration.
     pub calls: u32,

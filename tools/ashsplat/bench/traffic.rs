@@ -5,7 +5,7 @@
 //! such as the blending, moves more than this through its caches; one at 100 % of the device's copy bandwidth cannot
 //! become faster but by moving less.
 
-use ashsplat::plan::{Blocks, FrameCapacity, frame_requests, parameter_planes};
+use ashsplat::plan::{FrameCapacity, LaunchSizes, frame_requests, parameter_planes};
 use ashsplat::vk::{Access, BoundBuffer, CommandRecord, Limits, SMALLEST_BUFFER};
 use std::collections::HashMap;
 
@@ -58,7 +58,7 @@ impl Traffic {
 
     /// For the kernels of a frame.
     pub fn of_frame(limits: &Limits, counts: Counts) -> Self {
-        let blocks = Blocks::new(limits);
+        let blocks = LaunchSizes::new(limits);
         let used = |gaussians: u32, instances: u32| {
             let capacity = FrameCapacity {
                 gaussians,
@@ -83,7 +83,7 @@ impl Traffic {
     /// sort makes its values up instead of reading them.
     pub fn of(&self, command: &CommandRecord, first: bool) -> (u64, u64) {
         let made_up =
-            |b: &BoundBuffer| first && command.name.starts_with("sort/sort_scatter") && b.role == "values";
+            |b: &BoundBuffer| first && command.name.starts_with("sort/sort_downsweep") && b.role == "values";
         // Blending reads its outputs only where a tile takes several passes.
         let outputs_only = first && command.name.starts_with("forward/blend");
         // Blending that leaves the picture composited for backward leaves nothing else of it (FrameBuffers::rendered).
@@ -115,7 +115,9 @@ impl Traffic {
             // Off in what is measured: densification's statistics and the inverse depth.
             ("statistics" | "inverse_depth", _) => Some(0),
             // Expansion reads attributes only of Gaussians with more tiles than a list holds.
-            _ if command.name == "forward/expand" && SPLAT_ROLES.contains(&buffer.role) => Some(0),
+            _ if command.name == "forward/duplicate_with_tiles" && SPLAT_ROLES.contains(&buffer.role) => {
+                Some(0)
+            }
             // One buffer may be bound to several of these.
             _ if SPLAT_ROLES.contains(&buffer.role) => Some(u64::from(counts.visible) * VEC4),
             ("visible_flags" | "visible_blocks" | "visible_index", _) => self.all.get(buffer.name).copied(),

@@ -75,7 +75,7 @@ impl KernelVisitor for Modules {
     }
 }
 
-/// Writes DIR/sort/sort_count.spv and so on, DIR/forward/blend.texels.spv for a form that reads texels, and
+/// Writes DIR/sort/sort_upsweep.spv and so on, DIR/forward/blend.texels.spv for a form that reads texels, and
 /// DIR/instructions.txt; returns that table. `name`: of which kernel or folder.
 pub fn dump(folder: &Path, name: Option<&str>) -> Result<String> {
     output::check_folder(folder)?;

@@ -70,7 +70,7 @@ fn parse_all<'a>(option: &str, settings: impl Iterator<Item = &'a str>) -> Resul
     Ok(all)
 }
 
-/// One setting, "backward/project_backward.LANE_SLOTS=32", "sort.ITEMS=8" or "WORKGROUP_SIZE=128".
+/// One setting, "backward/project_backward.LANE_INSTANCES=32", "sort.ITEMS=8" or "WORKGROUP_SIZE=128".
 fn parse(option: &str, text: &str) -> Result<SpecOverride> {
     if text.is_empty() {
         return Err(Error::argument(option, "a setting is empty; write [KERNEL.]NAME=VALUE"));
@@ -108,7 +108,7 @@ fn parse(option: &str, text: &str) -> Result<SpecOverride> {
         "WORKGROUP_SIZE" => (1, 1024),
         "SUBGROUP_SIZE" => (4, 128),
         // Loops of these lengths are unrolled.
-        "STRIP" | "PARTS" => (1, 64),
+        "STRIP" | "REGIONS_PER_SUBGROUP" => (1, 64),
         "ITEMS" => (1, 1 << 14),
         _ => (0, u32::MAX),
     };
@@ -173,8 +173,8 @@ mod tests {
         assert_eq!(read("sort.ITEMS=8"), Ok(("sort".into(), "ITEMS".into(), 8)));
         assert_eq!(read("WORKGROUP_SIZE=128"), Ok((String::new(), "WORKGROUP_SIZE".into(), 128)));
         assert!(read("STRIPS=0").expect_err("not to be set").contains("follows from the device"));
-        let lanes = read("backward/project_backward.LANE_SLOTS=32").expect("a constant");
-        assert_eq!(lanes, ("backward/project_backward".into(), "LANE_SLOTS".into(), 32));
+        let lanes = read("backward/project_backward.LANE_INSTANCES=32").expect("a constant");
+        assert_eq!(lanes, ("backward/project_backward".into(), "LANE_INSTANCES".into(), 32));
         assert_eq!(read("optimizer.SPARSE=true").expect("a constant").2, 1);
         assert_eq!(parse_list("sort.ITEMS=8, scan.ITEMS=2").map(|list| list.len()).ok(), Some(2));
         assert_eq!(parse_list("-").map(|list| list.len()).ok(), Some(0));
@@ -192,7 +192,7 @@ mod tests {
     #[test]
     fn mistakes_list_what_there_is() {
         let error = |text: &str| parse("--spec", text).expect_err("a mistake").to_string();
-        assert!(error("sorting.ITEMS=8").contains("sort/sort_scatter"));
+        assert!(error("sorting.ITEMS=8").contains("sort/sort_downsweep"));
         assert!(error("sort.ITEM=8").contains("ITEMS, SUBGROUP_SIZE"), "{}", error("sort.ITEM=8"));
         assert!(error("sort.ITEMS=many").contains("Uint"));
         assert!(error("sort.ITEMS").contains("=VALUE"));
@@ -202,6 +202,6 @@ mod tests {
         assert!(error("ROUNDS=2").contains("no constant 'ROUNDS'"));
         assert!(error("sort.ITEMS=0").contains("1 to 16384"));
         assert!(error("WORKGROUP_SIZE=96").contains("power of two"));
-        assert!(error("sort/sort_count.ITEMS=8").contains("sort.ITEMS, scan.ITEMS"));
+        assert!(error("sort/sort_upsweep.ITEMS=8").contains("sort.ITEMS, scan.ITEMS"));
     }
 }

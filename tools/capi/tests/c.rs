@@ -30,7 +30,9 @@ fn the_header_is_what_the_sources_say() {
         enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
         // They arrive as numbers: no function has them in its signature.
         export: ExportConfig {
-            include: ["Behind", "Extent", "JacobianLimit", "Shape"].map(|e| format!("Ashsplat{e}")).to_vec(),
+            include: ["Background", "Extent", "JacobianLimit", "Shape"]
+                .map(|e| format!("Ashsplat{e}"))
+                .to_vec(),
             ..ExportConfig::default()
         },
         ..Config::default()
@@ -192,7 +194,7 @@ fn expected_of_scenes(mut file: Gaussians) -> (Frame, Camera) {
     all.append(&grid(0.15));
     let half = grid(-0.9).select(&(0..32).collect::<Vec<_>>());
     all.append(&moved(half, DQuat::IDENTITY, 0.5, DVec3::new(0.3, 0.0, 0.0)));
-    // Behind the wall.
+    // Background the wall.
     all.retain(|all, i| all.means[i][2] + 4.0 < 4.2);
     let intrinsics = Intrinsics { fx: 160.0, fy: 160.0, cx: 80.0, cy: 60.0, width: 160, height: 120 };
     let camera = Camera::with_pose(Mat3::IDENTITY, Vec3::new(0.0, 0.0, 4.0), intrinsics);

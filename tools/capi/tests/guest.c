@@ -94,7 +94,7 @@ int main(int count, char **arguments) {
     frame.scene_count = 1;
     frame.settings = &settings;
     frame.target = target;
-    frame.behind = AshsplatBehind_Color;
+    frame.behind = AshsplatBackground_Color;
     frame.background[1] = 0.5f;
     frame.target_offset[0] = X;
     frame.target_offset[1] = Y;
@@ -105,7 +105,7 @@ int main(int count, char **arguments) {
     frame.behind = 3;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     EXPECT(strstr(ashsplat_last_error(), "behind: 3, there are 0 to 2") != NULL);
-    frame.behind = AshsplatBehind_Color;
+    frame.behind = AshsplatBackground_Color;
     settings.shape = 0x7fffffff;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     settings.shape = AshsplatShape_Gaussian;

@@ -130,7 +130,7 @@ int main(int count, char **arguments) {
     AshsplatImageState fresh = {LAYOUT_UNDEFINED, 0, 0}, cleared = {LAYOUT_COPY_TO, STAGE_TRANSFER, ACCESS_TRANSFER_WRITE};
     frame.target = target;
     frame.target_from = fresh;
-    frame.behind = AshsplatBehind_Color;
+    frame.behind = AshsplatBackground_Color;
     frame.background[0] = 0.1f;
     frame.background[1] = 0.2f;
     frame.background[2] = 0.3f;

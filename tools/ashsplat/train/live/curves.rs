@@ -160,8 +160,8 @@ mod tests {
     #[test]
     fn iterations_that_are_left_out_have_no_loss() {
         let mut curves = Curves::new(10);
-        let left_out = StepReport { loss: f32::NAN, ..step(1) };
-        [left_out, step(2)].iter().for_each(|report| curves.step(report));
+        let skipped = StepReport { loss: f32::NAN, ..step(1) };
+        [skipped, step(2)].iter().for_each(|report| curves.step(report));
         assert_eq!(curves.status(0)["points"]["loss"], json!([[2, 0.5]]));
     }
 

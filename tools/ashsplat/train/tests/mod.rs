@@ -92,13 +92,13 @@ fn iterations_that_are_left_out_are_counted() {
     settings.data.model_path = folder.path().to_owned();
     let context = Context::new(&ContextOptions::default()).expect("a device");
     let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
-    for (iteration, left_out) in [(1, false), (2, true), (3, true)] {
-        let loss = if left_out { f32::NAN } else { 0.5 };
-        let report = StepReport { iteration, left_out, loss, instances: 9_000_000, ..StepReport::default() };
+    for (iteration, skipped) in [(1, false), (2, true), (3, true)] {
+        let loss = if skipped { f32::NAN } else { 0.5 };
+        let report = StepReport { iteration, skipped, loss, instances: 9_000_000, ..StepReport::default() };
         run.account(&report);
         run.log.add(&report, None, &[]);
     }
-    assert_eq!(run.left_out, 2);
+    assert_eq!(run.skipped, 2);
     run.log.finish().expect("written");
     let rows = log::Rows::read(&folder.path().join(LOG_FILE)).expect("the log");
     assert_eq!(rows.loss[0], 0.5);

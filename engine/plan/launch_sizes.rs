@@ -1,0 +1,153 @@
+//! How work is cut into workgroups and blocks on a device.
+
+use super::sorting::{self, SortMethod};
+use super::strips::Strips;
+use crate::kernels::constants::TILE_SIZE;
+use crate::vk::Limits;
+
+/// Invocations of an elementwise workgroup, where the device allows it.
+pub(super) const ELEMENTWISE_WORKGROUP: u32 = 256;
+/// Values of one invocation of a scan: read in fours. A processor rather has fewer invocations without barriers.
+const SCAN_ITEMS: [u32; 2] = [4, 256];
+/// Columns of 8 pixels, at most, in a tile: what its pixels are divided into where opacities are chained.
+const CHAINED_COLUMNS: u32 = TILE_SIZE * TILE_SIZE / 8;
+
+/// Entries of a tile blended by one dispatch at most, on any device. It bounds the work of a dispatch, so that no
+/// desktop's watchdog takes it for a hang: an invocation blends so many entries, and all dispatches but these touch each
+/// Gaussian, instance or pixel a constant number of times.
+const MAX_ENTRIES_PER_PASS: u32 = 1 << 18;
+
+/// Sizes of workgroups and blocks on a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LaunchSizes {
+    /// Invocations of an elementwise workgroup, which is also a block of culling and densification.
+    pub elementwise_workgroup: u32,
+    /// How keys are sorted.
+    pub sort_method: SortMethod,
+    /// Invocations of a sorting workgroup.
+    pub sort_workgroup: u32,
+    /// Keys of one invocation of a sort.
+    pub sort_items: u32,
+    /// Keys of a block of a sort.
+    pub sort: u32,
+    /// Whether a single workgroup sorts what [`LaunchSizes::sorts_in_single_subgroup`] says.
+    pub sort_single_subgroup: bool,
+    /// Invocations of a scan's workgroup.
+    pub scan_workgroup: u32,
+    /// Values of one invocation of a scan.
+    pub scan_items: u32,
+    /// Values of a block of a scan.
+    pub scan: u32,
+    /// Instances of one invocation of expansion.
+    pub duplicate_items: u32,
+    /// Invocations of a tile's workgroup: one subgroup per region of a tile.
+    pub tile: u32,
+    /// Regions of a tile that one subgroup blends forward.
+    pub regions_per_subgroup: u32,
+    /// Whether one subgroup blends all regions of a tile backward.
+    pub blend_backward_subgroup_per_tile: bool,
+    /// Invocations of a tile's workgroup that blends from shared memory: at most one per pixel, or per column of them.
+    pub tile_shared: u32,
+    /// Strands that the rows of tiles are dealt to, which consecutive workgroups take one after the other
+    /// (tile_order.glsl); a power of two.
+    pub tile_row_interleave: u32,
+    /// Whether opacities follow from one another along a column of pixels instead of an exponential each.
+    pub incremental_exp: bool,
+    /// Invocations of the loss' workgroups.
+    pub loss: u32,
+    /// Pixels in a row of one invocation of the loss.
+    pub loss_strip: u32,
+    /// Invocations of the loss' workgroups where they share nothing.
+    pub loss_sweep: u32,
+    /// Whether blending, loss and blending's backward have pictures in strips ([`Strips`]).
+    pub strips: bool,
+    /// Bytes that a buffer may have.
+    pub max_binding_bytes: u64,
+    /// Entries of a tile that one blending pass may handle.
+    pub entries_per_pass: u32,
+    /// Instances of all tiles that one of its dispatches handles, but for the rest of the last tile.
+    pub instances_per_dispatch: u32,
+}
+
+impl LaunchSizes {
+    /// Block sizes for a device, or those that its [`Limits::overrides`] ask for.
+    pub fn new(limits: &Limits) -> Self {
+        let method = if limits.is_cpu { SortMethod::Serial } else { SortMethod::Matching };
+        Self::with_sort_method(limits, method)
+    }
+
+    /// The same with a given kind of sort.
+    pub fn with_sort_method(limits: &Limits, sort_method: SortMethod) -> Self {
+        // Blocks nest in each other and in tiles, so that only powers of two will do.
+        let size = |folder: &str, constant: &str, usual: u32| {
+            let asked = limits.overridden(folder, constant).unwrap_or(usual).max(1);
+            1 << asked.ilog2()
+        };
+        let elementwise = limits
+            .workgroup_size(size("", "WORKGROUP_SIZE", ELEMENTWISE_WORKGROUP).min(ELEMENTWISE_WORKGROUP));
+        let (sort_workgroup, sort_items) = sorting::shape(limits, sort_method, elementwise, size);
+        let scan_items = size("scan", "ITEMS", SCAN_ITEMS[usize::from(limits.is_cpu)]).max(4);
+        let scan_workgroup = limits.workgroup_size(size(
+            "scan",
+            "WORKGROUP_SIZE",
+            if limits.is_cpu { limits.subgroup_size } else { elementwise },
+        ));
+        let regions = if limits.subgroup_size <= 64 { 4 } else { 2 };
+        // A processor has its pixels in memory anyway, and fetches a Gaussian once instead of once per region. Below 8
+        // lanes the code would be too long to compile.
+        let whole_tiles = limits.is_cpu && limits.subgroup_size >= 8;
+        let usual_parts = if whole_tiles { regions } else { 1 };
+        let regions_per_subgroup = size("forward", "REGIONS_PER_SUBGROUP", usual_parts).min(regions);
+        Self {
+            elementwise_workgroup: elementwise,
+            sort_method,
+            sort_workgroup,
+            sort_items,
+            sort: sort_workgroup * sort_items,
+            sort_single_subgroup: sort_method == SortMethod::Serial,
+            scan_workgroup,
+            scan_items,
+            scan: scan_workgroup * scan_items,
+            // On a processor the search for a run's first Gaussian should be lost in it, a GPU has lanes to fill.
+            duplicate_items: if limits.is_cpu { 16 } else { 4 },
+            tile: regions * limits.subgroup_size,
+            regions_per_subgroup,
+            blend_backward_subgroup_per_tile: whole_tiles,
+            // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
+            tile_shared: elementwise.min(if limits.is_cpu { CHAINED_COLUMNS } else { TILE_SIZE * TILE_SIZE }),
+            tile_row_interleave: if limits.is_cpu { 16 } else { 1 },
+            // A processor computes exp2 by some twenty instructions, a GPU by one.
+            incremental_exp: limits.is_cpu,
+            loss: limits.workgroup_size(size(
+                "loss",
+                "WORKGROUP_SIZE",
+                if limits.is_cpu { 64 } else { ELEMENTWISE_WORKGROUP },
+            )),
+            // Wide enough to fill a GPU's workgroup; a processor rather reads less.
+            loss_strip: size("loss", "STRIP", if limits.is_cpu { 4 } else { 2 }).min(TILE_SIZE),
+            // Few and long invocations: small workgroups spread them evenly.
+            loss_sweep: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
+            strips: Strips::suit(limits),
+            max_binding_bytes: limits.max_storage_buffer_range.min(limits.max_allocation_bytes),
+            // Where the driver bounds the rounds of an invocation: an entry costs one in each region of its subgroup, and at
+            // any subgroup size from 4 a part of one for its batch.
+            entries_per_pass: limits
+                .max_loop_iterations
+                .map_or(MAX_ENTRIES_PER_PASS, |n| n / (regions_per_subgroup + 1))
+                .min(MAX_ENTRIES_PER_PASS),
+            instances_per_dispatch: limits.instances_per_dispatch.max(1),
+        }
+    }
+}
+
+impl LaunchSizes {
+    /// Dispatches of blending for frames of up to so many instances, forward or backward.
+    pub fn blend_dispatches(&self, instances: u32, passes: u32) -> u32 {
+        instances.div_ceil(self.instances_per_dispatch).max(1).saturating_mul(passes)
+    }
+
+    /// Elements of the smallest block over which there are dispatches.
+    pub(super) fn smallest(&self) -> u32 {
+        self.elementwise_workgroup.min(self.sort).min(self.scan)
+    }
+}

@@ -1,0 +1,90 @@
+//! Objects that a recording borrows and gives back however it ends, also by a panic.
+
+use std::ops::{Deref, DerefMut};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Where a reusable object lies while no recording has it.
+pub(super) type Pool<T> = Arc<Mutex<T>>;
+
+/// Something that goes back to its pool when it is dropped.
+pub(super) struct PoolGuard<T: Default> {
+    value: T,
+    /// None: it is simply dropped.
+    pool: Option<Pool<T>>,
+}
+
+impl<T: Default> PoolGuard<T> {
+    /// Takes the object out of the pool; a default value lies there meanwhile.
+    pub(super) fn take_from(pool: &Pool<T>) -> Self {
+        let value = std::mem::take(&mut *pool.lock().unwrap_or_else(PoisonError::into_inner));
+        Self { value, pool: Some(pool.clone()) }
+    }
+
+    /// The value, which no longer goes back.
+    pub(super) fn keep(mut self) -> T {
+        self.pool = None;
+        std::mem::take(&mut self.value)
+    }
+
+    /// Whether this is the pool that it goes back to.
+    pub(super) fn is_from(&self, pool: &Pool<T>) -> bool {
+        self.pool.as_ref().is_some_and(|own| Arc::ptr_eq(own, pool))
+    }
+}
+
+impl<T: Default> Default for PoolGuard<T> {
+    fn default() -> Self {
+        Self { value: T::default(), pool: None }
+    }
+}
+
+impl<T: Default> Deref for PoolGuard<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.value
+    }
+}
+
+impl<T: Default> DerefMut for PoolGuard<T> {
+    fn deref_mut(&mut self) -> &mut T {
+        &mut self.value
+    }
+}
+
+impl<T: Default> Drop for PoolGuard<T> {
+    fn drop(&mut self) {
+        if let Some(pool) = &self.pool {
+            *pool.lock().unwrap_or_else(PoisonError::into_inner) = std::mem::take(&mut self.value);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_goes_home_unless_it_is_kept() {
+        let pool: Pool<Vec<u32>> = Arc::new(Mutex::new(vec![1]));
+        let mut lent = PoolGuard::take_from(&pool);
+        lent.push(2);
+        assert!(pool.lock().expect("unpoisoned").is_empty() && lent.is_from(&pool));
+        drop(lent);
+        assert_eq!(*pool.lock().expect("unpoisoned"), [1, 2]);
+        assert_eq!(PoolGuard::take_from(&pool).keep(), [1, 2]);
+        assert!(pool.lock().expect("unpoisoned").is_empty());
+    }
+
+    #[test]
+    fn a_panic_sends_it_home() {
+        let pool: Pool<Vec<u32>> = Arc::new(Mutex::new(vec![1]));
+        let lent = PoolGuard::take_from(&pool);
+        let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(move || {
+            let _lent = lent;
+            panic!("in the middle");
+        }));
+        assert!(panicked.is_err());
+        assert_eq!(*pool.lock().expect("unpoisoned"), [1]);
+    }
+}

@@ -1,0 +1,149 @@
+// The same as blend_backward.comp without shared memory and barriers: for processors, where a barrier moves every variable of
+// a loop to memory, and shared memory is reached lane by lane.
+//
+// invocation: COLUMNS x ROWS pixels of each region of the tile; subgroup and workgroup: one tile. Each lane has one
+// Gaussian, tests its reach against each region, and passes it round; the sums over all lanes and regions end up in the
+// registers of the lane that has the Gaussian
+// in, out: as blend_backward.comp
+// shared: none; subgroup sizes 4 to 128
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+
+#include "constants.glsl"
+#include "buffers.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 32;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(constant_id = 2) const bool INVERSE_DEPTH = false;
+// See blending.glsl.
+layout(constant_id = 3) const bool INCREMENTAL_EXP = false;
+// See blend.comp.
+layout(constant_id = 4) const bool COUNT_HITS = false;
+// See blend_gradient.glsl; for subgroups of at most 16.
+layout(constant_id = 5) const bool STRIPS = false;
+layout(local_size_x_id = 0) in;
+
+#include "blend_gradient.glsl"
+#include "dispatch.glsl"
+#include "subgroup.glsl"
+
+// The sum over the subgroup, in all lanes; by hand, because drivers without vector instructions for it are slow.
+float add_over_lanes(float value) {
+    value += subgroupShuffleXor(value, 1);
+    value += subgroupShuffleXor(value, 2);
+    if (SUBGROUP_SIZE > 4) value += subgroupShuffleXor(value, 4);
+    if (SUBGROUP_SIZE > 8) value += subgroupShuffleXor(value, 8);
+    if (SUBGROUP_SIZE > 16) value += subgroupShuffleXor(value, 16);
+    if (SUBGROUP_SIZE > 32) value += subgroupShuffleXor(value, 32);
+    if (SUBGROUP_SIZE > 64) value += subgroupShuffleXor(value, 64);
+    return value;
+}
+
+void add_if(bool own, inout float sum, float value) {
+    float total = add_over_lanes(value);
+    sum += own ? total : 0.0;
+}
+
+// Tests each lane's Gaussian against a region, and goes through the hits.
+void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout GradientPixel pixels[MAX_PIXELS],
+    inout Sums own_sums) {
+    vec2 corner_px = vec2(origin + lane_offset());
+    uvec4 hits = subgroupBallot(exists && meets_region(mean2d, own.form, own.opacity, origin));
+    [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
+        uint bits = hits[word];
+        if (COUNT_HITS) hit_count += bitCount(bits);
+        // Tested at its end: see blend.comp.
+        if (bits != 0) for (;;) {
+            uint lane = findLSB(bits) + 32 * word;
+            bits &= bits - 1;
+            Splat splat = shuffled(own, lane);
+            Sums sums = blend_backward(splat, batch + lane + 1, corner_px, pixels);
+            bool mine = gl_SubgroupInvocationID == lane;
+            add_if(mine, own_sums.linear.x, sums.linear.x);
+            add_if(mine, own_sums.linear.y, sums.linear.y);
+            add_if(mine, own_sums.linear.z, sums.linear.z);
+            add_if(mine, own_sums.quadratic.x, sums.quadratic.x);
+            add_if(mine, own_sums.quadratic.y, sums.quadratic.y);
+            add_if(mine, own_sums.quadratic.z, sums.quadratic.z);
+            add_if(mine, own_sums.value.x, sums.value.x);
+            add_if(mine, own_sums.value.y, sums.value.y);
+            add_if(mine, own_sums.value.z, sums.value.z);
+            if (INVERSE_DEPTH) add_if(mine, own_sums.value.w, sums.value.w);
+            if (bits == 0) {
+                break;
+            }
+        }
+    }
+}
+
+void main() {
+    uint tile = tile_of(linear_workgroup());
+    if (tile >= tile_count) {
+        return;
+    }
+    uvec2 range = tile_ranges[tile];
+    if (!in_dispatch_range(range)) {
+        return;
+    }
+    uint entries = range.y - range.x;
+    uint begin = min(first_entry, entries);
+    uint end = begin + min(entries - begin, max_entries);
+    uvec2 tile_xy = uvec2(tile % tiles_per_row, tile / tiles_per_row);
+    uvec2 origin_0 = region_origin(tile_xy, 0);
+    uvec2 origin_1 = region_origin(tile_xy, 1);
+    uvec2 origin_2 = region_origin(tile_xy, 2);
+    uvec2 origin_3 = region_origin(tile_xy, 3);
+    GradientPixel pixels_0[MAX_PIXELS];
+    GradientPixel pixels_1[MAX_PIXELS];
+    GradientPixel pixels_2[MAX_PIXELS];
+    GradientPixel pixels_3[MAX_PIXELS];
+    uint last_0 = subgroupMax(load_pixels(origin_0 + lane_offset(), true, pixels_0));
+    uint last_1 = subgroupMax(load_pixels(origin_1 + lane_offset(), true, pixels_1));
+    uint last_2 = 0;
+    uint last_3 = 0;
+    if (REGIONS > 2) last_2 = subgroupMax(load_pixels(origin_2 + lane_offset(), true, pixels_2));
+    if (REGIONS > 2) last_3 = subgroupMax(load_pixels(origin_3 + lane_offset(), true, pixels_3));
+    uint work_end = min(end, max(max(last_0, last_1), max(last_2, last_3)));
+
+    uint batch = begin;
+    if (batch < work_end) for (;;) {
+        uint entry = batch + gl_SubgroupInvocationID;
+        bool exists = entry < end;
+        uint visible = UINT_AT(sorted_visible, range.x + (exists ? entry : begin));
+        vec4 mean2d = VEC4_AT(mean2d_extent, splat_at(visible, SPLAT_MEAN2D_EXTENT));
+        vec4 conic = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
+        vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
+        Splat own = splat_of(mean2d.xy, conic, shade);
+        Sums sums = no_sums();
+        blend_region(own, mean2d, exists && entry < last_0, origin_0, batch, pixels_0, sums);
+        blend_region(own, mean2d, exists && entry < last_1, origin_1, batch, pixels_1, sums);
+        if (REGIONS > 2) blend_region(own, mean2d, exists && entry < last_2, origin_2, batch, pixels_2, sums);
+        if (REGIONS > 2) blend_region(own, mean2d, exists && entry < last_3, origin_3, batch, pixels_3, sums);
+        if (exists) {
+            store_instance(range.x + entry, sums);
+        }
+        batch += SUBGROUP_SIZE;
+        if (batch >= work_end) {
+            break;
+        }
+    }
+
+    // Entries behind the last that any pixel blended owe nothing, but their slots are read.
+    for (uint entry = batch + gl_SubgroupInvocationID; entry < end; entry += SUBGROUP_SIZE) {
+        store_instance(range.x + entry, no_sums());
+    }
+
+    if (entries > end) {
+        store_pixels(origin_0 + lane_offset(), true, pixels_0);
+        store_pixels(origin_1 + lane_offset(), true, pixels_1);
+        if (REGIONS > 2) store_pixels(origin_2 + lane_offset(), true, pixels_2);
+        if (REGIONS > 2) store_pixels(origin_3 + lane_offset(), true, pixels_3);
+    }
+    note_hits();
+}

@@ -1,0 +1,44 @@
+// Turns a count that only the device knows into what follows from it: the count clamped to its capacity,
+// and the indirect arguments of the dispatches over it.
+//
+// One invocation in all.
+// in: state[count_index] = how many are needed; 0xFFFFFFFF for more than 32 bits hold (scan_spine.comp)
+// out: state[count_index + 1] = min(needed, capacity), 0 where prefix sums have wrapped around, which lead nowhere then;
+//      state[STATE_OVERFLOW] set when clamped;
+//      arguments[3]: workgroups for blocks of `block_elementwise`, `block_sort` and `block_third` elements (of the
+//      scan for the visible, of expansion for the instances)
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+
+#include "constants.glsl"
+
+layout(local_size_x = 1) in;
+
+layout(set = 0, binding = 0, scalar) buffer State { uint state[]; };
+layout(set = 0, binding = 1, scalar) writeonly buffer Arguments { uvec4 arguments[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint count_index;
+    uint capacity;
+    uint first_argument;
+    uint block_elementwise;
+    uint block_sort;
+    uint block_third;
+    uint max_workgroups_per_axis;
+};
+
+#include "workgroup_count.glsl"
+
+void main() {
+    uint needed = state[count_index];
+    bool wrapped = needed == 0xFFFFFFFF;
+    uint elements = wrapped ? 0 : min(needed, capacity);
+    state[count_index + 1] = elements;
+    if (wrapped || needed > capacity) {
+        state[STATE_OVERFLOW] = 1;
+    }
+    arguments[first_argument] = workgroup_count(elements, block_elementwise);
+    arguments[first_argument + 1] = workgroup_count(elements, block_sort);
+    arguments[first_argument + 2] = workgroup_count(elements, block_third);
+}

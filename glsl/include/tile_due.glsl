@@ -1,7 +1,0 @@
-// Frames of very many instances are blended by several dispatches, each over the tiles whose instances begin in a range.
-// Needs the push constants `first_instance` and `max_instances`.
-
-// Whether this dispatch handles the tile with a range of instances.
-bool is_due(uvec2 range) {
-    return range.x - first_instance < max_instances;
-}

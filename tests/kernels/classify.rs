@@ -1,0 +1,83 @@
+//! `densify/classify` against its twin.
+
+use ashsplat::kernels::densify::classify::{Bind, Interface, Push, Spec};
+
+use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
+use crate::common::layout::{pack, room};
+use crate::common::scenes::{Random, mixed_scene};
+use crate::reference::classify::{Decision, GRADIENT_THRESHOLD, Statistic, decide, is_pruned};
+use crate::reference::types::Gaussian;
+
+const SCENE_EXTENT: f64 = 40.0;
+
+/// Bits of a decision: 1 stays, 2 is cloned, 4 is split.
+pub fn decision_bits(gaussian: &Gaussian, statistic: Statistic, prune_big: bool) -> u32 {
+    let pruned = |log_scale: [f64; 3]| is_pruned(gaussian.opacity_logit, log_scale, SCENE_EXTENT, prune_big);
+    let halves = gaussian.log_scale.map(|s| s - 1.6_f64.ln());
+    match decide(gaussian.log_scale, statistic, SCENE_EXTENT) {
+        Decision::Split => 4 * u32::from(!pruned(halves)),
+        Decision::Clone => 3 * u32::from(!pruned(gaussian.log_scale)),
+        Decision::Keep => u32::from(!pruned(gaussian.log_scale)),
+    }
+}
+
+#[test]
+fn decide_equals_its_twin() {
+    let gpu = Gpu::new();
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    let block = spec.workgroup_size as usize;
+    for (size, prune_big) in sizes(block).into_iter().flat_map(|n| [(n, false), (n, true)]) {
+        let mut random = Random::new(size as u64);
+        let mut gaussians = mixed_scene(&mut random, size, 1);
+        let statistics: Vec<[f32; 2]> = (0..size)
+            .map(|_| {
+                let views = random.below(10) as f32;
+                [views * random.between(0.0, 4e-4) as f32, views]
+            })
+            .collect();
+        for gaussian in &mut gaussians {
+            // Scales around the bounds of cloning (0.4) and pruning (4).
+            gaussian.log_scale = [0; 3].map(|_| random.between(-3.0, 1.8));
+        }
+        let blocks = size.div_ceil(block);
+        let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
+        let statistics_buffer = gpu.buffer("statistics", &statistics);
+        let decisions = gpu.untouched::<u32>("decisions", size + 1);
+        let counts = gpu.untouched::<u32>("block_counts", 3 * blocks + 1);
+        let bind = Bind {
+            parameters: &parameters,
+            statistics: &statistics_buffer,
+            decisions: &decisions,
+            block_counts: &counts,
+        };
+        let push = Push {
+            first: 0,
+            count: size as u32,
+            blocks: blocks as u32,
+            gradient_threshold: GRADIENT_THRESHOLD as f32,
+            clone_scale: (0.01 * SCENE_EXTENT) as f32,
+            min_opacity: 0.005,
+            max_scale: if prune_big { (0.1 * SCENE_EXTENT) as f32 } else { 0.0 },
+        };
+        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
+        let expected: Vec<u32> = gaussians
+            .iter()
+            .zip(&statistics)
+            .map(|(gaussian, &[gradient, views])| {
+                let statistic = Statistic { gradient: gradient.into(), views: views.into() };
+                decision_bits(gaussian, statistic, prune_big)
+            })
+            .collect();
+        let decided = gpu.read::<u32>(&decisions, size + 1);
+        assert_eq!(decided[..size], expected, "{size}, {prune_big}");
+        assert_eq!(decided[size], UNTOUCHED);
+        let counts = gpu.read::<u32>(&counts, 3 * blocks + 1);
+        for bit in 0..3 {
+            let counted: Vec<u32> =
+                expected.chunks(block).map(|bits| bits.iter().map(|bits| bits >> bit & 1).sum()).collect();
+            assert_eq!(counts[bit * blocks..(bit + 1) * blocks], counted, "{size}, bit {bit}");
+        }
+        assert_eq!(counts[3 * blocks], UNTOUCHED);
+    }
+}

@@ -1,0 +1,51 @@
+//! Which Gaussians are cloned and split (spec: "Densify"), the twin of `densify/classify`.
+
+use super::linear::sigmoid;
+
+/// Gradient norm from which a Gaussian is densified.
+pub const GRADIENT_THRESHOLD: f64 = 2e-4_f32 as f64;
+/// Share of the scene extent up to which a Gaussian is cloned, above which it is split.
+pub const PERCENT_DENSE: f64 = 0.01;
+/// Opacity under which a Gaussian is pruned.
+pub const OPACITY_MIN: f64 = 0.005;
+
+/// What happens to a Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Decision {
+    /// Nothing.
+    Keep,
+    /// A copy in place, both kept.
+    Clone,
+    /// Two smaller ones instead of it.
+    Split,
+}
+
+/// Sums over the views since the last densification.
+#[derive(Clone, Copy, Debug)]
+pub struct Statistic {
+    /// Sum of the 2-D mean's gradient norms in normalised device units.
+    pub gradient: f64,
+    /// Number of views in which the Gaussian was visible.
+    pub views: f64,
+}
+
+/// Decides for one Gaussian.
+pub fn decide(log_scale: [f64; 3], statistic: Statistic, scene_extent: f64) -> Decision {
+    let mean = if statistic.views > 0.0 { statistic.gradient / statistic.views } else { 0.0 };
+    if mean < GRADIENT_THRESHOLD {
+        Decision::Keep
+    } else if largest_scale(log_scale) <= PERCENT_DENSE * scene_extent {
+        Decision::Clone
+    } else {
+        Decision::Split
+    }
+}
+
+/// Whether a Gaussian is removed. `prune_big`: also those larger than a tenth of the scene.
+pub fn is_pruned(opacity_logit: f64, log_scale: [f64; 3], scene_extent: f64, prune_big: bool) -> bool {
+    sigmoid(opacity_logit) < OPACITY_MIN || (prune_big && largest_scale(log_scale) > 0.1 * scene_extent)
+}
+
+fn largest_scale(log_scale: [f64; 3]) -> f64 {
+    log_scale.iter().copied().fold(f64::NEG_INFINITY, f64::max).exp()
+}

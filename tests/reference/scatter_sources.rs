@@ -1,0 +1,72 @@
+//! The Gaussians after densification in the reference implementation's order, the twin of `densify/scatter_sources`.
+
+use super::classify::{Decision, Statistic, decide, is_pruned};
+use super::gather::child_of;
+use super::types::Gaussian;
+
+/// Where a Gaussian of the new state comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// It was there before.
+    Kept = 0,
+    /// Copy.
+    Clone = 1,
+    /// Half of a split one.
+    Child = 2,
+}
+
+/// A Gaussian of the new state.
+#[derive(Clone, Debug)]
+pub struct Placed {
+    /// Its index before (its parent's for clones and children).
+    pub parent: usize,
+    /// What it is.
+    pub kind: Kind,
+    /// Its parameters.
+    pub gaussian: Gaussian,
+}
+
+/// How to densify.
+#[derive(Clone, Copy, Debug)]
+pub struct Densify {
+    /// Scene extent.
+    pub scene_extent: f64,
+    /// Also prune Gaussians larger than a tenth of the scene.
+    pub prune_big: bool,
+}
+
+/// Survivors first, then clones, then the first children of all the splits, then the second ones; then pruning.
+/// `noise(child, split)` are standard normal numbers for a child of the split-th Gaussian that is split.
+pub fn place(
+    gaussians: &[Gaussian],
+    statistics: &[Statistic],
+    settings: Densify,
+    noise: impl Fn(usize, usize) -> [f64; 3],
+) -> Vec<Placed> {
+    let decisions: Vec<Decision> = gaussians
+        .iter()
+        .zip(statistics)
+        .map(|(gaussian, statistic)| decide(gaussian.log_scale, *statistic, settings.scene_extent))
+        .collect();
+    let having = |wanted: fn(Decision) -> bool| {
+        decisions.iter().enumerate().filter(move |(_, d)| wanted(**d)).map(|(parent, _)| parent)
+    };
+    let mut placed: Vec<Placed> = Vec::new();
+    for parent in having(|decision| decision != Decision::Split) {
+        placed.push(Placed { parent, kind: Kind::Kept, gaussian: gaussians[parent].clone() });
+    }
+    for parent in having(|decision| decision == Decision::Clone) {
+        placed.push(Placed { parent, kind: Kind::Clone, gaussian: gaussians[parent].clone() });
+    }
+    for child in 0..2 {
+        for (split, parent) in having(|decision| decision == Decision::Split).enumerate() {
+            let gaussian = child_of(&gaussians[parent], noise(child, split));
+            placed.push(Placed { parent, kind: Kind::Child, gaussian });
+        }
+    }
+    placed.retain(|p| {
+        let Gaussian { opacity_logit, log_scale, .. } = p.gaussian;
+        !is_pruned(opacity_logit, log_scale, settings.scene_extent, settings.prune_big)
+    });
+    placed
+}
