@@ -5,9 +5,16 @@ const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// A hash of bytes in the order in which they are added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Fingerprint(u64);
+pub struct Fingerprint(u64);
+
+impl Default for Fingerprint {
+    fn default() -> Self {
+        Self::new()
+    }
+}
 
 impl Fingerprint {
+    /// Of no bytes.
     pub fn new() -> Self {
         Self(FACTOR)
     }
@@ -28,6 +35,7 @@ impl Fingerprint {
         self.word(bytes.len() as u64);
     }
 
+    /// Of all bytes added.
     pub fn finish(self) -> u64 {
         self.0 ^ (self.0 >> 32)
     }

@@ -12,7 +12,7 @@
 //!   its images.
 //! - [`forward`], [`backward`], [`loss`], [`optimizer`], [`densify`] only *record*, into a [`vk::Recorder`].
 //! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`]; [`arithmetic`] measures a device.
-//! - [`scene`], [`io`] and [`metrics`] know no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
+//! - [`scene`] knows no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
 //!
 //! Sizes are planned in [`plan`] as pure arithmetic. How many Gaussians are visible and how many instances they make is
 //! known only on the device: dispatches over them are indirect, buffers have capacities, and a frame that needs more
@@ -23,12 +23,10 @@ pub mod backward;
 pub mod compose;
 pub mod densify;
 pub mod error;
-mod fingerprint;
+pub mod fingerprint;
 pub mod forward;
-pub mod io;
 pub mod kernels;
 pub mod loss;
-pub mod metrics;
 pub mod optimizer;
 pub mod plan;
 pub mod planes;

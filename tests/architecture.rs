@@ -14,7 +14,7 @@ struct Source {
 }
 
 fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+    crate::common::root()
 }
 
 fn files_below(folder: &Path, found: &mut Vec<PathBuf>) {

@@ -260,8 +260,8 @@ fn bench_measures_files_and_refuses_bad_ones() {
         positions: (0..60u8).map(|i| [f32::from(i % 8), f32::from(i / 8), 0.0]).collect(),
         colors: vec![[200, 100, 50]; 60],
     };
-    let gaussians = ashsplat::scene::Gaussians::from_points(&points, 1).expect("Gaussians");
-    ashsplat::io::ply::write(&ply, &gaussians).expect("written");
+    let gaussians = ashsplat::scene::ashsplat_files::initial_gaussians(&points, 1).expect("Gaussians");
+    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     let small = ["--width", "64", "--height", "48", "--iterations", "1", "--warmup", "1"];
     let table = succeed(&[&["bench", "render", "--scene", text(&ply)], &small[..]].concat());
     assert!(table.contains("60 Gaussians of SH degree 1, 64x48") && table.contains("scene.ply"), "{table}");
@@ -304,8 +304,8 @@ fn bench_all_measures_a_scene_and_data_sets() {
     crate::cli::write_dataset(&second);
     let points =
         ashsplat::scene::PointCloud { positions: vec![[0.0; 3]; 9], colors: vec![[200, 100, 50]; 9] };
-    let gaussians = ashsplat::scene::Gaussians::from_points(&points, 1).expect("Gaussians");
-    ashsplat::io::ply::write(&ply, &gaussians).expect("written");
+    let gaussians = ashsplat::scene::ashsplat_files::initial_gaussians(&points, 1).expect("Gaussians");
+    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     let own = ["--scene", text(&ply), "--scene-size", "80x48", "--frames", "900@64x64"];
     let sets = ["--dataset", text(&first), "--dataset", text(&second), "--windows", "200,100"];
     measure("all", &[&own[..], &sets, &["--json", text(&json)]].concat());

@@ -1,11 +1,11 @@
 //! The two forms of blending: the same bits through renderer and trainer, other work, and `bench` that tells them apart.
 
-use ashsplat::io::Photo;
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{
     BlendSamples, Blending, Frame, Gaussians, Gradients, RenderSettings, Renderer, TrainSettings,
 };
+use ashsplat_files::Photo;
 use serde_json::Value;
 use tempfile::tempdir;
 

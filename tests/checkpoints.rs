@@ -1,9 +1,9 @@
 //! A run that goes on from a checkpoint ends with the same bits as one that was never interrupted.
 
-use ashsplat::io::Photo;
 use ashsplat::trainer::{Checkpoint, OptimizerType, Room, TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Gaussians, TrainSettings};
+use ashsplat_files::{CheckpointFile, Photo};
 use std::path::Path;
 use tempfile::tempdir;
 

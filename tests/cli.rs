@@ -10,9 +10,9 @@ mod layouts;
 mod report;
 mod training;
 
-use ashsplat::io::Photo;
-use ashsplat::io::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat_files::{Photo, PhotoFileFormat};
 use glam::{Vec3, vec3};
 use std::path::{Path, PathBuf};
 use std::process::Command;

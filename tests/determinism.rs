@@ -1,10 +1,10 @@
 //! The same inputs on the same device give the same bits, in training too.
 
-use ashsplat::io::Photo;
 use ashsplat::trainer::verify::{Verdict, verify_determinism};
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions, MemoryKind, SpecOverride};
 use ashsplat::{Gaussians, TrainSettings};
+use ashsplat_files::Photo;
 
 use crate::checkpoints;
 use crate::common::engine::{camera, gaussians, renderer, settings};

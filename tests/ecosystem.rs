@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Arc, OnceLock};
 
-use ashsplat::io::splats::{self, ConvertOptions, Format, ReadOptions, WriteOptions};
 use ashsplat::scene::{Gaussians, Similarity};
+use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, WriteOptions};
 use glam::{DQuat, DVec3, EulerRot};
 use libtest_mimic::{Failed, Trial};
 

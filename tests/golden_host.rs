@@ -5,8 +5,8 @@
 
 use std::path::Path;
 
-use ashsplat::scene::init::mean_squared_neighbour_distances;
 use ashsplat::scene::{Gaussians, PointCloud, scene_extent};
+use ashsplat_files::init::mean_squared_neighbour_distances;
 use glam::Vec3;
 use libtest_mimic::Trial;
 
@@ -44,7 +44,8 @@ fn check(set: &Npz) {
 
     // A point cloud's colours have 8 bits: the set's go to the coefficients afterwards.
     let colors = vec![[0; 3]; positions.len()];
-    let gaussians = Gaussians::from_points(&PointCloud { positions: positions.clone(), colors }, 3).unwrap();
+    let gaussians =
+        ashsplat_files::initial_gaussians(&PointCloud { positions: positions.clone(), colors }, 3).unwrap();
     gaussians.check_shapes().unwrap();
     assert_eq!(gaussians.means, positions);
     assert!(gaussians.quats.iter().all(|&q| q == [1.0, 0.0, 0.0, 0.0]));

@@ -1,8 +1,8 @@
 //! What a picture must not depend on.
 
-use ashsplat::io::Photo;
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride, SpecOverride};
 use ashsplat::{BlendSamples, Frame, Renderer, TrainSettings, TrainView, Trainer};
+use ashsplat_files::Photo;
 
 use crate::common::engine::{camera, gaussians, renderer, settings};
 use crate::common::gpu::Gpu;

@@ -1,11 +1,11 @@
 //! Lowered limits and little memory: the same picture and the same training, or an error that names the numbers.
 
-use ashsplat::io::Photo;
 use ashsplat::plan::{FrameCapacity, LaunchSizes, ScenePlan, frame_requests};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::trainer::{Checkpoint, TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
 use ashsplat::{Error, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
+use ashsplat_files::Photo;
 use glam::Vec3;
 
 use crate::checkpoints::{start, views};

@@ -10,8 +10,8 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use ashsplat::Error;
-use ashsplat::io::dataset::{Dataset, DatasetOptions};
-use ashsplat::io::{Progress, splats};
+use ashsplat_files::dataset::{Dataset, DatasetOptions};
+use ashsplat_files::{Progress, splats};
 use libtest_mimic::{Failed, Trial};
 
 use crate::absent;

@@ -1,12 +1,13 @@
 //! Photographs in training: what masks hide carries no loss, and those that are read while training runs change nothing.
 
-use ashsplat::io::images::PhotoFile;
-use ashsplat::io::{Photo, PhotoMemory, StoredPhoto};
 use ashsplat::loss::{Windowing, photo_bytes, photo_on_device};
 use ashsplat::plan::Strips;
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::vk::Context;
-use ashsplat::{Gaussians, TrainSettings, metrics};
+use ashsplat::{Gaussians, TrainSettings};
+use ashsplat_files::images::PhotoFile;
+use ashsplat_files::metrics;
+use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};
 use std::sync::Arc;
 
 use crate::checkpoints;
@@ -30,7 +31,7 @@ fn held_bytes(views: &[TrainView], held: u64) -> u64 {
 /// The views with their photographs in a file, of which so many may be held at a time.
 fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
     let memory = PhotoMemory { bytes: held_bytes(views, held), folder: std::env::temp_dir() };
-    let file = PhotoFile::create(&memory).expect("a file");
+    let file = memory.create_file().expect("a file");
     let stored = |view: &TrainView| file.store(&view.photo).expect("stored");
     views.iter().map(|view| TrainView { photo: stored(view), ..view.clone() }).collect()
 }

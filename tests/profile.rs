@@ -193,7 +193,7 @@ mod hot_reload {
             }
         }
         let glsl = folder.join("glsl");
-        copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("glsl"), &glsl);
+        copy(&crate::common::root().join("glsl"), &glsl);
         glsl
     }
 

@@ -7,8 +7,8 @@
 use std::path::Path;
 use std::process::Command;
 
-use ashsplat::io::{Dataset, DatasetOptions, Progress};
-use ashsplat::metrics;
+use ashsplat_files::metrics;
+use ashsplat_files::{Dataset, DatasetOptions, Progress};
 use libtest_mimic::Trial;
 use serde_json::json;
 

@@ -5,9 +5,9 @@
 
 use std::path::{Path, PathBuf};
 
-use ashsplat::io::colmap::{Model, find};
-use ashsplat::io::dataset::{Dataset, DatasetOptions};
-use ashsplat::io::{Progress, Resolution, ply, splats};
+use ashsplat_files::colmap::{Model, find};
+use ashsplat_files::dataset::{Dataset, DatasetOptions};
+use ashsplat_files::{Progress, Resolution, ply, splats};
 use glam::Vec3;
 use libtest_mimic::Trial;
 
@@ -47,7 +47,7 @@ fn fox(path: &Path, width: u32, height: u32) {
     let dataset = Dataset::load(path, &options, Progress::NONE).unwrap();
     assert_eq!((dataset.train.len(), dataset.test.len(), dataset.points.len()), (43, 7, 12_079));
     assert_eq!(dataset.warnings, [""; 0]);
-    let names = |views: &[ashsplat::io::View]| views.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
+    let names = |views: &[ashsplat_files::View]| views.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
     assert_eq!(names(&dataset.test)[..3], ["0001.jpg", "0012.jpg", "0027.jpg"]);
     assert!(names(&dataset.train).is_sorted());
     for view in dataset.views() {

@@ -1,9 +1,10 @@
 //! What becomes of pictures when Gaussians are moved, thinned out and stored.
 
-use ashsplat::io::splats::{self, Format, WriteOptions};
-use ashsplat::scene::decimate::decimate;
+use ashsplat::RenderSettings;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
-use ashsplat::{RenderSettings, metrics};
+use ashsplat_files::decimate::decimate;
+use ashsplat_files::metrics;
+use ashsplat_files::splats::{self, Format, WriteOptions};
 use glam::{DQuat, DVec3, EulerRot, Vec3};
 
 use crate::common::engine::renderer;

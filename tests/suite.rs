@@ -11,7 +11,6 @@ mod comparators;
 mod determinism;
 mod extremes;
 mod faults;
-mod fuzzing;
 mod gradients;
 mod hard_cases;
 mod host;

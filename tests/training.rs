@@ -1,8 +1,8 @@
 //! The trainer as a whole against the twins put together: losses, densification, opacity reset, order of the steps.
 
-use ashsplat::io::Photo;
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::{Gaussians, TrainSettings};
+use ashsplat_files::Photo;
 
 use crate::common::engine::{camera, gaussians, settings, twins};
 use crate::common::gpu::Gpu;

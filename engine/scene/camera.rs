@@ -70,7 +70,7 @@ impl Intrinsics {
 
 impl Intrinsics {
     /// What no camera that took photographs has, though it could be rendered.
-    pub(crate) fn absurdity(&self) -> Option<String> {
+    pub fn absurdity(&self) -> Option<String> {
         let axes = [("x", self.fx, self.cx, self.width), ("y", self.fy, self.cy, self.height)];
         axes.into_iter().find_map(|(axis, focal, center, side)| {
             let side_px = side as f32;
@@ -85,7 +85,7 @@ impl Intrinsics {
 
 impl Camera {
     /// What no camera of a scene has, though it is finite: arithmetic in single precision ends long before.
-    pub(crate) fn absurdity(&self) -> Option<String> {
+    pub fn absurdity(&self) -> Option<String> {
         let position = self.position();
         // Also of what is no number.
         let sane = position.length() <= FARTHEST;
@@ -168,7 +168,7 @@ impl Camera {
     }
 
     /// What is wrong with the camera, if anything.
-    pub(crate) fn problem(&self) -> Option<String> {
+    pub fn problem(&self) -> Option<String> {
         let Self { fx, fy, cx, cy, width, height, .. } = *self;
         let sides = 1..=MAX_IMAGE_SIDE;
         if !sides.contains(&width) || !sides.contains(&height) {
@@ -197,7 +197,7 @@ pub(super) fn is_rotation(r: Mat3) -> bool {
 }
 
 /// The mean of the cameras' positions, world; None without any.
-pub(crate) fn middle(positions: impl Iterator<Item = Vec3>) -> Option<DVec3> {
+pub fn middle(positions: impl Iterator<Item = Vec3>) -> Option<DVec3> {
     let (sum, count) = positions.fold((DVec3::ZERO, 0.0), |(s, n), p| (s + p.as_dvec3(), n + 1.0));
     (count > 0.0).then(|| sum / count)
 }

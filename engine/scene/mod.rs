@@ -1,20 +1,22 @@
 //! What a scene is, on the host: Gaussians, cameras, points, spherical harmonics. Knows no Vulkan.
 
 pub mod camera;
-pub mod decimate;
 pub mod gaussians;
-pub mod init;
 pub mod lens;
 pub mod orbit;
+pub mod photo;
 pub mod points;
 pub mod sh;
 pub mod sh_rotation;
+pub mod stored_photo;
 pub mod transform;
 pub mod view;
 
 pub use camera::{Camera, Intrinsics, scene_extent};
 pub use gaussians::{GaussianStatistics, Gaussians};
 pub use orbit::Orbit;
+pub use photo::Photo;
 pub use points::{Bounds, PointCloud};
+pub use stored_photo::{PhotoFile, StoredPhoto};
 pub use transform::Similarity;
 pub use view::{ClipY, DepthMapping, HostView, Pose};

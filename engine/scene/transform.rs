@@ -105,7 +105,7 @@ impl Gaussians {
     }
 
     /// Appends one Gaussian of another set of the same SH degree.
-    pub(crate) fn push_from(&mut self, other: &Self, index: usize) {
+    pub fn push_from(&mut self, other: &Self, index: usize) {
         self.means.push(other.means[index]);
         self.quats.push(other.quats[index]);
         self.log_scales.push(other.log_scales[index]);

@@ -6,8 +6,8 @@ use super::TrainView;
 use super::schedule::{Schedule, Use};
 use super::step::ViewOrder;
 use crate::error::{Error, Result};
-use crate::io::StoredPhoto;
 use crate::loss::{Windowing, photo_bytes, photo_on_device};
+use crate::scene::StoredPhoto;
 use crate::vk::{Buffer, Context, MemoryKind};
 
 /// Photographs that wait on the host for their turn, read by a thread.

@@ -11,7 +11,6 @@ use crate::plan::FrameCapacity;
 use crate::planes;
 use crate::scene::Camera;
 use crate::vk::Buffer;
-use rayon::prelude::*;
 
 impl Trainer {
     /// Downloads everything that [`Trainer::resume`] needs to go on from here.
@@ -151,7 +150,16 @@ pub(super) fn fingerprint_of(views: &[TrainView]) -> u64 {
         print.add(bytemuck::bytes_of(&view.photo.fingerprint()));
         print.finish()
     };
-    let each: Vec<u64> = views.par_iter().map(of_view).collect();
+    // Photographs are many megabytes: each thread takes its share of them.
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let share = views.len().div_ceil(threads).max(1);
+    let mut each = vec![0; views.len()];
+    std::thread::scope(|scope| {
+        for (prints, views) in each.chunks_mut(share).zip(views.chunks(share)) {
+            scope
+                .spawn(move || prints.iter_mut().zip(views).for_each(|(print, view)| *print = of_view(view)));
+        }
+    });
     let mut all = Fingerprint::new();
     all.add(bytemuck::cast_slice(&each));
     all.finish()

@@ -2,11 +2,10 @@
 
 use crate::scene::gaussians::MAX_SH_DEGREE;
 use crate::{Error, Result};
-use serde::{Deserialize, Serialize};
 
 /// Which optimiser moves the parameters.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum OptimizerType {
     /// Adam on every Gaussian in every iteration (the reference's `default`).
     #[default]
@@ -15,93 +14,85 @@ pub enum OptimizerType {
     SparseAdam,
 }
 
-/// Everything that shapes a training run, apart from the data: the arguments of the reference
-/// implementation (gaussian-splatting, `arguments/__init__.py`) under their own names and with their
-/// defaults, and three that it hard-codes.
-///
-/// Iterations are counted from 1. Reads from and writes to any serde format; missing fields take
-/// their defaults, unknown ones are refused.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TrainSettings {
-    /// Number of iterations; one view each.
-    pub iterations: u32,
-    /// Highest degree of the spherical harmonics, 0 to 3.
-    pub sh_degree: u32,
-    /// The SH degree in use starts at 0 and rises by one every so many iterations (the reference: 1000).
-    pub sh_degree_interval: u32,
-    /// Learning rate of the means at the start, in units of the scene's extent.
-    pub position_lr_init: f64,
-    /// Learning rate of the means at the end, in units of the scene's extent.
-    pub position_lr_final: f64,
-    /// Accepted because the reference has it; without effect there and here (the delay lasts 0 steps).
-    pub position_lr_delay_mult: f64,
-    /// The iteration at which the learning rate of the means reaches `position_lr_final`.
-    pub position_lr_max_steps: u32,
-    /// Learning rate of the SH coefficients of degree 0; the others take a twentieth of it.
-    pub feature_lr: f64,
-    /// Learning rate of the opacity logits.
-    pub opacity_lr: f64,
-    /// Learning rate of the log-scales.
-    pub scaling_lr: f64,
-    /// Learning rate of the quaternions.
-    pub rotation_lr: f64,
-    /// A Gaussian whose largest scale exceeds this share of the scene's extent is split, a smaller one cloned.
-    pub percent_dense: f64,
-    /// Weight of 1 − SSIM in the loss; the L1 term takes the rest.
-    pub lambda_dssim: f64,
-    /// Iterations between two densifications.
-    pub densification_interval: u32,
-    /// Iterations between two opacity resets.
-    pub opacity_reset_interval: u32,
-    /// Densification starts after this iteration.
-    pub densify_from_iter: u32,
-    /// Densification, and the collection of its statistics, end before this iteration.
-    pub densify_until_iter: u32,
-    /// Mean norm of the 2D mean's gradient, in normalised device coordinates, from which a Gaussian is densified.
-    pub densify_grad_threshold: f64,
-    /// Gaussians of a smaller opacity are pruned at a densification (the reference: 0.005).
-    pub min_opacity: f64,
-    /// Compose over white instead of black.
-    pub white_background: bool,
-    /// Compose over a new random colour in every iteration, so that no Gaussian paints the background.
-    pub random_background: bool,
-    /// Compensate the opacity for the screen-space dilation (Mip-Splatting's 2D filter).
-    pub antialiasing: bool,
-    /// Which optimiser.
-    pub optimizer_type: OptimizerType,
-    /// Seed of everything random: order of the views, split positions, random backgrounds.
-    pub seed: u32,
+/// Declares the settings once: the fields with their defaults, and the list of their names and values.
+macro_rules! train_settings {
+    ($(#[$about:meta])* pub struct $name:ident { $($(#[$doc:meta])* $field:ident: $kind:ty = $default:expr,)* }) => {
+        $(#[$about])*
+        #[derive(Clone, Debug, PartialEq)]
+        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
+        pub struct $name { $($(#[$doc])* pub $field: $kind,)* }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $default,)* }
+            }
+        }
+
+        impl $name {
+            /// Every setting's name and value, in the order of their declaration.
+            pub fn values(&self) -> Vec<(&'static str, String)> {
+                vec![$((stringify!($field), format!("{:?}", self.$field)),)*]
+            }
+        }
+    };
 }
 
-impl Default for TrainSettings {
-    fn default() -> Self {
-        Self {
-            iterations: 30_000,
-            sh_degree: 3,
-            sh_degree_interval: 1000,
-            position_lr_init: 1.6e-4,
-            position_lr_final: 1.6e-6,
-            position_lr_delay_mult: 0.01,
-            position_lr_max_steps: 30_000,
-            feature_lr: 2.5e-3,
-            opacity_lr: 0.025,
-            scaling_lr: 5e-3,
-            rotation_lr: 1e-3,
-            percent_dense: 0.01,
-            lambda_dssim: 0.2,
-            densification_interval: 100,
-            opacity_reset_interval: 3000,
-            densify_from_iter: 500,
-            densify_until_iter: 15_000,
-            densify_grad_threshold: 2e-4,
-            min_opacity: 0.005,
-            white_background: false,
-            random_background: false,
-            antialiasing: false,
-            optimizer_type: OptimizerType::Default,
-            seed: 0,
-        }
+train_settings! {
+    /// Everything that shapes a training run, apart from the data: the arguments of the reference
+    /// implementation (gaussian-splatting, `arguments/__init__.py`) under their own names and with their
+    /// defaults, and three that it hard-codes.
+    ///
+    /// Iterations are counted from 1. With the feature `serde` they read from and write to any of its formats; missing fields take
+    /// their defaults, unknown ones are refused.
+    pub struct TrainSettings {
+        /// Number of iterations; one view each.
+        iterations: u32 = 30_000,
+        /// Highest degree of the spherical harmonics, 0 to 3.
+        sh_degree: u32 = 3,
+        /// The SH degree in use starts at 0 and rises by one every so many iterations (the reference: 1000).
+        sh_degree_interval: u32 = 1000,
+        /// Learning rate of the means at the start, in units of the scene's extent.
+        position_lr_init: f64 = 1.6e-4,
+        /// Learning rate of the means at the end, in units of the scene's extent.
+        position_lr_final: f64 = 1.6e-6,
+        /// Accepted because the reference has it; without effect there and here (the delay lasts 0 steps).
+        position_lr_delay_mult: f64 = 0.01,
+        /// The iteration at which the learning rate of the means reaches `position_lr_final`.
+        position_lr_max_steps: u32 = 30_000,
+        /// Learning rate of the SH coefficients of degree 0; the others take a twentieth of it.
+        feature_lr: f64 = 2.5e-3,
+        /// Learning rate of the opacity logits.
+        opacity_lr: f64 = 0.025,
+        /// Learning rate of the log-scales.
+        scaling_lr: f64 = 5e-3,
+        /// Learning rate of the quaternions.
+        rotation_lr: f64 = 1e-3,
+        /// A Gaussian whose largest scale exceeds this share of the scene's extent is split, a smaller one cloned.
+        percent_dense: f64 = 0.01,
+        /// Weight of 1 − SSIM in the loss; the L1 term takes the rest.
+        lambda_dssim: f64 = 0.2,
+        /// Iterations between two densifications.
+        densification_interval: u32 = 100,
+        /// Iterations between two opacity resets.
+        opacity_reset_interval: u32 = 3000,
+        /// Densification starts after this iteration.
+        densify_from_iter: u32 = 500,
+        /// Densification, and the collection of its statistics, end before this iteration.
+        densify_until_iter: u32 = 15_000,
+        /// Mean norm of the 2D mean's gradient, in normalised device coordinates, from which a Gaussian is densified.
+        densify_grad_threshold: f64 = 2e-4,
+        /// Gaussians of a smaller opacity are pruned at a densification (the reference: 0.005).
+        min_opacity: f64 = 0.005,
+        /// Compose over white instead of black.
+        white_background: bool = false,
+        /// Compose over a new random colour in every iteration, so that no Gaussian paints the background.
+        random_background: bool = false,
+        /// Compensate the opacity for the screen-space dilation (Mip-Splatting's 2D filter).
+        antialiasing: bool = false,
+        /// Which optimiser.
+        optimizer_type: OptimizerType = OptimizerType::Default,
+        /// Seed of everything random: order of the views, split positions, random backgrounds.
+        seed: u32 = 0,
     }
 }
 

@@ -1,6 +1,7 @@
 //! Whatever is wrong with the input: one line that names it, exit code 2, nothing half-written.
 
 use super::*;
+use ashsplat_files::PhotoFileFormat;
 use tempfile::{TempDir, tempdir};
 
 /// A data set that a test may spoil, and a place for results.
@@ -110,13 +111,14 @@ fn ply_is_an_lfs_pointer() {
 fn parameters_that_are_not_finite() {
     let folder = tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ply");
-    let mut gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 0).expect("Gaussians");
+    let mut gaussians =
+        ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.means[7][1] = f32::NAN;
     gaussians.log_scales[9][0] = f32::INFINITY;
     // Opacity 1 and 0: real files have them.
     gaussians.opacity_logits[1] = f32::INFINITY;
     gaussians.opacity_logits[2] = f32::NEG_INFINITY;
-    ashsplat::io::ply::write(&path, &gaussians).expect("written");
+    ashsplat_files::ply::write(&path, &gaussians).expect("written");
     refuse(&["info", text(&path)], &["scene.ply", "2", "--drop-invalid"]);
     let report: serde_json::Value =
         serde_json::from_str(&succeed(&["info", text(&path), "--drop-invalid", "--json"])).expect("JSON");

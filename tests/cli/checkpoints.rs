@@ -1,7 +1,7 @@
 //! Checkpoints: written when asked for and on Ctrl-C, gone on from, refused with the reason, whole whatever happens.
 
 use super::*;
-use ashsplat::io::ply;
+use ashsplat_files::{CheckpointFile, ply};
 use std::process::{Child, Stdio};
 use std::time::Duration;
 use tempfile::{TempDir, tempdir};

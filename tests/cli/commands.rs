@@ -49,8 +49,8 @@ fn info_of_a_data_set() {
 fn info_of_a_ply() {
     let folder = tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ply");
-    let gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 2).expect("Gaussians");
-    ashsplat::io::ply::write(&path, &gaussians).expect("written");
+    let gaussians = ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 2).expect("Gaussians");
+    ashsplat_files::ply::write(&path, &gaussians).expect("written");
     let report: Value = serde_json::from_str(&succeed(&["info", text(&path), "--json"])).expect("JSON");
     assert_eq!((&report["gaussians"], &report["sh_degree"]), (&Value::from(400), &Value::from(2)));
     // All start at opacity 0.1.
@@ -66,9 +66,10 @@ fn camera_path_is_rendered_to_png_and_exr() {
     let folder = tempdir().expect("a temporary folder");
     let (ply, path, out) =
         (folder.path().join("scene.ply"), folder.path().join("path.json"), folder.path().join("out"));
-    let mut gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 0).expect("Gaussians");
+    let mut gaussians =
+        ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.opacity_logits.fill(4.0);
-    ashsplat::io::ply::write(&ply, &gaussians).expect("written");
+    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     // No cx and cy, as the reference writes it; looking along +z from in front of the wall.
     let camera = r#"[{"id": 0, "img_name": "front", "width": 64, "height": 48, "position": [0, 0, -2],
         "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 60, "fy": 60}]"#;
@@ -109,9 +110,10 @@ fn compare_exr_with_png(folder: &Path) {
 fn orbit_of_a_bare_ply_shows_the_scene() {
     let folder = tempdir().expect("a temporary folder");
     let (ply, out) = (folder.path().join("scene.ply"), folder.path().join("out"));
-    let mut gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 0).expect("Gaussians");
+    let mut gaussians =
+        ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.opacity_logits.fill(4.0);
-    ashsplat::io::ply::write(&ply, &gaussians).expect("written");
+    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     refuse(&["render", text(&ply), "-o", text(&out)], &["scene.ply", "--orbit"]);
     let size = ["--width", "40", "--height", "30"];
     succeed(&[["render", text(&ply), "--orbit", "4", "-o", text(&out)].as_slice(), &size].concat());
@@ -137,7 +139,7 @@ fn orbit_of_a_single_gaussian_shows_it() {
             opacity_logits: vec![4.0],
             sh: vec![[1.0; 3]],
         };
-        ashsplat::io::ply::write(&ply, &gaussian).expect("written");
+        ashsplat_files::ply::write(&ply, &gaussian).expect("written");
         let out = folder.path().join("out");
         let said = succeed(&["render", text(&ply), "--orbit", "3", "--width", "40", "-o", text(&out)]);
         assert_eq!(said.matches("1 of 1 Gaussians visible").count(), 3, "{said}");
@@ -151,9 +153,10 @@ fn orbit_of_parallel_cameras_shows_the_scene() {
     let (model, out) = (folder.path().join("model"), folder.path().join("out"));
     let ply = model.join("point_cloud/iteration_1/point_cloud.ply");
     std::fs::create_dir_all(ply.parent().expect("a folder")).expect("created");
-    let mut gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 0).expect("Gaussians");
+    let mut gaussians =
+        ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.means.iter_mut().for_each(|mean| mean[2] += 40.0);
-    ashsplat::io::ply::write(&ply, &gaussians).expect("written");
+    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     let named = |index: u32| {
         let x = index as f32 - 1.0;
         let intrinsics = Intrinsics::from_fov_x(0.8, SIZE[0], SIZE[1]);
@@ -162,7 +165,7 @@ fn orbit_of_parallel_cameras_shows_the_scene() {
     };
     let cameras: Vec<(String, Camera)> = (0..3).map(named).collect();
     let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
-    ashsplat::io::cameras_json::write(model.join("cameras.json"), named).expect("written");
+    ashsplat_files::cameras_json::write(model.join("cameras.json"), named).expect("written");
     std::fs::write(model.join("cfg_args"), "Namespace(sh_degree=0)").expect("written");
     let said = succeed(&["render", text(&model), "--orbit", "4", "--width", "64", "-o", text(&out)]);
     assert_eq!(said.matches(" 400 of 400 Gaussians visible").count(), 4, "{said}");

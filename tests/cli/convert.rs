@@ -1,16 +1,17 @@
 //! `ashsplat convert`, and the other commands on what it writes.
 
 use super::*;
-use ashsplat::io::splats::{self, Format};
+use ashsplat_files::splats::{self, Format};
 use tempfile::tempdir;
 
 #[test]
 fn converted_files_are_rendered_and_described() {
     let folder = tempdir().expect("a temporary folder");
     let place = |name: &str| folder.path().join(name);
-    let mut gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 1).expect("Gaussians");
+    let mut gaussians =
+        ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 1).expect("Gaussians");
     gaussians.opacity_logits.fill(3.0);
-    ashsplat::io::ply::write(place("in.ply"), &gaussians).expect("written");
+    ashsplat_files::ply::write(place("in.ply"), &gaussians).expect("written");
     for format in Format::ALL {
         let out = place(&format!("out{}", format.extension()));
         let said = succeed(&["convert", text(&place("in.ply")), text(&out)]);
@@ -53,8 +54,8 @@ fn convert_refuses_in_one_line() {
     refuse(&["convert", "a.ply", "b.ply", "--crop-box", "1,2"], &["six numbers"]);
     assert!(!place("out.ply").exists());
     // Nothing is overwritten that is not the output's own.
-    let gaussians = ashsplat::scene::Gaussians::from_points(&wall_points(), 0).expect("Gaussians");
-    ashsplat::io::ply::write(place("in.ply"), &gaussians).expect("written");
+    let gaussians = ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    ashsplat_files::ply::write(place("in.ply"), &gaussians).expect("written");
     let before = std::fs::read(place("in.ply")).expect("a file");
     refuse(
         &["convert", text(&place("in.ply")), text(&place("in.ply")), "--decimate", "50%"],

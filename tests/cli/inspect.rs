@@ -94,7 +94,7 @@ fn worked_example_by_the_library() {
 fn worked_example_by_the_program() {
     let folder = tempdir().expect("a temporary folder");
     let path = folder.path().join("example.ply");
-    ashsplat::io::ply::write(&path, &example()).expect("written");
+    ashsplat_files::ply::write(&path, &example()).expect("written");
     let camera = ["--fx", "500", "--width", "800", "--height", "800"];
     let command = [["inspect", text(&path), "--pixel", "420,420"].as_slice(), &camera].concat();
     let report: serde_json::Value =

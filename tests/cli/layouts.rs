@@ -1,7 +1,7 @@
 //! One scene in two layouts: as the synthetic scenes of the NeRF paper lie, and as COLMAP leaves it.
 
 use super::*;
-use ashsplat::io::{Dataset, DatasetOptions, Progress, View};
+use ashsplat_files::{Dataset, DatasetOptions, Progress, View};
 use serde_json::Value;
 use tempfile::tempdir;
 

@@ -3,6 +3,8 @@
 use super::*;
 use crate::common::gpu::Gpu;
 use ashsplat::loss::Windowing;
+use ashsplat::trainer::Checkpoint;
+use ashsplat_files::CheckpointFile;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
@@ -365,7 +367,7 @@ fn ctrl_c_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
         "{rest:?}"
     );
     let path = rest.iter().find_map(|line| line.strip_prefix("checkpoint ")).expect("a checkpoint");
-    ashsplat::trainer::Checkpoint::read(path).expect("whole");
+    Checkpoint::read(path).expect("whole");
 }
 
 /// Photographs that do not fit are read while training runs, and nothing else changes.

@@ -5,9 +5,9 @@
 
 use std::path::Path;
 
-use ashsplat::io::Photo;
-use ashsplat::io::colmap::{self, CameraModel, ColmapCamera, ColmapImage};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat_files::colmap::{self, CameraModel, ColmapCamera, ColmapImage};
+use ashsplat_files::{Photo, PhotoFileFormat};
 use glam::Vec3;
 
 /// Each of COLMAP's models with parameters of a wide consumer lens, for photos of 320×240.

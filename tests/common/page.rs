@@ -6,8 +6,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use ashsplat::io::splats::{self, WriteOptions};
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat_files::splats::{self, WriteOptions};
 use glam::Vec3;
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};

@@ -1,7 +1,7 @@
 //! Gaussians for the tests of files, and how near what is read must be to what was written.
 
-use ashsplat::io::splats::Format;
 use ashsplat::scene::Gaussians;
+use ashsplat_files::splats::Format;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

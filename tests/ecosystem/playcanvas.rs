@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use ashsplat::io::Photo;
-use ashsplat::io::splats::{self, Format, WriteOptions};
+use ashsplat::RenderSettings;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
-use ashsplat::{RenderSettings, metrics};
+use ashsplat_files::metrics;
+use ashsplat_files::splats::{self, Format, WriteOptions};
+use ashsplat_files::{Photo, PhotoFileFormat};
 use glam::{Mat3, Quat, Vec3};
 
 use crate::common::engine::renderer;
@@ -120,7 +121,7 @@ fn draw(modules: &Path, scene: &Path, camera: &Camera, output: &Path, reference_
     });
     let file = output.with_extension("json");
     std::fs::write(&file, description.to_string()).unwrap();
-    let script = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/ecosystem/playcanvas.mjs"));
+    let script = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/ecosystem/playcanvas.mjs"));
     let mut node = Command::new("node");
     let result = node.arg(script).arg(modules).arg(scene).arg(file).arg(output).output().expect("node");
     assert!(result.status.success(), "{}", String::from_utf8_lossy(&result.stderr));

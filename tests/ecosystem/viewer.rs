@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use ashsplat::io::splats::Format;
+use ashsplat_files::splats::Format;
 
 /// Looks through a model and a training as a person would; the screenshots stay below `target`, to look at.
 pub fn works_in_chromium(modules: &Path, _: Format) {
@@ -13,7 +13,7 @@ pub fn works_in_chromium(modules: &Path, _: Format) {
     let demo =
         Command::new(program).args(["demo", "--quiet", "--iterations", "150", "--out"]).arg(&folder).output();
     assert!(demo.expect("the program").status.success());
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/ecosystem/viewer.mjs");
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/ecosystem/viewer.mjs");
     let mut node = Command::new("node");
     let result = node.arg(script).arg(modules).arg(program).arg(&folder).output().expect("node");
     assert!(result.status.success(), "{}", String::from_utf8_lossy(&result.stderr));

@@ -2,14 +2,14 @@
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, with_host};
-use ashsplat::io::images::PhotoFile;
-use ashsplat::io::{Photo, PhotoMemory, StoredPhoto};
 use ashsplat::trainer::{StepOutcome, StepReservation, Trainer};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, LimitsOverride};
 use ashsplat::{
     Blending, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings,
     TrainView,
 };
+use ashsplat_files::images::PhotoFile;
+use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};
 
 /// Densifies after 40, 80, 120, 160, resets opacities after 100.
 fn settings() -> TrainSettings {
@@ -351,7 +351,7 @@ fn photographs_in_a_file_are_refused() {
         let context = guest(host);
         let (mut views, folder) = (views(), tempfile::tempdir().expect("a folder"));
         let memory = PhotoMemory { bytes: 1 << 20, folder: folder.path().to_owned() };
-        let file = PhotoFile::create(&memory).expect("a file");
+        let file = memory.create_file().expect("a file");
         for view in &mut views {
             view.photo = file.store(&view.photo).expect("stored");
         }

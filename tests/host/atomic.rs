@@ -2,8 +2,8 @@
 
 use std::io::Error;
 
-use ashsplat::io::{atomic, ply};
 use ashsplat::scene::Gaussians;
+use ashsplat_files::{atomic, ply};
 
 use super::files::names;
 

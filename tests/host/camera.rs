@@ -1,7 +1,7 @@
 //! Cameras: poses, sizes, checks, orbits.
 
-use ashsplat::io::cameras_json;
 use ashsplat::scene::{Camera, Intrinsics, Orbit, scene_extent};
+use ashsplat_files::cameras_json;
 use glam::{Mat3, Quat, Vec3};
 
 use super::files::names;

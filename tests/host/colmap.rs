@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use ashsplat::io::colmap::{self, CameraModel, ColmapCamera, ColmapImage, Model};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat_files::colmap::{self, CameraModel, ColmapCamera, ColmapImage, Model};
 use glam::Vec3;
 
 use super::files::{for_each_mutation, for_each_truncation, names};

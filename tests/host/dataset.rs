@@ -4,9 +4,11 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 
-use ashsplat::io::colmap::{self, ColmapCamera, ColmapImage};
-use ashsplat::io::{Dataset, DatasetOptions, Photo, Progress, Resolution, View, cameras_json};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat_files::{
+    Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress, Resolution, View, cameras_json,
+};
 use glam::Vec3;
 
 /// Pictures of 20×12 from a circle of radius 3 around the origin; every picture has its own grey.

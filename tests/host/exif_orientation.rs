@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use ashsplat::io::colmap::{self, ColmapCamera, ColmapImage};
-use ashsplat::io::{Dataset, DatasetOptions, Photo, PhotoOrientation, Progress};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoOrientation, Progress};
 use glam::Vec3;
 use serde_json::{Value, json};
 

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use ashsplat::io::images::photo_size;
-use ashsplat::io::{Photo, Resolution};
+use ashsplat_files::images::photo_size;
+use ashsplat_files::{Photo, PhotoFileFormat, Resolution};
 use image::{DynamicImage, ImageBuffer, Luma, LumaA, Rgb, Rgba};
 
 use super::files::{for_each_truncation, names};

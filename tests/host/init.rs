@@ -1,8 +1,8 @@
 //! The Gaussians that training starts from, and their shapes.
 
 use ashsplat::scene::gaussians::{percentiles, sh_coefficients};
-use ashsplat::scene::init::{mean_squared_neighbour_distances, random_points};
 use ashsplat::scene::{Bounds, Gaussians, PointCloud};
+use ashsplat_files::init::{mean_squared_neighbour_distances, random_points};
 use glam::Vec3;
 use proptest::prelude::*;
 
@@ -58,7 +58,7 @@ fn many_coincident_points_are_no_trap() {
 #[test]
 fn start_values() {
     let points = PointCloud { positions: vec![[0.0; 3], [2.0, 0.0, 0.0]], colors: vec![[255, 0, 51]; 2] };
-    let gaussians = Gaussians::from_points(&points, 2).unwrap();
+    let gaussians = ashsplat_files::initial_gaussians(&points, 2).unwrap();
     gaussians.check_shapes().unwrap();
     assert_eq!(gaussians.means, points.positions);
     assert!(gaussians.log_scales.as_flattened().iter().all(|s| (s.exp() - 2.0).abs() < 1e-6));
@@ -66,12 +66,12 @@ fn start_values() {
     let dc = gaussians.sh_of(1)[0];
     assert!((dc[0] - 0.5 / 0.282_094_8).abs() < 1e-5 && (dc[1] + dc[0]).abs() < 1e-6);
     assert!(gaussians.sh_of(1)[1..].iter().all(|c| *c == [0.0; 3]));
-    assert!(Gaussians::from_points(&PointCloud::default(), 3).unwrap().is_empty());
-    assert!(Gaussians::from_points(&points, 4).is_err());
+    assert!(ashsplat_files::initial_gaussians(&PointCloud::default(), 3).unwrap().is_empty());
+    assert!(ashsplat_files::initial_gaussians(&points, 4).is_err());
     let bad = PointCloud { positions: vec![[f32::NAN; 3]], colors: vec![[0; 3]] };
-    assert!(Gaussians::from_points(&bad, 0).is_err());
+    assert!(ashsplat_files::initial_gaussians(&bad, 0).is_err());
     let bad = PointCloud { positions: vec![[0.0; 3]], colors: vec![] };
-    assert!(Gaussians::from_points(&bad, 0).is_err());
+    assert!(ashsplat_files::initial_gaussians(&bad, 0).is_err());
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn random_points_fill_their_box_and_repeat() {
 #[test]
 fn shapes_and_degrees() {
     let points = random_points(4, Bounds { min: Vec3::ZERO, max: Vec3::ONE }, 0);
-    let mut gaussians = Gaussians::from_points(&points, 3).unwrap();
+    let mut gaussians = ashsplat_files::initial_gaussians(&points, 3).unwrap();
     gaussians.sh.iter_mut().enumerate().for_each(|(i, c)| *c = [i as f32; 3]);
     for degree in 0..=3 {
         let changed = gaussians.with_sh_degree(degree);
@@ -122,7 +122,7 @@ fn statistics() {
     let empty = Gaussians::default().statistics();
     assert_eq!((empty.count, empty.bounds, empty.scale_percentiles), (0, None, None));
     let points = random_points(1000, Bounds { min: Vec3::ZERO, max: Vec3::ONE }, 0);
-    let statistics = Gaussians::from_points(&points, 1).unwrap().statistics();
+    let statistics = ashsplat_files::initial_gaussians(&points, 1).unwrap().statistics();
     let central = statistics.central_bounds.unwrap();
     assert!((central.size() - 0.9).abs().max_element() < 0.05, "{central:?}");
     assert!(statistics.opacity_percentiles.unwrap().iter().all(|o| (o - 0.1).abs() < 1e-6));

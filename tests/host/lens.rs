@@ -1,9 +1,10 @@
 //! Lens distortion: the models, their inverse, the pinhole in their place. COLMAP's own tool is among the programs.
 
-use ashsplat::io::Photo;
-use ashsplat::io::colmap::Model;
 use ashsplat::scene::Intrinsics;
 use ashsplat::scene::lens::{Distortion, Lens};
+use ashsplat_files::Photo;
+use ashsplat_files::colmap::Model;
+use ashsplat_files::images::undistort;
 use glam::{DVec2, dvec2};
 use proptest::prelude::*;
 
@@ -120,7 +121,7 @@ fn undistorted_photos_show_what_a_pinhole_sees() {
             rgb.extend(board(lens.distortion.undo(seen).unwrap()).map(|v| v.round() as u8));
         }
         let pinhole = lens.inscribed_pinhole().unwrap();
-        let photo = Photo { width: 320, height: 240, rgb }.undistorted(&lens, &pinhole);
+        let photo = undistort(&Photo { width: 320, height: 240, rgb }, &lens, &pinhole);
         let mut off = 0;
         for (index, pixel) in photo.rgb.chunks_exact(3).enumerate() {
             let (x, y) = (index as u32 % pinhole.width, index as u32 / pinhole.width);

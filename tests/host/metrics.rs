@@ -1,6 +1,6 @@
 //! PSNR and SSIM against direct loops.
 
-use ashsplat::metrics::{masked_psnr, masked_ssim, psnr, ssim};
+use ashsplat_files::metrics::{masked_psnr, masked_ssim, psnr, ssim};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

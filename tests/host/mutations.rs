@@ -1,10 +1,10 @@
 //! Valid files with random damage: the readers refuse or read, and never panic. A short form of the fuzzing in tests/fuzz.
 
 use crate::common::scenes::Random;
-use ashsplat::io::colmap::{self, Model};
-use ashsplat::io::ply;
 use ashsplat::scene::{Gaussians, PointCloud};
 use ashsplat::trainer::Checkpoint;
+use ashsplat_files::colmap::{self, Model};
+use ashsplat_files::{CheckpointFile, ply};
 use std::path::Path;
 use tempfile::tempdir;
 
@@ -55,7 +55,7 @@ fn mutate(path: &Path, seed: u64, times: u32, read: impl Fn(&Path)) {
 fn damaged_ply_files_are_read_or_refused() {
     let folder = tempdir().expect("a temporary folder");
     let path = folder.path().join("a.ply");
-    let scene = Gaussians::from_points(&points(), 1).expect("Gaussians");
+    let scene = ashsplat_files::initial_gaussians(&points(), 1).expect("Gaussians");
     ply::write(&path, &scene).expect("written");
     let options = ply::PlyOptions { drop_invalid: true };
     mutate(&path, 1, 600, |path| {

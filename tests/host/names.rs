@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use ashsplat::io::colmap::{self, ColmapCamera, ColmapImage};
-use ashsplat::io::{Dataset, DatasetOptions, Photo, Progress};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress};
 use glam::Vec3;
 use serde_json::json;
 

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use ashsplat::io::ply::{self, PlyOptions};
 use ashsplat::scene::{Gaussians, PointCloud};
+use ashsplat_files::ply::{self, PlyOptions};
 use proptest::prelude::*;
 
 use super::files::{for_each_mutation, for_each_truncation, names};

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use ashsplat::io::splats::{self, ConvertOptions, Format, ReadOptions, Target, WriteOptions};
 use ashsplat::scene::{Bounds, Gaussians, Similarity};
+use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, Target, WriteOptions};
 use glam::{DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
 

@@ -1,7 +1,7 @@
 //! Moving and thinning out Gaussians on the host.
 
-use ashsplat::scene::decimate::decimate;
 use ashsplat::scene::{Gaussians, Similarity};
+use ashsplat_files::decimate::decimate;
 use glam::{DQuat, DVec3, EulerRot};
 
 use crate::common::splats::scene;

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use ashsplat::io::colmap::{self, ColmapCamera, ColmapImage};
-use ashsplat::io::{Dataset, DatasetOptions, Photo, Progress, ply};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
+use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress, ply};
 use glam::Vec3;
 use serde_json::{Value, json};
 
@@ -314,7 +314,7 @@ fn lists_of_names_split_the_frames() {
     };
     let split = || {
         let dataset = load(folder.path(), &DatasetOptions { eval: true, ..Default::default() });
-        let names = |views: &[ashsplat::io::View]| views.iter().map(|v| v.name[9..10].to_owned()).collect();
+        let names = |views: &[ashsplat_files::View]| views.iter().map(|v| v.name[9..10].to_owned()).collect();
         let (train, test): (String, String) = (names(&dataset.train), names(&dataset.test));
         (train, test, dataset.warnings[0].clone())
     };

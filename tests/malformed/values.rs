@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use ashsplat::Error;
-use ashsplat::io::colmap::Model;
-use ashsplat::io::dataset::{Dataset, DatasetOptions, View};
-use ashsplat::io::{Progress, ply, splats};
 use ashsplat::scene::Gaussians;
+use ashsplat_files::colmap::Model;
+use ashsplat_files::dataset::{Dataset, DatasetOptions, View};
+use ashsplat_files::{Progress, ply, splats};
 
 /// Checks the values of an accepted case.
 pub fn check(path: &Path, case: &str) {

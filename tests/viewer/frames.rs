@@ -3,8 +3,8 @@
 use super::*;
 use crate::cli::succeed;
 use crate::common::engine::renderer;
-use ashsplat::io::Photo;
 use ashsplat::{RenderSettings, Shape};
+use ashsplat_files::Photo;
 use tempfile::tempdir;
 
 /// The picture that the library renders.
@@ -103,7 +103,7 @@ fn viewer_picks_what_inspect_lists() {
     page.send(&json!({ "type": "pick", "id": 5, "camera": message(&camera), "pixel": [48, 32] }));
     let picked = page.wait_for("picked");
     let cameras = folder.path().join("cameras.json");
-    ashsplat::io::cameras_json::write(&cameras, [("one", &camera)]).expect("written");
+    ashsplat_files::cameras_json::write(&cameras, [("one", &camera)]).expect("written");
     let said = succeed(&["inspect", text(&path), "--path", text(&cameras), "--pixel", "48,32", "--json"]);
     let inspected: Value = serde_json::from_str(&said).expect("JSON");
     assert_eq!((&picked["id"], &picked["pixel"]), (&json!(5), &json!([48, 32])));

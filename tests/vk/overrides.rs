@@ -13,7 +13,7 @@ fn scene() -> (Gaussians, Camera) {
         positions: (0..3000).map(place).collect(),
         colors: (0..3000u32).map(|i| [(i % 251) as u8, (i % 83) as u8, 120]).collect(),
     };
-    let mut gaussians = Gaussians::from_points(&points, 1).expect("Gaussians");
+    let mut gaussians = ashsplat_files::initial_gaussians(&points, 1).expect("Gaussians");
     gaussians.opacity_logits.fill(1.0);
     for (index, color) in gaussians.sh.iter_mut().enumerate().filter(|(index, _)| index % 4 != 0) {
         *color = [0.1 * (index % 3) as f32, 0.2, 0.1];

@@ -2,9 +2,9 @@
 
 use crate::progress::thousands;
 use crate::render::parse_vector;
-use ashsplat::io::splats::{self, ConvertOptions, Format, ReadOptions, Target};
 use ashsplat::scene::{Bounds, Similarity};
 use ashsplat::{Error, Result};
+use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, Target};
 use clap::Args;
 use glam::{DQuat, EulerRot, Vec3};
 use std::path::PathBuf;

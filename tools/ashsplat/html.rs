@@ -1,7 +1,7 @@
 //! Parts of self-contained pages: style, pictures, histograms.
 
-use ashsplat::io::Photo;
 use ashsplat::{Error, Result};
+use ashsplat_files::Photo;
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use image::codecs::jpeg::JpegEncoder;

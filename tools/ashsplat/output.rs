@@ -1,7 +1,7 @@
 //! The files that commands leave: whole or not at all, in folders that are created as needed.
 
-use ashsplat::io::{Photo, atomic};
 use ashsplat::{Error, Frame, Result};
+use ashsplat_files::{Photo, PhotoFileFormat, atomic};
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, LineOrder, SmallVec, WritableImage,
 };

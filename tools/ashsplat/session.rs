@@ -2,9 +2,9 @@
 
 use crate::config::DataSettings;
 use crate::progress::counting;
-use ashsplat::io::cameras_json::NamedCamera;
-use ashsplat::io::{Dataset, DatasetOptions, Gallery, Progress};
 use ashsplat::{Error, Result};
+use ashsplat_files::cameras_json::NamedCamera;
+use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -17,11 +17,10 @@ use crate::measure::{Cost, Stopwatch};
 use crate::model;
 use crate::progress::{State, TrainProgress, thousands};
 use crate::{output, render, session};
-use ashsplat::io::{self, Dataset, View};
-use ashsplat::scene::Gaussians;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
+use ashsplat_files::{Dataset, View, splats};
 use checkpoints::{LATEST, Start};
 use clap::Args;
 use live::{Live, LiveArguments};
@@ -148,10 +147,10 @@ pub struct Run {
     /// The tests so far.
     pub evaluations: Vec<Tested>,
     gaussians: u32,
-    skipped: u64,
+    non_finite: u64,
     /// Whether it was said that there is no more room.
     limited: bool,
-    /// Iterations that were left out, because their frames were too large.
+    /// Iterations that were skipped because their frames were too large.
     skipped: u32,
     /// Iteration of the checkpoint that the run began with.
     started: u32,
@@ -171,7 +170,7 @@ impl Run {
     /// is known before training.
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
         let points = dataset.initial_points(u64::from(settings.train.seed));
-        let initial = Gaussians::from_points(&points, settings.train.sh_degree)?;
+        let initial = ashsplat_files::initial_gaussians(&points, settings.train.sh_degree)?;
         let data = Prepared::new(dataset);
         let (views, extent) = (data.train, data.scene_extent);
         let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
@@ -215,7 +214,7 @@ impl Run {
             total: None,
             evaluations: Vec::new(),
             gaussians: 0,
-            skipped: 0,
+            non_finite: 0,
             limited: false,
             skipped: 0,
             saved: None,
@@ -305,7 +304,7 @@ impl Run {
     /// Counts and shows an iteration.
     fn account(&mut self, report: &StepReport) {
         self.gaussians = report.gaussians;
-        self.skipped += u64::from(report.skipped_non_finite);
+        self.non_finite += u64::from(report.skipped_non_finite);
         if report.densified.is_some_and(|densified| densified.limited) && !self.limited {
             self.limited = true;
             let (count, used) = (thousands(u64::from(report.gaussians)), self.trainer.memory_bytes() >> 20);
@@ -366,8 +365,8 @@ impl Run {
         let path = model::point_cloud_path(folder, iteration);
         let gaussians = self.trainer.gaussians()?;
         let antialiased = self.settings.train.antialiasing;
-        let options = io::splats::WriteOptions { antialiased, ..Default::default() };
-        output::in_folder(&path, |path| io::splats::write(path, &gaussians, &options))?;
+        let options = splats::WriteOptions { antialiased, ..Default::default() };
+        output::in_folder(&path, |path| splats::write(path, &gaussians, &options))?;
         model::note_saved(folder, iteration)?;
         self.saved = Some(iteration);
         self.progress.note(&format!("{reason}saved {}", path.display()));
@@ -420,8 +419,8 @@ impl Run {
         if self.skipped > 0 {
             say!("{} iterations were left out: their frames were too large", thousands(self.skipped.into()));
         }
-        if self.skipped > 0 {
-            say!("{} updates with a gradient that is not finite were skipped", thousands(self.skipped));
+        if self.non_finite > 0 {
+            say!("{} updates with a gradient that is not finite were skipped", thousands(self.non_finite));
         }
     }
 

@@ -20,9 +20,9 @@ pub use slots::*;
 pub use training::*;
 pub use types::*;
 
-use ashsplat::io::{Photo, ply};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{DeviceScene, Error, RenderSettings, Renderer, Result};
+use ashsplat_files::{Photo, PhotoFileFormat, ply};
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -6,9 +6,9 @@ use super::{
     borrowed, borrowed_mut, give, guarded, slice, take, text,
 };
 use ashsplat::ash::{vk, vk::Handle};
-use ashsplat::io::{Photo, ply};
 use ashsplat::trainer::{Maintenance, StepOutcome, StepReservation};
 use ashsplat::{Error, Result, StepReport, TrainSettings, TrainView, Trainer};
+use ashsplat_files::{Photo, ply};
 use std::ffi::{c_char, c_void};
 
 /// Trains Gaussians on photographs.

@@ -1,9 +1,10 @@
 //! Any bytes as a checkpoint. Fingerprints are not compared here: else nearly every change would end at them.
 #![no_main]
 
-use ashsplat_fuzz::scene::{Gaussians, PointCloud};
-use ashsplat_fuzz::trainer::checkpoint::{Checkpoint, Room};
-use ashsplat_fuzz::trainer::settings::TrainSettings;
+use ashsplat::scene::{Gaussians, PointCloud};
+use ashsplat::trainer::checkpoint::{Checkpoint, Room};
+use ashsplat::trainer::settings::TrainSettings;
+use ashsplat_files::CheckpointFile;
 use ashsplat_fuzz::{folder, leave_seed};
 use libfuzzer_sys::fuzz_target;
 use std::path::PathBuf;
@@ -15,7 +16,7 @@ static FILE: LazyLock<PathBuf> = LazyLock::new(|| folder("checkpoint").join("inp
 fn seeds() {
     let points = PointCloud { positions: vec![[0.0; 3], [1.0, 2.0, 3.0]], colors: vec![[1, 2, 3]; 2] };
     for sh_degree in [0, 1] {
-        let gaussians = Gaussians::from_points(&points, sh_degree).expect("Gaussians");
+        let gaussians = ashsplat_files::initial_gaussians(&points, sh_degree).expect("Gaussians");
         let checkpoint = Checkpoint {
             version: "0.1.0".into(),
             device: "a device".into(),

@@ -2,7 +2,7 @@
 #![no_main]
 
 use ashsplat_fuzz::folder;
-use ashsplat_fuzz::io::colmap::{self, Model};
+use ashsplat_files::colmap::{self, Model};
 use libfuzzer_sys::fuzz_target;
 use std::path::PathBuf;
 use std::sync::LazyLock;

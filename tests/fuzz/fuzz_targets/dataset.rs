@@ -1,8 +1,8 @@
 //! Any bytes as a transforms.json, a cameras.json or the ZIP of a data set.
 #![no_main]
 
-use ashsplat_fuzz::io::transforms::{self, Transforms};
-use ashsplat_fuzz::io::{Dataset, DatasetOptions, Photo, Progress, cameras_json};
+use ashsplat_files::transforms::{self, Transforms};
+use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress, cameras_json};
 use ashsplat_fuzz::{folder, leave_seed};
 use libfuzzer_sys::fuzz_target;
 use std::path::PathBuf;

@@ -2,7 +2,7 @@
 #![no_main]
 
 use ashsplat_fuzz::folder;
-use ashsplat_fuzz::io::ply;
+use ashsplat_files::ply;
 use libfuzzer_sys::fuzz_target;
 use std::path::PathBuf;
 use std::sync::LazyLock;

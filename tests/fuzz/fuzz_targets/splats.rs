@@ -1,8 +1,8 @@
 //! Any bytes as a file of Gaussians in any format.
 #![no_main]
 
-use ashsplat_fuzz::io::splats::{self, ReadOptions, WriteOptions};
-use ashsplat_fuzz::scene::{Gaussians, PointCloud};
+use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
+use ashsplat::scene::{Gaussians, PointCloud};
 use ashsplat_fuzz::{folder, leave_seed};
 use flate2::{Compression, write::GzEncoder};
 use libfuzzer_sys::fuzz_target;
@@ -19,7 +19,7 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("splats"));
 fn seeds() {
     let points = PointCloud { positions: vec![[0.0; 3], [1.0, 2.0, 3.0]], colors: vec![[1, 2, 3]; 2] };
     for degree in [0, 1] {
-        let gaussians = Gaussians::from_points(&points, degree).expect("Gaussians");
+        let gaussians = ashsplat_files::initial_gaussians(&points, degree).expect("Gaussians");
         for (kind, name) in NAMES.iter().enumerate().filter(|(_, name)| name.starts_with("a.")) {
             let path = FOLDER.join(name);
             splats::write(&path, &gaussians, &WriteOptions::default()).expect("written");

@@ -1,21 +1,5 @@
-//! The readers alone: the modules that know no Vulkan, compiled from their own place, and inputs as files for them.
+//! Inputs as files for the fuzzed readers.
 
-// A part of the crate is here, and not all of that part is used.
-#![allow(dead_code, rustdoc::broken_intra_doc_links)]
-
-#[path = "../../../engine/error.rs"]
-pub mod error;
-#[path = "../../../engine/fingerprint.rs"]
-pub mod fingerprint;
-#[path = "../../../engine/io/mod.rs"]
-pub mod io;
-#[path = "../../../engine/metrics.rs"]
-pub mod metrics;
-#[path = "../../../engine/scene/mod.rs"]
-pub mod scene;
-pub mod trainer;
-
-pub use error::{Error, Result};
 use std::path::PathBuf;
 
 /// A folder in memory, where there is such a thing, for this process' files.

@@ -6,12 +6,12 @@ use super::schema::{CopyBandwidth, Run, Workload};
 use super::synthetic;
 use super::traffic::{Counts, Traffic};
 use super::workload::Scene;
-use ashsplat::io::Photo;
 use ashsplat::plan::ScenePlan;
 use ashsplat::vk::Context;
 use ashsplat::{
     Blending, FrameStats, RenderSettings, Renderer, Result, StepReport, TrainSettings, TrainView, Trainer,
 };
+use ashsplat_files::Photo;
 
 /// What both are given.
 #[derive(Clone, Copy)]

@@ -4,9 +4,9 @@ use super::measure::{Iterations, measure};
 use super::schema::{CopyBandwidth, Run, Workload};
 use super::workload::Fnv;
 use super::{forms, frames};
-use ashsplat::io::{Dataset, DatasetOptions, Progress};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Gaussians, Result, StepReport, TrainSettings, TrainView, Trainer};
+use ashsplat_files::{Dataset, DatasetOptions, Progress};
 use std::path::Path;
 
 /// Iterations of a window. Every second one is timed kernel by kernel, the others not at all.
@@ -52,7 +52,7 @@ impl Training {
         Ok(Self {
             source: dataset.display().to_string(),
             views: views.map(|view| TrainView { camera: view.camera, photo: view.photo }).collect(),
-            initial: Gaussians::from_points(&points, sh_degree)?,
+            initial: ashsplat_files::initial_gaussians(&points, sh_degree)?,
             scene_extent: loaded.scene_extent,
             ends,
         })

@@ -2,11 +2,11 @@
 
 use super::schema::Workload;
 use super::synthetic;
-use ashsplat::io::cameras_json;
-use ashsplat::io::{Dataset, DatasetOptions, Progress, splats};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, RenderSettings, Result, TrainView};
+use ashsplat_files::cameras_json;
+use ashsplat_files::{Dataset, DatasetOptions, Progress, splats};
 use clap::Args;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
@@ -195,7 +195,7 @@ impl SceneArguments {
                 splats::read(trained, &splats::ReadOptions { drop_invalid: true })?.gaussians
             }
             (None, points) => {
-                Gaussians::from_points(&points.unwrap_or_default(), self.synthetic.sh_degree())?
+                ashsplat_files::initial_gaussians(&points.unwrap_or_default(), self.synthetic.sh_degree())?
             }
         };
         Ok(Scene { gaussians, camera, view, scene_extent, source })

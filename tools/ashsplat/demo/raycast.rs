@@ -1,8 +1,8 @@
 //! A small ray-caster: analytic intersections (sphere tracing for the torus), one jittered sun, Phong highlights.
 
 use super::scene::{Object, SKY_RADIUS, Scene, Shape};
-use ashsplat::io::Photo;
 use ashsplat::scene::Camera;
+use ashsplat_files::Photo;
 use glam::{Mat3, Vec3, vec3};
 use image::{Rgba, RgbaImage};
 use rayon::prelude::*;

@@ -1,6 +1,6 @@
 //! The contact sheet: one row per held-out view, photo | render | difference, with captions.
 
-use ashsplat::io::Photo;
+use ashsplat_files::Photo;
 
 /// Differences are shown this many times brighter.
 pub const DIFFERENCE_GAIN: u32 = 4;

@@ -2,9 +2,9 @@
 
 use crate::output;
 use ashsplat::Result;
-use ashsplat::io::atomic;
 use ashsplat::kernels::visit_all;
 use ashsplat::vk::{KernelInterface, KernelVisitor, is_kernel_of};
+use ashsplat_files::atomic;
 use std::path::Path;
 
 /// Instructions of a module by class, as written: a loop's body counts once.

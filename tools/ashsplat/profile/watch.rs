@@ -54,7 +54,7 @@ mod reloading {
 
     /// The shaders that the program was built from.
     fn own_glsl() -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("glsl")
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../glsl"))
     }
 
     struct Spirv<'a> {

@@ -7,6 +7,7 @@ use crate::output;
 use ashsplat::trainer::{Checkpoint, TrainSettings, TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
+use ashsplat_files::CheckpointFile;
 use std::path::{Path, PathBuf};
 
 /// Instead of a file: the newest of the model folder.

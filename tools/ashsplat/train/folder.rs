@@ -4,15 +4,15 @@ use super::checkpoints;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
 use crate::{eval, model, output};
 use ashsplat::Result;
-use ashsplat::io::{self, cameras_json};
 use ashsplat::scene::{Camera, PointCloud};
+use ashsplat_files::{atomic, cameras_json, ply};
 use std::path::Path;
 
 /// Creates the model folder and writes what is known before training; without points, what was written before a
 /// checkpoint stays.
 pub fn begin(settings: &Settings, cameras: &[(String, Camera)], points: Option<&PointCloud>) -> Result<()> {
     let folder = &settings.data.model_path;
-    io::atomic::create_folder(folder)?;
+    atomic::create_folder(folder)?;
     remove_leftovers(folder);
     if points.is_some() {
         clear_up_after_others(folder)?;
@@ -21,7 +21,7 @@ pub fn begin(settings: &Settings, cameras: &[(String, Camera)], points: Option<&
     output::write_text(&folder.join(CFG_ARGS_FILE), &settings.to_cfg_args())?;
     let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
     cameras_json::write(folder.join(CAMERAS_FILE), named)?;
-    points.map_or(Ok(()), |points| io::ply::write_points(folder.join("input.ply"), points))
+    points.map_or(Ok(()), |points| ply::write_points(folder.join("input.ply"), points))
 }
 
 /// Of a run that was killed.

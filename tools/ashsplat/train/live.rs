@@ -12,10 +12,11 @@ use crate::view::sibr::{self, Wishes};
 use crate::view::studio::{self, Studio};
 use crate::view::{self, Painter, Photos, Subject};
 use allowance::Allowance;
-use ashsplat::io::{Gallery, View};
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
-use ashsplat::{Error, Result, metrics};
+use ashsplat::{Error, Result};
+use ashsplat_files::metrics;
+use ashsplat_files::{Gallery, View};
 use clap::Args;
 use curves::Curves;
 use serde_json::json;
@@ -391,10 +392,10 @@ impl Run {
 mod tests {
     use super::*;
     use ashsplat::Gaussians;
-    use ashsplat::io::Photo;
     use ashsplat::scene::{Camera, Intrinsics, PointCloud};
     use ashsplat::trainer::{TrainSettings, TrainView};
     use ashsplat::vk::ContextOptions;
+    use ashsplat_files::Photo;
     use glam::Vec3;
 
     /// A view that cannot be measured costs a curve its point, not the training its life.
@@ -405,7 +406,7 @@ mod tests {
         let photo = |size: u32| Photo { width: size, height: size, rgb: vec![9; (3 * size * size) as usize] };
         let points = PointCloud { positions: vec![[0.0; 3], [0.2; 3]], colors: vec![[9; 3]; 2] };
         let context = Context::new(&ContextOptions::default()).expect("a device");
-        let initial = Gaussians::from_points(&points, 0).expect("Gaussians");
+        let initial = ashsplat_files::initial_gaussians(&points, 0).expect("Gaussians");
         let views = vec![TrainView { camera, photo: photo(16).into() }];
         let settings = TrainSettings { sh_degree: 0, ..Default::default() };
         let mut trainer = Trainer::new(&context, views, &initial, 1.0, settings).expect("a trainer");

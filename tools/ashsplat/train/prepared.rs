@@ -1,10 +1,10 @@
 //! A data set as a run uses it.
 
-use ashsplat::io::images::existing_folder;
-use ashsplat::io::{Dataset, PhotoMemory, View};
 use ashsplat::scene::Camera;
 use ashsplat::trainer::TrainView;
 use ashsplat::vk::Context;
+use ashsplat_files::images::existing_folder;
+use ashsplat_files::{Dataset, PhotoMemory, View};
 use std::path::Path;
 
 /// Views of the training set that stand in for a test set where none is held out.

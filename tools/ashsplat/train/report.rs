@@ -12,8 +12,8 @@ use crate::html::{self, escape, section};
 use crate::progress::thousands;
 use crate::{output, render};
 use ashsplat::Result;
-use ashsplat::io::View;
 use ashsplat::scene::Gaussians;
+use ashsplat_files::View;
 use std::fmt::Write;
 
 pub use kernels::KernelTimes;

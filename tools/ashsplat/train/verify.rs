@@ -3,12 +3,11 @@
 use super::checkpoints::Start;
 use super::prepared::Prepared;
 use crate::config::Settings;
-use ashsplat::io::Dataset;
-use ashsplat::scene::Gaussians;
 use ashsplat::trainer::Trainer;
 use ashsplat::trainer::verify::{Verdict, verify_determinism};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
+use ashsplat_files::Dataset;
 
 /// Trains twice for some iterations, from a checkpoint if there is one, without writing anything; an error where the two
 /// differ.
@@ -20,7 +19,7 @@ pub fn run(
     quiet: bool,
 ) -> Result<()> {
     let points = dataset.initial_points(u64::from(settings.train.seed));
-    let initial = Gaussians::from_points(&points, settings.train.sh_degree)?;
+    let initial = ashsplat_files::initial_gaussians(&points, settings.train.sh_degree)?;
     let data = Prepared::new(dataset);
     let new = |context: &Context| match start {
         Some(start) => start.trainer(context, data.train.clone(), data.scene_extent, &settings.train),

@@ -2,9 +2,9 @@
 
 use super::protocol::{Look, Mode, ViewRequest};
 use crate::output;
-use ashsplat::io::Photo;
 use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::{Camera, Error, Frame, PixelReport, RenderSettings, Renderer, Result, TileReport, Trainer};
+use ashsplat_files::Photo;
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};

@@ -2,7 +2,7 @@
 
 use super::draw;
 use ashsplat::Result;
-use ashsplat::io::{Gallery, Photo};
+use ashsplat_files::{Gallery, Photo, PhotoFileFormat};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 

@@ -6,10 +6,10 @@ use crate::config::{CAMERAS_FILE, DataSettings};
 use crate::model::Model;
 use crate::render::{self, LookArguments};
 use crate::session;
-use ashsplat::io::cameras_json::{self, NamedCamera};
-use ashsplat::io::{DatasetOptions, Gallery};
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, RenderSettings, Result};
+use ashsplat_files::cameras_json::{self, NamedCamera};
+use ashsplat_files::{DatasetOptions, Gallery};
 use glam::Vec3;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -97,7 +97,7 @@ impl Subject {
             (Gaussians::default(), "This data set has no points to show; its photos are on the right.")
         } else {
             (
-                Gaussians::from_points(points, POINTS_SH_DEGREE)?,
+                ashsplat_files::initial_gaussians(points, POINTS_SH_DEGREE)?,
                 "the data set's points: nothing is trained yet",
             )
         };

@@ -1,9 +1,9 @@
 //! The header is what the sources say, and C programs that include it work.
 
-use ashsplat::io::ply;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Frame, RenderSettings, Renderer};
+use ashsplat_files::ply;
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 use std::path::{Path, PathBuf};

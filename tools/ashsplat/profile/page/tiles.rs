@@ -1,8 +1,8 @@
 //! Heat maps of the tiles, and histograms.
 
 use crate::html::{self, escape, heat};
-use ashsplat::io::Photo;
 use ashsplat::{Frame, Gaussians, Result, TileReport};
+use ashsplat_files::Photo;
 use std::fmt::Write;
 
 /// The frame, and how full its tiles are.

@@ -3,8 +3,8 @@
 use crate::eval::{Evaluation, ViewResult};
 use crate::html::{self, escape, heat};
 use crate::output;
-use ashsplat::io::{Photo, View};
 use ashsplat::{Frame, Result};
+use ashsplat_files::{Photo, PhotoFileFormat, View};
 use std::fmt::Write;
 
 /// Views of the contact sheet at most.

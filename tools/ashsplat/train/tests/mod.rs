@@ -2,10 +2,10 @@
 
 use super::*;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
-use ashsplat::io::Photo;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
 use ashsplat::trainer::Checkpoint;
 use ashsplat::vk::{ContextOptions, Fault, Faults};
+use ashsplat_files::Photo;
 use glam::Vec3;
 
 fn dataset(scene_extent: f32) -> Dataset {

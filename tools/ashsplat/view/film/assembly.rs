@@ -2,8 +2,8 @@
 
 use super::Film;
 use crate::output;
-use ashsplat::io::{Photo, atomic};
 use ashsplat::{Error, Result};
+use ashsplat_files::{Photo, PhotoFileFormat, atomic};
 use image::codecs::gif::{GifEncoder, Repeat};
 use serde_json::{Value, json};
 use std::io::{Read, Seek, Write};

@@ -1,0 +1,113 @@
+//! `cameras.json`, the list of cameras that the reference implementation leaves beside a model.
+
+use std::fs;
+use std::path::Path;
+
+use glam::{Mat3, Vec3};
+use serde::{Deserialize, Serialize};
+
+use super::atomic;
+use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::{Error, Result};
+
+/// One camera with the name of its picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedCamera {
+    /// Name of the picture.
+    pub name: String,
+    /// The camera.
+    pub camera: Camera,
+}
+
+/// The file's own form: position and the rows of the rotation from camera to world.
+#[derive(Serialize, Deserialize)]
+struct Entry {
+    id: usize,
+    img_name: String,
+    width: u32,
+    height: u32,
+    position: [f32; 3],
+    rotation: [[f32; 3]; 3],
+    fy: f32,
+    fx: f32,
+    /// Not in the reference implementation's file, which knows centred cameras only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    cx: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    cy: Option<f32>,
+}
+
+impl Entry {
+    fn new(id: usize, name: &str, camera: &Camera) -> Self {
+        let world_from_camera = camera.camera_from_world.transpose();
+        Self {
+            id,
+            img_name: name.to_owned(),
+            width: camera.width,
+            height: camera.height,
+            position: camera.position().to_array(),
+            rotation: [0, 1, 2].map(|row| world_from_camera.row(row).to_array()),
+            fy: camera.fy,
+            fx: camera.fx,
+            cx: Some(camera.cx),
+            cy: Some(camera.cy),
+        }
+    }
+
+    fn camera(&self) -> Camera {
+        let camera_from_world = Mat3::from_cols_array_2d(&self.rotation);
+        let intrinsics = Intrinsics {
+            fx: self.fx,
+            fy: self.fy,
+            cx: self.cx.unwrap_or(0.5 * self.width as f32),
+            cy: self.cy.unwrap_or(0.5 * self.height as f32),
+            width: self.width,
+            height: self.height,
+        };
+        let translation = -(camera_from_world * Vec3::from_array(self.position));
+        Camera::with_pose(camera_from_world, translation, intrinsics)
+    }
+}
+
+/// Writes cameras in the reference implementation's form: id, img_name, width, height, position and rotation
+/// (camera to world, rows), fy, fx; and, which its readers ignore, cx and cy.
+///
+/// # Errors
+/// [`Error::Io`] naming the file.
+pub fn write<'a>(
+    path: impl AsRef<Path>,
+    cameras: impl IntoIterator<Item = (&'a str, &'a Camera)>,
+) -> Result<()> {
+    let entries: Vec<Entry> =
+        cameras.into_iter().enumerate().map(|(id, (name, camera))| Entry::new(id, name, camera)).collect();
+    atomic::write(path, |writer| Ok(serde_json::to_writer(writer, &entries)?))
+}
+
+/// Reads cameras that [`write()`] or the reference implementation wrote. Without cx and cy, the principal point is
+/// in the middle.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or a camera is unusable.
+pub fn read(path: impl AsRef<Path>) -> Result<Vec<NamedCamera>> {
+    let path = path.as_ref();
+    let text = fs::read(path).map_err(|source| Error::io(path, "read", source))?;
+    let entries: Vec<Entry> = serde_json::from_slice(&text).map_err(|e| {
+        Error::input(
+            path,
+            format!("is not a list of cameras: {e}"),
+            "expected [{id, img_name, width, height, position, rotation, fx, fy}, …]",
+        )
+    })?;
+    let check = |entry: &Entry| {
+        let camera = entry.camera();
+        if let Some(problem) = camera.problem() {
+            return Err(Error::input(
+                path,
+                format!("camera {}: {problem}", entry.id),
+                "correct it in the file",
+            ));
+        }
+        Ok(NamedCamera { name: entry.img_name.clone(), camera })
+    };
+    entries.iter().map(check).collect()
+}

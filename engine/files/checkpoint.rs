@@ -1,0 +1,228 @@
+//! The checkpoint's file: safetensors, written whole or not at all.
+
+use crate::atomic;
+use ashsplat::fingerprint::Fingerprint;
+use ashsplat::scene::Gaussians;
+use ashsplat::scene::gaussians::sh_coefficients;
+use ashsplat::trainer::checkpoint::{Checkpoint, Room, Tensor};
+use ashsplat::{Error, Result};
+use bytemuck::Pod;
+use safetensors::{Dtype, SafeTensors};
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Changes when older files cannot be read any more.
+const FORMAT: &str = "ashsplat-checkpoint/2";
+/// The metadata that tells all other metadata from others.
+const FINGERPRINT: &str = "metadata_fingerprint";
+/// Only where memory was bounded.
+const MAX_MEMORY: &str = "room_max_memory";
+/// Older files lack it.
+const SKIPPED: &str = "skipped";
+/// The data begin at a multiple of this.
+const ALIGNMENT: usize = 8;
+
+/// Checkpoints as files: what this crate adds to [`Checkpoint`].
+pub trait CheckpointFile: Sized {
+    /// Writes the checkpoint under a temporary name and renames it when it is complete.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; an older file of that name stays as it was.
+    fn write(&self, path: impl AsRef<Path>) -> Result<()>;
+
+    /// Reads a checkpoint and checks that it is whole.
+    ///
+    /// # Errors
+    /// [`Error::Io`], or [`Error::Input`] with what is wrong with the file.
+    fn read(path: impl AsRef<Path>) -> Result<Self>;
+}
+
+impl CheckpointFile for Checkpoint {
+    fn write(&self, path: impl AsRef<Path>) -> Result<()> {
+        let tensors = self.tensors();
+        let mut header = Map::new();
+        let mut metadata = metadata(self, self.fingerprint())?;
+        metadata.insert(FINGERPRINT.into(), format!("{:016x}", fingerprint_of(&metadata)));
+        header.insert("__metadata__".into(), json!(metadata));
+        let mut end = 0;
+        for Tensor { name, shape, bytes } in &tensors {
+            let begin = end;
+            end += bytes.len();
+            let entry = json!({"dtype": "F32", "shape": shape, "data_offsets": [begin, end]});
+            header.insert(name.clone(), entry);
+        }
+        let mut header = Value::Object(header).to_string().into_bytes();
+        header.resize(header.len().next_multiple_of(ALIGNMENT), b' ');
+        atomic::write(path, |out| {
+            out.write_all(&(header.len() as u64).to_le_bytes())?;
+            out.write_all(&header)?;
+            tensors.iter().try_for_each(|tensor| out.write_all(tensor.bytes))
+        })
+    }
+
+    fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        parse(&bytes).map_err(|problem| {
+            let remedy = "start from another checkpoint, or anew";
+            Error::input(path, problem, remedy)
+        })
+    }
+}
+
+/// The format knows text only.
+fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<String, String>> {
+    let settings = serde_json::to_string(&checkpoint.settings)
+        .map_err(|e| Error::argument("settings", format!("cannot be written: {e}")))?;
+    let views = checkpoint.views.max(1);
+    let Room { gaussians, frame_gaussians, frame_instances, frame_width, frame_height, .. } = checkpoint.room;
+    let Room { blend_passes, backward, most_instances, max_memory, .. } = checkpoint.room;
+    let pairs = [
+        ("format", FORMAT.to_owned()),
+        ("version", checkpoint.version.clone()),
+        ("device", checkpoint.device.clone()),
+        ("driver", checkpoint.driver.clone()),
+        ("settings", settings),
+        ("views", checkpoint.views.to_string()),
+        ("views_fingerprint", format!("{:016x}", checkpoint.views_fingerprint)),
+        ("data_fingerprint", format!("{data_fingerprint:016x}")),
+        ("scene_extent_bits", format!("{:08x}", checkpoint.scene_extent.to_bits())),
+        ("scene_extent", checkpoint.scene_extent.to_string()),
+        ("iteration", checkpoint.iteration.to_string()),
+        ("optimizer_steps", checkpoint.optimizer_steps.to_string()),
+        ("opacity_steps", checkpoint.opacity_steps.to_string()),
+        ("densification_due", checkpoint.densification_due.to_string()),
+        ("opacity_reset_due", checkpoint.opacity_reset_due.to_string()),
+        (SKIPPED, checkpoint.skipped.to_string()),
+        ("room_gaussians", gaussians.to_string()),
+        ("room_frame_gaussians", frame_gaussians.to_string()),
+        ("room_frame_instances", frame_instances.to_string()),
+        ("room_frame_width", frame_width.to_string()),
+        ("room_frame_height", frame_height.to_string()),
+        ("room_blend_passes", blend_passes.to_string()),
+        ("room_backward", backward.to_string()),
+        ("most_instances", most_instances.to_string()),
+        // For readers of the file: both follow from seed and iteration, which key all random numbers.
+        ("view_order_epoch", (u64::from(checkpoint.iteration) / views).to_string()),
+        ("view_order_position", (u64::from(checkpoint.iteration) % views).to_string()),
+    ];
+    let max_memory = max_memory.map(|bytes| (MAX_MEMORY, bytes.to_string()));
+    Ok(pairs.into_iter().chain(max_memory).map(|(name, value)| (name.to_owned(), value)).collect())
+}
+
+/// Of the metadata but for this one itself.
+fn fingerprint_of(metadata: &BTreeMap<String, String>) -> u64 {
+    let mut fingerprint = Fingerprint::new();
+    for (name, value) in metadata.iter().filter(|(name, _)| *name != FINGERPRINT) {
+        fingerprint.add(name.as_bytes());
+        fingerprint.add(value.as_bytes());
+    }
+    fingerprint.finish()
+}
+
+/// A fuzzer would not come past the fingerprints.
+fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
+    let broken = |e: safetensors::SafeTensorError| {
+        format!("is truncated or no safetensors file ({} bytes): {e}", bytes.len())
+    };
+    let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
+    let metadata =
+        Metadata(header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect());
+    let format = metadata.text("format").map_err(|_| "is no checkpoint of ashsplat".to_owned())?;
+    if format != FORMAT {
+        return Err(format!("has the format '{format}', this version reads '{FORMAT}'"));
+    }
+    if !cfg!(fuzzing) && fingerprint_of(&metadata.0) != metadata.hexadecimal(FINGERPRINT)? {
+        return Err("is damaged: its metadata do not have the fingerprint that they were written with".into());
+    }
+    let settings = serde_json::from_str(metadata.text("settings")?)
+        .map_err(|e| format!("has settings that this version does not know: {e}"))?;
+    let checkpoint = Checkpoint {
+        version: metadata.text("version")?.to_owned(),
+        device: metadata.text("device")?.to_owned(),
+        driver: metadata.text("driver")?.to_owned(),
+        settings,
+        views: metadata.parsed("views")?,
+        views_fingerprint: metadata.hexadecimal("views_fingerprint")?,
+        scene_extent: f32::from_bits(metadata.hexadecimal("scene_extent_bits")? as u32),
+        iteration: metadata.parsed("iteration")?,
+        optimizer_steps: metadata.parsed("optimizer_steps")?,
+        opacity_steps: metadata.parsed("opacity_steps")?,
+        densification_due: metadata.parsed("densification_due")?,
+        opacity_reset_due: metadata.parsed("opacity_reset_due")?,
+        gaussians: gaussians(&tensors, Checkpoint::SETS[0])?,
+        first_moments: gaussians(&tensors, Checkpoint::SETS[1])?,
+        second_moments: gaussians(&tensors, Checkpoint::SETS[2])?,
+        statistics: values(&tensors, "statistics", &[2])?,
+        skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
+        room: Room {
+            gaussians: metadata.parsed("room_gaussians")?,
+            frame_gaussians: metadata.parsed("room_frame_gaussians")?,
+            frame_instances: metadata.parsed("room_frame_instances")?,
+            frame_width: metadata.parsed("room_frame_width")?,
+            frame_height: metadata.parsed("room_frame_height")?,
+            blend_passes: metadata.parsed("room_blend_passes")?,
+            backward: metadata.parsed("room_backward")?,
+            most_instances: metadata.parsed("most_instances")?,
+            max_memory: metadata.optional(MAX_MEMORY)?,
+        },
+    };
+    if !cfg!(fuzzing) && checkpoint.fingerprint() != metadata.hexadecimal("data_fingerprint")? {
+        return Err("is damaged: its contents do not have the fingerprint that they were written with".into());
+    }
+    checkpoint.check_shapes().map_err(|e| e.to_string())?;
+    Ok(checkpoint)
+}
+
+struct Metadata(BTreeMap<String, String>);
+
+impl Metadata {
+    fn text(&self, name: &str) -> Result<&str, String> {
+        self.0.get(name).map(String::as_str).ok_or_else(|| format!("lacks the metadata '{name}'"))
+    }
+
+    fn parsed<T: std::str::FromStr>(&self, name: &str) -> Result<T, String> {
+        let text = self.text(name)?;
+        text.parse().map_err(|_| format!("has '{text}' as the metadata '{name}'"))
+    }
+
+    /// None where there is none.
+    fn optional<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, String> {
+        self.0.contains_key(name).then(|| self.parsed(name)).transpose()
+    }
+
+    fn hexadecimal(&self, name: &str) -> Result<u64, String> {
+        let text = self.text(name)?;
+        u64::from_str_radix(text, 16).map_err(|_| format!("has '{text}' as the metadata '{name}'"))
+    }
+}
+
+/// The rows of a tensor of f32 with the shape [any, row...].
+fn values<T: Pod>(tensors: &SafeTensors, name: &str, row: &[usize]) -> Result<Vec<T>, String> {
+    let tensor = tensors.tensor(name).map_err(|_| format!("lacks the tensor '{name}'"))?;
+    let fits = tensor.dtype() == Dtype::F32 && tensor.shape().get(1..) == Some(row);
+    if !fits || row.iter().product::<usize>() * 4 != size_of::<T>() {
+        return Err(format!("has a tensor '{name}' of {:?} {:?}", tensor.dtype(), tensor.shape()));
+    }
+    Ok(bytemuck::pod_collect_to_vec(tensor.data()))
+}
+
+fn gaussians(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {
+    let named = |name: &str| format!("{prefix}{name}");
+    let sh_name = named("sh");
+    let sh = tensors.tensor(&sh_name).map_err(|_| format!("lacks the tensor '{sh_name}'"))?;
+    let degree = (0..=3).find(|&d| sh.shape().get(1..) == Some(&[sh_coefficients(d), 3]));
+    let Some(sh_degree) = degree.filter(|_| sh.dtype() == Dtype::F32) else {
+        return Err(format!("has a tensor '{sh_name}' of {:?} {:?}", sh.dtype(), sh.shape()));
+    };
+    Ok(Gaussians {
+        sh_degree,
+        means: values(tensors, &named("means"), &[3])?,
+        quats: values(tensors, &named("quats"), &[4])?,
+        log_scales: values(tensors, &named("log_scales"), &[3])?,
+        opacity_logits: values(tensors, &named("opacity_logits"), &[])?,
+        sh: bytemuck::pod_collect_to_vec(sh.data()),
+    })
+}

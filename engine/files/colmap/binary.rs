@@ -1,0 +1,169 @@
+//! Reading cameras.bin, images.bin and points3D.bin.
+
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::Path;
+
+use super::model::{CameraModel, ColmapCamera, ColmapImage};
+use crate::sniff;
+use ashsplat::scene::PointCloud;
+use ashsplat::{Error, Result};
+
+/// Smallest records: a camera without parameters, an image of one letter without observations, a point without
+/// a track, bytes.
+const MIN_CAMERA_BYTES: u64 = 24;
+const MIN_IMAGE_BYTES: u64 = 74;
+const POINT_BYTES: u64 = 51;
+const OBSERVATION_BYTES: u64 = 24;
+const TRACK_ENTRY_BYTES: u64 = 8;
+
+/// No file system has longer paths.
+const MAX_NAME_BYTES: usize = 4096;
+
+pub(super) fn cameras(path: &Path) -> Result<Vec<ColmapCamera>> {
+    let mut file = BinaryFile::open(path)?;
+    let count = file.count("cameras", MIN_CAMERA_BYTES)?;
+    let mut cameras = Vec::with_capacity(count);
+    for index in 0..count {
+        file.record = format!("camera {index} of {count}");
+        let id = u32::from_le_bytes(file.take()?);
+        let number = i32::from_le_bytes(file.take()?);
+        let (width, height) = (u64::from_le_bytes(file.take()?), u64::from_le_bytes(file.take()?));
+        let Some(model) = CameraModel::from_number(number.into()) else {
+            return Err(file.error(&format!("camera {id} has the unknown camera model {number}")));
+        };
+        let parameters = (0..model.parameters()).map(|_| file.double()).collect::<Result<_>>()?;
+        cameras.push(ColmapCamera { id, model, width, height, parameters });
+    }
+    Ok(cameras)
+}
+
+pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
+    let mut file = BinaryFile::open(path)?;
+    let count = file.count("images", MIN_IMAGE_BYTES)?;
+    let mut images = Vec::with_capacity(count);
+    for index in 0..count {
+        file.record = format!("image {index} of {count}");
+        let id = u32::from_le_bytes(file.take()?);
+        let quat = [file.double()?, file.double()?, file.double()?, file.double()?];
+        let translation = [file.double()?, file.double()?, file.double()?];
+        let camera_id = u32::from_le_bytes(file.take()?);
+        let name = file.name()?;
+        file.skip_list("observations", OBSERVATION_BYTES)?;
+        images.push(ColmapImage { id, camera_id, name, quat, translation });
+    }
+    Ok(images)
+}
+
+pub(super) fn points(path: &Path) -> Result<PointCloud> {
+    let mut file = BinaryFile::open(path)?;
+    let count = file.count("points", POINT_BYTES)?;
+    let mut points = PointCloud { positions: Vec::with_capacity(count), colors: Vec::with_capacity(count) };
+    file.record = format!("the {count} points");
+    for _ in 0..count {
+        let _id: [u8; 8] = file.take()?;
+        points.positions.push([file.double()? as f32, file.double()? as f32, file.double()? as f32]);
+        points.colors.push(file.take()?);
+        let _reprojection_error = file.double()?;
+        file.skip_list("track entries", TRACK_ENTRY_BYTES)?;
+    }
+    Ok(points)
+}
+
+/// The count that a file starts with; 0 when it cannot be read.
+pub(super) fn claimed_count(path: &Path) -> u64 {
+    let mut bytes = [0; 8];
+    match File::open(path).and_then(|mut file| file.read_exact(&mut bytes)) {
+        Ok(()) => u64::from_le_bytes(bytes),
+        Err(_) => 0,
+    }
+}
+
+/// A file that knows how much of it is left.
+struct BinaryFile<'a> {
+    path: &'a Path,
+    reader: BufReader<File>,
+    length: u64,
+    remaining: u64,
+    /// What is being read, for messages.
+    record: String,
+}
+
+impl<'a> BinaryFile<'a> {
+    fn open(path: &'a Path) -> Result<Self> {
+        let io = |source| Error::io(path, "read", source);
+        let file = File::open(path).map_err(io)?;
+        let length = file.metadata().map_err(io)?.len();
+        let mut this = Self {
+            path,
+            reader: BufReader::new(file),
+            length,
+            remaining: length,
+            record: "the count".into(),
+        };
+        let mut start = Vec::new();
+        Read::take(&mut this.reader, 512).read_to_end(&mut start).map_err(io)?;
+        // A count of 0 is all zeros, and sound.
+        if let Some((problem, remedy)) = sniff::recognise(&start).filter(|_| start != [0; 8]) {
+            return Err(Error::input(path, problem, remedy));
+        }
+        this.reader.seek_relative(-(start.len() as i64)).map_err(io)?;
+        Ok(this)
+    }
+
+    fn error(&self, problem: &str) -> Error {
+        let place = format!("byte {} ({}): {problem}", self.length - self.remaining, self.record);
+        Error::input(self.path, place, "the file is damaged or was cut short: copy the model again")
+    }
+
+    /// The number of records, refused when the file cannot hold as many.
+    fn count(&mut self, what: &str, record_bytes: u64) -> Result<usize> {
+        let count = u64::from_le_bytes(self.take()?);
+        match usize::try_from(count) {
+            Ok(fits) if count <= self.remaining / record_bytes => Ok(fits),
+            _ => {
+                Err(self.error(&format!("says {count} {what}, {} bytes cannot hold as many", self.remaining)))
+            }
+        }
+    }
+
+    fn take<const N: usize>(&mut self) -> Result<[u8; N]> {
+        let mut bytes = [0; N];
+        if self.remaining < N as u64 {
+            return Err(self.error("the file ends here"));
+        }
+        self.reader.read_exact(&mut bytes).map_err(|source| Error::io(self.path, "read", source))?;
+        self.remaining -= N as u64;
+        Ok(bytes)
+    }
+
+    fn double(&mut self) -> Result<f64> {
+        Ok(f64::from_le_bytes(self.take()?))
+    }
+
+    /// Text that a zero byte ends.
+    fn name(&mut self) -> Result<String> {
+        let mut bytes = Vec::new();
+        loop {
+            match self.take()? {
+                [0] => break,
+                [byte] => bytes.push(byte),
+            }
+            if bytes.len() > MAX_NAME_BYTES {
+                return Err(self.error("an image name has no end"));
+            }
+        }
+        String::from_utf8(bytes).map_err(|_| self.error("an image name is not UTF-8"))
+    }
+
+    fn skip_list(&mut self, what: &str, entry_bytes: u64) -> Result<()> {
+        let count = u64::from_le_bytes(self.take()?);
+        let bytes = count.checked_mul(entry_bytes).filter(|&bytes| bytes <= self.remaining);
+        let Some(offset) = bytes.and_then(|bytes| i64::try_from(bytes).ok()) else {
+            return Err(self.error(&format!("says {count} {what}, {} bytes are left", self.remaining)));
+        };
+        self.reader.seek_relative(offset).map_err(|source| Error::io(self.path, "read", source))?;
+        self.remaining -= offset as u64;
+        Ok(())
+    }
+}

@@ -1,0 +1,174 @@
+//! Where in a data set the model is.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::model::Model;
+use super::{binary, text};
+use crate::names::has_photo_ending;
+use crate::transforms;
+use ashsplat::{Error, Result};
+
+/// A folder with a sparse model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModelFolder {
+    /// The folder that holds cameras, images and points3D.
+    pub folder: PathBuf,
+    /// Whether the files are text rather than binary.
+    pub text: bool,
+    /// Said when the choice was not obvious.
+    pub warning: Option<String>,
+}
+
+const REGIONS_PER_SUBGROUP: [&str; 3] = ["cameras", "images", "points3D"];
+
+/// Finds the model of a data set: `sparse/N` (of several the one with the most registered images, then points,
+/// then the lowest name), `sparse`, or the folder itself.
+///
+/// # Errors
+/// [`Error::Input`] when there is none, or the model lacks its cameras or images; [`Error::Io`] when the folder
+/// cannot be read.
+pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
+    let dataset = dataset.as_ref();
+    match fs::metadata(dataset) {
+        Err(source) => return Err(Error::io(dataset, "read", source)),
+        Ok(metadata) if !metadata.is_dir() => {
+            let remedy = match dataset.extension().is_some_and(|ending| ending == "json") {
+                true => "give the folder in which it lies",
+                false => "give the folder that contains sparse/ and images/, or transforms.json",
+            };
+            return Err(Error::input(dataset, "is not a folder, nor a ZIP", remedy));
+        }
+        Ok(_) => {}
+    }
+    let sparse = dataset.join("sparse");
+    let mut candidates = subfolders(&sparse)?;
+    candidates.retain(|folder| has_model(folder));
+    if candidates.is_empty() {
+        candidates =
+            [sparse, dataset.to_owned()].into_iter().filter(|folder| has_model(folder)).take(1).collect();
+    }
+    match candidates.as_slice() {
+        [] => Err(no_model(dataset)),
+        [only] => describe(only.clone(), None),
+        several => largest(several),
+    }
+}
+
+/// Whether a data set has a model at one of the places of [`find`].
+pub fn exists(dataset: impl AsRef<Path>) -> bool {
+    let dataset = dataset.as_ref();
+    let sparse = dataset.join("sparse");
+    let below = subfolders(&sparse).unwrap_or_default();
+    below.iter().chain([&sparse, &dataset.to_owned()]).any(|folder| has_model(folder))
+}
+
+/// What is there instead of a model says what to do.
+fn no_model(dataset: &Path) -> Error {
+    let problem = "has no COLMAP model (sparse/0/cameras.bin or .txt) and no transforms.json";
+    let place = dataset.display();
+    let is_data_set = |path: &PathBuf| exists(path) || transforms::find(path).is_some();
+    let below: Vec<PathBuf> =
+        subfolders(dataset).unwrap_or_default().into_iter().filter(is_data_set).collect();
+    let photo_folders = [dataset.join("images"), dataset.join("input"), dataset.to_owned()];
+    let remedy = if let [only] = below.as_slice() {
+        format!("give {}, which has one", only.display())
+    } else if dataset.join("keyframes").is_dir() {
+        format!(
+            "Polycam's raw data become a data set by `ns-process-data polycam --data {place} --output-dir OUT`"
+        )
+    } else if let Some(photos) = photo_folders.iter().find(|folder| has_photos(folder)) {
+        format!(
+            "photos alone are not enough: find their cameras with `colmap automatic_reconstructor --dense 0 --workspace_path \
+             {place} --image_path {}` (and --use_gpu 0 without a GPU)",
+            photos.display()
+        )
+    } else {
+        "give the folder that contains sparse/0 and images, as COLMAP or its image_undistorter leave it"
+            .into()
+    };
+    Error::input(dataset, problem, remedy)
+}
+
+/// Whether a folder holds photos.
+fn has_photos(folder: &Path) -> bool {
+    let mut entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.any(|entry| has_photo_ending(&entry.path()))
+}
+
+fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {
+    let missing = |ending| {
+        REGIONS_PER_SUBGROUP[..2].iter().find(|part| !folder.join(format!("{part}.{ending}")).is_file())
+    };
+    let text = match (missing("bin"), missing("txt")) {
+        (None, _) => false,
+        (_, None) => true,
+        (Some(part), _) => {
+            let problem = format!("the model has no {part}.bin (nor a whole text model)");
+            return Err(Error::input(&folder, problem, "copy the whole model of COLMAP"));
+        }
+    };
+    Ok(ModelFolder { folder, text, warning })
+}
+
+fn largest(candidates: &[PathBuf]) -> Result<ModelFolder> {
+    let mut best: Option<((u64, u64), &PathBuf)> = None;
+    for folder in candidates {
+        let size = claimed_size(folder);
+        if best.is_none_or(|(largest, _)| size > largest) {
+            best = Some((size, folder));
+        }
+    }
+    let Some(((images, _), folder)) = best else {
+        return Err(Error::argument("candidates", "there are none"));
+    };
+    let warning =
+        format!("{} models; using {}, the largest ({images} images)", candidates.len(), folder.display());
+    describe(folder.clone(), Some(warning))
+}
+
+/// Registered images and points that a model says it has; 0 where it cannot be read.
+fn claimed_size(folder: &Path) -> (u64, u64) {
+    match describe(folder.to_owned(), None) {
+        Ok(found) if found.text => (
+            text::count_images(&found.folder.join("images.txt")),
+            text::count_rows(&found.folder.join("points3D.txt")),
+        ),
+        Ok(found) => [REGIONS_PER_SUBGROUP[1], REGIONS_PER_SUBGROUP[2]]
+            .map(|part| binary::claimed_count(&found.folder.join(format!("{part}.bin"))))
+            .into(),
+        Err(_) => (0, 0),
+    }
+}
+
+fn has_model(folder: &Path) -> bool {
+    let file =
+        |part: &&str| ["bin", "txt"].iter().any(|ending| folder.join(format!("{part}.{ending}")).is_file());
+    REGIONS_PER_SUBGROUP[..2].iter().any(file)
+}
+
+/// Subfolders, `2` before `10`; none when the folder does not exist.
+fn subfolders(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = match fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(source) => return Err(Error::io(folder, "read", source)),
+    };
+    let mut found: Vec<PathBuf> =
+        entries.filter_map(|e| e.ok().map(|e| e.path())).filter(|p| p.is_dir()).collect();
+    found.sort_by_cached_key(|path| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        (name.parse().unwrap_or(u64::MAX), name)
+    });
+    Ok(found)
+}
+
+impl Model {
+    /// Finds and reads the model of a data set.
+    ///
+    /// # Errors
+    /// As [`find`] and [`Model::read`].
+    pub fn of_dataset(dataset: impl AsRef<Path>) -> Result<Self> {
+        Self::read(&find(dataset)?)
+    }
+}

@@ -1,0 +1,328 @@
+//! A sparse model in memory, and what of it can be trained on.
+
+use std::collections::{BTreeMap, HashSet};
+use std::path::{Path, PathBuf};
+
+use glam::dvec2;
+
+use super::find::ModelFolder;
+use super::{binary, text};
+use crate::names::{plain, stays_inside};
+use ashsplat::scene::camera::MAX_IMAGE_SIDE;
+use ashsplat::scene::lens::{Distortion, Lens};
+use ashsplat::scene::{Camera, PointCloud};
+use ashsplat::{Error, Result};
+
+/// COLMAP's camera models by number: name and number of parameters.
+const MODELS: [(&str, usize); 16] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+];
+
+/// One of COLMAP's camera models.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CameraModel(usize);
+
+impl CameraModel {
+    /// Parameters f, cx, cy.
+    pub const SIMPLE_PINHOLE: Self = Self(0);
+    /// Parameters fx, fy, cx, cy.
+    pub const PINHOLE: Self = Self(1);
+
+    /// By COLMAP's number.
+    pub fn from_number(number: i64) -> Option<Self> {
+        usize::try_from(number).ok().filter(|&n| n < MODELS.len()).map(Self)
+    }
+
+    /// By COLMAP's name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        MODELS.iter().position(|(model, _)| *model == name).map(Self)
+    }
+
+    /// COLMAP's name.
+    pub fn name(self) -> &'static str {
+        MODELS[self.0].0
+    }
+
+    /// COLMAP's number.
+    pub fn number(self) -> i32 {
+        self.0 as i32
+    }
+
+    /// How many parameters it has.
+    pub fn parameters(self) -> usize {
+        MODELS[self.0].1
+    }
+}
+
+/// A camera without pose, as in the model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColmapCamera {
+    /// COLMAP's id; ids may have gaps.
+    pub id: u32,
+    /// Which parameters there are.
+    pub model: CameraModel,
+    /// Width of its images, pixels.
+    pub width: u64,
+    /// Height of its images, pixels.
+    pub height: u64,
+    /// Focal lengths, principal point, distortion, in the model's order.
+    pub parameters: Vec<f64>,
+}
+
+/// A registered image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColmapImage {
+    /// COLMAP's id; ids may have gaps and are in no order.
+    pub id: u32,
+    /// Id of its camera.
+    pub camera_id: u32,
+    /// Path below the images folder.
+    pub name: String,
+    /// Rotation from world to camera as quaternion (w, x, y, z), not necessarily of unit length.
+    pub quat: [f64; 4],
+    /// Translation from world to camera, world units.
+    pub translation: [f64; 3],
+}
+
+/// A sparse model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// Where it was read from.
+    pub source: ModelFolder,
+    /// Cameras by id.
+    pub cameras: BTreeMap<u32, ColmapCamera>,
+    /// Registered images, in the file's order.
+    pub images: Vec<ColmapImage>,
+    /// The points, in the file's order, without those at no finite position.
+    pub points: PointCloud,
+    /// Everything odd that did not prevent reading.
+    pub warnings: Vec<String>,
+}
+
+impl Model {
+    /// Reads a model. Any camera model is read; whether it can be used is [`Model::camera_of`]'s question.
+    ///
+    /// A missing list of points gives none and a warning; points at NaN are left out with a warning.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when a file cannot be read, [`Error::Input`] when one is empty, damaged or cut short, or names
+    /// a camera model that COLMAP does not have, or an id or name appears twice.
+    pub fn read(source: &ModelFolder) -> Result<Self> {
+        let ending = if source.text { "txt" } else { "bin" };
+        let file = |part: &str| source.folder.join(format!("{part}.{ending}"));
+        let (cameras, images) = if source.text {
+            (text::cameras(&file("cameras"))?, text::images(&file("images"))?)
+        } else {
+            (binary::cameras(&file("cameras"))?, binary::images(&file("images"))?)
+        };
+        check_unique(&file("images"), &images)?;
+        let mut warnings: Vec<String> = source.warning.iter().cloned().collect();
+        let points = points(source, &mut warnings)?;
+        Ok(Self {
+            source: source.clone(),
+            cameras: by_id(&file("cameras"), cameras)?,
+            images,
+            points,
+            warnings,
+        })
+    }
+
+    /// The model's file of a part: "cameras", "images" or "points3D".
+    pub fn file(&self, part: &str) -> PathBuf {
+        self.source.folder.join(format!("{part}.{}", if self.source.text { "txt" } else { "bin" }))
+    }
+
+    /// The camera with pose of an image: where the lens distorts, without its distortion, at the photo's size.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming file and id when the camera does not exist, has a lens that is not modelled, no usable
+    /// size or focal length, or the pose is not finite or a zero quaternion.
+    pub fn camera_of(&self, image: &ColmapImage) -> Result<Camera> {
+        let file = self.file("images");
+        let Some(camera) = self.cameras.get(&image.camera_id) else {
+            let problem = format!("image {} ({}) has camera {}", image.id, image.name, image.camera_id);
+            return Err(Error::input(
+                file,
+                format!("{problem}, which cameras does not list"),
+                "copy the whole model",
+            ));
+        };
+        let intrinsics = self.lens(camera)?.intrinsics();
+        let length = image.quat.iter().map(|q| q * q).sum::<f64>().sqrt();
+        let finite = length.is_finite() && image.translation.iter().all(|t| t.is_finite());
+        let result = Camera::from_colmap(image.quat, image.translation, intrinsics);
+        if !finite || length == 0.0 || result.problem().is_some() {
+            let what = if length == 0.0 { "is a zero quaternion" } else { "is not finite" };
+            let problem = format!("image {} ({}): its pose {what}", image.id, image.name);
+            return Err(Error::input(
+                file,
+                problem,
+                "run COLMAP's mapper again, or remove the image from the model",
+            ));
+        }
+        if let Some(what) = result.absurdity() {
+            let problem = format!("image {} ({}): {what}", image.id, image.name);
+            let remedy = "run COLMAP's mapper again, or remove the image from the model";
+            return Err(Error::input(file, problem, remedy));
+        }
+        Ok(result)
+    }
+
+    /// A camera at the size of its photos, with its lens.
+    ///
+    /// # Errors
+    /// As [`Model::camera_of`], for the camera alone.
+    pub fn lens(&self, camera: &ColmapCamera) -> Result<Lens> {
+        let file = self.file("cameras");
+        let place = format!("camera {} ({})", camera.id, camera.model.name());
+        let Some(([fx, fy, cx, cy], distortion)) = optics(camera) else {
+            let problem = format!("{place} has a lens that is not modelled");
+            return Err(Error::input(
+                file,
+                problem,
+                format!("run: {}", undistort_command(&self.source.folder)),
+            ));
+        };
+        let side = |pixels: u64| u32::try_from(pixels).ok().filter(|s| (1..=MAX_IMAGE_SIDE).contains(s));
+        let (Some(width), Some(height)) = (side(camera.width), side(camera.height)) else {
+            let problem = format!("{place} has images of {}x{} pixels", camera.width, camera.height);
+            return Err(Error::input(file, problem, format!("1 to {MAX_IMAGE_SIDE} a side are possible")));
+        };
+        let lens = Lens { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion };
+        let upright = Camera::with_pose(glam::Mat3::IDENTITY, glam::Vec3::ZERO, lens.intrinsics());
+        if !camera.parameters.iter().all(|p| p.is_finite()) {
+            return Err(Error::input(
+                &file,
+                format!("{place}: a parameter is not finite"),
+                "run COLMAP again",
+            ));
+        }
+        if let Some(problem) = upright.problem() {
+            return Err(Error::input(&file, format!("{place}: {problem}"), "run COLMAP again"));
+        }
+        if let Some(problem) = lens.intrinsics().absurdity() {
+            return Err(Error::input(&file, format!("{place}: {problem}"), "run COLMAP again"));
+        }
+        Ok(lens)
+    }
+}
+
+/// Focal lengths and principal point, and the distortion; `None` for lenses that are not modelled.
+fn optics(camera: &ColmapCamera) -> Option<([f64; 4], Distortion)> {
+    let brown =
+        |k: [f64; 3], d: [f64; 3], p: [f64; 2]| Distortion::Brown { k: [k[0], k[1], k[2], 0.0], d, p };
+    let radial = |k1: f64, k2: f64| brown([k1, k2, 0.0], [0.0; 3], [0.0; 2]);
+    let fisheye = |k: [f64; 4]| Distortion::Fisheye { k };
+    Some(match (camera.model.name(), camera.parameters.as_slice()) {
+        ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f, cx, cy], Distortion::None),
+        ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], Distortion::None),
+        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f, cx, cy], radial(k, 0.0)),
+        ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], radial(k1, k2)),
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
+            ([fx, fy, cx, cy], brown([k1, k2, 0.0], [0.0; 3], [p1, p2]))
+        }
+        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            ([fx, fy, cx, cy], brown([k1, k2, k3], [k4, k5, k6], [p1, p2]))
+        }
+        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
+            ([fx, fy, cx, cy], fisheye([k1, k2, k3, k4]))
+        }
+        ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k]) => ([f, f, cx, cy], fisheye([k, 0.0, 0.0, 0.0])),
+        ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], fisheye([k1, k2, 0.0, 0.0])),
+        ("SIMPLE_FISHEYE", &[f, cx, cy]) => ([f, f, cx, cy], fisheye([0.0; 4])),
+        ("FISHEYE", &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], fisheye([0.0; 4])),
+        _ => return None,
+    })
+}
+
+impl ColmapImage {
+    /// The photo's path below the images folder.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming `model_file` when the name is absolute or leads out of the folder.
+    pub fn photo_path(&self, images_folder: &Path, model_file: &Path) -> Result<PathBuf> {
+        let name = plain(&self.name);
+        if stays_inside(&name) {
+            return Ok(images_folder.join(name));
+        }
+        let problem = format!("image {}: the name {:?} leads out of the images folder", self.id, self.name);
+        Err(Error::input(model_file, problem, "names must be paths below the images folder"))
+    }
+}
+
+/// The command that makes pinhole images and a pinhole model out of a distorted one.
+pub fn undistort_command(model: &Path) -> String {
+    let dataset =
+        model.ancestors().find(|a| a.file_name().is_some_and(|n| n == "sparse")).and_then(Path::parent);
+    let dataset = dataset.unwrap_or(model).display().to_string();
+    let model = model.display();
+    format!(
+        "colmap image_undistorter --image_path {dataset}/images --input_path {model} --output_path {dataset}/undistorted, \
+         and train on {dataset}/undistorted"
+    )
+}
+
+fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<PointCloud> {
+    let exists =
+        |ending: &str| Some(source.folder.join(format!("points3D.{ending}"))).filter(|p| p.is_file());
+    let in_text = source.text.then(|| exists("txt")).flatten();
+    let (mut points, file) = match (in_text, exists("bin"), exists("txt")) {
+        (None, Some(file), _) => (binary::points(&file)?, file),
+        (Some(file), ..) | (None, None, Some(file)) => (text::points(&file)?, file),
+        (None, None, None) => {
+            warnings.push(format!("{}: has no points3D file; no points are known", source.folder.display()));
+            return Ok(PointCloud::default());
+        }
+    };
+    let all = points.len();
+    let finite: Vec<bool> = points.positions.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
+    let mut keep = finite.iter().copied();
+    points.positions.retain(|_| keep.next().unwrap_or(false));
+    let mut keep = finite.iter().copied();
+    points.colors.retain(|_| keep.next().unwrap_or(false));
+    if points.len() < all {
+        let dropped = all - points.len();
+        warnings
+            .push(format!("{}: {dropped} of {all} points are not finite and were left out", file.display()));
+    }
+    Ok(points)
+}
+
+fn by_id(file: &Path, cameras: Vec<ColmapCamera>) -> Result<BTreeMap<u32, ColmapCamera>> {
+    let mut by_id = BTreeMap::new();
+    for camera in cameras {
+        let id = camera.id;
+        if by_id.insert(id, camera).is_some() {
+            return Err(Error::input(file, format!("camera id {id} appears twice"), "copy the model again"));
+        }
+    }
+    Ok(by_id)
+}
+
+fn check_unique(file: &Path, images: &[ColmapImage]) -> Result<()> {
+    let (mut ids, mut names) = (HashSet::new(), HashSet::new());
+    for image in images {
+        let what = match (ids.insert(image.id), names.insert(image.name.as_str())) {
+            (true, true) => continue,
+            (false, _) => format!("image id {}", image.id),
+            (_, false) => format!("image name {:?}", image.name),
+        };
+        return Err(Error::input(file, format!("{what} appears twice"), "copy the model again"));
+    }
+    Ok(())
+}

@@ -1,0 +1,192 @@
+//! Reading cameras.txt, images.txt and points3D.txt.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::str::FromStr;
+
+use super::model::{CameraModel, ColmapCamera, ColmapImage};
+use ashsplat::scene::PointCloud;
+use ashsplat::{Error, Result};
+
+pub(super) fn cameras(path: &Path) -> Result<Vec<ColmapCamera>> {
+    let mut file = TextFile::open(path)?;
+    let mut cameras = Vec::new();
+    while file.next_row()? {
+        let mut words = file.words();
+        let id = words.number("camera id")?;
+        let name = words.word("camera model")?;
+        let Some(model) = CameraModel::from_name(name) else {
+            return Err(words.error(&format!("unknown camera model {name:?}")));
+        };
+        let (width, height) = (words.number("width")?, words.number("height")?);
+        let parameters = (0..model.parameters()).map(|_| words.number("parameter")).collect::<Result<_>>()?;
+        words.end()?;
+        cameras.push(ColmapCamera { id, model, width, height, parameters });
+    }
+    Ok(cameras)
+}
+
+pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
+    let mut file = TextFile::open(path)?;
+    let mut images = Vec::new();
+    while file.next_row()? {
+        let mut words = file.words();
+        let id = words.number("image id")?;
+        let mut quat = [0.0; 4];
+        for q in &mut quat {
+            *q = words.number("quaternion")?;
+        }
+        let mut translation = [0.0; 3];
+        for t in &mut translation {
+            *t = words.number("translation")?;
+        }
+        let camera_id = words.number("camera id")?;
+        let name = words.rest("image name")?.to_owned();
+        images.push(ColmapImage { id, camera_id, name, quat, translation });
+        // The line of observations may be empty, and missing after the last image.
+        if file.next_line()? && file.text.split_ascii_whitespace().count() % 3 != 0 {
+            return Err(file
+                .words()
+                .error("expected the observations (x y id, …) of the image above, or an empty line"));
+        }
+    }
+    Ok(images)
+}
+
+pub(super) fn points(path: &Path) -> Result<PointCloud> {
+    let mut file = TextFile::open(path)?;
+    let mut points = PointCloud::default();
+    while file.next_row()? {
+        let mut words = file.words();
+        let _id: u64 = words.number("point id")?;
+        let mut position = [0.0; 3];
+        for p in &mut position {
+            *p = words.number::<f64>("position")? as f32;
+        }
+        let mut color = [0; 3];
+        for c in &mut color {
+            *c = words.number("colour")?;
+        }
+        points.positions.push(position);
+        points.colors.push(color);
+    }
+    Ok(points)
+}
+
+/// Number of rows that are not comments; 0 when the file cannot be read.
+pub(super) fn count_rows(path: &Path) -> u64 {
+    let Ok(mut file) = TextFile::open(path) else { return 0 };
+    let mut rows = 0;
+    while let Ok(true) = file.next_row() {
+        rows += 1;
+    }
+    rows
+}
+
+/// Number of registered images; 0 when the file cannot be read.
+pub(super) fn count_images(path: &Path) -> u64 {
+    let Ok(mut file) = TextFile::open(path) else { return 0 };
+    let mut images = 0;
+    while let Ok(true) = file.next_row() {
+        images += 1;
+        if !file.next_line().unwrap_or(false) {
+            break;
+        }
+    }
+    images
+}
+
+/// A text file, line by line.
+struct TextFile<'a> {
+    path: &'a Path,
+    reader: BufReader<File>,
+    text: String,
+    line: u64,
+}
+
+impl<'a> TextFile<'a> {
+    fn open(path: &'a Path) -> Result<Self> {
+        let file = File::open(path).map_err(|source| Error::io(path, "read", source))?;
+        let mut this = Self { path, reader: BufReader::new(file), text: String::new(), line: 0 };
+        let start = this.reader.fill_buf().map_err(|source| Error::io(path, "read", source))?;
+        match crate::sniff::recognise(&start[..start.len().min(512)]) {
+            Some((problem, remedy)) => Err(Error::input(path, problem, remedy)),
+            None => Ok(this),
+        }
+    }
+
+    /// Moves to the next line; false at the end.
+    fn next_line(&mut self) -> Result<bool> {
+        let mut bytes = std::mem::take(&mut self.text).into_bytes();
+        bytes.clear();
+        let read = self.reader.read_until(b'\n', &mut bytes);
+        let read = read.map_err(|source| Error::io(self.path, "read", source))?;
+        self.line += 1;
+        self.text = String::from_utf8(bytes).map_err(|_| {
+            Error::input(self.path, format!("line {} is not text (UTF-8)", self.line), "copy the model again")
+        })?;
+        Ok(read > 0)
+    }
+
+    /// Moves to the next line that is neither blank nor a comment; false at the end.
+    fn next_row(&mut self) -> Result<bool> {
+        while self.next_line()? {
+            let text = self.text.trim_start();
+            if !text.is_empty() && !text.starts_with('#') {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    fn words(&self) -> Words<'_> {
+        Words { path: self.path, line: self.line, rest: self.text.trim() }
+    }
+}
+
+/// What is left of a line.
+struct Words<'a> {
+    path: &'a Path,
+    line: u64,
+    rest: &'a str,
+}
+
+impl<'a> Words<'a> {
+    fn error(&self, problem: &str) -> Error {
+        Error::input(
+            self.path,
+            format!("line {}: {problem}", self.line),
+            "the file is damaged: copy the model again",
+        )
+    }
+
+    fn word(&mut self, what: &str) -> Result<&'a str> {
+        let (word, rest) = self.rest.split_once(|c: char| c.is_ascii_whitespace()).unwrap_or((self.rest, ""));
+        if word.is_empty() {
+            return Err(self.error(&format!("the {what} is missing")));
+        }
+        self.rest = rest.trim_start();
+        Ok(word)
+    }
+
+    fn number<T: FromStr>(&mut self, what: &str) -> Result<T> {
+        let word = self.word(what)?;
+        word.parse().map_err(|_| {
+            let start: String = word.chars().take(40).collect();
+            self.error(&format!("{start:?} is no valid {what}"))
+        })
+    }
+
+    /// Everything up to the end of the line, with spaces.
+    fn rest(&mut self, what: &str) -> Result<&'a str> {
+        if self.rest.is_empty() {
+            return Err(self.error(&format!("the {what} is missing")));
+        }
+        Ok(std::mem::take(&mut self.rest))
+    }
+
+    fn end(&self) -> Result<()> {
+        if self.rest.is_empty() { Ok(()) } else { Err(self.error("has more values than its camera model")) }
+    }
+}

@@ -1,0 +1,270 @@
+//! A data set to train on: photographs with their cameras, and points to start from.
+
+mod exif_orientation;
+mod gallery;
+mod inspect;
+mod mask;
+mod plan;
+mod unpacked;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+
+use super::cameras_json::{self, NamedCamera};
+use super::images::{PhotoFile, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
+use super::progress::Progress;
+use crate::init::{RANDOM_POINTS, points_in_view, random_points, seen_box};
+use ashsplat::Result;
+use ashsplat::scene::{Camera, Gaussians, PointCloud, scene_extent};
+
+pub use gallery::Gallery;
+pub use inspect::DatasetReport;
+use plan::PlannedView;
+use unpacked::Unpacked;
+
+/// How to load a data set.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DatasetOptions {
+    /// Size at which the photos are used.
+    pub resolution: Resolution,
+    /// Name of the subfolder with the photos. In one called `…_2`, `…_4` or `…_8`, as benchmark data sets have
+    /// them, the photos may be of that fraction of their cameras' size.
+    pub images: String,
+    /// Whether photos are turned as their metadata say.
+    pub orientation: PhotoOrientation,
+    /// Whether every `test_every`-th view by name is held out.
+    pub eval: bool,
+    /// Distance of the held-out views; 8 in the reference implementation and the literature.
+    pub test_every: u32,
+    /// Whether what is transparent in a photo becomes white rather than black.
+    pub white_background: bool,
+    /// Bounds the memory of the photos: more of them stay in a file. None: all are held in memory.
+    pub photo_memory: Option<PhotoMemory>,
+}
+
+impl Default for DatasetOptions {
+    fn default() -> Self {
+        Self {
+            resolution: Resolution::Auto,
+            images: "images".into(),
+            orientation: PhotoOrientation::Auto,
+            eval: false,
+            test_every: 8,
+            white_background: false,
+            photo_memory: None,
+        }
+    }
+}
+
+impl DatasetOptions {
+    /// The colour behind transparent photos, (r, g, b) in [0, 1].
+    pub fn background(&self) -> [f32; 3] {
+        [if self.white_background { 1.0 } else { 0.0 }; 3]
+    }
+
+    /// By how much the photos in the folder are smaller than the model's cameras.
+    fn divisor(&self) -> u32 {
+        match self.images.trim_end_matches('/').rsplit_once('_') {
+            Some((_, "2")) => 2,
+            Some((_, "4")) => 4,
+            Some((_, "8")) => 8,
+            _ => 1,
+        }
+    }
+
+    fn is_test(&self, index: usize) -> bool {
+        self.eval && index.is_multiple_of(self.test_every.max(1) as usize)
+    }
+}
+
+/// One photograph and its camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// Path below the images folder.
+    pub name: String,
+    /// Id in the COLMAP model, or place in the order of names.
+    pub image_id: u32,
+    /// The camera at the photo's size in memory.
+    pub camera: Camera,
+    /// The camera at the photo's size in its file.
+    pub original_camera: Camera,
+    /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and what of it counts.
+    pub photo: StoredPhoto,
+}
+
+/// A data set in memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dataset {
+    /// Views to train on, by name.
+    pub train: Vec<View>,
+    /// Held-out views, by name; empty without [`DatasetOptions::eval`].
+    pub test: Vec<View>,
+    /// Points to start from; empty when the model has none.
+    pub points: PointCloud,
+    /// 1.1 × the largest distance of a training camera to their mean, world units.
+    pub scene_extent: f32,
+    /// The folder of the COLMAP model, or the transforms.json.
+    pub source: PathBuf,
+    /// What the user should know though it does not prevent training.
+    pub warnings: Vec<String>,
+}
+
+impl Dataset {
+    /// Whether a file is a ZIP, whatever its name, and so may be a data set.
+    pub fn is_archive(path: impl AsRef<Path>) -> bool {
+        unpacked::starts_like_zip(path.as_ref())
+    }
+
+    /// Loads a data set: a folder with a COLMAP model or with `transforms.json` (or `transforms_train.json`), or a ZIP
+    /// of one. The photos are decoded, and where the lens distorts undistorted, in parallel.
+    ///
+    /// # Errors
+    /// [`ashsplat::Error::Io`] and [`ashsplat::Error::Input`] for the first problem of cameras or photos: see
+    /// [`super::colmap::find`], [`super::colmap::Model::read`], [`super::colmap::Model::camera_of`],
+    /// [`super::transforms::Transforms::read`] and [`super::Photo::read_sized`]; no registered images; no training views left
+    /// by the split. [`ashsplat::Error::Interrupted`] when `progress` says so.
+    pub fn load(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
+        Gallery::open(path, options, progress)?.load(progress)
+    }
+
+    /// The cameras of all views by name, at the photos' own sizes; the photos are not decoded.
+    ///
+    /// # Errors
+    /// As [`Gallery::open`].
+    pub fn cameras(path: impl AsRef<Path>, options: &DatasetOptions) -> Result<Vec<NamedCamera>> {
+        Ok(Gallery::open(path, options, Progress::NONE)?.cameras())
+    }
+
+    fn of(gallery: &Gallery, progress: Progress<'_>) -> Result<Self> {
+        let Gallery { options, views: planned, held_out, .. } = gallery;
+        plan::check_split(&gallery.list, held_out)?;
+        let mut warnings = gallery.warnings.clone();
+        let file = photo_file(planned, options, &mut warnings)?;
+        let done = AtomicUsize::new(0);
+        let total = planned.len();
+        progress.step(0, total);
+        let views = planned
+            .par_iter()
+            .map(|planned| {
+                progress.check()?;
+                let mut view = planned.load(options)?;
+                if let Some(file) = &file {
+                    view.photo = file.store(&view.photo)?;
+                }
+                progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+                Ok(view)
+            })
+            .collect::<Result<Vec<_>>>()?;
+        Ok(Self::assemble(gallery, views, warnings))
+    }
+
+    fn assemble(gallery: &Gallery, views: Vec<View>, mut warnings: Vec<String>) -> Self {
+        let (mut train, mut test) = (Vec::new(), Vec::new());
+        for (view, held_out) in views.into_iter().zip(&gallery.held_out) {
+            if *held_out { test.push(view) } else { train.push(view) }
+        }
+        let mut extent = scene_extent(train.iter().map(|view: &View| view.camera.position()));
+        if extent == 0.0 {
+            warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());
+            extent = 1.0;
+        }
+        let points = gallery.points.clone();
+        if points.is_empty() {
+            let cameras: Vec<Camera> = train.iter().map(|view| view.camera).collect();
+            let guessed = match seen_box(&cameras) {
+                Some(_) => "",
+                None => {
+                    ", at guessed depths: the cameras do not look at one place and so do not tell how far the scene is; \
+                     give points"
+                }
+            };
+            warnings.push(random_points_instead() + guessed);
+        }
+        Self { train, test, points, scene_extent: extent, source: gallery.source.clone(), warnings }
+    }
+
+    /// All views by name, held-out ones among the others.
+    pub fn views(&self) -> Vec<&View> {
+        let mut views: Vec<&View> = self.train.iter().chain(&self.test).collect();
+        views.sort_by(|a, b| a.name.cmp(&b.name));
+        views
+    }
+
+    /// Whether a data set without points is in order: those of the NeRF kind have none.
+    pub fn may_lack_points(&self) -> bool {
+        may_lack_points(&self.source)
+    }
+
+    /// The points, or, when there are none, 100,000 random ones: in the box where all training cameras look
+    /// ([`seen_box`]), or where they do not look at one place, in what each of them sees ([`points_in_view`]), at depths
+    /// from a quarter to 16 times the scene extent.
+    pub fn initial_points(&self, seed: u64) -> PointCloud {
+        if !self.points.is_empty() {
+            return self.points.clone();
+        }
+        let cameras: Vec<Camera> = self.train.iter().map(|view| view.camera).collect();
+        match seen_box(&cameras) {
+            Some(bounds) => random_points(RANDOM_POINTS, bounds, seed),
+            None => points_in_view(RANDOM_POINTS, &cameras, self.scene_extent, seed),
+        }
+    }
+
+    /// The Gaussians that training starts from.
+    ///
+    /// # Errors
+    /// As [`initial_gaussians`](crate::initial_gaussians).
+    pub fn initial_gaussians(&self, sh_degree: u32, seed: u64) -> Result<Gaussians> {
+        crate::initial_gaussians(&self.initial_points(seed), sh_degree)
+    }
+
+    /// Writes `cameras.json`: held-out views first, then the training views, at their original sizes, as the
+    /// reference implementation does.
+    ///
+    /// # Errors
+    /// As [`cameras_json::write()`].
+    pub fn write_cameras_json(&self, path: impl AsRef<Path>) -> Result<()> {
+        let views = self.test.iter().chain(&self.train);
+        cameras_json::write(path, views.map(|view| (view.name.as_str(), &view.original_camera)))
+    }
+
+    /// Checks everything that training would need, without stopping at the first problem.
+    pub fn inspect(
+        path: impl AsRef<Path>,
+        options: &DatasetOptions,
+        progress: Progress<'_>,
+    ) -> DatasetReport {
+        inspect::inspect(path.as_ref(), options, progress)
+    }
+}
+
+/// The file for photos that need more memory than they may have.
+fn photo_file(
+    planned: &[PlannedView],
+    options: &DatasetOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Option<Arc<PhotoFile>>> {
+    let Some(memory) = &options.photo_memory else { return Ok(None) };
+    let needed: u64 = planned.iter().map(|view| view.texel_bytes(options)).sum();
+    if needed <= memory.bytes {
+        return Ok(None);
+    }
+    let (mib, allowed) = (needed.div_ceil(1 << 20), memory.bytes >> 20);
+    warnings.push(format!(
+        "the photos need {mib} MiB and may have {allowed}: they are kept in a file in {} and read when needed",
+        memory.folder.display()
+    ));
+    memory.create_file().map(Some)
+}
+
+/// Whether what was read from a model folder or a file with cameras may have no points.
+fn may_lack_points(source: &Path) -> bool {
+    source.extension().is_some_and(|ending| ending == "json")
+}
+
+/// What is said of that.
+fn random_points_instead() -> String {
+    format!("no points to start from; {RANDOM_POINTS} random ones stand in for them")
+}

@@ -1,0 +1,82 @@
+//! The photos of a data set one at a time, for those who look at a few.
+
+use std::path::{Path, PathBuf};
+
+use super::plan::{Plan, PlannedView};
+use super::{Dataset, DatasetOptions, Unpacked, View};
+use crate::cameras_json::NamedCamera;
+use crate::progress::Progress;
+use ashsplat::Result;
+use ashsplat::scene::PointCloud;
+
+/// The views of a data set, whose photos are read when they are asked for.
+pub struct Gallery {
+    pub(super) unpacked: Unpacked,
+    pub(super) options: DatasetOptions,
+    pub(super) views: Vec<PlannedView>,
+    pub(super) held_out: Vec<bool>,
+    pub(super) points: PointCloud,
+    pub(super) warnings: Vec<String>,
+    /// The folder of the COLMAP model, or the transforms.json.
+    pub(super) source: PathBuf,
+    /// The file that lists the views.
+    pub(super) list: PathBuf,
+}
+
+impl Gallery {
+    /// Finds out what a data set (or a ZIP of one, which is unpacked for as long as the value lives) consists of; the
+    /// photos are not decoded.
+    ///
+    /// # Errors
+    /// As [`Dataset::load`], but for the photos' contents and the split.
+    pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
+        let unpacked = Unpacked::open(path.as_ref(), progress)?;
+        let plan = Plan::of(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
+        let held_out = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
+        plan.check_views().map_err(|error| unpacked.name(error))?;
+        let Plan { views, points, source, list, warnings, .. } = plan;
+        let views: Vec<PlannedView> =
+            views.into_iter().collect::<Result<_>>().map_err(|error| unpacked.name(error))?;
+        let warnings = warnings.iter().map(|warning| unpacked.name_in(warning)).collect();
+        let source = unpacked.named(&source);
+        Ok(Self { unpacked, options: options.clone(), views, held_out, points, warnings, source, list })
+    }
+
+    /// Reads all photos: the whole data set, in parallel.
+    ///
+    /// # Errors
+    /// As [`Dataset::load`].
+    pub fn load(&self, progress: Progress<'_>) -> Result<Dataset> {
+        Dataset::of(self, progress).map_err(|error| self.unpacked.name(error))
+    }
+
+    /// The cameras by name, at the photos' own sizes.
+    pub fn cameras(&self) -> Vec<NamedCamera> {
+        let named = |view: &PlannedView| NamedCamera { name: view.name.clone(), camera: view.camera() };
+        self.views.iter().map(named).collect()
+    }
+
+    /// Whether each view, by name, is held out; none is without [`DatasetOptions::eval`].
+    pub fn held_out(&self) -> &[bool] {
+        &self.held_out
+    }
+
+    /// What the user should know though it does not prevent using the photos.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// The points that the data set comes with; there may be none.
+    pub fn points(&self) -> &PointCloud {
+        &self.points
+    }
+
+    /// Reads a photo, undistorted and scaled as the options say; `None` beyond the last.
+    ///
+    /// # Errors
+    /// As [`super::Dataset::load`].
+    pub fn view(&self, index: usize) -> Option<Result<View>> {
+        let view = self.views.get(index)?;
+        Some(view.load(&self.options).map_err(|error| self.unpacked.name(error)))
+    }
+}

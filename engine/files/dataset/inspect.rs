@@ -1,0 +1,170 @@
+//! Everything that is wrong with a data set, at once.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+
+use super::plan::{Plan, PlannedView, check_split};
+use super::unpacked::Unpacked;
+use super::{DatasetOptions, may_lack_points, random_points_instead};
+use crate::colmap;
+use crate::progress::Progress;
+use ashsplat::scene::{Bounds, scene_extent};
+use ashsplat::{Error, Result};
+
+/// What a data set contains and what is wrong with it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DatasetReport {
+    /// The folder of the COLMAP model, or the transforms.json, when there is one.
+    pub model: Option<PathBuf>,
+    /// Number of cameras by "MODEL WIDTHxHEIGHT".
+    pub cameras: BTreeMap<String, usize>,
+    /// Number of registered images.
+    pub images: usize,
+    /// Number of photos that are present, whole and of their camera's size.
+    pub sound_photos: usize,
+    /// Number of views that training would use, with the given options.
+    pub train_views: usize,
+    /// Number of views that would be held out.
+    pub test_views: usize,
+    /// Number of points.
+    pub points: usize,
+    /// Box around the points, world units.
+    pub point_bounds: Option<Bounds>,
+    /// Box around the centres of the usable cameras, world units.
+    pub camera_bounds: Option<Bounds>,
+    /// Scene extent over the usable training cameras, world units.
+    pub scene_extent: f32,
+    /// Problems that prevent training, one line each.
+    pub problems: Vec<String>,
+    /// What the user should know though it does not prevent training.
+    pub warnings: Vec<String>,
+}
+
+impl DatasetReport {
+    /// Whether training can start.
+    pub fn is_sound(&self) -> bool {
+        self.problems.is_empty()
+    }
+}
+
+pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<'_>) -> DatasetReport {
+    let mut report = DatasetReport::default();
+    let unpacked = match Unpacked::open(path, progress) {
+        Ok(unpacked) => unpacked,
+        Err(e) => {
+            report.problem(e.to_string());
+            return report;
+        }
+    };
+    let named = |e: Error| unpacked.name(e).to_string();
+    let mut plan = match Plan::of(unpacked.folder(), options) {
+        Ok(plan) => plan,
+        Err(e) => {
+            report.model = colmap::find(unpacked.folder()).ok().map(|found| unpacked.named(&found.folder));
+            report.problem(named(e));
+            return report;
+        }
+    };
+    report.describe(&plan);
+    report.model = Some(unpacked.named(&plan.source));
+    report.warnings.iter_mut().for_each(|warning| *warning = unpacked.name_in(warning));
+    let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
+    let split = plan.check_views().and_then(|()| check_split(&plan.list, &held_out));
+    let mut views = Vec::new();
+    for (view, held_out) in std::mem::take(&mut plan.views).into_iter().zip(held_out) {
+        match view {
+            Ok(view) => views.push((view, held_out)),
+            Err(e) => report.problem(named(e)),
+        }
+    }
+    if report.problems.is_empty()
+        && let Err(e) = split
+    {
+        report.problem(named(e));
+    }
+    report.split(&views);
+    report.check_photos(&views, options, progress, &named);
+    report
+}
+
+impl DatasetReport {
+    /// Notes a problem once: many images share a camera.
+    fn problem(&mut self, problem: String) {
+        if !self.problems.contains(&problem) {
+            self.problems.push(problem);
+        }
+    }
+
+    fn describe(&mut self, plan: &Plan) {
+        self.cameras.clone_from(&plan.cameras);
+        self.images = plan.views.len();
+        self.points = plan.points.len();
+        self.point_bounds = plan.points.bounds();
+        self.warnings.clone_from(&plan.warnings);
+        if plan.points.is_empty() {
+            self.warnings.push(match may_lack_points(&plan.source) {
+                true => random_points_instead(),
+                false => "no points to start from; training needs --random-points".into(),
+            });
+        }
+    }
+
+    fn split(&mut self, views: &[(PlannedView, bool)]) {
+        self.test_views = views.iter().filter(|(_, held_out)| *held_out).count();
+        self.train_views = views.len() - self.test_views;
+        let position = |view: &PlannedView| view.camera().position();
+        self.camera_bounds = Bounds::of(views.iter().map(|(view, _)| position(view)));
+        let train = views.iter().filter(|(_, held_out)| !held_out);
+        self.scene_extent = scene_extent(train.map(|(view, _)| position(view)));
+    }
+
+    fn check_photos(
+        &mut self,
+        views: &[(PlannedView, bool)],
+        options: &DatasetOptions,
+        progress: Progress<'_>,
+        named: &dyn Fn(Error) -> String,
+    ) {
+        let done = AtomicUsize::new(0);
+        let check = |(view, _): &(PlannedView, bool)| -> Result<()> {
+            progress.check()?;
+            let result = view.read_photo(options);
+            progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, views.len());
+            result.map(drop)
+        };
+        let results: Vec<_> = views.par_iter().map(check).collect();
+        self.sound_photos = results.iter().filter(|result| result.is_ok()).count();
+        results.into_iter().filter_map(Result::err).for_each(|e| self.problem(named(e)));
+    }
+}
+
+impl fmt::Display for DatasetReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(model) = &self.model {
+            writeln!(f, "model     {}", model.display())?;
+        }
+        for (kind, count) in &self.cameras {
+            writeln!(f, "cameras   {count} × {kind}")?;
+        }
+        writeln!(f, "images    {} registered, {} sound photos", self.images, self.sound_photos)?;
+        writeln!(f, "views     {} for training, {} held out", self.train_views, self.test_views)?;
+        writeln!(f, "points    {}", self.points)?;
+        for (what, bounds) in [("points", self.point_bounds), ("cameras", self.camera_bounds)] {
+            if let Some(Bounds { min, max }) = bounds {
+                writeln!(f, "box       {what} from {min:.3} to {max:.3}")?;
+            }
+        }
+        writeln!(f, "extent    {:.4}", self.scene_extent)?;
+        for warning in &self.warnings {
+            writeln!(f, "warning   {warning}")?;
+        }
+        for problem in &self.problems {
+            writeln!(f, "problem   {problem}")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,115 @@
+//! What of a photo counts.
+
+use std::path::{Path, PathBuf};
+
+use crate::images::{Photo, header, read_as, undistort};
+use crate::names::{Finder, plain};
+use ashsplat::scene::camera::Intrinsics;
+use ashsplat::scene::lens::Lens;
+use ashsplat::{Error, Result};
+
+/// One value per pixel, row-major: what counts is at least [`COUNTS`].
+#[derive(Clone)]
+pub(super) struct Mask {
+    width: u32,
+    height: u32,
+    values: Vec<u8>,
+}
+
+/// Where a mask is at least this, the pixel counts.
+const COUNTS: u8 = 128;
+
+impl Mask {
+    /// The alpha channel of a photo of a size.
+    pub(super) fn of_alpha(width: u32, height: u32, values: Vec<u8>) -> Self {
+        Self { width, height, values }
+    }
+
+    /// Reads the mask of a photo of a size; one of a larger version of the photo is made smaller.
+    pub(super) fn read(path: &Path, turned: bool, width: u32, height: u32) -> Result<Self> {
+        let size = header(path)?.size(turned);
+        if !is_enlarged(size, (width, height)) {
+            let problem = format!("is {}x{} pixels, its photo {width}x{height}", size.0, size.1);
+            let remedy = "masks must have their photo's size, or be larger with the same proportions";
+            return Err(Error::input(path, problem, remedy));
+        }
+        let (grey, _) = read_as(path, [0.0; 3], turned, size)?;
+        Ok(Self::of_grey(grey).scaled_to(width, height))
+    }
+
+    fn of_grey(grey: Photo) -> Self {
+        let values = grey.rgb.chunks_exact(3).map(|rgb| rgb[0]).collect();
+        Self { width: grey.width, height: grey.height, values }
+    }
+
+    /// What counts in both, which are of one size.
+    pub(super) fn and(mut self, other: &Self) -> Self {
+        self.values.iter_mut().zip(&other.values).for_each(|(a, &b)| *a = (*a).min(b));
+        self
+    }
+
+    /// As the pinhole camera in place of a lens has it.
+    pub(super) fn undistorted(&self, lens: &Lens, pinhole: &Intrinsics) -> Self {
+        let rgb = self.values.iter().flat_map(|&m| [m; 3]).collect();
+        Self::of_grey(undistort(&Photo { width: self.width, height: self.height, rgb }, lens, pinhole))
+    }
+
+    /// At another size: a pixel counts where all do that it covers, since its colour is of them all.
+    pub(super) fn scaled_to(self, width: u32, height: u32) -> Self {
+        if (width, height) == (self.width, self.height) {
+            return self;
+        }
+        let covered = |at: u32, to: u32, from: u32| {
+            let [at, to, from] = [at, to, from].map(u64::from);
+            (at * from / to) as usize..((at + 1) * from).div_ceil(to) as usize
+        };
+        let least = |x: u32, y: u32| {
+            let columns = covered(x, width, self.width);
+            let rows = covered(y, height, self.height).map(|row| row * self.width as usize);
+            rows.flat_map(|row| &self.values[row + columns.start..row + columns.end]).min().copied()
+        };
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let values = pixels.map(|(x, y)| least(x, y).unwrap_or_default()).collect();
+        Self { width, height, values }
+    }
+
+    /// 255 where a pixel counts, else 0; none where all do.
+    pub(super) fn into_values(self) -> Option<Vec<u8>> {
+        let counts = |&value: &u8| value >= COUNTS;
+        let hides = !self.values.iter().all(counts);
+        hides.then(|| self.values.iter().map(|value| if counts(value) { 255 } else { 0 }).collect())
+    }
+}
+
+/// Whether a picture is another one, or a larger version of it whose sides were rounded when it was made smaller.
+fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
+    let [a, b] = [(size.0, of.0), (size.1, of.1)].map(|(larger, side)| {
+        let [larger, side] = [larger, side].map(f64::from);
+        // By what the side can have been divided.
+        (larger / (side + 1.0), if side > 1.0 { larger / (side - 1.0) } else { f64::INFINITY })
+    });
+    size == of || (size.0 >= of.0 && size.1 >= of.1 && a.0 < b.1 && b.0 < a.1)
+}
+
+/// `NAME.png` or, as COLMAP has them, `NAME.jpg.png` in `masks`, or in the folder of masks that goes with the photos':
+/// `masks_4` with `images_4`.
+pub(super) fn mask_of(dataset: &Path, images: &str, name: &str, finder: &mut Finder) -> Option<PathBuf> {
+    let mut in_folder = |folder: PathBuf| {
+        let whole = folder.join(plain(&format!("{name}.png")));
+        finder.photo(&whole).or_else(|| finder.photo(&folder.join(plain(name)).with_extension("png")))
+    };
+    in_folder(dataset.join(beside(images))).or_else(|| in_folder(dataset.join("masks")))
+}
+
+/// The mask that a `transforms.json` names, or the one in the folder of masks that goes with the photos'.
+pub(super) fn mask_in_folder(dataset: &Path, images: &str, named: &Path) -> PathBuf {
+    let rest = named.strip_prefix(dataset.join("masks")).ok();
+    let beside = rest.map(|rest| dataset.join(beside(images)).join(rest)).filter(|path| path.is_file());
+    beside.unwrap_or_else(|| named.to_owned())
+}
+
+/// `masks_4` for `images_4`.
+fn beside(images: &str) -> String {
+    let ending = images.trim_end_matches('/').strip_prefix("images").unwrap_or_default();
+    format!("masks{ending}")
+}

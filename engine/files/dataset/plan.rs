@@ -1,0 +1,400 @@
+//! What a data set is made of before its photos are read, whatever describes it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use glam::{Mat3, Vec3};
+
+use super::exif_orientation::Turned;
+use super::mask::{Mask, mask_in_folder, mask_of};
+use super::{DatasetOptions, View};
+use crate::colmap::{self, ColmapCamera, ColmapImage, Model};
+use crate::images::{Photo, PhotoFileFormat, StoredPhoto, header, read_as, undistort};
+use crate::names::{Finder, count_photos};
+use crate::transforms::{self, Frame, Transforms};
+use ashsplat::scene::lens::Lens;
+use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat::{Error, Result};
+
+/// A camera that is so many times as far from the middle as the median is a stray.
+const STRAY: f32 = 1000.0;
+
+/// Views, points, and what is odd.
+pub(super) struct Plan {
+    /// The folder of the model, or the file with the cameras.
+    pub(super) source: PathBuf,
+    /// The file that lists the views.
+    pub(super) list: PathBuf,
+    /// The views by name, or why one cannot be used.
+    pub(super) views: Vec<Result<PlannedView>>,
+    /// Whether the data set itself says which views are held out.
+    pub(super) has_split: bool,
+    pub(super) points: PointCloud,
+    /// Number of cameras by "MODEL WIDTHxHEIGHT".
+    pub(super) cameras: BTreeMap<String, usize>,
+    pub(super) warnings: Vec<String>,
+}
+
+/// A view whose photo is not loaded yet.
+pub(crate) struct PlannedView {
+    pub(crate) name: String,
+    image_id: u32,
+    camera_from_world: Mat3,
+    translation: Vec3,
+    /// What the photo was taken with.
+    lens: Lens,
+    /// The pinhole camera in its place; the same without distortion.
+    pinhole: Intrinsics,
+    photo_path: PathBuf,
+    /// Whether the photo is turned as its metadata say.
+    turned: bool,
+    /// What of the photo counts.
+    mask_path: Option<PathBuf>,
+    /// Whether transparent pixels of the photo do not count; otherwise they show the background.
+    alpha_is_mask: bool,
+    /// Whether the data set says that the view is held out.
+    pub(super) held_out: bool,
+}
+
+impl Plan {
+    /// Finds out what a data set consists of; the photos are looked for, and where nothing else gives their size,
+    /// opened, but not decoded.
+    pub(super) fn of(path: &Path, options: &DatasetOptions) -> Result<Self> {
+        let mut plan = match transforms::find(path) {
+            Some(files) if !colmap::exists(path) => Self::of_transforms(path, &files, options)?,
+            _ => Self::of_model(path, &Model::of_dataset(path)?, options)?,
+        };
+        plan.warn_of_strays();
+        Ok(plan)
+    }
+
+    /// Names cameras that are so far from the others that they can only be mistakes.
+    fn warn_of_strays(&mut self) {
+        let views: Vec<&PlannedView> = self.views.iter().filter_map(|view| view.as_ref().ok()).collect();
+        let positions: Vec<Vec3> = views.iter().map(|view| view.camera().position()).collect();
+        let median = |mut values: Vec<f32>| {
+            values.sort_unstable_by(f32::total_cmp);
+            values.get(values.len() / 2).copied().unwrap_or_default()
+        };
+        let axis = |axis: usize| median(positions.iter().map(|p| p[axis]).collect());
+        let center = Vec3::new(axis(0), axis(1), axis(2));
+        let distances: Vec<f32> = positions.iter().map(|p| p.distance(center)).collect();
+        let limit = STRAY * median(distances.clone());
+        let mut strays = views.iter().zip(&distances).filter(|&(_, &d)| limit > 0.0 && d > limit);
+        if let Some((first, _)) = strays.next() {
+            let (list, name, count) = (self.list.display(), &first.name, 1 + strays.count());
+            self.warnings.push(format!(
+                "{list}: {count} of {} cameras, {name} for example, are more than {STRAY} times as far from the middle as \
+                 most: if their poses are wrong, remove them",
+                positions.len()
+            ));
+        }
+    }
+
+    fn of_model(path: &Path, model: &Model, options: &DatasetOptions) -> Result<Self> {
+        let mut plan = Self {
+            source: model.source.folder.clone(),
+            list: model.file("images"),
+            views: Vec::new(),
+            has_split: false,
+            points: model.points.clone(),
+            cameras: BTreeMap::new(),
+            warnings: model.warnings.clone(),
+        };
+        let mut images: Vec<&ColmapImage> = model.images.iter().collect();
+        images.sort_by(|a, b| a.name.cmp(&b.name));
+        let mut lenses = BTreeMap::new();
+        for camera in model.cameras.values() {
+            let kind = format!("{} {}x{}", camera.model.name(), camera.width, camera.height);
+            *plan.cameras.entry(kind).or_default() += 1;
+            // What is wrong with a camera is said of the images that have it.
+            if let Ok(lens) = model.lens(camera) {
+                lenses.insert(camera.id, (lens, plan.undistorted(camera, &lens, &model.file("cameras"))));
+            }
+        }
+        let folder = path.join(&options.images);
+        if !folder.is_dir() {
+            let remedy = "put the photos there, or name their folder with --images";
+            plan.views.push(Err(Error::input(folder, "there is no folder with photos", remedy)));
+            return Ok(plan);
+        }
+        let mut finder = Finder::default();
+        let paths = images.iter().map(|image| {
+            let path = image.photo_path(&folder, &plan.list)?;
+            Ok(finder.photo(&path).unwrap_or(path))
+        });
+        let paths: Vec<Result<PathBuf>> = paths.collect();
+        let asked = images.iter().zip(&paths).map(|(image, path)| {
+            let camera = model.cameras.get(&image.camera_id);
+            (path.as_deref().ok(), camera.map(|camera| [camera.width as f64, camera.height as f64]))
+        });
+        // COLMAP itself never turns photos: where no size tells otherwise, there is nothing to warn of.
+        let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation).photos;
+        let mut view = |((image, photo_path), turned): ((&ColmapImage, Result<PathBuf>), bool)| {
+            let camera = model.camera_of(image)?;
+            let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
+                let problem = format!("camera {}: sees too much for a pinhole", image.camera_id);
+                return Err(Error::input(model.file("cameras"), problem, "crop the photos"));
+            };
+            let photo_path = photo_path?;
+            if !photo_path.is_file() {
+                let problem = format!("the photo of image {} is missing", image.id);
+                let remedy = "copy it there, or remove the image from the model";
+                return Err(Error::input(photo_path, problem, remedy));
+            }
+            Ok(PlannedView {
+                name: image.name.clone(),
+                image_id: image.id,
+                camera_from_world: camera.camera_from_world,
+                translation: camera.translation,
+                lens,
+                pinhole,
+                photo_path,
+                turned,
+                mask_path: mask_of(path, &options.images, &image.name, &mut finder),
+                alpha_is_mask: true,
+                held_out: false,
+            })
+        };
+        let (photos, registered) = (count_photos(&folder), images.len());
+        if photos > registered {
+            plan.warnings.push(format!(
+                "{}: only {registered} of its {photos} photos have a camera in the model: the others are not used (photos \
+                 that overlap more, or `colmap exhaustive_matcher`, may register them)",
+                folder.display()
+            ));
+        }
+        plan.views = images.into_iter().zip(paths).zip(turned).map(&mut view).collect();
+        Ok(plan)
+    }
+
+    /// The pinhole in place of a lens, and a word about it.
+    fn undistorted(&mut self, camera: &ColmapCamera, lens: &Lens, file: &Path) -> Option<Intrinsics> {
+        let pinhole = lens.inscribed_pinhole();
+        if let Some(Intrinsics { width, height, .. }) = pinhole.filter(|_| lens.is_distorted()) {
+            let (file, id, model) = (file.display(), camera.id, camera.model.name());
+            self.warnings.push(format!(
+                "{file}: camera {id} ({model}) has lens distortion: its photos are undistorted to {width}x{height} pixels"
+            ));
+        }
+        pinhole
+    }
+
+    fn of_transforms(path: &Path, files: &[PathBuf], options: &DatasetOptions) -> Result<Self> {
+        let Transforms { source, mut frames, has_split, points, warnings } = Transforms::read(files)?;
+        frames.sort_by(|a, b| a.name.cmp(&b.name));
+        let mut plan = Self {
+            list: source.clone(),
+            source,
+            views: Vec::new(),
+            has_split,
+            points,
+            cameras: BTreeMap::new(),
+            warnings,
+        };
+        let mut finder = Finder::default();
+        let paths: Vec<PathBuf> =
+            frames.iter().map(|frame| photo_in_folder(path, frame, &options.images, &mut finder)).collect();
+        if options.images != "images" && frames.iter().all(|frame| !frame.name.starts_with("images/")) {
+            let problem = format!(
+                "{} has no effect here: {} names photos outside of images/, {} for example",
+                options.images,
+                plan.list.display(),
+                frames[0].name
+            );
+            return Err(Error::argument("images", problem));
+        }
+        let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
+        let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
+        plan.warnings.extend(turned.warning(&plan.list));
+        let mut lenses: Vec<(Lens, Option<Intrinsics>)> = Vec::new();
+        for (index, ((frame, photo_path), turned)) in frames.iter().zip(paths).zip(turned.photos).enumerate()
+        {
+            let view = plan.frame(frame, photo_path, turned, &mut lenses).map(|view| PlannedView {
+                image_id: index as u32,
+                mask_path: match view.mask_path {
+                    Some(named) => Some(mask_in_folder(path, &options.images, &named)),
+                    None => {
+                        let name = frame.name.strip_prefix("images/").unwrap_or(&frame.name);
+                        mask_of(path, &options.images, name, &mut finder)
+                    }
+                },
+                ..view
+            });
+            plan.views.push(view);
+        }
+        let sizes: Vec<String> = plan.cameras.keys().cloned().collect();
+        if frames.iter().any(|frame| frame.optics.size.is_none()) && sizes.len() > 1 {
+            let sizes = sizes.join(", ");
+            plan.warnings.push(format!(
+                "{}: the photos have several sizes, each its own camera: {sizes}",
+                plan.list.display()
+            ));
+        }
+        if lenses.iter().any(|(lens, _)| lens.is_distorted()) {
+            plan.warnings.push(format!(
+                "{}: the lens has distortion: the photos are undistorted",
+                plan.list.display()
+            ));
+        }
+        Ok(plan)
+    }
+
+    fn frame(
+        &mut self,
+        frame: &Frame,
+        photo_path: PathBuf,
+        turned: bool,
+        lenses: &mut Vec<(Lens, Option<Intrinsics>)>,
+    ) -> Result<PlannedView> {
+        if !photo_path.is_file() {
+            let problem = format!("the photo of frame {} is missing", frame.name);
+            return Err(Error::input(
+                photo_path,
+                problem,
+                "copy it there, or remove the frame from the file",
+            ));
+        }
+        let (width, height) = match frame.optics.size {
+            Some([width, height]) => (width, height),
+            None => header(&photo_path)?.size(turned),
+        };
+        let problem = |problem: String| {
+            Error::input(&self.list, format!("frame {}: {problem}", frame.name), "correct the file")
+        };
+        let lens = frame.optics.lens(width, height);
+        if let Some(what) = lens.intrinsics().absurdity() {
+            return Err(problem(what));
+        }
+        // Frames share a few lenses; a distorted one is dear to fit.
+        let pinhole = match lenses.iter().find(|(known, _)| *known == lens) {
+            Some((_, pinhole)) => *pinhole,
+            None => {
+                lenses.push((lens, lens.inscribed_pinhole()));
+                lenses.last().and_then(|(_, pinhole)| *pinhole)
+            }
+        };
+        let kind = if lens.is_distorted() { "distorted" } else { "PINHOLE" };
+        *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
+        let pinhole = pinhole.ok_or_else(|| problem("the lens sees too much for a pinhole".into()))?;
+        let camera = Camera::with_pose(frame.camera_from_world, frame.translation, pinhole);
+        if let Some(what) = camera.problem().or_else(|| camera.absurdity()) {
+            return Err(problem(what));
+        }
+        Ok(PlannedView {
+            name: frame.name.clone(),
+            image_id: 0,
+            camera_from_world: frame.camera_from_world,
+            translation: frame.translation,
+            lens,
+            pinhole,
+            photo_path,
+            turned,
+            mask_path: frame.mask_path.clone(),
+            alpha_is_mask: false,
+            held_out: frame.test,
+        })
+    }
+
+    /// Which of the views (by place) are held out.
+    pub(super) fn is_test(&self, index: usize, options: &DatasetOptions) -> bool {
+        let says_so = || self.views[index].as_ref().is_ok_and(|view| view.held_out);
+        if self.has_split { options.eval && says_so() } else { options.is_test(index) }
+    }
+
+    /// Refuses a data set without views.
+    pub(super) fn check_views(&self) -> Result<()> {
+        let remedy = "run COLMAP's mapper again with more overlapping photos";
+        let none = || Error::input(&self.list, "no images are registered", remedy);
+        if self.views.is_empty() { Err(none()) } else { Ok(()) }
+    }
+}
+
+/// Refuses a split that leaves no views to train on.
+pub(super) fn check_split(list: &Path, held_out: &[bool]) -> Result<()> {
+    if held_out.contains(&false) {
+        return Ok(());
+    }
+    let problem = format!("all of its {} images are held out, none is left to train on", held_out.len());
+    Err(Error::input(list, problem, "train without --eval"))
+}
+
+/// The photo of a frame, in the folder that is asked for where the file names `images`.
+fn photo_in_folder(path: &Path, frame: &Frame, images: &str, finder: &mut Finder) -> PathBuf {
+    match frame.name.strip_prefix("images/") {
+        Some(rest) if images != "images" => {
+            let there = path.join(images).join(rest);
+            finder.photo(&there).unwrap_or(there)
+        }
+        _ => frame.photo_path.clone(),
+    }
+}
+
+impl PlannedView {
+    /// The pinhole camera of the view at the size of its file, as far as the data set gives it.
+    pub(crate) fn camera(&self) -> Camera {
+        Camera::with_pose(self.camera_from_world, self.translation, self.pinhole)
+    }
+
+    /// The photo, undistorted, with what of it counts, and its camera.
+    pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Option<Mask>, Camera)> {
+        let (lens, pinhole) = self.optics_of_file(options.divisor())?;
+        let (width, height) = (lens.width, lens.height);
+        let (mut photo, alpha) =
+            read_as(&self.photo_path, options.background(), self.turned, (width, height))?;
+        let alpha = alpha.filter(|_| self.alpha_is_mask).map(|alpha| Mask::of_alpha(width, height, alpha));
+        let mut mask = match (&self.mask_path, alpha) {
+            (None, alpha) => alpha,
+            (Some(path), None) => Some(Mask::read(path, self.turned, width, height)?),
+            (Some(path), Some(alpha)) => Some(Mask::read(path, self.turned, width, height)?.and(&alpha)),
+        };
+        if lens.is_distorted() {
+            mask = mask.map(|mask| mask.undistorted(&lens, &pinhole));
+            photo = undistort(&photo, &lens, &pinhole);
+        }
+        Ok((photo, mask, Camera::with_pose(self.camera_from_world, self.translation, pinhole)))
+    }
+
+    /// Lens and pinhole at the size of a photo that somebody divided by `divisor`, rounding each side as they liked.
+    fn optics_of_file(&self, divisor: u32) -> Result<(Lens, Intrinsics)> {
+        let Lens { width: w, height: h, .. } = self.lens;
+        if divisor == 1 {
+            return Ok((self.lens, self.pinhole));
+        }
+        let (width, height) = header(&self.photo_path)?.size(self.turned);
+        if (width, height) == (w, h) {
+            return Ok((self.lens, self.pinhole));
+        }
+        let fits = |photo: u32, camera: u32| photo == camera / divisor || photo == camera.div_ceil(divisor);
+        if !fits(width, w) || !fits(height, h) {
+            let problem =
+                format!("is {width}x{height} pixels, 1/{divisor} of its camera's {w}x{h} was expected");
+            let remedy = "use photos of that size, or another folder";
+            return Err(Error::input(&self.photo_path, problem, remedy));
+        }
+        let lens = self.lens.scaled_to(width, height);
+        // Undistorted at one size, it can be so at another.
+        Ok((lens, lens.inscribed_pinhole().unwrap_or(lens.intrinsics())))
+    }
+
+    /// Bytes of the photo with its mask, before anybody looked at it. On a device it takes about as much.
+    pub(super) fn texel_bytes(&self, options: &DatasetOptions) -> u64 {
+        let divided = |side: u32| (side / options.divisor()).max(1);
+        let (width, height) =
+            options.resolution.apply(divided(self.pinhole.width), divided(self.pinhole.height));
+        4 * u64::from(width) * u64::from(height)
+    }
+
+    pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
+        let (photo, mask, original_camera) = self.read_photo(options)?;
+        let (width, height) = options.resolution.apply(photo.width, photo.height);
+        let mask = mask.and_then(|mask| mask.scaled_to(width, height).into_values());
+        Ok(View {
+            name: self.name.clone(),
+            image_id: self.image_id,
+            camera: original_camera.scaled_to(width, height),
+            original_camera,
+            photo: StoredPhoto::new(photo.scaled_to(width, height)?, mask),
+        })
+    }
+}

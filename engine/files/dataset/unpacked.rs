@@ -1,0 +1,180 @@
+//! A data set that may be one ZIP.
+
+use std::fs::{self, File};
+use std::io::{BufReader, Read, Write};
+use std::path::{Component, Path, PathBuf};
+
+use zip::result::ZipError;
+
+use crate::progress::Progress;
+use crate::{colmap, transforms};
+use ashsplat::{Error, Result};
+
+/// No honest archive of photos unpacks to more than this many times its size.
+const MAX_RATIO: u64 = 1032;
+
+/// Bytes between two looks whether to go on.
+const PIECE_BYTES: usize = 1 << 20;
+
+/// The folder of a data set: itself, or what its ZIP was unpacked to.
+pub(crate) struct Unpacked {
+    folder: PathBuf,
+    archive: Option<(PathBuf, tempfile::TempDir)>,
+}
+
+impl Unpacked {
+    /// Unpacks a ZIP to a temporary folder that goes with the value; a folder is taken as it is.
+    pub(crate) fn open(path: &Path, progress: Progress<'_>) -> Result<Self> {
+        if !path.is_file() || !starts_like_zip(path) {
+            return Ok(Self { folder: path.to_owned(), archive: None });
+        }
+        let target =
+            tempfile::tempdir().map_err(|source| Error::io(std::env::temp_dir(), "create", source))?;
+        extract(path, target.path(), progress)?;
+        let folder = data_folder(path, target.path())?;
+        Ok(Self { folder, archive: Some((path.to_owned(), target)) })
+    }
+
+    /// The folder.
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// An error about a temporary file, as one about the archive.
+    pub(crate) fn name(&self, error: Error) -> Error {
+        match error {
+            Error::Input { path, problem, remedy } => Error::Input {
+                path: self.named(&path),
+                problem: self.name_in(&problem),
+                remedy: self.name_in(&remedy),
+            },
+            Error::Io { path, action, source } => Error::Io { path: self.named(&path), action, source },
+            other => other,
+        }
+    }
+
+    /// A temporary path, as one below the archive.
+    pub(crate) fn named(&self, path: &Path) -> PathBuf {
+        let Some((archive, target)) = &self.archive else { return path.to_owned() };
+        let rest = path.strip_prefix(&self.folder).or_else(|_| path.strip_prefix(target.path()));
+        match rest {
+            Ok(rest) if rest.as_os_str().is_empty() => archive.clone(),
+            Ok(rest) => archive.join(rest),
+            Err(_) => path.to_owned(),
+        }
+    }
+
+    /// The same of all such paths in a sentence.
+    pub(crate) fn name_in(&self, text: &str) -> String {
+        let Some((archive, target)) = &self.archive else { return text.to_owned() };
+        let archive = archive.to_string_lossy();
+        text.replace(&*self.folder.to_string_lossy(), &archive)
+            .replace(&*target.path().to_string_lossy(), &archive)
+    }
+}
+
+/// Whether a file is a ZIP, whatever its name; also an empty one.
+pub(super) fn starts_like_zip(path: &Path) -> bool {
+    let mut start = [0; 4];
+    File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok()
+        && (start == *b"PK\x03\x04" || start == *b"PK\x05\x06")
+}
+
+fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
+    let io = |source| Error::io(path, "read", source);
+    let refused =
+        |problem: String| Error::input(path, problem, "the archive is damaged: pack or download it again");
+    let damaged = |place: String, error: ZipError| match error {
+        ZipError::UnsupportedArchive(why) => {
+            let remedy = "pack it as a plain ZIP: deflated or stored, without a password";
+            Error::input(path, format!("{place}: {why}"), remedy)
+        }
+        error => refused(format!("{place}: {error}")),
+    };
+    let file = File::open(path).map_err(io)?;
+    let mut left = file.metadata().map_err(io)?.len().saturating_mul(MAX_RATIO);
+    let mut archive =
+        zip::ZipArchive::new(BufReader::new(file)).map_err(|e| refused(format!("is no whole ZIP: {e}")))?;
+    if archive.is_empty() {
+        return Err(Error::input(path, "is an empty ZIP", "pack the data set again"));
+    }
+    let mut piece = vec![0; PIECE_BYTES];
+    for index in 0..archive.len() {
+        progress.check()?;
+        let mut entry = archive.by_index(index).map_err(|e| damaged(format!("entry {index}"), e))?;
+        let name = entry.name().map_err(|e| damaged(format!("entry {index}"), e))?.into_owned();
+        let inside = path_of(&name).ok_or_else(|| refused(format!("{name:?} leads out of the archive")))?;
+        if is_clutter(&inside) {
+            continue;
+        }
+        let place = target.join(inside);
+        if entry.is_dir() || name.ends_with('\\') {
+            fs::create_dir_all(&place).map_err(|e| Error::io(&place, "create", e))?;
+            continue;
+        }
+        if !entry.is_file() {
+            return Err(refused(format!("{name:?} is a link")));
+        }
+        if let Some(parent) = place.parent() {
+            fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create", e))?;
+        }
+        // What the disk does not take is no fault of the archive.
+        let full = |e| Error::io(target, "unpack the ZIP (TMPDIR names another folder for it)", e);
+        let mut output = File::create(&place).map_err(full)?;
+        loop {
+            progress.check()?;
+            let read = entry.read(&mut piece).map_err(|e| refused(format!("{name:?}: {e}")))?;
+            if read == 0 {
+                break;
+            }
+            left = left.saturating_sub(read as u64);
+            if left == 0 {
+                return Err(refused("unpacks to far more than photos can".into()));
+            }
+            output.write_all(&piece[..read]).map_err(full)?;
+        }
+    }
+    Ok(())
+}
+
+/// The path that an entry's name means; Windows' own separators are among those in use. None where it leads out.
+fn path_of(name: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(name.replace('\\', "/"));
+    let inside = |part: Component<'_>| matches!(part, Component::Normal(_) | Component::CurDir);
+    (path.components().all(inside) && !name.contains('\0')).then_some(path)
+}
+
+/// What macOS puts beside the files that people pack.
+fn is_clutter(path: &Path) -> bool {
+    path.iter()
+        .map(|part| part.to_string_lossy())
+        .any(|part| part == "__MACOSX" || part == ".DS_Store" || part.starts_with("._"))
+}
+
+/// The data set's folder: archives often hold one folder with everything in it, or that in another, or other folders
+/// beside it.
+fn data_folder(archive: &Path, unpacked: &Path) -> Result<PathBuf> {
+    let is_data_set = |folder: &PathBuf| colmap::exists(folder) || transforms::find(folder).is_some();
+    let mut folder = unpacked.to_owned();
+    while !is_data_set(&folder) {
+        let entries = fs::read_dir(&folder).into_iter().flatten().filter_map(|e| Some(e.ok()?.path()));
+        let folders: Vec<PathBuf> = entries.filter(|path| path.is_dir()).collect();
+        let mut data: Vec<&PathBuf> = folders.iter().filter(|folder| is_data_set(folder)).collect();
+        data.sort();
+        match (data.as_slice(), folders.as_slice()) {
+            ([first, second, ..], _) => {
+                let [first, second] = [first, second].map(|folder| folder.strip_prefix(unpacked));
+                let (first, second) = (first.unwrap_or(archive), second.unwrap_or(archive));
+                let problem = format!("holds several data sets: {}, {}", first.display(), second.display());
+                return Err(Error::input(archive, problem, "unpack it and give one of them"));
+            }
+            ([only], _) => folder = (*only).clone(),
+            // What lacks its cameras is not looked for in its photos.
+            ([], [only]) if !["sparse", "images"].iter().any(|name| only.ends_with(name)) => {
+                folder.clone_from(only);
+            }
+            _ => break,
+        }
+    }
+    Ok(folder)
+}

@@ -1,0 +1,222 @@
+//! Photographs: decoding, checking, scaling.
+
+mod decode;
+mod undistort;
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+
+use image::RgbImage;
+use image::imageops::{self, FilterType};
+
+use super::atomic;
+use ashsplat::scene::camera::MAX_IMAGE_SIDE;
+use ashsplat::{Error, Result};
+
+pub use ashsplat::scene::photo::Photo;
+pub use ashsplat::scene::stored_photo::{PhotoFile, StoredPhoto};
+pub use decode::photo_size;
+pub(crate) use decode::{Header, header};
+pub use undistort::undistort;
+
+/// Widest picture that [`Resolution::Auto`] leaves as it is, pixels.
+pub const AUTO_MAX_WIDTH: u32 = 1600;
+
+/// Photographs as files: what this crate adds to [`Photo`].
+pub trait PhotoFileFormat: Sized {
+    /// Reads a JPEG or PNG of any colour type; what is transparent shows `background` (r, g, b in [0, 1]).
+    ///
+    /// The orientation in a photo's metadata is not applied: COLMAP, Pillow and stb_image do not apply it either.
+    /// Data sets may, where their cameras are those of the turned photos: see
+    /// [`super::dataset::DatasetOptions::orientation`].
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a picture, is cut short
+    /// or damaged, or claims a size that the file cannot hold.
+    fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self>;
+
+    /// Like [`PhotoFileFormat::read`], and refuses a picture of another size before decoding it.
+    ///
+    /// # Errors
+    /// As [`PhotoFileFormat::read`], and [`Error::Input`] for another size.
+    fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self>;
+
+    /// Writes a PNG.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when `rgb` has the wrong length, [`Error::Io`] naming the file when it cannot be
+    /// written; no partial file is left.
+    fn write_png(&self, path: impl AsRef<Path>) -> Result<()>;
+
+    /// The picture at another size, by bicubic interpolation over the covered area (the filter of the reference
+    /// implementation, which scales with Pillow's default).
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when `rgb` has the wrong length or the new size is 0 or above 65,535.
+    fn scaled_to(self, width: u32, height: u32) -> Result<Self>;
+}
+
+impl PhotoFileFormat for Photo {
+    fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self> {
+        Ok(decode::read(path.as_ref(), background, false, None)?.0)
+    }
+
+    fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self> {
+        Ok(decode::read(path.as_ref(), background, false, Some((width, height)))?.0)
+    }
+
+    fn write_png(&self, path: impl AsRef<Path>) -> Result<()> {
+        use image::ImageEncoder;
+        self.check_shape()?;
+        atomic::write(path, |writer| {
+            let encoder = image::codecs::png::PngEncoder::new(writer);
+            let color = image::ExtendedColorType::Rgb8;
+            encoder.write_image(&self.rgb, self.width, self.height, color).map_err(std::io::Error::other)
+        })
+    }
+
+    fn scaled_to(self, width: u32, height: u32) -> Result<Self> {
+        self.check_shape()?;
+        if (width, height) == (self.width, self.height) {
+            return Ok(self);
+        }
+        let sides = 1..=MAX_IMAGE_SIDE;
+        if !sides.contains(&width) || !sides.contains(&height) {
+            let problem = format!("{width}x{height} is outside 1x1 to {MAX_IMAGE_SIDE} a side");
+            return Err(Error::argument("image size", problem));
+        }
+        let Some(image) = RgbImage::from_raw(self.width, self.height, self.rgb) else {
+            return Err(Error::argument("photo", "its size and its number of bytes differ"));
+        };
+        let scaled = imageops::resize(&image, width, height, FilterType::CatmullRom);
+        Ok(Self { width, height, rgb: scaled.into_raw() })
+    }
+}
+
+/// As [`PhotoFileFormat::read_sized`], turned as its metadata say or not, with the alpha channel, one byte per pixel, of a
+/// picture that has one.
+pub(crate) fn read_as(
+    path: &Path,
+    background: [f32; 3],
+    turned: bool,
+    size: (u32, u32),
+) -> Result<(Photo, Option<Vec<u8>>)> {
+    decode::read(path, background, turned, Some(size))
+}
+
+/// How much memory photos may take, and where they lie while they do not fit.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PhotoMemory {
+    /// Bytes of all photos that are held at a time, in host and device memory together, while training.
+    pub bytes: u64,
+    /// Folder on a disk with room for four bytes per pixel.
+    pub folder: PathBuf,
+}
+
+impl PhotoMemory {
+    /// An empty file for photos: it has no name, and is gone with the value.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when none can be created.
+    pub fn create_file(&self) -> Result<Arc<PhotoFile>> {
+        let file =
+            tempfile::tempfile_in(&self.folder).map_err(|e| Error::io(&self.folder, "create a file", e))?;
+        Ok(PhotoFile::new(file, self.folder.clone(), self.bytes))
+    }
+}
+
+/// The folder or, while it is not there, the nearest one above it that is.
+pub fn existing_folder(path: &Path) -> PathBuf {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    absolute.ancestors().find(|folder| folder.is_dir()).map_or_else(std::env::temp_dir, Path::to_owned)
+}
+
+/// Whether photos are turned as their metadata (Exif) say.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PhotoOrientation {
+    /// As stored, unless the sizes of their cameras say that these are of the turned photos.
+    #[default]
+    Auto,
+    /// As stored.
+    Stored,
+    /// Turned.
+    Upright,
+}
+
+impl FromStr for PhotoOrientation {
+    type Err = Error;
+
+    /// `auto`, `stored` or `upright`.
+    fn from_str(text: &str) -> Result<Self> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            "stored" => Ok(Self::Stored),
+            "upright" => Ok(Self::Upright),
+            _ => Err(Error::argument("orientation", format!("'{text}' is not auto, stored or upright"))),
+        }
+    }
+}
+
+/// The size at which photos are used (`-r`, `--resolution`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Resolution {
+    /// As they are; wider than 1600 pixels are scaled to 1600 (`-1`).
+    #[default]
+    Auto,
+    /// Both sides divided by 1, 2, 4 or 8.
+    Factor(u32),
+    /// Scaled to this width in pixels.
+    Width(u32),
+}
+
+impl Resolution {
+    /// The size of a photo of `width` × `height` pixels under this setting; at least 1×1.
+    ///
+    /// Rounds as the reference implementation: factors to the nearest, ties to even; widths down.
+    pub fn apply(self, width: u32, height: u32) -> (u32, u32) {
+        let to_width = |target: u32| {
+            let scale = f64::from(width) / f64::from(target.max(1));
+            (target.max(1), ((f64::from(height) / scale) as u32).max(1))
+        };
+        match self {
+            Self::Auto if width > AUTO_MAX_WIDTH => to_width(AUTO_MAX_WIDTH),
+            Self::Auto => (width, height),
+            Self::Factor(factor) => {
+                let divided = |side: u32| {
+                    ((f64::from(side) / f64::from(factor.max(1))).round_ties_even() as u32).max(1)
+                };
+                (divided(width), divided(height))
+            }
+            Self::Width(target) => to_width(target),
+        }
+    }
+}
+
+impl FromStr for Resolution {
+    type Err = Error;
+
+    /// `-1` or `auto`, `1`, `2`, `4`, `8`, or a width in pixels.
+    fn from_str(text: &str) -> Result<Self> {
+        match text.parse::<i64>() {
+            Ok(-1) => Ok(Self::Auto),
+            Ok(factor @ (1 | 2 | 4 | 8)) => Ok(Self::Factor(factor as u32)),
+            Ok(width) if (9..=i64::from(MAX_IMAGE_SIDE)).contains(&width) => Ok(Self::Width(width as u32)),
+            Err(_) if text == "auto" => Ok(Self::Auto),
+            _ => {
+                let problem =
+                    format!("'{text}' is not -1 (auto), 1, 2, 4, 8 or a width of 9 to {MAX_IMAGE_SIDE}");
+                Err(Error::argument("resolution", problem))
+            }
+        }
+    }
+}
+
+impl std::fmt::Display for Resolution {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Auto => f.write_str("-1"),
+            Self::Factor(number) | Self::Width(number) => write!(f, "{number}"),
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! Files for ashsplat: PLY and the other formats of Gaussians, COLMAP, photographs, data sets, cameras.json, checkpoints;
+//! and what is made of them: initial Gaussians, fewer Gaussians, PSNR and SSIM.
+//!
+//! Readers trust nothing that a file says about itself: every count is checked against the file's size before
+//! memory is reserved for it. Writers go through [`atomic`], so that no partial file is ever left behind.
+
+pub mod atomic;
+pub mod cameras_json;
+pub mod checkpoint;
+pub mod colmap;
+pub mod dataset;
+pub mod decimate;
+pub mod images;
+pub mod init;
+pub mod metrics;
+mod names;
+pub mod ply;
+mod progress;
+mod sniff;
+pub mod splats;
+pub mod transforms;
+
+pub use checkpoint::CheckpointFile;
+pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
+pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
+pub use init::initial_gaussians;
+pub use progress::Progress;

@@ -1,0 +1,155 @@
+//! Writing compressed PLY.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use super::compressed::{CHUNK, CHUNK_PROPERTIES, SH_RANGE, VERTEX_PROPERTIES};
+use super::header::ANTIALIASED;
+use super::morton;
+use crate::atomic;
+use crate::splats::{Outline, Produce};
+use ashsplat::scene::Gaussians;
+use ashsplat::scene::gaussians::sh_coefficients;
+use ashsplat::scene::sh::C0;
+use ashsplat::{Error, Result};
+
+/// Log-scales are clamped to this on both sides, as the format's first writer does.
+const MAX_LOG_SCALE: f32 = 20.0;
+
+/// Writes Gaussians along a space-filling curve, so that the 256 of a chunk lie close together.
+pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+    let mut all = Gaussians { sh_degree: outline.sh_degree, ..Default::default() };
+    produce(&mut |block| {
+        all.append(&block);
+        Ok(())
+    })?;
+    let order = morton::order(&all.means);
+    atomic::write_seekable(path, |mut writer| {
+        write_sorted(&mut writer, &all, &order, outline.antialiased).map_err(|e| Error::io(path, "write", e))
+    })
+}
+
+fn write_sorted(
+    writer: &mut impl Write,
+    all: &Gaussians,
+    order: &[usize],
+    antialiased: bool,
+) -> io::Result<()> {
+    let higher = 3 * (sh_coefficients(all.sh_degree) - 1);
+    write_header(writer, all.len(), higher, antialiased)?;
+    let mut packed = Vec::with_capacity(order.len());
+    for indices in order.chunks(CHUNK) {
+        let chunk = Chunk::around(all, indices);
+        for value in chunk.values().as_flattened() {
+            writer.write_all(&value.to_le_bytes())?;
+        }
+        packed.extend(indices.iter().map(|&index| chunk.pack(all, index)));
+    }
+    for value in packed.as_flattened() {
+        writer.write_all(&value.to_le_bytes())?;
+    }
+    let mut row = Vec::with_capacity(higher);
+    for &index in order {
+        row.clear();
+        let sh = &all.sh_of(index)[1..];
+        (0..3).for_each(|channel| row.extend(sh.iter().map(|coefficient| pack_sh(coefficient[channel]))));
+        writer.write_all(&row)?;
+    }
+    Ok(())
+}
+
+fn write_header(writer: &mut impl Write, count: usize, higher: usize, antialiased: bool) -> io::Result<()> {
+    writeln!(writer, "ply\nformat binary_little_endian 1.0")?;
+    if antialiased {
+        writeln!(writer, "comment {ANTIALIASED}")?;
+    }
+    writeln!(writer, "element chunk {}", count.div_ceil(CHUNK))?;
+    CHUNK_PROPERTIES.iter().try_for_each(|name| writeln!(writer, "property float {name}"))?;
+    writeln!(writer, "element vertex {count}")?;
+    VERTEX_PROPERTIES.iter().try_for_each(|name| writeln!(writer, "property uint {name}"))?;
+    if higher > 0 {
+        writeln!(writer, "element sh {count}")?;
+        (0..higher).try_for_each(|i| writeln!(writer, "property uchar f_rest_{i}"))?;
+    }
+    writeln!(writer, "end_header")
+}
+
+/// The boxes around a chunk's means, log-scales and colours.
+struct Chunk {
+    mean: [[f32; 3]; 2],
+    log_scale: [[f32; 3]; 2],
+    color: [[f32; 3]; 2],
+}
+
+impl Chunk {
+    fn around(all: &Gaussians, indices: &[usize]) -> Self {
+        Self {
+            mean: extremes(indices.iter().map(|&i| all.means[i])),
+            log_scale: extremes(indices.iter().map(|&i| all.log_scales[i]))
+                .map(|corner| corner.map(|v| v.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE))),
+            color: extremes(indices.iter().map(|&i| color(all, i))),
+        }
+    }
+
+    /// In the order of [`CHUNK_PROPERTIES`].
+    fn values(&self) -> [[f32; 3]; 6] {
+        let Self { mean: [m0, m1], log_scale: [s0, s1], color: [c0, c1] } = *self;
+        [m0, m1, s0, s1, c0, c1]
+    }
+
+    /// In the order of [`VERTEX_PROPERTIES`].
+    fn pack(&self, all: &Gaussians, index: usize) -> [u32; 4] {
+        let [r, g, b] = within(color(all, index), &self.color).map(|t| pack_unorm(t, 8));
+        let opacity = pack_unorm(f64::from(all.opacity(index)), 8);
+        [
+            pack_11_10_11(within(all.means[index], &self.mean)),
+            pack_rotation(all.quats[index]),
+            pack_11_10_11(within(all.log_scales[index], &self.log_scale)),
+            r << 24 | g << 16 | b << 8 | opacity,
+        ]
+    }
+}
+
+fn color(all: &Gaussians, index: usize) -> [f32; 3] {
+    all.sh_of(index)[0].map(|dc| (f64::from(dc) * C0 + 0.5) as f32)
+}
+
+fn extremes(values: impl Iterator<Item = [f32; 3]>) -> [[f32; 3]; 2] {
+    values.fold([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]], |[min, max], value| {
+        [std::array::from_fn(|i| min[i].min(value[i])), std::array::from_fn(|i| max[i].max(value[i]))]
+    })
+}
+
+/// Where a value lies between two corners, 0 to 1 on each axis.
+fn within(value: [f32; 3], [min, max]: &[[f32; 3]; 2]) -> [f64; 3] {
+    std::array::from_fn(|i| {
+        let (value, min, max) = (f64::from(value[i]), f64::from(min[i]), f64::from(max[i]));
+        if max > min { ((value - min) / (max - min)).clamp(0.0, 1.0) } else { 0.0 }
+    })
+}
+
+fn pack_unorm(value: f64, bits: u32) -> u32 {
+    let largest = (1 << bits) - 1;
+    ((value * f64::from(largest) + 0.5).floor().max(0.0) as u32).min(largest)
+}
+
+fn pack_11_10_11([x, y, z]: [f64; 3]) -> u32 {
+    pack_unorm(x, 11) << 21 | pack_unorm(y, 10) << 11 | pack_unorm(z, 11)
+}
+
+fn pack_rotation(quat: [f32; 4]) -> u32 {
+    let quat = quat.map(f64::from);
+    let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
+    let quat = if length > 0.0 { quat.map(|q| q / length) } else { [1.0, 0.0, 0.0, 0.0] };
+    let largest = (1..4).fold(0, |best, i| if quat[i].abs() > quat[best].abs() { i } else { best });
+    // The component that is left out is positive.
+    let sign = if quat[largest] < 0.0 { -1.0 } else { 1.0 };
+    let others = (0..4).filter(|&i| i != largest);
+    others.fold(largest as u32, |packed, i| {
+        packed << 10 | pack_unorm(sign * quat[i] * std::f64::consts::FRAC_1_SQRT_2 + 0.5, 10)
+    })
+}
+
+fn pack_sh(value: f32) -> u8 {
+    ((value / SH_RANGE + 0.5) * 256.0).clamp(0.0, 255.0) as u8
+}

@@ -1,0 +1,258 @@
+//! The head of a PLY file: encoding, elements and their properties.
+
+use std::fmt::Display;
+use std::io::{BufRead, Read};
+use std::path::Path;
+
+use crate::sniff;
+use ashsplat::{Error, Result};
+
+/// Limits that no honest header reaches; they bound the memory of parsing.
+const MAX_LINE_BYTES: u64 = 64 * 1024;
+const MAX_LINES: usize = 20_000;
+
+/// How the values after the header are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// Decimal text, one row per line.
+    Ascii,
+    /// Binary, least significant byte first.
+    BinaryLittleEndian,
+    /// Binary, most significant byte first.
+    BinaryBigEndian,
+}
+
+/// The type of one value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    fn from_name(name: &str) -> Option<Self> {
+        Some(match name {
+            "char" | "int8" => Self::I8,
+            "uchar" | "uint8" => Self::U8,
+            "short" | "int16" => Self::I16,
+            "ushort" | "uint16" => Self::U16,
+            "int" | "int32" => Self::I32,
+            "uint" | "uint32" => Self::U32,
+            "float" | "float32" => Self::F32,
+            "double" | "float64" => Self::F64,
+            _ => return None,
+        })
+    }
+
+    /// Size in a binary file.
+    pub(crate) fn bytes(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Scalar(Scalar),
+    List { count: Scalar, item: Scalar },
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Property {
+    pub(crate) name: String,
+    pub(crate) kind: Kind,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Element {
+    pub(crate) name: String,
+    pub(crate) count: u64,
+    pub(crate) properties: Vec<Property>,
+}
+
+impl Element {
+    /// Bytes of one row in a binary file; `None` when a list makes rows differ.
+    pub(crate) fn row_bytes(&self) -> Option<u64> {
+        let bytes = |p: &Property| match p.kind {
+            Kind::Scalar(scalar) => Some(scalar.bytes() as u64),
+            Kind::List { .. } => None,
+        };
+        self.properties.iter().map(bytes).sum()
+    }
+
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.properties.iter().any(|p| p.name == name)
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Header {
+    pub(crate) encoding: Encoding,
+    pub(crate) elements: Vec<Element>,
+    /// Length of the header in the file.
+    pub(crate) bytes: u64,
+    /// Number of lines of the header.
+    pub(crate) lines: u64,
+    /// Whether a comment says that the Gaussians want antialiasing.
+    pub(crate) antialiased: bool,
+}
+
+/// The comment with which this crate's files say that the Gaussians want antialiasing; PLY has no word for it.
+pub(crate) const ANTIALIASED: &str = "antialiased";
+
+/// Reads the header; afterwards the reader stands at the first byte of the data.
+pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
+    check_magic(reader, path)?;
+    let mut parser = Parser {
+        path,
+        encoding: None,
+        elements: Vec::new(),
+        bytes: 0,
+        lines: 0,
+        text: Vec::new(),
+        antialiased: false,
+    };
+    while !parser.line(reader)? {}
+    let encoding = parser.encoding.ok_or_else(|| parser.error("the header has no format line"))?;
+    let Parser { elements, bytes, antialiased, .. } = parser;
+    Ok(Header { encoding, elements, bytes, lines: parser.lines as u64, antialiased })
+}
+
+fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
+    let start = reader.fill_buf().map_err(|source| Error::io(path, "read", source))?;
+    let start = &start[..start.len().min(512)];
+    if start.starts_with(b"ply\n") || start.starts_with(b"ply\r") || start == b"ply" {
+        return Ok(());
+    }
+    let (problem, remedy) = sniff::recognise(start)
+        .unwrap_or(("is not a PLY file (its first line is not `ply`)", "give the path of a PLY file"));
+    Err(Error::input(path, problem, remedy))
+}
+
+struct Parser<'a> {
+    path: &'a Path,
+    encoding: Option<Encoding>,
+    elements: Vec<Element>,
+    bytes: u64,
+    lines: usize,
+    text: Vec<u8>,
+    antialiased: bool,
+}
+
+impl Parser<'_> {
+    fn error(&self, problem: impl Display) -> Error {
+        let problem = format!("header line {}: {problem}", self.lines.max(1));
+        Error::input(self.path, problem, "the file is damaged or not a PLY: write or download it again")
+    }
+
+    /// Reads one line; true at `end_header`.
+    fn line(&mut self, reader: &mut impl BufRead) -> Result<bool> {
+        self.text.clear();
+        let read = Read::take(&mut *reader, MAX_LINE_BYTES).read_until(b'\n', &mut self.text);
+        let read = read.map_err(|source| Error::io(self.path, "read", source))?;
+        self.bytes += read as u64;
+        self.lines += 1;
+        if self.text.pop_if(|last| *last == b'\n').is_none() {
+            return Err(match read as u64 {
+                MAX_LINE_BYTES => self.error("is longer than 64 KiB"),
+                _ => self.error("the file ends inside the header (no end_header)"),
+            });
+        }
+        self.text.pop_if(|last| *last == b'\r');
+        if self.lines > MAX_LINES {
+            return Err(self.error("the header does not end (no end_header)"));
+        }
+        let text = std::mem::take(&mut self.text);
+        let Ok(text) = std::str::from_utf8(&text) else {
+            // Comments come in any encoding; nothing else does.
+            return if is_comment(&text) {
+                Ok(false)
+            } else {
+                Err(self.error("is not text (no end_header)"))
+            };
+        };
+        self.words(&text.split_ascii_whitespace().collect::<Vec<_>>())
+    }
+
+    fn words(&mut self, words: &[&str]) -> Result<bool> {
+        match *words {
+            ["ply"] if self.lines == 1 => {}
+            ["format", name, _version] => self.format(name)?,
+            ["element", name, count] => self.element(name, count)?,
+            ["property", kind, name] => self.property(Kind::Scalar(self.scalar(kind)?), name)?,
+            ["property", "list", count, item, name] => {
+                let kind = Kind::List { count: self.scalar(count)?, item: self.scalar(item)? };
+                self.property(kind, name)?;
+            }
+            ["end_header"] => return Ok(true),
+            ["comment", ANTIALIASED] => self.antialiased = true,
+            ["comment" | "obj_info", ..] | [] => {}
+            ["element", name] => return Err(self.error(format!("element {name} has no count"))),
+            [word, ..] => return Err(self.error(format!("'{}' is not understood", shortened(word)))),
+        }
+        Ok(false)
+    }
+
+    fn format(&mut self, name: &str) -> Result<()> {
+        self.encoding = Some(match name {
+            "ascii" => Encoding::Ascii,
+            "binary_little_endian" => Encoding::BinaryLittleEndian,
+            "binary_big_endian" => Encoding::BinaryBigEndian,
+            _ => return Err(self.error(format!("unknown format '{}'", shortened(name)))),
+        });
+        Ok(())
+    }
+
+    fn element(&mut self, name: &str, count: &str) -> Result<()> {
+        if self.elements.iter().any(|e| e.name == name) {
+            return Err(self.error(format!("element {name} appears twice")));
+        }
+        let count = count
+            .parse()
+            .map_err(|_| self.error(format!("'{}' is not a number of {name} elements", shortened(count))))?;
+        self.elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
+        Ok(())
+    }
+
+    fn property(&mut self, kind: Kind, name: &str) -> Result<()> {
+        match self.elements.last_mut() {
+            None => Err(self.error(format!("property {name} stands before any element"))),
+            Some(element) if element.has(name) => {
+                let problem = format!("property {name} appears twice in element {}", element.name);
+                Err(self.error(problem))
+            }
+            Some(element) => {
+                element.properties.push(Property { name: name.to_owned(), kind });
+                Ok(())
+            }
+        }
+    }
+
+    fn scalar(&self, name: &str) -> Result<Scalar> {
+        Scalar::from_name(name)
+            .ok_or_else(|| self.error(format!("unknown property type '{}'", shortened(name))))
+    }
+}
+
+fn is_comment(line: &[u8]) -> bool {
+    line.starts_with(b"comment") || line.starts_with(b"obj_info")
+}
+
+/// The beginning of a word of unknown length, for a message.
+pub(crate) fn shortened(word: &str) -> String {
+    let mut start: String = word.chars().take(40).collect();
+    if start.len() < word.len() {
+        start.push('…');
+    }
+    start
+}

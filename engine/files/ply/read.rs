@@ -1,0 +1,209 @@
+//! Reading Gaussians and points from PLY files.
+
+use std::path::Path;
+
+use super::header::Element;
+use super::rows::PlyFile;
+use crate::splats::{self, BLOCK, Sink, Source};
+use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
+use ashsplat::scene::{Gaussians, PointCloud};
+use ashsplat::{Error, Result};
+
+/// How to read Gaussians.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PlyOptions {
+    /// Leave out Gaussians with unusable parameters instead of refusing the file.
+    pub drop_invalid: bool,
+}
+
+/// Gaussians from a file, and what was left out.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlyScene {
+    /// The usable Gaussians, in the file's order.
+    pub gaussians: Gaussians,
+    /// Number of Gaussians that were left out because a parameter is not usable.
+    pub dropped: u64,
+    /// Which those are, in words ("5 of 16 Gaussians have …, first vertex 0: x = NaN").
+    pub warning: Option<String>,
+}
+
+/// Reads Gaussians: any property order, encoding and scalar type; more properties and elements are ignored; the
+/// SH degree follows from the number of `f_rest` properties. [`splats::read`] reads the other formats too.
+///
+/// A parameter is unusable when it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), when a
+/// coordinate exceeds 1e18 or a log-scale 88 (both overflow in the projection).
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is not a PLY file with Gaussians, is cut
+/// short or damaged, or has unusable parameters and [`PlyOptions::drop_invalid`] is not set.
+pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
+    let path = path.as_ref();
+    let source = Box::new(GaussianRows::open(path)?);
+    let options = splats::ReadOptions { drop_invalid: options.drop_invalid };
+    let scene = splats::collect(path, source, &options)?;
+    Ok(PlyScene {
+        gaussians: scene.gaussians,
+        dropped: scene.dropped,
+        warning: scene.warnings.into_iter().next(),
+    })
+}
+
+/// Whether a PLY is PlayCanvas' compressed kind.
+pub(crate) fn is_compressed(path: &Path) -> Result<bool> {
+    let file = PlyFile::open(path)?;
+    Ok(file.header.elements.iter().any(|e| e.name == "vertex" && e.has("packed_position")))
+}
+
+/// The Gaussians of a plain PLY.
+pub(crate) struct GaussianRows<'a> {
+    file: PlyFile<'a>,
+    element: Element,
+    layout: Layout,
+    header: splats::Header,
+}
+
+impl<'a> GaussianRows<'a> {
+    pub(crate) fn open(path: &'a Path) -> Result<Self> {
+        let mut file = PlyFile::open(path)?;
+        let element = file.seek_element("vertex")?;
+        let layout = Layout::new(path, &element)?;
+        file.check_no_list(&element)?;
+        let header = splats::Header {
+            format: splats::Format::Ply,
+            count: element.count,
+            sh_degree: layout.sh_degree,
+            antialiased: file.header.antialiased,
+            warnings: Vec::new(),
+        };
+        Ok(Self { file, element, layout, header })
+    }
+}
+
+impl Source for GaussianRows<'_> {
+    fn header(&self) -> &splats::Header {
+        &self.header
+    }
+
+    fn row_name(&self) -> &'static str {
+        "vertex"
+    }
+
+    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
+        let empty = || Gaussians::with_capacity(self.layout.sh_degree, BLOCK.min(capacity(&self.element)));
+        let mut block = empty();
+        self.file.for_each_row(&self.element, &self.layout.names, |_, row| {
+            push(row, &mut block);
+            if block.len() < BLOCK { Ok(()) } else { sink(std::mem::replace(&mut block, empty())) }
+        })?;
+        sink(block)
+    }
+}
+
+/// Reads coloured points: x y z and red green blue (0 to 255), by name; white where there are no colours.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no PLY file with points, is cut short or
+/// damaged, or has a position that is not finite.
+pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
+    let path = path.as_ref();
+    let mut file = PlyFile::open(path)?;
+    let element = file.seek_element("vertex")?;
+    let coloured = ["red", "green", "blue"].iter().all(|name| element.has(name));
+    let names = if coloured { &["x", "y", "z", "red", "green", "blue"][..] } else { &["x", "y", "z"] };
+    let names: Vec<String> = names.iter().map(|name| name.to_string()).collect();
+    let mut points = PointCloud::default();
+    points.positions.reserve(capacity(&element));
+    points.colors.reserve(capacity(&element));
+    let mut bad = None;
+    file.for_each_row(&element, &names, |index, row| {
+        let position = [row[0], row[1], row[2]].map(|v| v as f32);
+        if position.iter().any(|v| !v.is_finite()) {
+            bad.get_or_insert(index);
+        }
+        points.positions.push(position);
+        let color = if coloured { [row[3], row[4], row[5]] } else { [255.0; 3] };
+        points.colors.push(color.map(|c| c.round().clamp(0.0, 255.0) as u8));
+        Ok(())
+    })?;
+    match bad {
+        None => Ok(points),
+        Some(index) => Err(Error::input(path, format!("vertex {index}: the position is not finite"), "")),
+    }
+}
+
+/// Rows to reserve for; the header's count was checked against the file's size.
+fn capacity(element: &Element) -> usize {
+    usize::try_from(element.count).unwrap_or(0)
+}
+
+/// Where the parameters stand in a row: `x y z opacity scale_* rot_* f_dc_* f_rest_*`.
+struct Layout {
+    names: Vec<String>,
+    sh_degree: u32,
+}
+
+const OPACITY: usize = 3;
+const SCALE: usize = 4;
+const QUATERNION: usize = 7;
+const SH_DC: usize = 11;
+const SH_REST: usize = 14;
+const REQUIRED: [&str; SH_REST] = [
+    "x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "f_dc_0",
+    "f_dc_1", "f_dc_2",
+];
+
+impl Layout {
+    fn new(path: &Path, element: &Element) -> Result<Self> {
+        if let Some(missing) = REQUIRED.iter().find(|name| !element.has(name)) {
+            return Err(missing_property(path, element, missing));
+        }
+        let rest = element.properties.iter().filter(|p| p.name.starts_with("f_rest_")).count();
+        let gap = (0..rest).find(|i| !element.has(&format!("f_rest_{i}")));
+        let degree = (0..=MAX_SH_DEGREE).find(|&d| rest == 3 * (sh_coefficients(d) - 1));
+        match (gap, degree) {
+            (None, Some(sh_degree)) => {
+                let rest = (0..rest).map(|i| format!("f_rest_{i}"));
+                let names = REQUIRED.iter().map(|name| name.to_string()).chain(rest).collect();
+                Ok(Self { names, sh_degree })
+            }
+            (Some(gap), _) => {
+                let problem = format!("property f_rest_{gap} is missing, though there are {rest} of f_rest");
+                Err(Error::input(path, problem, "write the file again with all of them"))
+            }
+            (None, None) => {
+                let problem = format!("{rest} f_rest properties fit no SH degree");
+                Err(Error::input(path, problem, "degrees 0 to 3 have 0, 9, 24 and 45"))
+            }
+        }
+    }
+}
+
+/// Appends the Gaussian of a row; the names of its values are those of [`Layout`].
+fn push(row: &[f64], gaussians: &mut Gaussians) {
+    let at = |column: usize| row[column] as f32;
+    gaussians.means.push([at(0), at(1), at(2)]);
+    gaussians.opacity_logits.push(at(OPACITY));
+    gaussians.log_scales.push(std::array::from_fn(|axis| at(SCALE + axis)));
+    gaussians.quats.push(std::array::from_fn(|i| at(QUATERNION + i)));
+    gaussians.sh.push(std::array::from_fn(|channel| at(SH_DC + channel)));
+    let per_channel = (row.len() - SH_REST) / 3;
+    let rest = |i: usize| std::array::from_fn(|channel| at(SH_REST + channel * per_channel + i));
+    gaussians.sh.extend((0..per_channel).map(rest));
+}
+
+/// Says what the file is when it holds no Gaussians.
+fn missing_property(path: &Path, element: &Element, missing: &str) -> Error {
+    if element.has("packed_position") {
+        return Error::input(path, "is a compressed PLY (packed_position)", "read it with io::splats");
+    }
+    let any_gaussian_property = REQUIRED[OPACITY..].iter().any(|name| element.has(name));
+    if !any_gaussian_property && element.has("x") {
+        let problem = format!("is a point cloud or mesh, not Gaussians (property {missing} is missing)");
+        return Error::input(path, problem, "give a point_cloud.ply that training wrote");
+    }
+    Error::input(
+        path,
+        format!("property {missing} of element vertex is missing"),
+        "is it a file of Gaussians?",
+    )
+}

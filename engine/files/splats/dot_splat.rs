@@ -1,0 +1,113 @@
+//! `.splat`: 32 bytes for each Gaussian, without header and without view dependence.
+//!
+//! Mean and standard deviations as floats, colour and opacity as bytes, then the quaternion (w, x, y, z) as bytes
+//! around 128. Format: antimatter15/splat.
+
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source};
+use crate::atomic;
+use ashsplat::scene::Gaussians;
+use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
+use ashsplat::{Error, Result};
+
+const ROW: usize = 32;
+
+/// How close to 0 and 1 an opacity is taken for: the logits of these are infinite.
+const OPACITY_MARGIN: f64 = 1e-6;
+
+/// An open `.splat`.
+pub(super) struct DotSplat {
+    path: PathBuf,
+    file: File,
+    header: Header,
+}
+
+impl DotSplat {
+    pub(super) fn open(path: &Path) -> Result<Self> {
+        let io = |source| Error::io(path, "read", source);
+        let file = File::open(path).map_err(io)?;
+        let bytes = file.metadata().map_err(io)?.len();
+        if bytes == 0 {
+            return Err(Error::input(path, "is empty", "download or copy it again"));
+        }
+        if !bytes.is_multiple_of(ROW as u64) {
+            let (count, rest) = (bytes / ROW as u64, bytes % ROW as u64);
+            let problem = format!("has {rest} bytes after {count} Gaussians of {ROW} bytes");
+            return Err(Error::input(path, problem, "it is cut short or no .splat: download it again"));
+        }
+        let header = Header {
+            format: Format::Splat,
+            count: bytes / ROW as u64,
+            sh_degree: 0,
+            antialiased: false,
+            warnings: Vec::new(),
+        };
+        Ok(Self { path: path.to_owned(), file, header })
+    }
+}
+
+impl Source for DotSplat {
+    fn header(&self) -> &Header {
+        &self.header
+    }
+
+    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
+        let mut reader = BufReader::with_capacity(1 << 20, &self.file);
+        let mut left = self.header.count as usize;
+        let mut bytes = vec![0; ROW * BLOCK.min(left)];
+        while left > 0 {
+            let rows = BLOCK.min(left);
+            let bytes = &mut bytes[..rows * ROW];
+            reader.read_exact(bytes).map_err(|source| Error::io(&self.path, "read", source))?;
+            let mut block = Gaussians::with_capacity(0, rows);
+            bytes.as_chunks::<ROW>().0.iter().for_each(|row| unpack(row, &mut block));
+            sink(block)?;
+            left -= rows;
+        }
+        Ok(())
+    }
+}
+
+fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
+    let float = |at: usize| f32::from_le_bytes([row[at], row[at + 1], row[at + 2], row[at + 3]]);
+    block.means.push([float(0), float(4), float(8)]);
+    // What underflowed to 0 is a very small size; the logarithm of a negative one is NaN, and so unusable.
+    block
+        .log_scales
+        .push([float(12), float(16), float(20)].map(|s| if s == 0.0 { f32::MIN_POSITIVE } else { s }.ln()));
+    block.sh.push([24, 25, 26].map(|at| rgb_to_sh_dc(f32::from(row[at]) / 255.0)));
+    let opacity = (f64::from(row[27]) / 255.0).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+    block.opacity_logits.push((opacity / (1.0 - opacity)).ln() as f32);
+    let quat = [28, 29, 30, 31].map(|at| (f32::from(row[at]) - 128.0) / 128.0);
+    let length = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
+    block.quats.push(if length > 0.0 { quat.map(|q| q / length) } else { [1.0, 0.0, 0.0, 0.0] });
+}
+
+/// Writes Gaussians as they come.
+pub(super) fn write(path: &Path, _outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+    atomic::write_seekable(path, |writer| {
+        let mut rows = Vec::new();
+        produce(&mut |block| {
+            rows.clear();
+            (0..block.len()).for_each(|index| pack(&block, index, &mut rows));
+            writer.write_all(&rows).map_err(|source| Error::io(path, "write", source))
+        })
+    })
+}
+
+fn pack(block: &Gaussians, index: usize, rows: &mut Vec<u8>) {
+    let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
+    let scales = block.log_scales[index].map(f32::exp);
+    for value in block.means[index].iter().chain(&scales) {
+        rows.extend(value.to_le_bytes());
+    }
+    rows.extend(block.sh_of(index)[0].map(|dc| byte(255.0 * sh_dc_to_rgb(dc))));
+    rows.push(byte(255.0 * block.opacity(index)));
+    let quat = block.quats[index];
+    let length = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
+    let quat = if length > 0.0 { quat.map(|q| q / length) } else { [1.0, 0.0, 0.0, 0.0] };
+    rows.extend(quat.map(|q| byte(q * 128.0 + 128.0)));
+}

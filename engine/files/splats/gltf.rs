@@ -1,0 +1,238 @@
+//! Reading glTF and GLB with `KHR_gaussian_splatting` (ratified form: linear scales, quaternions x, y, z, w).
+//!
+//! glTF's y points up and its z towards the viewer of a scene's front: x and y are the other way round than in this
+//! crate's frame.
+
+mod accessor;
+mod document;
+
+use std::path::Path;
+
+use accessor::{Accessor, Buffers};
+use document::Document;
+
+use super::{BLOCK, Format, Header, Sink, Source};
+use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
+use ashsplat::scene::{Gaussians, Similarity};
+use ashsplat::{Error, Result};
+
+/// Which axes of this crate's frame glTF has the other way round.
+pub(super) const MIRRORED: [bool; 3] = [true, true, false];
+
+/// The extension's name.
+pub(super) const EXTENSION: &str = "KHR_gaussian_splatting";
+
+/// How close to 0 and 1 a stored opacity is taken for: the logits of these are infinite.
+const OPACITY_MARGIN: f64 = 3e-8;
+
+/// Placed primitives, at most.
+const MOST_PARTS: usize = 1 << 16;
+/// Gaussians that may lie at any number of places, however few they are in the file.
+const FREE_GAUSSIANS: u64 = 1 << 20;
+/// How many times the bytes of the file may be used, for more Gaussians than these.
+const MOST_USES: u64 = 16;
+
+/// An open glTF.
+pub(super) struct Gltf {
+    buffers: Buffers,
+    parts: Vec<Part>,
+    header: Header,
+}
+
+/// One primitive at one node.
+struct Part {
+    count: usize,
+    placement: Similarity,
+    position: Accessor,
+    rotation: Accessor,
+    scale: Accessor,
+    opacity: Accessor,
+    sh: Vec<Accessor>,
+}
+
+impl Gltf {
+    pub(super) fn open(path: &Path, format: Format) -> Result<Self> {
+        let (document, buffers) = Document::open(path, format)?;
+        let mut header = Header { format, count: 0, sh_degree: 0, antialiased: false, warnings: Vec::new() };
+        let mut parts = Vec::new();
+        let (held, mut used) = (buffers.bytes(), 0_u64);
+        for (mesh_index, placement) in document.placed_meshes(path)? {
+            let Some(mesh) = document.meshes.get(mesh_index) else {
+                let problem = format!("a node has mesh {mesh_index}, there are {}", document.meshes.len());
+                return Err(damaged(path, problem));
+            };
+            for (index, primitive) in mesh.primitives.iter().enumerate() {
+                let place = format!("mesh {mesh_index}, primitive {index}");
+                let Some(extension) = primitive.extensions.get(EXTENSION) else { continue };
+                if extension["colorSpace"] == "lin_rec709_display" {
+                    let warning =
+                        format!("{}: {place}: colours are linear; they are used as they are", path.display());
+                    header.warnings.push(warning);
+                }
+                header.antialiased |= extension["extras"]["antialiased"] == true;
+                let attribute = Attributes {
+                    path,
+                    place: &place,
+                    document: &document,
+                    buffers: &buffers,
+                    primitive,
+                    extension,
+                };
+                let part = attribute.part(placement)?;
+                used = used.saturating_add(part.bytes());
+                header.count = header.count.saturating_add(part.count as u64);
+                parts.push(part);
+                // A few bytes could claim any number of Gaussians: the same ones at many nodes.
+                let copies = header.count > FREE_GAUSSIANS && used / MOST_USES > held;
+                if copies || parts.len() > MOST_PARTS {
+                    let problem = format!(
+                        "places the same Gaussians again and again: {} or more at {} places from {held} bytes",
+                        header.count,
+                        parts.len()
+                    );
+                    let remedy =
+                        format!("place each at most {MOST_USES} times, at {MOST_PARTS} places in all");
+                    return Err(Error::input(path, problem, remedy));
+                }
+            }
+        }
+        if parts.is_empty() {
+            let problem = format!("has no Gaussians (no placed primitive with {EXTENSION})");
+            return Err(Error::input(path, problem, "is it a mesh?"));
+        }
+        let most = parts.iter().map(|part| part.sh.len()).max().unwrap_or(1);
+        header.sh_degree = (0..=MAX_SH_DEGREE).find(|&d| sh_coefficients(d) == most).unwrap_or(0);
+        Ok(Self { buffers, parts, header })
+    }
+}
+
+fn damaged(path: &Path, problem: impl Into<String>) -> Error {
+    Error::input(path, problem, "the file is damaged or cut short: write or download it again")
+}
+
+/// The attributes of one primitive.
+struct Attributes<'a> {
+    path: &'a Path,
+    place: &'a str,
+    document: &'a Document,
+    buffers: &'a Buffers,
+    primitive: &'a document::Primitive,
+    extension: &'a serde_json::Value,
+}
+
+impl Attributes<'_> {
+    fn part(&self, placement: Similarity) -> Result<Part> {
+        let position = self.required("POSITION", 3)?;
+        let own = |name: &str| format!("{EXTENSION}:{name}");
+        let part = Part {
+            count: position.count(),
+            placement,
+            rotation: self.required(&own("ROTATION"), 4)?,
+            scale: self.required(&own("SCALE"), 3)?,
+            opacity: self.required(&own("OPACITY"), 1)?,
+            sh: self.sh(&own)?,
+            position,
+        };
+        let others = [&part.rotation, &part.scale, &part.opacity].into_iter().chain(&part.sh);
+        if let Some(odd) = others.map(Accessor::count).find(|&count| count != part.count) {
+            let problem = format!("{}: {} positions, but {odd} of another attribute", self.place, part.count);
+            return Err(damaged(self.path, problem));
+        }
+        Ok(part)
+    }
+
+    fn sh(&self, own: &dyn Fn(&str) -> String) -> Result<Vec<Accessor>> {
+        let mut sh = vec![self.required(&own("SH_DEGREE_0_COEF_0"), 3)?];
+        for degree in 1..=MAX_SH_DEGREE {
+            let names: Vec<String> =
+                (0..=2 * degree).map(|k| own(&format!("SH_DEGREE_{degree}_COEF_{k}"))).collect();
+            if !names.iter().any(|name| self.primitive.attributes.contains_key(name)) {
+                break;
+            }
+            for name in &names {
+                sh.push(self.required(name, 3)?);
+            }
+        }
+        Ok(sh)
+    }
+
+    fn required(&self, name: &str, components: usize) -> Result<Accessor> {
+        let Some(&index) = self.primitive.attributes.get(name) else {
+            let problem = format!("{}: has no attribute {name}", self.place);
+            let packed = self.extension["extensions"].as_object().and_then(|e| e.keys().next());
+            let remedy = match packed {
+                Some(packed) => {
+                    format!("its compression {packed} is not read: unpack it with another program")
+                }
+                None => "write it in the ratified form of the extension".into(),
+            };
+            return Err(Error::input(self.path, problem, remedy));
+        };
+        let problem = |problem: String| damaged(self.path, format!("{}: {name}: {problem}", self.place));
+        Accessor::new(self.document, self.buffers, index, components).map_err(problem)
+    }
+}
+
+impl Source for Gltf {
+    fn header(&self) -> &Header {
+        &self.header
+    }
+
+    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
+        for part in &self.parts {
+            for start in (0..part.count).step_by(BLOCK) {
+                let rows = start..(start + BLOCK).min(part.count);
+                let mut block = part.read(&mut self.buffers, rows)?;
+                block.transform(&part.placement);
+                block.mirror(MIRRORED);
+                if block.sh_degree < self.header.sh_degree {
+                    block = block.with_sh_degree(self.header.sh_degree);
+                }
+                sink(block)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Part {
+    /// Bytes of its numbers.
+    fn bytes(&self) -> u64 {
+        let all = [&self.position, &self.rotation, &self.scale, &self.opacity].into_iter().chain(&self.sh);
+        all.map(Accessor::bytes).sum()
+    }
+
+    fn read(&self, buffers: &mut Buffers, rows: std::ops::Range<usize>) -> Result<Gaussians> {
+        let coefficients = self.sh.len();
+        let degree = (0..=MAX_SH_DEGREE).find(|&d| sh_coefficients(d) == coefficients).unwrap_or(0);
+        let mut block = Gaussians::with_capacity(degree, rows.len());
+        let [mean, rotation, scale, opacity] = [&self.position, &self.rotation, &self.scale, &self.opacity];
+        block.means = triples(&mean.read(buffers, rows.clone())?);
+        block.quats = rotation
+            .read(buffers, rows.clone())?
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|&[x, y, z, w]| [w, x, y, z])
+            .collect();
+        // What underflowed to 0 is a very small size; the logarithm of a negative one is NaN, and so unusable.
+        let log = |s: f32| if s == 0.0 { f32::MIN_POSITIVE } else { s }.ln();
+        block.log_scales =
+            triples(&scale.read(buffers, rows.clone())?).into_iter().map(|s| s.map(log)).collect();
+        let logit = |opacity: f32| {
+            let opacity = f64::from(opacity).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+            (opacity / (1.0 - opacity)).ln() as f32
+        };
+        block.opacity_logits = opacity.read(buffers, rows.clone())?.into_iter().map(logit).collect();
+        block.sh = vec![[0.0; 3]; rows.len() * coefficients];
+        for (k, accessor) in self.sh.iter().enumerate() {
+            let values = triples(&accessor.read(buffers, rows.clone())?);
+            block.sh[k..].iter_mut().step_by(coefficients).zip(values).for_each(|(to, from)| *to = from);
+        }
+        Ok(block)
+    }
+}
+
+fn triples(values: &[f32]) -> Vec<[f32; 3]> {
+    values.as_chunks::<3>().0.to_vec()
+}

@@ -1,0 +1,279 @@
+//! The JSON of a glTF, and where its buffers are.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Component, Path, PathBuf};
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use glam::{DMat4, DQuat, DVec3};
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::accessor::{Buffer, Buffers};
+use super::{Format, damaged};
+use ashsplat::scene::Similarity;
+use ashsplat::{Error, Result};
+
+/// How far a node's axes may be from orthogonal and equally long, relative.
+const SHAPE_TOLERANCE: f64 = 1e-4;
+
+const GLB_JSON: u32 = 0x4e4f_534a;
+const GLB_BINARY: u32 = 0x004e_4942;
+
+/// What is used of the JSON.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+#[derive(Default)]
+pub(super) struct Document {
+    buffers: Vec<BufferJson>,
+    pub(super) buffer_views: Vec<BufferView>,
+    pub(super) accessors: Vec<AccessorJson>,
+    pub(super) meshes: Vec<Mesh>,
+    nodes: Vec<Node>,
+    scenes: Vec<SceneJson>,
+    scene: Option<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct BufferJson {
+    uri: Option<String>,
+    byte_length: u64,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct BufferView {
+    pub(super) buffer: usize,
+    #[serde(default)]
+    pub(super) byte_offset: u64,
+    pub(super) byte_length: u64,
+    pub(super) byte_stride: Option<u64>,
+    #[serde(default)]
+    pub(super) extensions: BTreeMap<String, Value>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct AccessorJson {
+    pub(super) buffer_view: Option<usize>,
+    #[serde(default)]
+    pub(super) byte_offset: u64,
+    pub(super) component_type: u32,
+    #[serde(default)]
+    pub(super) normalized: bool,
+    pub(super) count: u64,
+    #[serde(rename = "type")]
+    pub(super) kind: String,
+    pub(super) sparse: Option<Value>,
+}
+
+#[derive(Deserialize)]
+pub(super) struct Mesh {
+    pub(super) primitives: Vec<Primitive>,
+}
+
+#[derive(Deserialize)]
+pub(super) struct Primitive {
+    pub(super) attributes: BTreeMap<String, usize>,
+    #[serde(default)]
+    pub(super) extensions: BTreeMap<String, Value>,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(default)]
+struct Node {
+    mesh: Option<usize>,
+    children: Vec<usize>,
+    matrix: Option<[f64; 16]>,
+    translation: Option<[f64; 3]>,
+    rotation: Option<[f64; 4]>,
+    scale: Option<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+struct SceneJson {
+    #[serde(default)]
+    nodes: Vec<usize>,
+}
+
+impl Document {
+    pub(super) fn open(path: &Path, format: Format) -> Result<(Self, Buffers)> {
+        let io = |source| Error::io(path, "read", source);
+        let mut file = File::open(path).map_err(io)?;
+        let bytes = file.metadata().map_err(io)?.len();
+        let (json, binary) = if format == Format::Glb {
+            glb_chunks(path, &mut file, bytes)?
+        } else {
+            let mut json = Vec::new();
+            file.read_to_end(&mut json).map_err(io)?;
+            (json, None)
+        };
+        let document: Self = serde_json::from_slice(&json)
+            .map_err(|e| damaged(path, format!("the JSON is not a glTF: {}", one_line(&e.to_string()))))?;
+        let mut binary =
+            binary.map(|(offset, bytes)| Buffer::File { path: path.to_owned(), file, offset, bytes });
+        let mut buffers = Vec::new();
+        for (index, json) in document.buffers.iter().enumerate() {
+            let buffer = match &json.uri {
+                Some(uri) => open_uri(path, index, uri)?,
+                None => binary.take().ok_or_else(|| damaged(path, format!("buffer {index} has no data")))?,
+            };
+            if json.byte_length > buffer.bytes() {
+                let (says, has) = (json.byte_length, buffer.bytes());
+                return Err(damaged(path, format!("buffer {index} should have {says} bytes, has {has}")));
+            }
+            buffers.push(buffer);
+        }
+        Ok((document, Buffers(buffers)))
+    }
+
+    /// The meshes of the scene, each with its place in the world.
+    pub(super) fn placed_meshes(&self, path: &Path) -> Result<Vec<(usize, Similarity)>> {
+        if self.nodes.is_empty() {
+            return Ok((0..self.meshes.len()).map(|mesh| (mesh, Similarity::default())).collect());
+        }
+        let is_child = |index: usize| self.nodes.iter().any(|node| node.children.contains(&index));
+        let roots = match self.scenes.get(self.scene.unwrap_or(0)) {
+            Some(scene) => scene.nodes.clone(),
+            None => (0..self.nodes.len()).filter(|&index| !is_child(index)).collect(),
+        };
+        let mut placed = Vec::new();
+        let mut open: Vec<(usize, Similarity)> =
+            roots.iter().rev().map(|&root| (root, Similarity::default())).collect();
+        let mut seen = vec![false; self.nodes.len()];
+        while let Some((index, parent)) = open.pop() {
+            let node =
+                self.nodes.get(index).ok_or_else(|| damaged(path, format!("node {index} is missing")))?;
+            if std::mem::replace(&mut seen[index], true) {
+                return Err(damaged(path, format!("node {index} has two parents, or is its own")));
+            }
+            let own = node.placement().ok_or_else(|| {
+                let problem =
+                    format!("node {index}: its transform shears, mirrors, or scales the axes differently");
+                Error::input(path, problem, "apply the transform before writing the file")
+            })?;
+            let place = parent.after(&own);
+            placed.extend(node.mesh.map(|mesh| (mesh, place)));
+            open.extend(node.children.iter().rev().map(|&child| (child, place)));
+        }
+        Ok(placed)
+    }
+}
+
+impl Node {
+    /// The node's transform; `None` when it is not a similarity.
+    fn placement(&self) -> Option<Similarity> {
+        let matrix = match self.matrix {
+            Some(columns) => DMat4::from_cols_array(&columns),
+            None => DMat4::from_scale_rotation_translation(
+                self.scale.map_or(DVec3::ONE, DVec3::from_array),
+                self.rotation
+                    .map_or(DQuat::IDENTITY, |[x, y, z, w]| DQuat::from_xyzw(x, y, z, w).normalize()),
+                self.translation.map_or(DVec3::ZERO, DVec3::from_array),
+            ),
+        };
+        if matrix == DMat4::IDENTITY {
+            return Some(Similarity::default());
+        }
+        let axes = glam::DMat3::from_mat4(matrix);
+        let scale = axes.determinant().cbrt();
+        let rotation = axes * (1.0 / scale);
+        let orthonormal =
+            (rotation * rotation.transpose()).abs_diff_eq(glam::DMat3::IDENTITY, SHAPE_TOLERANCE);
+        let usable = matrix.is_finite() && scale > 0.0 && orthonormal;
+        usable.then(|| Similarity {
+            rotation: DQuat::from_mat3(&rotation).normalize(),
+            scale,
+            translation: matrix.w_axis.truncate(),
+        })
+    }
+}
+
+/// The JSON of a GLB, and offset and length of its binary chunk.
+type Chunks = (Vec<u8>, Option<(u64, u64)>);
+
+/// Finds the chunks of a GLB.
+fn glb_chunks(path: &Path, file: &mut File, bytes: u64) -> Result<Chunks> {
+    let io = |source| Error::io(path, "read", source);
+    let mut head = [0; 20];
+    if bytes < head.len() as u64 {
+        return Err(damaged(path, format!("ends after {bytes} bytes, inside its header")));
+    }
+    file.read_exact(&mut head).map_err(io)?;
+    let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
+    let [_, version, length, json_bytes, json_kind] = [0, 4, 8, 12, 16].map(word);
+    if &head[..4] != b"glTF" || version != 2 {
+        return Err(damaged(path, "is no binary glTF of version 2"));
+    }
+    if u64::from(length) > bytes || u64::from(json_bytes) + 20 > bytes {
+        return Err(damaged(path, format!("the header says {length} bytes, the file has {bytes}")));
+    }
+    if json_kind != GLB_JSON {
+        return Err(damaged(path, "its first chunk is not JSON"));
+    }
+    let mut json = vec![0; json_bytes as usize];
+    file.read_exact(&mut json).map_err(io)?;
+    let at = 20 + u64::from(json_bytes);
+    let mut chunk = [0; 8];
+    if at + 8 > bytes || file.read_exact(&mut chunk).is_err() {
+        return Ok((json, None));
+    }
+    let [length, kind] =
+        [0, 4].map(|at| u32::from_le_bytes([chunk[at], chunk[at + 1], chunk[at + 2], chunk[at + 3]]));
+    if kind == GLB_BINARY && at + 8 + u64::from(length) > bytes {
+        return Err(damaged(
+            path,
+            format!("the binary chunk should have {length} bytes, {} are left", bytes - at - 8),
+        ));
+    }
+    Ok((json, (kind == GLB_BINARY).then_some((at + 8, u64::from(length)))))
+}
+
+fn open_uri(path: &Path, index: usize, uri: &str) -> Result<Buffer> {
+    if let Some((_, data)) = uri.strip_prefix("data:").and_then(|rest| rest.split_once(";base64,")) {
+        let data = STANDARD.decode(data).map_err(|e| damaged(path, format!("buffer {index}: {e}")))?;
+        return Ok(Buffer::Memory(data));
+    }
+    let name = unescaped(uri);
+    let inside = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
+    if uri.contains("://") || name.contains(['\\', '\0']) || !Path::new(&name).components().all(inside) {
+        let remedy = "buffers must be files beside or below it";
+        return Err(Error::input(
+            path,
+            format!("buffer {index}: {uri:?} leads out of the file's folder"),
+            remedy,
+        ));
+    }
+    let file_path: PathBuf = path.with_file_name(name);
+    let io = |source| Error::io(&file_path, "read", source);
+    let file = File::open(&file_path).map_err(io)?;
+    let bytes = file.metadata().map_err(io)?.len();
+    Ok(Buffer::File { path: file_path.clone(), file, offset: 0, bytes })
+}
+
+/// `%20` and the like as the characters that they stand for.
+fn unescaped(uri: &str) -> String {
+    let mut bytes = Vec::with_capacity(uri.len());
+    let mut rest = uri.as_bytes();
+    while let Some((&first, tail)) = rest.split_first() {
+        let code = tail.get(..2).and_then(|hex| u8::from_str_radix(std::str::from_utf8(hex).ok()?, 16).ok());
+        match (first, code) {
+            (b'%', Some(code)) => {
+                bytes.push(code);
+                rest = &tail[2..];
+            }
+            _ => {
+                bytes.push(first);
+                rest = tail;
+            }
+        }
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,203 @@
+//! Writing glTF and GLB with `KHR_gaussian_splatting`: one primitive, one buffer view for each attribute.
+
+use std::io::SeekFrom;
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use super::gltf::{EXTENSION, MIRRORED};
+use super::{Format, Outline, Produce};
+use crate::atomic::{self, Output};
+use ashsplat::scene::Gaussians;
+use ashsplat::scene::gaussians::sh_coefficients;
+use ashsplat::scene::sh::sh_dc_to_rgb;
+use ashsplat::{Error, Result};
+
+const FLOAT: u32 = 5126;
+const UNSIGNED_BYTE: u32 = 5121;
+const ARRAY_BUFFER: u32 = 34_962;
+
+/// Appends the bytes of one Gaussian's attribute.
+type Put = Box<dyn Fn(&Gaussians, usize, &mut Vec<u8>)>;
+
+/// One attribute of all Gaussians, lying together.
+struct Plane {
+    name: String,
+    components: usize,
+    component_type: u32,
+    put: Put,
+}
+
+impl Plane {
+    fn floats<const N: usize>(name: &str, value: impl Fn(&Gaussians, usize) -> [f32; N] + 'static) -> Self {
+        let put: Put = Box::new(move |all, index, bytes| {
+            bytes.extend(value(all, index).map(f32::to_le_bytes).as_flattened())
+        });
+        Self { name: name.into(), components: N, component_type: FLOAT, put }
+    }
+
+    fn row_bytes(&self) -> u64 {
+        if self.component_type == FLOAT { 4 * self.components as u64 } else { self.components as u64 }
+    }
+}
+
+/// Writes Gaussians as they come, each attribute at its place; a `.gltf` gets its `.bin` first.
+pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+    let Some(bounds) = outline.bounds else {
+        return Err(Error::input(
+            path,
+            "glTF cannot hold a scene without Gaussians",
+            "choose another format",
+        ));
+    };
+    let planes = planes(outline.sh_degree);
+    let binary_bytes = planes.iter().map(|plane| plane.row_bytes()).sum::<u64>() * outline.count;
+    let mut document = document(outline, bounds, &planes);
+    if format == Format::Gltf {
+        let binary = path.with_extension("bin");
+        if binary.exists() && !path.exists() {
+            let problem = format!("is there, and {} is not: it is something else's", path.display());
+            return Err(Error::input(binary, problem, "give another name, or remove it"));
+        }
+        let name = binary.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        document["buffers"] = json!([{ "uri": escaped(&name), "byteLength": binary_bytes }]);
+        atomic::write_seekable(&binary, |writer| {
+            write_planes(&binary, writer, 0, outline, &planes, produce)
+        })?;
+        return atomic::write(path, |writer| writer.write_all(document.to_string().as_bytes()));
+    }
+    document["buffers"] = json!([{ "byteLength": binary_bytes }]);
+    let mut json = document.to_string().into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let total = 12 + 8 + json.len() as u64 + 8 + binary_bytes;
+    let (Ok(total), Ok(binary)) = (u32::try_from(total), u32::try_from(binary_bytes)) else {
+        let limit = u64::from(u32::MAX);
+        return Err(Error::TooLarge {
+            what: "a GLB".into(),
+            needed: total,
+            unit: "bytes",
+            limit,
+            limit_name: "its format; .gltf has no such limit",
+        });
+    };
+    let mut head = Vec::new();
+    head.extend(b"glTF");
+    head.extend([2, total, json.len() as u32].map(u32::to_le_bytes).as_flattened());
+    head.extend(b"JSON");
+    head.extend(&json);
+    head.extend(binary.to_le_bytes());
+    head.extend(b"BIN\0");
+    atomic::write_seekable(path, |writer| {
+        writer.write_all(&head).map_err(|source| Error::io(path, "write", source))?;
+        write_planes(path, writer, head.len() as u64, outline, &planes, produce)
+    })
+}
+
+fn write_planes(
+    path: &Path,
+    writer: &mut dyn Output,
+    start: u64,
+    outline: &Outline,
+    planes: &[Plane],
+    produce: &mut Produce<'_>,
+) -> Result<()> {
+    let (mut done, mut bytes) = (0, Vec::new());
+    produce(&mut |mut block| {
+        block.mirror(MIRRORED);
+        let mut plane_start = start;
+        for plane in planes {
+            bytes.clear();
+            (0..block.len()).for_each(|index| (plane.put)(&block, index, &mut bytes));
+            let place = SeekFrom::Start(plane_start + done * plane.row_bytes());
+            let written = writer.seek(place).and_then(|_| writer.write_all(&bytes));
+            written.map_err(|source| Error::io(path, "write", source))?;
+            plane_start += outline.count * plane.row_bytes();
+        }
+        done += block.len() as u64;
+        Ok(())
+    })
+}
+
+fn planes(sh_degree: u32) -> Vec<Plane> {
+    let own = |name: &str| format!("{EXTENSION}:{name}");
+    let color = |all: &Gaussians, index: usize, bytes: &mut Vec<u8>| {
+        let byte = |value: f32| (255.0 * value.clamp(0.0, 1.0)).round() as u8;
+        bytes.extend(all.sh_of(index)[0].map(|dc| byte(sh_dc_to_rgb(dc))));
+        bytes.push(byte(all.opacity(index)));
+    };
+    let mut planes = vec![
+        Plane::floats("POSITION", |all, index| all.means[index]),
+        // For programs that show points only.
+        Plane { name: "COLOR_0".into(), components: 4, component_type: UNSIGNED_BYTE, put: Box::new(color) },
+        Plane::floats(&own("ROTATION"), |all, index| {
+            let [w, x, y, z] = all.quats[index];
+            let length = (w * w + x * x + y * y + z * z).sqrt();
+            if length > 0.0 { [x, y, z, w].map(|v| v / length) } else { [0.0, 0.0, 0.0, 1.0] }
+        }),
+        Plane::floats(&own("SCALE"), |all, index| all.log_scales[index].map(f32::exp)),
+        Plane::floats(&own("OPACITY"), |all, index| [all.opacity(index)]),
+    ];
+    let coefficient = |degree: u32, k: usize| {
+        let first = if degree == 0 { 0 } else { sh_coefficients(degree - 1) };
+        Plane::floats(&own(&format!("SH_DEGREE_{degree}_COEF_{k}")), move |all, index| {
+            all.sh_of(index)[first + k]
+        })
+    };
+    planes.extend(
+        (0..=sh_degree).flat_map(|degree| (0..=2 * degree as usize).map(move |k| coefficient(degree, k))),
+    );
+    planes
+}
+
+fn document(outline: &Outline, bounds: ashsplat::scene::Bounds, planes: &[Plane]) -> Value {
+    let (mut views, mut accessors, mut attributes) = (Vec::new(), Vec::new(), serde_json::Map::new());
+    let mut offset = 0;
+    for (index, plane) in planes.iter().enumerate() {
+        let bytes = outline.count * plane.row_bytes();
+        views.push(json!({ "buffer": 0, "byteOffset": offset, "byteLength": bytes, "target": ARRAY_BUFFER }));
+        offset += bytes;
+        let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"][plane.components - 1];
+        let mut accessor = json!({
+            "bufferView": index, "componentType": plane.component_type, "count": outline.count, "type": kind,
+        });
+        if plane.component_type == UNSIGNED_BYTE {
+            accessor["normalized"] = json!(true);
+        }
+        if index == 0 {
+            let corners = [bounds.min, bounds.max].map(|corner| corner.to_array().map(f64::from));
+            // Where an axis is mirrored, the largest becomes the smallest.
+            let side = |which: usize| -> [f64; 3] {
+                std::array::from_fn(|axis| {
+                    if MIRRORED[axis] { -corners[1 - which][axis] } else { corners[which][axis] }
+                })
+            };
+            (accessor["min"], accessor["max"]) = (json!(side(0)), json!(side(1)));
+        }
+        accessors.push(accessor);
+        attributes.insert(plane.name.clone(), json!(index));
+    }
+    let mut extension = json!({
+        "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "sortingMethod": "cameraDistance", "projection": "perspective",
+    });
+    if outline.antialiased {
+        extension["extras"] = json!({ "antialiased": true });
+    }
+    json!({
+        "asset": { "version": "2.0", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "mesh": 0 }],
+        "bufferViews": views,
+        "accessors": accessors,
+        "meshes": [{ "primitives": [{ "mode": 0, "attributes": attributes, "extensions": { EXTENSION: extension } }] }],
+    })
+}
+
+/// A file's name as a relative reference.
+fn escaped(name: &str) -> String {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte);
+    name.bytes()
+        .map(|byte| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") })
+        .collect()
+}

@@ -1,0 +1,93 @@
+//! Writing SPZ, version 4.
+
+use std::io::Write;
+use std::path::Path;
+
+use super::spz::{FLAG_ANTIALIASED, HEADER_BYTES, MAGIC};
+use super::spz_pack::{MIRRORED, PLANES, Packing};
+use super::{Outline, Produce};
+use crate::atomic;
+use ashsplat::{Error, Result};
+
+const VERSION: u32 = 4;
+
+/// zstd's level in the format's first implementation.
+const LEVEL: i32 = 12;
+
+/// Bits of a coordinate behind the point where the scene is not too large for them (first implementation).
+const FRACTIONAL_BITS: u32 = 12;
+
+/// Bits of a coordinate, the sign among them.
+const COORDINATE_BITS: u32 = 24;
+
+/// Writes Gaussians as they come; what is kept in memory is compressed.
+pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+    let io = |source| Error::io(path, "write", source);
+    let Ok(count) = u32::try_from(outline.count) else {
+        let (needed, limit) = (outline.count, u64::from(u32::MAX));
+        return Err(Error::TooLarge {
+            what: "an SPZ".into(),
+            needed,
+            unit: "Gaussians",
+            limit,
+            limit_name: "its format",
+        });
+    };
+    let packing = Packing {
+        version: VERSION,
+        sh_degree: outline.sh_degree,
+        fractional_bits: fractional_bits(path, outline)?,
+    };
+    let encoder = || zstd::stream::write::Encoder::new(Vec::new(), LEVEL).map_err(io);
+    let mut encoders = (0..PLANES).map(|_| encoder()).collect::<Result<Vec<_>>>()?;
+    let mut planes: [Vec<u8>; PLANES] = Default::default();
+    produce(&mut |mut block| {
+        block.mirror(MIRRORED);
+        planes.iter_mut().for_each(Vec::clear);
+        packing.pack(&block, &mut planes);
+        encoders.iter_mut().zip(&planes).try_for_each(|(encoder, plane)| encoder.write_all(plane).map_err(io))
+    })?;
+    let mut streams = Vec::new();
+    for (encoder, row_bytes) in encoders.into_iter().zip(packing.row_bytes()) {
+        let packed = encoder.finish().map_err(io)?;
+        // Planes without data have no stream.
+        if outline.count * row_bytes as u64 > 0 {
+            streams.push((packed, outline.count * row_bytes as u64));
+        }
+    }
+    atomic::write(path, |writer| {
+        writer.write_all(&MAGIC.to_le_bytes())?;
+        writer.write_all(&VERSION.to_le_bytes())?;
+        writer.write_all(&count.to_le_bytes())?;
+        let flags = if outline.antialiased { FLAG_ANTIALIASED } else { 0 };
+        writer.write_all(&[
+            packing.sh_degree as u8,
+            packing.fractional_bits as u8,
+            flags,
+            streams.len() as u8,
+        ])?;
+        writer.write_all(&(HEADER_BYTES as u32).to_le_bytes())?;
+        writer.write_all(&[0; 12])?;
+        for (packed, unpacked_bytes) in &streams {
+            writer.write_all(&(packed.len() as u64).to_le_bytes())?;
+            writer.write_all(&unpacked_bytes.to_le_bytes())?;
+        }
+        streams.iter().try_for_each(|(packed, _)| writer.write_all(packed))
+    })
+}
+
+/// As many as the farthest coordinate leaves, 12 at most.
+fn fractional_bits(path: &Path, outline: &Outline) -> Result<u32> {
+    let farthest = outline.bounds.map_or(0.0, |b| b.min.abs().max(b.max.abs()).max_element());
+    let fits = |bits: &u32| {
+        f64::from(farthest) * f64::from(1u32 << bits) < f64::from((1u32 << (COORDINATE_BITS - 1)) - 1)
+    };
+    (0..=FRACTIONAL_BITS).rev().find(fits).ok_or_else(|| {
+        let problem = format!("a mean lies at {farthest}, too far out for SPZ");
+        Error::input(
+            path,
+            problem,
+            "crop (--crop-box) or shrink (--scale) the scene, or choose another format",
+        )
+    })
+}

@@ -1,0 +1,83 @@
+//! Gaussians with parameters that nothing can be done with.
+
+use ashsplat::scene::Gaussians;
+
+/// Largest usable coordinate: the square of a larger one overflows.
+const MAX_COORDINATE: f32 = 1e18;
+
+/// Largest usable log-scale: the exponential of a larger one overflows.
+const MAX_LOG_SCALE: f32 = 88.0;
+
+/// Takes out of the stream what cannot be used, and counts it.
+#[derive(Default)]
+pub(super) struct Unusable {
+    seen: u64,
+    count: u64,
+    /// Row, parameter and value of the first.
+    first: Option<(u64, String, f32)>,
+}
+
+impl Unusable {
+    /// Number of unusable Gaussians so far.
+    pub(super) fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Removes the unusable ones from the next block.
+    pub(super) fn look_through(&mut self, block: &mut Gaussians) {
+        let rows = block.len();
+        if (0..rows).any(|index| parameter(block, index).is_some()) {
+            for index in 0..rows {
+                if let Some((name, value)) = parameter(block, index) {
+                    self.count += 1;
+                    self.first.get_or_insert_with(|| (self.seen + index as u64, name(), value));
+                }
+            }
+            block.retain(|all, index| parameter(all, index).is_none());
+        }
+        self.seen += rows as u64;
+    }
+
+    /// One line about them; none when all are usable.
+    pub(super) fn describe(&self, all: u64, row_name: &str) -> Option<String> {
+        let (row, name, value) = self.first.as_ref()?;
+        let kind = if value.is_finite() { "too large" } else { "not finite" };
+        let bad = self.count;
+        let have = if bad == 1 { "Gaussian has" } else { "Gaussians have" };
+        Some(format!(
+            "{bad} of {all} {have} unusable parameters; the first, {row_name} {row}: {name} = {value} is {kind}"
+        ))
+    }
+}
+
+/// The first unusable parameter of a Gaussian: its name in a PLY, and its value.
+fn parameter(block: &Gaussians, index: usize) -> Option<(Box<dyn Fn() -> String>, f32)> {
+    type Name = Box<dyn Fn() -> String>;
+    let bad_coordinate = |v: f32| !v.is_finite() || v.abs() > MAX_COORDINATE;
+    let bad_scale = |v: f32| !v.is_finite() || v > MAX_LOG_SCALE;
+    let not_finite = |v: f32| !v.is_finite();
+    let find = |values: &[f32], bad: &dyn Fn(f32) -> bool, prefix: &'static str| {
+        let at = values.iter().position(|&v| bad(v))?;
+        Some((Box::new(move || format!("{prefix}{at}")) as Name, values[at]))
+    };
+    let mean = &block.means[index];
+    if let Some(axis) = mean.iter().position(|&v| bad_coordinate(v)) {
+        return Some((Box::new(move || ["x", "y", "z"][axis].to_owned()), mean[axis]));
+    }
+    let opacity = block.opacity_logits[index];
+    if opacity.is_nan() {
+        return Some((Box::new(|| "opacity".to_owned()), opacity));
+    }
+    find(&block.log_scales[index], &bad_scale, "scale_")
+        .or_else(|| find(&block.quats[index], &not_finite, "rot_"))
+        .or_else(|| find(&block.sh_of(index)[0], &not_finite, "f_dc_"))
+        .or_else(|| {
+            let rest = &block.sh_of(index)[1..];
+            let (k, channel) = rest
+                .iter()
+                .enumerate()
+                .find_map(|(k, sh)| Some((k, sh.iter().position(|v| !v.is_finite())?)))?;
+            let (place, value) = (channel * rest.len() + k, rest[k][channel]);
+            Some((Box::new(move || format!("f_rest_{place}")) as Name, value))
+        })
+}

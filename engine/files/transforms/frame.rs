@@ -1,0 +1,323 @@
+//! One frame of a `transforms.json`.
+
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3, Mat3, Vec3, dvec2};
+use serde_json::Value;
+
+use super::inside;
+use super::split::{Part, Split};
+use crate::names::{Finder, has_photo_ending, plain};
+use ashsplat::scene::camera::MAX_IMAGE_SIDE;
+use ashsplat::scene::lens::{Distortion, Lens};
+use ashsplat::{Error, Result};
+
+/// How far `R Rᵀ` of a pose may be from a multiple of the identity, relative.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+
+/// A scale this near to 1 is 1.
+const SCALE_ROUNDING: f64 = 1e-12;
+
+/// A photo and how it was taken.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// The photo's path below the file's folder, as the file names it, with its ending.
+    pub name: String,
+    /// The photo.
+    pub photo_path: PathBuf,
+    /// What of the photo counts (`mask_path`), where the file says so.
+    pub mask_path: Option<PathBuf>,
+    /// Rotation from world to camera (x right, y down, z forward).
+    pub camera_from_world: Mat3,
+    /// Translation from world to camera, world units.
+    pub translation: Vec3,
+    /// The frame's intrinsics.
+    pub optics: Optics,
+    /// Whether the frame is held out.
+    pub test: bool,
+}
+
+/// Intrinsics that may lack the photo's size.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Optics {
+    /// Width and height, pixels, where the file gives them.
+    pub size: Option<[u32; 2]>,
+    /// Focal lengths in x and y; where one is missing, it is the other: square pixels.
+    focal: [Option<Focal>; 2],
+    /// Principal point, pixels; the middle where the file gives none.
+    center: [Option<f64>; 2],
+    /// The lens.
+    distortion: Distortion,
+}
+
+/// A focal length, or the angle that gives it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Focal {
+    Pixels(f64),
+    /// From edge to edge, radians.
+    Angle(f64),
+}
+
+impl Optics {
+    /// Width and height, or what is about half of them; none where the file gives neither.
+    pub(crate) fn sides(&self) -> Option<[f64; 2]> {
+        let middle = || Some([self.center[0]?, self.center[1]?]);
+        self.size.map(|size| size.map(f64::from)).or_else(middle)
+    }
+
+    /// The lens for photos of a size.
+    pub fn lens(&self, width: u32, height: u32) -> Lens {
+        let sides = [f64::from(width), f64::from(height)];
+        let pixels = |axis: usize| match self.focal[axis]? {
+            Focal::Pixels(focal) => Some(focal),
+            Focal::Angle(angle) => Some(0.5 * sides[axis] / (0.5 * angle).tan()),
+        };
+        let [fx, fy] =
+            [pixels(0).or(pixels(1)), pixels(1).or(pixels(0))].map(|focal| focal.unwrap_or(f64::NAN));
+        let [cx, cy] = [0, 1].map(|axis| self.center[axis].unwrap_or(0.5 * sides[axis]));
+        Lens { focal_px: dvec2(fx, fy), center_px: dvec2(cx, cy), width, height, distortion: self.distortion }
+    }
+}
+
+/// Rows of a matrix of 3 or 4 rows of 4 finite numbers; the fourth row is not looked at.
+pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
+    let rows = value.as_array().filter(|rows| matches!(rows.len(), 3 | 4))?;
+    let row = |row: &Value| -> Option<[f64; 4]> {
+        let numbers: Option<Vec<f64>> = row.as_array()?.iter().map(Value::as_f64).collect();
+        numbers?.try_into().ok().filter(|row: &[f64; 4]| row.iter().all(|v| v.is_finite()))
+    };
+    let rows: Option<Vec<[f64; 4]>> = rows.iter().map(row).collect();
+    rows?.get(..3)?.try_into().ok()
+}
+
+/// Appends the frames of a file; what is odd about them.
+pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -> Result<Vec<String>> {
+    let Some(list) = document["frames"].as_array() else {
+        return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
+    };
+    if list.is_empty() {
+        return Err(Error::input(
+            path,
+            "the list `frames` is empty",
+            "the cameras were not found: compute them again",
+        ));
+    }
+    let finder = RefCell::new(Finder::default());
+    let split = Split::of(path, document)?;
+    let mut warnings = Vec::new();
+    let (mut elsewhere, mut unused) = (0, 0);
+    for (index, value) in list.iter().enumerate() {
+        let reader = Reader { path, index, frame: value, document, finder: &finder };
+        let (mut frame, led_out) = reader.read()?;
+        elsewhere += usize::from(led_out);
+        match split.part_of(value["file_path"].as_str().unwrap_or_default(), &frame.name) {
+            Part::None => unused += 1,
+            part => {
+                frame.test = part == Part::HeldOut;
+                frames.push(frame);
+            }
+        }
+    }
+    split.check(path)?;
+    if elsewhere > 0 {
+        warnings.push(format!(
+            "{}: {elsewhere} of {} paths lead out of its folder: the photos in it whose paths end as theirs are taken",
+            path.display(),
+            list.len()
+        ));
+    }
+    if unused > 0 {
+        warnings.push(format!(
+            "{}: {unused} of {} frames are in none of the lists {} and are not used",
+            path.display(),
+            list.len(),
+            split.used_lists()
+        ));
+    }
+    Ok(warnings)
+}
+
+struct Reader<'a> {
+    path: &'a Path,
+    index: usize,
+    frame: &'a Value,
+    document: &'a Value,
+    finder: &'a RefCell<Finder>,
+}
+
+impl Reader<'_> {
+    fn error(&self, problem: impl std::fmt::Display) -> Error {
+        Error::input(
+            self.path,
+            format!("frame {}: {problem}", self.index),
+            "correct the file or compute it again",
+        )
+    }
+
+    /// The frame, and whether its path led out of the folder.
+    fn read(&self) -> Result<(Frame, bool)> {
+        let Some(file_path) = self.frame["file_path"].as_str() else {
+            return Err(self.error("has no file_path"));
+        };
+        let (name, photo_path, led_out) = self.photo(file_path)?;
+        let mask_path = match self.frame["mask_path"].as_str() {
+            Some(name) => {
+                let path = inside(self.path, name).ok_or_else(|| self.leaves(name))?;
+                Some(self.finder.borrow_mut().file(&path).unwrap_or(path))
+            }
+            None => None,
+        };
+        let (camera_from_world, translation) = self.pose()?;
+        let optics = self.optics()?;
+        let frame =
+            Frame { name, photo_path, mask_path, camera_from_world, translation, optics, test: false };
+        Ok((frame, led_out))
+    }
+
+    fn leaves(&self, name: &str) -> Error {
+        self.error(format!("the path {name:?} leads out of the folder, and nothing in it has that name"))
+    }
+
+    /// The photo's name and path, and whether the name led out of the folder. What is missing is taken for a PNG where it
+    /// has no ending.
+    fn photo(&self, named: &str) -> Result<(String, PathBuf, bool)> {
+        let mut finder = self.finder.borrow_mut();
+        let mut name = plain(named);
+        let within = inside(self.path, &name);
+        let led_out = within.is_none();
+        let found = match within {
+            Some(path) => finder.photo(&path).unwrap_or(path),
+            None => {
+                // What was written on another machine, or into another folder: its photos lie here under the same names.
+                let parts: Vec<&str> = name.split('/').collect();
+                let tails = (1..parts.len()).map(|first| parts[first..].join("/"));
+                let found = tails.into_iter().find_map(|tail| {
+                    let path = finder.photo(&inside(self.path, &tail)?)?;
+                    Some((tail, path))
+                });
+                let (tail, path) = found.ok_or_else(|| self.leaves(named))?;
+                name = tail;
+                path
+            }
+        };
+        let path = match found.is_file() || has_photo_ending(&found) {
+            true => found,
+            false => PathBuf::from(format!("{}.png", found.display())),
+        };
+        if !has_photo_ending(Path::new(&name)) {
+            let ending = path.extension().unwrap_or_default().to_string_lossy();
+            name = format!("{name}.{ending}");
+        }
+        Ok((name, path, led_out))
+    }
+
+    fn pose(&self) -> Result<(Mat3, Vec3)> {
+        let value = &self.frame["transform_matrix"];
+        if value.is_null() {
+            return Err(self.error("has no transform_matrix"));
+        }
+        let rows = matrix(value).filter(|_| value.as_array().is_some_and(|rows| rows.len() == 4));
+        let Some(rows) = rows else {
+            return Err(self.error("transform_matrix is not of 4 rows of 4 finite numbers"));
+        };
+        let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
+        let axes = DMat3::from_cols(column(0), column(1), column(2));
+        let scale = axes.determinant().cbrt();
+        // What is a rotation but for the rounding of doubles is taken as it is, to the bit.
+        let rotation = if (scale - 1.0).abs() < SCALE_ROUNDING { axes } else { axes * (1.0 / scale) };
+        let off = rotation * rotation.transpose() - DMat3::IDENTITY;
+        // Also false for a scale of 0, which gives NaN.
+        if !(scale > 0.0 && off.to_cols_array().iter().all(|v| v.abs() < ROTATION_TOLERANCE)) {
+            return Err(self.error("transform_matrix is no rotation with a translation"));
+        }
+        // From y up, z backward to y down, z forward.
+        let camera_from_world = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * rotation.transpose();
+        let translation = -(camera_from_world * column(3));
+        Ok((camera_from_world.as_mat3(), translation.as_vec3()))
+    }
+
+    /// A number of the frame, else of the file; other values than numbers are errors.
+    fn number(&self, key: &str) -> Result<Option<f64>> {
+        for (holder, value) in [("", &self.frame[key]), ("the file's ", &self.document[key])] {
+            match value {
+                Value::Null => {}
+                value => {
+                    let number = value.as_f64().filter(|v| v.is_finite());
+                    return number
+                        .map(Some)
+                        .ok_or_else(|| self.error(format!("{holder}{key} is not a number")));
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn optics(&self) -> Result<Optics> {
+        let mut size = [0; 2];
+        for (side, key) in size.iter_mut().zip(["w", "h"]) {
+            if let Some(pixels) = self.number(key)? {
+                let sides = 1.0..=f64::from(MAX_IMAGE_SIDE);
+                *side = if sides.contains(&pixels) { pixels as u32 } else { 0 };
+                if *side == 0 {
+                    return Err(
+                        self.error(format!("{key} is {pixels}; 1 to {MAX_IMAGE_SIDE} pixels are possible"))
+                    );
+                }
+            }
+        }
+        let size = (size[0] > 0 && size[1] > 0).then_some(size);
+        let focal = [self.focal("fl_x", "camera_angle_x")?, self.focal("fl_y", "camera_angle_y")?];
+        if focal == [None; 2] {
+            return Err(self.error("has no camera: neither fl_x nor camera_angle_x, nor has the file"));
+        }
+        let center = [self.number("cx")?, self.number("cy")?];
+        Ok(Optics { size, focal, center, distortion: self.distortion()? })
+    }
+
+    fn focal(&self, pixels: &str, angle: &str) -> Result<Option<Focal>> {
+        if let Some(focal) = self.number(pixels)? {
+            return if focal > 0.0 {
+                Ok(Some(Focal::Pixels(focal)))
+            } else {
+                Err(self.error(format!("{pixels} is {focal}, which is not positive")))
+            };
+        }
+        match self.number(angle)? {
+            Some(value) if value > 0.0 && value < std::f64::consts::PI => Ok(Some(Focal::Angle(value))),
+            Some(value) => {
+                Err(self
+                    .error(format!("{angle} is {value} radians; more than 0 and less than pi are possible")))
+            }
+            None => Ok(None),
+        }
+    }
+
+    fn distortion(&self) -> Result<Distortion> {
+        let mut k = [0.0; 4];
+        for (k, key) in k.iter_mut().zip(["k1", "k2", "k3", "k4"]) {
+            *k = self.number(key)?.unwrap_or(0.0);
+        }
+        let p = [self.number("p1")?.unwrap_or(0.0), self.number("p2")?.unwrap_or(0.0)];
+        let model =
+            [&self.frame["camera_model"], &self.document["camera_model"]].into_iter().find_map(Value::as_str);
+        let fisheye = self.frame["is_fisheye"] == true || self.document["is_fisheye"] == true;
+        match model {
+            Some("OPENCV_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE") => Ok(Distortion::Fisheye { k }),
+            Some("PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE") | None
+                if k == [0.0; 4] && p == [0.0; 2] && !fisheye =>
+            {
+                Ok(Distortion::None)
+            }
+            Some("PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE" | "OPENCV" | "RADIAL" | "SIMPLE_RADIAL")
+            | None => {
+                Ok(if fisheye { Distortion::Fisheye { k } } else { Distortion::Brown { k, d: [0.0; 3], p } })
+            }
+            Some("EQUIRECTANGULAR") => {
+                let remedy = "cut them into views of pinhole cameras (`ns-process-data images --camera-type equirectangular` does)";
+                Err(Error::input(self.path, format!("frame {}: is a panorama", self.index), remedy))
+            }
+            Some(other) => Err(self.error(format!("camera_model {other:?} is not known"))),
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! Everything that a training run is at between two steps: to disk, and back.
+//!
+//! As a file it is the business of the crate `ashsplat-files`: parameters, Adam's moments and the statistics of densification as named tensors,
+//! everything else as metadata. A run that goes on from one ends with the same bits as a run that was never interrupted:
+//! what is random is keyed by seed and iteration, so no generator has a state of its own.
+
+use super::settings::TrainSettings;
+use crate::error::{Error, Result};
+use crate::fingerprint::Fingerprint;
+use crate::scene::Gaussians;
+use crate::scene::gaussians::sh_coefficients;
+
+/// The state of a training run after an iteration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint {
+    /// Version of ashsplat that made it.
+    pub version: String,
+    /// Device that made it: on another, the bits differ.
+    pub device: String,
+    /// The device's driver and its version: with another, the bits may differ.
+    pub driver: String,
+    /// The run's settings.
+    pub settings: TrainSettings,
+    /// Number of views.
+    pub views: u64,
+    /// Tells the views (cameras and photographs, in their order) from others.
+    pub views_fingerprint: u64,
+    /// The scene's extent, world units.
+    pub scene_extent: f32,
+    /// Iterations done.
+    pub iteration: u32,
+    /// Steps of the optimiser so far.
+    pub optimizer_steps: u64,
+    /// Steps of the opacities' optimiser so far.
+    pub opacity_steps: u64,
+    /// Whether the next step begins with a densification.
+    pub densification_due: bool,
+    /// Whether the next step begins with an opacity reset.
+    pub opacity_reset_due: bool,
+    /// The parameters.
+    pub gaussians: Gaussians,
+    /// Adam's first moments, shaped like the parameters.
+    pub first_moments: Gaussians,
+    /// Adam's second moments, shaped like the parameters.
+    pub second_moments: Gaussians,
+    /// Per Gaussian: sum of the 2D mean's gradient norms (NDC), number of views.
+    pub statistics: Vec<[f32; 2]>,
+    /// Iterations up to this one that were left out, one after the other ([`super::StepReport::skipped`]).
+    pub skipped: u32,
+    /// What there was room for.
+    pub room: Room,
+}
+
+/// A part of a checkpoint.
+#[derive(Clone, Debug)]
+pub struct Tensor<'a> {
+    /// Its name in the file.
+    pub name: String,
+    /// Its shape, outermost dimension first.
+    pub shape: Vec<usize>,
+    /// Its values, f32 in the host's order.
+    pub bytes: &'a [u8],
+}
+
+/// What a run has allocated: whether a densification finds room within a bounded memory depends on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Room {
+    /// Gaussians that the planes of parameters hold.
+    pub gaussians: u32,
+    /// Gaussians of a frame.
+    pub frame_gaussians: u32,
+    /// (tile, Gaussian) instances of a frame.
+    pub frame_instances: u32,
+    /// Width of a frame, pixels; 0 where there was none.
+    pub frame_width: u32,
+    /// Height of a frame, pixels.
+    pub frame_height: u32,
+    /// Passes of blending.
+    pub blend_passes: u32,
+    /// Whether a frame has what backward needs: 0 or 1.
+    pub backward: u32,
+    /// Most instances that a frame had; each densification takes those per Gaussian, and forgets a twentieth.
+    pub most_instances: u32,
+    /// [`crate::vk::ContextOptions::max_memory`], bytes.
+    pub max_memory: Option<u64>,
+}
+
+/// What a checkpoint must have been made with to go on from it.
+pub(super) struct Wanted<'a> {
+    pub settings: &'a TrainSettings,
+    pub views: u64,
+    pub views_fingerprint: u64,
+    pub scene_extent: f32,
+}
+
+impl Checkpoint {
+    /// Why a run that goes on here may end with other bits than one that was never interrupted: another version, device or
+    /// driver has made the checkpoint. One sentence each.
+    pub fn differences(&self, device: &str, driver: &str) -> Vec<String> {
+        let pairs = [
+            ("ashsplat", self.version.as_str(), env!("CARGO_PKG_VERSION")),
+            ("device", &self.device, device),
+            ("driver", &self.driver, driver),
+        ];
+        let differing = pairs.iter().filter(|(_, there, here)| there != here);
+        let say = |(what, there, here): &(&str, &str, &str)| {
+            format!("was made with {what} '{there}', here it is '{here}'")
+        };
+        differing.map(say).collect()
+    }
+
+    /// The tensors: names, shapes and values, in the order of the file.
+    pub fn tensors(&self) -> Vec<Tensor<'_>> {
+        let mut tensors = Vec::new();
+        let sets = [&self.gaussians, &self.first_moments, &self.second_moments];
+        for (prefix, set) in Self::SETS.iter().zip(sets) {
+            let (n, k) = (set.len(), sh_coefficients(set.sh_degree));
+            let mut add = |name: &str, shape: &[usize], bytes| {
+                tensors.push(Tensor { name: format!("{prefix}{name}"), shape: shape.to_vec(), bytes });
+            };
+            add("means", &[n, 3], bytemuck::cast_slice(&set.means));
+            add("quats", &[n, 4], bytemuck::cast_slice(&set.quats));
+            add("log_scales", &[n, 3], bytemuck::cast_slice(&set.log_scales));
+            add("opacity_logits", &[n], bytemuck::cast_slice(&set.opacity_logits));
+            add("sh", &[n, k, 3], bytemuck::cast_slice(&set.sh));
+        }
+        let shape = vec![self.statistics.len(), 2];
+        let bytes = bytemuck::cast_slice(&self.statistics);
+        tensors.push(Tensor { name: "statistics".into(), shape, bytes });
+        tensors
+    }
+
+    /// Prefixes of the tensors' names: parameters, first and second moments.
+    pub const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
+
+    /// A hash of all tensors: two states of a run are the same to the bit where these are.
+    pub fn fingerprint(&self) -> u64 {
+        let mut fingerprint = Fingerprint::new();
+        self.tensors().iter().for_each(|tensor| fingerprint.add(tensor.bytes));
+        fingerprint.finish()
+    }
+
+    /// Checks that all sets have the same number of Gaussians and the settings' SH degree.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] naming the set.
+    pub fn check_shapes(&self) -> Result<()> {
+        self.gaussians.check_shapes()?;
+        for moments in [&self.first_moments, &self.second_moments] {
+            moments.check_shapes()?;
+            if (moments.len(), moments.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
+                return Err(Error::argument("moments", "are of another number or degree than the Gaussians"));
+            }
+        }
+        if self.statistics.len() != self.gaussians.len() {
+            return Err(Error::argument("statistics", "are of another number than the Gaussians"));
+        }
+        if self.gaussians.sh_degree != self.settings.sh_degree {
+            return Err(Error::argument("sh_degree", "of the Gaussians and of the settings differ"));
+        }
+        Ok(())
+    }
+
+    /// Whether a run with these settings and views could have made the checkpoint.
+    pub(super) fn check_fits(&self, wanted: &Wanted) -> Result<()> {
+        let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
+        let settings = TrainSettings { iterations: wanted.settings.iterations, ..self.settings.clone() };
+        if let Some(difference) = difference(&settings, wanted.settings) {
+            return refuse(format!("was made with other settings: {difference}"));
+        }
+        if self.iteration >= wanted.settings.iterations {
+            return refuse(format!(
+                "is of iteration {} already, the training ends at {}; raise iterations to go on",
+                self.iteration, wanted.settings.iterations
+            ));
+        }
+        if self.views != wanted.views {
+            return refuse(format!("was made with {} training views, here are {}", self.views, wanted.views));
+        }
+        if self.views_fingerprint != wanted.views_fingerprint {
+            return refuse(
+                "was made with other photographs or cameras (of another data set, resolution, background or split)"
+                    .into(),
+            );
+        }
+        if self.scene_extent.to_bits() != wanted.scene_extent.to_bits() {
+            return refuse(format!(
+                "was made with a scene extent of {}, here it is {}",
+                self.scene_extent, wanted.scene_extent
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// The settings that differ, "name there, here".
+fn difference(there: &TrainSettings, here: &TrainSettings) -> Option<String> {
+    let (there, here) = (there.values(), here.values());
+    let differing = there.iter().zip(&here).filter(|(there, here)| there != here);
+    let said: Vec<String> =
+        differing.map(|((name, there), (_, here))| format!("{name} {there}, here {here}")).collect();
+    (!said.is_empty()).then(|| said.join("; "))
+}
