@@ -25,7 +25,9 @@ pub struct Npz {
 impl Npz {
     /// The names of the arrays of an archive, without reading them.
     pub fn names(path: &Path) -> Vec<String> {
-        open(path).file_names().filter_map(|name| Some(name.strip_suffix(".npy")?.to_owned())).collect()
+        let archive = open(path);
+        let names = archive.file_names().map(|name| name.expect("a name in UTF-8"));
+        names.filter_map(|name| Some(name.strip_suffix(".npy")?.to_owned())).collect()
     }
 
     /// Reads an archive.
@@ -104,7 +106,7 @@ fn parse(bytes: &[u8]) -> Option<Array> {
         "|u1" => data.iter().map(|&byte| byte.into()).collect(),
         _ => return None,
     };
-    (values.len() == shape.iter().product()).then_some(Array { shape, values })
+    (values.len() == shape.iter().product::<usize>()).then_some(Array { shape, values })
 }
 
 fn words(bytes: &[u8]) -> Option<&[[u8; 4]]> {
