@@ -2,6 +2,7 @@
 
 use crate::cli::{finish, program, refuse, succeed, text};
 use crate::common;
+use crate::common::running::Running;
 use ashsplat::plan::max_trained_gaussians;
 use serde_json::Value;
 use std::path::Path;
@@ -428,14 +429,11 @@ fn a_full_standard_output_is_a_failure_and_a_closed_one_is_not() {
         let said = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
         assert!(said.starts_with("error: standard output: cannot write"), "{said}");
-        let mut child = program()
-            .args(&arguments)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("it starts");
+        let mut command = program();
+        command.args(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = Running::start(&mut command);
         drop(child.stdout.take());
-        let output = child.wait_with_output().expect("it ends");
+        let output = child.finish();
         assert!(output.status.success() && output.stderr.is_empty(), "{arguments:?}");
     }
 }

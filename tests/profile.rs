@@ -172,6 +172,7 @@ fn profile_says_how_to_get_hot_reload() {
 mod hot_reload {
     use super::{SMALL, profile};
     use crate::cli::{finish, program, text};
+    use crate::common::running::Running;
     use std::fs;
     use std::path::{Path, PathBuf};
     use std::process::Stdio;
@@ -209,14 +210,13 @@ mod hot_reload {
         let glsl = shaders(folder.path());
         let mut command = program();
         command.args(["profile", "--watch", "--watch-for", "7", "--glsl", text(&glsl)]).args(SMALL);
-        let child =
-            command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
+        let child = Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()));
         let pause = || std::thread::sleep(Duration::from_millis(1800));
         pause();
         edit(&glsl.join("include/sh.glsl"), "const float SH_C0 = 0.28", "const float SH_C0 = 0.18");
         pause();
         edit(&glsl.join("sort/sort_upsweep.comp"), "void main() {", "void main( {");
-        let output = child.wait_with_output().expect("it ends");
+        let output = child.finish();
         let said = String::from_utf8_lossy(&output.stdout).into_owned();
         assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
         assert!(said.contains("changed: ") && said.contains("forward/project"), "{said}");

@@ -1,8 +1,9 @@
 //! Data sets in a ZIP: what is unpacked, and that nothing of it is left.
 
 use super::*;
+use crate::common::running::Running;
 use std::io::{BufRead, BufReader, Write};
-use std::process::{Child, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 use tempfile::tempdir;
 use zip::write::SimpleFileOptions;
@@ -18,17 +19,17 @@ fn pack<'a>(archive: &Path, files: impl IntoIterator<Item = (String, &'a [u8])>)
 }
 
 /// The program with a folder of its own for temporary files.
-struct Running {
-    child: Child,
+struct Unpacking {
+    program: Running,
     temporary: PathBuf,
 }
 
-impl Running {
-    fn start(arguments: &[&str], temporary: &Path) -> Running {
+impl Unpacking {
+    fn start(arguments: &[&str], temporary: &Path) -> Unpacking {
         std::fs::create_dir_all(temporary).expect("a folder");
         let mut command = program();
         command.args(arguments).env("TMPDIR", temporary).stdout(Stdio::piped()).stderr(Stdio::piped());
-        Running { child: command.spawn().expect("started"), temporary: temporary.to_owned() }
+        Unpacking { program: Running::start(&mut command), temporary: temporary.to_owned() }
     }
 
     /// How many archives lie there unpacked.
@@ -39,9 +40,8 @@ impl Running {
 
     /// Interrupts it and waits; its exit code.
     fn interrupt(mut self) -> Option<i32> {
-        let pid = self.child.id().to_string();
-        assert!(Command::new("kill").args(["-INT", &pid]).status().expect("kill").success());
-        let code = self.child.wait().expect("it ends").code();
+        self.program.interrupt();
+        let code = self.program.wait().expect("it ends").code();
         assert_eq!(self.unpacked(), 0, "something is left");
         code
     }
@@ -65,8 +65,8 @@ fn archives_are_unpacked_once_and_removed() {
     for (arguments, code) in
         [(&[&train[..], &["--view=0"]].concat()[..], 130), (&["view", text(&archive), "--port", "0"], 0)]
     {
-        let mut running = Running::start(arguments, &path("temporary"));
-        let stdout = BufReader::new(running.child.stdout.take().expect("its stdout"));
+        let mut running = Unpacking::start(arguments, &path("temporary"));
+        let stdout = BufReader::new(running.program.stdout.take().expect("its stdout"));
         let mut lines = stdout.lines().map_while(Result::ok);
         assert!(lines.any(|line| line.starts_with("viewer at")), "{arguments:?}");
         assert_eq!(running.unpacked(), 1, "{arguments:?}");
@@ -93,7 +93,7 @@ fn archives_are_removed_when_loading_is_interrupted() {
     let photos = names.into_iter().map(|name| (name, photo.as_slice()));
     pack(&path("data.zip"), photos.chain([("transforms.json".into(), transforms.as_bytes())]));
     let (archive, model) = (path("data.zip"), path("model"));
-    let running = Running::start(
+    let running = Unpacking::start(
         &["train", "-s", text(&archive), "-m", text(&model), "--iterations", "1000000", "--quiet"],
         &path("temporary"),
     );

@@ -1,8 +1,9 @@
 //! Checkpoints: written when asked for and on Ctrl-C, gone on from, refused with the reason, whole whatever happens.
 
 use super::*;
+use crate::common::running::Running;
 use ashsplat_files::{CheckpointFile, ply};
-use std::process::{Child, Stdio};
+use std::process::Stdio;
 use std::time::Duration;
 use tempfile::{TempDir, tempdir};
 
@@ -130,7 +131,7 @@ fn determinism_is_verified_without_writing() {
 
 /// Ends a run in whatever it is doing, and says whether it still ran; whatever is on disk then must do.
 #[cfg(unix)]
-fn kill(mut child: Child, after: Duration) -> bool {
+fn kill(mut child: Running, after: Duration) -> bool {
     use std::os::unix::process::ExitStatusExt;
     std::thread::sleep(after);
     child.kill().ok();
@@ -168,7 +169,7 @@ fn killed_at_any_moment_training_goes_on() {
         let share = (0.5 + moment as f64 * 0.618_033_988_75) % 1.0;
         let before = newest();
         let mut command = place.command("killed", &begin(before.is_some()));
-        let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("it starts");
+        let child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::null()));
         let hit = kill(child, whole.mul_f64(share));
         alive += u64::from(hit);
         gone_on += u64::from(hit && before.is_some() && newest() > before);

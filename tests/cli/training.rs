@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::common::gpu::Gpu;
+use crate::common::running::Running;
 use ashsplat::loss::Windowing;
 use ashsplat::trainer::Checkpoint;
 use ashsplat_files::CheckpointFile;
@@ -316,12 +317,11 @@ fn ctrl_c_saves() {
     let mut command = program();
     command.args(["train", "-s", text(&data), "-m", text(&out), "--iterations", "1000000"]);
     command.args(["--max-memory", "2048M"]);
-    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts");
+    let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
     let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
     let first = lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
     assert!(first.contains("it/s") && first.contains("Gaussians") && first.contains("left"), "{first}");
-    let pid = child.id().to_string();
-    assert!(Command::new("kill").args(["-INT", &pid]).status().expect("kill").success());
+    child.interrupt();
     let rest: Vec<String> = lines.collect();
     assert_eq!(child.wait().expect("it ends").code(), Some(130), "{rest:?}");
     assert!(rest.iter().any(|line| line.starts_with("interrupted: saved ")), "{rest:?}");
@@ -355,11 +355,10 @@ fn ctrl_c_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
     std::fs::write(out.join("point_cloud"), "no folder").expect("written");
     let mut command = program();
     command.args(["train", "-s", text(&data), "-m", text(&out), "--iterations", "1000000"]);
-    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts");
+    let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
     let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
     lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
-    let pid = child.id().to_string();
-    assert!(Command::new("kill").args(["-INT", &pid]).status().expect("kill").success());
+    child.interrupt();
     let rest: Vec<String> = lines.collect();
     assert_eq!(child.wait().expect("it ends").code(), Some(130), "{rest:?}");
     assert!(

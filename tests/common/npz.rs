@@ -5,6 +5,8 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
+use zip::ZipArchive;
+
 /// An array, flattened row-major, as f64 (exact for f4, i4 and u1).
 #[derive(Clone, Debug)]
 pub struct Array {
@@ -23,21 +25,23 @@ pub struct Npz {
 impl Npz {
     /// The names of the arrays of an archive, without reading them.
     pub fn names(path: &Path) -> Vec<String> {
-        let file = File::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-        let archive = npyz::npz::NpzArchive::new(BufReader::new(file))
-            .unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-        archive.array_names().map(str::to_owned).collect()
+        let archive = open(path);
+        let names = archive.file_names().map(|name| name.expect("a name in UTF-8"));
+        names.filter_map(|name| Some(name.strip_suffix(".npy")?.to_owned())).collect()
     }
 
     /// Reads an archive.
     pub fn read(path: &Path) -> Npz {
-        let names = Npz::names(path);
-        let file = File::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-        let mut archive = npyz::npz::NpzArchive::new(BufReader::new(file)).expect("opened just before");
+        let mut archive = open(path);
         let mut arrays = HashMap::new();
-        for name in names {
-            let array = archive.by_name(&name).expect("listed").expect("listed");
-            arrays.insert(name, read_array(array));
+        for name in Npz::names(path) {
+            let mut bytes = Vec::new();
+            let entry =
+                archive.by_name(&format!("{name}.npy")).and_then(|mut e| Ok(e.read_to_end(&mut bytes)?));
+            entry.unwrap_or_else(|e| panic!("{}: {name}: {e}", path.display()));
+            let array =
+                parse(&bytes).unwrap_or_else(|| panic!("{}: {name}: no such array is read", path.display()));
+            arrays.insert(name, array);
         }
         Npz { arrays }
     }
@@ -80,19 +84,32 @@ pub fn rows<const N: usize>(values: &[f64]) -> Vec<[f64; N]> {
     rows.to_vec()
 }
 
-fn read_array<R: Read>(array: npyz::NpyFile<R>) -> Array {
-    let shape = array.shape().iter().map(|&n| n as usize).collect();
-    assert!(array.order() == npyz::Order::C, "row-major arrays only");
-    let kind = array.dtype().descr();
-    let values = match kind.trim_matches('\'') {
-        "<f4" => array.into_vec::<f32>().map(widen),
-        "<i4" => array.into_vec::<i32>().map(widen),
-        "|u1" => array.into_vec::<u8>().map(widen),
-        other => panic!("array of type {other}"),
-    };
-    Array { shape, values: values.expect("a complete array") }
+fn open(path: &Path) -> ZipArchive<BufReader<File>> {
+    let archive = File::open(path).map_err(Into::into).and_then(|file| ZipArchive::new(BufReader::new(file)));
+    archive.unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-fn widen<T: Into<f64>>(values: Vec<T>) -> Vec<f64> {
-    values.into_iter().map(Into::into).collect()
+/// An array of NumPy's format 1.0: magic, length of the header, a Python dictionary as the header, the values.
+fn parse(bytes: &[u8]) -> Option<Array> {
+    let (length, rest) = bytes.strip_prefix(b"\x93NUMPY\x01\x00")?.split_first_chunk()?;
+    let (header, data) = rest.split_at_checked(u16::from_le_bytes(*length).into())?;
+    let header = std::str::from_utf8(header).ok()?;
+    let after = |key: &str| Some(header.split_once(key)?.1);
+    // Row-major ones only.
+    after("'fortran_order': False")?;
+    let sizes = after("'shape': (")?.split_once(')')?.0;
+    let sizes = sizes.split(',').map(str::trim).filter(|size| !size.is_empty());
+    let shape: Vec<usize> = sizes.map(|size| size.parse().ok()).collect::<Option<_>>()?;
+    let values: Vec<f64> = match after("'descr': '")?.split_once('\'')?.0 {
+        "<f4" => words(data)?.iter().map(|&word| f32::from_le_bytes(word).into()).collect(),
+        "<i4" => words(data)?.iter().map(|&word| i32::from_le_bytes(word).into()).collect(),
+        "|u1" => data.iter().map(|&byte| byte.into()).collect(),
+        _ => return None,
+    };
+    (values.len() == shape.iter().product::<usize>()).then_some(Array { shape, values })
+}
+
+fn words(bytes: &[u8]) -> Option<&[[u8; 4]]> {
+    let (words, rest) = bytes.as_chunks();
+    rest.is_empty().then_some(words)
 }

@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
@@ -12,12 +12,14 @@ use glam::Vec3;
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
 
+use super::running::Running;
+
 /// Longest that anything may take.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A program that serves, ended with the value.
 pub struct Server {
-    child: Child,
+    child: Running,
     /// What it said before it was ready.
     pub said: Vec<String>,
     /// localhost:PORT.
@@ -34,8 +36,7 @@ impl Server {
     pub fn start_until(arguments: &[&str], last: &str) -> Server {
         let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
         command.env_remove("ASHSPLAT_DEVICE");
-        let mut child =
-            command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("started");
+        let mut child = Running::start(command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()));
         let mut lines =
             BufReader::new(child.stdout.take().expect("its stdout")).lines().map_while(Result::ok);
         let mut said = Vec::new();
@@ -65,8 +66,7 @@ impl Server {
     /// Interrupts it and waits; exit code and stderr.
     #[cfg(unix)]
     pub fn end(mut self) -> (Option<i32>, String) {
-        let pid = self.child.id().to_string();
-        assert!(std::process::Command::new("kill").args(["-INT", &pid]).status().expect("kill").success());
+        self.child.interrupt();
         self.wait()
     }
 
@@ -110,13 +110,6 @@ impl Server {
         let mut page = Page { socket, greeting: Value::Null };
         page.greeting = page.wait_for("scene");
         Ok(page)
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.child.kill().ok();
-        self.child.wait().ok();
     }
 }
 
