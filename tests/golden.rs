@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 
 use libtest_mimic::{Failed, Trial};
 
+use crate::absent_data;
 use crate::common::npz::Npz;
+use crate::common::root;
 
 /// What a set is about, by the names of its fields.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,30 +47,44 @@ impl Kind {
 /// A file of the folder.
 #[derive(Clone, Debug)]
 pub struct SetFile {
-    name: String,
-    path: PathBuf,
+    pub name: String,
+    /// The file.
+    pub path: PathBuf,
     /// The set of the same name with the exact extent.
     exact: Option<PathBuf>,
     kind: Kind,
 }
 
-/// One trial per set and implementation; where the folder is absent, one that says so and is ignored.
+/// One trial per set and implementation: the project's own sets, and those of the shared folder besides. Where that is absent,
+/// one more trial says so.
 pub fn trials(shared: &Path) -> Vec<Trial> {
-    let folder = shared.join("golden");
-    let sets = list(&folder);
-    if sets.is_empty() {
-        let reason = format!("no golden vectors in {}", folder.display());
-        return vec![
-            Trial::ignorable_test("golden_vectors_absent", move || Err(Failed::from(reason.clone())))
-                .with_ignored_flag(true),
-        ];
-    }
+    let sets = sets(shared);
     let mut trials = Vec::new();
+    if !shared.join("golden").is_dir() {
+        let reason = format!("no further golden vectors in {}", shared.join("golden").display());
+        trials.push(absent_data("golden_vectors_absent", reason));
+    }
     for set in &sets {
         trials.extend(twin::trials(set));
         trials.extend(gpu::trials(set));
     }
     trials
+}
+
+/// The project's own sets, a small part of all.
+fn own() -> PathBuf {
+    root().join("tests/golden/sets")
+}
+
+/// The project's own sets, and those of the shared folder that have other names.
+pub fn sets(shared: &Path) -> Vec<SetFile> {
+    let mut sets = list(&own());
+    assert!(!sets.is_empty(), "no golden vectors in {}", own().display());
+    let further: Vec<SetFile> = list(&shared.join("golden"));
+    let is_new = |set: &SetFile| !list(&own()).iter().any(|own| own.name == set.name);
+    sets.extend(further.into_iter().filter(is_new));
+    sets.sort_by(|a, b| a.name.cmp(&b.name));
+    sets
 }
 
 fn list(folder: &Path) -> Vec<SetFile> {
@@ -86,7 +102,6 @@ fn list(folder: &Path) -> Vec<SetFile> {
             }
         })
         .collect();
-    sets.sort_by(|a, b| a.name.cmp(&b.name));
     sets
 }
 

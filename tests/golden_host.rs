@@ -10,26 +10,17 @@ use ashsplat_files::init::mean_squared_neighbour_distances;
 use glam::Vec3;
 use libtest_mimic::Trial;
 
-use crate::absent;
 use crate::common::npz::Npz;
 
 /// One trial per set that has the fields.
 pub fn trials(shared: &Path) -> Vec<Trial> {
-    let folder = shared.join("golden");
-    let Ok(entries) = std::fs::read_dir(&folder) else {
-        return vec![absent("golden_host_absent", format!("no golden vectors in {}", folder.display()))];
-    };
-    let mut sets: Vec<_> = entries
-        .filter_map(|entry| Some(entry.ok()?.path()))
-        .filter(|path| path.extension().is_some_and(|extension| extension == "npz"))
-        .filter(|path| Npz::names(path).iter().any(|name| name == "dist2"))
-        .collect();
-    sets.sort();
+    let mut sets = crate::golden::sets(shared);
+    sets.retain(|set| Npz::names(&set.path).iter().any(|name| name == "dist2"));
+    assert!(!sets.is_empty(), "no set has what the host computes");
     sets.into_iter()
-        .map(|path| {
-            let name = path.file_stem().unwrap().to_string_lossy().into_owned();
-            Trial::test(format!("golden_{name}_host"), move || {
-                check(&Npz::read(&path));
+        .map(|set| {
+            Trial::test(format!("golden_{}_host", set.name), move || {
+                check(&Npz::read(&set.path));
                 Ok(())
             })
         })

@@ -14,7 +14,7 @@ use ashsplat_files::dataset::{Dataset, DatasetOptions};
 use ashsplat_files::{Progress, splats};
 use libtest_mimic::{Failed, Trial};
 
-use crate::absent;
+use crate::absent_data;
 
 /// Far beyond what any of the small files needs.
 const TIMEOUT: Duration = Duration::from_secs(120);
@@ -33,7 +33,7 @@ struct Case {
 pub fn trials(shared: &Path) -> Vec<Trial> {
     let folder = shared.join("data/malformed");
     let Ok(text) = std::fs::read(folder.join("expected.json")) else {
-        return vec![absent("malformed_absent", format!("no malformed files in {}", folder.display()))];
+        return vec![absent_data("malformed_absent", format!("no malformed files in {}", folder.display()))];
     };
     let rows: Vec<serde_json::Value> = serde_json::from_slice(&text).expect("expected.json is a list");
     let text = |row: &serde_json::Value, key: &str| row[key].as_str().expect("a string").to_owned();

@@ -11,7 +11,7 @@ use ashsplat_files::{Progress, Resolution, ply, splats};
 use glam::Vec3;
 use libtest_mimic::Trial;
 
-use crate::absent;
+use crate::absent_data;
 
 /// Trials of the data sets and trained scenes that are there.
 pub fn trials(shared: &Path) -> Vec<Trial> {
@@ -24,7 +24,7 @@ pub fn trials(shared: &Path) -> Vec<Trial> {
                 check(&path);
                 Ok(())
             }),
-            false => absent(name, format!("no {}", path.display())),
+            false => absent_data(name, format!("no {}", path.display())),
         });
     };
     add("data_fox_half", "fox/half", |path| fox(path, 266, 474));
