@@ -35,6 +35,7 @@ pub mod scan;
 pub mod scene;
 pub mod sort;
 pub mod trainer;
+pub mod tuning;
 pub mod vk;
 
 /// The Vulkan bindings whose types the API shows.

@@ -8,8 +8,8 @@ mod launch_sizes;
 mod sorting;
 mod strips;
 
+pub use crate::tuning::SortMethod;
 pub use launch_sizes::LaunchSizes;
-pub use sorting::SortMethod;
 pub use strips::{STRIP_ROWS, Strips};
 
 use launch_sizes::ELEMENTWISE_WORKGROUP;

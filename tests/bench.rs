@@ -261,7 +261,7 @@ fn bench_measures_files_and_refuses_bad_ones() {
         positions: (0..60u8).map(|i| [f32::from(i % 8), f32::from(i / 8), 0.0]).collect(),
         colors: vec![[200, 100, 50]; 60],
     };
-    let gaussians = ashsplat::scene::ashsplat_files::initial_gaussians(&points, 1).expect("Gaussians");
+    let gaussians = ashsplat_files::initial_gaussians(&points, 1).expect("Gaussians");
     ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     let small = ["--width", "64", "--height", "48", "--iterations", "1", "--warmup", "1"];
     let table = succeed(&[&["bench", "render", "--scene", text(&ply)], &small[..]].concat());
@@ -305,7 +305,7 @@ fn bench_all_measures_a_scene_and_data_sets() {
     crate::cli::write_dataset(&second);
     let points =
         ashsplat::scene::PointCloud { positions: vec![[0.0; 3]; 9], colors: vec![[200, 100, 50]; 9] };
-    let gaussians = ashsplat::scene::ashsplat_files::initial_gaussians(&points, 1).expect("Gaussians");
+    let gaussians = ashsplat_files::initial_gaussians(&points, 1).expect("Gaussians");
     ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     let own = ["--scene", text(&ply), "--scene-size", "80x48", "--frames", "900@64x64"];
     let sets = ["--dataset", text(&first), "--dataset", text(&second), "--windows", "200,100"];

@@ -186,10 +186,10 @@ fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
     let [parameters, statistics, decisions, block_counts] = &buffers[..] else { unreachable!("four") };
     let limits = context.limits();
     let spec =
-        decide::Spec { workgroup_size: limits.workgroup_size(256), subgroup_size: limits.subgroup_size };
-    let kernel = Kernel::<decide::Interface>::new(&context, &spec).expect("a kernel");
+        classify::Spec { workgroup_size: limits.workgroup_size(256), subgroup_size: limits.subgroup_size };
+    let kernel = Kernel::<classify::Interface>::new(&context, &spec).expect("a kernel");
     for (count, breached) in [(ROWS, &[][..]), (ROWS + 1, &["decisions"][..])] {
-        let push = decide::Push {
+        let push = classify::Push {
             first: 0,
             count,
             blocks: count.div_ceil(spec.workgroup_size),
@@ -204,7 +204,7 @@ fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
                     r.fill(buffer, 0);
                 }
                 r.barrier();
-                let bind = decide::Bind { parameters, statistics, decisions, block_counts };
+                let bind = classify::Bind { parameters, statistics, decisions, block_counts };
                 r.dispatch(&kernel, &bind, &push, count.div_ceil(spec.workgroup_size).into());
                 Ok(())
             })

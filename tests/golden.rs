@@ -89,7 +89,7 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
 
 fn list(folder: &Path) -> Vec<SetFile> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
-    let mut sets: Vec<SetFile> = entries
+    let sets: Vec<SetFile> = entries
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(|path| path.extension().is_some_and(|extension| extension == "npz"))
         .map(|path| {

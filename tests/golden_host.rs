@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use ashsplat::scene::{Gaussians, PointCloud, scene_extent};
+use ashsplat::scene::{PointCloud, scene_extent};
 use ashsplat_files::init::mean_squared_neighbour_distances;
 use glam::Vec3;
 use libtest_mimic::Trial;

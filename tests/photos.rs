@@ -5,7 +5,6 @@ use ashsplat::plan::Strips;
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Gaussians, TrainSettings};
-use ashsplat_files::images::PhotoFile;
 use ashsplat_files::metrics;
 use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};
 use std::sync::Arc;

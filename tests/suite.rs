@@ -1,6 +1,7 @@
 //! The test suite: one binary, one Vulkan context.
 
 mod architecture;
+mod backends;
 mod barriers;
 mod bench;
 mod blending_forms;

@@ -1,5 +1,6 @@
 //! Which form of blending a device gets: by a table of measurements.
 
+use crate::tuning::Backend;
 use crate::vk::Limits;
 
 /// How a tile is blended: the same picture, at a cost that depends on the device. To the bit where a driver's compiler treats sums
@@ -15,8 +16,8 @@ pub enum Blending {
 /// One measurement of both forms on a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendMeasurement {
-    /// As [`Limits::is_cpu`].
-    pub is_cpu: bool,
+    /// The class of the device.
+    pub backend: Backend,
     /// Lanes of a subgroup.
     pub subgroup_size: u32,
     /// Time of [`Blending::SharedMemory`] over that of [`Blending::Regions`], of the blending alone: `ashsplat bench blending`.
@@ -30,22 +31,22 @@ impl Blending {
     /// What was measured, each by `ashsplat bench blending` with the scene that it has by itself (300,000 Gaussians at 1920×1080);
     /// README, "Two forms of blending", names the machines. A device that is measured belongs in here.
     pub const MEASURED: &[BlendMeasurement] = &[
-        BlendMeasurement { is_cpu: true, subgroup_size: 4, shared_over_regions: 2.54 },
-        BlendMeasurement { is_cpu: true, subgroup_size: 8, shared_over_regions: 3.91 },
-        BlendMeasurement { is_cpu: true, subgroup_size: 16, shared_over_regions: 1.74 },
+        BlendMeasurement { backend: Backend::Processor, subgroup_size: 4, shared_over_regions: 2.54 },
+        BlendMeasurement { backend: Backend::Processor, subgroup_size: 8, shared_over_regions: 3.91 },
+        BlendMeasurement { backend: Backend::Processor, subgroup_size: 16, shared_over_regions: 1.74 },
     ];
 
     /// The form for a device: the faster one in [`Blending::MEASURED`], see [`Blending::by`].
     pub fn of_device(limits: &Limits) -> Self {
-        Self::by(Self::MEASURED, limits.is_cpu, limits.subgroup_size)
+        Self::by(Self::MEASURED, limits.tuning.backend, limits.subgroup_size)
     }
 
     /// The faster form, in the geometric mean, on the measured devices of the same kind (processors, or others) whose subgroups are
     /// next in size, the smaller ones of two equally near; [`Blending::Regions`], which computes fewer samples, where none of
     /// that kind was measured or both forms took equally long.
-    pub fn by(measured: &[BlendMeasurement], is_cpu: bool, subgroup_size: u32) -> Self {
+    pub fn by(measured: &[BlendMeasurement], backend: Backend, subgroup_size: u32) -> Self {
         let steps = |size: u32| size.max(1).ilog2().abs_diff(subgroup_size.max(1).ilog2());
-        let of_kind = || measured.iter().filter(|m| m.is_cpu == is_cpu);
+        let of_kind = || measured.iter().filter(|m| m.backend == backend);
         let nearest = of_kind().map(|m| m.subgroup_size).min_by_key(|&size| (steps(size), size));
         let of_size = of_kind().filter(|m| Some(m.subgroup_size) == nearest);
         let product: f32 = of_size.map(|m| m.shared_over_regions).product();
@@ -56,41 +57,42 @@ impl Blending {
 #[cfg(test)]
 mod tests {
     use super::{BlendMeasurement, Blending};
+    use crate::tuning::Backend::{self, Gpu, Processor};
 
-    fn row(is_cpu: bool, subgroup_size: u32, shared_over_regions: f32) -> BlendMeasurement {
-        BlendMeasurement { is_cpu, subgroup_size, shared_over_regions }
+    fn row(backend: Backend, subgroup_size: u32, shared_over_regions: f32) -> BlendMeasurement {
+        BlendMeasurement { backend, subgroup_size, shared_over_regions }
     }
 
     #[test]
     fn blending_follows_the_nearest_measurement_of_the_same_kind() {
         let measured = [
-            row(true, 8, 2.0),
-            row(true, 16, 0.5),
-            row(false, 32, 0.9),
-            row(false, 64, 1.3),
-            row(false, 16, 1.0),
+            row(Processor, 8, 2.0),
+            row(Processor, 16, 0.5),
+            row(Gpu, 32, 0.9),
+            row(Gpu, 64, 1.3),
+            row(Gpu, 16, 1.0),
         ];
-        let form = |is_cpu, size| Blending::by(&measured, is_cpu, size);
+        let form = |backend, size| Blending::by(&measured, backend, size);
         let sizes = [4, 8, 16, 32, 64, 128];
         use Blending::{Regions, SharedMemory};
         assert_eq!(
-            sizes.map(|size| form(true, size)),
+            sizes.map(|size| form(Processor, size)),
             [Regions, Regions, SharedMemory, SharedMemory, SharedMemory, SharedMemory]
         );
         assert_eq!(
-            sizes.map(|size| form(false, size)),
+            sizes.map(|size| form(Gpu, size)),
             [Regions, Regions, Regions, SharedMemory, Regions, Regions]
         );
         // Between two rows: the smaller subgroups.
-        let gap = [row(false, 64, 1.3), row(false, 16, 0.5)];
-        assert_eq!(Blending::by(&gap, false, 32), SharedMemory);
+        let gap = [row(Gpu, 64, 1.3), row(Gpu, 16, 0.5)];
+        assert_eq!(Blending::by(&gap, Gpu, 32), SharedMemory);
     }
 
     #[test]
     fn blending_without_a_measurement_is_by_regions() {
-        assert_eq!(Blending::by(&[], false, 32), Blending::Regions);
-        assert_eq!(Blending::by(&[row(true, 32, 0.1)], false, 32), Blending::Regions);
-        assert_eq!(Blending::by(&[row(false, 32, f32::NAN)], false, 32), Blending::Regions);
+        assert_eq!(Blending::by(&[], Gpu, 32), Blending::Regions);
+        assert_eq!(Blending::by(&[row(Processor, 32, 0.1)], Gpu, 32), Blending::Regions);
+        assert_eq!(Blending::by(&[row(Gpu, 32, f32::NAN)], Gpu, 32), Blending::Regions);
     }
 
     /// "| processor ... | 8 | 3.91 (...) |": a row of README's table for each row here, in the same order.
@@ -100,14 +102,16 @@ mod tests {
         let section = readme.split("### Two forms of blending").nth(1).expect("its section");
         let section = section.split("\n### ").next().expect("its end");
         let rows = section.lines().filter(|line| line.starts_with('|')).skip(2);
-        let mut is_cpu = false;
+        let mut backend = Gpu;
         let rows = rows.filter_map(|row| {
             let cells: Vec<&str> = row.split('|').map(str::trim).collect();
-            is_cpu = cells[1].starts_with("processor") || (is_cpu && cells[1] == "the same");
+            if cells[1] != "the same" {
+                backend = if cells[1].starts_with("processor") { Processor } else { Gpu };
+            }
             let ratio = cells[3].split(' ').next()?.parse().ok()?;
             Some((
                 super::BlendMeasurement {
-                    is_cpu,
+                    backend,
                     subgroup_size: cells[2].parse().ok()?,
                     shared_over_regions: ratio,
                 },
@@ -117,7 +121,7 @@ mod tests {
         let rows: Vec<_> = rows.collect();
         assert_eq!(rows.iter().map(|row| row.0).collect::<Vec<_>>(), Blending::MEASURED);
         for (row, form) in rows {
-            let chosen = Blending::by(Blending::MEASURED, row.is_cpu, row.subgroup_size);
+            let chosen = Blending::by(Blending::MEASURED, row.backend, row.subgroup_size);
             assert_eq!(
                 form,
                 if chosen == Blending::Regions { "regions" } else { "shared memory" },
@@ -129,8 +133,8 @@ mod tests {
     #[test]
     fn blending_measurements_of_a_size_count_together() {
         let by = |ratios: &[f32]| {
-            let rows: Vec<_> = ratios.iter().map(|&ratio| row(false, 32, ratio)).collect();
-            Blending::by(&rows, false, 32)
+            let rows: Vec<_> = ratios.iter().map(|&ratio| row(Gpu, 32, ratio)).collect();
+            Blending::by(&rows, Gpu, 32)
         };
         assert_eq!(by(&[1.3, 0.7]), Blending::SharedMemory);
         assert_eq!(by(&[0.7, 1.5]), Blending::Regions);

@@ -1,16 +1,13 @@
 //! How work is cut into workgroups and blocks on a device.
 
-use super::sorting::{self, SortMethod};
+use super::sorting;
 use super::strips::Strips;
 use crate::kernels::constants::TILE_SIZE;
+use crate::tuning::{SortMethod, WorkgroupRule};
 use crate::vk::Limits;
 
 /// Invocations of an elementwise workgroup, where the device allows it.
 pub(super) const ELEMENTWISE_WORKGROUP: u32 = 256;
-/// Values of one invocation of a scan: read in fours. A processor rather has fewer invocations without barriers.
-const SCAN_ITEMS: [u32; 2] = [4, 256];
-/// Columns of 8 pixels, at most, in a tile: what its pixels are divided into where opacities are chained.
-const CHAINED_COLUMNS: u32 = TILE_SIZE * TILE_SIZE / 8;
 
 /// Entries of a tile blended by one dispatch at most, on any device. It bounds the work of a dispatch, so that no
 /// desktop's watchdog takes it for a hang: an invocation blends so many entries, and all dispatches but these touch each
@@ -72,12 +69,12 @@ pub struct LaunchSizes {
 impl LaunchSizes {
     /// Block sizes for a device, or those that its [`Limits::overrides`] ask for.
     pub fn new(limits: &Limits) -> Self {
-        let method = if limits.is_cpu { SortMethod::Serial } else { SortMethod::Matching };
-        Self::with_sort_method(limits, method)
+        Self::with_sort_method(limits, limits.tuning.sort_method)
     }
 
     /// The same with a given kind of sort.
     pub fn with_sort_method(limits: &Limits, sort_method: SortMethod) -> Self {
+        let tuning = limits.tuning;
         // Blocks nest in each other and in tiles, so that only powers of two will do.
         let size = |folder: &str, constant: &str, usual: u32| {
             let asked = limits.overridden(folder, constant).unwrap_or(usual).max(1);
@@ -86,18 +83,18 @@ impl LaunchSizes {
         let elementwise = limits
             .workgroup_size(size("", "WORKGROUP_SIZE", ELEMENTWISE_WORKGROUP).min(ELEMENTWISE_WORKGROUP));
         let (sort_workgroup, sort_items) = sorting::shape(limits, sort_method, elementwise, size);
-        let scan_items = size("scan", "ITEMS", SCAN_ITEMS[usize::from(limits.is_cpu)]).max(4);
-        let scan_workgroup = limits.workgroup_size(size(
-            "scan",
-            "WORKGROUP_SIZE",
-            if limits.is_cpu { limits.subgroup_size } else { elementwise },
-        ));
+        let invocations = |rule| match rule {
+            WorkgroupRule::Subgroup => limits.subgroup_size,
+            WorkgroupRule::Elementwise => elementwise,
+            WorkgroupRule::Invocations(count) => count,
+        };
+        let scan_items = size("scan", "ITEMS", tuning.scan_items).max(4);
+        let scan_workgroup =
+            limits.workgroup_size(size("scan", "WORKGROUP_SIZE", invocations(tuning.scan_workgroup)));
         let regions = if limits.subgroup_size <= 64 { 4 } else { 2 };
-        // A processor has its pixels in memory anyway, and fetches a Gaussian once instead of once per region. Below 8
-        // lanes the code would be too long to compile.
-        let whole_tiles = limits.is_cpu && limits.subgroup_size >= 8;
-        let usual_parts = if whole_tiles { regions } else { 1 };
-        let regions_per_subgroup = size("forward", "REGIONS_PER_SUBGROUP", usual_parts).min(regions);
+        let whole_tiles = tuning.whole_tiles_from_lanes.is_some_and(|lanes| limits.subgroup_size >= lanes);
+        let usual_regions = if whole_tiles { regions } else { 1 };
+        let regions_per_subgroup = size("forward", "REGIONS_PER_SUBGROUP", usual_regions).min(regions);
         Self {
             elementwise_workgroup: elementwise,
             sort_method,
@@ -108,23 +105,16 @@ impl LaunchSizes {
             scan_workgroup,
             scan_items,
             scan: scan_workgroup * scan_items,
-            // On a processor the search for a run's first Gaussian should be lost in it, a GPU has lanes to fill.
-            duplicate_items: if limits.is_cpu { 16 } else { 4 },
+            duplicate_items: tuning.duplicate_items,
             tile: regions * limits.subgroup_size,
             regions_per_subgroup,
             blend_backward_subgroup_per_tile: whole_tiles,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
-            tile_shared: elementwise.min(if limits.is_cpu { CHAINED_COLUMNS } else { TILE_SIZE * TILE_SIZE }),
-            tile_row_interleave: if limits.is_cpu { 16 } else { 1 },
-            // A processor computes exp2 by some twenty instructions, a GPU by one.
-            incremental_exp: limits.is_cpu,
-            loss: limits.workgroup_size(size(
-                "loss",
-                "WORKGROUP_SIZE",
-                if limits.is_cpu { 64 } else { ELEMENTWISE_WORKGROUP },
-            )),
-            // Wide enough to fill a GPU's workgroup; a processor rather reads less.
-            loss_strip: size("loss", "STRIP", if limits.is_cpu { 4 } else { 2 }).min(TILE_SIZE),
+            tile_shared: elementwise.min(tuning.shared_tile_invocations),
+            tile_row_interleave: tuning.tile_row_interleave,
+            incremental_exp: tuning.incremental_exp,
+            loss: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", invocations(tuning.loss_workgroup))),
+            loss_strip: size("loss", "STRIP", tuning.loss_strip).min(TILE_SIZE),
             // Few and long invocations: small workgroups spread them evenly.
             loss_sweep: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
             strips: Strips::suit(limits),
@@ -132,7 +122,7 @@ impl LaunchSizes {
             // Where the driver bounds the rounds of an invocation: an entry costs one in each region of its subgroup, and at
             // any subgroup size from 4 a part of one for its batch.
             entries_per_pass: limits
-                .max_loop_iterations
+                .max_loop_iterations()
                 .map_or(MAX_ENTRIES_PER_PASS, |n| n / (regions_per_subgroup + 1))
                 .min(MAX_ENTRIES_PER_PASS),
             instances_per_dispatch: limits.instances_per_dispatch.max(1),

@@ -2,6 +2,7 @@
 
 use super::{LaunchSizes, blocks};
 use crate::kernels::constants::SORT_BINS;
+use crate::tuning::SortMethod;
 use crate::vk::Limits;
 
 /// Subgroups of a sorting workgroup: each holds its own histogram in shared memory.
@@ -20,16 +21,6 @@ const SORT_SINGLE_SUBGROUP: u64 = 1 << 18;
 const SORT_SINGLE_SUBGROUP_PAIRS: u64 = 1 << 17;
 /// No device asks for more between the beginnings of two buffers in one allocation, bytes.
 const BUFFER_ALIGNMENT: u64 = 256;
-
-/// How a radix sort ranks keys of equal digits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SortMethod {
-    /// A subgroup takes consecutive keys side by side and matches their digits: coalesced, histograms in shared memory.
-    Matching,
-    /// Each invocation takes a run of keys one after the other, with a histogram of its own in device memory: for
-    /// processors, where neither coalescing nor many invocations count, but every memory access and every barrier.
-    Serial,
-}
 
 /// Invocations of a sorting workgroup, and keys of each. `size` is the usual value of a constant, or another one that was
 /// asked for.

@@ -20,7 +20,8 @@ impl Strips {
     /// Whether a device has planes in strips: one that reads by texels, with subgroups whose lanes have four rows of a
     /// column or eight.
     pub fn suit(limits: &Limits) -> bool {
-        limits.prefers_texels() && limits.subgroup_size <= 16
+        let lanes = limits.tuning.strips_up_to_lanes;
+        limits.prefers_texels() && lanes.is_some_and(|lanes| limits.subgroup_size <= lanes)
     }
 
     /// Strips of the image.

@@ -11,7 +11,8 @@ impl Context {
     /// [`super::ContextOptions::max_memory`], of what the driver would give now (VK_EXT_memory_budget) and of a GPU's
     /// largest device-local heap. None: not known.
     pub fn memory_limit(&self) -> Option<(u64, &'static str)> {
-        let heap = (!self.limits().is_cpu).then_some((self.limits().heap_bytes, "device-local heap"));
+        let heap =
+            self.limits().tuning.heap_is_bound.then_some((self.limits().heap_bytes, "device-local heap"));
         let asked = self.0.max_memory.map(|bytes| (bytes, MAX_MEMORY));
         let driver = self.driver_budget().map(|bytes| (bytes, "VK_EXT_memory_budget"));
         [asked, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)

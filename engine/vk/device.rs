@@ -5,6 +5,8 @@ use super::instance::Instance;
 use super::limits::Limits;
 use super::requirements::{Features, SUBGROUP_OPERATIONS, low_limit};
 use super::vk_error;
+use super::workarounds::Workarounds;
+use crate::tuning::{Backend, Tuning};
 use crate::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
@@ -271,9 +273,12 @@ fn limits(
         push_constant_bytes: l.max_push_constants_size,
         max_push_descriptors: push.max_push_descriptors,
         timestamp_period_ns: if timestamps { f64::from(l.timestamp_period) } else { 0.0 },
-        is_cpu: properties.device_type == vk::PhysicalDeviceType::CPU,
+        tuning: Tuning::of(match properties.device_type {
+            vk::PhysicalDeviceType::CPU => Backend::Processor,
+            _ => Backend::Gpu,
+        }),
+        workarounds: Workarounds::of_driver(v12.driver_id, properties.driver_version),
         instances_per_dispatch: INSTANCES_PER_DISPATCH,
-        max_loop_iterations: (v12.driver_id == vk::DriverId::MESA_LLVMPIPE).then_some(65_535),
         overrides: Vec::new(),
     };
     (limits, missing)

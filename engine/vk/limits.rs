@@ -1,5 +1,8 @@
 //! The limits of a device, read once.
 
+use super::Workarounds;
+use crate::tuning::{Backend, Tuning};
+
 /// What a device allows, and the subgroup size that kernels are pinned to.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
@@ -40,11 +43,10 @@ pub struct Limits {
     pub max_push_descriptors: u32,
     /// Nanoseconds of a timestamp tick; 0 where the queue has no timestamps.
     pub timestamp_period_ns: f64,
-    /// Whether the device is a processor.
-    pub is_cpu: bool,
-    /// How often the loops of one invocation run before they stop silently, all loops together. Some(65,535) on
-    /// llvmpipe; None where there is no such limit.
-    pub max_loop_iterations: Option<u32>,
+    /// Which kernels, sizes and layouts the device gets.
+    pub tuning: &'static Tuning,
+    /// What its driver does against the specification.
+    pub workarounds: Workarounds,
     /// (tile, Gaussian) instances that one dispatch of blending takes, but for the rest of its last tile. Our own, so that no
     /// desktop's watchdog takes a long dispatch for a hang.
     pub instances_per_dispatch: u32,
@@ -110,6 +112,8 @@ pub struct LimitsOverride {
     pub max_texels: Option<u64>,
     /// For [`Limits::instances_per_dispatch`].
     pub instances_per_dispatch: Option<u32>,
+    /// For [`Limits::tuning`]: the kernels of another class of devices.
+    pub backend: Option<Backend>,
 }
 
 impl Limits {
@@ -123,10 +127,16 @@ impl Limits {
         (most / self.subgroup_size * self.subgroup_size).max(self.subgroup_size)
     }
 
-    /// Whether kernels that exist in both forms should read texels: on a processor (see [`super::TexelFormat`]) where
-    /// no buffer that can be bound has more texels than may be read.
+    /// How often the loops of one invocation run before they stop silently, all loops together; None: no such limit.
+    pub fn max_loop_iterations(&self) -> Option<u32> {
+        self.workarounds.contains(Workarounds::LOOPS_STOP_AT_65535).then_some(65_535)
+    }
+
+    /// Whether kernels that exist in both forms read texels (see [`super::TexelFormat`]): where the tuning says so and no
+    /// buffer that can be bound has more texels than may be read.
     pub fn prefers_texels(&self) -> bool {
-        self.is_cpu && self.max_storage_buffer_range / super::TexelFormat::R32Uint.bytes() <= self.max_texels
+        self.tuning.reads_texels
+            && self.max_storage_buffer_range / super::TexelFormat::R32Uint.bytes() <= self.max_texels
     }
 
     /// What [`Limits::overrides`] say of a constant of a kernel or of a folder of kernels; the last one counts. The kernel that
@@ -156,6 +166,9 @@ impl Limits {
         lower(&mut self.max_push_descriptors, to.max_push_descriptors);
         lower(&mut self.max_texels, to.max_texels);
         lower(&mut self.instances_per_dispatch, to.instances_per_dispatch);
+        if let Some(backend) = to.backend {
+            self.tuning = Tuning::of(backend);
+        }
         self
     }
 

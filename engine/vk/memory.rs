@@ -392,7 +392,7 @@ impl Context {
             }
         };
         let total: u64 = packing.blocks.iter().sum();
-        if total > limits.heap_bytes && kind == MemoryKind::Device && !limits.is_cpu {
+        if total > limits.heap_bytes && kind == MemoryKind::Device && limits.tuning.heap_is_bound {
             return too_large(format!("arena {arena}"), total, limits.heap_bytes, "device-local heap");
         }
         let used = self.0.registry.total().bytes;

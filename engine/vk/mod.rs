@@ -3,7 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | `instance`, `device`, `context` | loader, devices and their choice, the open [`Context`] |
-//! | `limits` | [`Limits`], read once; stricter ones for tests |
+//! | `limits`, `workarounds` | [`Limits`], read once; stricter ones for tests; [`Workarounds`] by driver |
 //! | `memory`, `buffer` | [`Context::allocate`]: requests packed into blocks; a [`Buffer`] is a named range of one |
 //! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
 //! | `allocator` | [`HostAllocator`]: memory from a host |
@@ -71,6 +71,7 @@ mod requirements;
 mod submit;
 mod texels;
 mod transfer;
+mod workarounds;
 
 pub use allocator::{HostAllocator, HostMemory, MemoryRequest};
 pub use arenas::ArenaMemory;
@@ -93,6 +94,7 @@ pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, OptionalExtension, Requirements};
 pub use submit::{Pending, RunReport};
 pub use texels::TexelFormat;
+pub use workarounds::Workarounds;
 
 /// The error for a failed Vulkan call.
 fn vk_error(call: &'static str) -> impl Fn(ash::vk::Result) -> crate::Error {

@@ -123,9 +123,8 @@ impl Profiler {
         if self.pool != vk::QueryPool::null() {
             // SAFETY: `commands` is in the recording state; the query was reset and is written once.
             unsafe {
-                // A processor executes a recording command by command: there the top of the pipe is also the end of all
-                // that came before, and on llvmpipe it takes 2 µs, where waiting for all commands takes 30.
-                let stage = match inner.limits.is_cpu {
+                // Where commands run in order, the top of the pipe is also the end of all commands before.
+                let stage = match inner.limits.tuning.runs_in_order {
                     true => vk::PipelineStageFlags2::TOP_OF_PIPE,
                     false => vk::PipelineStageFlags2::ALL_COMMANDS,
                 };

@@ -111,8 +111,7 @@ fn ply_is_an_lfs_pointer() {
 fn parameters_that_are_not_finite() {
     let folder = tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ply");
-    let mut gaussians =
-        ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    let mut gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.means[7][1] = f32::NAN;
     gaussians.log_scales[9][0] = f32::INFINITY;
     // Opacity 1 and 0: real files have them.

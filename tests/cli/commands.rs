@@ -49,7 +49,7 @@ fn info_of_a_data_set() {
 fn info_of_a_ply() {
     let folder = tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ply");
-    let gaussians = ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 2).expect("Gaussians");
+    let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 2).expect("Gaussians");
     ashsplat_files::ply::write(&path, &gaussians).expect("written");
     let report: Value = serde_json::from_str(&succeed(&["info", text(&path), "--json"])).expect("JSON");
     assert_eq!((&report["gaussians"], &report["sh_degree"]), (&Value::from(400), &Value::from(2)));
@@ -66,8 +66,7 @@ fn camera_path_is_rendered_to_png_and_exr() {
     let folder = tempdir().expect("a temporary folder");
     let (ply, path, out) =
         (folder.path().join("scene.ply"), folder.path().join("path.json"), folder.path().join("out"));
-    let mut gaussians =
-        ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    let mut gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.opacity_logits.fill(4.0);
     ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     // No cx and cy, as the reference writes it; looking along +z from in front of the wall.
@@ -110,8 +109,7 @@ fn compare_exr_with_png(folder: &Path) {
 fn orbit_of_a_bare_ply_shows_the_scene() {
     let folder = tempdir().expect("a temporary folder");
     let (ply, out) = (folder.path().join("scene.ply"), folder.path().join("out"));
-    let mut gaussians =
-        ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    let mut gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.opacity_logits.fill(4.0);
     ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     refuse(&["render", text(&ply), "-o", text(&out)], &["scene.ply", "--orbit"]);
@@ -153,8 +151,7 @@ fn orbit_of_parallel_cameras_shows_the_scene() {
     let (model, out) = (folder.path().join("model"), folder.path().join("out"));
     let ply = model.join("point_cloud/iteration_1/point_cloud.ply");
     std::fs::create_dir_all(ply.parent().expect("a folder")).expect("created");
-    let mut gaussians =
-        ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    let mut gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.means.iter_mut().for_each(|mean| mean[2] += 40.0);
     ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     let named = |index: u32| {

@@ -8,8 +8,7 @@ use tempfile::tempdir;
 fn converted_files_are_rendered_and_described() {
     let folder = tempdir().expect("a temporary folder");
     let place = |name: &str| folder.path().join(name);
-    let mut gaussians =
-        ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 1).expect("Gaussians");
+    let mut gaussians = ashsplat_files::initial_gaussians(&wall_points(), 1).expect("Gaussians");
     gaussians.opacity_logits.fill(3.0);
     ashsplat_files::ply::write(place("in.ply"), &gaussians).expect("written");
     for format in Format::ALL {
@@ -54,7 +53,7 @@ fn convert_refuses_in_one_line() {
     refuse(&["convert", "a.ply", "b.ply", "--crop-box", "1,2"], &["six numbers"]);
     assert!(!place("out.ply").exists());
     // Nothing is overwritten that is not the output's own.
-    let gaussians = ashsplat::scene::ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     ashsplat_files::ply::write(place("in.ply"), &gaussians).expect("written");
     let before = std::fs::read(place("in.ply")).expect("a file");
     refuse(

@@ -8,7 +8,6 @@ use ashsplat::{
     Blending, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings,
     TrainView,
 };
-use ashsplat_files::images::PhotoFile;
 use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};
 
 /// Densifies after 40, 80, 120, 160, resets opacities after 100.

@@ -1,7 +1,7 @@
 //! Valid files with random damage: the readers refuse or read, and never panic. A short form of the fuzzing in tests/fuzz.
 
 use crate::common::scenes::Random;
-use ashsplat::scene::{Gaussians, PointCloud};
+use ashsplat::scene::PointCloud;
 use ashsplat::trainer::Checkpoint;
 use ashsplat_files::colmap::{self, Model};
 use ashsplat_files::{CheckpointFile, ply};

@@ -24,7 +24,7 @@ struct Expanded {
 fn expanded(gpu: &Gpu, frame: &Projected, order: &[u32], view: &View) -> Expanded {
     let size = order.len();
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
-    let spec = Spec { workgroup_size, subgroup_size, items: 4, slots: true };
+    let spec = Spec { workgroup_size, subgroup_size, items: 4, for_backward: true };
     let kernel = gpu.kernel::<Interface>(&spec);
     let lists = ordered(order, &gpu.read::<[u32; 2]>(&frame.tile_lists, frame.expected.len()));
     let counts: Vec<u32> = lists.iter().copied().map(tiles_met).collect();

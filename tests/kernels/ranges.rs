@@ -10,9 +10,9 @@ use crate::reference::ranges::ranges;
 #[test]
 fn ranges_equal_their_twin() {
     let gpu = Gpu::new();
-    let spec = Spec { workgroup_size: gpu.workgroup(64), slots: true };
+    let spec = Spec { workgroup_size: gpu.workgroup(64), for_backward: true };
     let kernel = gpu.kernel::<Interface>(&spec);
-    let alone = gpu.kernel::<Interface>(&Spec { slots: false, ..spec });
+    let alone = gpu.kernel::<Interface>(&Spec { for_backward: false, ..spec });
     let block = spec.workgroup_size as usize;
     // All in one tile, a few per tile, most tiles empty.
     for (size, tile_count) in sizes(block).into_iter().flat_map(|n| [(n, 1), (n, 20), (n, 5000)]) {

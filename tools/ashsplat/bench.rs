@@ -103,7 +103,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         }
         What::All(a) => {
             let plan = Plan { iterations: a.iterations.get(), seed: a.synthetic.seed() };
-            measure_all(&a.output, plan, |context| tasks::of_all(a, context.limits().is_cpu))
+            measure_all(&a.output, plan, |context| tasks::of_all(a, context.limits().tuning.is_slow))
         }
         What::Compare(files) => return compare_files(files),
         What::Scaling(sweep) => scaling::run(sweep),

@@ -343,7 +343,7 @@ pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
 
 /// Invocations of the measurement of arithmetic: a large device's lanes many times over, a processor's for some 30 ms.
 fn arithmetic_results(context: &Context) -> u64 {
-    if context.limits().is_cpu { 1 << 15 } else { 1 << 20 }
+    if context.limits().tuning.is_slow { 1 << 15 } else { 1 << 20 }
 }
 
 const ARITHMETIC_RUNS: u32 = 3;

@@ -62,7 +62,7 @@ pub fn of_training(dataset: &Path, windows: &[u32], sh_degree: u32) -> Result<Ve
 }
 
 /// The primitives at two sizes, synthetic frames and steps, and the trained scene and the data sets where given.
-pub fn of_all(arguments: &AllArguments, is_cpu: bool) -> Result<Vec<Task>> {
+pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
     let own = &arguments.synthetic;
     let of_size = |&FrameSize { gaussians, width, height }: &FrameSize| SyntheticArguments {
         gaussians: Some(gaussians),
@@ -74,7 +74,7 @@ pub fn of_all(arguments: &AllArguments, is_cpu: bool) -> Result<Vec<Task>> {
     let synthetic = Rc::new(own.load()?);
     let (few, iterations) = (arguments.elements.div_ceil(4), arguments.iterations.get());
     // So few pairs that timing each command would show, where a timestamp ends a batch of the driver's work.
-    let smaller = Iterations { timed: !is_cpu, ..iterations };
+    let smaller = Iterations { timed: !is_slow, ..iterations };
     let mut tasks = vec![
         Task::Scan(arguments.elements.saturating_mul(VALUES_PER_PAIR).min(1 << 28), iterations),
         Task::Sort(few, smaller),
@@ -90,10 +90,10 @@ pub fn of_all(arguments: &AllArguments, is_cpu: bool) -> Result<Vec<Task>> {
     tasks.push(Task::RenderBoth(synthetic.clone(), few));
     for size in &arguments.frames {
         let scene = Rc::new(of_size(size).load()?);
-        let iterations = if is_cpu && size.gaussians > MANY { few } else { iterations };
+        let iterations = if is_slow && size.gaussians > MANY { few } else { iterations };
         tasks.push(Task::Render(scene.clone(), iterations, None));
         // A processor takes seconds for them, and its table of forms is made from the frame above.
-        if !is_cpu {
+        if !is_slow {
             tasks.push(Task::RenderBoth(scene, few));
         }
     }

@@ -391,7 +391,6 @@ impl Run {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ashsplat::Gaussians;
     use ashsplat::scene::{Camera, Intrinsics, PointCloud};
     use ashsplat::trainer::{TrainSettings, TrainView};
     use ashsplat::vk::ContextOptions;

@@ -5,6 +5,7 @@ use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
 use ashsplat::trainer::Checkpoint;
 use ashsplat::vk::{ContextOptions, Fault, Faults};
+use ashsplat_files::CheckpointFile;
 use ashsplat_files::Photo;
 use glam::Vec3;
 

@@ -1,0 +1,139 @@
+//! What is chosen differently for processors and for GPUs: kernels, sizes and layouts, in one table.
+//!
+//! A device's [`Tuning`] is a row of this table. The row is set once, when the device is opened
+//! ([`Limits::tuning`](crate::vk::Limits::tuning)); no other file asks what kind of device it is. Bounds that a device reports
+//! are facts and stand in [`Limits`](crate::vk::Limits); what a driver does against the specification stands in
+//! [`Workarounds`](crate::vk::Workarounds).
+//!
+//! To run a GPU's kernels on a software driver, override the row:
+//! [`LimitsOverride::backend`](crate::vk::LimitsOverride::backend).
+
+use crate::kernels::constants::TILE_SIZE;
+
+/// The class of devices that a row of the table is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Backend {
+    /// A driver that runs shaders on the processor, such as Mesa's llvmpipe.
+    Processor,
+    /// Everything else.
+    Gpu,
+}
+
+/// How a radix sort ranks keys of equal digits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SortMethod {
+    /// A subgroup takes consecutive keys side by side and matches their digits. Accesses are coalesced, histograms lie in
+    /// shared memory.
+    Matching,
+    /// Each invocation takes a run of consecutive keys, one after the other, with its own histogram in device memory. For
+    /// processors: coalescing and the number of invocations do not count there, every memory access and barrier does.
+    Serial,
+}
+
+/// Workgroup sizes that follow from the subgroup or from the elementwise workgroup.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WorkgroupRule {
+    /// One subgroup.
+    Subgroup,
+    /// As elementwise kernels have.
+    Elementwise,
+    /// So many invocations, where the device allows it.
+    Invocations(u32),
+}
+
+/// One row of the table. Numbers are the values before limits and overrides bound them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Tuning {
+    /// The class of devices.
+    pub backend: Backend,
+    /// How keys are sorted.
+    pub sort_method: SortMethod,
+    /// Values of one invocation of a prefix sum; read in fours.
+    pub scan_items: u32,
+    /// Workgroup of a prefix sum.
+    pub scan_workgroup: WorkgroupRule,
+    /// Instances of one invocation of `duplicate_with_tiles`.
+    pub duplicate_items: u32,
+    /// The smallest subgroup that blends all regions of a tile, forward and backward; None: one region each.
+    pub whole_tiles_from_lanes: Option<u32>,
+    /// Most invocations of a tile that is blended from shared memory.
+    pub shared_tile_invocations: u32,
+    /// Strands of interleaved rows of tiles, a power of two (tile_order.glsl); 1: row by row.
+    pub tile_row_interleave: u32,
+    /// Whether opacities follow from one another along a column of pixels, in place of an exponential each.
+    pub incremental_exp: bool,
+    /// Workgroup of the loss by blocks.
+    pub loss_workgroup: WorkgroupRule,
+    /// Pixels in a row of one invocation of the loss by blocks.
+    pub loss_strip: u32,
+    /// Whether kernels that exist in both forms read texels (buffers.glsl), where buffers have few enough texels.
+    pub reads_texels: bool,
+    /// Largest subgroup with which pictures between blending and loss lie in strips; None: row by row.
+    pub strips_up_to_lanes: Option<u32>,
+    /// Whether commands of a recording run one after the other, so that the top of the pipe is the end of all commands before.
+    /// On llvmpipe such a timestamp takes 2 µs, one after all commands 30 µs.
+    pub runs_in_order: bool,
+    /// Whether the device-local heap bounds what can be allocated. A processor's heap is main memory, which can be swapped.
+    pub heap_is_bound: bool,
+    /// Whether benchmarks have to do with few iterations and invocations.
+    pub is_slow: bool,
+}
+
+impl Tuning {
+    /// Measured on Mesa llvmpipe with 4, 8 and 16 lanes (tools/experiments.md).
+    pub const PROCESSOR: Self = Self {
+        backend: Backend::Processor,
+        sort_method: SortMethod::Serial,
+        // Few invocations without barriers.
+        scan_items: 256,
+        scan_workgroup: WorkgroupRule::Subgroup,
+        // The search for the first Gaussian is shared by many instances.
+        duplicate_items: 16,
+        // A processor's pixels lie in memory anyway, and a Gaussian is fetched once in place of once per region. Below 8
+        // lanes the code would be too long to compile.
+        whole_tiles_from_lanes: Some(8),
+        // Columns of 8 pixels: each has a chain of opacities.
+        shared_tile_invocations: TILE_SIZE * TILE_SIZE / 8,
+        tile_row_interleave: 16,
+        // exp2 takes some twenty instructions.
+        incremental_exp: true,
+        loss_workgroup: WorkgroupRule::Invocations(64),
+        loss_strip: 4,
+        reads_texels: true,
+        strips_up_to_lanes: Some(16),
+        runs_in_order: true,
+        heap_is_bound: false,
+        is_slow: true,
+    };
+
+    /// By the structure of the kernels: no GPU has been measured yet.
+    pub const GPU: Self = Self {
+        backend: Backend::Gpu,
+        sort_method: SortMethod::Matching,
+        scan_items: 4,
+        scan_workgroup: WorkgroupRule::Elementwise,
+        duplicate_items: 4,
+        whole_tiles_from_lanes: None,
+        shared_tile_invocations: TILE_SIZE * TILE_SIZE,
+        tile_row_interleave: 1,
+        // exp2 is one instruction.
+        incremental_exp: false,
+        loss_workgroup: WorkgroupRule::Invocations(256),
+        // Wide enough to fill a workgroup.
+        loss_strip: 2,
+        reads_texels: false,
+        strips_up_to_lanes: None,
+        runs_in_order: false,
+        heap_is_bound: true,
+        is_slow: false,
+    };
+
+    /// The row of a class of devices.
+    pub const fn of(backend: Backend) -> &'static Self {
+        match backend {
+            Backend::Processor => &Self::PROCESSOR,
+            Backend::Gpu => &Self::GPU,
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! Both rows of the tuning table on the device at hand: a GPU's kernels on a software driver, and the other way round.
+
+use ashsplat::plan::LaunchSizes;
+use ashsplat::trainer::Trainer;
+use ashsplat::tuning::{Backend, Tuning};
+use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
+use ashsplat::{RenderSettings, Renderer, TrainSettings};
+
+use crate::checkpoints::{start, views};
+use crate::common::engine::{camera, gaussians};
+use crate::common::gpu::Gpu;
+use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::common::{assert_silent, options};
+
+fn context(backend: Backend) -> Context {
+    let limits = LimitsOverride { backend: Some(backend), ..LimitsOverride::default() };
+    Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device")
+}
+
+/// Largest difference, relative to 1 and above.
+fn difference(a: &[f32], b: &[f32]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| (a - b).abs() / b.abs().max(1.0)).fold(0.0, f32::max)
+}
+
+#[test]
+fn backends_draw_the_same_picture_with_other_kernels() {
+    let _gpu = Gpu::new();
+    let contexts = [Backend::Processor, Backend::Gpu].map(context);
+    let sizes = contexts.each_ref().map(|context| LaunchSizes::new(context.limits()));
+    assert_ne!(sizes[0].sort_method, sizes[1].sort_method);
+    assert_ne!(sizes[0].incremental_exp, sizes[1].incremental_exp);
+    let scene = gaussians(&mixed_scene(&mut Random::new(5), 900, 16));
+    let pictures = contexts.each_ref().map(|context| {
+        let mut renderer = Renderer::new(context).expect("kernels");
+        renderer.upload(&scene).expect("a scene");
+        let frame = renderer.render(&camera(&small_view([203, 117])), &RenderSettings::default());
+        let frame = frame.expect("a picture");
+        assert_silent(context);
+        frame.color.as_flattened().to_vec()
+    });
+    assert!(pictures[0].iter().any(|&value| value > 0.1), "the picture is black");
+    assert!(difference(&pictures[0], &pictures[1]) < 2e-4);
+}
+
+#[test]
+fn backends_train_alike() {
+    let _gpu = Gpu::new();
+    let settings = TrainSettings {
+        sh_degree_interval: 2,
+        densify_from_iter: 3,
+        densification_interval: 4,
+        ..TrainSettings::default()
+    };
+    let trained = [Backend::Processor, Backend::Gpu].map(|backend| {
+        let context = context(backend);
+        let mut trainer =
+            Trainer::new(&context, views(2, 5), &start(), 5.0, settings.clone()).expect("a trainer");
+        let losses: Vec<f32> = (0..6).map(|_| trainer.step().expect("a step").loss).collect();
+        assert_silent(&context);
+        losses
+    });
+    assert!(difference(&trained[0], &trained[1]) < 1e-4, "{trained:?}");
+}
+
+#[test]
+fn backends_are_looked_up_by_their_class() {
+    for backend in [Backend::Processor, Backend::Gpu] {
+        let row = Tuning::of(backend);
+        assert_eq!(row.backend, backend);
+        assert!(row.tile_row_interleave.is_power_of_two() && row.scan_items >= 4);
+    }
+}
