@@ -1,5 +1,18 @@
 //! 3D Gaussian Splatting (Kerbl et al., SIGGRAPH 2023) on raw Vulkan compute: rendering, differentiation, training.
 //!
+//! The [`guide`] has a chapter for each subject, with examples that compile:
+//!
+//! - [first frame](guide::first_frame), [first training](guide::first_training)
+//! - [masks and memory](guide::masks_and_memory), [checkpoints](guide::checkpoints)
+//! - [measuring](guide::measuring), [profiling](guide::profiling)
+//! - [determinism](guide::determinism), [faults](guide::faults)
+//! - [embedding](guide::embedding)
+//!
+//! Files, photographs and data sets are the crate `ashsplat-files`. The program is the crate `ashsplat-cli`, the C
+//! interface `ashsplat-capi`.
+//!
+//! # Overview
+//!
 //! ```text
 //!            per Gaussian        per visible              per (tile, Gaussian) instance          per tile, per pixel
 //!  forward   cull → compact ──→ project → depth sort ──→ count → scan → expand → tile sort ──→ ranges → blend
@@ -25,6 +38,7 @@ pub mod densify;
 pub mod error;
 pub mod fingerprint;
 pub mod forward;
+pub mod guide;
 pub mod kernels;
 pub mod loss;
 pub mod optimizer;

@@ -31,6 +31,21 @@ use crate::scene::{Camera, Gaussians};
 use crate::vk::{Context, ScopeTime};
 
 /// Renders a scene of Gaussians.
+///
+/// # Examples
+/// ```no_run
+/// use ashsplat::vk::{Context, ContextOptions};
+/// use ashsplat::{Camera, Frame, Gaussians, RenderSettings, Renderer};
+///
+/// fn picture(gaussians: &Gaussians, camera: &Camera) -> ashsplat::Result<Frame> {
+///     let context = Context::new(&ContextOptions::default())?;
+///     let mut renderer = Renderer::new(&context)?;
+///     renderer.upload(gaussians)?;
+///     renderer.render(camera, &RenderSettings::default())
+/// }
+/// ```
+///
+/// The [guide](crate::guide::first_frame) has more; [`Renderer::record`] is for a host's command buffer.
 pub struct Renderer {
     context: Context,
     runner: FrameRunner,

@@ -113,6 +113,23 @@ pub(crate) struct Training {
 }
 
 /// Trains Gaussians on photographs.
+///
+/// # Examples
+/// ```no_run
+/// use ashsplat::vk::{Context, ContextOptions};
+/// use ashsplat::{Gaussians, TrainSettings, TrainView, Trainer};
+///
+/// fn train(views: Vec<TrainView>, initial: &Gaussians, extent: f32) -> ashsplat::Result<Gaussians> {
+///     let context = Context::new(&ContextOptions::default())?;
+///     let mut trainer = Trainer::new(&context, views, initial, extent, TrainSettings::default())?;
+///     while trainer.iteration() < trainer.settings().iterations {
+///         trainer.step()?;
+///     }
+///     trainer.gaussians()
+/// }
+/// ```
+///
+/// The [guide](crate::guide::first_training) has more; [`Trainer::record_step`] is for a host's command buffer.
 pub struct Trainer {
     context: Context,
     settings: TrainSettings,

@@ -96,6 +96,18 @@ impl Default for ContextOptions {
 }
 
 /// An open device with its queue. Cheap to clone; buffers, kernels and recordings keep it open.
+///
+/// # Examples
+/// ```no_run
+/// use ashsplat::vk::{Context, ContextOptions};
+///
+/// # fn main() -> ashsplat::Result<()> {
+/// let options = ContextOptions { device: Some("llvmpipe".into()), ..ContextOptions::default() };
+/// let context = Context::new(&options)?;
+/// println!("{}, subgroups of {}", context.device_name(), context.limits().subgroup_size);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Clone)]
 pub struct Context(pub(super) Arc<Inner>);
 

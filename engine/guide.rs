@@ -1,0 +1,47 @@
+//! The guide: one chapter per subject, each with examples that compile.
+//!
+//! - [`first_frame`]: a picture of a scene, and how a frame is made
+//! - [`first_training`]: from photographs to Gaussians
+//! - [`masks_and_memory`]: pixels that do not count, bounds for memory
+//! - [`checkpoints`]: stopping a training and going on
+//! - [`measuring`]: times, counts and benchmarks
+//! - [`profiling`]: one frame or step, command by command
+//! - [`determinism`]: what is the same to the bit, and how to check it
+//! - [`faults`]: limits of devices, and errors
+//! - [`embedding`]: frames and training steps in a host engine's command buffers
+
+pub mod first_frame {
+    #![doc = include_str!("guide/first_frame.md")]
+}
+
+pub mod first_training {
+    #![doc = include_str!("guide/first_training.md")]
+}
+
+pub mod masks_and_memory {
+    #![doc = include_str!("guide/masks_and_memory.md")]
+}
+
+pub mod checkpoints {
+    #![doc = include_str!("guide/checkpoints.md")]
+}
+
+pub mod measuring {
+    #![doc = include_str!("guide/measuring.md")]
+}
+
+pub mod profiling {
+    #![doc = include_str!("guide/profiling.md")]
+}
+
+pub mod determinism {
+    #![doc = include_str!("guide/determinism.md")]
+}
+
+pub mod faults {
+    #![doc = include_str!("guide/faults.md")]
+}
+
+pub mod embedding {
+    #![doc = include_str!("guide/embedding.md")]
+}
