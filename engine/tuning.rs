@@ -8,8 +8,6 @@
 //! To run a GPU's kernels on a software driver, override the row:
 //! [`LimitsOverride::backend`](crate::vk::LimitsOverride::backend).
 
-use crate::kernels::constants::TILE_SIZE;
-
 /// The class of devices that a row of the table is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Backend {
@@ -57,8 +55,8 @@ pub struct Tuning {
     pub duplicate_items: u32,
     /// The smallest subgroup that blends all regions of a tile, forward and backward; None: one region each.
     pub whole_tiles_from_lanes: Option<u32>,
-    /// Most invocations of a tile that is blended from shared memory.
-    pub shared_tile_invocations: u32,
+    /// Pixels of an invocation of a tile that is blended from shared memory: a column of them.
+    pub shared_tile_pixels: u32,
     /// Strands of interleaved rows of tiles, a power of two (tile_order.glsl); 1: row by row.
     pub tile_row_interleave: u32,
     /// Whether opacities follow from one another along a column of pixels, in place of an exponential each.
@@ -93,8 +91,8 @@ impl Tuning {
         // A processor's pixels lie in memory anyway, and a Gaussian is fetched once in place of once per region. Below 8
         // lanes the code would be too long to compile.
         whole_tiles_from_lanes: Some(8),
-        // Columns of 8 pixels: each has a chain of opacities.
-        shared_tile_invocations: TILE_SIZE * TILE_SIZE / 8,
+        // Each column has a chain of opacities.
+        shared_tile_pixels: 8,
         tile_row_interleave: 16,
         // exp2 takes some twenty instructions.
         incremental_exp: true,
@@ -115,7 +113,7 @@ impl Tuning {
         scan_workgroup: WorkgroupRule::Elementwise,
         duplicate_items: 4,
         whole_tiles_from_lanes: None,
-        shared_tile_invocations: TILE_SIZE * TILE_SIZE,
+        shared_tile_pixels: 1,
         tile_row_interleave: 1,
         // exp2 is one instruction.
         incremental_exp: false,

@@ -119,11 +119,10 @@ const DOORS: [&str; 2] = ["renderer", "trainer"];
 
 /// The modules that a module may name.
 fn allowed(module: &str) -> Vec<&'static str> {
-    let mut allowed = vec!["error", "fingerprint"];
+    let mut allowed = vec!["error", "fingerprint", "tuning"];
     match module {
-        "error" => {}
-        "scene" | "metrics" => allowed.extend(["scene"]),
-        "io" => allowed.extend(["scene", "metrics"]),
+        "error" | "tuning" => {}
+        "scene" => allowed.extend(["scene"]),
         "vk" => {}
         "kernels" => allowed.extend(["vk"]),
         "plan" => allowed.extend(["vk", "scene", "kernels"]),
@@ -132,7 +131,7 @@ fn allowed(module: &str) -> Vec<&'static str> {
             allowed.extend(STAGES);
         }
         _ => {
-            allowed.extend(["vk", "scene", "kernels", "plan", "io", "metrics"]);
+            allowed.extend(["vk", "scene", "kernels", "plan"]);
             allowed.extend(STAGES);
             allowed.extend(DOORS);
         }

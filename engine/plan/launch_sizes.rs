@@ -110,7 +110,7 @@ impl LaunchSizes {
             regions_per_subgroup,
             blend_backward_subgroup_per_tile: whole_tiles,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.
-            tile_shared: elementwise.min(tuning.shared_tile_invocations),
+            tile_shared: elementwise.min(TILE_SIZE * TILE_SIZE / tuning.shared_tile_pixels),
             tile_row_interleave: tuning.tile_row_interleave,
             incremental_exp: tuning.incremental_exp,
             loss: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", invocations(tuning.loss_workgroup))),

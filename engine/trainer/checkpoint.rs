@@ -193,11 +193,11 @@ impl Checkpoint {
     }
 }
 
-/// The settings that differ, "name there, here".
+/// The settings that differ, each as "name was there, is here".
 fn difference(there: &TrainSettings, here: &TrainSettings) -> Option<String> {
     let (there, here) = (there.values(), here.values());
     let differing = there.iter().zip(&here).filter(|(there, here)| there != here);
     let said: Vec<String> =
-        differing.map(|((name, there), (_, here))| format!("{name} {there}, here {here}")).collect();
+        differing.map(|((name, there), (_, here))| format!("{name} was {there}, is {here}")).collect();
     (!said.is_empty()).then(|| said.join("; "))
 }

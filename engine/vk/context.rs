@@ -11,6 +11,7 @@ use super::faults::{self, Faults};
 use super::guards::Guarded;
 use super::instance::Instance;
 use super::limits::{Limits, LimitsOverride, SpecOverride};
+use super::pipeline_cache::{PipelineCache, PipelineCacheData};
 use super::profile::Log;
 use super::requirements::Features;
 use super::submit::Slot;
@@ -64,6 +65,9 @@ pub struct ContextOptions {
     /// Let kernels read buffers as texels where that is faster, on processors: by views that are made while recording, so
     /// that no host's buffers and command buffers can be adopted there. Default: yes; never on a host's device.
     pub texels: bool,
+    /// Build kernels with a VkPipelineCache that is kept between runs. Default: none; on a host's device see
+    /// [`ForeignDevice::pipeline_cache`](super::ForeignDevice::pipeline_cache).
+    pub pipeline_cache: Option<PipelineCacheData>,
 }
 
 impl ContextOptions {
@@ -91,6 +95,7 @@ impl Default for ContextOptions {
             faults: None,
             push_descriptors: true,
             texels: true,
+            pipeline_cache: None,
         }
     }
 }
@@ -155,6 +160,8 @@ pub(super) struct Inner {
     pub(super) descriptors: Mutex<Vec<DescriptorSets>>,
     /// Where buffers get their memory from; None: from the device.
     pub(super) allocator: Option<Arc<dyn HostAllocator>>,
+    /// What kernels are built with.
+    pub(super) pipeline_cache: PipelineCache,
     // Destroyed after the device: keep it last.
     pub(super) owner: Owner,
 }
@@ -191,6 +198,8 @@ pub(super) struct Parts<'a> {
     pub(super) queue: Option<vk::Queue>,
     pub(super) debug_utils: bool,
     pub(super) allocator: Option<Arc<dyn HostAllocator>>,
+    /// A host's; null: none.
+    pub(super) pipeline_cache: vk::PipelineCache,
     pub(super) options: &'a ContextOptions,
 }
 
@@ -221,6 +230,7 @@ impl Context {
             queue: Some(queue),
             debug_utils,
             allocator: None,
+            pipeline_cache: vk::PipelineCache::null(),
             options,
         })?;
         context.0.names.name(queue, "ashsplat queue");
@@ -229,7 +239,8 @@ impl Context {
 
     /// A context from a device that fulfils the requirements. On failure an own device is destroyed again.
     pub(super) fn assemble(parts: Parts<'_>) -> Result<Self> {
-        let Parts { owner, candidate, device, queue, debug_utils, allocator, options } = parts;
+        let Parts { owner, candidate, device, queue, debug_utils, allocator, pipeline_cache, options } =
+            parts;
         let instance = owner.instance();
         // SAFETY: the physical device is of this instance.
         let (memory, families) = unsafe {
@@ -254,7 +265,24 @@ impl Context {
             limits.max_push_descriptors = descriptors::BUFFERS;
             Ok((limits, Some(descriptors::shared_layouts(&device)?)))
         });
-        let (limits, shared_layouts) = opened.inspect_err(|_| {
+        let opened = opened.and_then(|(limits, layouts)| {
+            let cache = match &options.pipeline_cache {
+                Some(own) if !foreign => {
+                    // SAFETY: the physical device is of this instance.
+                    let properties = unsafe { instance.get_physical_device_properties(candidate.physical) };
+                    PipelineCache::of_data(&device, &properties, own.clone())
+                }
+                _ => Ok(PipelineCache::of_host(pipeline_cache)),
+            };
+            let cache = cache.inspect_err(|_| {
+                if let Some(layouts) = &layouts {
+                    // SAFETY: nothing uses them yet.
+                    unsafe { descriptors::destroy_layouts(&device, layouts) }
+                }
+            })?;
+            Ok((limits, layouts, cache))
+        });
+        let (limits, shared_layouts, pipeline_cache) = opened.inspect_err(|_| {
             faults::remove(device.handle());
             if let Owner::Us(_) = owner {
                 // SAFETY: nothing was made from it yet.
@@ -272,11 +300,7 @@ impl Context {
             physical: candidate.physical,
             limits,
             memory,
-            unified_memory: !options.force_staging
-                && matches!(
-                    candidate.device_type,
-                    vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU
-                ),
+            unified_memory: !options.force_staging && candidate.has_unified_memory(),
             timestamp_bits: if options.timestamps { family.timestamp_valid_bits } else { 0 },
             timestamps: AtomicBool::new(true),
             profile: Mutex::default(),
@@ -294,6 +318,7 @@ impl Context {
             slots: Mutex::default(),
             descriptors: Mutex::default(),
             allocator,
+            pipeline_cache,
             owner,
         })))
     }
@@ -368,6 +393,7 @@ impl Drop for Inner {
             if let Some(layouts) = &self.shared_layouts {
                 descriptors::destroy_layouts(&self.device, layouts);
             }
+            self.pipeline_cache.close(&self.device);
             if ours {
                 self.device.destroy_device(None);
             }

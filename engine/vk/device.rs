@@ -53,6 +53,13 @@ pub(super) struct Candidate {
     pub(super) missing: Option<String>,
 }
 
+impl Candidate {
+    /// Whether device memory is the host's memory, so that mapping it is the fastest way in and out.
+    pub(super) fn has_unified_memory(&self) -> bool {
+        matches!(self.device_type, vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU)
+    }
+}
+
 /// Features that are turned on where they exist.
 #[derive(Clone, Copy, Default)]
 pub(super) struct OptionalFeatures {

@@ -39,6 +39,8 @@ pub struct ForeignDevice<'a> {
     pub debug_utils: bool,
     /// Where buffers get their memory from; None: from the device itself.
     pub allocator: Option<Arc<dyn HostAllocator>>,
+    /// The host's cache that kernels are built with; null: none. The host keeps and destroys it.
+    pub pipeline_cache: vk::PipelineCache,
 }
 
 impl Context {
@@ -59,7 +61,8 @@ impl Context {
     /// - `physical_device` is the one that `device` was created from, `queue_family` one that it was created with;
     /// - `features` and `extensions` were enabled at its creation, and VK_EXT_debug_utils if `debug_utils` says so;
     /// - `queue`, if it is given, is one of `device` and of that family, and nobody else uses it during a call that submits;
-    /// - what `allocator` gives is memory of `device`.
+    /// - what `allocator` gives is memory of `device`;
+    /// - `pipeline_cache`, if it is not null, is of `device`, was made without EXTERNALLY_SYNCHRONIZED, and outlives the context.
     pub unsafe fn from_foreign(host: &ForeignDevice<'_>, options: &ContextOptions) -> Result<Self> {
         let null = [
             ("instance", host.instance.handle() == vk::Instance::null()),
@@ -102,6 +105,7 @@ impl Context {
             queue: host.queue,
             debug_utils: host.debug_utils,
             allocator: host.allocator.clone(),
+            pipeline_cache: host.pipeline_cache,
             options,
         })
     }

@@ -412,7 +412,7 @@ impl Pipeline {
         // SAFETY: everything that `info` points to outlives the call; `check` has verified the subgroup rules. The
         // module is not needed any more once the pipeline exists.
         let pipelines = unsafe {
-            let pipelines = device.create_compute_pipelines(vk::PipelineCache::null(), &[info], None);
+            let pipelines = device.create_compute_pipelines(self.inner.pipeline_cache.raw, &[info], None);
             device.destroy_shader_module(module, None);
             pipelines
         };

@@ -6,6 +6,7 @@
 //! | `limits`, `workarounds` | [`Limits`], read once; stricter ones for tests; [`Workarounds`] by driver |
 //! | `memory`, `buffer` | [`Context::allocate`]: requests packed into blocks; a [`Buffer`] is a named range of one |
 //! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
+//! | `pipeline_cache` | a host's VkPipelineCache, or one that is kept between runs |
 //! | `allocator` | [`HostAllocator`]: memory from a host |
 //! | `image`, `format` | [`Image`]: a host's or our own |
 //! | `requirements`, `foreign`, `pool` | what a host enables; [`Context::from_foreign`], [`RecordSlot`] |
@@ -63,6 +64,7 @@ mod instance;
 mod kernel;
 mod limits;
 mod memory;
+mod pipeline_cache;
 mod pool;
 mod profile;
 mod profiler;
@@ -88,6 +90,7 @@ pub use kernel::{
 };
 pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of, is_yardstick};
 pub use memory::{MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
+pub use pipeline_cache::PipelineCacheData;
 pub use profile::{BoundBuffer, CommandRecord, Profile, Submission};
 pub use profiler::ScopeTime;
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};

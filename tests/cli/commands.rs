@@ -167,3 +167,42 @@ fn orbit_of_parallel_cameras_shows_the_scene() {
     let said = succeed(&["render", text(&model), "--orbit", "4", "--width", "64", "-o", text(&out)]);
     assert_eq!(said.matches(" 400 of 400 Gaussians visible").count(), 4, "{said}");
 }
+
+#[test]
+fn compiled_kernels_are_kept_between_runs() {
+    let folder = tempdir().expect("a folder");
+    let scene = folder.path().join("scene.ply");
+    ashsplat_files::ply::write(
+        &scene,
+        &ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians"),
+    )
+    .expect("written");
+    let cache = folder.path().join("caches/pipelines");
+    let arguments = [
+        "inspect",
+        text(&scene),
+        "--pixel",
+        "8,8",
+        "--fx",
+        "20",
+        "--width",
+        "16",
+        "--height",
+        "16",
+        "--json",
+    ];
+    let run = || {
+        let finished = finish(program().args(arguments).env("ASHSPLAT_PIPELINE_CACHE", &cache));
+        assert_eq!(finished.code, Some(0), "{}", finished.stderr);
+        finished.stdout
+    };
+    let first = run();
+    // The header of version one: 32 bytes, then what the driver keeps.
+    let kept = std::fs::read(&cache).expect("a cache");
+    assert!(kept.len() >= 32 && kept.starts_with(&[32, 0, 0, 0, 1, 0, 0, 0]), "{} bytes", kept.len());
+    assert_eq!(run(), first);
+    // Something else in its place is not given to the driver.
+    std::fs::write(&cache, b"no cache").expect("written");
+    assert_eq!(run(), first);
+    assert!(std::fs::read(&cache).expect("a cache").starts_with(&[32, 0, 0, 0]));
+}

@@ -35,7 +35,7 @@ impl Server {
     /// As [`Server::start`], until it has said something else.
     pub fn start_until(arguments: &[&str], last: &str) -> Server {
         let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
-        command.env_remove("ASHSPLAT_DEVICE");
+        command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
         let mut child = Running::start(command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()));
         let mut lines =
             BufReader::new(child.stdout.take().expect("its stdout")).lines().map_while(Result::ok);

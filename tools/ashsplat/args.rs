@@ -1,5 +1,6 @@
 //! The arguments that all commands share.
 
+use crate::pipeline_cache;
 use ashsplat::Result;
 use ashsplat::vk::{Context, ContextOptions};
 use clap::Args;
@@ -69,6 +70,7 @@ impl DeviceArguments {
             device: self.device.clone(),
             validation: self.validation,
             max_memory: self.max_memory,
+            pipeline_cache: pipeline_cache::kept(),
             ..Default::default()
         };
         change(&mut options);

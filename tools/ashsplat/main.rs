@@ -29,6 +29,7 @@ mod inspect;
 mod measure;
 mod model;
 mod output;
+mod pipeline_cache;
 mod profile;
 mod progress;
 mod render;

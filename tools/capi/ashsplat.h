@@ -187,6 +187,8 @@ typedef struct AshsplatHost {
   bool debug_utils;
   // Where buffers get their memory from, or NULL: from the device itself. Copied; what it refers to is not.
   const struct AshsplatAllocator *allocator;
+  // A VkPipelineCache that kernels are built with, or 0. The host keeps and destroys it.
+  uint64_t pipeline_cache;
 } AshsplatHost;
 
 // An image of a host's and how it was created: two-dimensional, one sample per pixel, optimal tiling.

@@ -110,6 +110,7 @@ unsafe fn from_host(host: &AshsplatHost) -> Result<Context> {
             extensions: &extensions,
             debug_utils: host.debug_utils,
             allocator,
+            pipeline_cache: vk::PipelineCache::from_raw(host.pipeline_cache),
         };
         Context::from_foreign(&foreign, &ContextOptions::default())
     }

@@ -124,6 +124,8 @@ pub struct AshsplatHost {
     pub debug_utils: bool,
     /// Where buffers get their memory from, or NULL: from the device itself. Copied; what it refers to is not.
     pub allocator: *const super::AshsplatAllocator,
+    /// A VkPipelineCache that kernels are built with, or 0. The host keeps and destroys it.
+    pub pipeline_cache: u64,
 }
 
 /// An image of a host's and how it was created: two-dimensional, one sample per pixel, optimal tiling.

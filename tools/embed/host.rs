@@ -121,6 +121,7 @@ impl Host {
             extensions: &self.extensions,
             debug_utils: self.debug.is_some(),
             allocator: None,
+            pipeline_cache: vk::PipelineCache::null(),
         }
     }
 
