@@ -4,7 +4,7 @@
 // in: state[count_index] = the needed count; 0xFFFFFFFF if it exceeds 32 bits (scan_spine.comp)
 // out: state[count_index + 1] = min(needed, capacity); 0 if the prefix sums wrapped around and are invalid;
 //      state[STATE_OVERFLOW] is set if the count was clamped;
-//      arguments[3]: workgroups for blocks of `block_elementwise`, `block_sort` and `block_third` elements (`block_third`: of
+//      arguments[3]: workgroups for blocks of `block_elementwise`, `block_sort` and `block_third` elements (the third: of
 //      the scan for the visible Gaussians, of the duplication for the instances)
 #version 460
 #extension GL_EXT_scalar_block_layout : require
