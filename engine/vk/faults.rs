@@ -145,7 +145,7 @@ pub(super) fn remove(device: vk::Device) {
     INSTALLED.lock().unwrap_or_else(PoisonError::into_inner).retain(|(_, other)| !Arc::ptr_eq(other, &gone));
 }
 
-/// Lets a handle lead to the functions; whatever it meant before is gone.
+/// Maps a handle to the functions. Any earlier mapping is replaced.
 fn register(handle: u64, state: &Arc<Installed>) {
     let mut all = INSTALLED.lock().unwrap_or_else(PoisonError::into_inner);
     all.retain(|(other, _)| *other != handle);
