@@ -24,7 +24,7 @@ pub struct HostMemory {
     pub offset: u64,
     /// Host address of the piece, if it is mapped.
     pub mapped: Option<NonNull<u8>>,
-    /// Whatever the allocator wants to know it by.
+    /// An identifier for the allocator's own use.
     pub id: u64,
 }
 
