@@ -34,8 +34,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 ///
 /// Names and defaults are those of the reference implementation; hyphens and underscores are both accepted.
 /// Ctrl-C finishes the iteration, saves, writes a checkpoint, and exits with 130. When an iteration fails, the scene
-/// before it is saved and a checkpoint written: no scene where its opacities were reset already, and neither where the
-/// device is lost or too slow, so that nobody knows what became of them. A run that goes on from a checkpoint ends with the same bits as one that was never stopped.
+/// before it is saved and a checkpoint written. The scene is not saved if its opacities were already reset. Neither is
+/// saved if the device is lost or too slow, because the state of the Gaussians is then unknown. A run that resumes from
+/// a checkpoint ends with the same bits as one that was never stopped.
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -85,7 +86,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
-    // The device first: without one, nobody should wait for the photos.
+    // Open the device first, so that its absence is reported before the photos are loaded.
     let context = arguments.device.context()?;
     let start = arguments.start_checkpoint.as_ref();
     let start = start.map(|asked| Start::read(asked, &settings.data.model_path)).transpose()?;
@@ -269,7 +270,7 @@ impl Run {
             }
             let kept = self.check(&report).and_then(|()| self.keep(report.iteration, stopping, watch));
             self.log.add(&report, *kept.as_ref().unwrap_or(&None), &self.trainer.memory());
-            // Whatever became of saving and testing: with the checkpoint, nothing of the training is lost.
+            // Even if saving or testing fails, the checkpoint holds the complete training.
             if stopping || self.settings.data.checkpoint_iterations.contains(&report.iteration) {
                 let written = watch.paused(|| self.write_checkpoint());
                 if let (Err(error), Err(_)) = (&kept, &written) {
