@@ -23,8 +23,8 @@ pub const ELLIPSOID_SIGMAS: f32 = 2.0;
 /// Radius of [`Shape::Point`], pixels.
 pub const POINT_RADIUS_PX: f32 = 1.5;
 
-/// Logarithm of the opacity that turns a Gaussian into a disc: `exp(STEEPNESS - d²/2)` stays above 1 until d
-/// = √(2 STEEPNESS) and is below 1/255 at √(2 (STEEPNESS + ln 255)), 7 % farther out. The value is well
+/// Logarithm of the opacity that turns a Gaussian into a disc. `exp(STEEPNESS - d²/2)` stays above 1 until
+/// d = √(2 STEEPNESS). It is below 1/255 at √(2 (STEEPNESS + ln 255)), 7 % farther out. The value is well
 /// within float32.
 const STEEPNESS: f32 = 40.0;
 /// The same for points, whose rim is one pixel wide.
