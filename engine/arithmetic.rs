@@ -1,13 +1,13 @@
-//! How much arithmetic the device's shaders reach at best: chains of multiply-adds on registers.
+//! The highest arithmetic rate of the device's shaders: chains of multiply-adds on registers.
 
 use crate::error::Result;
 use crate::kernels::arithmetic::multiply_add;
 use crate::kernels::constants as c;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// Rounds of each invocation: enough that starting it does not count.
+/// Rounds per invocation: enough that the start of an invocation does not matter.
 const ROUNDS: u32 = 1024;
-/// A step that stays finite however often it is taken: its fixed point is 2.
+/// Factor of a step whose values stay finite for any number of steps: its fixed point is 2.
 const FACTOR: f32 = 0.75;
 const TERM: f32 = 0.5;
 
@@ -28,7 +28,7 @@ impl Arithmetic {
         Ok(Self { kernel: Kernel::new(context, &spec)?, workgroup_size })
     }
 
-    /// Records one dispatch of an invocation for each f32 of `results`; the caller places barriers.
+    /// Records one dispatch with one invocation per f32 of `results`. The caller places barriers.
     pub fn record(&self, recorder: &mut Recorder, results: &Buffer) {
         let count = (results.bytes() / 4) as u32;
         let push = multiply_add::Push { count, factor: FACTOR, term: TERM };
@@ -36,7 +36,7 @@ impl Arithmetic {
         recorder.dispatch(&self.kernel, &multiply_add::Bind { results }, &push, workgroups.into());
     }
 
-    /// Operations of a dispatch for `count` results, a multiplication and an addition counting as one each.
+    /// Operations of a dispatch for `count` results. A multiplication and an addition count as one each.
     pub fn operations(&self, count: u64) -> u64 {
         let invocations = count.next_multiple_of(self.workgroup_size.into());
         let steps = u64::from(ROUNDS * c::MULTIPLY_ADD_CHAINS * c::MULTIPLY_ADD_STEPS);

@@ -1,8 +1,9 @@
 //! The backward pass: from dL/dpixel to dL/d(every parameter), exact and in one fixed order of summation.
 //!
-//! No atomics: each (tile, Gaussian) instance owns a slot, its place before the tile sort, and slots of one Gaussian
-//! are contiguous. A tile writes its sums there, and the projection's backward adds a Gaussian's slots in order. The
-//! same inputs on the same device give the same bits.
+//! There are no atomics. Each (tile, Gaussian) instance has its own storage at its index before the tile
+//! sort, and the instances of one Gaussian are contiguous there. The tile's workgroup writes the instance's
+//! sums, and project_backward adds a Gaussian's instances in order. The same inputs on the same device give
+//! the same bits.
 
 use crate::error::Result;
 use crate::forward::{Forward, FrameInputs, camera_push, range_arguments, record_passes};
@@ -12,7 +13,7 @@ use crate::kernels::backward::{
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// Tiles above which a Gaussian's slots are added by its whole subgroup.
+/// A Gaussian with more tiles has its instances added by a whole subgroup.
 const LANE_INSTANCES: u32 = 64;
 
 /// The kernels of the backward pass.
@@ -24,22 +25,22 @@ pub struct Backward {
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
 }
 
-/// The kernel of blending's backward: where each region of a tile has a subgroup, or where all have one.
+/// The kernel of the backward blending: one subgroup per region of a tile, or one per tile.
 enum Blend {
     Regions(Kernel<blend_backward::Interface>),
     Alone(Kernel<blend_backward_subgroup_per_tile::Interface>),
 }
 
-/// Where the densification statistics go: per Gaussian, the sum of NDC gradient norms and the number of views.
+/// The densification statistics: per Gaussian, the sum of NDC gradient norms and the number of views.
 #[derive(Clone, Copy)]
 pub struct Statistics<'a> {
     /// vec2 per Gaussian.
     pub buffer: &'a Buffer,
-    /// Whether to add to it.
+    /// Whether to update it.
     pub accumulate: bool,
 }
 
-/// The buffers and push constants of blending's backward, which are the same in both kernels: blend_gradient.glsl.
+/// The buffers and push constants of the backward blending, the same in both kernels: blend_gradient.glsl.
 macro_rules! blend_backward_arguments {
     ($kernel:ident, $backward:expr, $inputs:expr, $gradient:expr, $pass:expr) => {{
         let (sizes, f) = (&$backward.sizes, $inputs.frame);
@@ -79,7 +80,7 @@ macro_rules! blend_backward_arguments {
 }
 
 impl Backward {
-    /// Prepares for a device; kernels are built by [`Backward::prepare`].
+    /// Prepares for a device. [`Backward::prepare`] builds the kernels.
     pub fn new(context: &Context) -> Self {
         Self {
             context: context.clone(),
@@ -127,7 +128,8 @@ impl Backward {
         let slot = &mut self.project[sh_degree as usize];
         if slot.is_none() {
             let spec = project_backward::Spec {
-                // The dispatch over the visible is counted in blocks of the streaming workgroup's size.
+                // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
+                // workgroup's size.
                 workgroup_size: self.sizes.elementwise_workgroup,
                 subgroup_size,
                 sh_degree,
@@ -138,7 +140,7 @@ impl Backward {
         Ok(())
     }
 
-    /// Builds the kernel behind [`Backward::record_duplicate`].
+    /// Builds the kernel of [`Backward::record_duplicate`].
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -151,12 +153,12 @@ impl Backward {
         Ok(())
     }
 
-    /// Records the backward pass of the frame that was recorded before into the same buffers, from `image_gradient` to
-    /// `frame.gradients`. The caller places a barrier before; it ends without one.
+    /// Records the backward pass of the frame that was recorded into the same buffers: from `image_gradient`
+    /// to `frame.gradients`. The caller places a barrier before; it ends without one.
     ///
-    /// `image_gradient`: per pixel dL/d(r, g, b, inverse depth), row by row; on devices that have [`Strips`], three planes
-    /// of them, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth). Without it, `frame.image_gradient`
-    /// will do.
+    /// `image_gradient`: per pixel dL/d(r, g, b, inverse depth), row by row; on devices that use [`Strips`],
+    /// three planes, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth). Without inverse
+    /// depth, `frame.image_gradient` can be passed.
     ///
     /// [`Strips`]: crate::plan::Strips
     pub fn record(
@@ -228,8 +230,9 @@ impl Backward {
         }
     }
 
-    /// Records the expansion of `frame.gradients` to gradients of all parameters of all Gaussians, laid out like the
-    /// scene's own planes, and of the 2D means in pixels. The caller places barriers before and after.
+    /// Records the conversion of `frame.gradients` to gradients of all parameters of all Gaussians, in the
+    /// layout of the scene's planes, and of the 2D means in pixels. The caller places barriers before and
+    /// after.
     pub fn record_duplicate(
         &self,
         r: &mut Recorder,

@@ -1,5 +1,5 @@
-//! A frame into a host's picture: the host's depth as a limit for the blending, and the blended pixels into the host's
-//! images.
+//! Composites a frame into a host's picture: the host's depth image limits the blending, and the blended
+//! pixels are written into the host's images.
 
 use crate::error::{Error, Result};
 use crate::kernels::compose::{compose_rgba8, compose_rgba16f, compose_rgba32f, depth_limit, expected_depth};
@@ -9,23 +9,23 @@ use crate::scene::DepthMapping;
 use crate::vk::{Buffer, Context, Image, Kernel, Recorder};
 use ash::vk;
 
-/// What lies behind the splats.
+/// What the splats are composited over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Background {
     /// A background of this colour; the result is opaque.
     Color([f32; 3]),
-    /// Nothing: premultiplied colour with the alpha 1 - T, for a host that blends it itself.
+    /// Nothing: premultiplied colour with alpha 1 - T, for a host that composites it.
     Nothing,
-    /// What the image holds: out = C + T image, for alpha likewise.
+    /// The image's content: out = C + T image, and the same for alpha.
     Image,
 }
 
-/// A part of an image, as large as the frame.
+/// A part of an image, of the frame's size.
 #[derive(Clone, Copy, Debug)]
 pub struct Region<'a> {
     /// The image.
     pub image: &'a Image,
-    /// Its texel that is the frame's pixel (0, 0).
+    /// Texel of the image that receives the frame's pixel (0, 0).
     pub offset: [u32; 2],
 }
 
@@ -90,10 +90,10 @@ impl Compose {
         check_format(image, &Self::COLOR_FORMATS)
     }
 
-    /// Whether a host's depth can be read from an image.
+    /// Checks that a host's depth image can be read.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a format that holds no depth, or nothing that is read as a float.
+    /// [`Error::Argument`] for a format without depth, or one that is not read as a float.
     pub fn check_depth(image: &Image) -> Result<()> {
         check_format(image, &Self::HOST_DEPTH_FORMATS)
     }
@@ -102,8 +102,8 @@ impl Compose {
         blocks(u64::from(width) * u64::from(height), self.workgroup.into())
     }
 
-    /// Records the colours of a frame into an image that [`Compose::check_color`] accepts and that is ready for
-    /// kernels.
+    /// Records the colours of a frame into an image that [`Compose::check_color`] accepts. The image must be
+    /// ready for kernels.
     pub fn record_color(
         &self,
         r: &mut Recorder,
@@ -134,7 +134,8 @@ impl Compose {
         }
     }
 
-    /// Records what a host's depth image, ready for kernels, says of each pixel: 1/z, or 0 for nothing.
+    /// Records the depth limit of each pixel from a host's depth image that is ready for kernels: 1/z, or 0
+    /// for no surface.
     pub fn record_depth_limits(
         &self,
         r: &mut Recorder,
@@ -152,8 +153,9 @@ impl Compose {
         r.dispatch(&self.depth_limit, &bind, &push, self.workgroups(size));
     }
 
-    /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `linear_depth`, into an r32f image
-    /// that is ready for kernels: `empty` where the weights sum to less than `min_weight`.
+    /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `linear_depth`, into an
+    /// r32f image that is ready for kernels. Pixels whose sum of weights is below `min_weight` receive
+    /// `empty`.
     pub fn record_expected_depth(
         &self,
         r: &mut Recorder,

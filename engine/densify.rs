@@ -1,8 +1,10 @@
-//! Adaptive density control, wholly on the device: classify, prefix-sum, scatter sources, gather; and the opacity reset.
+//! Adaptive density control, entirely on the device: classify, prefix sum, scatter sources, gather; and the
+//! opacity reset.
 //!
-//! The new set has the reference's order: those that stay, then clones, then the first and the second halves of split
-//! Gaussians; training then puts it into that of a space-filling curve ([`Densify::record_order`]). Random numbers are keyed by
-//! (seed, iteration, Gaussian, half), so that the result does not depend on scheduling.
+//! The new set has the reference's order: first the Gaussians that stay, then the clones, then the first and
+//! the second halves of split Gaussians. Training then sorts it along a space-filling curve
+//! ([`Densify::record_order`]). Random numbers are keyed by (seed, iteration, Gaussian, half), so the result
+//! does not depend on scheduling.
 
 mod order;
 
@@ -16,15 +18,15 @@ use crate::scan::Scan;
 use crate::sort::RadixSort;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// Opacity that the reset leaves at most.
+/// Largest opacity after the reset.
 pub const RESET_OPACITY: f64 = 0.01;
 
-/// What densification goes by.
+/// Thresholds of a densification.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DensifySettings {
-    /// Mean norm of the gradient of the 2D mean in NDC, from which a Gaussian is cloned or split.
+    /// A Gaussian is cloned or split from this mean norm of the gradient of its 2D mean on, NDC.
     pub gradient_threshold: f32,
-    /// Largest scale that is cloned rather than split, world units.
+    /// Largest scale that is cloned instead of split, world units.
     pub clone_scale: f32,
     /// Opacity below which a Gaussian is removed.
     pub min_opacity: f32,
@@ -39,14 +41,14 @@ pub struct DensifyBuffers {
     pub decisions: Buffer,
     /// Per block of Gaussians, three counts, then offsets.
     pub blocks: Buffer,
-    /// How many stay, are cloned, split; and rows that are sorted.
+    /// Numbers of Gaussians that stay, are cloned, are split; and the number of sorted rows.
     pub totals: Buffer,
-    /// Per row of the new set: where it comes from.
+    /// Per row of the new set: its source.
     pub sources: Buffer,
 }
 
 impl DensifyBuffers {
-    /// Which word of `totals` holds how many rows are sorted.
+    /// Index in `totals` of the number of sorted rows.
     const ROWS: u64 = 3;
 
     /// Names and bytes, in the order of the fields, for up to `gaussians` before and `rows` after.
@@ -60,10 +62,10 @@ impl DensifyBuffers {
         ]
     }
 
-    /// Names the buffers that were allocated for [`DensifyBuffers::requests`].
+    /// Assigns the buffers that were allocated for [`DensifyBuffers::requests`].
     ///
     /// # Panics
-    /// When there are not as many.
+    /// If the number of buffers differs.
     pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
         let Ok([decisions, blocks, totals, sources]) = <[Buffer; 4]>::try_from(buffers) else {
             panic!("one buffer per request")
@@ -72,7 +74,7 @@ impl DensifyBuffers {
     }
 }
 
-/// Standard normal numbers given from outside, for comparisons with other implementations.
+/// Standard normal numbers from the caller, for comparisons with other implementations.
 #[derive(Clone, Copy)]
 pub struct ExplicitNoise<'a> {
     /// vec3 at `half * stride + Gaussian`.
@@ -81,14 +83,14 @@ pub struct ExplicitNoise<'a> {
     pub stride: u32,
 }
 
-/// Which random numbers a densification draws.
+/// Key of the random numbers of a densification.
 #[derive(Clone, Copy)]
 pub struct RandomKey<'a> {
     /// Seed of the run.
     pub seed: u32,
     /// Iteration.
     pub iteration: u32,
-    /// Instead of the generator.
+    /// Numbers that replace the generator.
     pub explicit: Option<ExplicitNoise<'a>>,
 }
 
@@ -99,7 +101,7 @@ pub struct Gather<'a> {
     pub from: &'a SceneBuffers,
     /// New planes and their layout; `count` rows are written.
     pub to: &'a SceneBuffers,
-    /// Where each row comes from.
+    /// The source of each row.
     pub sources: &'a Buffer,
 }
 
@@ -140,7 +142,8 @@ impl Densify {
         })
     }
 
-    /// Records the decisions and the number of Gaussians that stay, are cloned and split, into `buffers.totals`.
+    /// Records the classification: the decisions, and in `buffers.totals` the numbers of Gaussians that stay,
+    /// are cloned and are split.
     pub fn record_classify(
         &self,
         r: &mut Recorder,
@@ -177,7 +180,8 @@ impl Densify {
                     blocks(range.count.into(), self.sizes.elementwise_workgroup.into()),
                 );
             }
-            // Three rows of one buffer, whose offsets need not meet the device's alignment: one dispatch each.
+            // Three rows of one buffer. Their offsets may not meet the device's alignment, so each row is one
+            // dispatch.
             for decision in 0..3 {
                 r.barrier();
                 let row = (decision * all_blocks, all_blocks);
@@ -186,7 +190,7 @@ impl Densify {
         });
     }
 
-    /// Records where each row of the new set comes from: at most `rows` of them.
+    /// Records the source of each row of the new set, at most `rows` rows.
     pub fn record_scatter_sources(&self, r: &mut Recorder, count: u32, rows: u32, buffers: &DensifyBuffers) {
         let all_blocks = count.div_ceil(self.sizes.elementwise_workgroup);
         r.dispatch(
@@ -202,13 +206,13 @@ impl Densify {
         );
     }
 
-    /// Records the copy of parameters, with the halves of split Gaussians drawn.
+    /// Records the copy of the parameters, including the random means of split Gaussians.
     pub fn record_gather_parameters(&self, r: &mut Recorder, rows: &Gather, key: &RandomKey) {
         let kernel = if key.explicit.is_some() { &self.gather_explicit } else { &self.gather_parameters };
         self.record_gather(r, kernel, rows, key);
     }
 
-    /// Records the copy of moments, zero for new Gaussians.
+    /// Records the copy of the moments, which are zero for new Gaussians.
     pub fn record_gather_moments(&self, r: &mut Recorder, rows: &Gather) {
         let key = RandomKey { seed: 0, iteration: 0, explicit: None };
         self.record_gather(r, &self.gather_moments, rows, &key);

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 /// `Result` with [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// Everything that can go wrong, in one line each.
+/// All errors, each with a one-line message.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -48,15 +48,15 @@ pub enum Error {
         /// What the system said.
         reason: String,
     },
-    /// A loader, but no device that it offers is usable.
+    /// There is a loader, but no usable device.
     #[error(
         "no usable Vulkan device: {reason}; `ashsplat devices` lists what there is (a software driver: mesa-vulkan-drivers)"
     )]
     NoDevice {
-        /// What was found and why it does not do.
+        /// The devices found, and why each is not usable.
         reason: String,
     },
-    /// `--device` named something that is not there.
+    /// No device matches `--device`.
     #[error("no Vulkan device matches '{asked}'; there are: {available}")]
     UnknownDevice {
         /// What was asked for.
@@ -64,7 +64,7 @@ pub enum Error {
         /// What there is, with indices.
         available: String,
     },
-    /// The device lacks something that ashsplat cannot do without.
+    /// The device lacks a required feature.
     #[error("device '{device}' lacks {feature}, which ashsplat needs")]
     MissingFeature {
         /// Name of the device.
@@ -72,7 +72,7 @@ pub enum Error {
         /// Vulkan's name of the feature, extension or limit.
         feature: String,
     },
-    /// Something does not fit a limit of the device or a budget.
+    /// An object exceeds a limit of the device or a budget.
     #[error("{what} needs {needed} {unit}, more than {limit} ({limit_name})")]
     TooLarge {
         /// What does not fit.
@@ -96,19 +96,19 @@ pub enum Error {
         /// What to do about it; may be empty.
         remedy: String,
     },
-    /// The driver has given the device up. Nothing of its context works any more; a new context may.
+    /// The driver has given up the device. The context is unusable; a new context may work.
     #[error("{call} failed: the device is lost; the driver has reset it: see the system's log. Open it anew")]
     DeviceLost {
         /// The function that said so.
         call: &'static str,
     },
-    /// A submission took longer than [`crate::vk::ContextOptions::timeout`] allows. It is still under way: what it writes is
-    /// undefined, and its memory is in use until it is over.
+    /// A submission took longer than [`crate::vk::ContextOptions::timeout`] allows. It is still running: what
+    /// it writes is undefined, and its memory is in use until it ends.
     #[error(
         "a submission is not over after {seconds:.1} s; raise the timeout, or use a smaller scene or resolution"
     )]
     Timeout {
-        /// How long was waited for it.
+        /// Time waited for it, seconds.
         seconds: f64,
     },
     /// The user asked to stop.

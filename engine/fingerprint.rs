@@ -1,6 +1,7 @@
-//! 64 bits that tell data from other data. No protection against forgery.
+//! A 64-bit hash that distinguishes data. It gives no protection against forgery.
 
-/// An odd number: multiplying by it loses nothing, so that no single changed word goes unnoticed.
+/// An odd number: the multiplication is invertible, so that a change of a single word always changes the
+/// hash.
 const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// A hash of bytes in the order in which they are added.
@@ -14,7 +15,7 @@ impl Default for Fingerprint {
 }
 
 impl Fingerprint {
-    /// Of no bytes.
+    /// The hash of no bytes.
     pub fn new() -> Self {
         Self(FACTOR)
     }
@@ -35,7 +36,7 @@ impl Fingerprint {
         self.word(bytes.len() as u64);
     }
 
-    /// Of all bytes added.
+    /// The hash of all bytes added.
     pub fn finish(self) -> u64 {
         self.0 ^ (self.0 >> 32)
     }

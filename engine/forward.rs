@@ -1,9 +1,9 @@
-//! The forward pass: project → count → scan → expand → sort → ranges → blend.
+//! The forward pass: project → count → scan → duplicate → sort → ranges → blend.
 //!
-//! Reads like the paper's pipeline, with two differences that change the cost but not the picture. The visible are
-//! sorted by depth first and then expanded to (tile, Gaussian) instances, so that only the tile bits of the instances
-//! remain to be sorted: the order is that of the 64-bit (tile | depth) key. And a tile is touched only if the ellipse
-//! where alpha reaches 1/255 meets it.
+//! It follows the paper's pipeline, with two differences that change the cost but not the picture. First, the
+//! visible Gaussians are sorted by depth before they are duplicated to (tile, Gaussian) instances. Only the
+//! tile bits of the instances then remain to be sorted, and the order is that of the 64-bit (tile | depth)
+//! key. Second, a Gaussian touches a tile only if the ellipse where alpha reaches 1/255 meets it.
 
 mod blend_forms;
 mod blending;
@@ -33,19 +33,19 @@ use crate::scene::Camera;
 use crate::sort::{RadixSort, SortBuffers, Values};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// The parameters of a scene on the device: planes cut into chunks.
+/// The parameters of a scene on the device: planes split into chunks.
 #[derive(Clone)]
 pub struct SceneBuffers {
     /// One buffer per chunk of Gaussians.
     pub chunks: Vec<Buffer>,
-    /// How they are laid out.
+    /// The layout of the planes.
     pub plan: ScenePlan,
-    /// Gaussians in it.
+    /// Number of Gaussians.
     pub count: u32,
 }
 
 impl SceneBuffers {
-    /// The SH degree that is evaluated: what the settings ask for, of what is stored.
+    /// The evaluated SH degree: the settings' degree, at most the stored one.
     pub fn active_degree(&self, settings: &RenderSettings) -> u32 {
         settings.sh_degree.unwrap_or(self.plan.sh_degree).min(self.plan.sh_degree)
     }
@@ -63,7 +63,7 @@ pub struct Forward {
     write_visible_ranges: Kernel<write_visible_ranges::Interface>,
     project: [Option<Kernel<project::Interface>>; 4],
     count: Kernel<count::Interface>,
-    /// For rendering alone, and with what backward needs.
+    /// For rendering alone, and for frames with backward.
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
     ranges: [Kernel<ranges::Interface>; 2],
     blend: blending::Blend,
@@ -94,7 +94,7 @@ impl Forward {
             scan: Scan::new(context)?,
             sort: RadixSort::new(context)?,
             cull: Kernel::new(context, &cull::Spec { workgroup_size, subgroup_size })?,
-            // Its blocks are those of culling.
+            // Its blocks are the culling blocks.
             compact: Kernel::new(
                 context,
                 &compact::Spec { workgroup_size, subgroup_size, block: workgroup_size },
@@ -120,7 +120,7 @@ impl Forward {
         self.prepare_variant(sh_degree, BlendVariant { inverse_depth, ..BlendVariant::default() })
     }
 
-    /// Builds the variants for an SH degree and a way to blend, unless they exist.
+    /// Builds the kernels for an SH degree and a variant of blending, unless they exist.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -133,26 +133,26 @@ impl Forward {
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
 
-    /// Whether everything is built for an SH degree and a way to blend.
+    /// Whether all kernels for an SH degree and a variant of blending are built.
     pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
         self.project[sh_degree as usize].is_some() && self.blend.is_prepared(&self.sizes, variant)
     }
 
-    /// Chooses how tiles are blended, in place of [`Blending::of_device`]; before [`Forward::prepare`].
-    /// Returns whether it was another form before.
+    /// Sets the form of blending, instead of [`Blending::of_device`]. Call it before [`Forward::prepare`].
+    /// Returns whether the form has changed.
     pub fn set_blending(&mut self, blending: Blending) -> bool {
         self.blend.choose(blending)
     }
 
-    /// How tiles are blended.
+    /// The form of blending.
     pub fn blending(&self) -> Blending {
         self.blend.blending()
     }
 
-    /// Records a frame; [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
+    /// Records a frame. [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        // Culling touches neither: the barrier behind it serves both.
+        // Culling accesses neither buffer, so the barrier after it covers these clears as well.
         r.scope("clear", |r| {
             let overflow = 4 * u64::from(c::STATE_OVERFLOW);
             match inputs.keeps_overflow {
@@ -174,7 +174,7 @@ impl Forward {
         r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
     }
 
-    /// Which Gaussians are visible, in their own order.
+    /// Culls, and compacts the visible Gaussians in their own order.
     fn record_visibility(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let mut fresh = true;
@@ -220,7 +220,7 @@ impl Forward {
                 visible_index: &f.visible_index,
             },
             &compact::Push { count },
-            // A block per subgroup.
+            // One block per subgroup.
             blocks(culled_blocks.into(), (self.sizes.elementwise_workgroup / subgroup_size).into()),
         );
         let counted =
@@ -255,7 +255,8 @@ impl Forward {
         r.barrier();
     }
 
-    /// `counted`: index of the count, its capacity, index of the first argument, block of the third.
+    /// `counted`: index of the count, its capacity, index of the first argument, block size of the third
+    /// argument.
     fn record_prepare(&self, r: &mut Recorder, f: &FrameBuffers, counted: [u32; 4]) {
         let [count_index, capacity, first_argument, block_third] = counted;
         r.dispatch(
@@ -274,7 +275,7 @@ impl Forward {
         );
     }
 
-    /// Screen-space attributes of the visible.
+    /// Records the screen-space attributes of the visible Gaussians.
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let splats = f.splats();
@@ -303,7 +304,7 @@ impl Forward {
         r.barrier();
     }
 
-    /// Ranks of the visible from near to far; equal depths in the Gaussians' own order.
+    /// Ranks the visible Gaussians from near to far. Equal depths keep the order of the Gaussians.
     fn record_depth_sort(&self, r: &mut Recorder, f: &FrameBuffers) {
         let buffers = SortBuffers {
             counts: &f.state,
@@ -314,13 +315,13 @@ impl Forward {
             digit_totals: &f.digit_totals,
         };
         let at = arguments(f, c::ARGUMENTS_VISIBLE_SORT);
-        // 32 bits are four passes: the order ends in `order_a`.
+        // 32 bits take four passes, so the order ends in `order_a`.
         self.sort.record(r, &buffers, Values::Positions, u32::BITS, Workgroups::Indirect(&at));
         r.barrier();
     }
 
-    /// Tiles per visible Gaussian in depth order, their prefix sums, and the number of instances. Sorted depths are of no
-    /// more use: their buffers take the lists of tiles.
+    /// Tiles per visible Gaussian in depth order, their prefix sums, and the number of instances. The sorted
+    /// depths are not needed any more: their buffers receive the lists of tiles.
     fn record_count(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let bind = count::Bind {
@@ -351,7 +352,7 @@ impl Forward {
         r.barrier();
     }
 
-    /// One (tile, Gaussian) instance per touched tile.
+    /// Records duplicate_with_tiles: one (tile, Gaussian) instance per touched tile.
     fn record_duplicate(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let (for_backward, splats) = (inputs.capacity.backward, f.splats());
@@ -375,8 +376,9 @@ impl Forward {
         r.barrier();
     }
 
-    /// Instances by tile, stable, so that depth order remains within a tile: their slots, which are their places before,
-    /// or without backward the visible Gaussians themselves. Returns where the result lies.
+    /// Sorts the instances by tile. The sort is stable, so depth order remains within a tile. The values are
+    /// the instance indices before the tile sort, or without backward the visible Gaussians. Returns which
+    /// buffer holds the result.
     fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) -> usize {
         let f = inputs.frame;
         let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
@@ -396,7 +398,7 @@ impl Forward {
         sorted
     }
 
-    /// Where each tile begins and ends.
+    /// Finds the begin and end of each tile's instances.
     fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs, sorted: usize) {
         let f = inputs.frame;
         let bind = ranges::Bind {
@@ -412,14 +414,14 @@ impl Forward {
         r.barrier();
     }
 
-    /// Which of the frame's two buffers of sorted values hold the result for an image of this size.
+    /// The buffer of sorted values that holds the result for an image of this size.
     fn sorted_values<'a>(sizes: &LaunchSizes, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
         let (columns, rows) = tile_grid(camera.width, camera.height);
         let passes = sizes.sort_passes(tile_bits(columns * rows));
         if passes.is_multiple_of(2) { &frame.sorted_a } else { &frame.sorted_b }
     }
 
-    /// The slots of the sorted instances, in a frame with backward.
+    /// The index before the tile sort of each sorted instance, in a frame with backward.
     pub fn sorted_instances<'a>(sizes: &LaunchSizes, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
         Self::sorted_values(sizes, frame, camera)
     }
@@ -435,8 +437,8 @@ impl Forward {
     }
 }
 
-/// The indirect arguments of a dispatch over the visible of one range of parameters, whose place in `visible_ranges` is
-/// that of its first block of culling.
+/// The indirect arguments of a dispatch over the visible Gaussians of one parameter range. Their index in
+/// `visible_ranges` is that of the range's first culling block.
 pub(crate) fn range_arguments(frame: &FrameBuffers, sizes: &LaunchSizes, range: GaussianRange) -> Buffer {
     frame.visible_ranges.range(32 * u64::from(range.first / sizes.elementwise_workgroup), 12)
 }

@@ -14,17 +14,17 @@ use scratch::{ScratchBytes, Sweeps};
 pub use photo::{photo_bytes, photo_on_device};
 pub use scratch::scratch_requests;
 
-/// How SSIM's window is computed: the same numbers but for rounding, at a cost that depends on the device.
+/// How SSIM's window is evaluated. The results agree except for rounding; the cost depends on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Windowing {
-    /// Workgroups share blocks of 16×16 pixels through shared memory.
+    /// Workgroups load blocks of 16×16 pixels into shared memory.
     Blocks,
-    /// Each invocation goes along a strip of eight rows by itself, everything in registers.
+    /// Each invocation moves along a strip of eight rows, with all values in registers.
     Sweeps,
 }
 
 impl Windowing {
-    /// Processors have no use for shared memory: it is memory like any other there.
+    /// Sweeps on processors: their shared memory is ordinary memory, so it saves nothing.
     pub fn for_device(limits: &Limits) -> Self {
         if Strips::suit(limits) { Self::Sweeps } else { Self::Blocks }
     }
@@ -58,48 +58,50 @@ impl Windows {
     }
 }
 
-/// What a photograph consists of. [`photo_on_device`] has it as a device wants it.
+/// Format of a photograph. [`photo_on_device`] converts it to the device's layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PhotoFormat {
     /// Four bytes per pixel, (r, g, b, unused), 255 being 1.
     Rgba8,
-    /// Four bytes per pixel, (r, g, b, mask), 255 being 1: where the mask is 0, the pixel does not count. The loss is that
-    /// of both pictures times the mask (as in nerfstudio's Splatfacto; the reference implementation multiplies the
-    /// rendered one), its means go over all pixels, and its gradient is exactly 0 where the mask is.
+    /// Four bytes per pixel, (r, g, b, mask), 255 being 1. A pixel with mask 0 does not count: the loss is
+    /// that of both pictures times the mask (as in nerfstudio's Splatfacto; the reference implementation
+    /// multiplies the rendered one only). Its means are over all pixels, and its gradient is exactly 0 where
+    /// the mask is 0.
     MaskedRgba8,
     /// Three f32 per pixel: for targets that 8 bits cannot hold.
     Float,
 }
 
-/// What the loss works on.
+/// Inputs and outputs of the loss.
 #[derive(Clone, Copy)]
 pub struct LossInputs<'a> {
-    /// The picture as blending leaves it for backward. [`Windowing::Blocks`]: per pixel, premultiplied colour without
-    /// background, transmittance. [`Windowing::Sweeps`]: composited, three planes in [`Strips`], 0 below the picture.
+    /// The blended picture, as a frame with backward stores it. [`Windowing::Blocks`]: per pixel,
+    /// premultiplied colour without background, transmittance. [`Windowing::Sweeps`]: composited, three
+    /// planes in [`Strips`], 0 below the picture.
     pub rendered: &'a Buffer,
-    /// The photograph in the format that [`Loss::new`] was told. [`Windowing::Blocks`]: per pixel. [`Windowing::Sweeps`]: planes
-    /// in [`Strips`], see [`photo_on_device`].
+    /// The photograph in the format given to [`Loss::new`]. [`Windowing::Blocks`]: per pixel.
+    /// [`Windowing::Sweeps`]: planes in [`Strips`], see [`photo_on_device`].
     pub photo: &'a Buffer,
-    /// The buffers that [`Loss::scratch_requests`] asks for, in its order.
+    /// The buffers of [`Loss::scratch_requests`], in its order.
     pub scratch: &'a [Buffer],
     /// Out: vec4 (loss, L1, SSIM, 0) per slot.
     pub losses: &'a Buffer,
-    /// Which slot of `losses`.
+    /// Index of the slot in `losses`.
     pub slot: u32,
-    /// Out: dL/d(r, g, b). [`Windowing::Blocks`]: per pixel, a fourth component is not written. [`Windowing::Sweeps`]: three
-    /// planes in [`Strips`].
+    /// Out: dL/d(r, g, b). [`Windowing::Blocks`]: per pixel, with a fourth component that is not written.
+    /// [`Windowing::Sweeps`]: three planes in [`Strips`].
     pub image_gradient: &'a Buffer,
     /// Size of the image, pixels.
     pub width: u32,
     /// Size of the image, pixels.
     pub height: u32,
-    /// Background that [`Windowing::Blocks`] composites the image on.
+    /// Background over which [`Windowing::Blocks`] composites the image.
     pub background: [f32; 3],
     /// λ.
     pub lambda_dssim: f32,
 }
 
-/// Colour channels that one dispatch handles.
+/// The colour channels of one dispatch.
 #[derive(Clone, Copy)]
 struct Channels<'a> {
     first: u32,
@@ -107,7 +109,8 @@ struct Channels<'a> {
     derivatives: &'a Buffer,
 }
 
-/// Records a pass over all channels: in one dispatch, or one by one where each has a buffer of its own.
+/// Records a pass over all channels: in one dispatch, or in one per channel if each channel has its own
+/// buffer.
 fn by_channels(r: &mut Recorder, derivatives: &[Buffer], mut record: impl FnMut(&mut Recorder, Channels)) {
     let count = 3 / derivatives.len() as u32;
     for (derivatives, first) in derivatives.iter().zip((0..3).step_by(count as usize)) {
@@ -119,7 +122,7 @@ fn by_channels(r: &mut Recorder, derivatives: &[Buffer], mut record: impl FnMut(
 }
 
 impl Loss {
-    /// Builds the kernels that suit the device.
+    /// Builds the kernels for the device.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -167,7 +170,7 @@ impl Loss {
         &self.sizes
     }
 
-    /// What the loss needs besides its inputs and outputs, for images of these sizes (width, height).
+    /// Scratch buffers of the loss, for images of these sizes (width, height).
     pub fn scratch_requests(&self, sizes: impl IntoIterator<Item = (u32, u32)>) -> Vec<(&'static str, u64)> {
         ScratchBytes::largest(self, sizes).requests(&self.limits)
     }
@@ -301,7 +304,7 @@ impl Loss {
     ) {
         let Sweeps { columns, per_channel } = Sweeps::new(i.width, i.height);
         let invocations = part.count * per_channel;
-        // The first dispatch adds the sums of all channels, in a workgroup of its own.
+        // The first dispatch adds the sums of all channels, in an additional workgroup.
         let adds = part.first == 0;
         let bind = ssim_backward_sweep::Bind {
             rendered: i.rendered,

@@ -35,9 +35,9 @@ pub struct Rates {
 pub struct Step {
     /// Learning rates.
     pub rates: Rates,
-    /// Steps with this one, from 1; 0 for no bias correction (sparse Adam).
+    /// Number of steps including this one, from 1; 0 turns off the bias correction (sparse Adam).
     pub count: u64,
-    /// The same for the opacity, whose step is left out when it is reset alone.
+    /// The same for the opacity, whose step is skipped at an opacity reset.
     pub opacity_count: u64,
 }
 
@@ -59,7 +59,7 @@ pub struct Optimizer {
 }
 
 impl Optimizer {
-    /// Prepares for a device. Sparse Adam leaves Gaussians outside the view alone and corrects no bias.
+    /// Prepares for a device. Sparse Adam does not change Gaussians outside the view, and corrects no bias.
     pub fn new(context: &Context, sparse: bool) -> Self {
         let sizes = LaunchSizes::new(context.limits());
         Self { context: context.clone(), sizes, sparse, adam: Default::default() }

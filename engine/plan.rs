@@ -1,8 +1,8 @@
 //! Every size, capacity and block count of a frame, as pure arithmetic on the device's limits.
 //!
-//! Buffers are counted by what they are one of: per Gaussian, per visible Gaussian (as many as Gaussians), per instance
-//! (one (tile, Gaussian) pair), per tile, per pixel. How many Gaussians are visible, and how many instances a frame has,
-//! is known only on the device: here are capacities.
+//! A buffer has one element per Gaussian, per visible Gaussian, per instance (one (tile, Gaussian) pair), per
+//! tile or per pixel. Only the device knows how many Gaussians are visible and how many instances a frame
+//! has, so the sizes here are capacities. Buffers of visible Gaussians have the capacity of all Gaussians.
 
 mod launch_sizes;
 mod sorting;
@@ -38,7 +38,7 @@ pub const fn parameter_planes(sh_degree: u32) -> u32 {
         }
 }
 
-/// The planes that lie together with one: those of geometry, or of an SH degree.
+/// The group of planes that lie together with `plane`: the geometry, or one SH degree.
 pub(crate) fn plane_group(plane: u32) -> Range<u32> {
     const ENDS: [u32; 5] = [
         PLANE_SH,
@@ -57,24 +57,24 @@ pub(crate) fn plane_group(plane: u32) -> Range<u32> {
 /// A range of Gaussians whose parameter planes lie in one buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GaussianRange {
-    /// Which buffer.
+    /// Index of the buffer.
     pub chunk: usize,
-    /// Index of its first Gaussian.
+    /// Index of the range's first Gaussian in the scene.
     pub first: u32,
-    /// How many Gaussians of the scene lie in it.
+    /// Number of Gaussians in the range.
     pub count: u32,
 }
 
-/// How the parameters of up to `capacity` Gaussians are cut into buffers that a binding may cover.
+/// How the parameters of up to `capacity` Gaussians are split into buffers that fit a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ScenePlan {
-    /// Gaussians that fit.
+    /// Capacity in Gaussians.
     pub capacity: u32,
     /// Stored SH degree.
     pub sh_degree: u32,
     /// vec4 planes per Gaussian.
     pub planes: u32,
-    /// Gaussians that one chunk holds. A multiple of every block size.
+    /// Gaussians per chunk. A multiple of every block size.
     pub chunk_gaussians: u32,
     /// Number of chunks.
     pub chunks: u32,
@@ -112,12 +112,14 @@ impl ScenePlan {
         u64::from(self.chunk_gaussians) * u64::from(self.planes) * 16
     }
 
-    /// Where plane `plane` of the `index`-th Gaussian of a chunk lies in it, in vec4. Planes 0 to 2, 3, 4 and 5, 6 to 9, and 10
-    /// to 14 (geometry, then one SH degree each) lie together for all Gaussians, in rows of eight: planes `first` to
-    /// `end - 1` at `first * chunk_gaussians + (index / 8 * (end - first) + plane - first) * 8 + index % 8`.
+    /// Index, in vec4, of plane `plane` of Gaussian `index` in a chunk. The groups of planes are 0 to 2
+    /// (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (one SH degree each). A group is contiguous for all
+    /// Gaussians, in rows of eight Gaussians: planes `first` to `end - 1` lie at `first * chunk_gaussians +
+    /// (index / 8 * (end - first) + plane - first) * 8 + index % 8`.
     ///
     /// # Panics
-    /// Unless `plane` is below `planes` and `index`, which counts from the chunk's first, below `chunk_gaussians`.
+    /// If `plane` is not below `planes`, or `index`, which counts from the chunk's first Gaussian, is not
+    /// below `chunk_gaussians`.
     pub fn place(&self, plane: u32, index: usize) -> usize {
         assert!(plane < self.planes && index < self.chunk_gaussians as usize, "{plane}, {index}: {self:?}");
         let (row, Range { start, end }) = (PLANE_ROW as usize, plane_group(plane));
@@ -141,7 +143,7 @@ impl ScenePlan {
 /// Capacities of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameCapacity {
-    /// Gaussians, all of which may be visible.
+    /// Gaussians. All of them may be visible.
     pub gaussians: u32,
     /// (tile, Gaussian) instances.
     pub instances: u32,
@@ -149,34 +151,34 @@ pub struct FrameCapacity {
     pub width: u32,
     /// Height of the largest image, pixels.
     pub height: u32,
-    /// Passes of blending: each handles [`LaunchSizes::entries_per_pass`] entries of a tile.
+    /// Passes of blending. Each handles [`LaunchSizes::entries_per_pass`] entries of a tile.
     pub blend_passes: u32,
-    /// With what backward needs.
+    /// Whether the frame has the buffers of the backward pass.
     pub backward: bool,
 }
 
-/// Tiles of an image: (per row, rows).
+/// Number of tiles of an image: (per row, rows).
 pub const fn tile_grid(width: u32, height: u32) -> (u32, u32) {
     (width.div_ceil(TILE_SIZE), height.div_ceil(TILE_SIZE))
 }
 
-/// Bits that a tile index needs, at least one.
+/// Bits of a tile index, at least one.
 pub const fn tile_bits(tiles: u32) -> u32 {
     if tiles <= 2 { 1 } else { 32 - (tiles - 1).leading_zeros() }
 }
 
-/// Bytes of the widest buffer per instance.
+/// Bytes per element of the widest buffer per instance.
 const INSTANCE_BYTES: u64 = 16;
 
-/// A first guess at the instances of a frame, never more than a binding or a grid can hold; a frame that needs more says so and
-/// is run again.
+/// First estimate of a frame's instances, at most what a binding and a grid can hold. A frame that needs more
+/// overflows and is run again.
 pub fn initial_instances(limits: &Limits, gaussians: u32, width: u32, height: u32) -> u32 {
     let (columns, rows) = tile_grid(width, height);
     let guess = u64::from(gaussians) * 6 + u64::from(columns) * u64::from(rows) * 16;
     guess.max(1 << 12).min(max_trained_instances(limits).into()) as u32
 }
 
-/// How many instances a training step's frame can have on a device: what a binding and a grid hold.
+/// Most instances that a training step's frame can have on a device, by the limits of a binding and a grid.
 pub fn max_trained_instances(limits: &Limits) -> u32 {
     let axis = u64::from(limits.max_workgroups_per_axis);
     let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
@@ -197,7 +199,7 @@ macro_rules! frame_requests {
         }
 
         impl FrameBuffers {
-            /// Names the buffers that were allocated for [`frame_requests`], in the same order.
+            /// Assigns the buffers that were allocated for [`frame_requests`], in the same order.
             pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
                 let mut buffers = buffers.into_iter();
                 let mut next = || match buffers.next() {
@@ -218,14 +220,14 @@ struct FrameSizes {
     histogram: u64,
     digits: u64,
     tiles: u64,
-    /// vec4 from one visible Gaussian's attributes to the next one's.
+    /// vec4 from the attributes of one visible Gaussian to those of the next.
     splat_stride: u64,
-    /// 1 where they lie in buffers of their own, else 0.
+    /// 1 if each attribute has a buffer of its own, otherwise 0.
     apart: u64,
-    /// Instances with slots of their own, where backward needs them.
+    /// Capacity in instances of the buffers for the backward pass; 0 without it.
     slots: u64,
     pixels: u64,
-    /// Values of a plane in strips, of any image with as many tiles; 0 where there are none.
+    /// Values of one plane in strips, for any image with this number of tiles; 0 without strips.
     strips: u64,
     /// 1 with backward, 0 without.
     backward: u64,
@@ -241,7 +243,7 @@ impl FrameSizes {
         let backward = u64::from(capacity.backward);
         let tile_bits = tile_bits(columns.saturating_mul(rows));
         let depth_sort = block.sort_histogram_words(gaussians, u32::BITS);
-        // A smaller image may have longer digits, in fewer passes.
+        // A smaller image may use longer digits in fewer passes.
         let tile_sort = (1..=tile_bits).map(|bits| block.sort_histogram_words(instances, bits)).max();
         let record = 16 * u64::from(SPLAT_PLANES);
         let together = gaussians * record <= block.max_binding_bytes;
@@ -272,85 +274,90 @@ frame_requests! {
     state: |_| u64::from(STATE_WORDS) * 4;
     /// Indirect arguments, named ARGUMENTS_*.
     arguments: |_| u64::from(ARGUMENTS_COUNT) * 16;
-    /// Per range of parameters: indirect arguments, and which of the visible lie in it. There are fewer than blocks.
+    /// Per range of parameters: indirect arguments, and its range of visible Gaussians. There are fewer
+    /// ranges than blocks.
     visible_ranges: |s| s.gaussian_blocks.max(1) * 32;
     /// Per Gaussian: 1 if visible.
     visible_flags: |s| s.gaussians * 4;
-    /// Visible Gaussians per block, then the blocks' offsets.
+    /// Visible Gaussians per block, then the offsets of the blocks.
     visible_blocks: |s| s.gaussian_blocks * 4;
-    /// Per visible: its Gaussian.
+    /// Per visible Gaussian: its Gaussian.
     visible_list: |s| s.gaussians * 4;
-    /// Per Gaussian: its place among the visible.
+    /// Per Gaussian: its index among the visible ones.
     visible_index: |s| s.gaussians * 4;
-    /// Per visible: mean and half extents, px; or the records of all four attributes, see [`FrameBuffers::splats`].
+    /// Per visible Gaussian: mean and half extents, px; or records of all four attributes, see
+    /// [`FrameBuffers::splats`].
     splats: |s| s.gaussians * 16 * s.splat_stride;
-    /// Per visible: conic and opacity.
+    /// Per visible Gaussian: conic and opacity.
     conic_opacity: |s| s.apart * s.gaussians * 16;
-    /// Per visible: colour and 1/z.
+    /// Per visible Gaussian: colour and 1/z.
     color_inverse_depth: |s| s.apart * s.gaussians * 16;
-    /// Per visible: shape of its rows of tiles, number of tiles (tile_span.glsl).
+    /// Per visible Gaussian: shape of its rows of tiles, number of tiles (tile_span.glsl).
     footprints: |s| s.apart * s.gaussians * 16;
-    /// Per visible: its tiles, where they are few, or their number (tile_list.glsl).
+    /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl).
     tile_lists: |s| s.gaussians * 8;
-    /// Per visible: bits of its depth; sorting scratch; then per rank: first word of its tiles' list.
+    /// Per visible Gaussian: bits of its depth; sorting scratch; then per rank: first word of its list of
+    /// tiles.
     depth_keys_a: |s| s.gaussians * 4;
-    /// Sorting scratch; then per rank: second word of its tiles' list.
+    /// Sorting scratch; then per rank: second word of its list of tiles.
     depth_keys_b: |s| s.gaussians * 4;
-    /// Per rank in depth: the visible Gaussian (after an even number of sorting passes).
+    /// Per depth rank: the visible Gaussian (after an even number of sorting passes).
     order_a: |s| s.gaussians * 4;
     /// Sorting scratch.
     order_b: |s| s.gaussians * 4;
-    /// Per rank: tiles touched.
+    /// Per rank: number of tiles touched.
     tiles_touched: |s| s.gaussians * 4;
     /// Per rank: first instance.
     instance_offsets: |s| s.gaussians * 4;
     /// Sums and offsets of the scan's blocks.
     scan_blocks: |s| s.scan_blocks * 4;
-    /// Sorting scratch: digit by block, and by run.
+    /// Sorting scratch: counts per digit and block, and per digit and run.
     histogram: |s| s.histogram * 4;
     /// Sorting scratch: keys per digit.
     digit_totals: |s| s.digits * 4;
-    /// Per instance: tile; sorting scratch.
+    /// Per instance: its tile; sorting scratch.
     tiles_a: |s| s.instances * 4;
     /// Sorting scratch.
     tiles_b: |s| s.instances * 4;
-    /// Per sorted instance: its slot, or without backward the visible Gaussian; sorting scratch.
+    /// Per sorted instance: its index before the tile sort, or without backward the visible Gaussian; sorting
+    /// scratch.
     sorted_a: |s| s.instances * 4;
     /// Sorting scratch.
     sorted_b: |s| s.instances * 4;
-    /// Per slot: the visible Gaussian.
+    /// Per instance before the tile sort: the visible Gaussian.
     instance_visible: |s| s.slots * 4;
     /// Per sorted instance: the visible Gaussian.
     sorted_visible: |s| s.slots * 4;
-    /// Per visible: its first slot.
+    /// Per visible Gaussian: its first instance.
     first_instances: |s| s.backward * s.gaussians * 4;
     /// Per tile: begin and end in the sorted instances.
     tile_ranges: |s| s.tiles * 8;
-    /// Per pixel: premultiplied colour without background, transmittance. Frames with backward in strips only hand it from
-    /// pass to pass.
+    /// Per pixel: premultiplied colour without background, transmittance. In a frame with backward in strips
+    /// it only carries the state between passes.
     accumulated: |s| s.pixels * 16;
-    /// The composited picture as three planes in strips, where backward wants it so.
+    /// The composited picture as three planes in strips, if the backward pass reads strips.
     composited: |s| 3 * s.strips * 4;
     /// Per pixel: sum of weights / z.
     inverse_depth: |s| s.pixels * 4;
-    /// Per pixel: 1 + place of the last blended entry in its tile's list.
+    /// Per pixel: 1 + list index of the last blended entry of its tile.
     last_entries: |s| s.pixels * 4;
-    /// The loss' gradient. Per pixel: dL/d(r, g, b, inverse depth); where backward wants strips, three planes of them.
+    /// Gradient of the loss. Per pixel: dL/d(r, g, b, inverse depth); with strips, three planes of dL/d(r, g,
+    /// b).
     image_gradient: |s| if s.strips > 0 { 3 * s.strips * 4 } else { s.backward * s.pixels * 16 };
-    /// Per pixel: state between passes of the blending's backward.
+    /// Per pixel: state between passes of the backward blending.
     backward_state: |s| s.passes * s.pixels * 8;
-    /// Per slot: moments 1, dx, dy, dx dx.
+    /// Per instance before the tile sort: moments 1, dx, dy, dx dx.
     instance_gradients_a: |s| s.slots * 16;
-    /// Per slot: moments dx dy, dy dy; d red, d green.
+    /// Per instance before the tile sort: moments dx dy, dy dy; d red, d green.
     instance_gradients_b: |s| s.slots * 16;
-    /// Per slot: d blue, d inverse depth.
+    /// Per instance before the tile sort: d blue, d inverse depth.
     instance_gradients_c: |s| s.slots * 8;
-    /// Per visible, planes named GRADIENT_*.
+    /// Per visible Gaussian: planes named GRADIENT_*.
     gradients: |s| s.backward * s.gaussians * 16 * u64::from(GRADIENT_PLANES);
 }
 
-/// Checks that every dispatch of a frame of this capacity fits a grid of workgroups: indirect ones are not checked by
-/// anybody else.
+/// Checks that every dispatch of a frame of this capacity fits a grid of workgroups. Vulkan does not check
+/// indirect dispatches.
 ///
 /// # Errors
 /// [`Error::TooLarge`] with the number of workgroups.
@@ -362,7 +369,7 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSize
     let checks = [
         (blocks(elements, smallest.into()), axis * axis),
         (u64::from(columns) * u64::from(rows), axis * axis),
-        // The loss has a grid of tiles.
+        // The loss has one workgroup per tile.
         (u64::from(columns.max(rows).max(3)) * u64::from(capacity.backward), axis),
     ];
     match checks.iter().find(|(needed, limit)| needed > limit) {
@@ -380,19 +387,19 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSize
     }
 }
 
-/// How many Gaussians can be trained on a device: their gradients lie in one buffer.
+/// Most Gaussians that can be trained on a device: their gradients lie in one buffer.
 pub fn max_trained_gaussians(limits: &Limits) -> u32 {
     let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
     (bytes / (16 * u64::from(GRADIENT_PLANES))).min(u32::MAX.into()) as u32
 }
 
-/// Bytes of all buffers of a frame, with the padding between them.
+/// Bytes of all buffers of a frame, including the padding between them.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
     let sizes: Vec<u64> = frame_requests(capacity, block).iter().map(|(_, bytes)| *bytes).collect();
     pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
 }
 
-/// The attributes of the visible, as bindings: see splat_record.glsl.
+/// Bindings of the attributes of the visible Gaussians: see splat_record.glsl.
 #[derive(Clone, Copy)]
 pub struct Splats<'a> {
     /// Mean and half extents, px.
@@ -403,17 +410,18 @@ pub struct Splats<'a> {
     pub color_inverse_depth: &'a Buffer,
     /// Shape of the rows of tiles, number of tiles.
     pub footprints: &'a Buffer,
-    /// vec4 from one visible Gaussian's to the next one's: with [`SPLAT_PLANES`] all four are the same buffer.
+    /// vec4 from one visible Gaussian to the next. With [`SPLAT_PLANES`] all four are the same buffer.
     pub stride: u32,
 }
 
 impl FrameBuffers {
-    /// What blending leaves for loss and backward: [`Self::composited`] in strips, or [`Self::accumulated`].
+    /// The blended picture that the loss and the backward pass read: [`Self::composited`] with strips,
+    /// otherwise [`Self::accumulated`].
     pub fn rendered(&self, block: &LaunchSizes) -> &Buffer {
         if block.strips { &self.composited } else { &self.accumulated }
     }
 
-    /// The attributes of the visible.
+    /// The attributes of the visible Gaussians.
     pub fn splats(&self) -> Splats<'_> {
         let records = &self.splats;
         if records.bytes() > self.conic_opacity.bytes() {

@@ -1,4 +1,4 @@
-//! Gaussians as the device keeps them: vec4 planes cut into chunks, and back.
+//! Gaussians in the device's layout: vec4 planes split into chunks. Conversion in both directions.
 
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
@@ -17,11 +17,12 @@ pub fn allocate(context: &Context, arena: &str, plan: &ScenePlan) -> Result<Vec<
     context.allocate(arena, &requests, MemoryKind::Device)
 }
 
-/// Uploads Gaussians into newly allocated planes with room for `capacity` of them, stored with SH up to `sh_degree`
-/// (coefficients that the Gaussians lack are zero).
+/// Uploads Gaussians into newly allocated planes with the given `capacity`, stored with SH up to `sh_degree`
+/// (missing coefficients are zero).
 ///
 /// # Errors
-/// [`TooLarge`](crate::Error::TooLarge) or an allocation's failure; [`Argument`](crate::Error::Argument) when the Gaussians' vectors differ in length.
+/// [`TooLarge`](crate::Error::TooLarge) or an allocation's failure; [`Argument`](crate::Error::Argument) when
+/// the Gaussians' vectors differ in length.
 pub fn upload(
     context: &Context,
     arena: &str,
@@ -37,10 +38,11 @@ pub fn upload(
     Ok(scene)
 }
 
-/// Uploads Gaussians, or anything shaped like them, into the planes of a scene of as many.
+/// Uploads Gaussians, or other data of the same shape, into the planes of a scene of the same count.
 ///
 /// # Errors
-/// [`Argument`](crate::Error::Argument) when their number or their vectors' lengths differ; when the device is lost.
+/// [`Argument`](crate::Error::Argument) when their number or their vectors' lengths differ; when the device
+/// is lost.
 pub fn fill(context: &Context, scene: &SceneBuffers, gaussians: &Gaussians) -> Result<()> {
     gaussians.check_shapes()?;
     if gaussians.len() != scene.count as usize {
@@ -76,7 +78,7 @@ pub fn download(context: &Context, scene: &SceneBuffers) -> Result<Gaussians> {
     Ok(out)
 }
 
-/// The chunk of a plan with the Gaussians of `range` in it, from the `begin`-th on; the others are zero.
+/// Packs the Gaussians of `range`, from index `begin` on, into a chunk. The chunk's other Gaussians are zero.
 pub(crate) fn pack(
     g: &Gaussians,
     range: std::ops::Range<usize>,

@@ -1,5 +1,5 @@
-//! Rendering: `Renderer::render` records a frame, submits, waits and reads it back; `Renderer::record` only records, into
-//! a host's command buffer.
+//! Rendering. `Renderer::render` records a frame, submits it, waits and reads it back. `Renderer::record`
+//! only records into a host's command buffer.
 
 mod check;
 mod device_scene;
@@ -65,21 +65,21 @@ pub struct Frame {
     pub height: u32,
     /// Row-major colours, linear as trained, on the background, not clamped.
     pub color: Vec<[f32; 3]>,
-    /// Transmittance that is left behind the last Gaussian: 1 where there is none.
+    /// Transmittance after the last Gaussian: 1 without any.
     pub transmittance: Vec<f32>,
-    /// Sum of weights / z, if asked for.
+    /// Sum of weights / z, if requested.
     pub inverse_depth: Option<Vec<f32>>,
-    /// What the frame was made of.
+    /// Counts and times of the frame.
     pub stats: FrameStats,
 }
 
-/// Samples, each a Gaussian at a pixel, that the blending kernels compute, also those that turn out not to count. 0 but in a
-/// context whose overrides set `COUNT_HITS` (see [`crate::vk::SpecOverride`]).
+/// Samples, each one Gaussian at one pixel, that the blending kernels compute, including those that do not
+/// count. 0 unless the context's overrides set `COUNT_HITS` (see [`crate::vk::SpecOverride`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BlendSamples {
-    /// Of the forward pass.
+    /// Samples of the forward pass.
     pub forward: u64,
-    /// Of the backward pass.
+    /// Samples of the backward pass.
     pub backward: u64,
 }
 
@@ -88,22 +88,22 @@ pub struct BlendSamples {
 pub struct FrameStats {
     /// Gaussians in the scene.
     pub gaussians: u32,
-    /// Visible ones.
+    /// Visible Gaussians.
     pub visible: u32,
     /// (tile, Gaussian) instances.
     pub instances: u32,
-    /// Entries of the fullest tile.
+    /// Entries of the longest tile.
     pub longest_tile: u32,
-    /// Samples of blending, where they are counted.
+    /// Samples of blending, if counted.
     pub samples: BlendSamples,
     /// Device time per stage.
     pub scopes: Vec<ScopeTime>,
-    /// Times the frame was run again because a capacity had to grow.
+    /// Number of times the frame was run again because a capacity had to grow.
     pub retries: u32,
 }
 
 impl Renderer {
-    /// Builds the kernels; nothing is loaded yet.
+    /// Builds the kernels. No scene is loaded yet.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -123,7 +123,7 @@ impl Renderer {
         &self.context
     }
 
-    /// Loads a scene in place of the one before.
+    /// Loads a scene, which replaces the previous one.
     ///
     /// # Errors
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
@@ -134,19 +134,19 @@ impl Renderer {
         Ok(())
     }
 
-    /// Starts the capacity for (tile, Gaussian) instances at this number instead of a guess: frames that need more are
-    /// run again with more.
+    /// Sets the initial capacity in (tile, Gaussian) instances, instead of an estimate. Frames that need more
+    /// are run again with a larger capacity.
     pub fn set_instance_capacity(&mut self, instances: u32) {
         self.runner.store.set_instances(instances);
     }
 
-    /// How tiles are blended.
+    /// The form of blending.
     pub fn blending(&self) -> Blending {
         self.runner.blending()
     }
 
-    /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Frames that are recorded into a host's commands need
-    /// [`Renderer::reserve`] again, once none is in flight: it builds the kernels.
+    /// Sets the form of blending, instead of [`Blending::of_device`]. Frames that are recorded into a host's
+    /// command buffer then need [`Renderer::reserve`] again, once none is in flight: it builds the kernels.
     pub fn set_blending(&mut self, blending: Blending) {
         self.runner.set_blending(blending);
     }
@@ -154,16 +154,16 @@ impl Renderer {
     /// Renders the scene.
     ///
     /// # Errors
-    /// [`Error::Argument`] without a scene or with a camera that makes no sense; memory or device failures.
+    /// [`Error::Argument`] without a scene or with an invalid camera; memory or device failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
         let scene = self.scene.as_ref().ok_or_else(no_scene)?;
         self.runner.render(scene, camera, settings)
     }
 
-    /// Renders a scene that lies on the device.
+    /// Renders a scene on the device.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a scene of another device or a camera that makes no sense; memory or device failures.
+    /// [`Error::Argument`] for a scene of another device or an invalid camera; memory or device failures.
     pub fn render_scene(
         &mut self,
         scene: &DeviceScene,

@@ -1,8 +1,8 @@
-//! Exclusive prefix sum of u32 values on the device, usable alone.
+//! Exclusive prefix sum of u32 values on the device, usable by itself.
 //!
-//! Reduce-then-scan in three dispatches: the sum of each block, a single workgroup's scan of those sums, and the scan
-//! within each block. It assumes no forward progress between workgroups (a decoupled look-back gives wrong sums on
-//! devices without it) and holds for any subgroup size from 4 to 128.
+//! Reduce-then-scan in three dispatches: the sum of each block, a single workgroup's scan of those sums, and
+//! the scan within each block. It assumes no forward progress between workgroups (a decoupled look-back gives
+//! wrong sums on devices without it) and works for any subgroup size from 4 to 128.
 
 use crate::error::Result;
 use crate::kernels::scan::{scan_apply, scan_reduce, scan_spine};
@@ -17,11 +17,12 @@ pub struct Scan {
     block: u32,
 }
 
-/// What a prefix sum works on.
+/// Buffers of a prefix sum.
 #[derive(Clone, Copy)]
 pub struct ScanBuffers<'a> {
-    /// Where counts are: the number of values is `counts[count_index]`, the total goes to `counts[total_index]`
-    /// (`u32::MAX` where it needs more bits, provided the sum of each block does not).
+    /// The counts: the number of values is read from `counts[count_index]`, the total is written to
+    /// `counts[total_index]`. The total is `u32::MAX` if it exceeds 32 bits, provided that no block's sum
+    /// does.
     pub counts: &'a Buffer,
     /// See `counts`.
     pub count_index: u32,
@@ -29,18 +30,18 @@ pub struct ScanBuffers<'a> {
     pub total_index: u32,
     /// The values, u32.
     pub values: &'a Buffer,
-    /// Where the prefix sums go; not the same as `values`.
+    /// Output of the prefix sums; must not be `values`.
     pub prefix: &'a Buffer,
     /// Scratch: [`Scan::block_words`] words.
     pub block_sums: &'a Buffer,
 }
 
-/// How many workgroups a stage over device-counted elements gets.
+/// Number of workgroups of a stage over elements that the device counts.
 #[derive(Clone, Copy)]
 pub enum Workgroups<'a> {
-    /// Enough for this many elements, known to the host.
+    /// Enough for this number of elements, which the host knows.
     Elements(u64),
-    /// As many as these 12 bytes say.
+    /// The counts in these 12 bytes.
     Indirect(&'a Buffer),
 }
 
@@ -69,7 +70,7 @@ impl Scan {
         blocks(n, self.block.into()).max(1)
     }
 
-    /// Records the prefix sum; the caller places a barrier before and after.
+    /// Records the prefix sum. The caller places a barrier before and after.
     pub fn record(&self, recorder: &mut Recorder, buffers: &ScanBuffers, workgroups: Workgroups) {
         let b = buffers;
         let reduce = scan_reduce::Bind { counts: b.counts, values: b.values, block_sums: b.block_sums };
@@ -84,8 +85,8 @@ impl Scan {
         self.record_from_block_sums(recorder, buffers, workgroups);
     }
 
-    /// Records the prefix sum of values whose sums per block of `Scan::block` lie in `block_sums` already; the caller
-    /// places a barrier before and after.
+    /// Records the prefix sum of values whose sums per block of `Scan::block` are already in `block_sums`.
+    /// The caller places a barrier before and after.
     pub fn record_from_block_sums(
         &self,
         recorder: &mut Recorder,
@@ -125,7 +126,7 @@ impl Scan {
         );
     }
 
-    /// Records the scan of `row.1` block sums alone, in place, from word `row.0` on; their total goes to
+    /// Records only the scan of `row.1` block sums, in place, from word `row.0` on. Their total goes to
     /// `totals[total_index]`.
     pub fn record_block_sums(
         &self,

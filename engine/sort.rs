@@ -1,9 +1,10 @@
-//! Stable radix sort of (u32 key, u32 value) pairs on the device, usable alone.
+//! Stable radix sort of (u32 key, u32 value) pairs on the device, usable by itself.
 //!
-//! Least significant digit first, three dispatches for each: a histogram per block, the scan of each digit's row, a
-//! stable scatter. Reduce-then-scan, so no forward progress between workgroups is assumed, and any subgroup size from 4
-//! to 128 does. Only as many bits as the keys have are sorted. Counting and scattering exist in two forms, see
-//! [`SortMethod`]; few pairs are sorted by a single workgroup in one dispatch where [`LaunchSizes::sorts_in_single_subgroup`] says so.
+//! Least significant digit first, three dispatches per digit: a histogram per block, the scan of each digit's
+//! row, a stable scatter. Reduce-then-scan assumes no forward progress between workgroups, and any subgroup
+//! size from 4 to 128 works. Only the given number of key bits is sorted. Counting and scattering have two
+//! forms, see [`SortMethod`]. If [`LaunchSizes::sorts_in_single_subgroup`] is true, a single subgroup sorts
+//! the pairs in one dispatch.
 
 use crate::error::Result;
 use crate::kernels::sort::{
@@ -19,13 +20,13 @@ pub struct RadixSort {
     sizes: LaunchSizes,
     kernels: Kernels,
     scan: Kernel<sort_spine::Interface>,
-    /// With given values, or the keys' positions.
+    /// With given values, and with the keys' indices as values.
     alone: Option<[Kernel<sort_single_subgroup::Interface>; 2]>,
-    /// Digits of one workgroup of the histogram's scan.
+    /// Digits per workgroup of the histogram's scan.
     rows: u32,
 }
 
-/// Counting, and scattering with given values or the keys' positions.
+/// Counting, and scattering with given values and with the keys' indices.
 enum Kernels {
     Matching {
         count: Kernel<sort_upsweep::Interface>,
@@ -37,7 +38,7 @@ enum Kernels {
     },
 }
 
-/// What a sort works on. Keys start in `keys[0]`; where they end depends on the number of passes, see
+/// Buffers of a sort. Keys start in `keys[0]`; the number of passes determines where they end, see
 /// [`RadixSort::passes`].
 #[derive(Clone, Copy)]
 pub struct SortBuffers<'a> {
@@ -45,7 +46,7 @@ pub struct SortBuffers<'a> {
     pub counts: &'a Buffer,
     /// See `counts`.
     pub count_index: u32,
-    /// Keys, u32: two buffers that passes alternate between.
+    /// Keys, u32: two buffers between which the passes alternate.
     pub keys: [&'a Buffer; 2],
     /// Values, u32, likewise.
     pub values: [&'a Buffer; 2],
@@ -56,23 +57,23 @@ pub struct SortBuffers<'a> {
 }
 
 impl SortBuffers<'_> {
-    /// Pairs that fit.
+    /// Capacity in pairs.
     fn capacity(&self) -> u64 {
         self.keys[0].bytes() / 4
     }
 }
 
-/// Where the values come from.
+/// Source of the values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Values {
     /// `values[0]`.
     Given,
-    /// The keys' positions 0, 1, 2, …; `values[0]` need not be written.
+    /// The keys' indices 0, 1, 2, …; `values[0]` need not be written.
     Positions,
 }
 
 impl RadixSort {
-    /// Builds the kernels of the method that suits the device.
+    /// Builds the kernels of the method for the device.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -80,7 +81,7 @@ impl RadixSort {
         Self::with_sizes(context, LaunchSizes::new(context.limits()))
     }
 
-    /// Builds the kernels of these sizes, which are those of [`LaunchSizes::with_sort_method`].
+    /// Builds the kernels for the sizes of [`LaunchSizes::with_sort_method`].
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -123,13 +124,13 @@ impl RadixSort {
         blocks(n, self.sizes.sort.into())
     }
 
-    /// Passes for keys below 2^`key_bits`: the result lies in buffers `passes % 2`.
+    /// Passes for keys below 2^`key_bits`. The result lies in buffers `passes % 2`.
     pub fn passes(&self, key_bits: u32) -> u32 {
         self.sizes.sort_passes(key_bits)
     }
 
-    /// Records the sort of keys below 2^`key_bits`; the caller places a barrier before and after. Returns which of the
-    /// two buffers hold the result.
+    /// Records the sort of keys below 2^`key_bits`. The caller places a barrier before and after. Returns
+    /// which of the two buffers holds the result.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -221,7 +222,7 @@ impl RadixSort {
     ) {
         let Digit { shift, bits, from, identity } = digit;
         let (counts, count_index) = (b.counts, b.count_index);
-        // The blocks' histograms first, then those of their runs.
+        // The blocks' histograms come first, then those of their runs.
         let blocks = self.blocks(b.capacity()).max(1);
         let of_blocks = (blocks << bits) * 4;
         let of_runs = blocks * u64::from(self.sizes.sort_workgroup) * (1 << bits).max(4) * 4;

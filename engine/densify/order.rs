@@ -1,4 +1,5 @@
-//! The new set in the order of a space-filling curve, so that Gaussians that are seen together lie together.
+//! Sorts the new set along a space-filling curve, so that Gaussians that are seen together are close in
+//! memory.
 
 use super::{Densify, DensifyBuffers};
 use crate::forward::SceneBuffers;
@@ -10,10 +11,10 @@ use crate::sort::{SortBuffers, Values};
 use crate::vk::{Buffer, Recorder};
 use glam::Vec3;
 
-/// Where on the curve a place lies: see zorder.comp.
+/// The curve's frame: see zorder.comp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Curve {
-    /// The middle of the cameras, world.
+    /// Centre of the cameras, world.
     pub center: Vec3,
     /// The scene's extent, world units; positive.
     pub extent: f32,
@@ -22,18 +23,18 @@ pub struct Curve {
 /// Scratch of the sort along a curve.
 #[derive(Clone)]
 pub struct OrderBuffers {
-    /// Per row: its place on the curve; sorting scratch.
+    /// Per row: its position on the curve; sorting scratch.
     pub keys: [Buffer; 2],
-    /// As [`DensifyBuffers::sources`].
+    /// Like [`DensifyBuffers::sources`].
     pub sources: Buffer,
-    /// Sorting scratch: digit by block, and by run.
+    /// Sorting scratch: counts per digit and block, and per digit and run.
     pub histogram: Buffer,
     /// Sorting scratch: keys per digit.
     pub digit_totals: Buffer,
 }
 
 impl OrderBuffers {
-    /// Names and bytes, in the order of the fields, for so many rows.
+    /// Names and bytes, in the order of the fields, for `rows` rows.
     pub fn requests(sizes: &LaunchSizes, rows: u32) -> [(&'static str, u64); 5] {
         let words = u64::from(rows) * 4;
         [
@@ -45,10 +46,10 @@ impl OrderBuffers {
         ]
     }
 
-    /// Names the buffers that were allocated for [`OrderBuffers::requests`].
+    /// Assigns the buffers that were allocated for [`OrderBuffers::requests`].
     ///
     /// # Panics
-    /// When there are not as many.
+    /// If the number of buffers differs.
     pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
         let Ok([a, b, sources, histogram, digit_totals]) = <[Buffer; 5]>::try_from(buffers) else {
             panic!("one buffer per request")
@@ -58,8 +59,9 @@ impl OrderBuffers {
 }
 
 impl Densify {
-    /// Records the sort of `rows` sources that [`Densify::record_scatter_sources`] has left, behind a barrier, and ends with one. Returns
-    /// where they lie afterwards: rows of one cell of the curve keep their order.
+    /// Records the sort of `rows` sources that [`Densify::record_scatter_sources`] has written. A barrier
+    /// must precede it; it ends with one. Returns the buffer with the result. Rows of one cell of the curve
+    /// keep their order.
     pub fn record_order<'a>(
         &self,
         r: &mut Recorder,

@@ -1,7 +1,7 @@
-//! Writing files whole or not at all.
+//! Writes files whole or not at all.
 //!
-//! Everything that this crate writes goes to a temporary name in the same folder, is flushed to the disk, and is
-//! renamed when complete. Whatever happens before, the old file stays and no partial one appears.
+//! Everything that this crate writes goes to a temporary name in the same folder, is flushed to the disk, and
+//! is renamed when complete. If an error comes first, the old file stays and no partial one appears.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, Write};
@@ -13,27 +13,27 @@ const BUFFER_BYTES: usize = 1 << 20;
 
 /// Writes a file through `fill`, whole or not at all.
 ///
-/// A symbolic link is followed: the file behind it is replaced. Devices and pipes (`/dev/stdout`) are written to
+/// A symbolic link is followed: its target is replaced. Devices and pipes (`/dev/stdout`) are written to
 /// directly.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file when `fill` or the file system fails (no such folder, no permission, disk
-/// full); nothing is left behind then.
+/// full). No temporary file remains then.
 pub fn write(path: impl AsRef<Path>, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
     let path = path.as_ref();
     let io = |source| Error::io(path, "write", source);
     write_inner(path, |file| fill(file).map_err(io))
 }
 
-/// What [`write_seekable`] writes to. A pipe cannot seek: the attempt is an error there.
+/// Output of [`write_seekable`]. A pipe cannot seek: the attempt is an error.
 pub trait Output: Write + Seek {}
 
 impl<T: Write + Seek> Output for T {}
 
-/// Like [`write()`], for writers that return to earlier places, or fail for reasons of their own.
+/// Like [`write()`], for writers that seek back, or that have errors of their own.
 ///
 /// # Errors
-/// What `fill` says, or [`Error::Io`] naming the file; nothing is left behind then.
+/// The error of `fill`, or [`Error::Io`] naming the file. No temporary file remains then.
 pub fn write_seekable(
     path: impl AsRef<Path>,
     fill: impl FnOnce(&mut dyn Output) -> Result<()>,
@@ -63,7 +63,7 @@ fn write_inner(path: &Path, fill: impl FnOnce(&mut dyn Output) -> Result<()>) ->
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    // Said of the folder; the creation of the file below would name the temporary one.
+    // An error here names the folder; the creation of the file below would name the temporary one.
     fs::metadata(folder).map_err(io)?;
     let file = temporary_file(&target, folder).map_err(io)?;
     let mut writer = BufWriter::with_capacity(BUFFER_BYTES, file.as_file());
@@ -72,12 +72,12 @@ fn write_inner(path: &Path, fill: impl FnOnce(&mut dyn Output) -> Result<()>) ->
     drop(writer);
     file.as_file().sync_all().map_err(io)?;
     file.persist(&target).map_err(|e| io(e.error))?;
-    // The rename itself reaches the disk with the folder; where folders cannot be synchronised, it is late only.
+    // The rename reaches the disk with the folder. If folders cannot be synchronised, it is only late.
     let _ = File::open(folder).and_then(|f| f.sync_all());
     Ok(())
 }
 
-/// The file that is to be replaced: behind a symbolic link, the one that it points to.
+/// The file that will be replaced: the target of a symbolic link.
 fn destination(path: &Path) -> io::Result<PathBuf> {
     if fs::symlink_metadata(path).is_ok_and(|m| m.is_symlink()) && path.exists() {
         return fs::canonicalize(path);
@@ -93,7 +93,8 @@ fn temporary_file(target: &Path, folder: &Path) -> io::Result<tempfile::NamedTem
     prefix.push(".");
     let mut builder = tempfile::Builder::new();
     builder.prefix(&prefix).suffix(".tmp");
-    // The usual permissions of a new file, less the process's mask, not a temporary file's private ones.
+    // The usual permissions of a new file, less the process's mask, instead of a temporary file's private
+    // ones.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(folder)

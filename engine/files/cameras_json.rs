@@ -1,4 +1,4 @@
-//! `cameras.json`, the list of cameras that the reference implementation leaves beside a model.
+//! `cameras.json`, the list of cameras that the reference implementation writes next to a model.
 
 use std::fs;
 use std::path::Path;
@@ -30,7 +30,7 @@ struct Entry {
     rotation: [[f32; 3]; 3],
     fy: f32,
     fx: f32,
-    /// Not in the reference implementation's file, which knows centred cameras only.
+    /// Missing in the reference implementation's file, which supports centred cameras only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     cx: Option<f32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -70,7 +70,7 @@ impl Entry {
 }
 
 /// Writes cameras in the reference implementation's form: id, img_name, width, height, position and rotation
-/// (camera to world, rows), fy, fx; and, which its readers ignore, cx and cy.
+/// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file.

@@ -12,11 +12,11 @@ use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Changes when older files cannot be read any more.
+/// Changes when older files can no longer be read.
 const FORMAT: &str = "ashsplat-checkpoint/2";
-/// The metadata that tells all other metadata from others.
+/// The metadata entry with the hash of all other metadata.
 const FINGERPRINT: &str = "metadata_fingerprint";
-/// Only where memory was bounded.
+/// Present only if memory was bounded.
 const MAX_MEMORY: &str = "room_max_memory";
 /// Older files lack it.
 const SKIPPED: &str = "skipped";
@@ -34,7 +34,7 @@ pub trait CheckpointFile: Sized {
     /// Reads a checkpoint and checks that it is whole.
     ///
     /// # Errors
-    /// [`Error::Io`], or [`Error::Input`] with what is wrong with the file.
+    /// [`Error::Io`], or [`Error::Input`] with the problem of the file.
     fn read(path: impl AsRef<Path>) -> Result<Self>;
 }
 
@@ -71,7 +71,7 @@ impl CheckpointFile for Checkpoint {
     }
 }
 
-/// The format knows text only.
+/// The format supports text only.
 fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<String, String>> {
     let settings = serde_json::to_string(&checkpoint.settings)
         .map_err(|e| Error::argument("settings", format!("cannot be written: {e}")))?;
@@ -111,7 +111,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     Ok(pairs.into_iter().chain(max_memory).map(|(name, value)| (name.to_owned(), value)).collect())
 }
 
-/// Of the metadata but for this one itself.
+/// The hash of the metadata, without its own entry.
 fn fingerprint_of(metadata: &BTreeMap<String, String>) -> u64 {
     let mut fingerprint = Fingerprint::new();
     for (name, value) in metadata.iter().filter(|(name, _)| *name != FINGERPRINT) {
@@ -121,7 +121,7 @@ fn fingerprint_of(metadata: &BTreeMap<String, String>) -> u64 {
     fingerprint.finish()
 }
 
-/// A fuzzer would not come past the fingerprints.
+/// Separate from the check of the hashes, which a fuzzer would not pass.
 fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     let broken = |e: safetensors::SafeTensorError| {
         format!("is truncated or no safetensors file ({} bytes): {e}", bytes.len())
@@ -188,7 +188,7 @@ impl Metadata {
         text.parse().map_err(|_| format!("has '{text}' as the metadata '{name}'"))
     }
 
-    /// None where there is none.
+    /// None if it is missing.
     fn optional<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, String> {
         self.0.contains_key(name).then(|| self.parsed(name)).transpose()
     }

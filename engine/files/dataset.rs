@@ -1,4 +1,4 @@
-//! A data set to train on: photographs with their cameras, and points to start from.
+//! A data set to train on: photographs with their cameras, and initial points.
 
 mod exif_orientation;
 mod gallery;
@@ -30,18 +30,18 @@ use unpacked::Unpacked;
 pub struct DatasetOptions {
     /// Size at which the photos are used.
     pub resolution: Resolution,
-    /// Name of the subfolder with the photos. In one called `…_2`, `…_4` or `…_8`, as benchmark data sets have
-    /// them, the photos may be of that fraction of their cameras' size.
+    /// Name of the subfolder with the photos. In one called `…_2`, `…_4` or `…_8`, as benchmark data sets
+    /// use, the photos may have that fraction of their cameras' size.
     pub images: String,
-    /// Whether photos are turned as their metadata say.
+    /// Whether photos are rotated by their metadata.
     pub orientation: PhotoOrientation,
     /// Whether every `test_every`-th view by name is held out.
     pub eval: bool,
     /// Distance of the held-out views; 8 in the reference implementation and the literature.
     pub test_every: u32,
-    /// Whether what is transparent in a photo becomes white rather than black.
+    /// Whether transparent pixels of a photo become white instead of black.
     pub white_background: bool,
-    /// Bounds the memory of the photos: more of them stay in a file. None: all are held in memory.
+    /// Bound of the photos' memory. The photos beyond it stay in a file. None: all photos are held in memory.
     pub photo_memory: Option<PhotoMemory>,
 }
 
@@ -60,12 +60,12 @@ impl Default for DatasetOptions {
 }
 
 impl DatasetOptions {
-    /// The colour behind transparent photos, (r, g, b) in [0, 1].
+    /// The colour under transparent pixels, (r, g, b) in [0, 1].
     pub fn background(&self) -> [f32; 3] {
         [if self.white_background { 1.0 } else { 0.0 }; 3]
     }
 
-    /// By how much the photos in the folder are smaller than the model's cameras.
+    /// Ratio of the model's cameras to the photos in the folder.
     fn divisor(&self) -> u32 {
         match self.images.trim_end_matches('/').rsplit_once('_') {
             Some((_, "2")) => 2,
@@ -85,13 +85,13 @@ impl DatasetOptions {
 pub struct View {
     /// Path below the images folder.
     pub name: String,
-    /// Id in the COLMAP model, or place in the order of names.
+    /// Id in the COLMAP model, or index in the order of names.
     pub image_id: u32,
     /// The camera at the photo's size in memory.
     pub camera: Camera,
     /// The camera at the photo's size in its file.
     pub original_camera: Camera,
-    /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and what of it counts.
+    /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and its mask.
     pub photo: StoredPhoto,
 }
 
@@ -102,35 +102,35 @@ pub struct Dataset {
     pub train: Vec<View>,
     /// Held-out views, by name; empty without [`DatasetOptions::eval`].
     pub test: Vec<View>,
-    /// Points to start from; empty when the model has none.
+    /// Initial points; empty when the model has none.
     pub points: PointCloud,
     /// 1.1 × the largest distance of a training camera to their mean, world units.
     pub scene_extent: f32,
     /// The folder of the COLMAP model, or the transforms.json.
     pub source: PathBuf,
-    /// What the user should know though it does not prevent training.
+    /// Warnings that do not prevent training.
     pub warnings: Vec<String>,
 }
 
 impl Dataset {
-    /// Whether a file is a ZIP, whatever its name, and so may be a data set.
+    /// Whether a file is a ZIP archive by its content, and so may be a data set.
     pub fn is_archive(path: impl AsRef<Path>) -> bool {
         unpacked::starts_like_zip(path.as_ref())
     }
 
-    /// Loads a data set: a folder with a COLMAP model or with `transforms.json` (or `transforms_train.json`), or a ZIP
-    /// of one. The photos are decoded, and where the lens distorts undistorted, in parallel.
+    /// Loads a data set: a folder with a COLMAP model or with `transforms.json` (or `transforms_train.json`),
+    /// or a ZIP of one. The photos are decoded and, if the lens distorts, undistorted in parallel.
     ///
     /// # Errors
     /// [`ashsplat::Error::Io`] and [`ashsplat::Error::Input`] for the first problem of cameras or photos: see
     /// [`super::colmap::find`], [`super::colmap::Model::read`], [`super::colmap::Model::camera_of`],
-    /// [`super::transforms::Transforms::read`] and [`super::Photo::read_sized`]; no registered images; no training views left
-    /// by the split. [`ashsplat::Error::Interrupted`] when `progress` says so.
+    /// [`super::transforms::Transforms::read`] and [`super::Photo::read_sized`]; no registered images; no
+    /// training views left by the split. [`ashsplat::Error::Interrupted`] when `progress` requests the stop.
     pub fn load(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         Gallery::open(path, options, progress)?.load(progress)
     }
 
-    /// The cameras of all views by name, at the photos' own sizes; the photos are not decoded.
+    /// The cameras of all views by name, at the photos' original sizes. The photos are not decoded.
     ///
     /// # Errors
     /// As [`Gallery::open`].
@@ -186,21 +186,21 @@ impl Dataset {
         Self { train, test, points, scene_extent: extent, source: gallery.source.clone(), warnings }
     }
 
-    /// All views by name, held-out ones among the others.
+    /// All views by name, including held-out ones.
     pub fn views(&self) -> Vec<&View> {
         let mut views: Vec<&View> = self.train.iter().chain(&self.test).collect();
         views.sort_by(|a, b| a.name.cmp(&b.name));
         views
     }
 
-    /// Whether a data set without points is in order: those of the NeRF kind have none.
+    /// Whether a data set may have no points: those of the NeRF kind have none.
     pub fn may_lack_points(&self) -> bool {
         may_lack_points(&self.source)
     }
 
-    /// The points, or, when there are none, 100,000 random ones: in the box where all training cameras look
-    /// ([`seen_box`]), or where they do not look at one place, in what each of them sees ([`points_in_view`]), at depths
-    /// from a quarter to 16 times the scene extent.
+    /// The points, or 100,000 random ones if there are none. Random points fill the box at which all training
+    /// cameras look ([`seen_box`]). If the cameras do not look at one place, the points fill each camera's
+    /// view ([`points_in_view`]), at depths from a quarter to 16 times the scene extent.
     pub fn initial_points(&self, seed: u64) -> PointCloud {
         if !self.points.is_empty() {
             return self.points.clone();
@@ -212,7 +212,7 @@ impl Dataset {
         }
     }
 
-    /// The Gaussians that training starts from.
+    /// The initial Gaussians of training.
     ///
     /// # Errors
     /// As [`initial_gaussians`](crate::initial_gaussians).
@@ -230,7 +230,7 @@ impl Dataset {
         cameras_json::write(path, views.map(|view| (view.name.as_str(), &view.original_camera)))
     }
 
-    /// Checks everything that training would need, without stopping at the first problem.
+    /// Checks everything that training needs, without stopping at the first problem.
     pub fn inspect(
         path: impl AsRef<Path>,
         options: &DatasetOptions,
@@ -240,7 +240,7 @@ impl Dataset {
     }
 }
 
-/// The file for photos that need more memory than they may have.
+/// The file for photos that exceed their memory bound.
 fn photo_file(
     planned: &[PlannedView],
     options: &DatasetOptions,
@@ -259,12 +259,12 @@ fn photo_file(
     memory.create_file().map(Some)
 }
 
-/// Whether what was read from a model folder or a file with cameras may have no points.
+/// Whether the data read from a model folder or a file with cameras may have no points.
 fn may_lack_points(source: &Path) -> bool {
     source.extension().is_some_and(|ending| ending == "json")
 }
 
-/// What is said of that.
+/// The message for this case.
 fn random_points_instead() -> String {
     format!("no points to start from; {RANDOM_POINTS} random ones stand in for them")
 }

@@ -1,4 +1,4 @@
-//! The Gaussians that training starts from.
+//! The initial Gaussians of training.
 
 use std::collections::HashMap;
 
@@ -18,7 +18,7 @@ use ashsplat::{Error, Result};
 /// Number of random points that replace a missing point cloud (reference implementation).
 pub const RANDOM_POINTS: usize = 100_000;
 
-/// Opacity of every Gaussian at the start.
+/// Initial opacity of every Gaussian.
 const INITIAL_OPACITY: f64 = 0.1;
 
 /// Smallest mean squared distance to the neighbours, so that coincident points get a size, world units².
@@ -27,9 +27,9 @@ const MIN_SQUARED_DISTANCE: f64 = 1e-7;
 /// Number of neighbours whose distance sets a Gaussian's size.
 const NEIGHBOURS: usize = 3;
 
-/// One isotropic Gaussian per point, as the reference implementation starts: standard deviation = root of
+/// One isotropic Gaussian per point, as in the reference implementation: standard deviation = root of
 /// [`mean_squared_neighbour_distances`], identity rotation, opacity 0.1, the point's colour, no view
-/// dependence. `sh` gets all coefficients of `sh_degree`.
+/// dependence. `sh` has all coefficients of `sh_degree`.
 ///
 /// # Errors
 /// [`Error::Argument`] for a degree above 3, positions that are not finite, or colours and positions of
@@ -66,11 +66,11 @@ pub fn initial_gaussians(points: &PointCloud, sh_degree: u32) -> Result<Gaussian
 /// # Errors
 /// [`Error::Argument`] for a position that is not finite.
 pub fn mean_squared_neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<f64>> {
-    // Coincident points are merged first: a search tree degenerates to a list in them.
+    // Coincident points are merged first: in a search tree they would degenerate to a list.
     let mut copies: HashMap<[u32; 3], usize> = HashMap::with_capacity(positions.len());
     let mut tree = KdTree::new(3);
     for (index, position) in positions.iter().enumerate() {
-        // Adding 0 merges -0 and 0, which differ in their bits alone.
+        // Adding 0 merges -0 and 0, which differ only in their bits.
         let key = position.map(|v| (v + 0.0).to_bits());
         let count = copies.entry(key).or_insert(0);
         *count += 1;
@@ -86,7 +86,7 @@ pub fn mean_squared_neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<f6
             let nearest = tree
                 .nearest(&position.map(f64::from), NEIGHBOURS + 1, &squared_euclidean)
                 .map_err(|e| Error::argument("points", format!("no neighbours of {position:?}: {e}")))?;
-            // Every place counts as often as points lie there; one of the first is the point itself.
+            // Every position counts once per point there. The first count is the point itself.
             let distances = nearest.iter().flat_map(|&(d, key)| std::iter::repeat_n(d, copies[key]));
             let (sum, n) = distances.skip(1).take(NEIGHBOURS).fold((0.0, 0), |(s, n), d| (s + d, n + 1));
             Ok((sum / f64::from(n.max(1))).max(MIN_SQUARED_DISTANCE))
@@ -107,8 +107,9 @@ pub fn random_points(count: usize, bounds: Bounds, seed: u64) -> PointCloud {
 /// Depths between which [`points_in_view`] places its points, in units of the cameras' spread.
 const DEPTHS: [f32; 2] = [0.25, 16.0];
 
-/// Grey points inside of what the cameras see, each camera's share uniform in its picture and in the logarithm of the
-/// depth, from a quarter to 16 times `spread`; the same ones for the same seed. None without cameras.
+/// Grey points inside the cameras' views. Each camera's points are uniform in its picture and in the
+/// logarithm of the depth, from a quarter to 16 times `spread`. The same seed gives the same points. None
+/// without cameras.
 pub fn points_in_view(count: usize, cameras: &[Camera], spread: f32, seed: u64) -> PointCloud {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let [near, far] = DEPTHS.map(|depth| (depth * spread).ln());
@@ -124,23 +125,23 @@ pub fn points_in_view(count: usize, cameras: &[Camera], spread: f32, seed: u64) 
     PointCloud { colors: vec![[128; 3]; positions.len()], positions }
 }
 
-/// Share of what a typical camera sees across that the box takes.
+/// Edge of the box as a share of the width that a typical camera sees.
 const SEEN_SHARE: f32 = 0.9;
 
-/// The cube that cameras around a scene look at: its middle is the point nearest to all their axes, its half edge a
-/// little less than what the typical camera sees to each side of it there. `None` when they do not look at one place:
-/// some have it behind them, or it is no nearer than the cameras are spread.
+/// The cube that cameras around a scene look at. Its middle is the point nearest to all their axes, and its
+/// half edge a little less than what the typical camera sees to each side of it there. `None` if they do not
+/// look at one place: the middle is behind some of them, or it is no nearer than the cameras are spread.
 pub fn seen_box(cameras: &[Camera]) -> Option<Bounds> {
     let mut across = DMat3::ZERO;
     let mut sum = DVec3::ZERO;
     for camera in cameras {
         let axis = camera.forward().as_dvec3();
-        // Takes the part across the axis.
+        // Projects onto the plane perpendicular to the axis.
         let project = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
         across += project;
         sum += project * camera.position().as_dvec3();
     }
-    // Parallel axes meet nowhere.
+    // Parallel axes have no nearest point.
     if across.determinant() < 1e-6 * (cameras.len() as f64).powi(3) {
         return None;
     }

@@ -1,8 +1,8 @@
-//! Files for ashsplat: PLY and the other formats of Gaussians, COLMAP, photographs, data sets, cameras.json, checkpoints;
-//! and what is made of them: initial Gaussians, fewer Gaussians, PSNR and SSIM.
+//! Files for ashsplat: PLY and the other formats of Gaussians, COLMAP, photographs, data sets, cameras.json,
+//! checkpoints. Also operations on their contents: initial Gaussians, decimation, PSNR and SSIM.
 //!
-//! Readers trust nothing that a file says about itself: every count is checked against the file's size before
-//! memory is reserved for it. Writers go through [`atomic`], so that no partial file is ever left behind.
+//! Readers do not trust the counts in a file: every count is checked against the file's size before memory is
+//! reserved for it. Writers use [`atomic`], so that no partial file remains.
 
 pub mod atomic;
 pub mod cameras_json;

@@ -1,10 +1,10 @@
-//! How long work reports on itself and is stopped.
+//! Progress reports and cancellation of long operations.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use ashsplat::{Error, Result};
 
-/// Observer of a long operation: told what is done, asked whether to stop.
+/// Observer of a long operation: receives the progress and may request a stop.
 #[derive(Clone, Copy, Default)]
 pub struct Progress<'a> {
     /// Called with (done, total) after each step, from any thread.
@@ -14,7 +14,7 @@ pub struct Progress<'a> {
 }
 
 impl Progress<'_> {
-    /// Nobody watches.
+    /// No observer.
     pub const NONE: Progress<'static> = Progress { report: None, interrupted: None };
 
     pub(crate) fn step(&self, done: usize, total: usize) {

@@ -1,6 +1,6 @@
-//! Recognises files that are something else than their name says.
+//! Recognises files whose content is not what their name promises.
 
-/// What the first bytes of a file really are, and what to do about it; `None` when nothing known.
+/// The actual kind of a file by its first bytes, and the remedy; `None` if it is not recognised.
 ///
 /// The problem is worded to follow "this ", e.g. "is a Git LFS pointer, not the file itself".
 pub(super) fn recognise(start: &[u8]) -> Option<(&'static str, &'static str)> {
@@ -32,7 +32,8 @@ pub(super) fn recognise(start: &[u8]) -> Option<(&'static str, &'static str)> {
     None
 }
 
-/// Pictures that are no JPEG or PNG. The size and names of what phones write are kept by these tools, or cameras would not fit.
+/// Pictures that are no JPEG or PNG. The tools named here keep the size and names of phone photos; otherwise
+/// the cameras would not fit.
 fn picture(start: &[u8]) -> Option<(&'static str, &'static str)> {
     let brand = start.get(8..12).filter(|_| start.get(4..8) == Some(b"ftyp"));
     match brand {

@@ -1,8 +1,9 @@
-//! Gaussians in the formats that people exchange: PLY, compressed PLY, `.splat`, SPZ, glTF.
+//! Gaussians in common file formats: PLY, compressed PLY, `.splat`, SPZ, glTF.
 //!
-//! All are read into, and written from, the frame and the raw parameters of the reference implementation's PLY.
-//! Reading and writing go block by block, so that a conversion needs little memory where the formats allow it:
-//! compressed PLY is sorted, and so written from memory; SPZ lies packed in memory, at a quarter of its size or less.
+//! All are converted to and from the frame and the raw parameters of the reference implementation's PLY.
+//! Reading and writing proceed block by block, so that a conversion needs little memory if the formats allow
+//! it. Compressed PLY is sorted, so it is written from memory. SPZ is held packed in memory, at a quarter of
+//! its size or less.
 
 mod convert;
 mod dot_splat;
@@ -25,52 +26,54 @@ pub use convert::{ConvertOptions, Converted, Target, convert};
 pub use format::Format;
 use validation::Unusable;
 
-/// Gaussians that are handled at once, at most.
+/// Most Gaussians of a block.
 pub(super) const BLOCK: usize = 16_384;
 
-/// Takes Gaussians block by block; all blocks have the same SH degree.
+/// Receives Gaussians block by block. All blocks have the same SH degree.
 pub(super) type Sink<'a> = dyn FnMut(Gaussians) -> Result<()> + 'a;
 
-/// What a file says before its Gaussians.
+/// Properties of a file before its Gaussians.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
-    /// What kind of file it is.
+    /// Format of the file.
     pub format: Format,
     /// Number of Gaussians, usable or not.
     pub count: u64,
     /// Degree of the spherical harmonics, 0 to 3.
     pub sh_degree: u32,
-    /// Whether the Gaussians were trained with, and want, antialiasing (Mip-Splatting's opacity compensation).
+    /// Whether the Gaussians were trained with antialiasing (Mip-Splatting's opacity compensation) and need
+    /// it.
     pub antialiased: bool,
-    /// What the file contains that is not used.
+    /// Parts of the file that are not used.
     pub warnings: Vec<String>,
 }
 
 /// How to read Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReadOptions {
-    /// Leave out Gaussians with unusable parameters instead of refusing the file.
+    /// Drop Gaussians with unusable parameters instead of refusing the file.
     pub drop_invalid: bool,
 }
 
-/// Gaussians from a file, and what was left out.
+/// Gaussians from a file, and the number of dropped ones.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
     /// The usable Gaussians, in the file's order.
     pub gaussians: Gaussians,
-    /// What the file says of itself.
+    /// The file's header.
     pub header: Header,
-    /// Number of Gaussians that were left out because a parameter is not usable.
+    /// Number of Gaussians that were dropped because of an unusable parameter.
     pub dropped: u64,
-    /// Which those are, and what else the user should know.
+    /// Descriptions of the dropped Gaussians, and other warnings.
     pub warnings: Vec<String>,
 }
 
-/// Reads a file of Gaussians in any format that is known by its first bytes or its extension.
+/// Reads a file of Gaussians. Its first bytes or its extension select the format.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is no file of Gaussians, is cut short or
-/// damaged, or has unusable parameters (see [`super::ply::read`]) and [`ReadOptions::drop_invalid`] is not set.
+/// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is no file of Gaussians, is cut short
+/// or damaged, or has unusable parameters (see [`super::ply::read`]) and [`ReadOptions::drop_invalid`] is not
+/// set.
 pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
     collect_from(Reader::open(path.as_ref(), options)?)
 }
@@ -82,8 +85,8 @@ pub(super) fn collect(path: &Path, source: Box<dyn Source + '_>, options: &ReadO
 
 fn collect_from(mut reader: Reader<'_>) -> Result<Scene> {
     let header = reader.header().clone();
-    // What the header claims was compared with the file's size; rows still take more than packed ones, and glTF may
-    // place the same ones a limited number of times.
+    // The header's count was checked against the file's size. Rows still take more memory than packed ones,
+    // and glTF may repeat the same ones a limited number of times.
     let capacity = usize::try_from(header.count).unwrap_or(0);
     let mut gaussians = Gaussians::with_capacity(header.sh_degree, capacity);
     let dropped = reader.blocks(&mut |block| {
@@ -97,8 +100,9 @@ fn collect_from(mut reader: Reader<'_>) -> Result<Scene> {
 /// Writes Gaussians in the format of the path's extension, or in a given one.
 ///
 /// # Errors
-/// [`Error::Argument`] when the vectors do not fit together; [`Error::Input`] for an unknown extension; what the
-/// format cannot hold; [`Error::Io`] naming the file when it cannot be written. No partial file is left.
+/// [`Error::Argument`] when the vectors do not fit together; [`Error::Input`] for an unknown extension or for
+/// data that the format cannot hold; [`Error::Io`] naming the file when it cannot be written. No partial file
+/// remains.
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, options: &WriteOptions) -> Result<()> {
     gaussians.check_shapes()?;
     let path = path.as_ref();
@@ -138,7 +142,7 @@ pub struct WriteOptions {
     pub antialiased: bool,
 }
 
-/// What must be known of a scene before its first Gaussian is written.
+/// Properties of a scene that are needed before its first Gaussian is written.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Outline {
     pub(super) count: u64,
@@ -148,7 +152,7 @@ pub(super) struct Outline {
     pub(super) bounds: Option<Bounds>,
 }
 
-/// Hands all blocks of a scene, in order, to the sink that it is given.
+/// Passes all blocks of a scene, in order, to a sink.
 pub(super) type Produce<'a> = dyn FnMut(&mut Sink<'_>) -> Result<()> + 'a;
 
 fn write_blocks(path: &Path, format: Format, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
@@ -161,25 +165,25 @@ fn write_blocks(path: &Path, format: Format, outline: &Outline, produce: &mut Pr
     }
 }
 
-/// One kind of file, open.
+/// An open file of one format.
 pub(super) trait Source {
     fn header(&self) -> &Header;
 
-    /// Hands over all Gaussians, usable or not. Called once.
+    /// Passes all Gaussians to the sink, usable or not. Called once.
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()>;
 
-    /// What one Gaussian is called in messages about the file.
+    /// Name of one Gaussian in messages about the file.
     fn row_name(&self) -> &'static str {
         "Gaussian"
     }
 }
 
-/// An open file whose Gaussians come block by block.
+/// An open file that is read block by block.
 struct Reader<'a> {
     path: PathBuf,
     source: Box<dyn Source + 'a>,
     options: ReadOptions,
-    /// Which Gaussians were left out.
+    /// Description of the dropped Gaussians.
     warning: Option<String>,
 }
 
@@ -199,14 +203,14 @@ impl<'a> Reader<'a> {
         self.source.header()
     }
 
-    /// Hands over the usable Gaussians; the answer is how many were left out.
+    /// Passes the usable Gaussians to the sink. Returns the number of dropped ones.
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<u64> {
         let (count, row_name) = (self.header().count, self.source.row_name());
         let drop_invalid = self.options.drop_invalid;
         let mut unusable = Unusable::default();
         self.source.blocks(&mut |mut block| {
             unusable.look_through(&mut block);
-            // After the first unusable one, a file that is refused is read on for the count alone.
+            // After the first unusable Gaussian, a file that is refused is only counted.
             if unusable.count() == 0 || drop_invalid { sink(block) } else { Ok(()) }
         })?;
         self.warning = unusable.describe(count, row_name);

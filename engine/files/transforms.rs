@@ -1,7 +1,8 @@
-//! `transforms.json`: cameras as nerfstudio, instant-ngp and the synthetic NeRF scenes describe them.
+//! `transforms.json`: the cameras of nerfstudio, instant-ngp and the synthetic NeRF scenes.
 //!
-//! Poses go from the camera (x right, y up, z backward) to the world; the world is taken as it is. Intrinsics are
-//! shared or each frame's own: `fl_x fl_y cx cy w h` or `camera_angle_x`, and `k1 k2 k3 k4 p1 p2` with `camera_model`.
+//! Poses map the camera (x right, y up, z backward) to the world, which is used unchanged. Intrinsics are
+//! shared or per frame: `fl_x fl_y cx cy w h` or `camera_angle_x`, and `k1 k2 k3 k4 p1 p2` with
+//! `camera_model`.
 
 mod frame;
 mod split;
@@ -18,28 +19,28 @@ use ashsplat::{Error, Result};
 
 pub use frame::{Frame, Optics};
 
-/// Files of the synthetic NeRF scenes: for training, and what is tested (the first that there is).
+/// Files of the synthetic NeRF scenes: for training, and for testing (the first that exists).
 const SPLIT_FILES: [&str; 3] = ["transforms_train.json", "transforms_test.json", "transforms_val.json"];
 
 /// The one file of nerfstudio and instant-ngp.
 const SINGLE_FILE: &str = "transforms.json";
 
-/// What the files say.
+/// The contents of the files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Transforms {
     /// The file with the training views.
     pub source: PathBuf,
-    /// The frames of all files, in their order; `test` is set where a file or list says so.
+    /// The frames of all files, in their order. `test` is set if a file or list marks the frame as held out.
     pub frames: Vec<Frame>,
-    /// Whether the files say which frames are held out.
+    /// Whether the files specify the held-out frames.
     pub has_split: bool,
-    /// The points, where there are some.
+    /// The points, if there are any.
     pub points: PointCloud,
-    /// Everything odd that did not prevent reading.
+    /// All oddities that did not prevent reading.
     pub warnings: Vec<String>,
 }
 
-/// The files of a data set; none when it is not of this kind.
+/// The files of a data set; None if it is not of this kind.
 pub fn find(dataset: &Path) -> Option<Vec<PathBuf>> {
     let file = |name: &str| Some(dataset.join(name)).filter(|path| path.is_file());
     if let Some(single) = file(SINGLE_FILE) {
@@ -80,8 +81,8 @@ impl Transforms {
         Ok(all)
     }
 
-    /// Older files of nerfstudio hold points in the frame before `applied_transform`: the one in which the cameras
-    /// see more of them is taken.
+    /// Older files of nerfstudio hold points in the frame before `applied_transform`. The frame in which the
+    /// cameras see more of them is used.
     fn place_points(&mut self, path: &Path, applied: Option<Affine3A>) {
         const SAMPLE: usize = 500;
         let Some(applied) = applied.filter(|a| !a.abs_diff_eq(Affine3A::IDENTITY, 1e-6)) else { return };
@@ -122,7 +123,8 @@ fn parse(path: &Path) -> Result<Value> {
     Err(Error::input(path, "the top value is not an object with frames", "is it another kind of JSON?"))
 }
 
-/// The point cloud that a file names, or that lies beside it, and the transform that was applied to the poses.
+/// The point cloud that a file names, or that lies next to it, and the transform that was applied to the
+/// poses.
 fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<Affine3A>)>> {
     let applied = match &document["applied_transform"] {
         Value::Null => None,
@@ -157,13 +159,13 @@ fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<Affine
             }
             Some(file)
         }
-        // Where the reference keeps, and leaves, the points of the synthetic scenes.
+        // The path at which the reference reads and writes the points of the synthetic scenes.
         _ => Some(path.with_file_name("points3d.ply")).filter(|file| file.is_file()),
     };
     Ok(named.map(|file| (file, applied)))
 }
 
-/// A path below the folder of `file`; none when it leads out of it.
+/// A path below the folder of `file`; None if it leads out of the folder.
 fn inside(file: &Path, name: &str) -> Option<PathBuf> {
     let name = plain(name);
     stays_inside(&name).then(|| file.parent().unwrap_or(Path::new("")).join(name))
@@ -172,7 +174,7 @@ fn inside(file: &Path, name: &str) -> Option<PathBuf> {
 impl Frame {
     fn sees(&self, point: Vec3) -> bool {
         let p = self.camera_from_world * point + self.translation;
-        // A third of a right angle to each side, where the field of view is not known yet.
+        // About 30 degrees to each side, because the field of view is not known yet.
         p.z > 0.0 && p.x.abs() < p.z * 0.6 && p.y.abs() < p.z * 0.6
     }
 }

@@ -1,15 +1,16 @@
-//! Which form of blending a device gets: by a table of measurements.
+//! Selects a device's form of blending from a table of measurements.
 
 use crate::tuning::Backend;
 use crate::vk::Limits;
 
-/// How a tile is blended: the same picture, at a cost that depends on the device. To the bit where a driver's compiler treats sums
-/// of products alike in both kernels, as llvmpipe's does: which Gaussians count is decided by `precise` arithmetic.
+/// How a tile is blended: the same picture, at a cost that depends on the device. The pictures agree to the
+/// bit if the driver's compiler fuses sums of products alike in both kernels, as llvmpipe's does. `precise`
+/// arithmetic decides which Gaussians count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blending {
-    /// Each subgroup culls against its own region of the tile and passes Gaussians round by shuffles.
+    /// Each subgroup culls against its own region of the tile and broadcasts Gaussians by shuffles.
     Regions,
-    /// The paper's form: batches in shared memory, every invocation walks over all of them.
+    /// The paper's form: batches in shared memory, and every invocation loops over the whole batch.
     SharedMemory,
 }
 
@@ -20,16 +21,18 @@ pub struct BlendMeasurement {
     pub backend: Backend,
     /// Lanes of a subgroup.
     pub subgroup_size: u32,
-    /// Time of [`Blending::SharedMemory`] over that of [`Blending::Regions`], of the blending alone: `ashsplat bench blending`.
+    /// Time of [`Blending::SharedMemory`] over that of [`Blending::Regions`], blending only: `ashsplat bench
+    /// blending`.
     pub shared_over_regions: f32,
 }
 
 impl Blending {
-    /// Both.
+    /// Both forms.
     pub const ALL: [Self; 2] = [Self::Regions, Self::SharedMemory];
 
-    /// What was measured, each by `ashsplat bench blending` with the scene that it has by itself (300,000 Gaussians at 1920×1080);
-    /// README, "Two forms of blending", names the machines. A device that is measured belongs in here.
+    /// The measurements, each by `ashsplat bench blending` with its default scene (300,000 Gaussians at
+    /// 1920×1080). README, "Two forms of blending", names the machines. Add a row for each device that is
+    /// measured.
     pub const MEASURED: &[BlendMeasurement] = &[
         BlendMeasurement { backend: Backend::Processor, subgroup_size: 4, shared_over_regions: 2.54 },
         BlendMeasurement { backend: Backend::Processor, subgroup_size: 8, shared_over_regions: 3.91 },
@@ -41,9 +44,9 @@ impl Blending {
         Self::by(Self::MEASURED, limits.tuning.backend, limits.subgroup_size)
     }
 
-    /// The faster form, in the geometric mean, on the measured devices of the same kind (processors, or others) whose subgroups are
-    /// next in size, the smaller ones of two equally near; [`Blending::Regions`], which computes fewer samples, where none of
-    /// that kind was measured or both forms took equally long.
+    /// The form that is faster in the geometric mean over the measured devices of the same class with the nearest
+    /// subgroup size, the smaller one of two equally near. [`Blending::Regions`], which computes fewer samples, if
+    /// no device of that class was measured or both forms took equally long.
     pub fn by(measured: &[BlendMeasurement], backend: Backend, subgroup_size: u32) -> Self {
         let steps = |size: u32| size.max(1).ilog2().abs_diff(subgroup_size.max(1).ilog2());
         let of_kind = || measured.iter().filter(|m| m.backend == backend);

@@ -7,16 +7,16 @@ use crate::kernels::forward::{blend, blend_shared};
 use crate::plan::{LaunchSizes, tile_grid};
 use crate::vk::{Context, Kernel, Limits, Recorder};
 
-/// What is blended besides colours.
+/// What is blended in addition to colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BlendVariant {
     /// The sum of weights / z, or of weights * z with `linear_depth`.
     pub inverse_depth: bool,
     /// See `inverse_depth`.
     pub linear_depth: bool,
-    /// Splats behind the frame's depth limits do not count.
+    /// Splats farther away than the frame's depth limits do not count.
     pub depth_limit: bool,
-    /// The picture is left as backward wants it.
+    /// The picture is stored in the layout of the backward pass.
     pub backward: bool,
 }
 
@@ -33,14 +33,14 @@ impl BlendVariant {
     }
 }
 
-/// The blending kernels by variant, built when they are needed.
+/// The blending kernels by variant, built on first use.
 pub(super) struct Blend {
     blending: Blending,
     regions: [Option<Kernel<blend::Interface>>; 16],
     shared: [Option<Kernel<blend_shared::Interface>>; 16],
 }
 
-/// The buffers of blend_io.glsl, for either kernel.
+/// The buffers of blend_io.glsl, for both forms of the kernel.
 macro_rules! blend_bind {
     ($kernel:ident, $inputs:expr, $sizes:expr) => {{
         let frame = $inputs.frame;
@@ -55,7 +55,7 @@ macro_rules! blend_bind {
             inverse_depth: &frame.inverse_depth,
             last_entries: &frame.last_entries,
             state: &frame.state,
-            // Not read without a limit, but bound.
+            // Without a limit it is not read, but must be bound.
             depth_limits: $inputs.depth_limits.unwrap_or(&frame.tile_ranges),
             composited: &frame.composited,
         }
@@ -125,7 +125,7 @@ impl Blend {
         }
     }
 
-    /// Records the colour and transmittance of each pixel.
+    /// Records the blending: colour and transmittance of each pixel.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &LaunchSizes) {
         let variant = inputs.blend_variant().index(sizes);
         match (self.blending, &self.regions[variant], &self.shared[variant]) {
@@ -144,9 +144,9 @@ impl Blend {
     }
 }
 
-/// One pass over the tiles' lists, forward or backward, or as many as very long tiles need, and as many dispatches of each as
-/// bound their work. `dispatch` is given the push constants of blend_io.glsl, which the forward kernels have in common, and
-/// the number of tiles.
+/// Records the blending of all tiles, forward or backward. Very long tiles need several passes, and each pass
+/// has enough dispatches to bound the work of one. `dispatch` receives the push constants of blend_io.glsl,
+/// which the kernels have in common, and the number of tiles.
 pub(crate) fn record_passes(
     r: &mut Recorder,
     inputs: &FrameInputs,
@@ -155,7 +155,7 @@ pub(crate) fn record_passes(
 ) {
     let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
     let passes = inputs.capacity.blend_passes;
-    // What a frame has room for is known here, what it has is not.
+    // The host knows the capacity only, not the number of instances.
     let parts = sizes.blend_dispatches(inputs.capacity.instances, 1);
     for (part, pass) in (0..parts).flat_map(|part| (0..passes).map(move |pass| (part, pass))) {
         if part + pass > 0 {
@@ -170,7 +170,7 @@ pub(crate) fn record_passes(
             first_entry: pass.saturating_mul(sizes.entries_per_pass),
             max_entries: sizes.entries_per_pass,
             first_instance,
-            // Empty tiles may begin behind the last instance.
+            // Empty tiles may begin after the last instance.
             max_instances: if part + 1 == parts {
                 u32::MAX - first_instance
             } else {

@@ -1,4 +1,4 @@
-//! What a frame is recorded from: scenes, each with its place, a camera, settings.
+//! The inputs of a frame: scenes with their transforms, a camera, settings.
 
 use super::{BlendVariant, RenderSettings, SceneBuffers};
 use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange};
@@ -20,22 +20,22 @@ pub struct FrameInputs<'a> {
     pub settings: &'a RenderSettings,
     /// World units per unit of the scene.
     pub scale: f32,
-    /// SH degree that is evaluated.
+    /// Evaluated SH degree.
     pub sh_degree: u32,
-    /// Scenes that are rendered together with `scene`, each with its own place.
+    /// Scenes that are rendered together with `scene`, each with its own transform.
     pub others: &'a [PlacedScene<'a>],
-    /// Per pixel of the image: 1/z of what hides the splats behind it, 0 for nothing.
+    /// Per pixel of the image: 1/z of the opaque surface that hides splats, 0 for none.
     pub depth_limits: Option<&'a Buffer>,
-    /// Sum weights * z in place of weights / z.
+    /// Sum weights * z instead of weights / z.
     pub linear_depth: bool,
-    /// Backward follows: leave the picture as it is wanted there, see [`FrameBuffers::rendered`].
+    /// A backward pass follows: store the picture in its layout, see [`FrameBuffers::rendered`].
     pub backward: bool,
-    /// Leave STATE_OVERFLOW as the frame before has left it: what follows one that overflowed is void as well.
+    /// Keep the previous frame's STATE_OVERFLOW: all frames after one that overflowed are invalid too.
     pub keeps_overflow: bool,
 }
 
 impl FrameInputs<'_> {
-    /// Which blending the frame needs.
+    /// The variant of blending that the frame needs.
     pub fn blend_variant(&self) -> BlendVariant {
         BlendVariant {
             inverse_depth: self.settings.inverse_depth,
@@ -46,23 +46,24 @@ impl FrameInputs<'_> {
     }
 }
 
-/// A scene beside the first of a frame.
+/// An additional scene of a frame.
 #[derive(Clone, Copy)]
 pub struct PlacedScene<'a> {
     /// The scene.
     pub scene: &'a SceneBuffers,
-    /// The frame's camera against the scene's own axes and origin, in world units.
+    /// The frame's camera in the scene's own axes and origin, in world units.
     pub camera: Camera,
     /// World units per unit of the scene.
     pub scale: f32,
-    /// SH degree that is evaluated.
+    /// Evaluated SH degree.
     pub sh_degree: u32,
-    /// Index of its first Gaussian among all of the frame: behind the scene before, a multiple of
-    /// [`LaunchSizes::elementwise_workgroup`](crate::plan::LaunchSizes::elementwise_workgroup), so that a block of culling belongs to one scene.
+    /// Index of its first Gaussian among all of the frame. It comes after the previous scene, at a multiple
+    /// of [`LaunchSizes::elementwise_workgroup`](crate::plan::LaunchSizes::elementwise_workgroup), so that a
+    /// culling block belongs to one scene.
     pub first: u32,
 }
 
-/// The part of a frame that one dispatch over a scene's parameters needs.
+/// The inputs of one dispatch over a scene's parameters.
 #[derive(Clone, Copy)]
 pub(super) struct Part<'a> {
     pub(super) scene: &'a SceneBuffers,
@@ -77,7 +78,7 @@ pub(super) struct Part<'a> {
 }
 
 impl<'a> FrameInputs<'a> {
-    /// The scenes, each with its place.
+    /// The scenes, each with its transform.
     pub(super) fn placed(&self) -> impl Iterator<Item = PlacedScene<'a>> + use<'a> {
         let &Self { scene, camera, scale, sh_degree, .. } = self;
         let first = PlacedScene { scene, camera: *camera, scale, sh_degree, first: 0 };
@@ -97,7 +98,7 @@ impl<'a> FrameInputs<'a> {
         })
     }
 
-    /// Indices of all scenes together, with the gaps between them.
+    /// Number of indices of all scenes together, including the gaps between them.
     pub(super) fn index_count(&self) -> u32 {
         self.others.last().map_or(self.scene.count, |o| o.first + o.scene.count)
     }

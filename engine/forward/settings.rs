@@ -1,27 +1,29 @@
-//! How a frame is rendered, and what the kernels are told of it.
+//! How a frame is rendered, and the push constants for it.
 
 use super::shape::Shape;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::scene::Camera;
 
-/// Which pixels a Gaussian counts at.
+/// At which pixels a Gaussian counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Extent {
     /// Wherever its alpha is at least 1/255.
     #[default]
     Exact,
-    /// In the tiles of the reference implementation's square of three standard deviations: for parity with it.
+    /// In the tiles of the reference implementation's square of three standard deviations, for parity with
+    /// the reference.
     Reference,
 }
 
-/// Within which directions the projection is linearised at the Gaussian itself; beyond, at the limit.
+/// Directions within which the projection is linearised at the Gaussian itself. Outside, it is linearised at
+/// the limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum JacobianLimit {
-    /// The image's edges and 0.3 tan(fov/2) beyond.
+    /// From the image's edges to 0.3 tan(fov/2) outside them.
     #[default]
     Edge,
-    /// ±1.3 tan(fov/2) around the optical axis, as the reference does also for off-centre cameras.
+    /// ±1.3 tan(fov/2) around the optical axis, which is the reference's limit also for off-centre cameras.
     Symmetric,
 }
 
@@ -34,13 +36,13 @@ pub struct RenderSettings {
     pub jacobian_limit: JacobianLimit,
     /// Opacity compensation for the low-pass filter (Mip-Splatting's 2D filter).
     pub antialias: bool,
-    /// Background, linear as trained.
+    /// Background colour, linear in the space of training.
     pub background: [f32; 3],
-    /// Highest SH degree used; `None` for all that are stored.
+    /// Highest evaluated SH degree; `None` for all stored degrees.
     pub sh_degree: Option<u32>,
     /// Also render the sum of weights / z.
     pub inverse_depth: bool,
-    /// What is drawn of each Gaussian.
+    /// How each Gaussian is drawn.
     pub shape: Shape,
     /// Factor of all scales: 1 for the scene as it is.
     pub scale_modifier: f32,
@@ -62,10 +64,11 @@ impl Default for RenderSettings {
 }
 
 impl RenderSettings {
-    /// Checks that the numbers make sense.
+    /// Checks the numbers.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a scale modifier that is negative or not finite, or a background that is not finite.
+    /// [`Error::Argument`] for a scale modifier that is negative or not finite, or a background that is not
+    /// finite.
     pub fn check(&self) -> Result<()> {
         if !(self.scale_modifier.is_finite() && self.scale_modifier >= 0.0) {
             let problem = format!("is {}, must be finite and not negative", self.scale_modifier);
@@ -77,7 +80,7 @@ impl RenderSettings {
         Ok(())
     }
 
-    /// Whether the picture is that of the Gaussians themselves, which can be differentiated.
+    /// Whether the settings draw the Gaussians themselves, so that the picture is differentiable.
     pub fn is_faithful(&self) -> bool {
         self.shape == Shape::Gaussian && self.scale_modifier == 1.0
     }

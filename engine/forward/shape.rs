@@ -1,19 +1,20 @@
-//! What is drawn of each Gaussian, and what the kernels are told of it.
+//! How each Gaussian is drawn, and the push constants for it.
 
 use super::RenderSettings;
 use crate::kernels::constants as c;
 
-/// What is drawn of each Gaussian.
+/// How each Gaussian is drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Shape {
     /// The Gaussian itself.
     #[default]
     Gaussian,
-    /// An opaque ellipsoid in its colour: its surface lies at [`ELLIPSOID_SIGMAS`] standard deviations, with a soft rim of
-    /// a few percent of that. Gaussians of an opacity below [`c::ELLIPSOID_LEAST_OPACITY`] are left out. On the screen it
-    /// lies at its mean's depth, as the Gaussian does.
+    /// An opaque ellipsoid of the Gaussian's colour. Its surface lies at [`ELLIPSOID_SIGMAS`] standard
+    /// deviations, with a soft rim of a few percent of that. Gaussians with an opacity below
+    /// [`c::ELLIPSOID_LEAST_OPACITY`] are not drawn. An ellipsoid has the depth of its mean, as a Gaussian
+    /// does.
     Ellipsoid,
-    /// An opaque dot in its colour at its mean, about [`POINT_RADIUS_PX`] pixels in radius.
+    /// An opaque dot of the Gaussian's colour at its mean, about [`POINT_RADIUS_PX`] pixels in radius.
     Point,
 }
 
@@ -22,10 +23,11 @@ pub const ELLIPSOID_SIGMAS: f32 = 2.0;
 /// Radius of [`Shape::Point`], pixels.
 pub const POINT_RADIUS_PX: f32 = 1.5;
 
-/// Logarithm of the opacity that makes a Gaussian a disc: `exp(STEEPNESS - d²/2)` stays above 1 until d = √(2 STEEPNESS)
-/// and is below 1/255 at √(2 (STEEPNESS + ln 255)), 7 % farther out. Well within float32.
+/// Logarithm of the opacity that turns a Gaussian into a disc. `exp(STEEPNESS - d²/2)` stays above 1 until
+/// d = √(2 STEEPNESS). It is below 1/255 at √(2 (STEEPNESS + ln 255)), 7 % farther out. The value is well
+/// within float32.
 const STEEPNESS: f32 = 40.0;
-/// The same for points, whose rim is as wide as a pixel.
+/// The same for points, whose rim is one pixel wide.
 const POINT_STEEPNESS: f32 = 3.75;
 
 /// The push constants of CAMERA_PUSH_SHAPE.
@@ -41,13 +43,13 @@ impl ShapePush {
         match settings.shape {
             Shape::Gaussian => Self { scale_modifier, dilation_px2: c::DILATION_PX2, opacity_drawn: 0.0 },
             Shape::Ellipsoid => {
-                // Standard deviations out to where the alpha is about one half.
+                // Standard deviations at which alpha is about one half.
                 let reach = (2.0 * (STEEPNESS + 0.5f32.recip().ln())).sqrt();
                 let shrink = ELLIPSOID_SIGMAS / reach;
                 Self {
                     scale_modifier: scale_modifier * shrink,
                     dilation_px2: c::DILATION_PX2 * shrink * shrink,
-                    // Negative: not the faint ones.
+                    // Negative: excludes Gaussians of low opacity.
                     opacity_drawn: -STEEPNESS.exp(),
                 }
             }
@@ -63,7 +65,7 @@ impl ShapePush {
     }
 }
 
-/// As `camera_push`, for the kernels with CAMERA_PUSH_SHAPE.
+/// Like `camera_push`, for the kernels with CAMERA_PUSH_SHAPE.
 macro_rules! shape_push {
     ($push:path, $inputs:expr, $range:expr) => {{
         let shape = crate::forward::ShapePush::of($inputs.settings);

@@ -25,13 +25,14 @@ pub const EXTENSIONS: &str = "\
 /// The macro of the form of a shader that reads texels: see [`has_texel_form`].
 const TEXELS: &str = "#define TEXELS\n";
 
-/// Whether a shader of these files exists in two forms, one that reads storage buffers and one that reads texels.
+/// Whether a shader with these files has two forms, one that reads storage buffers and one that reads texels.
 pub fn has_texel_form(files: &[PathBuf]) -> bool {
     files.iter().any(|file| file.ends_with("include/buffers.glsl"))
 }
 
-/// Compiles a shader for Vulkan 1.3, its stage by its extension, in its form that reads texels if `texels` says so; `display`
-/// is what errors call it. The error holds one line "error: path:line: message" for each mistake.
+/// Compiles a shader for Vulkan 1.3, in its texel form if `texels` is set. The file's extension selects the
+/// stage. `display` is the file's name in errors. The error has one line "error: path:line: message" for each
+/// mistake.
 pub fn compile(
     glsl: &Path,
     path: &Path,
@@ -72,7 +73,7 @@ fn with_prelude(source: &str, macros: &str) -> String {
     format!("{}{EXTENSIONS}{macros}#line {line}\n{}", &source[..end], &source[end..])
 }
 
-/// glslang's log as "path:line: message"; it calls the file itself 0 and includes by their name.
+/// glslang's log as "path:line: message". glslang calls the file itself 0, and includes by their names.
 fn report(error: &dyn std::fmt::Display, display: &str) -> String {
     let log = error.to_string();
     let lines = log.lines().filter(|l| l.contains("ERROR: ") && !l.contains("compilation errors"));
@@ -98,7 +99,7 @@ fn resolve(glsl: &Path, file: &Path, name: &str) -> Option<PathBuf> {
 
 impl IncludeHandler for Includer<'_> {
     fn include(&mut self, _: IncludeType, name: &str, includer: &str, _: usize) -> Option<IncludeResult> {
-        // Includes go by their path from the crate's root, which is what errors then show.
+        // Includes are named by their path from the crate's root, which errors then show.
         let root = self.glsl.parent()?;
         let from = if includer.is_empty() { self.file.to_owned() } else { root.join(includer) };
         let path = resolve(self.glsl, &from, name).or_else(|| resolve(self.glsl, self.file, name))?;
@@ -107,7 +108,7 @@ impl IncludeHandler for Includer<'_> {
     }
 }
 
-/// A shader and everything that it includes, directly or not, each once.
+/// A shader and all of its direct and indirect includes, each once.
 pub fn files_with_includes(glsl: &Path, path: &Path) -> Vec<PathBuf> {
     fn visit(glsl: &Path, path: &Path, seen: &mut BTreeSet<PathBuf>, files: &mut Vec<PathBuf>) {
         if !seen.insert(path.to_owned()) {

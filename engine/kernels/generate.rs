@@ -14,7 +14,7 @@ pub struct Kernel {
     pub shader: Shader,
     /// The file with its SPIR-V as a Rust array.
     pub spirv_file: String,
-    /// The same of its form that reads texels, and that form's interface.
+    /// The SPIR-V file and the interface of its texel form.
     pub texels: Option<(String, Shader)>,
 }
 
@@ -354,7 +354,7 @@ fn leading_comment(source: &str) -> Vec<&str> {
     lines.map_while(|l| l.strip_prefix("//")).map(|l| l.strip_prefix(' ').unwrap_or(l)).collect()
 }
 
-/// The comment behind the declaration of a name, with a space before it; empty if there is none.
+/// The comment after the declaration of a name, with a space before it; empty without one.
 fn comment_of(source: &str, name: &str) -> String {
     let declares = |code: &str| {
         let mut words = code.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'));

@@ -1,8 +1,8 @@
-//! Reads from a shader's SPIR-V what its host side has to agree with: bindings, push constants, specialization
+//! Reads from a shader's SPIR-V what its host side must agree with: bindings, push constants, specialization
 //! constants, workgroup size and shared memory.
 //!
-//! Used by build.rs, which generates the typed interface of each kernel from it. Only what compute shaders of this
-//! crate use is understood; anything else is an error that says what.
+//! build.rs uses it to generate the typed interface of each kernel. It supports what the compute shaders of
+//! this crate use; anything more is an error that names it.
 
 #[path = "shader.rs"]
 mod shader;
@@ -67,7 +67,8 @@ const BINDING: u32 = 33;
 const DESCRIPTOR_SET: u32 = 34;
 const OFFSET: u32 = 35;
 
-/// Where images are bound, behind all buffers: one layout then serves every kernel where push descriptors are missing.
+/// First binding of images, after all buffers. One layout then fits every kernel on devices without push
+/// descriptors.
 const STORAGE_IMAGE_BINDING: u32 = 16;
 const SAMPLED_IMAGE_BINDING: u32 = 17;
 
@@ -91,7 +92,8 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
     let module = Module::parse(spirv)?;
     let spec = module.spec_constants()?;
     if module.uses_subgroups && !spec.iter().any(|c| c.name == "SUBGROUP_SIZE") {
-        // Without it the pipeline's subgroup size is not pinned, and some drivers vary it between pipelines.
+        // Without the constant the pipeline's subgroup size is not fixed, and some drivers vary it between
+        // pipelines.
         return Err("subgroup operations without `layout(constant_id = 1) const uint SUBGROUP_SIZE`".into());
     }
     let mut shader = Shader { spec, ..Shader::default() };
@@ -318,7 +320,7 @@ impl Module {
                 }
             };
             let name = self.name(target).to_owned();
-            // local_size_x_id makes an unnamed second constant of the same id: the named one counts.
+            // local_size_x_id creates an unnamed second constant with the same id: the named one counts.
             if !name.is_empty() || !found.contains_key(&id) {
                 found.insert(id, SpecConstant { id, name, rust_type, default_bits: bits });
             }

@@ -1,4 +1,4 @@
-//! Compiles kernels again while a program runs: the feature `hot-reload`.
+//! Recompiles kernels while a program runs: the feature `hot-reload`.
 
 use super::compile;
 use super::reflect::reflect;
@@ -7,7 +7,7 @@ use crate::{Error, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The files that a kernel is made of: its own, then its includes. `glsl` is the folder of all shaders.
+/// The source files of a kernel: its own, then its includes. `glsl` is the folder of all shaders.
 pub fn files(glsl: &Path, kernel: &str) -> Vec<PathBuf> {
     compile::files_with_includes(glsl, &source(glsl, kernel))
 }
@@ -16,7 +16,7 @@ fn source(glsl: &Path, kernel: &str) -> PathBuf {
     glsl.join(format!("{kernel}.comp"))
 }
 
-/// Compiles a kernel from its source as it is now, in its form for a device, for
+/// Compiles the current source of a kernel, in its form for a device, for
 /// [`crate::vk::Context::replace_shader`].
 ///
 /// # Errors
@@ -42,7 +42,7 @@ pub fn compile(glsl: &Path, kernel: &str, limits: &Limits) -> Result<Vec<u32>> {
     }
 }
 
-/// Finds what a kernel was when the program was built.
+/// The interface of a kernel when the program was built.
 struct Built<'a> {
     kernel: &'a str,
     limits: &'a Limits,

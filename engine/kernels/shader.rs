@@ -18,8 +18,8 @@ pub struct Shader {
 }
 
 impl Shader {
-    /// The first part of the interface in which another shader differs. `forms`: whether they may be two forms of one
-    /// shader, in which the same buffers are read in different ways.
+    /// The first part of the interface that differs from another shader's. `forms`: whether both may be two
+    /// forms of one shader, which read the same buffers in different ways.
     pub fn difference(&self, other: &Self, forms: bool) -> Option<&'static str> {
         let same = |(a, b): (&Binding, &Binding)| {
             (&a.name, a.binding, a.reads, a.writes) == (&b.name, b.binding, b.reads, b.writes)
@@ -50,7 +50,7 @@ pub struct Binding {
     pub reads: bool,
     /// Whether the shader may write it.
     pub writes: bool,
-    /// The variant of `TexelFormat` that it is read as; None: a storage buffer.
+    /// The variant of `TexelFormat` through which it is read; None for a storage buffer.
     pub texels: Option<&'static str>,
 }
 

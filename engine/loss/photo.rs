@@ -1,12 +1,13 @@
-//! Photographs as [`super::LossInputs::photo`] has them.
+//! Photographs in the layout of [`super::LossInputs::photo`].
 
 use super::Windowing;
 use crate::plan::Strips;
 
-/// Texels of planes in strips, which are read by 16 bytes.
+/// Bytes of a texel of planes in strips.
 const TEXEL_BYTES: u64 = 16;
 
-/// Bytes of a photograph of 8 bits on the device; `masked`: for [`PhotoFormat::MaskedRgba8`](super::PhotoFormat).
+/// Device bytes of a photograph with 8 bits per channel; `masked`: for
+/// [`PhotoFormat::MaskedRgba8`](super::PhotoFormat).
 pub fn photo_bytes(windowing: Windowing, width: u32, height: u32, masked: bool) -> u64 {
     match windowing {
         Windowing::Blocks => 4 * u64::from(width) * u64::from(height),
@@ -17,11 +18,12 @@ pub fn photo_bytes(windowing: Windowing, width: u32, height: u32, masked: bool) 
     }
 }
 
-/// A photograph of 8 bits as the device wants it, from (r, g, b, mask) per pixel: that itself, or planes in [`Strips`], which are
-/// 0 where the mask is, with one more for the mask if it is `masked`, for [`PhotoFormat::MaskedRgba8`](super::PhotoFormat).
+/// Converts a photograph with 8 bits per channel, (r, g, b, mask) per pixel, to the device's layout:
+/// unchanged, or planes in [`Strips`]. The planes are 0 where the mask is 0. With `masked`, for
+/// [`PhotoFormat::MaskedRgba8`](super::PhotoFormat), an additional plane holds the mask.
 ///
 /// # Panics
-/// When there are not as many pixels as the image has.
+/// If the number of pixels is not that of the image.
 pub fn photo_on_device(
     windowing: Windowing,
     width: u32,

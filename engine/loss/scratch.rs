@@ -1,13 +1,13 @@
-//! What the loss needs of memory while it runs.
+//! Scratch memory of the loss.
 
 use super::{Loss, Windowing};
 use crate::plan::{Strips, tile_grid};
 use crate::vk::Limits;
 
-/// Most columns of one invocation of [`Windowing::Sweeps`]: it reads ten more.
+/// Most columns of one invocation of [`Windowing::Sweeps`], which reads ten more.
 const SWEEP_COLUMNS: u32 = 160;
 
-/// How an image is cut into sweeps.
+/// How an image is divided into sweeps.
 #[derive(Clone, Copy)]
 pub(super) struct Sweeps {
     /// Columns of an invocation.
@@ -27,7 +27,7 @@ impl Sweeps {
 #[derive(Clone, Copy, Default)]
 pub(super) struct ScratchBytes {
     partials: u64,
-    /// Of SSIM's derivatives in one channel.
+    /// Bytes of SSIM's derivatives for one channel.
     derivatives: u64,
 }
 
@@ -36,7 +36,7 @@ impl ScratchBytes {
         Self::new(loss.windows.windowing(), width, height)
     }
 
-    /// The largest of each buffer in images of these sizes.
+    /// The largest size of each buffer over images of these sizes.
     pub fn largest(loss: &Loss, sizes: impl IntoIterator<Item = (u32, u32)>) -> Self {
         Self::maximum(sizes.into_iter().map(|(width, height)| Self::of(loss, width, height)))
     }
@@ -52,7 +52,7 @@ impl ScratchBytes {
     fn new(windowing: Windowing, width: u32, height: u32) -> Self {
         match windowing {
             Windowing::Blocks => {
-                // Blocks of the window are as large as tiles.
+                // Blocks of the window have the size of tiles.
                 let (columns, rows) = tile_grid(width, height);
                 let pixels = u64::from(width) * u64::from(height);
                 Self { partials: 3 * u64::from(columns * rows) * 8, derivatives: 12 * pixels }
@@ -64,13 +64,13 @@ impl ScratchBytes {
         }
     }
 
-    /// How many partial sums there are.
+    /// Number of partial sums.
     pub fn partials(&self) -> u32 {
         (self.partials / 8) as u32
     }
 
-    /// Partial sums and derivatives: one buffer for all channels, or one for each where that would be more than
-    /// a kernel may be given.
+    /// Partial sums and derivatives. The derivatives are one buffer for all channels, or one per channel if
+    /// one would exceed the largest binding.
     pub fn requests(&self, limits: &Limits) -> Vec<(&'static str, u64)> {
         let mut requests = vec![("loss_partials", self.partials)];
         if 3 * self.derivatives <= limits.max_storage_buffer_range {

@@ -6,18 +6,18 @@ use crate::kernels::constants::TILE_SIZE;
 use crate::tuning::{SortMethod, WorkgroupRule};
 use crate::vk::Limits;
 
-/// Invocations of an elementwise workgroup, where the device allows it.
+/// Invocations of an elementwise workgroup, if the device allows it.
 pub(super) const ELEMENTWISE_WORKGROUP: u32 = 256;
 
-/// Entries of a tile blended by one dispatch at most, on any device. It bounds the work of a dispatch, so that no
-/// desktop's watchdog takes it for a hang: an invocation blends so many entries, and all dispatches but these touch each
-/// Gaussian, instance or pixel a constant number of times.
+/// Most entries of a tile per blending dispatch, on any device. It bounds the time of a dispatch, so that a
+/// desktop's watchdog does not reset the device: one invocation blends this many entries, while every other
+/// dispatch touches each Gaussian, instance or pixel a constant number of times.
 const MAX_ENTRIES_PER_PASS: u32 = 1 << 18;
 
 /// Sizes of workgroups and blocks on a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LaunchSizes {
-    /// Invocations of an elementwise workgroup, which is also a block of culling and densification.
+    /// Invocations of an elementwise workgroup, and size of a block of culling and densification.
     pub elementwise_workgroup: u32,
     /// How keys are sorted.
     pub sort_method: SortMethod,
@@ -27,7 +27,7 @@ pub struct LaunchSizes {
     pub sort_items: u32,
     /// Keys of a block of a sort.
     pub sort: u32,
-    /// Whether a single workgroup sorts what [`LaunchSizes::sorts_in_single_subgroup`] says.
+    /// Whether a single subgroup sorts few pairs: see [`LaunchSizes::sorts_in_single_subgroup`].
     pub sort_single_subgroup: bool,
     /// Invocations of a scan's workgroup.
     pub scan_workgroup: u32,
@@ -35,44 +35,43 @@ pub struct LaunchSizes {
     pub scan_items: u32,
     /// Values of a block of a scan.
     pub scan: u32,
-    /// Instances of one invocation of expansion.
+    /// Instances per invocation of duplicate_with_tiles.
     pub duplicate_items: u32,
-    /// Invocations of a tile's workgroup: one subgroup per region of a tile.
+    /// Invocations of a tile's workgroup: one subgroup per region.
     pub tile: u32,
-    /// Regions of a tile that one subgroup blends forward.
+    /// Regions of a tile per subgroup in forward blending.
     pub regions_per_subgroup: u32,
-    /// Whether one subgroup blends all regions of a tile backward.
+    /// Whether one subgroup blends all regions of a tile in the backward pass.
     pub blend_backward_subgroup_per_tile: bool,
-    /// Invocations of a tile's workgroup that blends from shared memory: at most one per pixel, or per column of them.
+    /// Invocations of a tile's workgroup in blend_shared: at most one per pixel, or per column of pixels.
     pub tile_shared: u32,
-    /// Strands that the rows of tiles are dealt to, which consecutive workgroups take one after the other
-    /// (tile_order.glsl); a power of two.
+    /// Interleaving of the rows of tiles over consecutive workgroups (tile_order.glsl); a power of two.
     pub tile_row_interleave: u32,
-    /// Whether opacities follow from one another along a column of pixels instead of an exponential each.
+    /// Whether opacities along a column of pixels use the incremental exponential.
     pub incremental_exp: bool,
     /// Invocations of the loss' workgroups.
     pub loss: u32,
-    /// Pixels in a row of one invocation of the loss.
+    /// Pixels in a row per invocation of the loss.
     pub loss_strip: u32,
-    /// Invocations of the loss' workgroups where they share nothing.
+    /// Invocations of the loss' workgroups in the sweeping form, which shares no memory.
     pub loss_sweep: u32,
-    /// Whether blending, loss and blending's backward have pictures in strips ([`Strips`]).
+    /// Whether blending, the loss and the backward pass exchange pictures in strips ([`Strips`]).
     pub strips: bool,
-    /// Bytes that a buffer may have.
+    /// Largest size of a buffer, bytes.
     pub max_binding_bytes: u64,
-    /// Entries of a tile that one blending pass may handle.
+    /// Most entries of a tile per blending pass.
     pub entries_per_pass: u32,
-    /// Instances of all tiles that one of its dispatches handles, but for the rest of the last tile.
+    /// Instances of all tiles per blending dispatch, not counting the rest of its last tile.
     pub instances_per_dispatch: u32,
 }
 
 impl LaunchSizes {
-    /// Block sizes for a device, or those that its [`Limits::overrides`] ask for.
+    /// Sizes for a device, with those that its [`Limits::overrides`] set.
     pub fn new(limits: &Limits) -> Self {
         Self::with_sort_method(limits, limits.tuning.sort_method)
     }
 
-    /// The same with a given kind of sort.
+    /// The same with a given sorting method.
     pub fn with_sort_method(limits: &Limits, sort_method: SortMethod) -> Self {
         let tuning = limits.tuning;
         // Blocks nest in each other and in tiles, so that only powers of two will do.
@@ -119,8 +118,9 @@ impl LaunchSizes {
             loss_sweep: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
             strips: Strips::suit(limits),
             max_binding_bytes: limits.max_storage_buffer_range.min(limits.max_allocation_bytes),
-            // Where the driver bounds the rounds of an invocation: an entry costs one in each region of its subgroup, and at
-            // any subgroup size from 4 a part of one for its batch.
+            // For drivers that limit the loop iterations of an invocation. An entry costs one iteration in
+            // each region of its subgroup, and at any subgroup size from 4 a fraction of an iteration for its
+            // batch.
             entries_per_pass: limits
                 .max_loop_iterations()
                 .map_or(MAX_ENTRIES_PER_PASS, |n| n / (regions_per_subgroup + 1))
@@ -131,12 +131,12 @@ impl LaunchSizes {
 }
 
 impl LaunchSizes {
-    /// Dispatches of blending for frames of up to so many instances, forward or backward.
+    /// Dispatches of blending, forward or backward, for frames with up to `instances` instances.
     pub fn blend_dispatches(&self, instances: u32, passes: u32) -> u32 {
         instances.div_ceil(self.instances_per_dispatch).max(1).saturating_mul(passes)
     }
 
-    /// Elements of the smallest block over which there are dispatches.
+    /// Elements of the smallest block of any dispatch.
     pub(super) fn smallest(&self) -> u32 {
         self.elementwise_workgroup.min(self.sort).min(self.scan)
     }

@@ -1,29 +1,30 @@
-//! What a radix sort needs: digits, passes, scratch.
+//! Parameters of the radix sort: digits, passes, scratch.
 
 use super::{LaunchSizes, blocks};
 use crate::kernels::constants::SORT_BINS;
 use crate::tuning::SortMethod;
 use crate::vk::Limits;
 
-/// Subgroups of a sorting workgroup: each holds its own histogram in shared memory.
+/// Subgroups per sorting workgroup. Each has its own histogram in shared memory.
 const SORT_SUBGROUPS: u32 = 8;
-/// Keys of one invocation of a sort by matching.
+/// Keys per invocation of a sort by matching.
 const SORT_ITEMS: u32 = 16;
-/// Keys of one invocation of a sort by runs: many enough that the run's own histogram costs little beside them, few
-/// enough that the cache holds what a subgroup writes.
+/// Keys per invocation of a serial sort: enough keys that the run's own histogram costs little, few enough
+/// that the cache holds what a subgroup writes.
 const SORT_RUN: u32 = 1024;
-/// Bits of a digit of a sort by runs: with ten, the tiles of a small image need one pass.
+/// Bits of a digit of a serial sort: with ten, the tiles of a small image need one pass.
 const SORT_RUN_DIGIT_BITS: u32 = 10;
-/// Pairs times passes that a single workgroup sorts on a processor: beyond, a second core gains more than dispatches
-/// cost. (An invocation's loops stay within what [`Limits::max_loop_iterations`] allows, at four lanes as well.)
+/// Most pairs times passes that a single subgroup sorts on a processor. Above it, a second core saves more
+/// than the dispatches cost. (The loops of an invocation stay within [`Limits::max_loop_iterations`], with
+/// four lanes as well.)
 const SORT_SINGLE_SUBGROUP: u64 = 1 << 18;
-/// And pairs, in however few passes.
+/// Most pairs of a sort in a single subgroup, for any number of passes.
 const SORT_SINGLE_SUBGROUP_PAIRS: u64 = 1 << 17;
-/// No device asks for more between the beginnings of two buffers in one allocation, bytes.
+/// Largest buffer alignment within one allocation that a device requires, bytes.
 const BUFFER_ALIGNMENT: u64 = 256;
 
-/// Invocations of a sorting workgroup, and keys of each. `size` is the usual value of a constant, or another one that was
-/// asked for.
+/// Invocations of a sorting workgroup, and keys per invocation. `size` returns a constant's default or its
+/// override.
 pub(super) fn shape(
     limits: &Limits,
     method: SortMethod,
@@ -41,7 +42,7 @@ pub(super) fn shape(
 }
 
 impl LaunchSizes {
-    /// Whether a single workgroup sorts up to `capacity` keys below 2^`key_bits`.
+    /// Whether a single subgroup sorts up to `capacity` keys below 2^`key_bits`.
     pub fn sorts_in_single_subgroup(&self, capacity: u64, key_bits: u32) -> bool {
         let passes = u64::from(self.sort_passes(key_bits));
         self.sort_single_subgroup
@@ -49,7 +50,7 @@ impl LaunchSizes {
             && capacity * passes <= SORT_SINGLE_SUBGROUP
     }
 
-    /// Bits of a sort's digit at most.
+    /// Most bits of a digit.
     pub const fn sort_digit_bits(&self) -> u32 {
         match self.sort_method {
             SortMethod::Matching => SORT_BINS.ilog2(),
@@ -62,7 +63,7 @@ impl LaunchSizes {
         key_bits.div_ceil(self.sort_digit_bits())
     }
 
-    /// Words of a sort's histograms, for `n` keys below 2^`key_bits`: of the blocks, and of their runs.
+    /// Words of a sort's histograms, for `n` keys below 2^`key_bits`: those of the blocks and of their runs.
     pub fn sort_histogram_words(&self, n: u64, key_bits: u32) -> u64 {
         let histograms = match self.sort_method {
             SortMethod::Matching => 1,
@@ -72,13 +73,14 @@ impl LaunchSizes {
         blocks(n, self.sort.into()).max(1) * histograms * self.sort_digits(key_bits) + padding
     }
 
-    /// Digits of a sort of keys below 2^`key_bits`. Never less than four, as runs count in fours.
+    /// Digits of a sort of keys below 2^`key_bits`. At least four, because runs are counted in fours.
     pub const fn sort_digits(&self, key_bits: u32) -> u64 {
         let digits = 1 << key_bits.div_ceil(self.sort_passes(key_bits));
         if digits < 4 { 4 } else { digits }
     }
 
-    /// Where, in a sort's histograms, those of runs begin, bytes: after `bytes` bytes of blocks' histograms.
+    /// Offset, in bytes, of the runs' histograms in a sort's histograms, after `bytes` bytes of blocks'
+    /// histograms.
     pub(crate) const fn sort_runs_offset(bytes: u64) -> u64 {
         bytes.next_multiple_of(BUFFER_ALIGNMENT)
     }

@@ -1,13 +1,13 @@
-//! Planes of one value per pixel in strips of eight rows: how processors have what blending, loss and blending's backward
-//! hand on (glsl/include/strips.glsl).
+//! Planes of one value per pixel in strips of eight rows: the layout in which blending, the loss and the
+//! backward pass exchange data on processors (glsl/include/strips.glsl).
 
 use crate::vk::Limits;
 
 /// Rows of a strip.
 pub const STRIP_ROWS: u32 = 8;
 
-/// Where the values of an image's planes lie: those of a strip's column side by side, column by column, strip by strip,
-/// plane by plane.
+/// Layout of an image's planes: the values of a strip's column are contiguous; columns, strips and planes
+/// follow in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Strips {
     /// Width of the image, pixels.
@@ -17,8 +17,8 @@ pub struct Strips {
 }
 
 impl Strips {
-    /// Whether a device has planes in strips: one that reads by texels, with subgroups whose lanes have four rows of a
-    /// column or eight.
+    /// Whether a device uses planes in strips: it reads by texels, and its subgroups have lanes with four or
+    /// eight rows of a column.
     pub fn suit(limits: &Limits) -> bool {
         let lanes = limits.tuning.strips_up_to_lanes;
         limits.prefers_texels() && lanes.is_some_and(|lanes| limits.subgroup_size <= lanes)
@@ -34,22 +34,22 @@ impl Strips {
         self.width.saturating_add(1) / 4 * 4 + 2
     }
 
-    /// Values of a plane.
+    /// Number of values of a plane.
     pub fn values(self) -> u64 {
         u64::from(STRIP_ROWS) * u64::from(self.pitch()) * u64::from(self.count())
     }
 
-    /// Where a pixel's value in a plane lies.
+    /// Index of a pixel's value in the planes.
     pub fn index(self, plane: u32, x: u32, y: u32) -> usize {
         let strip = u64::from(plane) * u64::from(self.count()) + u64::from(y / STRIP_ROWS);
         let column = strip * u64::from(self.pitch()) + u64::from(x);
         (column * u64::from(STRIP_ROWS) + u64::from(y % STRIP_ROWS)) as usize
     }
 
-    /// Planes of what the image's pixels have, row by row; what is no pixel is `T::default()`.
+    /// Converts the image's pixels, row by row, to planes. Padding is `T::default()`.
     ///
     /// # Panics
-    /// When there are not as many pixels as the image has.
+    /// If the number of pixels is not that of the image.
     pub fn planes<T: Copy + Default, const N: usize>(
         self,
         pixels: impl IntoIterator<Item = [T; N]>,

@@ -1,4 +1,4 @@
-//! What can be wrong with a frame that is to be recorded: all of it is said before the first command.
+//! Checks of a frame before it is recorded: all errors are reported before the first command.
 
 use super::Renderer;
 use super::record::{HostImage, RecordedFrame, Target};
@@ -13,7 +13,7 @@ use crate::vk::{Context, ImageUse};
 use ash::vk;
 
 impl Renderer {
-    /// Everything that can be wrong with a frame, before anything is recorded.
+    /// Checks a frame before anything is recorded.
     pub(super) fn check_frame(&self, frame: &RecordedFrame<'_>, reserved: &Reservation) -> Result<()> {
         frame.camera.check()?;
         frame.settings.check()?;
@@ -105,7 +105,7 @@ impl Renderer {
             if !(scale.is_finite() && offset.is_finite() && clear_value.is_finite()) {
                 return Err(Error::argument("depth mapping", "holds numbers that are not finite"));
             }
-            // A target of colour has another format than both.
+            // The colour target cannot be either image: its format differs from both.
             if let Some(depth) = &frame.depth
                 && depth.to.image.is_same_as(occluder.depth.image)
             {
@@ -120,7 +120,7 @@ impl Renderer {
     }
 }
 
-/// An image that is read has to hold something.
+/// An image that is read must have contents.
 fn check_contents(host: &HostImage<'_>) -> Result<()> {
     if host.from.layout != vk::ImageLayout::UNDEFINED {
         return Ok(());

@@ -1,4 +1,4 @@
-//! A scene on the device that a host owns, changes and places.
+//! A scene on the device that a host owns, changes and places in the world.
 
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
@@ -7,11 +7,11 @@ use crate::planes;
 use crate::scene::Gaussians;
 use crate::vk::{Buffer, Context};
 
-/// Gaussians on the device, for [`super::Renderer::record`]: any number of them make up a frame.
+/// Gaussians on the device, for [`super::Renderer::record`]. A frame can have any number of scenes.
 ///
-/// The parameters lie in chunks, one buffer each, as vec4 planes (`PLANE_*` in `glsl/include/constants.glsl`) in rows of
-/// eight Gaussians, geometry and each SH degree for itself: [`ScenePlan::place`] says where, the plan's fields how many
-/// chunks, planes and Gaussians.
+/// The parameters lie in chunks, one buffer each, as vec4 planes (`PLANE_*` in `glsl/include/constants.glsl`)
+/// in rows of eight Gaussians. Geometry and each SH degree are separate. [`ScenePlan::place`] is the address;
+/// the plan's fields are the numbers of chunks, planes and Gaussians.
 #[derive(Clone)]
 pub struct DeviceScene {
     context: Context,
@@ -19,8 +19,8 @@ pub struct DeviceScene {
 }
 
 impl DeviceScene {
-    /// Uploads a scene with room for `capacity` Gaussians, if that is more. Submits and waits where the memory cannot
-    /// be mapped.
+    /// Uploads a scene with a capacity of at least `capacity` Gaussians. Submits and waits if the memory
+    /// cannot be mapped.
     ///
     /// # Errors
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
@@ -29,7 +29,8 @@ impl DeviceScene {
         Ok(Self { context: context.clone(), buffers })
     }
 
-    /// An empty scene with room for `capacity` Gaussians with SH up to `sh_degree`; [`super::Update`]s fill it.
+    /// An empty scene with a capacity of `capacity` Gaussians with SH up to `sh_degree`. [`super::Update`]s
+    /// fill it.
     ///
     /// # Errors
     /// [`Error::TooLarge`] or an allocation's failure.
@@ -39,16 +40,18 @@ impl DeviceScene {
         Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, plan, count: 0 } })
     }
 
-    /// A scene in buffers of the host's own ([`Buffer::adopt`]), one for each chunk of [`DeviceScene::plan_for`], which
-    /// hold `count` Gaussians. Only the first [`ScenePlan::chunk_bytes`] of each are used. Who writes them waits and signals
-    /// as for any buffer that compute shaders read.
+    /// A scene in the host's own buffers ([`Buffer::adopt`]), one for each chunk of
+    /// [`DeviceScene::plan_for`], with `count` Gaussians. Only the first [`ScenePlan::chunk_bytes`] of each
+    /// buffer are used. A host that writes the buffers synchronises the writes as for any buffer that compute
+    /// shaders read.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a plan that is not [`DeviceScene::plan_for`] this device, too few or too small buffers, such
-    /// as are of another device, begin at an unaligned byte or overlap, and more Gaussians than the plan has room for.
+    /// [`Error::Argument`] for a plan that is not [`DeviceScene::plan_for`] this device; for too few or too
+    /// small buffers; for buffers of another device, with an unaligned offset, or that overlap; for more
+    /// Gaussians than the plan's capacity.
     pub fn from_buffers(context: &Context, plan: ScenePlan, chunks: Vec<Buffer>, count: u32) -> Result<Self> {
         let bad = |problem: String| Err(Error::argument("scene's buffers", problem));
-        // A plan is a function of the device's limits: what another one says would be bound and indexed as well.
+        // A plan depends on the device's limits. A plan of another device would be bound and indexed wrongly.
         if plan != Self::plan_for(context, plan.capacity, plan.sh_degree)? {
             return bad("the plan is not the one that DeviceScene::plan_for makes on this device".into());
         }
@@ -88,25 +91,25 @@ impl DeviceScene {
         Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, plan, count } })
     }
 
-    /// A scene that is on the device already.
+    /// Wraps a scene that is already on the device.
     pub(crate) fn of(context: &Context, buffers: SceneBuffers) -> Self {
         Self { context: context.clone(), buffers }
     }
 
-    /// How the parameters of `capacity` Gaussians are laid out on this device.
+    /// The layout of the parameters of `capacity` Gaussians on this device.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] for more than indices can name, [`Error::Argument`] for an SH degree above 3.
+    /// [`Error::TooLarge`] above the range of the indices, [`Error::Argument`] for an SH degree above 3.
     pub fn plan_for(context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
         ScenePlan::new(context.limits(), capacity, check_degree(sh_degree)?)
     }
 
-    /// How the parameters are laid out.
+    /// The layout of the parameters.
     pub fn plan(&self) -> &ScenePlan {
         &self.buffers.plan
     }
 
-    /// Gaussians in it.
+    /// Number of Gaussians.
     pub fn count(&self) -> u32 {
         self.buffers.count
     }
@@ -124,7 +127,8 @@ impl DeviceScene {
         Ok(())
     }
 
-    /// Reads the Gaussians back; submits and waits where the memory cannot be mapped. Nothing may be writing them.
+    /// Reads the Gaussians back. Submits and waits if the memory cannot be mapped. No submission may write
+    /// them meanwhile.
     ///
     /// # Errors
     /// When the device is lost.
@@ -132,7 +136,7 @@ impl DeviceScene {
         planes::download(&self.context, &self.buffers)
     }
 
-    /// Whether it is of this context's device.
+    /// Whether it belongs to this context's device.
     pub fn belongs_to(&self, context: &Context) -> bool {
         self.context.is(context)
     }

@@ -9,7 +9,7 @@ use crate::plan::{
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
 
-/// Buffers of a frame that grow with what is asked of them.
+/// Buffers of a frame, which grow on demand.
 pub struct FrameStore {
     context: Context,
     sizes: LaunchSizes,
@@ -18,20 +18,20 @@ pub struct FrameStore {
     frame: Option<FrameBuffers>,
 }
 
-/// What a frame says of itself.
+/// The counts that a frame reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct State {
     /// Visible Gaussians.
     pub visible: u32,
-    /// Instances that the frame needs; more than it has room for when it overflowed.
+    /// Instances that the frame needs. More than its capacity if it overflowed.
     pub instances: u32,
-    /// Entries of the fullest tile.
+    /// Entries of the longest tile.
     pub longest_tile: u32,
     /// Gaussians whose gradient was not finite.
     pub non_finite: u32,
-    /// Whether a capacity was too small, so that the frame is not valid.
+    /// Whether a capacity was too small, which makes the frame invalid.
     pub overflow: bool,
-    /// Samples of the blending kernels, where they were counted.
+    /// Samples of the blending kernels, if counted.
     pub samples: BlendSamples,
 }
 
@@ -54,15 +54,15 @@ impl State {
     }
 }
 
-/// Before the first frame.
+/// Capacity before the first frame.
 const NOTHING: FrameCapacity =
     FrameCapacity { gaussians: 0, instances: 0, width: 0, height: 0, blend_passes: 1, backward: false };
 
 impl FrameStore {
-    /// What the counts are read back through.
+    /// The buffer through which the counts are read back.
     pub const READBACK: [(&str, u64); 1] = [("state_readback", c::STATE_WORDS as u64 * 4)];
 
-    /// No buffers yet but the one for reading counts back.
+    /// Allocates only the buffer for reading the counts back.
     ///
     /// # Errors
     /// When the memory does not suffice.
@@ -73,7 +73,7 @@ impl FrameStore {
         Ok(Self { context: context.clone(), sizes, readback, capacity: NOTHING, frame: None })
     }
 
-    /// Buffers for a scene and a camera, allocated anew if those at hand are too small.
+    /// Buffers for a scene and a camera. Reallocates them if the current ones are too small.
     ///
     /// # Errors
     /// When the memory or a limit of the device does not suffice: before any work.
@@ -109,20 +109,20 @@ impl FrameStore {
         Ok((frame, capacity))
     }
 
-    /// What the frame's buffers can hold.
+    /// The capacities of the frame's buffers.
     pub fn capacity(&self) -> FrameCapacity {
         self.capacity
     }
 
     fn allocate(&mut self, capacity: FrameCapacity) -> Result<FrameBuffers> {
         check_grids(self.context.limits(), &capacity, &self.sizes)?;
-        // The old buffers go first: both at once might not fit.
+        // The old buffers are freed first: both sets at once might not fit.
         self.frame = None;
         let requests = frame_requests(&capacity, &self.sizes);
         let buffers = self.context.allocate("frame", &requests, MemoryKind::Device)?;
         let frame = FrameBuffers::from_allocated(buffers);
         if capacity.backward {
-            // Per pixel, a fourth component stays 0 unless somebody writes it.
+            // The fourth component of each pixel is never written and must be 0.
             self.context.run("clear gradient", |r| {
                 r.fill(&frame.image_gradient, 0);
                 Ok(())
@@ -133,10 +133,10 @@ impl FrameStore {
         Ok(frame)
     }
 
-    /// Makes room for more Gaussians ahead of the frames that will need it.
+    /// Grows the capacity for more Gaussians, ahead of the frames that will need it.
     ///
     /// # Errors
-    /// As [`FrameStore::ensure`]; the next frame then allocates what there was before.
+    /// As [`FrameStore::ensure`]; the next frame then allocates the previous capacity.
     pub fn make_room(&mut self, gaussians: u32) -> Result<()> {
         if self.frame.is_none() || gaussians <= self.capacity.gaussians {
             return Ok(());
@@ -144,7 +144,7 @@ impl FrameStore {
         self.allocate(FrameCapacity { gaussians, ..self.capacity }).map(drop)
     }
 
-    /// Allocates as a run before had it.
+    /// Allocates the capacity of an earlier run.
     ///
     /// # Errors
     /// As [`FrameStore::ensure`].
@@ -152,23 +152,23 @@ impl FrameStore {
         self.allocate(capacity).map(drop)
     }
 
-    /// Gives the buffers back; what is needed of them next is allocated as they were.
+    /// Frees the buffers. The next frame allocates the same capacity again.
     pub fn release(&mut self) {
         self.frame = None;
     }
 
-    /// Gives the buffers back and begins anew.
+    /// Frees the buffers and resets the capacity.
     pub fn forget(&mut self) {
         self.frame = None;
         self.capacity = NOTHING;
     }
 
-    /// Bytes of the frame's buffers as they are allocated.
+    /// Bytes of the frame's buffers with the current capacity.
     pub fn bytes(&self) -> u64 {
         self.frame.as_ref().map_or(0, |_| frame_bytes(&self.capacity, &self.sizes))
     }
 
-    /// Sets the capacity for instances; takes effect with the next allocation, which this forces.
+    /// Sets the capacity in instances, and forces a new allocation at the next frame.
     pub fn set_instances(&mut self, instances: u32) {
         self.capacity.instances = instances.max(1);
         self.frame = None;
@@ -177,12 +177,12 @@ impl FrameStore {
     /// The buffers of the last frame.
     ///
     /// # Errors
-    /// [`Error::Argument`] when there is none.
+    /// [`Error::Argument`] without a frame.
     pub fn current(&self) -> Result<&FrameBuffers> {
         self.frame.as_ref().ok_or_else(|| Error::argument("frame", "none was rendered yet"))
     }
 
-    /// Records the copy of the frame's counts to where the host reads them.
+    /// Records the copy of the frame's counts to host-readable memory.
     pub fn record_readback(&self, r: &mut Recorder, frame: &FrameBuffers) {
         r.barrier();
         r.copy(&frame.state, &self.readback);
@@ -198,14 +198,14 @@ impl FrameStore {
         Ok(State::of(&bytes))
     }
 
-    /// Makes room if the frame overflowed: then it has to be run again, and the answer is true.
+    /// Grows the capacity if the frame overflowed. Returns true if the frame has to be run again.
     ///
     /// # Errors
     /// When the memory or a limit of the device does not suffice.
     pub fn grow(&mut self, state: &State, sizes: &LaunchSizes) -> Result<bool> {
         let mut capacity = self.capacity;
         if state.instances > capacity.instances {
-            // Half as much again: the next frames will not need exactly this many.
+            // With a reserve of half: the next frames will need a different number.
             capacity.instances = state.instances.saturating_add(state.instances / 2);
         }
         let passes = state.longest_tile.div_ceil(sizes.entries_per_pass).max(1);
@@ -217,7 +217,7 @@ impl FrameStore {
             if state.instances <= self.capacity.instances {
                 return Err(error);
             }
-            // Without the reserve, if that is what did not fit.
+            // Retry without the reserve, which may be what did not fit.
             capacity.instances = state.instances;
             self.allocate(capacity).map_err(|error| name_instances(error, state.instances))?;
         }
@@ -225,7 +225,7 @@ impl FrameStore {
     }
 }
 
-/// Says which image a buffer was for.
+/// Adds the image's size to an error.
 fn name_image(error: Error, camera: &Camera) -> Error {
     match error {
         Error::TooLarge { what, needed, unit, limit, limit_name } => {
@@ -236,7 +236,7 @@ fn name_image(error: Error, camera: &Camera) -> Error {
     }
 }
 
-/// Says what a frame has too much of, rather than which buffer did not fit.
+/// Reports the number of instances instead of the buffer that did not fit.
 fn name_instances(error: Error, instances: u32) -> Error {
     match error {
         Error::TooLarge { what, needed, unit, limit, limit_name } => Error::TooLarge {

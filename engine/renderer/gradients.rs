@@ -14,19 +14,19 @@ use crate::vk::MemoryKind;
 pub struct Gradients {
     /// With respect to the raw parameters, in their shapes.
     pub parameters: Gaussians,
-    /// With respect to the 2D means, pixels; 0 for those not visible.
+    /// With respect to the 2D means, pixels; 0 for Gaussians that are not visible.
     pub mean2d_px: Vec<[f32; 2]>,
 }
 
 impl Renderer {
-    /// Renders the scene and returns the gradient of `sum(image * image_gradient)` (plus
-    /// `sum(inverse_depth * inverse_depth_gradient)`): with dL/dimage, that of L. Exact derivative of the forward pass
-    /// (paper, appendix A).
+    /// Renders the scene and returns the gradient of `sum(image * image_gradient)` (plus `sum(inverse_depth *
+    /// inverse_depth_gradient)`). With `image_gradient` = dL/dimage this is the gradient of L. It is the
+    /// exact derivative of the forward pass (paper, appendix A).
     ///
     /// # Errors
-    /// [`Error::Argument`] when a gradient does not have one entry per pixel, or an inverse-depth gradient comes without
-    /// `settings.inverse_depth`, or for settings that are not [faithful](RenderSettings::is_faithful); as
-    /// [`Renderer::render`].
+    /// [`Error::Argument`] when a gradient does not have one entry per pixel, for an inverse-depth gradient
+    /// without `settings.inverse_depth`, and for settings that are not
+    /// [faithful](RenderSettings::is_faithful); as [`Renderer::render`].
     pub fn gradients(
         &mut self,
         camera: &Camera,

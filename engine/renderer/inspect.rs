@@ -1,4 +1,4 @@
-//! Which Gaussians make up a pixel.
+//! Lists the Gaussians that are blended at a pixel.
 
 use super::{FrameRunner, Renderer, no_scene};
 use crate::error::{Error, Result};
@@ -19,29 +19,29 @@ pub struct Sample {
     pub alpha: f32,
     /// Transmittance in front of it.
     pub transmittance_before: f32,
-    /// Its share of the pixel: alpha times the transmittance in front.
+    /// Its weight: alpha times the transmittance in front.
     pub weight: f32,
-    /// Transmittance behind it.
+    /// Transmittance after it.
     pub transmittance_after: f32,
     /// Its colour towards the camera.
     pub color: [f32; 3],
 }
 
-/// The Gaussians blended at a pixel, front to back, and what they add up to.
+/// The Gaussians blended at a pixel, front to back, and their sum.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PixelReport {
     /// Front to back.
     pub samples: Vec<Sample>,
     /// The pixel on the background.
     pub color: [f32; 3],
-    /// Transmittance behind the last.
+    /// Transmittance after the last.
     pub transmittance: f32,
 }
 
 impl Renderer {
-    /// Renders a frame and lists what is blended at one pixel (column, row): its tile's sorted list and the projected
-    /// attributes are read back from the frame, and the host blends the pixel again from them, equal to the device's
-    /// result up to rounding.
+    /// Renders a frame and lists what is blended at one pixel (column, row). It reads the tile's sorted list
+    /// and the projected attributes back from the frame. The host blends the pixel again from them, equal to
+    /// the device's result up to rounding.
     ///
     /// # Errors
     /// [`Error::Argument`] when the pixel lies outside the image; as [`Renderer::render`].

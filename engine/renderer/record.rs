@@ -1,4 +1,4 @@
-//! Recording a frame into a host's command buffer: nothing is submitted, waited for, allocated, mapped or read back.
+//! Records a frame into a host's command buffer. Never submits, waits, allocates, maps or reads back.
 
 use super::Renderer;
 use super::check::check_capacity;
@@ -12,12 +12,12 @@ use crate::scene::{Camera, DepthMapping, Pose};
 use crate::vk::{Buffer, ForeignCommands, Image, ImageState, Recorder};
 use ash::vk;
 
-/// A scene and where it stands.
+/// A scene and its pose.
 #[derive(Clone, Copy)]
 pub struct Placed<'a> {
     /// The scene.
     pub scene: &'a DeviceScene,
-    /// Where it stands in the world.
+    /// Its pose in the world.
     pub pose: Pose,
 }
 
@@ -27,36 +27,37 @@ impl<'a> From<&'a DeviceScene> for Placed<'a> {
     }
 }
 
-/// A host's image, how the host has used it, and which part of it is the frame.
+/// A host's image, its previous use by the host, and the part of it that is the frame.
 #[derive(Clone, Copy)]
 pub struct HostImage<'a> {
     /// The image.
     pub image: &'a Image,
-    /// What the host does with it before the frame: waited for, and its layout is changed from this one. From
-    /// [`ImageState::UNDEFINED`] nothing that it holds is kept.
+    /// The host's use of it before the frame. The recording waits for that use and changes the layout from
+    /// this one. From [`ImageState::UNDEFINED`] the image's contents are discarded.
     pub from: ImageState,
-    /// Its texel that is the frame's pixel (0, 0).
+    /// Texel of the image that receives the frame's pixel (0, 0).
     pub offset: [u32; 2],
 }
 
-/// Where the colours go.
+/// The target of the colours.
 #[derive(Clone, Copy)]
 pub enum Target<'a> {
-    /// Into the slot's own buffer, [`Renderer::slot_pixels`]: per pixel, row by row, premultiplied r, g, b and the
-    /// transmittance, each an f32. The host uses it behind the recording, after a barrier from [`Release::stages`] and
-    /// [`Release::accesses`], until the slot is recorded again. The recording waits for compute and transfers that have
-    /// read it; a host that reads it in other stages, in a command buffer behind the frame's, waits for those before.
+    /// The slot's own buffer, [`Renderer::slot_pixels`]: per pixel, row by row, premultiplied r, g, b and the
+    /// transmittance, each an f32. The host may use it after the recording, behind a barrier from
+    /// [`Release::stages`] and [`Release::accesses`], until the slot is recorded again. The next recording
+    /// waits for compute and transfer commands that read the buffer. A host that reads it in other stages, in
+    /// a later command buffer than the frame's, must wait for those stages first.
     Slot,
-    /// Into a storage image of format rgba8, rgba16f or rgba32f.
+    /// A storage image of format rgba8, rgba16f or rgba32f.
     Image {
         /// The image.
         to: HostImage<'a>,
-        /// What lies behind the splats.
+        /// What the splats are composited over.
         behind: Background,
     },
 }
 
-/// A host's depth image: splats behind it are hidden.
+/// A host's depth image. It hides the splats that are farther away.
 #[derive(Clone, Copy)]
 pub struct Occluder<'a> {
     /// The depth image, for sampling.
@@ -70,7 +71,7 @@ pub struct Occluder<'a> {
 pub struct DepthTarget<'a> {
     /// A storage image of format r32f.
     pub to: HostImage<'a>,
-    /// Where the weights sum to less, the pixel is empty.
+    /// A pixel whose sum of weights is smaller is empty.
     pub min_weight: f32,
     /// The depth of empty pixels.
     pub empty: f32,
@@ -79,55 +80,56 @@ pub struct DepthTarget<'a> {
 /// A frame to record.
 #[derive(Clone, Copy)]
 pub struct RecordedFrame<'a> {
-    /// The scenes: one at least, sorted together.
+    /// The scenes: at least one. Their Gaussians are sorted together.
     pub scenes: &'a [Placed<'a>],
     /// The camera; its width and height are the frame's.
     pub camera: &'a Camera,
-    /// How to render; the background is the target's.
+    /// Render settings. Their background is ignored: the target has its own.
     pub settings: &'a RenderSettings,
-    /// Where the colours go.
+    /// The target of the colours.
     pub target: Target<'a>,
-    /// What hides the splats behind it.
+    /// The depth image that hides splats.
     pub occluder: Option<Occluder<'a>>,
-    /// Where the expected depth goes.
+    /// The target of the expected depth.
     pub depth: Option<DepthTarget<'a>>,
-    /// What changes before.
+    /// Parameter updates before the frame.
     pub updates: &'a [Update<'a>],
 }
 
 impl<'a> RecordedFrame<'a> {
-    /// A frame of scenes in the slot's own buffer.
+    /// A frame of scenes that is rendered into the slot's own buffer.
     pub fn new(scenes: &'a [Placed<'a>], camera: &'a Camera, settings: &'a RenderSettings) -> Self {
         let target = Target::Slot;
         Self { scenes, camera, settings, target, occluder: None, depth: None, updates: &[] }
     }
 }
 
-/// What a recording leaves behind: whoever uses its results next waits for these stages and accesses, and finds the
-/// images in these layouts.
+/// The state after a recording. The next user of its results waits for these stages and accesses, and finds
+/// the images in these layouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Release {
-    /// The stages that write results: also those in the slot's own buffers.
+    /// The stages that write results, including those in the slot's own buffers.
     pub stages: vk::PipelineStageFlags2,
-    /// What they write with.
+    /// The accesses of these writes.
     pub accesses: vk::AccessFlags2,
-    /// How the target image was used last.
+    /// Last use of the target image.
     pub color: Option<ImageState>,
-    /// How the host's depth image was used last.
+    /// Last use of the host's depth image.
     pub occluder: Option<ImageState>,
-    /// How the image of expected depth was used last.
+    /// Last use of the image of expected depth.
     pub depth: Option<ImageState>,
 }
 
 impl Renderer {
-    /// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before, whose command
-    /// buffers have to be over ([`Context::adopt_commands`](crate::vk::Context::adopt_commands)). Submits nothing and waits
-    /// for nothing.
+    /// Allocates frame slots and builds all kernels that frames of this kind need. Replaces the previous
+    /// slots, whose command buffers must have finished
+    /// ([`Context::adopt_commands`](crate::vk::Context::adopt_commands)). Neither submits nor waits.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a reservation that makes no sense or while a slot is in flight, [`Error::TooLarge`] for
-    /// what the device cannot hold; memory or device failures. When memory fails, nothing is reserved any more.
+    /// [`Error::Argument`] for an invalid reservation or while a slot is in flight, [`Error::TooLarge`] if
+    /// the reservation exceeds the device; memory or device failures. After a memory failure no slot is
+    /// reserved.
     pub fn reserve(&mut self, wanted: &Reservation) -> Result<()> {
         if self.compose.is_none() {
             self.compose = Some(Compose::new(&self.context)?);
@@ -143,22 +145,23 @@ impl Renderer {
 
     /// Records a frame into a host's command buffer.
     ///
-    /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything back.
-    /// Everything is checked before the first command is recorded. Afterwards the slot is in flight until the device
-    /// has executed the recording; it may be recorded again once the whole command buffer is over, as
-    /// [`Context::adopt_commands`](crate::vk::Context::adopt_commands) has it. The slot keeps scenes and views of images
-    /// alive that are dropped meanwhile; the next recording destroys them, if [`Renderer::release_slot`] has not.
+    /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything
+    /// back. Everything is checked before the first command is recorded. The slot is then in flight until the
+    /// device has executed the recording. It may be recorded again once the whole command buffer has
+    /// finished, as [`Context::adopt_commands`](crate::vk::Context::adopt_commands) requires. The slot keeps
+    /// scenes and image views alive that are dropped meanwhile. [`Renderer::release_slot`] or the next
+    /// recording destroys them.
     ///
-    /// Updates are made in their order: of two that overlap, the later one counts.
+    /// Updates are applied in order: where two overlap, the later one wins.
     ///
-    /// Before its first command the recording waits for compute and transfers that come earlier in the queue, and for
-    /// what each [`HostImage::from`] says.
+    /// Before its first command the recording waits for earlier compute and transfer commands in the queue,
+    /// and for the previous uses in [`HostImage::from`].
     ///
     /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved or still in flight, commands, scenes or images of another
-    /// device, a camera or a pose that makes no sense, images of the wrong format, use, size or layout, numbers that are
-    /// not finite, and kernels that [`Renderer::reserve`] has not built;
-    /// [`Error::TooLarge`] for what the reservation has no room for.
+    /// [`Error::Argument`] for a slot that is not reserved or still in flight; for commands, scenes or images
+    /// of another device; for an invalid camera or pose; for images with a wrong format, usage, size or
+    /// layout; for numbers that are not finite; and for kernels that [`Renderer::reserve`] has not built.
+    /// [`Error::TooLarge`] for what exceeds the reservation.
     pub fn record(
         &mut self,
         commands: ForeignCommands,
@@ -218,8 +221,8 @@ impl Renderer {
         Ok(release)
     }
 
-    /// What the last frame of a slot was made of: None while it is in flight, and where there is none. Never waits, but on
-    /// llvmpipe, where asking for timestamps waits for the whole device
+    /// The report of a slot's last frame: None while it is in flight, and without a frame. Never waits,
+    /// except on llvmpipe, where reading timestamps waits for the whole device
     /// ([`ContextOptions::timestamps`](crate::vk::ContextOptions::timestamps)).
     ///
     /// # Errors
@@ -229,8 +232,8 @@ impl Renderer {
         self.slots.get(slot)?.report(&sizes)
     }
 
-    /// Whether the last frame of a slot is done. Never waits. What the host has recorded behind the frame may still run: see
-    /// [`Context::adopt_commands`](crate::vk::Context::adopt_commands).
+    /// Whether the last frame of a slot has finished. Never waits. Commands that the host recorded after the
+    /// frame may still run: see [`Context::adopt_commands`](crate::vk::Context::adopt_commands).
     ///
     /// # Errors
     /// As [`Renderer::slot_report`].
@@ -238,8 +241,8 @@ impl Renderer {
         self.slots.get(slot)?.record.finished()
     }
 
-    /// Lets go of what the last frame of a slot used, once its command buffer is over: scenes and views of images that were
-    /// dropped meanwhile are destroyed now, and not when the slot is recorded again.
+    /// Releases what the last frame of a slot used, once its command buffer has finished. Scenes and image
+    /// views that were dropped meanwhile are destroyed now instead of at the slot's next recording.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved or still in flight.
@@ -247,8 +250,8 @@ impl Renderer {
         self.slots.get(slot)?.record.release()
     }
 
-    /// The buffer that [`Target::Slot`] fills: premultiplied r, g, b and transmittance per pixel, row by row, f32. A storage
-    /// buffer and a source of transfers; another one after [`Renderer::reserve`].
+    /// The buffer that [`Target::Slot`] fills: premultiplied r, g, b and transmittance per pixel, row by row,
+    /// f32. Usable as a storage buffer and a source of transfers. [`Renderer::reserve`] replaces it.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
@@ -256,8 +259,9 @@ impl Renderer {
         Ok(self.slots.get(slot)?.frame.accumulated.clone())
     }
 
-    /// The buffer of [`RenderSettings::inverse_depth`]: the sum of weights / z per pixel, row by row, f32. As
-    /// [`Renderer::slot_pixels`]. With an expected depth ([`RecordedFrame::depth`]) it holds the sum of weights * z.
+    /// The buffer of [`RenderSettings::inverse_depth`]: the sum of weights / z per pixel, row by row, f32;
+    /// otherwise as [`Renderer::slot_pixels`]. With an expected depth ([`RecordedFrame::depth`]) it holds the
+    /// sum of weights * z.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
@@ -265,7 +269,7 @@ impl Renderer {
         Ok(self.slots.get(slot)?.frame.inverse_depth.clone())
     }
 
-    /// The slot's own recording state, for a host that has thrown its command buffer away or caught a panic: see
+    /// The slot's recording state, for a host that has discarded its command buffer or caught a panic: see
     /// [`RecordSlot::discard`](crate::vk::RecordSlot::discard).
     ///
     /// # Errors
@@ -275,7 +279,7 @@ impl Renderer {
     }
 }
 
-/// The first scene, and the others behind it in the frame's index space.
+/// The first scene, and the others after it in the frame's index space.
 fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32) -> [Vec<PlacedScene<'a>>; 2] {
     let mut first = 0;
     let mut all = frame.scenes.iter().map(|placed| {

@@ -8,22 +8,22 @@ use crate::plan::{FrameBuffers, FrameCapacity};
 use crate::scene::Camera;
 use crate::vk::{Context, Recorder, RunReport};
 
-/// The forward pass with buffers of its own.
+/// The forward pass with its own frame buffers.
 pub(crate) struct FrameRunner {
     pub(super) context: Context,
     pub(super) forward: Forward,
     pub(super) store: FrameStore,
 }
 
-/// What to run.
+/// Inputs of a run.
 #[derive(Clone, Copy)]
 pub(crate) struct Request<'a> {
     pub scene: &'a SceneBuffers,
     pub camera: &'a Camera,
     pub settings: &'a RenderSettings,
-    /// SH degree that is evaluated.
+    /// Evaluated SH degree.
     pub sh_degree: u32,
-    /// With the buffers that backward needs.
+    /// Whether the frame has the buffers of the backward pass.
     pub backward: bool,
 }
 
@@ -46,17 +46,17 @@ impl<'a> Request<'a> {
     }
 }
 
-/// What came of it.
+/// Result of a run.
 pub(crate) struct Ran {
     pub state: State,
     pub report: RunReport,
-    /// Times the frame was run again because a capacity had to grow.
+    /// Number of times the frame was run again because a capacity had to grow.
     pub retries: u32,
 }
 
-/// Why there is no frame.
+/// Why a run failed.
 pub(crate) enum Failed {
-    /// It needs more room than there is: its counts, and what did not suffice.
+    /// The frame exceeds the available memory: its counts, and the error.
     TooLittleRoom(Box<(State, Error)>),
     Other(Error),
 }
@@ -92,8 +92,8 @@ impl FrameRunner {
         self.forward.set_blending(blending)
     }
 
-    /// Runs a frame; `record_more` records what follows the blending. An overflowed frame is run again with more room,
-    /// so what follows must change nothing that lasts when `STATE_OVERFLOW` is set.
+    /// Runs a frame. `record_more` records the work after the blending. A frame that overflows is run again
+    /// with a larger capacity, so that work must not change persistent state if `STATE_OVERFLOW` is set.
     pub fn run(
         &mut self,
         request: &Request,
@@ -126,17 +126,17 @@ impl FrameRunner {
         }
     }
 
-    /// Takes other buffers for the frames that follow, and hands out its own.
+    /// Exchanges its frame buffers with `store`.
     pub fn exchange(&mut self, store: &mut FrameStore) {
         std::mem::swap(&mut self.store, store);
     }
 
-    /// Gives the buffers back; the next frame allocates as many.
+    /// Frees the buffers. The next frame allocates the same capacity.
     pub fn release(&mut self) {
         self.store.release();
     }
 
-    /// Makes sure of buffers for these cameras with backward and of the kernels up to an SH degree, for
+    /// Allocates buffers with backward for these cameras, and builds the kernels up to an SH degree, for
     /// [`FrameRunner::record`].
     pub fn reserve(&mut self, gaussians: u32, cameras: &[Camera], sh_degree: u32) -> Result<()> {
         let variant = BlendVariant { backward: true, ..BlendVariant::default() };
@@ -149,35 +149,35 @@ impl FrameRunner {
         Ok(())
     }
 
-    /// Makes room for more Gaussians than frames have had so far.
+    /// Grows the capacity above that of all earlier frames.
     pub fn make_room(&mut self, gaussians: u32) -> Result<()> {
         self.store.make_room(gaussians)
     }
 
-    /// Allocates as a run before had it.
+    /// Allocates the capacity of an earlier run.
     pub fn restore(&mut self, capacity: FrameCapacity) -> Result<()> {
         self.store.restore(capacity)
     }
 
-    /// Bytes of the frame's buffers at present.
+    /// Current bytes of the frame's buffers.
     pub fn frame_bytes(&self) -> u64 {
         self.store.bytes()
     }
 
-    /// Makes room for what frames turned out to need; whether there was too little.
+    /// Grows the capacity to the counts that a frame needed. Returns whether it was too small.
     pub fn grow(&mut self, needed: &State) -> Result<bool> {
         self.store.grow(needed, &self.forward.sizes)
     }
 
-    /// Starts the capacity for instances at this number, unless it is larger already.
+    /// Raises the capacity in instances to at least this number.
     pub fn set_instances_at_least(&mut self, instances: u32) {
         if instances > self.store.capacity().instances {
             self.store.set_instances(instances);
         }
     }
 
-    /// Records a frame into the buffers at hand and nothing else: what [`FrameRunner::reserve`] was for. The overflow
-    /// of a frame before is kept.
+    /// Records a frame into the existing buffers, prepared by [`FrameRunner::reserve`], and does nothing
+    /// more. Keeps an overflow of an earlier frame.
     pub fn record(
         &self,
         r: &mut Recorder,
@@ -196,7 +196,7 @@ impl FrameRunner {
         self.store.current()
     }
 
-    /// What the last frame's buffers can hold.
+    /// The capacities of the last frame's buffers.
     pub fn capacity(&self) -> FrameCapacity {
         self.store.capacity()
     }

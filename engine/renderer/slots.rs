@@ -1,4 +1,4 @@
-//! Frames in flight: the memory of each, planned and allocated ahead.
+//! Frames in flight. The memory of each is planned and allocated in advance.
 
 use super::frame_store::State;
 use crate::error::{Error, Result};
@@ -9,7 +9,7 @@ use crate::plan::{
 };
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder, ScopeTime};
 
-/// What is to be allocated ahead for recording: see [`super::Renderer::reserve`].
+/// What is allocated in advance for recording: see [`super::Renderer::reserve`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reservation {
     /// Frames in flight.
@@ -20,26 +20,28 @@ pub struct Reservation {
     pub scenes: u32,
     /// Highest SH degree of the scenes.
     pub sh_degree: u32,
-    /// (tile, Gaussian) instances of a frame; 0 for a guess. [`SlotReport`] says how many a frame needs.
+    /// (tile, Gaussian) instances of a frame; 0 for an estimate. [`SlotReport`] has the number that a frame
+    /// needs.
     pub instances: u32,
     /// Width of the largest picture, pixels.
     pub width: u32,
     /// Height of the largest picture, pixels.
     pub height: u32,
-    /// Passes of blending: more than one only for tiles so full that a driver's limit on loops cuts them off.
+    /// Passes of blending. More than one is only needed if a driver's limit on loops cuts off very long
+    /// tiles.
     pub blend_passes: u32,
     /// Whether frames will render the sum of weights / z.
     pub inverse_depth: bool,
     /// Whether frames will render expected depth.
     pub expected_depth: bool,
-    /// Whether frames will be hidden behind a host's depth image.
+    /// Whether frames will read a host's depth image.
     pub occlusion: bool,
     /// Bytes of staging memory for the [`super::Update`]s of a frame: see [`Reservation::update_bytes`].
     pub staging_bytes: u64,
 }
 
 impl Reservation {
-    /// One frame in flight of one scene, with everything that can be asked of it switched off.
+    /// A reservation for one frame in flight of one scene, with all options off.
     pub fn new(gaussians: u32, sh_degree: u32, width: u32, height: u32) -> Self {
         Self {
             slots: 1,
@@ -57,16 +59,16 @@ impl Reservation {
         }
     }
 
-    /// Staging memory that an update of `gaussians` Gaussians of a scene of this degree takes.
+    /// Staging bytes of an update of `gaussians` Gaussians of a scene of this degree.
     pub fn update_bytes(gaussians: u32, sh_degree: u32) -> u64 {
         u64::from(gaussians) * u64::from(crate::plan::parameter_planes(sh_degree)) * 16
     }
 
-    /// The reservation with room for what a frame turned out to need; unchanged if it had enough.
+    /// A copy of the reservation that fits what a frame needed; unchanged if the frame fitted.
     pub fn grown(&self, report: &SlotReport) -> Self {
         let mut grown = *self;
         if report.instances_needed > report.instance_capacity {
-            // Half as much again: the next frames will not need exactly this many.
+            // With a reserve of half: the next frames will need a different number.
             grown.instances = report.instances_needed.saturating_add(report.instances_needed / 2);
         }
         grown.blend_passes = self.blend_passes.max(report.blend_passes_needed);
@@ -82,7 +84,7 @@ impl Reservation {
         if self.slots == 0 || self.scenes == 0 || self.blend_passes == 0 {
             return Err(Error::argument("reservation", "no slots, scenes or blending passes"));
         }
-        // Far more than any device can hold the instances of.
+        // Above the instances of any device.
         let most = [
             ("slots", self.slots, 1024),
             ("scenes", self.scenes, 65_536),
@@ -97,7 +99,7 @@ impl Reservation {
         Ok(())
     }
 
-    /// The ways to blend that frames may ask for.
+    /// The variants of blending that frames may use.
     pub(super) fn variants(&self) -> Vec<BlendVariant> {
         let mut variants = vec![BlendVariant::default()];
         if self.inverse_depth {
@@ -117,39 +119,39 @@ impl Reservation {
         variants
     }
 
-    /// Dispatches of a frame, at most.
+    /// Most dispatches of a frame.
     pub(super) fn dispatches(&self, context: &Context) -> Result<usize> {
         const PER_FRAME: u32 = 48;
-        // Scenes may be stored at a higher degree than they are drawn with, in more chunks.
+        // Scenes may be stored at a higher degree than the evaluated one, in more chunks.
         let plan = ScenePlan::new(context.limits(), self.gaussians, 3)
             .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree))?;
-        // Per chunk of parameters: culling and projection, and per scene the ranges of its chunks.
+        // Per chunk of parameters: culling and projection. Per scene: the ranges of its chunks.
         let projection = 2 * (plan.chunks + self.scenes) + self.scenes;
         let blending = LaunchSizes::new(context.limits()).blend_dispatches(self.instances, self.blend_passes);
         Ok((PER_FRAME + blending + projection) as usize)
     }
 }
 
-/// What a recorded frame was made of, once it has finished.
+/// The counts of a recorded frame that has finished.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct SlotReport {
     /// Gaussians in the frame's scenes.
     pub gaussians: u32,
-    /// Visible ones.
+    /// Visible Gaussians.
     pub visible: u32,
     /// (tile, Gaussian) instances that the picture needs.
     pub instances_needed: u32,
-    /// Instances that there was room for.
+    /// The frame's capacity in instances.
     pub instance_capacity: u32,
-    /// Entries of the fullest tile.
+    /// Entries of the longest tile.
     pub longest_tile: u32,
-    /// Passes of blending that the fullest tile needs.
+    /// Passes of blending that the longest tile needs.
     pub blend_passes_needed: u32,
-    /// Whether something did not fit: the picture lacks what lies farthest back, or, where `instances_needed` is
-    /// `u32::MAX`, everything. [`Reservation::grown`] helps against the first.
+    /// Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
+    /// if `instances_needed` is `u32::MAX`. [`Reservation::grown`] fixes the first case.
     pub overflow: bool,
-    /// Device time per stage; empty where there are no timestamps.
+    /// Device time per stage; empty without timestamps.
     pub scopes: Vec<ScopeTime>,
 }
 
@@ -164,7 +166,7 @@ pub(super) struct Slot {
     readback: Buffer,
     /// Gaussians of the last recording.
     gaussians: u32,
-    /// What the last recording was made of, once somebody has asked.
+    /// The report of the last recording, once it has been requested.
     report: Option<SlotReport>,
 }
 
@@ -176,7 +178,7 @@ pub(super) struct Slots {
 }
 
 impl Slots {
-    /// Allocates what a reservation asks for in place of what there is.
+    /// Allocates a reservation, which replaces the current one.
     pub fn reserve(&mut self, context: &Context, sizes: &LaunchSizes, wanted: &Reservation) -> Result<()> {
         wanted.check()?;
         for slot in &self.slots {
@@ -185,7 +187,7 @@ impl Slots {
             }
         }
         let dispatches = wanted.dispatches(context)?;
-        // The old memory goes first: both at once might not fit.
+        // The old memory is freed first: both at once might not fit.
         self.slots.clear();
         self.reserved = None;
         for _ in 0..wanted.slots {
@@ -195,7 +197,7 @@ impl Slots {
         Ok(())
     }
 
-    /// The slot of an index.
+    /// The slot with an index.
     pub fn get(&mut self, index: u32) -> Result<&mut Slot> {
         let count = self.slots.len();
         self.slots.get_mut(index as usize).ok_or_else(|| {
@@ -206,7 +208,7 @@ impl Slots {
 
 impl Slot {
     fn new(context: &Context, sizes: &LaunchSizes, wanted: &Reservation, dispatches: usize) -> Result<Self> {
-        // Between scenes lie gaps of less than a block.
+        // Gaps between scenes are smaller than a block.
         let gaussians =
             wanted.gaussians.saturating_add((wanted.scenes - 1).saturating_mul(sizes.elementwise_workgroup));
         let Reservation { width, height, .. } = *wanted;
@@ -237,20 +239,20 @@ impl Slot {
         Ok(Self { record, frame, capacity, depth_limits, staging, readback, gaussians: 0, report: None })
     }
 
-    /// Starts a recording of so many Gaussians.
+    /// Begins a recording with `gaussians` Gaussians.
     pub fn begin(&mut self, commands: ForeignCommands, gaussians: u32) -> Result<Recorder> {
         let recorder = self.record.begin(commands, "ashsplat")?;
         (self.gaussians, self.report) = (gaussians, None);
         Ok(recorder)
     }
 
-    /// Records the copy of the frame's counts to where the host reads them, and ends the recording.
+    /// Records the copy of the frame's counts to host-readable memory, and ends the recording.
     pub fn end(&mut self, mut recorder: Recorder) -> Result<()> {
         recorder.copy(&self.frame.state, &self.readback);
         self.record.end(recorder)
     }
 
-    /// What the last recording needed; None while it is in flight, and where there was none.
+    /// The report of the last recording: None while it is in flight, and without a recording.
     pub fn report(&mut self, sizes: &LaunchSizes) -> Result<Option<SlotReport>> {
         if !self.record.is_recorded() || !self.record.finished()? {
             return Ok(None);

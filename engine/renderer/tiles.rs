@@ -1,4 +1,4 @@
-//! How full the tiles of a frame are.
+//! Number of Gaussians per tile of a frame.
 
 use super::{Frame, FrameRunner, Renderer, no_scene};
 use crate::error::Result;
@@ -16,12 +16,12 @@ pub struct TileReport {
     pub rows: u32,
     /// (tile, Gaussian) instances of each tile.
     pub entries: Vec<u32>,
-    /// How far into its list each tile's blending went: the last entry that any of its pixels blended.
+    /// How far blending went into each tile's list: the last entry that any of its pixels blended.
     pub blended: Vec<u32>,
 }
 
 impl Renderer {
-    /// Renders a frame and reads back how full its tiles are.
+    /// Renders a frame and reads back the number of Gaussians in its tiles.
     ///
     /// # Errors
     /// As [`Renderer::render`].
@@ -29,7 +29,7 @@ impl Renderer {
         Ok(self.render_with_tiles(camera, settings)?.1)
     }
 
-    /// As [`Renderer::render`] and [`Renderer::tiles`], of one frame.
+    /// [`Renderer::render`] and [`Renderer::tiles`] for the same frame.
     ///
     /// # Errors
     /// As [`Renderer::render`].
@@ -44,7 +44,7 @@ impl Renderer {
 }
 
 impl FrameRunner {
-    /// A frame, and how full its tiles are.
+    /// Renders a frame and reads back the report of its tiles.
     pub(crate) fn render_with_tiles(
         &mut self,
         scene: &SceneBuffers,
@@ -55,7 +55,7 @@ impl FrameRunner {
         Ok((frame, self.tiles(camera)?))
     }
 
-    /// How full the tiles of the last frame are, which was rendered with this camera.
+    /// The report of the tiles of the last frame, which was rendered with this camera.
     fn tiles(&self, camera: &Camera) -> Result<TileReport> {
         let frame = self.frame()?;
         let (columns, rows) = tile_grid(camera.width, camera.height);

@@ -1,4 +1,4 @@
-//! New parameters for scenes, copied in front of a recorded frame.
+//! New parameters for scenes, copied before a recorded frame.
 
 use super::device_scene::DeviceScene;
 use crate::error::Result;
@@ -9,19 +9,19 @@ use crate::scene::Gaussians;
 use crate::vk::{Buffer, Recorder};
 use std::ops::Range;
 
-/// New parameters for some of a scene's Gaussians, copied before the frame is rendered.
+/// New parameters for some Gaussians of a scene, copied before the frame is rendered.
 #[derive(Clone, Copy)]
 pub struct Update<'a> {
     /// The scene.
     pub scene: &'a DeviceScene,
-    /// Index of the first Gaussian that is replaced.
+    /// Index of the first replaced Gaussian.
     pub first: u32,
-    /// The new ones; SH above the scene's degree is dropped, missing SH is zero.
+    /// The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
     pub gaussians: &'a Gaussians,
 }
 
 impl Update<'_> {
-    /// Whether another one replaces some of the same Gaussians: clones of a scene share their buffers.
+    /// Whether both replace some of the same Gaussians. Clones of a scene share its buffers.
     fn overlaps(&self, other: &Self) -> bool {
         let range = |u: &Self| (u64::from(u.first), u64::from(u.first) + u.gaussians.len() as u64);
         let ((first, end), (other_first, other_end)) = (range(self), range(other));
@@ -33,15 +33,15 @@ impl Update<'_> {
     }
 }
 
-/// What one update copies.
+/// The copies of one update.
 pub(super) struct Staged {
-    /// Whether an update since the last barrier has written some of the same.
+    /// Whether it needs a barrier: an update since the last barrier writes some of the same Gaussians.
     behind_barrier: bool,
     /// From the staging memory to the scene.
     copies: Vec<(Buffer, Buffer)>,
 }
 
-/// Writes new parameters into the slot's staging memory, which nobody uses now; returns the copies from there.
+/// Writes new parameters into the slot's staging memory, which is not in use, and returns the copies from it.
 pub(super) fn stage_updates(staging: Option<&Buffer>, updates: &[Update<'_>]) -> Result<Vec<Staged>> {
     let mut staged = Vec::new();
     let Some(staging) = staging else { return Ok(staged) };
@@ -90,7 +90,7 @@ struct Piece {
     words: Vec<[f32; 4]>,
 }
 
-/// Cuts an update into what lies together on the device.
+/// Splits an update into pieces that are contiguous on the device.
 fn pieces(update: &Update<'_>, plan: &ScenePlan) -> Vec<Piece> {
     let (first, end) = (update.first, update.first + update.gaussians.len() as u32);
     let mut pieces = Vec::new();
@@ -100,7 +100,7 @@ fn pieces(update: &Update<'_>, plan: &ScenePlan) -> Vec<Piece> {
             continue;
         }
         let own = (begin - first) as usize..(stop - first) as usize;
-        // Packed as if the rows that they touch were a chunk of their own.
+        // Packed as a chunk that consists of the touched rows only.
         let (begin, stop) = (begin - range.first, stop - range.first);
         let rows = begin / PLANE_ROW..stop.div_ceil(PLANE_ROW);
         let skipped = rows.start * PLANE_ROW;
@@ -114,7 +114,7 @@ fn pieces(update: &Update<'_>, plan: &ScenePlan) -> Vec<Piece> {
     pieces
 }
 
-/// Where Gaussians `begin` to `stop` of a chunk lie in it, and where in a chunk of nothing but their rows.
+/// Ranges of Gaussians `begin` to `stop` in a chunk, and in a chunk that consists of their rows only.
 fn runs(
     plan: &ScenePlan,
     packed: &ScenePlan,

@@ -4,16 +4,17 @@ use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 
 use crate::{Error, Result};
 
-/// Largest accepted width or height of an image, pixels. JPEG's own limit; larger claims are damage.
+/// Largest accepted width or height of an image, pixels. It is JPEG's own limit; a larger value means a
+/// damaged file.
 pub const MAX_IMAGE_SIDE: u32 = 65_535;
 
-/// Least and greatest focal length of a camera that took photographs, image sizes.
+/// Smallest and largest plausible focal length of a camera that took photographs, in image sizes.
 const FOCAL_LENGTHS: [f32; 2] = [1e-3, 1e6];
 
-/// Greatest distance of its principal point from the middle, image sizes.
+/// Largest plausible distance of its principal point from the middle, in image sizes.
 const PRINCIPAL_POINT: f32 = 100.0;
 
-/// Greatest distance of its centre from the origin, world units.
+/// Largest plausible distance of its centre from the origin, world units.
 const FARTHEST: f32 = 1e9;
 
 /// How far `R Rᵀ` of a camera's rotation may be from the identity, per element.
@@ -43,7 +44,7 @@ pub struct Camera {
     pub height: u32,
 }
 
-/// What a camera is without its pose: focal lengths, principal point and image size.
+/// A camera without its pose: focal lengths, principal point and image size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Focal length in x, pixels.
@@ -69,7 +70,7 @@ impl Intrinsics {
 }
 
 impl Intrinsics {
-    /// What no camera that took photographs has, though it could be rendered.
+    /// Values that no camera that took photographs has, although they could be rendered.
     pub fn absurdity(&self) -> Option<String> {
         let axes = [("x", self.fx, self.cx, self.width), ("y", self.fy, self.cy, self.height)];
         axes.into_iter().find_map(|(axis, focal, center, side)| {
@@ -84,10 +85,11 @@ impl Intrinsics {
 }
 
 impl Camera {
-    /// What no camera of a scene has, though it is finite: arithmetic in single precision ends long before.
+    /// A position that no camera of a scene has, although it is finite: single precision does not suffice for
+    /// it.
     pub fn absurdity(&self) -> Option<String> {
         let position = self.position();
-        // Also of what is no number.
+        // The comparison is false for NaN as well.
         let sane = position.length() <= FARTHEST;
         (!sane).then(|| format!("its camera is at {position}, farther than {FARTHEST:e} from the origin"))
     }

@@ -33,7 +33,7 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
-    /// No Gaussians, of an SH degree, with room for some.
+    /// An empty set with an SH degree, and memory reserved for `count` Gaussians.
     pub fn with_capacity(sh_degree: u32, count: usize) -> Self {
         Self {
             sh_degree,
@@ -97,7 +97,7 @@ impl Gaussians {
         Self { sh_degree: sh_degree.min(MAX_SH_DEGREE), sh, ..self.clone() }
     }
 
-    /// Where the Gaussians are, and how scales and opacities are distributed; for `info`.
+    /// Position, scale and opacity statistics of the Gaussians; for `info`.
     pub fn statistics(&self) -> GaussianStatistics {
         let means = || self.means.iter().map(|&p| Vec3::from_array(p)).filter(|p| p.is_finite());
         let scales = || self.log_scales.iter().flatten().map(|s| s.exp());

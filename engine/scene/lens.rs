@@ -1,4 +1,4 @@
-//! Cameras with lens distortion, and the pinhole cameras that take their place.
+//! Cameras with lens distortion, and the pinhole cameras that replace them.
 
 use glam::{DMat2, DVec2, dvec2};
 
@@ -9,13 +9,13 @@ use super::camera::Intrinsics;
 pub enum Distortion {
     /// Not at all.
     None,
-    /// Brown's model, with r² = u² + v²: the radial factor (1 + k₀ r² + k₁ r⁴ + k₂ r⁶ + k₃ r⁸) / (1 + d₀ r² + d₁ r⁴ +
-    /// d₂ r⁶) and the tangential (2 p₀ u v + p₁ (r² + 2 u²), 2 p₁ u v + p₀ (r² + 2 v²)). OpenCV's and COLMAP's
-    /// perspective models are cases of it.
+    /// Brown's model, with r² = u² + v²: the radial factor (1 + k₀ r² + k₁ r⁴ + k₂ r⁶ + k₃ r⁸) / (1 + d₀ r² +
+    /// d₁ r⁴ + d₂ r⁶) and the tangential term (2 p₀ u v + p₁ (r² + 2 u²), 2 p₁ u v + p₀ (r² + 2 v²)).
+    /// OpenCV's and COLMAP's perspective models are special cases.
     Brown {
-        /// Coefficients above the line.
+        /// Coefficients of the numerator.
         k: [f64; 4],
-        /// Coefficients below the line.
+        /// Coefficients of the denominator.
         d: [f64; 3],
         /// Tangential coefficients.
         p: [f64; 2],
@@ -56,12 +56,13 @@ impl Distortion {
         }
     }
 
-    /// The point that appears at a place; `None` where there is none near (a lens that sees more than a plane).
+    /// The undistorted point of a distorted one; `None` if there is none nearby (a lens that sees more than a
+    /// plane).
     pub fn undo(&self, distorted: DVec2) -> Option<DVec2> {
         const STEPS: usize = 100;
         const TOLERANCE: f64 = 1e-10;
         let mut point = match self {
-            // A good start, without which wide lenses do not converge.
+            // Wide lenses converge only from a good start.
             Self::Fisheye { .. } => {
                 let theta = distorted.length();
                 if theta > 0.0 { distorted * (theta.min(1.5).tan() / theta) } else { distorted }
@@ -77,7 +78,7 @@ impl Distortion {
             if !step.is_finite() {
                 return None;
             }
-            // Not so far that the next is on the other side of a fold.
+            // Steps are limited so that none crosses a fold.
             let longest = 0.5 * point.length().max(0.5);
             point -= step.clamp_length_max(longest);
             if step.length_squared() < TOLERANCE * TOLERANCE {
@@ -87,7 +88,7 @@ impl Distortion {
         (self.apply(point).distance(distorted) < 1e-6).then_some(point)
     }
 
-    /// Derivatives of [`Distortion::apply`], by differences.
+    /// Derivatives of [`Distortion::apply`], by finite differences.
     fn jacobian(&self, point: DVec2) -> DMat2 {
         let h = 1e-6 * point.length().max(1.0);
         let by = |axis: DVec2| (self.apply(point + h * axis) - self.apply(point - h * axis)) / (2.0 * h);
@@ -95,7 +96,7 @@ impl Distortion {
     }
 }
 
-/// A camera without pose, with its lens.
+/// A camera without pose, including its lens.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
     /// Focal lengths, pixels.
@@ -106,7 +107,7 @@ pub struct Lens {
     pub width: u32,
     /// Height of the image, pixels.
     pub height: u32,
-    /// What the lens does.
+    /// The lens distortion.
     pub distortion: Distortion,
 }
 
@@ -157,14 +158,14 @@ impl Lens {
         Self { focal_px: self.focal_px * scale, center_px: self.center_px * scale, width, height, ..*self }
     }
 
-    /// The place in the image of a point (x/z, y/z), pixels.
+    /// Image position of a point (x/z, y/z), pixels.
     pub fn project(&self, point: DVec2) -> DVec2 {
         self.focal_px * self.distortion.apply(point) + self.center_px
     }
 
-    /// The pinhole camera whose image the photo covers wholly: the same focal lengths, a smaller or larger image around
-    /// the same direction. As `UndistortCamera` of COLMAP with its default, no blank pixels; `None` where the lens sees
-    /// too much for a plane.
+    /// The largest pinhole camera whose image has no blank pixels: the same focal lengths, a smaller or
+    /// larger image around the same direction. Equals `UndistortCamera` of COLMAP with its default. `None` if
+    /// the lens sees too much for a plane.
     pub fn inscribed_pinhole(&self) -> Option<Intrinsics> {
         if !self.is_distorted() {
             return Some(self.intrinsics());
@@ -175,7 +176,7 @@ impl Lens {
             let point = self.distortion.undo((dvec2(x, y) - self.center_px) / self.focal_px)?;
             Some(self.focal_px * point + self.center_px)
         };
-        // The innermost places of the photo's four borders.
+        // The innermost positions of the photo's four borders.
         let (mut left, mut right, mut top, mut bottom) = (f64::MIN, f64::MAX, f64::MIN, f64::MAX);
         for y in rows {
             left = left.max(ideal(0.5, y)?.x);

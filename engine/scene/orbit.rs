@@ -37,17 +37,17 @@ impl Orbit {
             .collect()
     }
 
-    /// An orbit that repeats the situation of existing cameras: their mean height above the point they look at,
-    /// their mean distance to it, their mean up direction. `None` without cameras.
+    /// An orbit that resembles existing cameras: their mean height above the point they look at, their mean
+    /// distance to it, their mean up direction. `None` without cameras.
     ///
-    /// The centre is the point nearest to all optical axes (least squares); parallel axes do not tell where the scene is:
-    /// then one world unit ahead of the cameras, see [`Orbit::around_scene`].
+    /// The centre is the point nearest to all optical axes (least squares). Parallel axes have no such point:
+    /// the centre is then one world unit ahead of the cameras, see [`Orbit::around_scene`].
     pub fn around(cameras: &[Camera], count: u32, intrinsics: Intrinsics) -> Option<Self> {
         Self::around_scene(cameras, None, count, intrinsics)
     }
 
-    /// As [`Orbit::around`], but around `scene_center` (world units) where the cameras' axes are parallel and it lies in
-    /// front of the cameras.
+    /// As [`Orbit::around`], but around `scene_center` (world units) if the cameras' axes are parallel and it
+    /// lies in front of the cameras.
     pub fn around_scene(
         cameras: &[Camera],
         scene_center: Option<Vec3>,

@@ -11,7 +11,7 @@ const WIDEST: usize = 7;
 /// A matrix between the orders -l..=l of one degree, in the upper left corner.
 type Band = [[f64; WIDEST]; WIDEST];
 
-/// How SH coefficients change when what they describe is rotated.
+/// The change of SH coefficients under a rotation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShRotation {
     /// The matrices of degrees 1, 2 and 3.
@@ -109,7 +109,7 @@ impl Recursion<'_> {
         let v = 0.5 * root((if zero { 2 } else { 1 }) * (l + m.abs() - 1) * (l + m.abs()));
         let v = if zero { -v } else { v };
         let w = if zero { 0.0 } else { -0.5 * root((l - m.abs() - 1) * (l - m.abs())) };
-        // A factor of 0 goes with terms outside the matrices.
+        // A factor of 0 belongs to terms outside the matrices, which must not be evaluated.
         let term = |factor: f64, value: &dyn Fn() -> f64| if factor == 0.0 { 0.0 } else { factor * value() };
         term(u, &|| self.p(0, m, n)) + term(v, &|| self.v(m, n)) + term(w, &|| self.w(m, n))
     }

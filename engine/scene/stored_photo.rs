@@ -1,4 +1,4 @@
-//! Photos of a data set with what of them counts: in memory, or in a file until they are needed.
+//! Photos of a data set with their masks: in memory, or in a file until they are needed.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -12,7 +12,7 @@ use crate::{Error, Result};
 /// Bytes of a pixel in a file: r, g, b, mask.
 const TEXEL_BYTES: u64 = 4;
 
-/// A photo, and where it counts. Cheap to clone: the pixels are shared.
+/// A photo and its mask. Cheap to clone: the pixels are shared.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredPhoto {
     /// Width, pixels.
@@ -30,14 +30,14 @@ enum Place {
 }
 
 impl From<Photo> for StoredPhoto {
-    /// A photo of which everything counts.
+    /// A photo without a mask.
     fn from(photo: Photo) -> Self {
         Self::new(photo, None)
     }
 }
 
 impl StoredPhoto {
-    /// A photo in memory; `mask` has one byte per pixel, 0 where the photo does not count.
+    /// A photo in memory. `mask` has one byte per pixel, 0 where the pixel does not count.
     pub fn new(photo: Photo, mask: Option<Vec<u8>>) -> Self {
         let (width, height, masked) = (photo.width, photo.height, mask.is_some());
         let place = Place::Memory { photo: Arc::new(photo), mask: mask.map(Into::into) };
@@ -54,7 +54,7 @@ impl StoredPhoto {
         TEXEL_BYTES * u64::from(self.width) * u64::from(self.height)
     }
 
-    /// The file, if the photo lies in one.
+    /// The file, if the photo is in one.
     pub fn file(&self) -> Option<&Arc<PhotoFile>> {
         match &self.place {
             Place::Memory { .. } => None,
@@ -65,7 +65,7 @@ impl StoredPhoto {
     /// The photo.
     ///
     /// # Errors
-    /// [`Error::Io`] when it lies in a file that cannot be read.
+    /// [`Error::Io`] when it is in a file that cannot be read.
     pub fn photo(&self) -> Result<Arc<Photo>> {
         if let Place::Memory { photo, .. } = &self.place {
             return Ok(photo.clone());
@@ -74,7 +74,7 @@ impl StoredPhoto {
         Ok(Arc::new(Photo { width: self.width, height: self.height, rgb }))
     }
 
-    /// One byte per pixel, 0 where the photo does not count; none where all of it does.
+    /// One byte per pixel, 0 where the pixel does not count. None if all pixels count.
     ///
     /// # Errors
     /// As [`StoredPhoto::photo`].
@@ -97,7 +97,7 @@ impl StoredPhoto {
         }
     }
 
-    /// Tells photo and mask from others; the same in memory and in a file.
+    /// A hash of photo and mask, the same in memory and in a file.
     pub(crate) fn fingerprint(&self) -> u64 {
         match &self.place {
             Place::Memory { photo, mask } => fingerprint(photo, mask.as_deref()),
@@ -105,7 +105,7 @@ impl StoredPhoto {
         }
     }
 
-    /// Refuses a photo or mask with another number of bytes than its size says.
+    /// Refuses a photo or mask whose number of bytes does not fit its size.
     pub(crate) fn check(&self) -> Result<(), String> {
         let Place::Memory { photo, mask } = &self.place else { return Ok(()) };
         let pixels = self.width as usize * self.height as usize;
@@ -136,7 +136,7 @@ fn fingerprint(photo: &Photo, mask: Option<&[u8]>) -> u64 {
     print.finish()
 }
 
-/// Photos with their masks, one after the other in a file without a name, which goes with the value.
+/// Photos with their masks, one after the other, in an unnamed file that is deleted with this value.
 #[derive(Debug)]
 pub struct PhotoFile {
     folder: PathBuf,
@@ -151,12 +151,13 @@ impl PartialEq for PhotoFile {
 }
 
 impl PhotoFile {
-    /// An empty file in a folder; its photos may take so many bytes in memory together, host and device, while training.
+    /// An empty file in a folder. `memory_bytes` bounds the memory of its photos during training, host and
+    /// device together.
     pub fn new(file: File, folder: PathBuf, memory_bytes: u64) -> Arc<Self> {
         Arc::new(Self { folder, memory_bytes, file: Mutex::new(file) })
     }
 
-    /// Bytes that the photos of the file may take in memory together.
+    /// Bound of the memory of the file's photos, bytes.
     pub fn memory_bytes(&self) -> u64 {
         self.memory_bytes
     }

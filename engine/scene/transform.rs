@@ -67,7 +67,7 @@ impl Gaussians {
         }
     }
 
-    /// Mirrors axes: those with `true` change sign. Only signs change, so that doing it twice gives the same bits.
+    /// Mirrors the axes with `true`. Only signs change, so that a second call restores the same bits.
     pub fn mirror(&mut self, axes: [bool; 3]) {
         if axes == [false; 3] {
             return;
@@ -89,7 +89,7 @@ impl Gaussians {
         }
     }
 
-    /// Keeps those for which `keep` says so, in their order.
+    /// Keeps the Gaussians for which `keep` is true, in their order.
     pub fn retain(&mut self, keep: impl Fn(&Self, usize) -> bool) {
         let kept: Vec<usize> = (0..self.len()).filter(|&index| keep(self, index)).collect();
         if kept.len() < self.len() {

@@ -1,8 +1,8 @@
-//! A host engine's matrices in terms of [`Camera`]: the one place where conventions meet.
+//! Converts a host engine's matrices to [`Camera`]. All conventions are handled here.
 //!
-//! A view and a projection matrix say everything that differs between engines: which axes of view space point where,
-//! whether clip space points up or down, whether depth is reversed and where the far plane is. So nothing has to be
-//! told but the matrices themselves, and which way the viewport flips.
+//! A view and a projection matrix contain everything that differs between engines: the directions of the view
+//! space's axes, whether clip space points up or down, whether depth is reversed, and the far plane. So only
+//! the matrices and the flip of the viewport are needed.
 
 use glam::{Mat3, Mat4, Vec3, Vec4};
 
@@ -10,7 +10,7 @@ use super::camera::is_rotation;
 use super::{Camera, Intrinsics};
 use crate::{Error, Result};
 
-/// Where clip space's +y lies in the image.
+/// Where the +y of clip space lies in the image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ClipY {
     /// At the bottom: Vulkan with a viewport of positive height.
@@ -20,16 +20,17 @@ pub enum ClipY {
     Up,
 }
 
-/// How a host sees: column vectors, `clip = projection * view * world`, depth from 0 to 1 in the viewport's whole
-/// range.
+/// A host's view: column vectors, `clip = projection * view * world`, depth from 0 to 1 in the viewport's
+/// whole range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HostView {
-    /// View space from the scene's world: a rotation, perhaps a mirroring of axes, and a translation. A scene's world is
-    /// right-handed; for a host with a left-handed one, multiply by what takes the scene there: `view * diag(1, 1, -1, 1)`.
+    /// View space from the scene's world: a rotation, perhaps a mirroring of axes, and a translation. A
+    /// scene's world is right-handed. A host with a left-handed world multiplies by the conversion: `view *
+    /// diag(1, 1, -1, 1)`.
     pub view_from_world: Mat4,
     /// Perspective projection: any signs, off-centre or not, standard or reversed depth, finite or infinite far plane.
     pub clip_from_view: Mat4,
-    /// Where clip space's +y lies in the image.
+    /// Where the +y of clip space lies in the image.
     pub clip_y: ClipY,
     /// Width of the image, pixels.
     pub width: u32,
@@ -37,15 +38,15 @@ pub struct HostView {
     pub height: u32,
 }
 
-/// How 1/z follows from the value `d` of a host's depth buffer: `1/z = scale * d + offset`, exact for every perspective
-/// projection; z is the distance along the optical axis.
+/// Conversion of the value `d` of a host's depth buffer to 1/z: `1/z = scale * d + offset`, exact for every
+/// perspective projection; z is the distance along the optical axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthMapping {
     /// See above. Positive for reversed depth.
     pub scale: f32,
     /// See above.
     pub offset: f32,
-    /// The depth that means that nothing is there: 1, or 0 for reversed depth.
+    /// The depth of a pixel without a surface: 1, or 0 for reversed depth.
     pub clear_value: f32,
 }
 
@@ -57,11 +58,11 @@ impl DepthMapping {
 }
 
 impl HostView {
-    /// The camera, and how to read the depth buffer that is rendered with it.
+    /// The camera, and the mapping of the depth buffer that is rendered with it.
     ///
     /// # Errors
-    /// [`Error::Argument`] for numbers that are not finite, a projection that is no perspective or is skewed, a view
-    /// that scales or is not affine, and matrices that together mirror the picture.
+    /// [`Error::Argument`] for numbers that are not finite, a projection that is not perspective or is
+    /// skewed, a view that scales or is not affine, and matrices that together mirror the picture.
     pub fn camera(&self) -> Result<(Camera, DepthMapping)> {
         let bad = |what: &str, problem: &str| Err(Error::argument(what, problem));
         let (view, projection) = (self.view_from_world, self.clip_from_view);
@@ -86,7 +87,7 @@ impl HostView {
         }
         let up = if self.clip_y == ClipY::Up { -1.0 } else { 1.0 };
         let (scale_x, scale_y) = (p(0, 0) / w.abs(), up * p(1, 1) / w.abs());
-        // Which way the camera's axes (x right, y down, z forward) lie in view space.
+        // The camera's axes (x right, y down, z forward) in view space.
         let axes = Vec3::new(scale_x.signum(), scale_y.signum(), w.signum());
         let view_rotation = Mat3::from_mat4(view);
         let camera_from_world = Mat3::from_diagonal(axes) * view_rotation;
@@ -123,10 +124,11 @@ fn is_affine(matrix: Mat4) -> bool {
     matrix.row(3).abs_diff_eq(Vec4::W, 1e-5)
 }
 
-/// Where an object stands in the world: `x_world = scale * rotation * x_object + translation`.
+/// Pose of an object in the world: `x_world = scale * rotation * x_object + translation`.
 ///
-/// A scale is the same in all directions: under any other, Gaussians would need other rotations and extents, and their
-/// colours would change with the angle; [`Gaussians::transform`](super::Gaussians::transform) changes the Gaussians themselves.
+/// The scale is uniform. Under a non-uniform scale Gaussians would need other rotations and extents, and
+/// their colours would change with the angle. [`Gaussians::transform`](super::Gaussians::transform) changes
+/// the Gaussians themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Rotation from object to world.
@@ -145,8 +147,7 @@ impl Pose {
     /// A rotation, a uniform scale and a translation.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a matrix that does anything else: mirrors, shears, or scales one direction more than
-    /// another.
+    /// [`Error::Argument`] for a matrix that mirrors, shears, or does not scale uniformly.
     pub fn from_matrix(world_from_object: Mat4) -> Result<Self> {
         let m = Mat3::from_mat4(world_from_object);
         let scale = m.determinant().abs().cbrt();
@@ -161,10 +162,11 @@ impl Pose {
         }
     }
 
-    /// Checks that an object can stand there.
+    /// Checks that the pose is valid.
     ///
     /// # Errors
-    /// [`Error::Argument`] for numbers that are not finite, a scale that is not positive, and what is no rotation.
+    /// [`Error::Argument`] for numbers that are not finite, a scale that is not positive, or a matrix that is
+    /// no rotation.
     pub fn check(&self) -> Result<()> {
         let bad = |problem: &str| Err(Error::argument("pose", problem));
         let r = self.world_from_object;
@@ -181,8 +183,8 @@ impl Pose {
         Ok(())
     }
 
-    /// The camera against the object's axes and origin, in world units: seen from there, the object has not been turned
-    /// or moved, and neither have its spherical harmonics; it is `scale` times as large.
+    /// The camera in the object's axes and origin, in world units. Relative to it the object is neither
+    /// turned nor moved, and its spherical harmonics are unchanged; the object is `scale` times as large.
     pub fn camera_in_object(&self, camera: &Camera) -> Camera {
         if (Self { scale: 1.0, ..*self }) == Self::IDENTITY {
             return *camera;

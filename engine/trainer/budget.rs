@@ -1,4 +1,4 @@
-//! What a training run needs of memory, before it is asked for.
+//! Memory of a training run, computed before it is allocated.
 
 use super::LossScratch;
 use super::checkpoint::Room;
@@ -13,7 +13,7 @@ use crate::renderer::FrameStore;
 use crate::scene::Camera;
 use crate::vk::Context;
 
-/// Parameters, two moments, and the set that densification gathers into.
+/// Parameters, two moments, and the target of densification's gather.
 const SETS: u64 = 4;
 /// Bytes of a Gaussian's statistics.
 const STATISTICS_BYTES: u64 = 8;
@@ -23,46 +23,46 @@ pub(super) fn sets_bytes(plan: &ScenePlan) -> u64 {
     SETS * plan.chunk_bytes() * u64::from(plan.chunks) + STATISTICS_BYTES * u64::from(plan.capacity)
 }
 
-/// The widest and the highest of the views, px: a frame's buffers serve all of them.
+/// Largest width and largest height of the views, px: a frame's buffers serve all of them.
 pub(super) fn largest_sides(cameras: &[Camera]) -> (u32, u32) {
     let largest = |side: fn(&Camera) -> u32| cameras.iter().map(side).max().unwrap_or(0);
     (largest(|camera| camera.width), largest(|camera| camera.height))
 }
 
-/// What a training run is going to have, before anything is allocated.
+/// Sizes of a training run before its allocation.
 pub(super) struct Before<'a> {
     pub cameras: &'a [Camera],
     pub photo_bytes: PhotoBytes,
-    /// Gaussians to start from.
+    /// Initial number of Gaussians.
     pub count: u32,
     pub sh_degree: u32,
 }
 
 impl Before<'_> {
-    /// Bytes of all buffers but the photographs': as they are allocated by the end of the first iteration that has room.
+    /// Bytes of all buffers except the photographs', as allocated after the first iteration that fits.
     fn buffer_bytes(&self, context: &Context, plan: &ScenePlan, frame: Option<FrameCapacity>) -> u64 {
         let limits = context.limits();
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
         let planes = bytes(&vec![("planes", plan.chunk_bytes()); plan.chunks as usize]);
         let statistics = bytes(&[("statistics", STATISTICS_BYTES * u64::from(plan.capacity))]);
         let scratch = loss::scratch_requests(limits, self.cameras.iter().map(|c| (c.width, c.height)));
-        // The counts of training's frames and of pictures.
+        // The counts of training's frames and of drawn frames.
         let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&LossScratch::READBACK);
         let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
         SETS * planes + statistics + bytes(&LossScratch::with_losses(scratch)) + readback + frame
     }
 
-    /// The first frame for so many Gaussians, with room for all views.
+    /// The first frame with this number of Gaussians, large enough for all views.
     fn first_frame(&self, context: &Context, gaussians: u32) -> FrameCapacity {
         let (width, height) = largest_sides(self.cameras);
         let instances = initial_instances(context.limits(), gaussians, width, height);
         FrameCapacity { gaussians, instances, width, height, blend_passes: 1, backward: true }
     }
 
-    /// How many Gaussians to make room for at the start: half as many again as there are, or as many as the memory holds.
+    /// The initial capacity in Gaussians: with a reserve of half, or what the memory holds.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] with what is needed, when even those that are there do not fit.
+    /// [`Error::TooLarge`] with the needed bytes, if even the initial Gaussians do not fit.
     pub fn initial_capacity(&self, context: &Context) -> Result<u32> {
         let Self { cameras, ref photo_bytes, count, sh_degree } = *self;
         let most = max_trained_gaussians(context.limits());
@@ -75,7 +75,7 @@ impl Before<'_> {
                 limit_name: "what maxStorageBufferRange holds",
             });
         }
-        // Room to grow: densification allocates anew when it does not suffice.
+        // A reserve: densification reallocates when it is used up.
         let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
         let Some((limit, limit_name)) = context.memory_limit() else { return Ok(wanted) };
         let free = limit.saturating_sub(context.memory_total().bytes);
@@ -91,7 +91,8 @@ impl Before<'_> {
         if least + photos <= free {
             return Ok(count);
         }
-        // Photographs that may take half of the memory take more where there is more: all, or half of what is asked for.
+        // Photographs with a budget of half the memory follow the total: all of it, or half of what is
+        // requested.
         let follow = photo_bytes.budget == Some(limit / 2);
         let with_more = if follow { photo_bytes.all.min(least) + photo_bytes.staging } else { photos };
         let what = format!(
@@ -107,7 +108,7 @@ impl Before<'_> {
         })
     }
 
-    /// Whether what a run before had is possible here, and worth having: it holds the Gaussians, and fits.
+    /// Whether the capacities of an earlier run hold the Gaussians and fit here.
     pub fn has_room(&self, context: &Context, room: &Room) -> bool {
         let limits = context.limits();
         let Ok(plan) = ScenePlan::new(limits, room.gaussians, self.sh_degree) else { return false };
@@ -129,24 +130,25 @@ impl Before<'_> {
     }
 }
 
-/// How many Gaussians to make room for when `rows` do not fit: half as many again, or as many as can be trained.
+/// The new capacity when `rows` do not fit: with a reserve of half, up to the most Gaussians that can be
+/// trained.
 pub(super) fn grown_capacity(context: &Context, rows: u32) -> u32 {
     let most = max_trained_gaussians(context.limits());
     rows.saturating_add(rows / 2).min(most.max(rows))
 }
 
-/// What a training run has at present.
+/// Current sizes of a training run.
 pub(super) struct Present<'a> {
     pub context: &'a Context,
     pub plan: &'a ScenePlan,
     pub frame: FrameCapacity,
-    /// Of the frame's buffers, as they are allocated.
+    /// Current bytes of the frame's buffers.
     pub frame_bytes: u64,
 }
 
 impl Present<'_> {
-    /// Whether planes for a plan and a frame of as many Gaussians fit beside the planes of now, and, once those are gone, a
-    /// frame with as many more instances.
+    /// Whether planes for a plan and a frame of its capacity fit beside the current planes, and, once those
+    /// are freed, a frame with proportionally more instances.
     pub fn has_room(&self, plan: &ScenePlan) -> bool {
         let Self { context, plan: old, frame, frame_bytes: old_frame } = self;
         let limits = context.limits();
@@ -156,7 +158,7 @@ impl Present<'_> {
         let Some((limit, _)) = context.memory_limit() else { return true };
         let sizes = LaunchSizes::new(limits);
         let grown = FrameCapacity { gaussians: plan.capacity, ..*frame };
-        // More Gaussians have more instances.
+        // The number of instances grows with the number of Gaussians.
         let instances =
             u64::from(frame.instances) * u64::from(plan.capacity) / u64::from(old.capacity.max(1));
         let full =
@@ -167,7 +169,7 @@ impl Present<'_> {
         during.max(after) <= limit
     }
 
-    /// The most rows up to `rows` for which there is room; at least what there is room for already.
+    /// The most rows, up to `rows`, that fit; at least the current capacity.
     pub fn most_with_room(&self, rows: u32) -> Result<u32> {
         let (mut fits, mut beyond) = (self.plan.capacity, rows);
         while beyond.saturating_sub(fits) > (self.plan.capacity / 64).max(1) {
@@ -178,9 +180,9 @@ impl Present<'_> {
         Ok(fits)
     }
 
-    /// How many rows a densification of `before` Gaussians may leave so that frames like those before it, which had at most
-    /// so many instances, keep within three quarters of what the device can hold: views differ. None is added where the
-    /// memory does not hold those frames.
+    /// The most rows that a densification of `before` Gaussians may leave. Earlier frames had at most
+    /// `instances` instances, and later ones should stay within three quarters of what the device can hold,
+    /// because views differ. No row is added if the memory does not hold frames with `instances` instances.
     pub fn most_rows_by_instances(&self, before: u32, instances: u32) -> u32 {
         if !self.holds(instances) {
             return before;
@@ -190,7 +192,7 @@ impl Present<'_> {
         rows.clamp(before.into(), u32::MAX.into()) as u32
     }
 
-    /// Whether the memory has room for a frame with so many instances.
+    /// Whether the memory holds a frame with this number of instances.
     fn holds(&self, instances: u32) -> bool {
         let Some((limit, _)) = self.context.memory_limit() else { return true };
         let full = FrameCapacity { instances: instances.max(self.frame.instances), ..self.frame };
@@ -200,8 +202,9 @@ impl Present<'_> {
     }
 }
 
-/// What is remembered of the most instances of a frame when a densification of `before` Gaussians has left `rows`: as many
-/// per Gaussian, but for a twentieth. After a reset of the opacities frames have few for a while, and then as many again.
+/// The remembered maximum of instances after a densification of `before` Gaussians has left `rows`: the same
+/// number per Gaussian, less a twentieth. After an opacity reset frames have few instances for a while, and
+/// then as many as before.
 pub(super) fn remembered_instances(most: u32, before: u32, rows: u32) -> u32 {
     let per_gaussian = u64::from(most) * u64::from(rows) / u64::from(before.max(1));
     (per_gaussian * 19 / 20).min(u32::MAX.into()) as u32
@@ -213,7 +216,7 @@ mod tests {
 
     #[test]
     fn what_frames_needed_before_a_reset_is_remembered_for_a_while() {
-        // Five densifications by a twentieth each, while opacities come back: three quarters are remembered.
+        // Five densifications, a twentieth each, while opacities recover: three quarters are remembered.
         let (mut most, mut rows) = (1_000_000, 100_000);
         for _ in 0..5 {
             most = remembered_instances(most, rows, rows / 20 * 21);

@@ -1,8 +1,8 @@
-//! Everything that a training run is at between two steps: to disk, and back.
+//! The complete state of a training run between two steps.
 //!
-//! As a file it is the business of the crate `ashsplat-files`: parameters, Adam's moments and the statistics of densification as named tensors,
-//! everything else as metadata. A run that goes on from one ends with the same bits as a run that was never interrupted:
-//! what is random is keyed by seed and iteration, so no generator has a state of its own.
+//! The crate `ashsplat-files` reads and writes it as a file: parameters, Adam's moments and the statistics of
+//! densification as named tensors, the rest as metadata. A resumed run ends with the same bits as a run that
+//! was never interrupted: random numbers are keyed by seed and iteration, so no generator has state.
 
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
@@ -15,15 +15,15 @@ use crate::scene::gaussians::sh_coefficients;
 pub struct Checkpoint {
     /// Version of ashsplat that made it.
     pub version: String,
-    /// Device that made it: on another, the bits differ.
+    /// Device that made it. On another device the bits differ.
     pub device: String,
-    /// The device's driver and its version: with another, the bits may differ.
+    /// The device's driver and its version. With another driver the bits may differ.
     pub driver: String,
     /// The run's settings.
     pub settings: TrainSettings,
     /// Number of views.
     pub views: u64,
-    /// Tells the views (cameras and photographs, in their order) from others.
+    /// Hash of the views (cameras and photographs, in their order).
     pub views_fingerprint: u64,
     /// The scene's extent, world units.
     pub scene_extent: f32,
@@ -45,9 +45,9 @@ pub struct Checkpoint {
     pub second_moments: Gaussians,
     /// Per Gaussian: sum of the 2D mean's gradient norms (NDC), number of views.
     pub statistics: Vec<[f32; 2]>,
-    /// Iterations up to this one that were left out, one after the other ([`super::StepReport::skipped`]).
+    /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
     pub skipped: u32,
-    /// What there was room for.
+    /// Allocated capacities.
     pub room: Room,
 }
 
@@ -62,30 +62,30 @@ pub struct Tensor<'a> {
     pub bytes: &'a [u8],
 }
 
-/// What a run has allocated: whether a densification finds room within a bounded memory depends on it.
+/// The allocated capacities of a run. Within a bounded memory, they decide whether a densification fits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Room {
-    /// Gaussians that the planes of parameters hold.
+    /// Capacity of the parameter planes in Gaussians.
     pub gaussians: u32,
     /// Gaussians of a frame.
     pub frame_gaussians: u32,
     /// (tile, Gaussian) instances of a frame.
     pub frame_instances: u32,
-    /// Width of a frame, pixels; 0 where there was none.
+    /// Width of a frame, pixels; 0 without a frame.
     pub frame_width: u32,
     /// Height of a frame, pixels.
     pub frame_height: u32,
     /// Passes of blending.
     pub blend_passes: u32,
-    /// Whether a frame has what backward needs: 0 or 1.
+    /// Whether a frame has the buffers of the backward pass: 0 or 1.
     pub backward: u32,
-    /// Most instances that a frame had; each densification takes those per Gaussian, and forgets a twentieth.
+    /// Most instances of a frame. Each densification keeps the number per Gaussian, less a twentieth.
     pub most_instances: u32,
     /// [`crate::vk::ContextOptions::max_memory`], bytes.
     pub max_memory: Option<u64>,
 }
 
-/// What a checkpoint must have been made with to go on from it.
+/// What a checkpoint must match to be resumed.
 pub(super) struct Wanted<'a> {
     pub settings: &'a TrainSettings,
     pub views: u64,
@@ -94,8 +94,8 @@ pub(super) struct Wanted<'a> {
 }
 
 impl Checkpoint {
-    /// Why a run that goes on here may end with other bits than one that was never interrupted: another version, device or
-    /// driver has made the checkpoint. One sentence each.
+    /// Why a run that is resumed here may end with other bits than one that was never interrupted: another
+    /// version, device or driver made the checkpoint. One sentence each.
     pub fn differences(&self, device: &str, driver: &str) -> Vec<String> {
         let pairs = [
             ("ashsplat", self.version.as_str(), env!("CARGO_PKG_VERSION")),
@@ -133,7 +133,7 @@ impl Checkpoint {
     /// Prefixes of the tensors' names: parameters, first and second moments.
     pub const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
 
-    /// A hash of all tensors: two states of a run are the same to the bit where these are.
+    /// A hash of all tensors. Equal hashes mean states that are equal to the bit.
     pub fn fingerprint(&self) -> u64 {
         let mut fingerprint = Fingerprint::new();
         self.tensors().iter().for_each(|tensor| fingerprint.add(tensor.bytes));

@@ -11,10 +11,10 @@ use crate::scene::Camera;
 use crate::scene::camera::middle;
 use crate::vk::{Buffer, MemoryKind};
 
-/// Scales above this share of the scene's extent are pruned, once opacities have been reset (reference).
+/// Scales above this share of the scene's extent are pruned after the first opacity reset (reference).
 const LARGE_SCALE_SHARE: f64 = 0.1;
 
-/// Planes and statistics for a set that has outgrown its own.
+/// New planes and statistics for a set that exceeds its capacity.
 struct Fresh {
     plan: ScenePlan,
     sets: Vec<Vec<Buffer>>,
@@ -22,8 +22,8 @@ struct Fresh {
 }
 
 impl Trainer {
-    /// Decides, makes room, and gathers the new set. Where there is no room for all that the settings ask for, those with
-    /// the largest gradients are added.
+    /// Classifies, grows the capacity, and gathers the new set. If the capacity cannot grow enough, only the
+    /// Gaussians with the largest gradients are cloned or split.
     pub(super) fn run_densification(&mut self, iteration: u32) -> Result<Densified> {
         let settings = self.densify_settings(iteration);
         let before = self.training.scene.count;
@@ -33,7 +33,8 @@ impl Trainer {
         let wanted = self.classify(&buffers, &settings)?;
         let most = self.present().most_rows_by_instances(before, self.most_instances);
         let rows = wanted.rows().min(most);
-        // Before there are two sets of planes. No other order in its place: the bits would go by what else takes memory.
+        // Allocated before the second set of planes. There is no fallback to another order: the bits would
+        // then depend on the free memory.
         let Some(order) = self.order_buffers(rows)? else { return Ok(unchanged) };
         let fresh = if rows > self.training.scene.plan.capacity { self.make_room(rows)? } else { None };
         let room = fresh.as_ref().map_or(self.training.scene.plan.capacity, |fresh| fresh.plan.capacity);
@@ -58,17 +59,18 @@ impl Trainer {
         }
     }
 
-    /// What deciding takes; None without memory for it: then all stay as they are.
+    /// Buffers of the classification. None without memory for them: the set then stays as it is.
     fn decision_buffers(&self) -> Result<Option<DensifyBuffers>> {
         let sizes = LaunchSizes::new(self.context.limits());
         let before = self.training.scene.count;
-        // At most two rows per Gaussian: one stays and one is cloned, or it is split into two.
+        // At most two rows per Gaussian: it stays and is cloned, or it is split into two.
         let requests = DensifyBuffers::requests(&sizes, before, before.saturating_mul(2));
         let buffers = or_none(self.context.allocate("densify", &requests, MemoryKind::Device))?;
         Ok(buffers.map(DensifyBuffers::from_allocated))
     }
 
-    /// What sorting so many rows along the curve takes; None without memory for it: then all stay as they are.
+    /// Buffers for sorting `rows` rows along the curve. None without memory for them: the set then stays as
+    /// it is.
     fn order_buffers(&self, rows: u32) -> Result<Option<OrderBuffers>> {
         let requests = OrderBuffers::requests(&LaunchSizes::new(self.context.limits()), rows);
         let buffers = or_none(self.context.allocate("densify", &requests, MemoryKind::Device))?;
@@ -80,8 +82,8 @@ impl Trainer {
         Curve { center: middle.as_vec3(), extent: self.scene_extent }
     }
 
-    /// Planes, and a frame, for so many rows: with half as many again, with none to spare, or with as many as the memory
-    /// has room for, if that is worth moving. None: there is no room to grow.
+    /// Planes and a frame for `rows` rows: with a reserve of half, without a reserve, or with the largest
+    /// capacity that the memory holds, if the gain is worth the copy. None: the capacity cannot grow.
     fn make_room(&mut self, rows: u32) -> Result<Option<Fresh>> {
         let old = self.training.scene.plan.capacity;
         let most = self.present().most_with_room(rows)?;
@@ -99,7 +101,7 @@ impl Trainer {
 
     fn present(&self) -> budget::Present<'_> {
         let frame = self.runner.capacity();
-        // Also for views that have not been seen yet.
+        // For all views, including those that have not been used yet.
         let (width, height) = budget::largest_sides(&self.cameras);
         budget::Present {
             context: &self.context,
@@ -109,8 +111,9 @@ impl Trainer {
         }
     }
 
-    /// Decides for the Gaussians with the largest gradients, as many as there is room for: by the threshold that lets them
-    /// through, which is found by bisection. The room is at least that of those that are there.
+    /// Classifies with a threshold that fits the capacity: bisection finds the lowest one, so that the
+    /// Gaussians with the largest gradients are cloned or split. The capacity is at least the current number
+    /// of Gaussians.
     fn decide_within(
         &self,
         buffers: &DensifyBuffers,
@@ -118,7 +121,7 @@ impl Trainer {
         room: u32,
     ) -> Result<Densified> {
         const ROUNDS: u32 = 24;
-        // Numbers from 0 to infinity, which lets none through, have the order of their bits.
+        // Non-negative floats have the order of their bits. At infinity no Gaussian passes.
         let (mut low, mut high) = (settings.gradient_threshold.abs().to_bits(), f32::INFINITY.to_bits());
         let classify = |bits: u32| {
             self.classify(buffers, &DensifySettings { gradient_threshold: f32::from_bits(bits), ..*settings })
@@ -146,7 +149,7 @@ impl Trainer {
         Ok(Densified { before, kept: totals[0], cloned: totals[1], split: totals[2], limited: false })
     }
 
-    /// Fills new planes with `rows` Gaussians and their moments: fresh ones, or those at hand.
+    /// Fills planes with `rows` Gaussians and their moments: new planes, or the existing ones.
     fn gather(
         &mut self,
         (rows, iteration): (u32, u32),
@@ -157,7 +160,8 @@ impl Trainer {
         let old = &self.training;
         let key = RandomKey { seed: self.settings.seed, iteration, explicit: None };
         let plan = fresh.as_ref().map_or(old.scene.plan, |fresh| fresh.plan);
-        // Without growth the four sets of planes rotate: each is gathered into the one that was freed before it.
+        // Without growth the four sets of planes rotate: each is gathered into the set that the previous
+        // gather freed.
         let sets = [&old.scene.chunks, &old.moments.first, &old.moments.second];
         let targets: [&Vec<Buffer>; 3] = match &fresh {
             Some(fresh) => [&fresh.sets[0], &fresh.sets[1], &fresh.sets[2]],
@@ -168,7 +172,7 @@ impl Trainer {
             Some(fresh) => (&fresh.sets[3], &fresh.statistics),
             None => (&old.moments.second, &old.statistics),
         };
-        // One submission: either all of it comes to pass or the old set stays.
+        // One submission: either all of it is executed or the old set stays.
         self.context.run("densify: gather", |r| {
             r.fill(statistics, 0);
             self.densify.record_scatter_sources(r, old.scene.count, rows, buffers);
@@ -194,9 +198,9 @@ impl Trainer {
         Ok(())
     }
 
-    /// Planes for parameters, both moments and the spare set of up to `capacity` Gaussians, their statistics, and a frame for
-    /// as many; an error where they do not fit the memory. What there was before is still there, but for the frame, which
-    /// the next step makes anew.
+    /// Planes for parameters, both moments and the spare set with the given capacity, their statistics, and a
+    /// frame. An error if they do not fit the memory. The old planes then still exist. The old frame does
+    /// not, and the next step allocates it again.
     fn allocate_fresh(&mut self, capacity: u32) -> Result<Fresh> {
         let plan = ScenePlan::new(self.context.limits(), capacity, self.training.scene.plan.sh_degree)?;
         if !self.present().has_room(&plan) {
@@ -210,7 +214,7 @@ impl Trainer {
         Ok(fresh)
     }
 
-    /// Lowers all opacities to 0.01 at most and forgets their moments.
+    /// Lowers all opacities to at most 0.01 and clears their moments.
     pub(super) fn run_opacity_reset(&mut self) -> Result<()> {
         self.context.run("reset opacity", |r| {
             self.densify.record_reset(r, &self.training.scene, &self.training.moments);
@@ -220,7 +224,7 @@ impl Trainer {
     }
 }
 
-/// None where there was no room; an error where nobody knows what the device does.
+/// None if the memory does not suffice; an error if the state of the device is unknown.
 fn or_none<T>(result: Result<T>) -> Result<Option<T>> {
     match result {
         Ok(done) => Ok(Some(done)),

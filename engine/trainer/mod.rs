@@ -1,8 +1,9 @@
 //! Training: from photographs and a sparse point cloud to Gaussians.
 //!
-//! One step is one submission: forward, loss, backward, Adam; or it is recorded into a host's command buffer. A densification or an opacity reset that an iteration
-//! asks for comes at the start of the next step, so that between steps the scene is what the reference would save.
-//! A step whose frame overflowed its buffers changes nothing and is run again with more room.
+//! One step is one submission: forward, loss, backward, Adam. A host may record it into its own command
+//! buffer instead. A densification or an opacity reset that an iteration requests runs at the start of the
+//! next step, so that between steps the scene is what the reference would save. A step whose frame overflowed
+//! its buffers changes nothing, and is run again with a larger capacity.
 
 mod budget;
 pub mod checkpoint;
@@ -32,23 +33,23 @@ use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Buffer, Context, MemoryKind, ScopeTime};
 use photos::Photos;
 
-/// A photograph and where it was taken from.
+/// A photograph and its camera.
 #[derive(Clone, Debug)]
 pub struct TrainView {
     /// The camera; its size is the photo's.
     pub camera: Camera,
-    /// The photo, kept on the device as 8 bits per channel; what its mask hides carries no loss. Photos in a file are
-    /// read ahead of the iterations that need them.
+    /// The photo, kept on the device with 8 bits per channel. Masked pixels carry no loss. Photos in a file
+    /// are read ahead of the iterations that need them.
     pub photo: StoredPhoto,
 }
 
-/// What a step did.
+/// The report of a step.
 #[derive(Clone, Debug, Default)]
 pub struct StepReport {
     /// Iteration, from 1.
     pub iteration: u32,
-    /// Whether the iteration was left out, because its frame has more (tile, Gaussian) instances than the device or the
-    /// memory has room for: it has changed nothing, and its losses are NaN. See [`Trainer::step`].
+    /// Whether the iteration was skipped, because its frame has more (tile, Gaussian) instances than the
+    /// device or the memory can hold. It has changed nothing, and its losses are NaN. See [`Trainer::step`].
     pub skipped: bool,
     /// (1 - λ) L1 + λ (1 - SSIM) before the step.
     pub loss: f32,
@@ -58,40 +59,40 @@ pub struct StepReport {
     pub ssim: f32,
     /// Gaussians in the step.
     pub gaussians: u32,
-    /// Visible in the step's view.
+    /// Gaussians visible in the step's view.
     pub visible: u32,
     /// (tile, Gaussian) instances of the step's view.
     pub instances: u32,
-    /// Instances of the fullest tile of the step's view.
+    /// Instances of the longest tile of the step's view.
     pub longest_tile: u32,
-    /// Samples of blending, where they are counted.
+    /// Samples of blending, if counted.
     pub samples: BlendSamples,
-    /// Gaussians that were left alone because their gradient was not finite.
+    /// Gaussians that did not change because their gradient was not finite.
     pub skipped_non_finite: u32,
     /// Wall time of the step; 0 for a recorded one.
     pub milliseconds: f64,
     /// Index of the view.
     pub view: usize,
-    /// What the densification before the step did, if the iteration before asked for one; of recorded steps, see
-    /// [`Maintenance`].
+    /// The report of the densification before the step, if the previous iteration requested one. For recorded
+    /// steps see [`Maintenance`].
     pub densified: Option<Densified>,
     /// Device time per stage.
     pub scopes: Vec<ScopeTime>,
 }
 
-/// What a densification did.
+/// The report of a densification.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Densified {
     /// Gaussians before.
     pub before: u32,
-    /// Of those, how many stayed.
+    /// Gaussians that stayed.
     pub kept: u32,
     /// Clones that were added.
     pub cloned: u32,
     /// Gaussians that were replaced by two each.
     pub split: u32,
-    /// Whether there was no room for all that the settings ask for, in memory or within the device's limits, so that only
-    /// those with the largest gradients were cloned or split.
+    /// Whether memory or the device's limits did not suffice for all new Gaussians, so that only those with
+    /// the largest gradients were cloned or split.
     pub limited: bool,
 }
 
@@ -106,7 +107,7 @@ impl Densified {
 pub(crate) struct Training {
     pub scene: SceneBuffers,
     pub moments: Moments,
-    /// A fourth set of planes, which densification gathers into.
+    /// A fourth set of planes, the target of densification's gather.
     pub spare: Vec<Buffer>,
     /// Per Gaussian: sum of NDC gradient norms, views.
     pub statistics: Buffer,
@@ -138,7 +139,7 @@ pub struct Trainer {
     views_fingerprint: u64,
     photos: Photos,
     runner: FrameRunner,
-    /// Buffers of the frames that are drawn between steps: what is trained does not depend on them.
+    /// Buffers of the frames that are drawn between steps. Training does not depend on them.
     pictures: FrameStore,
     loss: Loss,
     /// For views with masks.
@@ -151,16 +152,16 @@ pub struct Trainer {
     order: step::ViewOrder,
     progress: step::Progress,
     recording: record::Recording,
-    /// Of a frame, at most; see [`Room::most_instances`].
+    /// Most instances of a frame so far; see [`Room::most_instances`].
     most_instances: u32,
-    /// Iterations that were left out, one after the other.
+    /// Number of consecutive skipped iterations.
     skipped: u32,
-    /// Whether a submission that changes the scene may or may not have come to pass.
+    /// Whether it is unknown if a submission that changes the scene was executed.
     broken: bool,
 }
 
 pub(crate) struct LossScratch {
-    /// Of [`Loss::scratch_requests`].
+    /// The buffers of [`Loss::scratch_requests`].
     pub loss: Vec<Buffer>,
     pub losses: Buffer,
     pub readback: Buffer,
@@ -189,10 +190,11 @@ impl Trainer {
     /// Uploads photographs and initial Gaussians.
     ///
     /// `scene_extent` is 1.1 times the largest distance of a training camera to their mean, world units (the
-    /// reference's `cameras_extent`): it scales the learning rate of the means and the thresholds of densification.
+    /// reference's `cameras_extent`). It scales the learning rate of the means and the thresholds of
+    /// densification.
     ///
     /// # Errors
-    /// [`Error::Argument`] for settings, cameras or photographs that make no sense; memory or device failures.
+    /// [`Error::Argument`] for invalid settings, cameras or photographs; memory or device failures.
     pub fn new(
         context: &Context,
         views: Vec<TrainView>,
@@ -203,7 +205,7 @@ impl Trainer {
         Self::build(context, views, initial, scene_extent, settings, None)
     }
 
-    /// As [`Trainer::new`], with the room that a run before had.
+    /// As [`Trainer::new`], with the capacities of an earlier run.
     fn build(
         context: &Context,
         views: Vec<TrainView>,
@@ -279,40 +281,41 @@ impl Trainer {
         &self.settings
     }
 
-    /// How tiles are blended.
+    /// The form of blending.
     pub fn blending(&self) -> Blending {
         self.runner.blending()
     }
 
-    /// Chooses how tiles are blended, in place of [`Blending::of_device`]. Steps that are recorded already keep the form that they
-    /// have; before another one can be recorded, maintenance is due.
+    /// Sets the form of blending, instead of [`Blending::of_device`]. Steps that are already recorded keep
+    /// their form. Another step can be recorded after [`Trainer::maintain`] only.
     pub fn set_blending(&mut self, blending: Blending) {
         if self.runner.set_blending(blending) {
             self.recording.frame_is_ready = false;
         }
     }
 
-    /// Iterations done. Recorded ones count once they have finished and [`Trainer::settle`] has taken note.
+    /// Number of finished iterations. Recorded ones count once they have finished and [`Trainer::settle`] has
+    /// been called.
     pub fn iteration(&self) -> u32 {
         self.progress.iteration
     }
 
-    /// The SH degree in use at this iteration.
+    /// The SH degree of this iteration.
     pub fn sh_degree(&self) -> u32 {
         self.settings.sh_degree_at(self.progress.iteration)
     }
 
-    /// Renders the scene as it stands; with `settings.sh_degree` None, at the degree in use at this iteration.
+    /// Renders the current scene. If `settings.sh_degree` is None, it uses the SH degree of this iteration.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a camera that makes no sense, while recorded steps are in flight, and after a step of which
-    /// nobody knows whether it came to pass; memory or device failures.
+    /// [`Error::Argument`] for an invalid camera, while recorded steps are in flight, and after a step with
+    /// an unknown outcome; memory or device failures.
     pub fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
         let settings = self.at_present_degree(settings);
         self.drawing(|runner, scene| runner.render(scene, camera, &settings))
     }
 
-    /// As [`Trainer::render`], and how full the frame's tiles are.
+    /// As [`Trainer::render`], with the number of Gaussians in the frame's tiles.
     ///
     /// # Errors
     /// As [`Trainer::render`].
@@ -325,7 +328,8 @@ impl Trainer {
         self.drawing(|runner, scene| runner.render_with_tiles(scene, camera, &settings))
     }
 
-    /// The Gaussians blended at a pixel, as [`crate::Renderer::inspect`] lists them, of the scene as it stands.
+    /// The Gaussians of the current scene that are blended at a pixel, as [`crate::Renderer::inspect`] lists
+    /// them.
     ///
     /// # Errors
     /// As [`crate::Renderer::inspect`].
@@ -339,9 +343,9 @@ impl Trainer {
         self.drawing(|runner, scene| runner.inspect(scene, camera, &settings, pixel))
     }
 
-    /// Draws between two steps, with buffers of its own, which are given back where memory is bounded: whoever looks on
-    /// changes nothing of what training has. Where there is no room beside training's frame, then in its place: the next
-    /// step makes that anew.
+    /// Draws between two steps, with its own buffers, so that a viewer does not change the training's
+    /// buffers. They are freed afterwards if memory is bounded. If they do not fit beside the training frame,
+    /// that frame is freed, and the next step allocates it again.
     fn drawing<T>(
         &mut self,
         mut draw: impl FnMut(&mut FrameRunner, &SceneBuffers) -> Result<T>,
@@ -374,7 +378,7 @@ impl Trainer {
         RenderSettings { sh_degree: Some(sh_degree), ..*settings }
     }
 
-    /// How views are rendered in training, but for a random background.
+    /// The render settings of training, without the random background.
     pub fn render_settings(&self) -> RenderSettings {
         RenderSettings {
             antialias: self.settings.antialiasing,
@@ -386,19 +390,19 @@ impl Trainer {
     /// Downloads the Gaussians.
     ///
     /// # Errors
-    /// [`Error::Argument`] while recorded steps are in flight, and after a step of which nobody knows whether it came to
-    /// pass; when the device is lost.
+    /// [`Error::Argument`] while recorded steps are in flight, and after a step with an unknown outcome; when
+    /// the device is lost.
     pub fn gaussians(&self) -> Result<Gaussians> {
         self.check_readable()?;
         planes::download(&self.context, &self.training.scene)
     }
 
-    /// Bytes of device memory in use, all arenas of the context together.
+    /// Bytes of device memory in use by all arenas of the context.
     pub fn memory_bytes(&self) -> u64 {
         self.context.memory_total().bytes
     }
 
-    /// What is allocated in each arena of the context and the most that ever was, at the end the same of all together.
+    /// Current and peak bytes of each arena of the context. The last entry is the total.
     pub fn memory(&self) -> Vec<ArenaMemory> {
         let mut all = self.context.memory();
         all.push(self.context.memory_total());

@@ -1,4 +1,4 @@
-//! Photographs on the device: all of them, or those that are needed next.
+//! Photographs on the device: all of them, or the ones that are needed next.
 
 use std::sync::mpsc::{Receiver, sync_channel};
 
@@ -10,12 +10,12 @@ use crate::loss::{Windowing, photo_bytes, photo_on_device};
 use crate::scene::StoredPhoto;
 use crate::vk::{Buffer, Context, MemoryKind};
 
-/// Photographs that wait on the host for their turn, read by a thread.
+/// Photographs that a thread has read and that wait on the host.
 const AHEAD: u64 = 2;
-/// Photographs on the host at a time: those that wait, one that is being read, one that is being uploaded.
+/// Most photographs on the host: the waiting ones, the one being read, and the one being uploaded.
 const ON_HOST: u64 = AHEAD + 2;
 
-/// The views' photographs as [`photo_on_device`] makes them.
+/// The views' photographs in the layout of [`photo_on_device`].
 pub(super) enum Photos {
     Resident { texels: Vec<Buffer>, masked: Vec<bool> },
     Streamed(Stream),
@@ -28,10 +28,11 @@ enum Residence {
 }
 
 impl Residence {
-    /// All of them, unless they lie in a file: then as many as fit its budget beside those that wait on the host.
+    /// All of them, except for photographs in a file: then the number that fits the budget, less those that
+    /// wait on the host.
     fn of(windowing: Windowing, views: &[TrainView]) -> Result<Self> {
         let Some(file) = views.iter().find_map(|view| view.photo.file()) else { return Ok(Self::All) };
-        // Those that wait on the host are in the form for the device as well; the one that is being read is in both.
+        // Waiting photographs have the device's layout. The one that is being read has both layouts.
         let bytes = views.iter().map(|view| bytes_of(windowing, &view.photo)).max().unwrap_or(0).max(4);
         let read = views.iter().map(|view| view.photo.bytes()).max().unwrap_or(0);
         let read = if windowing == Windowing::Sweeps { read } else { 0 };
@@ -52,20 +53,20 @@ impl Residence {
 
 /// Bytes of device memory that the views' photographs take.
 pub(super) struct PhotoBytes {
-    /// As much of them as there is room for.
+    /// Bytes of those that stay on the device.
     pub held: u64,
-    /// While one is uploaded beside all else.
+    /// Bytes of staging memory during an upload.
     pub staging: u64,
     /// All of them.
     pub all: u64,
-    /// What they may take, where they lie in a file.
+    /// The budget of photographs in a file.
     pub budget: Option<u64>,
 }
 
-/// How much device memory the views' photographs take.
+/// The device memory of the views' photographs.
 ///
 /// # Errors
-/// [`Error::TooLarge`] when their budget is too small to read ahead.
+/// [`Error::TooLarge`] if the budget is too small to read ahead.
 pub(super) fn device_bytes(context: &Context, views: &[TrainView]) -> Result<PhotoBytes> {
     let all = context.allocation_bytes(&requests(context, views));
     Ok(match Residence::of(windowing_of(context), views)? {
@@ -83,7 +84,7 @@ fn requests(context: &Context, views: &[TrainView]) -> Vec<(&'static str, u64)> 
     views.iter().map(|view| ("photo", bytes_of(windowing_of(context), &view.photo))).collect()
 }
 
-/// As [`Loss::new`](crate::loss::Loss::new) decides.
+/// The same choice as [`Loss::new`](crate::loss::Loss::new).
 fn windowing_of(context: &Context) -> Windowing {
     Windowing::for_device(context.limits())
 }
@@ -112,7 +113,8 @@ fn check(views: &[TrainView]) -> Result<()> {
 }
 
 impl Photos {
-    /// Uploads the views' photographs, or makes room for some of them; they are needed in the order of a seed.
+    /// Uploads the views' photographs, or allocates slots for some of them. The seed determines the order of
+    /// their use.
     pub fn new(context: &Context, views: &[TrainView], seed: u32) -> Result<Self> {
         check(views)?;
         let (count, bytes) = match Residence::of(windowing_of(context), views)? {
@@ -131,12 +133,13 @@ impl Photos {
         Ok(Self::Streamed(Stream { photos, slots, seed, running: None }))
     }
 
-    /// Whether all are on the device all along.
+    /// Whether all photographs stay on the device.
     pub fn are_resident(&self) -> bool {
         matches!(self, Self::Resident { .. })
     }
 
-    /// Sees to it that the photograph of an iteration is on the device. No submission that uses another may be pending.
+    /// Makes sure that the photograph of an iteration is on the device. No submission that uses another one
+    /// may be pending.
     pub fn prepare(&mut self, context: &Context, iteration: u32) -> Result<()> {
         match self {
             Self::Resident { .. } => Ok(()),
@@ -144,7 +147,7 @@ impl Photos {
         }
     }
 
-    /// The texels of a view, which [`Photos::prepare`] has prepared.
+    /// The texels of a view after [`Photos::prepare`].
     pub fn of(&self, view: usize) -> &Buffer {
         match self {
             Self::Resident { texels, .. } => &texels[view],
@@ -155,7 +158,7 @@ impl Photos {
         }
     }
 
-    /// Whether parts of a view do not count.
+    /// Whether a view has masked pixels.
     pub fn is_masked(&self, view: usize) -> bool {
         match self {
             Self::Resident { masked, .. } => masked[view],
@@ -163,7 +166,7 @@ impl Photos {
         }
     }
 
-    /// Whether parts of any view do not count.
+    /// Whether any view has masked pixels.
     pub fn any_masked(&self) -> bool {
         match self {
             Self::Resident { masked, .. } => masked.contains(&true),
@@ -172,8 +175,8 @@ impl Photos {
     }
 }
 
-/// Photographs that come from a file while training runs. A thread reads them in the order in which they will be missed,
-/// which both sides work out by themselves.
+/// Photographs that are read from a file during training. A thread reads them in the order in which they will
+/// be loaded. Both threads compute this order on their own.
 pub(super) struct Stream {
     photos: Vec<StoredPhoto>,
     slots: Vec<Buffer>,
@@ -183,10 +186,10 @@ pub(super) struct Stream {
 
 struct Running {
     schedule: Schedule,
-    /// The iteration that is prepared.
+    /// The prepared iteration.
     iteration: u32,
     at: Use,
-    /// Texels in the order of the loads; the thread ends when nobody receives any more.
+    /// Texels in the order of the loads. The thread ends when the receiver is dropped.
     texels: Receiver<Result<Vec<u8>>>,
 }
 
@@ -195,7 +198,7 @@ impl Stream {
         if self.running.as_ref().is_some_and(|running| running.iteration == iteration) {
             return Ok(());
         }
-        // Anew at the start, from a checkpoint and after a failure.
+        // Restarts at the first iteration, after a checkpoint and after a failure.
         let mut running = match self.running.take() {
             Some(running) if running.iteration + 1 == iteration => running,
             _ => self.start(windowing_of(context), iteration)?,
@@ -220,7 +223,7 @@ impl Stream {
         let schedule = Schedule::new(order, self.slots.len(), iteration);
         let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
         let (sender, texels) = sync_channel(AHEAD as usize);
-        // Where all fit, none is read twice.
+        // If all photographs fit, each is read once.
         let mut left = if self.slots.len() < photos.len() { usize::MAX } else { photos.len() };
         let read = move || {
             while left > 0 {

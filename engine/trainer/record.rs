@@ -1,8 +1,9 @@
-//! Training steps in a host's command buffer: nothing is submitted, waited for, allocated, mapped or read back.
+//! Training steps in a host's command buffer. Recording never submits, waits, allocates, maps or reads back.
 //!
-//! What a step cannot do by recording alone is done between steps, by [`Trainer::maintain`]: densification, which needs
-//! memory and numbers from the device, opacity resets, and more room after a step that had too little. A step without
-//! room, and whatever was recorded behind it, changes nothing: the device keeps its overflow flag until then.
+//! [`Trainer::maintain`] does between steps what recording cannot: densification, which needs memory and
+//! counts from the device; opacity resets; and a larger capacity after a step that overflowed. A step that
+//! overflows changes nothing, and neither do the steps recorded after it: the device keeps its overflow flag
+//! until then.
 
 use super::step::{IterationPlan, Progress, read_losses, step_parts};
 use super::{Densified, StepReport, Trainer};
@@ -14,13 +15,14 @@ use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Record
 use ash::vk;
 use std::collections::VecDeque;
 
-/// What is allocated ahead for recording steps: see [`Trainer::reserve_steps`].
+/// What is allocated in advance for recording steps: see [`Trainer::reserve_steps`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepReservation {
-    /// Steps that may be recorded before the first of them has finished. They use the same memory one after the other,
-    /// but for a few words each.
+    /// Steps that may be recorded before the first of them has finished. They share the same memory, except
+    /// for a few words each.
     pub slots: u32,
-    /// (tile, Gaussian) instances of a step at least; 0 for a guess. [`Trainer::maintain`] makes more room.
+    /// Least capacity in (tile, Gaussian) instances of a step; 0 for an estimate. [`Trainer::maintain`] grows
+    /// it.
     pub instances: u32,
 }
 
@@ -30,7 +32,7 @@ impl Default for StepReservation {
     }
 }
 
-/// A step that was recorded.
+/// A recorded step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RecordedStep {
@@ -38,49 +40,50 @@ pub struct RecordedStep {
     pub iteration: u32,
     /// Index of its view.
     pub view: usize,
-    /// What whoever uses the Gaussians next waits for; there are no images.
+    /// What the next user of the Gaussians waits for. There are no images.
     pub release: Release,
 }
 
-/// What came of a recorded step that has finished.
+/// The outcome of a recorded step that has finished.
 #[derive(Clone, Debug)]
 pub enum StepOutcome {
-    /// It is done.
+    /// The step was executed.
     Done(StepReport),
-    /// It changed nothing, because its frame, or that of a step before it, had too little room. [`Trainer::maintain`]
-    /// makes more; then its iteration is recorded again.
+    /// The step changed nothing, because its frame or that of an earlier step overflowed.
+    /// [`Trainer::maintain`] grows the capacity. Then its iteration is recorded again.
     Overflowed {
-        /// The iteration that is still to be done.
+        /// The iteration to be repeated.
         iteration: u32,
         /// (tile, Gaussian) instances that the step needs.
         instances_needed: u32,
-        /// Instances that there was room for.
+        /// The step's capacity in instances.
         instance_capacity: u32,
     },
 }
 
-/// What [`Trainer::maintain`] did.
+/// The report of [`Trainer::maintain`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Maintenance {
-    /// What a densification did, if one was due.
+    /// The report of the densification, if one was due.
     pub densified: Option<Densified>,
     /// Whether opacities were reset.
     pub opacities_reset: bool,
-    /// Whether there is more room now, after a step that overflowed.
+    /// Whether the capacity has grown after a step that overflowed.
     pub grown: bool,
-    /// The iteration that was left out, because there cannot be as much room as it needs: see [`Trainer::step`].
+    /// The skipped iteration, whose instances exceed the largest possible capacity: see [`Trainer::step`].
     pub skipped: Option<u32>,
 }
 
-/// The steps that a host records.
+/// The recorded steps of a host.
 #[derive(Default)]
 pub(super) struct Recording {
     slots: Vec<StepSlot>,
     in_flight: VecDeque<InFlight>,
-    /// What the steps that overflowed need, until there is room: the first of them, and all together.
+    /// Counts of the steps that overflowed, until the capacity has grown: of the first of them, and the
+    /// largest of all.
     overflow: Option<[State; 2]>,
-    /// Whether the frame's buffers are such as the next recorded step may use.
+    /// Whether the next recorded step may use the frame's buffers.
     pub frame_is_ready: bool,
 }
 
@@ -89,7 +92,7 @@ struct StepSlot {
     state: Buffer,
     losses: Buffer,
     outcome: Option<StepOutcome>,
-    /// That it has room for.
+    /// Capacity in dispatches.
     dispatches: usize,
 }
 
@@ -118,13 +121,13 @@ impl StepSlot {
 }
 
 impl Trainer {
-    /// Builds all kernels and allocates everything that recorded steps need, in place of the reservation before. Submits
-    /// and waits. The whole command buffers of all steps are over by then, as whoever adopted them has promised
+    /// Builds all kernels and allocates everything that recorded steps need. Replaces the previous
+    /// reservation. Submits and waits. The whole command buffers of all steps must have finished
     /// ([`Context::adopt_commands`](crate::vk::Context::adopt_commands)).
     ///
     /// # Errors
-    /// [`Error::Argument`] without slots, for photographs that lie in a file or while recorded steps are in flight,
-    /// [`Error::TooLarge`] for what the device cannot hold; memory or device failures.
+    /// [`Error::Argument`] without slots, for photographs that lie in a file or while recorded steps are in
+    /// flight, [`Error::TooLarge`] if it exceeds the device; memory or device failures.
     pub fn reserve_steps(&mut self, wanted: &StepReservation) -> Result<()> {
         if wanted.slots == 0 {
             return Err(Error::argument("reservation", "no slots for steps"));
@@ -149,17 +152,19 @@ impl Trainer {
         self.make_ready(true)
     }
 
-    /// Records the next iteration into a host's command buffer. The bits are those of [`Trainer::step`] on the same context.
+    /// Records the next iteration into a host's command buffer. The bits equal those of [`Trainer::step`] on
+    /// the same context.
     ///
-    /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything back, and
-    /// everything is checked before the first command. Afterwards the slot is in flight until the device has executed
-    /// the recording. Recorded steps have to be executed in the order in which they were recorded; between them the host
-    /// may render [`Trainer::scene`] with [`Renderer::record`](crate::Renderer::record), after waiting for the
-    /// [`Release`].
+    /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything
+    /// back. Everything is checked before the first command. The slot is then in flight until the device has
+    /// executed the recording. Recorded steps must be executed in the order of recording. Between them the
+    /// host may render [`Trainer::scene`] with [`Renderer::record`](crate::Renderer::record), after waiting
+    /// for the [`Release`].
     ///
     /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved or still in flight, commands of another device, while
-    /// maintenance is due ([`Trainer::maintenance_is_due`]), and as [`Trainer::step`] for a trainer whose state is unknown.
+    /// [`Error::Argument`] for a slot that is not reserved or still in flight; for commands of another
+    /// device; while maintenance is due ([`Trainer::maintenance_is_due`]); and as [`Trainer::step`] for a
+    /// trainer whose state is unknown.
     pub fn record_step(&mut self, commands: ForeignCommands, slot: u32) -> Result<RecordedStep> {
         self.check_whole()?;
         if !commands.belongs_to(&self.context) {
@@ -198,7 +203,7 @@ impl Trainer {
         Ok(RecordedStep { iteration: plan.iteration, view: plan.view, release })
     }
 
-    /// A step, and the copies of its counts and its loss to where the host reads them.
+    /// Records a step, and the copies of its counts and its loss to host-readable memory.
     fn record_plan(
         &self,
         r: &mut Recorder,
@@ -213,7 +218,7 @@ impl Trainer {
         })
     }
 
-    /// Takes note of the recorded steps that have finished, and returns how many have not. Never waits.
+    /// Updates the state from the recorded steps that have finished. Returns how many have not. Never waits.
     ///
     /// # Errors
     /// When the device is lost.
@@ -252,7 +257,7 @@ impl Trainer {
         Ok(self.recording.in_flight.len() as u32)
     }
 
-    /// Forgets steps whose command buffers were thrown away.
+    /// Forgets steps whose command buffers were discarded.
     fn forget_discarded(&mut self) -> Result<()> {
         let Recording { slots, in_flight, .. } = &mut self.recording;
         let is_recorded = |step: &InFlight| slots[step.slot].record.is_recorded();
@@ -272,7 +277,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// What came of the last step of a slot: None while it is in flight, and where there was none. Never waits.
+    /// The outcome of the last step of a slot: None while it is in flight, and without a step. Never waits.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved; when the device is lost.
@@ -280,7 +285,7 @@ impl Trainer {
         self.settle()?;
         let index = self.slot_index(slot)?;
         let slot = &mut self.recording.slots[index];
-        // Not asked for while steps are recorded: see `RecordSlot::has_times`.
+        // Not read while steps are recorded: see `RecordSlot::has_times`.
         if let Some(StepOutcome::Done(report)) = &mut slot.outcome
             && report.scopes.is_empty()
         {
@@ -304,11 +309,12 @@ impl Trainer {
         Ok(due.densifies || due.resets || recording.overflow.is_some() || !recording.frame_is_ready || !fits)
     }
 
-    /// Does what recorded steps cannot: densifies and resets opacities where the iteration before asks for it, makes room
-    /// after a step that overflowed, or leaves it out where there cannot be as much. Submits, waits and allocates; without anything due it does nothing. The command buffers of
-    /// all recorded steps have to be over ([`Context::adopt_commands`]).
+    /// Does what recorded steps cannot. It densifies and resets opacities if the previous iteration requested
+    /// it. After a step that overflowed, it grows the capacity, or skips the step if the capacity cannot grow
+    /// enough. Submits, waits and allocates; does nothing if nothing is due. The command buffers of all
+    /// recorded steps must have finished ([`Context::adopt_commands`]).
     ///
-    /// Another set of buffers holds the Gaussians afterwards: ask for [`Trainer::scene`] again.
+    /// Afterwards the Gaussians are in another set of buffers: call [`Trainer::scene`] again.
     ///
     /// # Errors
     /// [`Error::Argument`] while recorded steps are in flight or without a queue; as [`Trainer::step`].
@@ -338,8 +344,8 @@ impl Trainer {
         Ok(done)
     }
 
-    /// More room after steps that overflowed: for all of them, else for the first, which is left out if even that is too
-    /// much.
+    /// Grows the capacity after steps that overflowed: for all of them, or otherwise for the first. If even
+    /// the first does not fit, it is skipped.
     fn make_room_for_steps(&mut self, [first, most]: [State; 2], done: &mut Maintenance) -> Result<()> {
         let grown = match self.runner.grow(&most) {
             Err(Error::TooLarge { .. }) => self.runner.grow(&first),
@@ -357,8 +363,8 @@ impl Trainer {
         Ok(())
     }
 
-    /// Buffers for all views with nothing of an earlier frame in them, and slots for as many dispatches. Whatever is made
-    /// when it is first used is made here, by recordings that nobody submits.
+    /// Allocates buffers for all views, clears the contents of earlier frames, and makes slots for the
+    /// dispatches. Recordings that are never submitted create all objects that are made on first use.
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
         let gaussians = self.training.scene.plan.capacity;
         self.runner.reserve(gaussians, &self.cameras, self.settings.sh_degree)?;
@@ -374,7 +380,7 @@ impl Trainer {
         }
         let progress = self.progress;
         let plan = self.plan_after(&progress);
-        // Views differ by their photographs alone, which stay where they are.
+        // Views differ only in their photographs, which stay in place.
         let views = if every_view { 0..self.cameras.len() } else { plan.view..plan.view + 1 };
         if let Some(slot) = self.recording.slots.first() {
             for view in views {
@@ -387,25 +393,25 @@ impl Trainer {
         Ok(())
     }
 
-    /// Dispatches of a step, at most.
+    /// Most dispatches of a step.
     fn step_dispatches(&self) -> usize {
         const PER_STEP: u32 = 64;
-        // Per chunk of parameters: culling, projection, its backward, the optimiser.
+        // Per chunk of parameters: culling, projection, its backward pass, the optimiser.
         let frame = self.runner.capacity();
         let blending =
             LaunchSizes::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
         (PER_STEP + 4 * self.training.scene.plan.chunks + 2 * blending) as usize
     }
 
-    /// The Gaussians as they lie on the device, for [`Renderer::record`](crate::Renderer::record) behind recorded steps,
-    /// until the next [`Trainer::maintain`] or [`Trainer::step`]. `RenderSettings::sh_degree` should be
+    /// The Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps.
+    /// Valid until the next [`Trainer::maintain`] or [`Trainer::step`]. `RenderSettings::sh_degree` should be
     /// [`Trainer::sh_degree`].
     pub fn scene(&self) -> DeviceScene {
         DeviceScene::of(&self.context, self.training.scene.clone())
     }
 
-    /// A slot's own recording state, for a host that has thrown its command buffer away
-    /// ([`RecordSlot::discard`]): then those of all steps recorded behind it have to be thrown away as well.
+    /// A slot's recording state, for a host that has discarded its command buffer ([`RecordSlot::discard`]).
+    /// The host must then discard those of all steps recorded after it as well.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
@@ -414,7 +420,7 @@ impl Trainer {
         Ok(&mut self.recording.slots[index].record)
     }
 
-    /// Fails while recorded steps are in flight, or have finished and nobody has taken note.
+    /// Fails while recorded steps are in flight, or have finished without a call of [`Trainer::settle`].
     pub(super) fn check_settled(&self) -> Result<()> {
         if self.recording.in_flight.is_empty() {
             return Ok(());
@@ -423,7 +429,7 @@ impl Trainer {
         Err(Error::argument("trainer", problem))
     }
 
-    /// Fails unless the scene and what belongs to it are as the last step left them, and nothing changes them.
+    /// Fails unless the scene and its state are those of the last step, and no recorded step can change them.
     pub(super) fn check_readable(&self) -> Result<()> {
         self.check_settled()?;
         self.check_whole()

@@ -1,4 +1,4 @@
-//! From a trainer to a [`Checkpoint`], and back.
+//! Conversion of a trainer to a [`Checkpoint`], and back.
 
 use super::checkpoint::{Checkpoint, Room, Wanted};
 use super::settings::TrainSettings;
@@ -13,11 +13,11 @@ use crate::scene::Camera;
 use crate::vk::Buffer;
 
 impl Trainer {
-    /// Downloads everything that [`Trainer::resume`] needs to go on from here.
+    /// Downloads the state that [`Trainer::resume`] needs.
     ///
     /// # Errors
-    /// [`crate::Error::Argument`] while recorded steps are in flight, and after a step of which nobody knows whether it came to
-    /// pass; when the device is lost.
+    /// [`crate::Error::Argument`] while recorded steps are in flight, and after a step with an unknown
+    /// outcome; when the device is lost.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
         self.check_readable()?;
         let (training, progress) = (&self.training, &self.progress);
@@ -57,9 +57,9 @@ impl Trainer {
         })
     }
 
-    /// A trainer that goes on from a checkpoint as if it had never stopped: same views in the same order, same settings
-    /// but for the number of iterations, which must lie ahead. That of another version, device or driver goes on with other
-    /// bits: see [`Checkpoint::differences`].
+    /// A trainer that continues from a checkpoint as if it had never stopped: the same views in the same
+    /// order, and the same settings except for the number of iterations, which must not be reached yet. With
+    /// another version, device or driver the bits differ: see [`Checkpoint::differences`].
     ///
     /// # Errors
     /// [`crate::Error::Argument`] naming what differs; as [`Trainer::new`].
@@ -125,7 +125,7 @@ impl Trainer {
 }
 
 impl Room {
-    /// Of a frame; None where there was none.
+    /// The capacity of a frame; None without a frame.
     pub(super) fn frame(&self) -> Option<FrameCapacity> {
         (self.frame_width > 0).then_some(FrameCapacity {
             gaussians: self.frame_gaussians,
@@ -138,7 +138,7 @@ impl Room {
     }
 }
 
-/// Tells views, cameras and photographs in their order, from others.
+/// Identifies views, cameras and photographs in their order.
 pub(super) fn fingerprint_of(views: &[TrainView]) -> u64 {
     let of_view = |view: &TrainView| {
         let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height } = view.camera;
@@ -150,7 +150,7 @@ pub(super) fn fingerprint_of(views: &[TrainView]) -> u64 {
         print.add(bytemuck::bytes_of(&view.photo.fingerprint()));
         print.finish()
     };
-    // Photographs are many megabytes: each thread takes its share of them.
+    // Photographs have many megabytes: each thread hashes a share of them.
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let share = views.len().div_ceil(threads).max(1);
     let mut each = vec![0; views.len()];

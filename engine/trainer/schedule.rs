@@ -1,4 +1,4 @@
-//! Which photograph lies where while there is room for a few only.
+//! Which photographs are on the device if only some of them fit.
 
 use super::step::ViewOrder;
 
@@ -6,28 +6,28 @@ use super::step::ViewOrder;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Use {
     pub view: usize,
-    /// Where it is kept.
+    /// Its slot.
     pub slot: usize,
-    /// Whether it must be brought there.
+    /// Whether it must be loaded into the slot.
     pub load: bool,
 }
 
-/// Belady's choice: as the order is known, the photograph that makes room is the one that is needed last.
+/// Belady's algorithm: the order is known, so the photograph that is needed last is replaced.
 #[derive(Clone)]
 pub(super) struct Schedule {
     order: ViewOrder,
-    /// The iteration that comes next, from 1.
+    /// The next iteration, from 1.
     iteration: u32,
     /// View in each slot.
     slots: Vec<Option<usize>>,
-    /// Iterations at which each view is next needed: the epoch's and the next one's.
+    /// Iterations at which each view is next needed: in this epoch and in the next.
     uses: Vec<[u32; 2]>,
-    /// The iteration from which on `uses` is to be worked out anew.
+    /// The iteration from which on `uses` must be recomputed.
     epoch_end: u32,
 }
 
 impl Schedule {
-    /// From an iteration on, with nothing in the slots.
+    /// Starts at an iteration, with empty slots.
     pub fn new(order: ViewOrder, slots: usize, iteration: u32) -> Self {
         let uses = vec![[0; 2]; order.views()];
         Self { order, iteration, slots: vec![None; slots], uses, epoch_end: 0 }
@@ -51,7 +51,7 @@ impl Schedule {
         Use { view, slot, load: true }
     }
 
-    /// Notes when each view comes in the epoch of an iteration and in the next.
+    /// Notes when each view comes in the epoch of an iteration and in the next one.
     fn look_ahead(&mut self, iteration: u32) {
         let views = self.uses.len() as u32;
         let first = (iteration - 1) / views * views + 1;
@@ -73,7 +73,7 @@ impl Schedule {
 mod tests {
     use super::*;
 
-    /// Loads in so many epochs.
+    /// Loads in `epochs` epochs.
     fn loads(views: usize, slots: usize, epochs: u32) -> u32 {
         let mut schedule = Schedule::new(ViewOrder::new(3, views), slots, 1);
         let mut order = ViewOrder::new(3, views);
@@ -105,15 +105,15 @@ mod tests {
         ends.filter(|&at| order.view(at) == order.view(at + 1)).count() as u32
     }
 
-    /// Where the least recently used makes room, nearly all are loaded in every epoch.
+    /// With least-recently-used replacement nearly all are loaded in every epoch.
     #[test]
     fn half_the_room_saves_half_the_loads() {
         let of_all = f64::from(loads(40, 20, 20)) / 800.0;
-        // All in the first epoch, half in the others.
+        // All in the first epoch, half in each of the others.
         assert!(of_all <= (40.0 + 19.0 * 20.0) / 800.0, "{of_all}");
     }
 
-    /// A run from a checkpoint has the same views.
+    /// A resumed run has the same views.
     #[test]
     fn it_begins_anywhere() {
         let mut schedule = Schedule::new(ViewOrder::new(3, 9), 4, 14);

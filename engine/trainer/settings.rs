@@ -14,7 +14,7 @@ pub enum OptimizerType {
     SparseAdam,
 }
 
-/// Declares the settings once: the fields with their defaults, and the list of their names and values.
+/// Declares the settings once: the fields with their defaults, and the list of names and values.
 macro_rules! train_settings {
     ($(#[$about:meta])* pub struct $name:ident { $($(#[$doc:meta])* $field:ident: $kind:ty = $default:expr,)* }) => {
         $(#[$about])*

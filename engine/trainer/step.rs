@@ -13,7 +13,7 @@ use crate::optimizer::{Optimizer, Rates, Step};
 use crate::renderer::{Failed, Ran, State};
 use crate::vk::{Buffer, Recorder};
 
-/// Streams of random numbers of a run, all from its seed.
+/// Random streams of a run, all derived from its seed.
 const STREAM_VIEWS: u64 = 1;
 const STREAM_BACKGROUND: u64 = 2;
 
@@ -36,7 +36,7 @@ impl ViewOrder {
         self.views
     }
 
-    /// The view of an iteration, from 1: depends on nothing but the seed and the iteration.
+    /// The view of an iteration, from 1. It depends only on the seed and the iteration.
     pub fn view(&mut self, iteration: u32) -> usize {
         let index = iteration as usize - 1;
         let epoch = (index / self.views) as u64;
@@ -53,31 +53,31 @@ impl ViewOrder {
 fn generator(seed: u32, stream: u64, counter: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(u64::from(seed));
     rng.set_stream(stream);
-    // A counter's numbers are 2^20 words apart: far more than anybody draws.
+    // Each counter has 2^20 words of its own, far more than an iteration draws.
     rng.set_word_pos(u128::from(counter) << 20);
     rng
 }
 
-/// What an iteration leaves to be done before the next.
+/// Work that an iteration requests before the next one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Due {
     pub densifies: bool,
     pub resets: bool,
 }
 
-/// Where a run is between two iterations.
+/// Progress of a run between two iterations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Progress {
     /// Iterations done.
     pub iteration: u32,
-    /// Steps of the optimiser: iterations that densify have none.
+    /// Steps of the optimiser. Iterations that densify have none.
     pub steps: u64,
     pub opacity_steps: u64,
     pub due: Due,
 }
 
 impl Progress {
-    /// Background an iteration.
+    /// The progress after an iteration.
     pub fn after(&self, plan: &IterationPlan) -> Self {
         Self {
             iteration: plan.iteration,
@@ -88,7 +88,7 @@ impl Progress {
     }
 }
 
-/// What an iteration is going to do.
+/// The work of an iteration.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct IterationPlan {
     pub iteration: u32,
@@ -102,13 +102,13 @@ pub(super) struct IterationPlan {
 }
 
 impl IterationPlan {
-    /// Everything that any iteration does, of some view: for a recording that is never executed.
+    /// A plan with all work that any iteration does, for some view: for a recording that is never executed.
     pub fn rehearsal(self, view: usize) -> Self {
         Self { view, optimizes: true, ..self }
     }
 }
 
-/// What an iteration records behind its frame.
+/// What an iteration records after its frame.
 pub(super) struct LossAndUpdate<'a> {
     pub loss: &'a Loss,
     pub backward: &'a Backward,
@@ -120,8 +120,8 @@ pub(super) struct LossAndUpdate<'a> {
     pub plan: &'a IterationPlan,
 }
 
-/// What runs a trainer's frames, and of a planned iteration the frame and what follows it. A macro, because the first is
-/// borrowed as the trainer is, beside its other fields.
+/// The runner of a trainer's frames, and for a planned iteration its frame and the work after it. A macro,
+/// because it borrows the runner mutably along with other fields of the trainer.
 macro_rules! step_parts {
     ($trainer:expr, $plan:expr) => {{
         let $crate::trainer::Trainer {
@@ -161,8 +161,8 @@ macro_rules! step_parts {
 pub(super) use step_parts;
 
 impl LossAndUpdate<'_> {
-    /// Records loss, backward and the optimiser's step; `losses` is a copy that the host can read. Nothing that lasts
-    /// changes when the frame overflowed.
+    /// Records the loss, the backward pass and the optimiser's step. `losses` is a host-readable copy.
+    /// Persistent state does not change if the frame overflowed.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, losses: &Buffer) {
         let Self { training, scratch, plan, .. } = self;
         r.barrier();
@@ -194,13 +194,14 @@ impl LossAndUpdate<'_> {
 }
 
 impl Trainer {
-    /// Runs one iteration. One whose frame has more instances than the device or the memory has room for is left out: it
-    /// changes nothing, and the iteration counts ([`StepReport::skipped`]).
+    /// Runs one iteration. If its frame has more instances than the device or the memory can hold, the
+    /// iteration is skipped: it changes nothing, but counts ([`StepReport::skipped`]).
     ///
     /// # Errors
-    /// When memory does not suffice, also where not one view has room: the Gaussians are then as before the iteration, and it may be tried again. When the
-    /// device is lost or too slow ([`Error::DeviceLost`], [`Error::Timeout`]): what has become of them is unknown, and
-    /// every later step is refused; go on from a checkpoint. [`Error::Argument`] while recorded steps are in flight.
+    /// When memory does not suffice, also if no view at all fits: the Gaussians are then as before the
+    /// iteration, and it may be tried again. When the device is lost or too slow ([`Error::DeviceLost`],
+    /// [`Error::Timeout`]): the state of the Gaussians is unknown, and every later step is refused; resume
+    /// from a checkpoint. [`Error::Argument`] while recorded steps are in flight.
     pub fn step(&mut self) -> Result<StepReport> {
         self.check_whole()?;
         let result = self.run_iteration();
@@ -209,9 +210,10 @@ impl Trainer {
         result
     }
 
-    /// The last iteration of a run leaves the parameters alone, as the reference's does; in a longer run it moves them.
-    /// Runs it again for a run that has become longer: its view, on the same parameters, gives the same gradients. What it
-    /// added to the statistics is there already. One that was left out stays so, and so is one that has no room here.
+    /// The last iteration of a run does not change the parameters, as in the reference. In a longer run it
+    /// does. This runs it again when a run is extended: its view, on the same parameters, gives the same
+    /// gradients. Its statistics are already added. A skipped iteration stays skipped, and so does one that
+    /// does not fit here.
     pub(super) fn finish_last_iteration(&mut self) -> Result<()> {
         if self.skipped > 0 {
             return Ok(());
@@ -234,7 +236,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Whether the scene is known to be what it should be.
+    /// Whether the state of the scene is known.
     pub(super) fn check_whole(&self) -> Result<()> {
         if self.broken {
             let problem = "an earlier step was not finished; go on from a checkpoint, or anew";
@@ -243,7 +245,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// What went wrong while waiting may or may not have been done.
+    /// A submission whose wait failed may or may not have been executed.
     pub(super) fn note_failure<T>(&mut self, result: &Result<T>) {
         self.broken = match result {
             Err(Error::DeviceLost { .. } | Error::Timeout { .. }) => true,
@@ -284,7 +286,7 @@ impl Trainer {
         })
     }
 
-    /// The iteration that follows.
+    /// The plan of the next iteration.
     pub(super) fn plan_after(&mut self, progress: &Progress) -> IterationPlan {
         let iteration = progress.iteration + 1;
         let view = self.order.view(iteration);
@@ -294,8 +296,8 @@ impl Trainer {
             iteration,
             view,
             collects: s.collects_statistics_at(iteration),
-            // The reference's parameters lose their gradient when densification replaces them, and its last iteration
-            // only saves.
+            // In the reference, densification replaces the parameters, which then have no gradient, and the
+            // last iteration only saves.
             optimizes: !due.densifies && iteration < s.iterations,
             due,
             sh_degree: s.sh_degree_at(iteration),
@@ -304,8 +306,8 @@ impl Trainer {
         }
     }
 
-    /// Densifies and resets as the iteration before asked for. The reference tests and saves before it does so: between
-    /// steps, the scene is what it would save.
+    /// Densifies and resets opacities if the previous iteration requested it. The reference tests and saves
+    /// before it does so: between steps, the scene is what the reference would save.
     pub(super) fn catch_up(&mut self) -> Result<Option<Densified>> {
         let mut densified = None;
         if self.progress.due.densifies {
@@ -327,14 +329,14 @@ impl Trainer {
         self.render_settings().background
     }
 
-    /// Goes on behind an iteration whose frame has too many instances for the device or the memory: it changes nothing, and
-    /// densification adds nothing until frames have fewer.
+    /// Skips an iteration whose frame has too many instances for the device or the memory. The iteration
+    /// changes nothing, and densification adds no Gaussians until frames have fewer instances.
     ///
     /// # Errors
-    /// The one given, where it is another, where no step has come to pass yet, and where none of the views can have been
-    /// among the last: a training that does nothing is to end.
+    /// The given error if it has another cause, if no step has succeeded yet, and if every view has been
+    /// skipped since the last step that succeeded: a training that makes no progress must end.
     pub(super) fn leave_out(&mut self, plan: &IterationPlan, needed: &State, error: Error) -> Result<()> {
-        // One view that fits comes at the beginning of one epoch and at the end of the next.
+        // A view that fits may come first in one epoch and last in the next.
         let apart = 2 * (self.cameras.len() as u64 - 1);
         let trains = self.progress.steps > 0 && u64::from(self.skipped) < apart;
         if !matches!(error, Error::TooLarge { .. }) || !trains {
@@ -346,7 +348,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Forward, loss, backward and the optimiser's step in one submission.
+    /// Runs forward, loss, backward and the optimiser's step in one submission.
     fn run_step(&mut self, plan: &IterationPlan) -> Result<Ran, Failed> {
         self.backward.prepare(plan.sh_degree, plan.settings.inverse_depth)?;
         self.optimizer.prepare(plan.sh_degree)?;
@@ -378,7 +380,7 @@ impl Trainer {
 }
 
 impl StepReport {
-    /// Of a step that has finished; times are not in it.
+    /// The report of a step that has finished, without times.
     pub(super) fn new(
         plan: &IterationPlan,
         gaussians: u32,

@@ -1,10 +1,10 @@
-//! Whether a device keeps the promise: the same inputs give the same bits.
+//! Verifies determinism: the same inputs must give the same bits.
 
 use super::Trainer;
 use crate::error::Result;
 use crate::vk::{AuditRecord, Context};
 
-/// What came of training twice.
+/// The outcome of training twice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// The same bits after every iteration.
@@ -13,29 +13,31 @@ pub enum Verdict {
     Differs {
         /// The first iteration after which parameters, moments, statistics or the loss differ.
         iteration: u32,
-        /// The first command that wrote something else, where both runs, repeated command by command, differ again.
-        /// None: they do not; then commands race with each other, or the driver errs now and then.
+        /// The first command with a different output, if both runs, repeated command by command, differ
+        /// again. None if they do not: then commands race with each other, or the driver computes wrongly at
+        /// times.
         first: Option<Difference>,
-        /// Why nobody looked for it: what went wrong when both runs were repeated, which takes more memory.
+        /// Why the search for that command failed: the repetition of both runs needs more memory.
         problem: Option<String>,
     },
 }
 
-/// A command that wrote something else in the second run.
+/// A command with a different output in the second run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Difference {
-    /// The iteration that it belongs to.
+    /// The command's iteration.
     pub iteration: u32,
-    /// What it wrote in the first run.
+    /// Its output in the first run.
     pub record: AuditRecord,
 }
 
-/// Trains twice for some iterations, each run with a context and a trainer of its own, and compares hashes of the state
-/// after every iteration. Where they differ, both runs are repeated with an [audit](Context::audit) up to there, to find
-/// the first command with another output. `report` is told (run from 0, iteration, hash).
+/// Trains twice for some iterations, each time with a new context and trainer, and compares hashes of the
+/// state after every iteration. If they differ, it repeats both runs up to there with an
+/// [audit](Context::audit), to find the first command with a different output. `report` receives (run from 0,
+/// iteration, hash).
 ///
 /// # Errors
-/// What the closures or a step return, but for those of the repetition.
+/// Errors of the closures or of a step, except those of the repetition.
 pub fn verify_determinism(
     mut context: impl FnMut() -> Result<Context>,
     mut trainer: impl FnMut(&Context) -> Result<Trainer>,
@@ -58,7 +60,7 @@ pub fn verify_determinism(
     let mut audited = || audited_run(&context()?, &mut trainer, place as u32 + 1);
     let (first, second) = match audited().and_then(|first| Ok((first, audited()?))) {
         Ok(both) => both,
-        // That they differ is known all the same.
+        // The difference is known nevertheless.
         Err(error) => {
             return Ok(Verdict::Differs { iteration, first: None, problem: Some(error.to_string()) });
         }
@@ -68,7 +70,7 @@ pub fn verify_determinism(
     Ok(Verdict::Differs { iteration, first, problem: None })
 }
 
-/// Everything that was written, with the iteration (0: before the first).
+/// All outputs, with their iterations (0: before the first).
 fn audited_run(
     context: &Context,
     trainer: &mut impl FnMut(&Context) -> Result<Trainer>,

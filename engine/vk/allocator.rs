@@ -9,9 +9,9 @@ use std::ptr::NonNull;
 pub struct MemoryRequest<'a> {
     /// What it is for, for debugging.
     pub name: &'a str,
-    /// Size, alignment and the memory types that will do, for a buffer.
+    /// Size, alignment and allowed memory types, for a buffer.
     pub requirements: vk::MemoryRequirements,
-    /// What the memory is used for: [`MemoryKind::HostVisible`] has to be mapped.
+    /// How the memory is used. [`MemoryKind::HostVisible`] must be mapped.
     pub kind: MemoryKind,
 }
 
@@ -20,11 +20,11 @@ pub struct MemoryRequest<'a> {
 pub struct HostMemory {
     /// The memory object.
     pub memory: vk::DeviceMemory,
-    /// Bytes in front of the piece there.
+    /// Byte offset of the piece in the memory object.
     pub offset: u64,
-    /// Where the piece begins in the address space, if it is mapped.
+    /// Host address of the piece, if it is mapped.
     pub mapped: Option<NonNull<u8>>,
-    /// Whatever the allocator wants to know it by.
+    /// An identifier for the allocator's own use.
     pub id: u64,
 }
 
@@ -33,16 +33,19 @@ unsafe impl Send for HostMemory {}
 // SAFETY: as above; a shared reference gives no access to the memory.
 unsafe impl Sync for HostMemory {}
 
-/// A host's allocator, which all buffers of a context get their memory from: see [`super::ForeignDevice::allocator`].
+/// A host's allocator, which provides the memory of all buffers of a context: see
+/// [`super::ForeignDevice::allocator`].
 ///
-/// It is called by what allocates ([`super::Context::allocate`], uploads, `Renderer::reserve`), never while a frame is
-/// recorded; and by what frees: whoever drops the last holder of a buffer, on whatever thread that is. Such a holder is also
-/// the slot that a frame was recorded through, until it is recorded again or released ([`super::RecordSlot::release`]).
+/// It is called by operations that allocate ([`super::Context::allocate`], uploads, `Renderer::reserve`),
+/// never while a frame is recorded. It is also called when the last holder of a buffer is dropped, on the
+/// thread of that drop. A slot through which a frame was recorded is such a holder, until it is recorded
+/// again or released ([`super::RecordSlot::release`]).
 ///
 /// # Safety
-/// - What [`HostAllocator::allocate`] returns is memory of the context's device of one of the requested types, with the
-///   requested size and alignment, and nobody else uses the piece before it is freed;
-/// - if it is mapped, then at the address given, for as long, and the memory type is host-coherent.
+/// - [`HostAllocator::allocate`] returns memory of the context's device, of one of the requested types and
+///   with the   requested size and alignment, and the piece has no other user before it is freed;
+/// - if the piece is mapped, it is mapped at the given address until it is freed, and the memory type is
+///   host-coherent.
 pub unsafe trait HostAllocator: Send + Sync {
     /// Allocates a piece of memory.
     ///
@@ -50,6 +53,6 @@ pub unsafe trait HostAllocator: Send + Sync {
     /// Why it cannot, in one line.
     fn allocate(&self, request: &MemoryRequest<'_>) -> Result<HostMemory, String>;
 
-    /// Takes a piece back that is not in use any more.
+    /// Frees a piece that is not in use any more.
     fn free(&self, memory: HostMemory);
 }

@@ -1,4 +1,4 @@
-//! What is allocated in each arena, and the most that ever was.
+//! Current and peak bytes of each arena.
 
 use super::context::Context;
 use std::collections::BTreeMap;
@@ -11,14 +11,14 @@ pub struct ArenaMemory {
     pub name: String,
     /// Allocated now.
     pub bytes: u64,
-    /// Most that was ever allocated at a time.
+    /// Peak of the allocated bytes.
     pub peak_bytes: u64,
 }
 
-/// Now, and at most.
+/// Current and peak bytes.
 type Amount = (u64, u64);
 
-/// Bytes by arena, and of all together.
+/// Bytes per arena and in total.
 #[derive(Default)]
 pub(super) struct Registry(Mutex<(BTreeMap<Arc<str>, Amount>, Amount)>);
 
@@ -43,7 +43,7 @@ impl Registry {
     fn reset_peaks(&self) {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let (arenas, total) = &mut *all;
-        // Blocks that are alive have bytes in their arena: none of them misses it.
+        // Living blocks have bytes in their arena, so no arena is removed that a block still needs.
         arenas.retain(|_, (now, _)| *now > 0);
         arenas.values_mut().chain([total]).for_each(|(now, peak)| *peak = *now);
     }
@@ -63,18 +63,18 @@ impl Registry {
 }
 
 impl Context {
-    /// Lets the peaks of [`Context::memory`] and [`Context::memory_total`] begin anew at what is allocated now; arenas that
-    /// hold nothing are forgotten. For measurements of one piece of work after another on the same context.
+    /// Resets the peaks of [`Context::memory`] and [`Context::memory_total`] to the current bytes, and
+    /// forgets empty arenas. For measurements of several pieces of work on the same context.
     pub fn reset_memory_peaks(&self) {
         self.0.registry.reset_peaks();
     }
 
-    /// What is allocated in each arena, and the most that ever was, or was since [`Context::reset_memory_peaks`].
+    /// Current and peak bytes of each arena. The peak counts from [`Context::reset_memory_peaks`] on.
     pub fn memory(&self) -> Vec<ArenaMemory> {
         self.0.registry.all()
     }
 
-    /// What is allocated in all arenas together, and the most that ever was at a time (as in [`Context::memory`]).
+    /// Current and peak bytes of all arenas together (peak as in [`Context::memory`]).
     pub fn memory_total(&self) -> ArenaMemory {
         self.0.registry.total()
     }

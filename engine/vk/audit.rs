@@ -1,8 +1,9 @@
-//! The opt-in audit of a context: what every command wrote, as a hash. Two audited runs of the same work that should have
-//! the same bits show which command first had others.
+//! The opt-in audit of a context: a hash of the output of every command. Two audited runs of the same work
+//! show which command was the first with different bits.
 //!
-//! Background each command stand barriers and a copy of what it wrote, so that an audited recording is slow and hides races
-//! between commands. It is submitted piece by piece: no more than a few copies are held at a time. New device memory is cleared, so that what a command leaves alone is the same too.
+//! Each command is surrounded by barriers and followed by a copy of its output. So an audited recording is
+//! slow and hides races between commands. It is submitted in pieces, so that only a few copies exist at a
+//! time. New device memory is cleared, so that bytes that no command writes are equal too.
 
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
@@ -15,10 +16,10 @@ use crate::{Error, Result};
 use ash::vk;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Snapshots that a recording holds before it is submitted so far; one alone may be larger.
+/// Bytes of snapshots after which a recording is submitted. A single snapshot may be larger.
 const MOST_BYTES: u64 = 64 << 20;
 
-/// While it lives, everything that the commands of its context write is hashed.
+/// While it exists, the output of every command of its context is hashed.
 pub struct Audit {
     log: Arc<Log>,
 }
@@ -29,7 +30,7 @@ pub struct Audit {
 pub struct AuditRecord {
     /// The label of the submission.
     pub submission: String,
-    /// Place of the command in the submission, from 0.
+    /// Index of the command in the submission.
     pub command: u32,
     /// The kernel's name, or "fill", "copy" or "update".
     pub kernel: &'static str,
@@ -42,26 +43,26 @@ pub struct AuditRecord {
 #[derive(Default)]
 pub(super) struct Log(Mutex<Vec<AuditRecord>>);
 
-/// What the commands of a recording wrote.
+/// The outputs of a recording's commands.
 pub(super) struct Commands {
     log: Arc<Log>,
     submission: String,
     commands: u32,
     snapshots: Vec<(AuditRecord, Buffer)>,
-    /// Of the snapshots.
+    /// Bytes of the snapshots.
     bytes: u64,
     failure: Option<Error>,
 }
 
 impl Commands {
-    /// None where nobody audits.
+    /// None without an audit.
     pub(super) fn begin(inner: &Arc<Inner>, submission: &str) -> Option<Self> {
         let log = inner.audit.lock().unwrap_or_else(PoisonError::into_inner).upgrade()?;
         let submission = submission.to_owned();
         Some(Self { log, submission, commands: 0, snapshots: Vec::new(), bytes: 0, failure: None })
     }
 
-    /// Where to copy what a command wrote: (from, to), of equal sizes.
+    /// The copies of a command's outputs: (from, to), of equal sizes.
     pub(super) fn snapshot<'a>(
         &mut self,
         inner: &Arc<Inner>,
@@ -89,7 +90,7 @@ impl Commands {
         copies
     }
 
-    /// After the submission: hashes what was copied.
+    /// After the submission: hashes the copies.
     pub(super) fn log(&mut self) -> Result<()> {
         if let Some(error) = self.failure.take() {
             return Err(error);
@@ -109,7 +110,7 @@ impl Commands {
 }
 
 impl Recorder {
-    /// Keeps what a command wrote, where somebody audits.
+    /// With an audit, copies the outputs of a command.
     pub(super) fn audit<'a>(
         &mut self,
         command: &'static str,
@@ -133,7 +134,7 @@ impl Recorder {
         self.submit_audited();
     }
 
-    /// Submits what is recorded so far where it holds many snapshots, and hashes those; then recording goes on.
+    /// Submits the recording if it holds many snapshots, hashes them, and continues the recording.
     fn submit_audited(&mut self) {
         if self.audit.as_ref().is_some_and(|audit| audit.bytes > MOST_BYTES)
             && let Err(error) = self.submit_snapshots()
@@ -156,14 +157,14 @@ impl Recorder {
 }
 
 impl Context {
-    /// Hashes what every command writes from now on, until the audit is dropped.
+    /// Hashes the outputs of all following commands, until the audit is dropped.
     pub fn audit(&self) -> Audit {
         let log = Arc::<Log>::default();
         *self.0.audit.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(&log);
         Audit { log }
     }
 
-    /// Clears new memory where somebody audits.
+    /// With an audit, clears new memory.
     pub(super) fn clear_if_audited(&self, buffers: &[Buffer], kind: MemoryKind) -> Result<()> {
         let audited = self.0.audit.lock().unwrap_or_else(PoisonError::into_inner).strong_count() > 0;
         if !audited || kind != MemoryKind::Device {
@@ -178,7 +179,7 @@ impl Context {
 }
 
 impl Audit {
-    /// What was written since the last call, oldest first.
+    /// The records since the last call, oldest first.
     pub fn take(&self) -> Vec<AuditRecord> {
         std::mem::take(&mut *self.log.0.lock().unwrap_or_else(PoisonError::into_inner))
     }

@@ -1,4 +1,4 @@
-//! Binds what a dispatch works on: by push descriptors, or by a set that was allocated ahead.
+//! Binds the resources of a dispatch: by push descriptors, or by a preallocated set.
 
 use super::buffer::Buffer;
 use super::descriptors::{self, BUFFERS};
@@ -10,7 +10,7 @@ use crate::Result;
 use ash::vk;
 use std::sync::Arc;
 
-/// What a dispatch works on.
+/// The resources of a dispatch.
 pub(super) struct Bound<'a> {
     pub(super) buffers: &'a [&'a Buffer],
     pub(super) images: &'a [&'a Image],
@@ -20,8 +20,9 @@ pub(super) struct Bound<'a> {
 const MAX_IMAGES: usize = 2;
 
 impl Recorder {
-    /// Binds the pipeline, its buffers, images and push constants. False where that failed, now or before: then there is
-    /// nothing to dispatch, and whoever ends the recording is told ([`Recorder::check`]).
+    /// Binds the pipeline, its buffers, images and push constants. Returns false if this call or an earlier
+    /// one has failed. Nothing may be dispatched then, and the end of the recording reports the error
+    /// ([`Recorder::check`]).
     pub(super) fn prepare(&mut self, pipeline: &Arc<Pipeline>, bound: &Bound<'_>, push: &[u8]) -> bool {
         if self.failed.is_none() {
             self.failed = self.try_prepare(pipeline, bound, push).err();
@@ -69,7 +70,7 @@ impl Recorder {
         }
         let mut count = bound.buffers.len() + bound.images.len();
         if self.inner.shared_layouts.is_some() && !bound.buffers.is_empty() {
-            // Nothing of what the set was used for before may remain in it: see the module `descriptors`.
+            // No descriptor of an earlier use may remain in the set: see the module `descriptors`.
             let missing = |binding: &u32| pipeline.bindings.iter().all(|info| info.binding != *binding);
             for binding in (0..BUFFERS).filter(missing) {
                 writes[count] = vk::WriteDescriptorSet::default()
@@ -83,7 +84,7 @@ impl Recorder {
         self.bind(pipeline, &mut writes[..count], push)
     }
 
-    /// Keeps a buffer's memory for the recording, whose device it has to be of.
+    /// Keeps a buffer's memory alive for the recording. The buffer must be of the recording's device.
     pub(super) fn keep(&mut self, buffer: &Buffer) {
         let block = buffer.block();
         assert!(block.is_of(&self.inner), "buffer '{}' is of another context", buffer.name());
@@ -113,7 +114,7 @@ impl Recorder {
         );
     }
 
-    /// A buffer as texels. Fails for one that cannot be bound so.
+    /// A buffer as texels. Fails for a buffer that cannot be bound as such.
     fn texel_view(
         &self,
         pipeline: &Pipeline,

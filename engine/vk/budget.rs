@@ -1,15 +1,15 @@
-//! How much memory there may be.
+//! Limits of the allocated memory.
 
 use super::context::Context;
 use ash::vk;
 
-/// The name of [`super::ContextOptions::max_memory`] to users.
+/// The user's name for [`super::ContextOptions::max_memory`].
 pub(super) const MAX_MEMORY: &str = "--max-memory";
 
 impl Context {
-    /// How many bytes may be allocated at a time, all arenas together, and the limit's name: the least of
-    /// [`super::ContextOptions::max_memory`], of what the driver would give now (VK_EXT_memory_budget) and of a GPU's
-    /// largest device-local heap. None: not known.
+    /// The most bytes that may be allocated at a time by all arenas together, and the limit's name. It is the
+    /// least of [`super::ContextOptions::max_memory`], the driver's current budget (VK_EXT_memory_budget) and
+    /// a GPU's largest device-local heap. None: unknown.
     pub fn memory_limit(&self) -> Option<(u64, &'static str)> {
         let heap =
             self.limits().tuning.heap_is_bound.then_some((self.limits().heap_bytes, "device-local heap"));
@@ -18,12 +18,12 @@ impl Context {
         [asked, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)
     }
 
-    /// [`super::ContextOptions::max_memory`], as it was asked for.
+    /// [`super::ContextOptions::max_memory`], as requested.
     pub fn max_memory(&self) -> Option<u64> {
         self.0.max_memory
     }
 
-    /// What the driver would let this context have of the largest device-local heap, with what it has already.
+    /// The driver's budget for this context in the largest device-local heap, including its current bytes.
     fn driver_budget(&self) -> Option<u64> {
         let physical = self.0.budget?;
         let mut budget = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
@@ -40,8 +40,8 @@ impl Context {
     }
 }
 
-/// How much this context may have of a heap: what it has, and what the budget leaves beside everybody's usage. Others in
-/// this process, a host's engine say, use some of it as well.
+/// This context's share of a heap: its own bytes, and the part of the budget that is free. Other users in
+/// this process, for example a host's engine, may use the heap as well.
 fn of_driver(heap_budget: u64, heap_usage: u64, ours: u64) -> u64 {
     heap_budget.saturating_sub(heap_usage).saturating_add(ours)
 }
@@ -52,14 +52,14 @@ mod tests {
 
     #[test]
     fn what_others_use_is_not_ours() {
-        // Alone.
+        // No other user.
         assert_eq!(of_driver(1000, 300, 300), 1000);
         assert_eq!(of_driver(1000, 0, 0), 1000);
-        // Beside another who has 500.
+        // Another user has 500.
         assert_eq!(of_driver(1000, 800, 300), 500);
-        // Over the budget already: no more, and what there is stays.
+        // Over the budget already: nothing can be added, and the current bytes stay.
         assert_eq!(of_driver(1000, 1200, 300), 300);
-        // A part of ours lies in another heap.
+        // A part of our bytes lies in another heap.
         assert_eq!(of_driver(1000, 200, 300), 1100);
         assert_eq!(of_driver(u64::MAX, 0, 9), u64::MAX);
     }

@@ -24,14 +24,15 @@ impl Buffer {
     /// A range of a host's buffer.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle, no bytes, or an offset or size that is no multiple of 256 or 4; in a context
-    /// of our own that reads texels ([`ContextOptions::texels`](super::ContextOptions::texels)).
+    /// [`Error::Argument`] for a null handle, no bytes, an offset that is no multiple of 256 or a size that
+    /// is no multiple of 4; and in a context of our own that reads texels
+    /// ([`ContextOptions::texels`](super::ContextOptions::texels)).
     ///
     /// # Safety
-    /// - `raw` is of the context's device, bound to memory, has `offset + bytes` bytes at least and the usages
-    ///   STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST;
-    /// - it lives until the execution of the last recording that uses it is over and the buffer and its clones are
-    ///   gone;
+    /// - `raw` is of the context's device, bound to memory, has at least `offset + bytes` bytes and the
+    ///   usages   STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST;
+    /// - it lives until the last recording that uses it has finished and the buffer and its clones are
+    ///   dropped;
     /// - no two adopted buffers overlap.
     pub unsafe fn adopt(
         context: &Context,
@@ -52,12 +53,12 @@ impl Buffer {
         Ok(Self::new(Arc::new(Block::foreign(&context.0, raw, end)), offset, bytes, name))
     }
 
-    /// Whether it is of this context's device.
+    /// Whether it belongs to this context's device.
     pub fn belongs_to(&self, context: &Context) -> bool {
         self.block.is_of(&context.0)
     }
 
-    /// The Vulkan buffer behind it, and the bytes in front of it there.
+    /// The Vulkan buffer, and the byte offset of this range in it.
     pub fn handle(&self) -> (vk::Buffer, u64) {
         (self.raw(), self.offset)
     }
@@ -67,7 +68,7 @@ impl Buffer {
         self.bytes
     }
 
-    /// The name that it was requested by.
+    /// The name from its request.
     pub fn name(&self) -> &str {
         self.name
     }
@@ -75,7 +76,7 @@ impl Buffer {
     /// A part of the buffer under the same name.
     ///
     /// # Panics
-    /// When the part does not lie inside.
+    /// If the part does not lie inside.
     pub fn range(&self, offset: u64, bytes: u64) -> Buffer {
         let inside = offset.checked_add(bytes).is_some_and(|end| end <= self.bytes);
         assert!(inside, "range {offset}+{bytes} lies outside of '{}' of {} bytes", self.name, self.bytes);
@@ -85,8 +86,8 @@ impl Buffer {
     /// Writes into a [`MemoryKind::HostVisible`] buffer.
     ///
     /// # Errors
-    /// [`Error::Argument`] for device memory, outside of the buffer, or while a submission that uses the buffer's
-    /// arena is under way.
+    /// [`Error::Argument`] for device memory, outside of the buffer, or while a submission that uses the
+    /// buffer's arena is running.
     pub fn write(&self, offset: u64, bytes: &[u8]) -> Result<()> {
         self.check_host("written", offset, bytes.len())?;
         self.block.write_mapped(self.offset + offset, bytes);
@@ -134,7 +135,7 @@ impl Buffer {
         &self.block
     }
 
-    /// The bands of so many bytes in front of it and behind it.
+    /// The guard bands before and after the buffer, which has `bytes` bytes.
     pub(super) fn guards(&self, bytes: u64) -> [Buffer; 2] {
         [self.offset - bytes, self.offset + self.bytes].map(|offset| Buffer { offset, bytes, ..self.clone() })
     }
@@ -143,7 +144,7 @@ impl Buffer {
         self.block.raw
     }
 
-    /// Bytes from the start of the block.
+    /// Byte offset in the block.
     pub(super) fn offset(&self) -> u64 {
         self.offset
     }

@@ -1,9 +1,9 @@
-//! The device's clock, read at a known time of the host's.
+//! The device's clock, read at a known time of the host's clock.
 
 use ash::vk;
 use std::ffi::CStr;
 
-/// Under which name a device has calibrated timestamps.
+/// The extension by which a device has calibrated timestamps.
 #[derive(Clone, Copy)]
 pub(super) enum Calibrated {
     Khr,
@@ -11,7 +11,7 @@ pub(super) enum Calibrated {
 }
 
 impl Calibrated {
-    /// The newer name, where a device has both.
+    /// The newer extension if a device has both.
     pub(super) fn find(has: impl Fn(&CStr) -> bool) -> Option<Self> {
         [Self::Khr, Self::Ext].into_iter().find(|kind| has(kind.extension()))
     }
@@ -42,7 +42,7 @@ impl Clock {
         })
     }
 
-    /// The device's clock now, ticks; None when the driver fails.
+    /// The device's current clock, ticks; None if the driver fails.
     pub(super) fn ticks(&self) -> Option<u64> {
         let info = [vk::CalibratedTimestampInfoKHR::default().time_domain(vk::TimeDomainKHR::DEVICE)];
         // SAFETY: the extension is enabled, and every implementation of it has the device's time domain.

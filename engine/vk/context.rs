@@ -1,4 +1,4 @@
-//! The device that everything runs on.
+//! The open device.
 
 use super::allocator::HostAllocator;
 use super::arenas::Registry;
@@ -26,44 +26,46 @@ use std::time::Duration;
 /// How to open a device.
 #[derive(Clone, Debug)]
 pub struct ContextOptions {
-    /// Index of the device or part of its name. None: what the environment variable `ASHSPLAT_DEVICE` says, else the
-    /// best there is.
+    /// Index of the device or part of its name. None: the environment variable `ASHSPLAT_DEVICE`, or
+    /// otherwise the best device.
     pub device: Option<String>,
-    /// Turn on the Khronos validation layer with synchronization validation; an error where it is not installed. With a layer
-    /// of 2023, open and close such devices only while no other thread uses another one: its table of devices has no lock.
+    /// Turn on the Khronos validation layer with synchronization validation. It is an error if the layer is
+    /// not installed. With a layer of 2023, open and close such devices only while no other thread uses
+    /// another one: its table of devices has no lock.
     pub validation: bool,
-    /// Panic where a recording lacks a barrier. Default: in debug builds.
+    /// Panic if a recording lacks a barrier. Default: in debug builds.
     pub hazard_check: bool,
-    /// Time scopes, where the device can. Default: yes.
+    /// Time scopes if the device can. Default: yes.
     pub timestamps: bool,
-    /// Subgroup size to pin kernels to, where the device lets choose. None: the device's own.
+    /// Subgroup size of all kernels, if the device supports the choice. None: the device's default.
     pub subgroup_size: Option<u32>,
     /// Stricter limits than the device's, for tests.
     pub limits_override: Option<LimitsOverride>,
-    /// Turn on the validation layer for `debugPrintfEXT` in shaders; what they print is in
-    /// [`Context::printed`]. An error where the layer is not installed.
+    /// Turn on the validation layer for `debugPrintfEXT` in shaders; [`Context::printed`] returns the output.
+    /// It is an error if the layer is not installed.
     pub debug_printf: bool,
-    /// Other values for specialization constants.
+    /// Overrides of specialization constants.
     pub overrides: Vec<SpecOverride>,
-    /// For tests: transfer through staging memory, as on a discrete GPU, also where device memory could be mapped.
+    /// For tests: transfer through staging memory, as on a discrete GPU, even if device memory can be mapped.
     pub force_staging: bool,
-    /// For a capture by RenderDoc: accept the version 1.2 that its layer reports of every driver without
-    /// bufferDeviceAddressCaptureReplay, llvmpipe among them, although it passes 1.3 on.
+    /// For a capture by RenderDoc: accept Vulkan 1.2. Its layer reports this version for every driver without
+    /// bufferDeviceAddressCaptureReplay, for example llvmpipe, although it passes 1.3 on.
     pub capture: bool,
-    /// How long to wait for a submission before it is an error. None: until it is over, however long that takes; a
-    /// device that hangs is reset and reported by its driver.
+    /// Longest wait for a submission before it is an error. None: no limit. The driver resets a device that
+    /// hangs, and reports it.
     pub timeout: Option<Duration>,
-    /// Most bytes of device and staging memory to allocate, all arenas together. None: what the device has.
+    /// Most bytes of device and staging memory, all arenas together. None: the device's memory.
     pub max_memory: Option<u64>,
-    /// For tests: bands around every buffer that show what was written outside of it; see
+    /// For tests: guard bands around every buffer that detect writes outside of it; see
     /// [`Context::breached_guards`].
     pub guard_bands: bool,
     /// For tests: Vulkan calls that fail on demand.
     pub faults: Option<Faults>,
-    /// Use VK_KHR_push_descriptor where the device has it. Default: yes.
+    /// Use VK_KHR_push_descriptor if the device has it. Default: yes.
     pub push_descriptors: bool,
-    /// Let kernels read buffers as texels where that is faster, on processors: by views that are made while recording, so
-    /// that no host's buffers and command buffers can be adopted there. Default: yes; never on a host's device.
+    /// Let kernels read buffers as texels on processors, where that is faster. The views are made while
+    /// recording, so buffers and command buffers of a host cannot be adopted then. Default: yes; never on a
+    /// host's device.
     pub texels: bool,
     /// Build kernels with a VkPipelineCache that is kept between runs. Default: none; on a host's device see
     /// [`ForeignDevice::pipeline_cache`](super::ForeignDevice::pipeline_cache).
@@ -118,47 +120,47 @@ pub struct Context(pub(super) Arc<Inner>);
 
 pub(super) struct Inner {
     pub(super) device: ash::Device,
-    /// None: descriptor sets of `shared_layouts` are bound instead.
+    /// None: descriptor sets of `shared_layouts` are bound.
     pub(super) push_descriptor: Option<ash::khr::push_descriptor::Device>,
-    /// Present where push descriptors are not.
+    /// Present without push descriptors.
     pub(super) shared_layouts: Option<descriptors::SharedLayouts>,
     pub(super) names: Names,
-    /// None on a device of somebody else's who keeps the queue to himself.
+    /// None on a host's device whose host keeps the queue to itself.
     pub(super) queue: Option<Mutex<vk::Queue>>,
     pub(super) queue_family: u32,
     pub(super) physical: vk::PhysicalDevice,
     pub(super) limits: Limits,
     pub(super) memory: vk::PhysicalDeviceMemoryProperties,
-    /// Whether device memory is the host's memory, so that mapping it is the fastest way in and out.
+    /// Whether device memory is the host's memory. Mapping is then the fastest transfer.
     pub(super) unified_memory: bool,
     pub(super) timestamp_bits: u32,
-    /// Whether timestamps are written at the moment.
+    /// Whether timestamps are currently written.
     pub(super) timestamps: AtomicBool,
-    /// Reads the device's clock, where it can be compared with the host's.
+    /// Reads the device's clock, if it can be compared with the host's.
     pub(super) clock: Option<Clock>,
-    /// Who records every command, if anybody does.
+    /// The profile that records every command, if one exists.
     pub(super) profile: Mutex<Weak<Log>>,
-    /// Who hashes what every command writes, if anybody does.
+    /// The audit that hashes the output of every command, if one exists.
     pub(super) audit: Mutex<Weak<audit::Log>>,
     pub(super) hazard_check: bool,
     pub(super) timeout: Option<Duration>,
     pub(super) max_memory: Option<u64>,
     pub(super) guard_bands: bool,
-    /// Buffers that have bands around them.
+    /// Buffers with guard bands.
     pub(super) guarded: Mutex<Vec<Guarded>>,
-    /// Where the driver can be asked how much memory it would give: VK_EXT_memory_budget.
+    /// The physical device for budget queries: VK_EXT_memory_budget.
     pub(super) budget: Option<vk::PhysicalDevice>,
-    /// Whether the driver has given the device up.
+    /// Whether the device is lost.
     pub(super) lost: AtomicBool,
     pub(super) description: DeviceDescription,
     pub(super) registry: Registry,
-    /// SPIR-V in place of a kernel's own.
+    /// SPIR-V that replaces a kernel's own.
     pub(super) replaced: Mutex<HashMap<String, Arc<Vec<u32>>>>,
     /// Idle command buffers.
     pub(super) slots: Mutex<Vec<Slot>>,
     /// Idle descriptor sets, where there are no push descriptors.
     pub(super) descriptors: Mutex<Vec<DescriptorSets>>,
-    /// Where buffers get their memory from; None: from the device.
+    /// The allocator of the buffers' memory; None: the device.
     pub(super) allocator: Option<Arc<dyn HostAllocator>>,
     /// What kernels are built with.
     pub(super) pipeline_cache: PipelineCache,
@@ -166,11 +168,11 @@ pub(super) struct Inner {
     pub(super) owner: Owner,
 }
 
-/// Whose the instance and the device are.
+/// Owner of the instance and the device.
 pub(super) enum Owner {
-    /// Ours: destroyed by us.
+    /// This context, which destroys them.
     Us(Instance),
-    /// A host's: neither destroyed nor waited for.
+    /// A host. They are neither destroyed nor waited for.
     Host(ash::Instance),
 }
 
@@ -190,7 +192,7 @@ impl Owner {
     }
 }
 
-/// What an open device is made from: see [`Context::assemble`].
+/// The parts of an open device: see [`Context::assemble`].
 pub(super) struct Parts<'a> {
     pub(super) owner: Owner,
     pub(super) candidate: Candidate,
@@ -237,7 +239,7 @@ impl Context {
         Ok(context)
     }
 
-    /// A context from a device that fulfils the requirements. On failure an own device is destroyed again.
+    /// A context from a device that fulfils the requirements. On failure it destroys a device of its own.
     pub(super) fn assemble(parts: Parts<'_>) -> Result<Self> {
         let Parts { owner, candidate, device, queue, debug_utils, allocator, pipeline_cache, options } =
             parts;
@@ -323,17 +325,17 @@ impl Context {
         })))
     }
 
-    /// The device's limits, with the options' changes.
+    /// The device's limits, with the changes of the options.
     pub fn limits(&self) -> &Limits {
         &self.0.limits
     }
 
-    /// The device's name, as the driver gives it.
+    /// The driver's name of the device.
     pub fn device_name(&self) -> &str {
         &self.0.description.name
     }
 
-    /// What the driver says of the device; its limits are those without the options' changes.
+    /// The driver's description of the device. Its limits are without the changes of the options.
     pub fn description(&self) -> &DeviceDescription {
         &self.0.description
     }
@@ -343,13 +345,13 @@ impl Context {
         self.0.owner.messages().map_or_else(Vec::new, Messages::all)
     }
 
-    /// Whether the driver has given the device up: then nothing of this context works any more.
+    /// Whether the device is lost, which makes this context unusable.
     pub fn is_lost(&self) -> bool {
         self.0.lost.load(Ordering::Relaxed)
     }
 
-    /// Gives up this handle. Where it was the last holder of the device, the device is destroyed; the answer is
-    /// everything that the validation layers have said until then, with what has leaked.
+    /// Drops this handle. If it was the last holder of the device, the device is destroyed, and all messages
+    /// of the validation layers are returned, including leaks.
     pub fn close(self) -> Option<Vec<String>> {
         let messages = match &self.0.owner {
             Owner::Us(instance) => instance.messenger.as_ref().map(|m| m.messages.clone()),
@@ -366,7 +368,7 @@ impl Context {
 }
 
 impl Inner {
-    /// The queue, for this thread alone.
+    /// Locks the queue for this thread.
     pub(super) fn lock_queue(&self) -> Result<MutexGuard<'_, vk::Queue>> {
         let Some(queue) = &self.queue else {
             let problem = "the host keeps its queue: only recording into its command buffers is possible";

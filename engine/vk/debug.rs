@@ -1,4 +1,4 @@
-//! Names and labels for tools, and what the validation layers say.
+//! Names and labels for tools, and messages of the validation layers.
 
 use super::context::Context;
 use crate::Error;
@@ -6,14 +6,14 @@ use ash::vk;
 use std::ffi::{CStr, CString, c_void};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Everything that the layers said, oldest first.
+/// All messages of the layers, oldest first.
 #[derive(Default)]
 pub(super) struct Messages {
     validation: Mutex<Vec<String>>,
     printed: Mutex<Vec<String>>,
 }
 
-/// The layer's name for what a shader prints.
+/// The layer's id of shader output.
 const PRINTF_ID: &str = "UNASSIGNED-DEBUG-PRINTF";
 
 impl Messages {
@@ -37,7 +37,8 @@ impl Messages {
     }
 }
 
-/// What a shader printed, if a message is that: the layer puts its own words and a number in front, each with a bar.
+/// The shader's output in a message, if it has any: the layer puts its own text and a number before it, each
+/// with a bar.
 fn printed(message: &str) -> Option<&str> {
     let own = message.contains(PRINTF_ID) || message.contains("DEBUG-PRINTF");
     own.then(|| message.splitn(3, " | ").last().unwrap_or(message).trim())
@@ -51,8 +52,8 @@ pub(super) struct Messenger {
 }
 
 impl Messenger {
-    /// The instance must have been created with VK_EXT_debug_utils and must outlive the messenger.
-    /// `printf`: also what shaders print.
+    /// The instance must have been created with VK_EXT_debug_utils and must outlive the messenger. `printf`:
+    /// also collect shader output.
     pub(super) fn new(
         entry: &ash::Entry,
         instance: &ash::Instance,
@@ -103,7 +104,7 @@ unsafe extern "system" fn collect(
     vk::FALSE
 }
 
-/// Names objects and labels ranges of commands, where VK_EXT_debug_utils is present.
+/// Names objects and labels ranges of commands, if VK_EXT_debug_utils is present.
 pub(super) struct Names(Option<ash::ext::debug_utils::Device>);
 
 impl Names {
@@ -149,12 +150,13 @@ impl Names {
 }
 
 impl Context {
-    /// Runs `work` between the two queue labels by which RenderDoc's layer begins and ends a capture. An engine without
-    /// a window has no frames that the layer could see by itself. Nothing happens where no such layer listens.
+    /// Runs `work` between the two queue labels by which RenderDoc's layer begins and ends a capture. Without
+    /// a window there are no frames that the layer could detect. Without such a layer the labels have no
+    /// effect.
     ///
     /// # Errors
-    /// [`Error::MissingFeature`] without VK_EXT_debug_utils, [`Error::Argument`] without a queue, before any work; else those of `work`, whose capture ends all the
-    /// same.
+    /// [`Error::MissingFeature`] without VK_EXT_debug_utils, [`Error::Argument`] without a queue, both before
+    /// any work; errors of `work`, after which the capture ends as well.
     pub fn capture<T>(&self, work: impl FnOnce() -> crate::Result<T>) -> crate::Result<T> {
         let insert = |label| {
             let queue = self.0.lock_queue()?;

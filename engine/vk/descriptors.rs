@@ -1,9 +1,9 @@
-//! Descriptor sets where push descriptors are missing: kernels share a few layouts, so that sets can be allocated ahead
-//! without knowing which kernels will need them.
+//! Descriptor sets for devices without push descriptors. Kernels share a few layouts, so that sets can be
+//! preallocated before it is known which kernels need them.
 //!
-//! Every descriptor of a set is written each time that the set is used, also those that the kernel does not have: what a
-//! set was used for before may be gone, and drivers look at descriptors that no shader uses (lavapipe counts references
-//! to the buffers of the whole set).
+//! All descriptors of a set are written at each use, including those that the kernel does not have. Resources
+//! of an earlier use may no longer exist, and drivers access descriptors that no shader uses (lavapipe counts
+//! references to the buffers of the whole set).
 
 use super::context::Inner;
 use super::image::ImageUse;
@@ -13,14 +13,14 @@ use crate::Result;
 use ash::vk;
 use std::sync::Arc;
 
-/// Storage buffers of a kernel at most: bindings 0 to 15.
+/// Most storage buffers of a kernel: bindings 0 to 15.
 pub(super) const BUFFERS: u32 = 16;
 /// The binding of a kernel's storage image.
 pub(super) const STORAGE_IMAGE: u32 = 16;
 /// The binding of a kernel's sampled image.
 pub(super) const SAMPLED_IMAGE: u32 = 17;
 
-/// Sets of one pool: of kernels with buffers alone, and of those with an image.
+/// Sets per pool: for kernels with buffers only, and for kernels with an image.
 const POOL_SETS: [u32; 2] = [128, 16];
 
 /// One resource of a kernel in the layout of its set.
@@ -32,13 +32,13 @@ pub(super) fn slot(binding: u32, kind: vk::DescriptorType) -> vk::DescriptorSetL
         .stage_flags(vk::ShaderStageFlags::COMPUTE)
 }
 
-/// The kinds of sets: buffers alone, and buffers with one image.
+/// The kinds of sets: buffers only, and buffers with one image.
 const KINDS: [Option<ImageUse>; 3] = [None, Some(ImageUse::Storage), Some(ImageUse::Sampled)];
 
 /// The layout of each kind.
 pub(super) type SharedLayouts = [vk::DescriptorSetLayout; KINDS.len()];
 
-/// Which kind of set a kernel with these images needs; None where there is no such.
+/// The kind of set for a kernel with these images; None if there is none.
 pub(super) fn kind_of(images: &[ImageInfo]) -> Option<usize> {
     let image = match images {
         [] => None,
@@ -71,7 +71,7 @@ pub(super) fn shared_layouts(device: &ash::Device) -> Result<SharedLayouts> {
     Ok(layouts)
 }
 
-/// Destroys layouts that nothing is made from any more.
+/// Destroys layouts that are no longer in use.
 pub(super) fn destroy_layouts(device: &ash::Device, layouts: &SharedLayouts) {
     for layout in layouts {
         // SAFETY: as the caller sees to; null handles are allowed.
@@ -79,7 +79,7 @@ pub(super) fn destroy_layouts(device: &ash::Device, layouts: &SharedLayouts) {
     }
 }
 
-/// Sets of the shared layouts, handed out one after the other during a recording. Whoever has them calls
+/// Sets of the shared layouts, handed out in order during a recording. The owner calls
 /// [`DescriptorSets::destroy`] at the end.
 pub(super) struct DescriptorSets {
     layouts: SharedLayouts,
@@ -89,18 +89,18 @@ pub(super) struct DescriptorSets {
 }
 
 impl DescriptorSets {
-    /// None where there are push descriptors.
+    /// None with push descriptors.
     pub(super) fn new(inner: &Inner) -> Option<Self> {
         let layouts = inner.shared_layouts?;
         Some(Self { layouts, pools: Vec::new(), sets: Default::default(), used: Default::default() })
     }
 
-    /// Starts over: the sets of the recording before are free again.
+    /// Frees the sets of the previous recording.
     pub(super) fn reset(&mut self) {
         self.used = Default::default();
     }
 
-    /// Makes sure of a number of sets for one recording, and of some with images.
+    /// Allocates at least this number of sets for one recording, and some with images.
     pub(super) fn reserve(&mut self, inner: &Inner, count: usize) -> Result<()> {
         for kind in 0..KINDS.len() {
             self.reserve_kind(inner, kind, if kind == 0 { count } else { POOL_SETS[1] as usize })?;
@@ -115,7 +115,7 @@ impl DescriptorSets {
         Ok(())
     }
 
-    /// A set of a kind that this recording has not used yet, allocated if need be.
+    /// An unused set of a kind, allocated if necessary.
     pub(super) fn next(&mut self, inner: &Inner, kind: usize) -> Result<vk::DescriptorSet> {
         self.reserve_kind(inner, kind, self.used[kind] + 1)?;
         self.used[kind] += 1;
@@ -143,7 +143,7 @@ impl DescriptorSets {
         Ok(())
     }
 
-    /// Destroys the pools. No recording that uses a set is under way.
+    /// Destroys the pools. No recording that uses a set may be running.
     pub(super) fn destroy(&mut self, inner: &Inner) {
         self.sets.iter_mut().for_each(Vec::clear);
         for pool in self.pools.drain(..) {
@@ -153,7 +153,7 @@ impl DescriptorSets {
     }
 }
 
-/// Sets that are destroyed with whoever has them; none where there are push descriptors.
+/// Sets that are destroyed with this value; none with push descriptors.
 #[derive(Default)]
 pub(super) struct OwnedSets(Option<(Arc<Inner>, DescriptorSets)>);
 

@@ -1,4 +1,4 @@
-//! Which devices there are, which of them will do, and which one is meant.
+//! Enumerates the devices, checks them, and selects one.
 
 use super::clock::Calibrated;
 use super::instance::Instance;
@@ -11,10 +11,10 @@ use crate::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
 
-/// See [`Limits::instances_per_dispatch`]: 256 times as many pixels are blended, tens of milliseconds of a GPU.
+/// See [`Limits::instances_per_dispatch`]: 256 pixels per instance, tens of milliseconds on a GPU.
 const INSTANCES_PER_DISPATCH: u32 = 1 << 25;
 
-/// What [`devices`] tells about a device.
+/// Description of a device by [`devices`].
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct DeviceDescription {
@@ -28,22 +28,22 @@ pub struct DeviceDescription {
     pub driver: String,
     /// The Vulkan version that it implements.
     pub api_version: String,
-    /// Its limits; None where the device is too old to be asked.
+    /// Its limits; None if the device is too old to be queried.
     pub limits: Option<Limits>,
     /// Why it cannot be used; None if it can.
     pub problem: Option<String>,
 }
 
-/// Lists the devices of this machine, the usable and the others.
+/// Lists all devices of this machine, usable or not.
 ///
 /// # Errors
-/// [`Error::NoLoader`] or [`Error::NoDevice`] where there is no loader or no driver at all.
+/// [`Error::NoLoader`] or [`Error::NoDevice`] without a loader or a driver.
 pub fn devices() -> Result<Vec<DeviceDescription>> {
     let instance = Instance::new(false, false)?;
     Ok(candidates(&instance.raw, vk::API_VERSION_1_3)?.into_iter().map(|c| c.description).collect())
 }
 
-/// A device and what is needed to open it.
+/// A device, with the data to open it.
 pub(super) struct Candidate {
     pub(super) physical: vk::PhysicalDevice,
     pub(super) description: DeviceDescription,
@@ -60,7 +60,7 @@ impl Candidate {
     }
 }
 
-/// Features that are turned on where they exist.
+/// Features that are turned on if they exist.
 #[derive(Clone, Copy, Default)]
 pub(super) struct OptionalFeatures {
     pub(super) int8: bool,
@@ -77,7 +77,7 @@ pub(super) struct OptionalFeatures {
     pub(super) graphics_stores: bool,
 }
 
-/// All devices, in the loader's order; those that report an older Vulkan are unusable.
+/// All devices, in the loader's order. Those that report an older Vulkan are unusable.
 fn candidates(instance: &ash::Instance, least_version: u32) -> Result<Vec<Candidate>> {
     // SAFETY: the instance is alive.
     let physical = unsafe { instance.enumerate_physical_devices() };
@@ -89,8 +89,8 @@ fn candidates(instance: &ash::Instance, least_version: u32) -> Result<Vec<Candid
     physical.map(|(index, physical)| describe(instance, index, physical, least_version)).collect()
 }
 
-/// The device that is asked for by index or by part of its name, or else the best: discrete, integrated, virtual,
-/// processor, in this order.
+/// The device requested by index or by part of its name, or otherwise the best: discrete, integrated,
+/// virtual, processor, in this order.
 pub(super) fn choose(instance: &ash::Instance, asked: Option<&str>, least_version: u32) -> Result<Candidate> {
     let mut all = candidates(instance, least_version)?;
     if let Some(asked) = asked {
@@ -122,7 +122,7 @@ pub(super) fn choose(instance: &ash::Instance, asked: Option<&str>, least_versio
     usable.min_by_key(rank).ok_or(Error::NoDevice { reason })
 }
 
-/// Index of the device meant by `asked`: a number, the whole name, or part of a name in any case.
+/// Index of the device named by `asked`: a number, the whole name, or part of a name in any case.
 fn find<'a>(names: impl Iterator<Item = &'a str> + Clone, asked: &str) -> Option<usize> {
     let asked = asked.trim().to_lowercase();
     if let Ok(index) = asked.parse::<usize>() {
@@ -175,7 +175,7 @@ pub(super) fn describe(
     Ok(candidate)
 }
 
-/// Fills in limits, queue and features; returns what the device lacks.
+/// Fills in limits, queue and features. Returns what the device lacks.
 fn examine(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,

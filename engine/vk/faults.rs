@@ -1,23 +1,24 @@
 //! For tests: Vulkan calls that fail on demand.
 //!
-//! With [`super::ContextOptions::faults`], the device's function table has wrappers in place of the functions that may
-//! fail. A wrapper counts its call and either passes it on or answers with an error, as a driver would: nothing above
-//! the table can tell the difference. The validation layer lies below it and sees a program that handles the error.
+//! With [`super::ContextOptions::faults`], the device's function table has wrappers for the functions that
+//! may fail. A wrapper counts its call and either passes it on or returns an error, as a driver would. Code
+//! above the table cannot tell the difference. The validation layer is below it and sees a program that
+//! handles the error.
 
 use ash::vk::{self, Handle};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// What fails, and with which result.
+/// The function that fails, and its result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Fault {
     /// vkAllocateMemory: out of device memory.
     Allocation,
-    /// vkQueueSubmit2: the device is lost, and stays so.
+    /// vkQueueSubmit2: the device is lost and stays lost.
     SubmitLost,
-    /// vkWaitForFences: the device is lost, and stays so.
+    /// vkWaitForFences: the device is lost and stays lost.
     WaitLost,
-    /// vkWaitForFences: not over in time.
+    /// vkWaitForFences: timeout.
     Timeout,
     /// vkWaitForFences: out of host memory.
     WaitMemory,
@@ -25,11 +26,11 @@ pub enum Fault {
     Object,
 }
 
-/// How often a kind of call was made, and which of them is to fail.
+/// The number of calls of one kind, and which of them fail.
 #[derive(Clone, Copy, Debug, Default)]
 struct Counter {
     calls: u64,
-    /// The first to fail, and how many from there on.
+    /// The first call that fails, and the number of calls from it on that fail.
     fails: Option<(u64, u64)>,
 }
 
@@ -62,12 +63,12 @@ impl Faults {
         f(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Lets the `index`-th call from now on fail (from 0), that one alone; calls are counted from here.
+    /// Makes only the `index`-th call from now on fail, counted from 0.
     pub fn arm(&self, fault: Fault, index: u64) {
         self.arm_many(fault, index, 1);
     }
 
-    /// As [`Faults::arm`], and the following calls as well: `count` in all.
+    /// Like [`Faults::arm`], for `count` calls from there on.
     pub fn arm_many(&self, fault: Fault, index: u64, count: u64) {
         self.with(|state| {
             state.objects.clear();
@@ -75,7 +76,7 @@ impl Faults {
         });
     }
 
-    /// Lets nothing fail any more, and counts from here.
+    /// Turns all faults off, and restarts the count.
     pub fn disarm(&self) {
         self.with(|state| {
             state.objects.clear();
@@ -93,12 +94,12 @@ impl Faults {
         self.with(|state| state.objects.clone())
     }
 
-    /// How many calls were made to fail, those on a lost device aside.
+    /// Number of calls made to fail, except those on a lost device.
     pub fn injected(&self) -> u64 {
         self.with(|state| state.injected)
     }
 
-    /// Counts a call; whether it is to fail.
+    /// Counts a call. Returns whether it fails.
     fn strikes(&self, fault: Fault) -> bool {
         self.with(|state| {
             let counter = state.counters.entry(fault).or_default();
@@ -112,7 +113,7 @@ impl Faults {
         })
     }
 
-    /// Counts a call of one of the many functions; whether it is to fail.
+    /// Counts a call of one of the many functions. Returns whether it fails.
     fn strikes_object(&self, function: &'static str) -> bool {
         self.with(|state| state.objects.push(function));
         self.strikes(Fault::Object)
@@ -144,7 +145,7 @@ pub(super) fn remove(device: vk::Device) {
     INSTALLED.lock().unwrap_or_else(PoisonError::into_inner).retain(|(_, other)| !Arc::ptr_eq(other, &gone));
 }
 
-/// Lets a handle lead to the functions; whatever it meant before is gone.
+/// Maps a handle to the functions. Any earlier mapping is replaced.
 fn register(handle: u64, state: &Arc<Installed>) {
     let mut all = INSTALLED.lock().unwrap_or_else(PoisonError::into_inner);
     all.retain(|(other, _)| *other != handle);
@@ -317,7 +318,7 @@ unsafe extern "system" fn wait_for_fences(
         return vk::Result::ERROR_OUT_OF_HOST_MEMORY;
     }
     let lost = i.faults.strikes(Fault::WaitLost) || i.faults.lost();
-    // On a device that is lost nothing runs any more; on this one it does.
+    // A lost device runs nothing any more, but this one still does: wait for it.
     let timeout = if lost { u64::MAX } else { timeout };
     // SAFETY: the caller's arguments, passed on as they are, but for the timeout.
     let result = unsafe { (i.v1_0.wait_for_fences)(device, count, fences, all, timeout) };

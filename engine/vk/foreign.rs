@@ -1,5 +1,5 @@
-//! A guest on somebody else's device: the context that is made from a host's handles, and recording into a host's
-//! command buffers.
+//! A guest on a host's device: a context from the host's handles, and recording into the host's command
+//! buffers.
 
 use super::allocator::HostAllocator;
 use super::context::{Context, ContextOptions, Inner, Owner, Parts};
@@ -17,7 +17,7 @@ use ash::vk;
 use std::ffi::CStr;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A host's device, and what was enabled when it was created.
+/// A host's device, and the features that were enabled at its creation.
 #[derive(Clone)]
 pub struct ForeignDevice<'a> {
     /// The instance with its functions.
@@ -28,8 +28,8 @@ pub struct ForeignDevice<'a> {
     pub device: &'a ash::Device,
     /// The family of the queues that recordings are submitted to.
     pub queue_family: u32,
-    /// A queue of that family for what submits and waits by itself: [`Context::run`], [`Context::upload`],
-    /// [`crate::Renderer::render`]. None: those are refused, and only recording works.
+    /// A queue of that family for operations that submit and wait themselves: [`Context::run`],
+    /// [`Context::upload`], [`crate::Renderer::render`]. None: they are refused, and only recording works.
     pub queue: Option<vk::Queue>,
     /// The features that the device was created with: see [`Features::of`].
     pub features: Features,
@@ -37,32 +37,37 @@ pub struct ForeignDevice<'a> {
     pub extensions: &'a [&'a CStr],
     /// Whether the instance was created with VK_EXT_debug_utils.
     pub debug_utils: bool,
-    /// Where buffers get their memory from; None: from the device itself.
+    /// Allocator of the buffers' memory; None: the device itself.
     pub allocator: Option<Arc<dyn HostAllocator>>,
     /// The host's cache that kernels are built with; null: none. The host keeps and destroys it.
     pub pipeline_cache: vk::PipelineCache,
 }
 
 impl Context {
-    /// A context on a host's device. Nothing of the host's is ever destroyed: dropping the context destroys only what it
-    /// made. Only its queue is waited for, where one is given, by what submits. After [`Error::Timeout`] a thread waits for
-    /// what is late: until it is over, device and queue have to live.
+    /// A context on a host's device. It never destroys objects of the host: dropping it destroys only its own
+    /// objects. Only the given queue is waited for, and only by operations that submit. After
+    /// [`Error::Timeout`] a thread waits for the late submission: device and queue must live until it has
+    /// finished.
     ///
-    /// `options` says what it says for [`Context::new`], but for the choice of the device and the layers, which are
-    /// the host's.
+    /// `options` has the same meaning as for [`Context::new`], except for the choice of the device and the
+    /// layers, which are the host's.
     ///
     /// # Errors
-    /// [`Error::MissingFeature`] for the first of [`Context::requirements`] that the device lacks or that was not
-    /// enabled, [`Error::Argument`] for a null handle or a queue family without compute.
+    /// [`Error::MissingFeature`] for the first of [`Context::requirements`] that the device lacks or that was
+    /// not enabled, [`Error::Argument`] for a null handle or a queue family without compute.
     ///
     /// # Safety
     /// - `instance` and `device` are alive, were created for Vulkan 1.3 or later, and outlive the context and
-    ///   everything that is made from it;
-    /// - `physical_device` is the one that `device` was created from, `queue_family` one that it was created with;
-    /// - `features` and `extensions` were enabled at its creation, and VK_EXT_debug_utils if `debug_utils` says so;
-    /// - `queue`, if it is given, is one of `device` and of that family, and nobody else uses it during a call that submits;
-    /// - what `allocator` gives is memory of `device`;
-    /// - `pipeline_cache`, if it is not null, is of `device`, was made without EXTERNALLY_SYNCHRONIZED, and outlives the context.
+    ///   everything made from it;
+    /// - `physical_device` is the one that `device` was created from, `queue_family` one that it was created
+    ///   with;
+    /// - `features` and `extensions` were enabled at its creation, and VK_EXT_debug_utils if `debug_utils` is
+    ///   set;
+    /// - `queue`, if given, is one of `device` and of that family, and is not used elsewhere during a call
+    ///   that submits;
+    /// - the memory from `allocator` is memory of `device`;
+    /// - `pipeline_cache`, if it is not null, is of `device`, was created without EXTERNALLY_SYNCHRONIZED, and
+    ///   outlives the context.
     pub unsafe fn from_foreign(host: &ForeignDevice<'_>, options: &ContextOptions) -> Result<Self> {
         let null = [
             ("instance", host.instance.handle() == vk::Instance::null()),
@@ -113,24 +118,27 @@ impl Context {
     /// A host's command buffer, to record into through a slot.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle, and in a context of our own that reads texels ([`ContextOptions::texels`]).
+    /// [`Error::Argument`] for a null handle, and in a context of our own that reads texels
+    /// ([`ContextOptions::texels`]).
     ///
     /// # Safety
-    /// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass, and
-    ///   nobody else records into it until the recording that is begun with it has ended;
-    /// - it is submitted at most once before it is recorded again, and to a queue of the context's queue family; where these
-    ///   are several queues, the host orders submissions that use the same buffers or images by semaphores;
-    /// - before the slot that it is recorded through is recorded through again, released or dropped, the host has learnt
-    ///   that the execution of the whole command buffer is over, by a fence, a timeline semaphore or an idle queue, or
-    ///   has made sure that it never begins ([`RecordSlot::discard`]). [`RecordSlot::finished`] does not say that: it
-    ///   knows of the guest's own commands, not of what the host has recorded behind them;
-    /// - until then nobody writes or reads, from the host, buffers that the recording uses ([`Buffer::write`](super::Buffer::write),
-    ///   [`Context::upload`], [`Context::download`]).
+    /// - `commands` is of the context's device and queue family, in the recording state, outside of a render
+    ///   pass, and not   recorded into elsewhere until the recording that is begun with it has ended;
+    /// - it is submitted at most once before it is recorded again, to a queue of the context's queue family;
+    ///   if there are   several queues, the host orders submissions that use the same buffers or images by
+    ///   semaphores;
+    /// - before the slot that it is recorded through is recorded through again, released or dropped, the host
+    ///   knows that the   execution of the whole command buffer has finished, by a fence, a timeline
+    ///   semaphore or an idle queue, or has made   sure that it never begins ([`RecordSlot::discard`]).
+    ///   [`RecordSlot::finished`] is not enough: it covers the guest's   own commands only, not those that
+    ///   the host has recorded after them;
+    /// - until then the host neither writes nor reads buffers that the recording uses
+    ///   ([`Buffer::write`](super::Buffer::write), [`Context::upload`], [`Context::download`]).
     ///
-    /// Until then the slot keeps everything alive that the recording uses; what was dropped meanwhile is destroyed with the
-    /// slot's next recording, or by [`RecordSlot::release`].
+    /// Until then the slot keeps all resources of the recording alive. Resources that are dropped meanwhile
+    /// are destroyed with the slot's next recording, or by [`RecordSlot::release`].
     ///
-    /// Pipeline, descriptors and push constants of the compute bind point are not what they were afterwards.
+    /// Afterwards pipeline, descriptors and push constants of the compute bind point have changed.
     pub unsafe fn adopt_commands(&self, commands: vk::CommandBuffer) -> Result<ForeignCommands> {
         if commands == vk::CommandBuffer::null() {
             return Err(Error::argument("command buffer", "the handle is null"));
@@ -139,7 +147,8 @@ impl Context {
         Ok(ForeignCommands { inner: self.0.clone(), raw: commands })
     }
 
-    /// Fails where kernels read texels: the views are made while recording, and a host's buffers may lack the usage.
+    /// Fails if kernels read texels: the views are made while recording, and a host's buffers may lack the
+    /// usage.
     pub(super) fn check_adoption(&self) -> Result<()> {
         if !self.limits().prefers_texels() {
             return Ok(());
@@ -159,7 +168,7 @@ impl Context {
         Arc::ptr_eq(&self.0, &other.0)
     }
 
-    /// The Vulkan objects behind the context, for a host that wants to share a device of ours.
+    /// The Vulkan objects of the context, for a host that shares a device of ours.
     pub fn handles(&self) -> (ash::Instance, vk::PhysicalDevice, ash::Device, u32) {
         let inner = &self.0;
         (inner.owner.instance().clone(), inner.physical, inner.device.clone(), inner.queue_family)
@@ -173,27 +182,29 @@ pub struct ForeignCommands {
 }
 
 impl ForeignCommands {
-    /// Whether it is of this context.
+    /// Whether it belongs to this context.
     pub fn belongs_to(&self, context: &Context) -> bool {
         Arc::ptr_eq(&self.inner, &context.0)
     }
 }
 
-/// What recording into a host's command buffer needs, made ahead: one for each frame in flight. Between
-/// [`RecordSlot::begin`] and [`RecordSlot::end`] nothing is created, allocated, mapped, submitted or waited for.
+/// The preallocated objects of a recording into a host's command buffer: one slot for each frame in flight.
+/// Between [`RecordSlot::begin`] and [`RecordSlot::end`] nothing is created, allocated, mapped, submitted or
+/// waited for.
 ///
-/// The device signals an event at the end of the recording, so that the host can ask whether it is over.
+/// The device signals an event at the end of the recording, so that the host can query whether it has
+/// finished.
 pub struct RecordSlot {
     inner: Arc<Inner>,
     event: vk::Event,
     queries: vk::QueryPool,
     descriptors: Pool<OwnedSets>,
-    /// What the last recording uses.
+    /// The resources of the last recording.
     kept: Pool<Kept>,
     profiler: Option<Profiler>,
     /// Whether a recording was begun and not discarded.
     recorded: bool,
-    /// Whether the last discarded recording had been executed.
+    /// Whether the last discarded recording had been executed after all.
     discarded_late: bool,
 }
 
@@ -237,8 +248,9 @@ impl RecordSlot {
         Ok(())
     }
 
-    /// Whether the commands that were recorded through the slot are over: true also for one never used, false while the
-    /// command buffer has not been submitted yet. Whatever the host has recorded behind them may still run. Never waits.
+    /// Whether the commands that were recorded through the slot have finished. True for a slot that was never
+    /// used; false while the command buffer has not been submitted. Commands that the host has recorded after
+    /// them may still run. Never waits.
     ///
     /// # Errors
     /// [`Error::Vulkan`] when the device is lost.
@@ -251,8 +263,8 @@ impl RecordSlot {
         status.map_err(|error| self.inner.failed("vkGetEventStatus", error))
     }
 
-    /// Fails while the last recording is in flight. What it says has to be true of the whole command buffer as well, as
-    /// whoever adopted that has promised.
+    /// Fails while the last recording is in flight. The adopter of the command buffer has promised that the
+    /// rest of it has finished as well.
     pub(crate) fn check_free(&self) -> Result<()> {
         match self.finished()? {
             true => Ok(()),
@@ -260,20 +272,21 @@ impl RecordSlot {
         }
     }
 
-    /// Whether something was recorded through the slot and not discarded.
+    /// Whether a recording was made through the slot and not discarded.
     pub fn is_recorded(&self) -> bool {
         self.recorded
     }
 
-    /// Whether the recording that was discarded last had been executed all the same.
+    /// Whether the recording that was discarded last had been executed after all.
     pub(crate) fn was_discarded_late(&self) -> bool {
         self.discarded_late
     }
 
-    /// Forgets a recording, also one that an error or a panic has left unfinished.
+    /// Forgets a recording, including one that an error or a panic has left unfinished.
     ///
     /// # Safety
-    /// The command buffer was not submitted and is not going to be, or its execution is over; the recorder is gone.
+    /// The command buffer was not submitted and never will be, or its execution has finished; the recorder is
+    /// dropped.
     pub unsafe fn discard(&mut self) {
         self.discarded_late = self.recorded && self.finished().unwrap_or(true);
         self.recorded = false;
@@ -281,8 +294,8 @@ impl RecordSlot {
         self.clear();
     }
 
-    /// Lets go of everything that the last recording used, once its command buffer is over: scenes and views of images
-    /// that were dropped meanwhile are destroyed now, and not by the next recording.
+    /// Releases all resources of the last recording, once its command buffer has finished. Scenes and image
+    /// views that were dropped meanwhile are destroyed now instead of by the next recording.
     ///
     /// # Errors
     /// [`Error::Argument`] while the recording is in flight.
@@ -296,12 +309,13 @@ impl RecordSlot {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
-    /// Starts recording. Waits, on the device, for what compute shaders and transfers before it in the queue wrote. From
-    /// now on the slot is in flight; a recorder that is dropped leaves it so, for what it has recorded may be executed.
+    /// Begins a recording. On the device, it waits for the writes of earlier compute shaders and transfers in
+    /// the queue. The slot is in flight from now on, even if the recorder is dropped, because its commands
+    /// may be executed.
     ///
     /// # Errors
-    /// [`Error::Argument`] when the recording before is not over, or when the commands are of another context: nothing
-    /// is recorded then.
+    /// [`Error::Argument`] if the previous recording has not finished, or if the commands are of another
+    /// context: nothing is recorded then.
     pub fn begin(&mut self, commands: ForeignCommands, label: &str) -> Result<Recorder> {
         if !Arc::ptr_eq(&commands.inner, &self.inner) {
             return Err(Error::argument("command buffer", "it belongs to another device"));
@@ -330,20 +344,20 @@ impl RecordSlot {
         Ok(recorder)
     }
 
-    /// Ends a recording: everything that it wrote is made visible to the host, and the event is signalled behind it.
+    /// Ends a recording: makes all of its writes visible to the host, and then signals the event.
     ///
     /// # Errors
-    /// [`Error::Vulkan`] where the driver had no memory for more dispatches than the slot was made for: then the command
-    /// buffer must be thrown away, and the recording [discarded](RecordSlot::discard).
+    /// [`Error::Vulkan`] if the driver had no memory for more dispatches than the slot was made for. The
+    /// command buffer must then be thrown away, and the recording [discarded](RecordSlot::discard).
     ///
     /// # Panics
-    /// When the recording was begun in another slot.
+    /// If the recording was begun in another slot.
     pub fn end(&mut self, mut recorder: Recorder) -> Result<()> {
         assert!(recorder.kept.is_from(&self.kept), "a recording ends in the slot that it was begun in");
         let whole = recorder.check();
         let (target, profiler, _kept) = recorder.finish_foreign();
         type Stage = vk::PipelineStageFlags2;
-        // All stages: the timestamps wait for all of them, also for those of commands that the host recorded before.
+        // All stages: the timestamps wait for all commands, including those that the host recorded before.
         let barriers = [vk::MemoryBarrier2::default()
             .src_stage_mask(Stage::ALL_COMMANDS)
             .src_access_mask(vk::AccessFlags2::SHADER_WRITE | vk::AccessFlags2::TRANSFER_WRITE)
@@ -359,15 +373,15 @@ impl RecordSlot {
         whole
     }
 
-    /// Whether [`RecordSlot::times`] has all that there will be. On llvmpipe, whose queries wait for the whole device, this
-    /// does so too.
+    /// Whether [`RecordSlot::times`] is complete. On llvmpipe, whose queries wait for the whole device, this
+    /// call waits too.
     pub(crate) fn has_times(&self) -> Result<bool> {
         let timed = |profiler: &Profiler| profiler.is_ready(&self.inner);
         Ok(self.finished()? && self.profiler.as_ref().map_or(Ok(true), timed)?)
     }
 
-    /// The time of each scope of the last recording, once it has finished and the device has written them; empty before
-    /// that, where there are no timestamps, and when asked a second time.
+    /// The time of each scope of the last recording. Empty until it has finished and the device has written
+    /// the times, without timestamps, and at a second call.
     ///
     /// # Errors
     /// [`Error::Vulkan`] when the device is lost.
@@ -382,8 +396,8 @@ impl RecordSlot {
 
 impl Drop for RecordSlot {
     fn drop(&mut self) {
-        // SAFETY: whoever adopted the command buffer has promised that its execution is over; null handles are
-        // allowed.
+        // SAFETY: the adopter of the command buffer has promised that its execution has finished; null
+        // handles are allowed.
         unsafe {
             self.inner.device.destroy_query_pool(self.queries, None);
             self.inner.device.destroy_event(self.event, None);

@@ -1,4 +1,4 @@
-//! What is known of image formats.
+//! Properties of image formats.
 
 use ash::vk::{self, Format as F};
 
@@ -11,7 +11,7 @@ pub(super) fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
     }
 }
 
-/// Bytes of a texel of the aspect that kernels see, where it is copied.
+/// Bytes of a texel of the aspect that kernels see, in a copy.
 pub(super) fn texel_bytes(format: vk::Format) -> u64 {
     match format {
         F::D16_UNORM | F::D16_UNORM_S8_UINT | F::R16_UNORM | F::R16_SFLOAT => 2,
@@ -21,7 +21,7 @@ pub(super) fn texel_bytes(format: vk::Format) -> u64 {
     }
 }
 
-/// Whether there is a stencil beside the depth.
+/// Whether the format has stencil as well as depth.
 pub(super) fn has_stencil(format: vk::Format) -> bool {
     matches!(format, F::D16_UNORM_S8_UINT | F::D24_UNORM_S8_UINT | F::D32_SFLOAT_S8_UINT)
 }

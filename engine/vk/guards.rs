@@ -1,4 +1,4 @@
-//! For tests: bands around every buffer, which show what was written outside of it.
+//! For tests: guard bands around every buffer, which detect writes outside of it.
 
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
@@ -6,16 +6,16 @@ use super::memory::{Block, PLACEMENT_ALIGNMENT};
 use crate::Result;
 use std::sync::{Arc, PoisonError, Weak};
 
-/// Bytes in front of and behind each buffer that nobody may write; a multiple of the alignment of buffers. A workgroup too
-/// many, of 256 invocations that write a vec4 each, ends within them.
+/// Bytes before and after each buffer that must not be written; a multiple of the buffers' alignment. The
+/// writes of one excess workgroup, of 256 invocations with a vec4 each, end within them.
 pub(super) const GUARD_BYTES: u64 = 16 * PLACEMENT_ALIGNMENT;
-/// What stands in them.
+/// Content of the guard bands.
 const GUARD_PATTERN: u8 = 0xA5;
-/// A block, and a buffer's offset, size and name in it.
+/// A block, and the offset, size and name of a buffer in it.
 pub(super) type Guarded = (Weak<Block>, u64, u64, &'static str);
 
 impl Context {
-    /// Fills the bands around buffers with their pattern.
+    /// Fills the guard bands of buffers with their pattern.
     pub(super) fn raise_guards(&self, buffers: &[Buffer]) -> Result<()> {
         for buffer in buffers {
             for band in buffer.guards(GUARD_BYTES) {
@@ -32,8 +32,8 @@ impl Context {
 }
 
 impl Inner {
-    /// Bytes behind a buffer that kernels are given as well: drivers drop what a kernel writes outside of what is bound, so
-    /// that nothing would ever be seen of it.
+    /// Bytes after a buffer that are bound with it. Drivers drop writes outside of the bound range, so that
+    /// without them no breach would be visible.
     pub(super) fn guard_behind(&self, buffer: &Buffer) -> u64 {
         if !self.guard_bands {
             return 0;
@@ -48,7 +48,7 @@ impl Inner {
 }
 
 impl Context {
-    /// For tests of the guards: writes right behind a buffer.
+    /// For tests of the guards: writes directly after a buffer.
     ///
     /// # Errors
     /// When the band cannot be written.
@@ -57,8 +57,7 @@ impl Context {
         self.upload(&behind, &vec![0; behind.bytes().min(4) as usize])
     }
 
-    /// The names of living buffers outside of which something was written; see
-    /// [`super::ContextOptions::guard_bands`].
+    /// The names of living buffers with writes outside of them; see [`super::ContextOptions::guard_bands`].
     ///
     /// # Errors
     /// When a band cannot be read.

@@ -1,10 +1,10 @@
-//! Finds missing barriers: a pure bookkeeping of what the commands of a recording declare to read and write.
+//! Finds missing barriers from the declared reads and writes of a recording's commands.
 //!
-//! Since the last barrier it keeps every range that was read or written, and by which command. A command that touches
-//! a range that an earlier one wrote, or writes one that an earlier one read, without a barrier between them, is a
-//! hazard. A command may read and write its own buffers.
+//! Since the last barrier it keeps every range that was read or written, and the command. A hazard is a
+//! command that touches a range that an earlier one wrote, or writes a range that an earlier one read,
+//! without a barrier between them. A command may read and write its own buffers.
 //!
-//! Knows no Vulkan: a block of memory is a number, so all of it is tested without a device.
+//! It does not use Vulkan: a block of memory is a number, so it is tested without a device.
 
 use super::kernel::Access;
 use std::fmt;
@@ -13,13 +13,13 @@ use std::ops::Range;
 /// One declared access of a command.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Use {
-    /// Which block of memory.
+    /// The block of memory.
     pub block: u64,
-    /// Which bytes of it.
+    /// The range of bytes in it.
     pub bytes: Range<u64>,
     /// The buffer's name.
     pub buffer: &'static str,
-    /// What it is to the command: the binding's name, "destination", …
+    /// Its role in the command: the binding's name, "destination", …
     pub role: &'static str,
     /// Whether it is read, written, or both.
     pub access: Access,
@@ -71,19 +71,19 @@ impl fmt::Display for Hazard {
     }
 }
 
-/// What happened since the last barrier.
+/// Accesses since the last barrier.
 #[derive(Debug, Default)]
 pub struct HazardTracker {
     since_barrier: Vec<(&'static str, Use)>,
 }
 
 impl HazardTracker {
-    /// Nothing recorded yet.
+    /// No accesses yet.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds a command; returns the hazards with earlier ones, the first for each of its accesses.
+    /// Adds a command. Returns the hazards with earlier ones, the first for each of its accesses.
     pub fn command(&mut self, name: &'static str, uses: &[Use]) -> Vec<Hazard> {
         let mut hazards = Vec::new();
         for later in uses {
@@ -96,7 +96,7 @@ impl HazardTracker {
         hazards
     }
 
-    /// Everything before is ordered before everything after.
+    /// Orders everything before it before everything after it.
     pub fn barrier(&mut self) {
         self.since_barrier.clear();
     }

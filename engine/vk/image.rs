@@ -14,13 +14,13 @@ use std::sync::atomic::Ordering;
 /// Own images, in [`Context::memory`].
 const ARENA: &str = "images";
 
-/// What kernels do with an image.
+/// How kernels use an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageUse {
     /// Read and written as a storage image, in the layout GENERAL.
     Storage,
-    /// Read by texel, in the layout DEPTH_STENCIL_READ_ONLY_OPTIMAL where it is a depth attachment as well, else in
-    /// SHADER_READ_ONLY_OPTIMAL.
+    /// Read by texel. The layout is DEPTH_STENCIL_READ_ONLY_OPTIMAL if the image is also a depth attachment,
+    /// otherwise SHADER_READ_ONLY_OPTIMAL.
     Sampled,
 }
 
@@ -47,7 +47,7 @@ impl ImageUse {
     }
 }
 
-/// An image of somebody else's, as it was created.
+/// A host's image, as it was created.
 #[derive(Clone, Copy, Debug)]
 pub struct ForeignImage {
     /// The image: two-dimensional, one sample per pixel, optimal tiling.
@@ -64,7 +64,7 @@ pub struct ForeignImage {
     pub layer: u32,
 }
 
-/// How an image is being used at a point in a command buffer.
+/// The use of an image at a point in a command buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageState {
     /// Its layout.
@@ -76,7 +76,7 @@ pub struct ImageState {
 }
 
 impl ImageState {
-    /// Its contents are not wanted any more, and nothing before uses it.
+    /// Its contents are discarded, and it has no earlier use.
     pub const UNDEFINED: Self = Self {
         layout: vk::ImageLayout::UNDEFINED,
         stages: vk::PipelineStageFlags2::NONE,
@@ -92,7 +92,7 @@ struct View {
     inner: Arc<Inner>,
     image: vk::Image,
     view: vk::ImageView,
-    /// Null where the image is a host's.
+    /// Null if the image is a host's.
     memory: vk::DeviceMemory,
     bytes: u64,
     format: vk::Format,
@@ -108,15 +108,15 @@ impl Image {
     /// A view of a host's image, for kernels.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle, no size, a usage that lacks what `purpose` needs, or a format that the
-    /// device cannot use so.
+    /// [`Error::Argument`] for a null handle, no size, a usage that lacks what `purpose` needs, or a format
+    /// that the device does not support for it.
     ///
     /// # Safety
-    /// - the image is of the context's device, was created as `foreign` says and is bound to memory;
-    /// - it lives until the execution of the last recording that uses it is over and this view and its clones are
-    ///   gone;
-    /// - recordings that use it find it owned by the context's queue family: barriers here transfer no ownership, so that
-    ///   a host whose other queues are of another family releases and acquires it.
+    /// - the image is of the context's device, was created as `foreign` describes and is bound to memory;
+    /// - it lives until the last recording that uses it has finished and this view and its clones are
+    ///   dropped;
+    /// - the context's queue family owns it when recordings use it. The barriers here transfer no ownership:
+    ///   a host whose   other queues are of another family releases and acquires it.
     pub unsafe fn adopt(
         context: &Context,
         name: &'static str,
@@ -239,7 +239,7 @@ impl Image {
         self.0.format
     }
 
-    /// What it can be used for.
+    /// Its purpose.
     pub fn purpose(&self) -> ImageUse {
         self.0.purpose
     }
@@ -248,13 +248,13 @@ impl Image {
     pub fn layout(&self) -> vk::ImageLayout {
         match self.0.purpose {
             ImageUse::Storage => vk::ImageLayout::GENERAL,
-            // A host may go on testing against it.
+            // The host may still test against it.
             ImageUse::Sampled if self.0.is_attachment => vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL,
             ImageUse::Sampled => vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
         }
     }
 
-    /// Whether it is of this context's device.
+    /// Whether it belongs to this context's device.
     pub fn belongs_to(&self, context: &Context) -> bool {
         self.is_of(&context.0)
     }
@@ -330,8 +330,8 @@ impl Context {
 }
 
 impl Recorder {
-    /// Makes an image ready for kernels: waits for what `from` says and changes the layout to [`Image::layout`].
-    /// Returns how kernels then use it.
+    /// Makes an image ready for kernels: waits for the use `from`, and changes the layout to
+    /// [`Image::layout`]. Returns the use by kernels.
     pub fn acquire_image(&mut self, image: &Image, from: ImageState) -> ImageState {
         let accesses = match image.0.purpose {
             ImageUse::Storage => {
@@ -409,7 +409,7 @@ impl Recorder {
 }
 
 impl Image {
-    /// With the stencil, which changes its layout together with the depth.
+    /// Including the stencil, whose layout changes together with the depth's.
     fn whole_range(&self) -> vk::ImageSubresourceRange {
         let mut range = self.0.range;
         if has_stencil(self.0.format) {

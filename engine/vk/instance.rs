@@ -18,8 +18,8 @@ pub(super) struct Instance {
 }
 
 impl Instance {
-    /// With `validation`, turns on the Khronos layer with synchronization validation, and collects what it says; with
-    /// `printf`, the layer for what shaders print.
+    /// With `validation`, turns on the Khronos layer with synchronization validation, and collects its
+    /// messages. With `printf`, turns on the layer for shader output.
     pub(super) fn new(validation: bool, printf: bool) -> Result<Self> {
         // SAFETY: loading the system's Vulkan loader runs its initialisers, which are sound for a proper install.
         let entry = unsafe { ash::Entry::load() }
@@ -63,7 +63,7 @@ pub fn validation_available() -> bool {
     unsafe { ash::Entry::load() }.is_ok_and(|entry| has_layer(&entry).unwrap_or(false))
 }
 
-/// What the layer is to do; None without the layer.
+/// The checks of the layer; None without the layer.
 fn checks(layer: bool, validation: bool, printf: bool) -> Option<Vec<vk::ValidationFeatureEnableEXT>> {
     let wanted = [
         (validation, vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION),

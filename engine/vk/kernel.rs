@@ -12,7 +12,7 @@ use ash::vk;
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-/// What a shader does with a buffer.
+/// How a shader accesses a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     /// `readonly`.
@@ -37,9 +37,9 @@ pub struct BindingInfo {
     pub name: &'static str,
     /// Its number in set 0.
     pub binding: u32,
-    /// What the shader does with it.
+    /// How the shader accesses it.
     pub access: Access,
-    /// How it is read as texels; None: a storage buffer.
+    /// Its texel format; None: a storage buffer.
     pub texels: Option<TexelFormat>,
 }
 
@@ -59,7 +59,7 @@ pub struct ImageInfo {
     pub name: &'static str,
     /// Its number in set 0.
     pub binding: u32,
-    /// What the shader does with it.
+    /// How the shader accesses it.
     pub access: Access,
     /// How it is bound.
     pub purpose: ImageUse,
@@ -97,7 +97,7 @@ pub trait KernelInterface {
     const SPIRV: &'static [u32];
     /// Its buffers.
     const BINDINGS: &'static [BindingInfo];
-    /// The form of it that reads texels, where it has one; it does the same to the bit.
+    /// Its texel form, if it has one, with the same results to the bit.
     const TEXELS: Option<Form>;
     /// Its images.
     const IMAGES: &'static [ImageInfo];
@@ -105,7 +105,7 @@ pub trait KernelInterface {
     const CONSTANTS: &'static [ConstantInfo];
     /// Size of `Push`.
     const PUSH_BYTES: u32;
-    /// The buffers and images that a dispatch works on.
+    /// The buffers and images of a dispatch.
     type Bind<'a>;
     /// The push constants of a dispatch.
     type Push: Copy;
@@ -119,33 +119,33 @@ pub trait KernelInterface {
     fn push_bytes(push: &Self::Push) -> &[u8];
     /// (constant_id, bits) of each specialization constant.
     fn spec_entries(spec: &Self::Spec) -> Vec<(u32, u32)>;
-    /// The subgroup size that the kernel is written for, where it uses subgroups.
+    /// The subgroup size that the kernel is built for, if it uses subgroups.
     fn subgroup_size(spec: &Self::Spec) -> Option<u32>;
     /// Invocations of a workgroup on each axis.
     fn workgroup_size(spec: &Self::Spec) -> [u32; 3];
     /// Bytes of shared memory.
     fn shared_bytes(spec: &Self::Spec) -> u32;
-    /// The shader's own constants with subgroup and workgroup size fitted to a device.
+    /// The shader's own constants, with subgroup and workgroup size for a device.
     fn spec_for(limits: &Limits) -> Self::Spec;
-    /// The form that a device gets: see [`Limits::prefers_texels`].
+    /// The form for a device: see [`Limits::prefers_texels`].
     fn form(limits: &Limits) -> Form {
         let plain = Form { spirv: Self::SPIRV, bindings: Self::BINDINGS, texels: false };
         Self::TEXELS.filter(|_| limits.prefers_texels()).unwrap_or(plain)
     }
 }
 
-/// One of the forms of a shader that differ in how they read.
+/// One of the forms of a shader, which differ in how they read buffers.
 #[derive(Clone, Copy, Debug)]
 pub struct Form {
     /// Its SPIR-V.
     pub spirv: &'static [u32],
-    /// Its buffers: names, numbers and accesses are the same in all forms.
+    /// Its buffers. Names, numbers and accesses are the same in all forms.
     pub bindings: &'static [BindingInfo],
-    /// Whether it is the form that reads texels in place of storage buffers.
+    /// Whether it reads texels instead of storage buffers.
     pub texels: bool,
 }
 
-/// For code that goes over all kernels: see [`crate::kernels::visit_all`].
+/// For code that visits all kernels: see [`crate::kernels::visit_all`].
 pub trait KernelVisitor {
     /// Called once for each kernel.
     fn visit<K: KernelInterface>(&mut self);
@@ -163,7 +163,7 @@ impl<K> Clone for Kernel<K> {
     }
 }
 
-/// What a pipeline asks of a device.
+/// Requirements of a pipeline.
 #[derive(Clone, Debug)]
 struct Demands {
     name: &'static str,
@@ -177,13 +177,13 @@ struct Demands {
 }
 
 impl<K: KernelInterface> Kernel<K> {
-    /// Compiles the kernel. Where `Spec` has a `subgroup_size`, the pipeline gets exactly that size and only full
-    /// subgroups.
+    /// Compiles the kernel. If `Spec` has a `subgroup_size`, the pipeline has exactly that size and full
+    /// subgroups only.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] where workgroup, shared memory, bindings or push constants exceed the device's limits
-    /// (drivers accept such pipelines and fail later), [`Error::Argument`] for a subgroup size that it cannot give,
-    /// [`Error::Vulkan`] where the driver refuses.
+    /// [`Error::TooLarge`] if workgroup, shared memory, bindings or push constants exceed the device's limits
+    /// (drivers accept such pipelines and fail later), [`Error::Argument`] for an unsupported subgroup size,
+    /// [`Error::Vulkan`] if the driver refuses.
     pub fn new(context: &Context, spec: &K::Spec) -> Result<Self> {
         let form = K::form(context.limits());
         let demands = Demands {
@@ -210,7 +210,7 @@ impl<K: KernelInterface> Kernel<K> {
     }
 }
 
-/// The constants' (id, bits) with those of [`Limits::overrides`] that the host does not choose itself.
+/// The constants' (id, bits), with those of [`Limits::overrides`] that the host does not set itself.
 fn overridden<K: KernelInterface>(limits: &Limits, mut entries: Vec<(u32, u32)>) -> Vec<(u32, u32)> {
     for (id, bits) in &mut entries {
         let constant = K::CONSTANTS.iter().find(|c| c.id == *id && !CHOSEN_BY_HOST.contains(&c.name));
@@ -222,8 +222,8 @@ fn overridden<K: KernelInterface>(limits: &Limits, mut entries: Vec<(u32, u32)>)
 }
 
 impl Context {
-    /// Another SPIR-V for a kernel, in every [`Kernel`] that is built from now on; None: its own again. It must have
-    /// the kernel's interface: see [`crate::kernels::compile`].
+    /// Replaces the SPIR-V of a kernel in every [`Kernel`] that is built from now on; None restores its own.
+    /// It must have the kernel's interface: see [`crate::kernels::compile`].
     #[cfg(feature = "hot-reload")]
     pub fn replace_shader(&self, kernel: &str, spirv: Option<Vec<u32>>) {
         let mut replaced = self.0.replaced.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
@@ -296,7 +296,7 @@ fn check(d: &Demands, limits: &Limits) -> Result<()> {
 /// Most buffers of one kernel.
 pub(super) const MAX_BINDINGS: usize = 32;
 
-/// The Vulkan objects behind a [`Kernel`].
+/// The Vulkan objects of a [`Kernel`].
 pub(super) struct Pipeline {
     inner: Arc<Inner>,
     pub(super) name: &'static str,
@@ -304,7 +304,7 @@ pub(super) struct Pipeline {
     pub(super) images: &'static [ImageInfo],
     pub(super) raw: vk::Pipeline,
     pub(super) layout: vk::PipelineLayout,
-    /// Null where all kernels share one.
+    /// Null if all kernels share a layout.
     set_layout: vk::DescriptorSetLayout,
     workgroup_size: [u32; 3],
 }

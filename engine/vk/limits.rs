@@ -3,7 +3,7 @@
 use super::Workarounds;
 use crate::tuning::{Backend, Tuning};
 
-/// What a device allows, and the subgroup size that kernels are pinned to.
+/// Limits of a device, and the subgroup size of all kernels.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Limits {
@@ -31,7 +31,7 @@ pub struct Limits {
     pub max_allocation_bytes: u64,
     /// Size of the largest device-local heap.
     pub heap_bytes: u64,
-    /// maxTexelBufferElements: most texels of a buffer that is read as such; 0 where the kernels that do cannot run.
+    /// maxTexelBufferElements; 0 if the kernels that read texels cannot run.
     pub max_texels: u64,
     /// The larger of minTexelBufferOffsetAlignment and the size of the largest texel.
     pub texel_alignment: u64,
@@ -39,7 +39,7 @@ pub struct Limits {
     pub storage_alignment: u64,
     /// maxPushConstantsSize.
     pub push_constant_bytes: u32,
-    /// maxPushDescriptors; without VK_KHR_push_descriptor, what a set of ours holds.
+    /// maxPushDescriptors; without VK_KHR_push_descriptor, the descriptors of one of our sets.
     pub max_push_descriptors: u32,
     /// Nanoseconds of a timestamp tick; 0 where the queue has no timestamps.
     pub timestamp_period_ns: f64,
@@ -47,14 +47,14 @@ pub struct Limits {
     pub tuning: &'static Tuning,
     /// What its driver does against the specification.
     pub workarounds: Workarounds,
-    /// (tile, Gaussian) instances that one dispatch of blending takes, but for the rest of its last tile. Our own, so that no
-    /// desktop's watchdog takes a long dispatch for a hang.
+    /// (tile, Gaussian) instances per dispatch of blending, not counting the rest of its last tile. A limit
+    /// of ours, so that no desktop's watchdog resets the device during a long dispatch.
     pub instances_per_dispatch: u32,
-    /// Specialization constants that are to have other values than usual, from the context's options.
+    /// Overrides of specialization constants, from the context's options.
     pub overrides: Vec<SpecOverride>,
 }
 
-/// Another value for a specialization constant, to try out what it does to a kernel's speed.
+/// An override of a specialization constant, to measure its effect on a kernel's speed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SpecOverride {
     /// The kernel, "backward/project_backward", or a folder of kernels, "sort"; empty: all.
@@ -65,19 +65,19 @@ pub struct SpecOverride {
     pub bits: u32,
 }
 
-/// Whether a kernel is the one that is named, "sort/sort_spine", or lies in the folder of kernels that is, "sort".
+/// Whether a kernel has this name, "sort/sort_spine", or lies in the folder with this name, "sort".
 pub fn is_kernel_of(kernel: &str, named: &str) -> bool {
     kernel.strip_prefix(named).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
 
-/// Whether a kernel, or a folder of kernels, is the measurement that others are judged by: overrides do not reach it, for its
-/// operations are counted at its own constants.
+/// Whether this is the kernel, or its folder, that measures the device's arithmetic rate. Overrides do not
+/// apply to it, because its operations are counted with its own constants.
 pub fn is_yardstick(kernel: &str) -> bool {
     is_kernel_of(kernel, "arithmetic")
 }
 
-/// Constants that the host counts workgroups with: it chooses them itself (and asks [`Limits::overridden`]), so that
-/// shader and host cannot differ.
+/// Constants that the host uses to count workgroups. It sets them itself (from [`Limits::overridden`]), so
+/// that shader and host cannot differ.
 pub(super) const CHOSEN_BY_HOST: [&str; 8] = [
     "WORKGROUP_SIZE",
     "SUBGROUP_SIZE",
@@ -117,8 +117,8 @@ pub struct LimitsOverride {
 }
 
 impl Limits {
-    /// The largest workgroup size up to `preferred` that a kernel may have here: a multiple of the subgroup size,
-    /// within the invocations and subgroups of a workgroup, and at least one subgroup.
+    /// The largest workgroup size up to `preferred` on this device: a multiple of the subgroup size, within
+    /// the limits of invocations and subgroups, and at least one subgroup.
     pub fn workgroup_size(&self, preferred: u32) -> u32 {
         let most = preferred
             .min(self.max_workgroup_invocations)
@@ -127,7 +127,7 @@ impl Limits {
         (most / self.subgroup_size * self.subgroup_size).max(self.subgroup_size)
     }
 
-    /// How often the loops of one invocation run before they stop silently, all loops together; None: no such limit.
+    /// Most loop iterations of one invocation, all loops together, before the loops stop silently; None: no limit.
     pub fn max_loop_iterations(&self) -> Option<u32> {
         self.workarounds.contains(Workarounds::LOOPS_STOP_AT_65535).then_some(65_535)
     }
@@ -139,8 +139,8 @@ impl Limits {
             && self.max_storage_buffer_range / super::TexelFormat::R32Uint.bytes() <= self.max_texels
     }
 
-    /// What [`Limits::overrides`] say of a constant of a kernel or of a folder of kernels; the last one counts. The kernel that
-    /// the others are measured by, [`crate::arithmetic`], keeps its own.
+    /// The value in [`Limits::overrides`] for a constant of a kernel or of a folder of kernels; the last one
+    /// counts. The measurement of the arithmetic rate, [`crate::arithmetic`], has no overrides.
     pub fn overridden(&self, kernel: &str, constant: &str) -> Option<u32> {
         let meant = |o: &&SpecOverride| {
             o.constant == constant && (o.kernel.is_empty() || is_kernel_of(kernel, &o.kernel))
@@ -172,12 +172,12 @@ impl Limits {
         self
     }
 
-    /// A count of workgroups as a grid: one row while it fits, else rows of the largest width, the last one partly
-    /// unused. Kernels number workgroups as `gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x` and ignore
-    /// those past the end.
+    /// Turns a count of workgroups into a grid: one row if it fits, otherwise rows of the largest width, the
+    /// last one partly unused. Kernels number workgroups as `gl_WorkGroupID.y * gl_NumWorkGroups.x +
+    /// gl_WorkGroupID.x` and ignore those past the end.
     ///
     /// # Panics
-    /// When the count exceeds the square of [`Limits::max_workgroups_per_axis`].
+    /// If the count exceeds the square of [`Limits::max_workgroups_per_axis`].
     pub fn grid(&self, workgroups: u64) -> [u32; 3] {
         let limit = u64::from(self.max_workgroups_per_axis);
         let (x, y) = if workgroups <= limit { (workgroups, 1) } else { (limit, workgroups.div_ceil(limit)) };

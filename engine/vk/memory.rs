@@ -1,4 +1,4 @@
-//! Device memory: requests are packed into blocks, one VkBuffer and one allocation each.
+//! Device memory. Requests are packed into blocks of one VkBuffer and one allocation each.
 
 use super::allocator::{HostAllocator, HostMemory, MemoryRequest};
 use super::budget::MAX_MEMORY;
@@ -12,7 +12,7 @@ use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Where memory lives.
+/// Kind of memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MemoryKind {
     /// Fastest for kernels. Filled by [`Context::upload`], read by [`Context::download`].
@@ -21,27 +21,27 @@ pub enum MemoryKind {
     HostVisible,
 }
 
-/// Every buffer begins at a multiple of this in its block; no device asks for more.
+/// Every buffer begins at a multiple of this in its block. No device requires more.
 pub const PLACEMENT_ALIGNMENT: u64 = 256;
 /// No buffer is smaller.
 pub const SMALLEST_BUFFER: u64 = 16;
 
-/// Buffers that lie a multiple of this apart, bytes, begin in the same sets of a processor's caches, which a sort's
-/// scattered keys and values then contend for: 1.38 times the time at 2^22 pairs.
+/// Buffers whose distance is a multiple of this, bytes, begin in the same sets of a processor's caches. The
+/// scattered keys and values of a sort then evict each other: 1.38 times the time at 2^22 pairs.
 const CACHE_WAY: u64 = 64 << 10;
-/// From this size it matters, bytes.
+/// Smallest size, bytes, at which this matters.
 const STAGGERED: u64 = 1 << 20;
-/// So each begins this much later in those sets than the one before, bytes: further than the keys of one digit stray from
-/// their expected place. Keys and values that a sort writes lie two apart.
+/// Offset of each buffer in those sets from the one before, bytes: larger than the distance of one digit's
+/// keys from their expected position. The keys and values that a sort writes are two such offsets apart.
 const STAGGER: u64 = 33 * PLACEMENT_ALIGNMENT;
 
-/// How much later than right behind a buffer of this size the next one begins, bytes.
+/// Padding after a buffer of this size, bytes, before the next one begins.
 const fn stagger_behind(bytes: u64) -> u64 {
     let apart = bytes.next_multiple_of(PLACEMENT_ALIGNMENT) % CACHE_WAY;
     if bytes < STAGGERED { 0 } else { (CACHE_WAY + STAGGER - apart) % CACHE_WAY }
 }
 
-/// Where each request lies.
+/// Position of each request.
 #[derive(Debug, PartialEq)]
 pub struct Packing {
     /// Bytes of each block.
@@ -80,7 +80,7 @@ pub fn pack(sizes: &[u64], largest_block: u64) -> Result<Packing, usize> {
     Ok(packing)
 }
 
-/// The address of a mapped block. Only touched with the block's lock held.
+/// The address of a mapped block. Accessed only with the block's lock held.
 struct Mapping(NonNull<u8>);
 
 // SAFETY: an address of mapped device memory is valid on every thread; the lock around it orders host accesses.
@@ -90,9 +90,9 @@ unsafe impl Send for Mapping {}
 pub(super) struct Block {
     inner: Arc<Inner>,
     pub(super) raw: vk::Buffer,
-    /// Null where the memory is a host's.
+    /// Null if the memory is a host's.
     memory: vk::DeviceMemory,
-    /// What the host's allocator gave.
+    /// The piece from the host's allocator.
     hosted: Option<HostMemory>,
     mapping: Option<Mutex<Mapping>>,
     bytes: u64,
@@ -100,7 +100,7 @@ pub(super) struct Block {
     pub(super) kind: MemoryKind,
     /// Identifies the block in the hazard checker.
     pub(super) id: u64,
-    /// Whether buffer and memory are ours.
+    /// Whether buffer and memory belong to the context.
     owned: bool,
     /// Submissions that use the block and have not been waited for.
     pub(super) in_flight: AtomicU32,
@@ -189,7 +189,7 @@ impl Block {
         let flags = types[index as usize].property_flags;
         let mappable =
             flags.contains(vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT);
-        // Reading or writing a GPU's own memory word by word over the bus is slower than staging.
+        // Accessing a GPU's own memory word by word over the bus is slower than staging.
         if mappable && (kind == MemoryKind::HostVisible || self.inner.unified_memory) {
             // SAFETY: host-visible memory, mapped once, whole; freeing it unmaps it.
             let address =
@@ -217,7 +217,7 @@ impl Block {
         if kind == MemoryKind::HostVisible && piece.mapped.is_none() {
             return Err(failed("it has not mapped host-visible memory".into()));
         }
-        // SAFETY: the piece is as requested, says its allocator; the buffer is bound once.
+        // SAFETY: the allocator guarantees the requested size, alignment and type; the buffer is bound once.
         let bound = unsafe { self.inner.device.bind_buffer_memory(self.raw, piece.memory, piece.offset) };
         bound.map_err(vk_error("vkBindBufferMemory"))?;
         if kind == MemoryKind::HostVisible || self.inner.unified_memory {
@@ -226,7 +226,7 @@ impl Block {
         Ok(())
     }
 
-    /// The error of a failed allocation, with what it was for.
+    /// The error of a failed allocation, with its purpose.
     fn out_of_memory(&self, result: vk::Result) -> Error {
         match vk_error("vkAllocateMemory")(result) {
             Error::Vulkan { call, result, remedy } => {
@@ -249,8 +249,8 @@ impl Block {
         let Some(mapping) = &self.mapping else { return false };
         assert!(offset + bytes.len() as u64 <= self.bytes, "write outside of a block");
         let mapping = mapping.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: within the mapping (asserted), which the lock gives to this thread; no submission that uses the
-        // block is under way (`Buffer` checks), so nobody else touches it.
+        // SAFETY: within the mapping (asserted), to which the lock gives this thread sole access; no
+        // submission that uses the block is running (`Buffer` checks).
         unsafe {
             let to = mapping.0.as_ptr().add(offset as usize);
             std::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len());
@@ -309,7 +309,7 @@ impl Inner {
 fn memory_type(types: &[vk::MemoryType], allowed: u32, kind: MemoryKind, unified: bool) -> Option<u32> {
     type Flags = vk::MemoryPropertyFlags;
     let coherent = Flags::HOST_VISIBLE | Flags::HOST_COHERENT;
-    // (has to have, should not have)
+    // (required flags, unwanted flags)
     let wishes = match (kind, unified) {
         (MemoryKind::Device, true) => vec![
             (Flags::DEVICE_LOCAL | coherent | Flags::HOST_CACHED, Flags::empty()),
@@ -333,7 +333,7 @@ fn memory_type(types: &[vk::MemoryType], allowed: u32, kind: MemoryKind, unified
         allowed & (1 << index) != 0
             && flags.contains(with)
             && !flags.intersects(without)
-            // Types that the driver wants special treatment for.
+            // Types that need special treatment.
             && !flags.intersects(Flags::PROTECTED | Flags::LAZILY_ALLOCATED | Flags::DEVICE_COHERENT_AMD)
     };
     let mut found =
@@ -346,13 +346,13 @@ impl Context {
         if self.0.guard_bands { GUARD_BYTES } else { 0 }
     }
 
-    /// Bytes of each buffer with its bands.
+    /// Bytes of each buffer with its guard bands.
     fn sizes(&self, requests: &[(&'static str, u64)]) -> Vec<u64> {
         let guarded = |bytes: u64| bytes.max(SMALLEST_BUFFER).next_multiple_of(4) + 2 * self.guard();
         requests.iter().map(|(_, bytes)| guarded(*bytes)).collect()
     }
 
-    /// Bytes that [`Context::allocate`] takes for these requests; of such as it refuses, their sum.
+    /// Bytes that [`Context::allocate`] takes for these requests. For requests that it refuses, their sum.
     pub(crate) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
         let sizes = self.sizes(requests);
         let blocks = pack(&sizes, self.limits().max_allocation_bytes).map_or(sizes, |packing| packing.blocks);

@@ -1,26 +1,26 @@
-//! Objects that a recording borrows and gives back however it ends, also by a panic.
+//! Objects that a recording borrows and returns when it ends, also by a panic.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Where a reusable object lies while no recording has it.
+/// Storage of a reusable object between recordings.
 pub(super) type Pool<T> = Arc<Mutex<T>>;
 
-/// Something that goes back to its pool when it is dropped.
+/// A value that returns to its pool when it is dropped.
 pub(super) struct PoolGuard<T: Default> {
     value: T,
-    /// None: it is simply dropped.
+    /// None: it is dropped.
     pool: Option<Pool<T>>,
 }
 
 impl<T: Default> PoolGuard<T> {
-    /// Takes the object out of the pool; a default value lies there meanwhile.
+    /// Takes the object out of the pool, and leaves a default value there.
     pub(super) fn take_from(pool: &Pool<T>) -> Self {
         let value = std::mem::take(&mut *pool.lock().unwrap_or_else(PoisonError::into_inner));
         Self { value, pool: Some(pool.clone()) }
     }
 
-    /// The value, which no longer goes back.
+    /// Returns the value, which no longer returns to the pool.
     pub(super) fn keep(mut self) -> T {
         self.pool = None;
         std::mem::take(&mut self.value)

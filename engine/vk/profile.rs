@@ -1,4 +1,4 @@
-//! The opt-in profile of a context: every command of every submission, with what it was bound to and how long it took.
+//! The opt-in profile of a context: every command of every submission, with its resources and its time.
 
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
@@ -9,13 +9,13 @@ use crate::Result;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
-/// While it lives, all submissions of its context are recorded command by command. Costs a timestamp per command;
-/// without a profile there is no cost.
+/// While it exists, all submissions of its context are recorded command by command. It costs a timestamp per
+/// command; without a profile there is no cost.
 pub struct Profile {
     log: Arc<Log>,
 }
 
-/// A submission that is over.
+/// A submission that has finished.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Submission {
@@ -25,20 +25,20 @@ pub struct Submission {
     pub commands: Vec<CommandRecord>,
     /// Its scopes, as in [`super::RunReport`].
     pub scopes: Vec<ScopeTime>,
-    /// The whole of it on the device; None where there are no timestamps.
+    /// Its time on the device; None without timestamps.
     pub nanoseconds: Option<f64>,
     /// When the recording began, on the host.
     pub begun: Instant,
-    /// When recording was over and submitting began.
+    /// When recording had ended and submitting began.
     pub submitting: Instant,
-    /// When the driver had taken it.
+    /// When the driver had accepted it.
     pub submitted: Instant,
-    /// When the host knew that it was over.
+    /// When the host knew that it had finished.
     pub done: Instant,
-    /// When the device began with it, on the host's clock; None where there are no timestamps.
+    /// When the device began it, on the host's clock; None without timestamps.
     pub device_begun: Option<Instant>,
-    /// Whether `device_begun` comes from calibrated timestamps. Otherwise the device is taken to have finished at
-    /// `done`, which is late by what it takes to wake the host.
+    /// Whether `device_begun` comes from calibrated timestamps. Otherwise the device is assumed to have
+    /// finished at `done`, which is late by the time it takes to wake the host.
     pub calibrated: bool,
 }
 
@@ -48,28 +48,29 @@ pub struct Submission {
 pub struct CommandRecord {
     /// The kernel's name, or "fill", "copy" or "update".
     pub name: &'static str,
-    /// The innermost scope around it; empty outside of all.
+    /// The innermost scope around it; empty without a scope.
     pub scope: String,
-    /// The grid of a dispatch. Of an indirect one: what its arguments said at the end of the recording.
+    /// The grid of a dispatch. For an indirect dispatch: its arguments at the end of the recording.
     pub workgroups: Option<[u32; 3]>,
-    /// What it was bound to.
+    /// Its buffers.
     pub buffers: Vec<BoundBuffer>,
-    /// When it began, nanoseconds from the recording's begin on the device; None without timestamps.
+    /// Its begin, nanoseconds from the recording's begin on the device; None without timestamps.
     pub begin_ns: Option<f64>,
-    /// From the end of the command before it to its own end, with the barrier between them; None without timestamps.
+    /// From the end of the previous command to its own end, including the barrier between them; None without
+    /// timestamps.
     pub nanoseconds: Option<f64>,
 }
 
 /// A buffer as a command sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BoundBuffer {
-    /// What the kernel calls it.
+    /// Its name in the kernel.
     pub role: &'static str,
-    /// The name that it was allocated under.
+    /// The name of its allocation.
     pub name: &'static str,
-    /// What the command may do with it.
+    /// How the command may access it.
     pub access: Access,
-    /// How many bytes were bound: its capacity, not what was touched.
+    /// Bytes bound: its capacity, not the bytes accessed.
     pub bytes: u64,
 }
 
@@ -96,14 +97,14 @@ impl BoundBuffer {
     }
 }
 
-/// Where submissions go, and memory for the arguments of indirect dispatches.
+/// The log of submissions, and memory for the arguments of indirect dispatches.
 #[derive(Default)]
 pub(super) struct Log {
     submissions: Mutex<Vec<Submission>>,
     spare: Mutex<Vec<Buffer>>,
 }
 
-/// The commands of a recording under way.
+/// The commands of a current recording.
 pub(super) struct Commands {
     log: Arc<Log>,
     records: Vec<CommandRecord>,
@@ -117,7 +118,7 @@ pub(super) struct Commands {
 const GRID_BYTES: u64 = 12;
 
 impl Commands {
-    /// None where nobody profiles.
+    /// None without a profile.
     pub(super) fn begin(inner: &Arc<Inner>) -> Result<Option<Self>> {
         let begun = Instant::now();
         let log = inner.profile.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
@@ -148,7 +149,7 @@ impl Commands {
         }
     }
 
-    /// What to copy behind everything else, so that the copies are in nobody's time.
+    /// Copies to record after all other commands, so that they do not count in any command's time.
     pub(super) fn copies(&self) -> impl Iterator<Item = (&Buffer, Buffer)> {
         self.indirect
             .iter()
@@ -203,7 +204,7 @@ fn nanoseconds(n: f64) -> Duration {
     Duration::from_nanos(n.max(0.0) as u64)
 }
 
-/// The host's part of a submission.
+/// The host's times of a submission.
 #[derive(Clone, Copy)]
 pub(super) struct HostTimes {
     pub(super) submitting: Instant,
@@ -219,7 +220,7 @@ impl Inner {
         (end.wrapping_sub(begin) & mask) as f64 * self.limits.timestamp_period_ns
     }
 
-    /// The device's clock and the host's at one moment; None where timestamps cannot be calibrated.
+    /// The device's clock and the host's at one moment; None if timestamps cannot be calibrated.
     fn now_on_both_clocks(&self) -> Option<(u64, Instant)> {
         let clock = self.clock.as_ref()?;
         let before = Instant::now();
@@ -230,25 +231,26 @@ impl Inner {
 }
 
 impl Context {
-    /// Records every submission from now on, until the profile is dropped. A newer profile takes over from an older.
+    /// Records every submission from now on, until the profile is dropped. A newer profile replaces an older
+    /// one.
     pub fn profile(&self) -> Profile {
         let profile = Profile { log: Arc::default() };
         self.set_profile(Some(&profile));
         profile
     }
 
-    /// Lets a profile rest, or go on: only the one given here records.
+    /// Pauses or resumes profiles: only the given one records.
     pub fn set_profile(&self, profile: Option<&Profile>) {
         let log = profile.map_or_else(Weak::new, |profile| Arc::downgrade(&profile.log));
         *self.0.profile.lock().unwrap_or_else(PoisonError::into_inner) = log;
     }
 
-    /// Turns timestamps off or on again: without, scopes are only labelled.
+    /// Turns timestamps off or on. Without them scopes are only labelled.
     pub fn set_timestamps(&self, on: bool) {
         self.0.timestamps.store(on, std::sync::atomic::Ordering::Relaxed);
     }
 
-    /// Whether device times can be had at all.
+    /// Whether the device has timestamps.
     pub fn has_timestamps(&self) -> bool {
         self.0.timestamp_bits > 0
     }

@@ -1,4 +1,4 @@
-//! Timestamps around scopes, and behind every command while a [`super::Profile`] is held.
+//! Timestamps around scopes, and after every command while a [`super::Profile`] exists.
 
 use super::context::Inner;
 use super::profile::{CommandRecord, Commands};
@@ -6,9 +6,9 @@ use super::vk_error;
 use crate::Result;
 use ash::vk;
 
-/// Scopes of one recording that are timed; later ones are only labelled.
+/// Most timed scopes of one recording. Later ones are only labelled.
 pub(super) const MAX_SCOPES: u32 = 256;
-/// Commands of one profiled recording that are timed one by one.
+/// Most timed commands of one profiled recording.
 pub(super) const MAX_COMMANDS: u32 = 1024;
 /// Queries of a recording: two for each scope, then one for each command.
 pub(super) const QUERIES: u32 = 2 * MAX_SCOPES + MAX_COMMANDS;
@@ -18,9 +18,9 @@ pub(super) const QUERIES: u32 = 2 * MAX_SCOPES + MAX_COMMANDS;
 pub struct ScopeTime {
     /// The name given to [`super::Recorder::scope`].
     pub name: String,
-    /// How many scopes it lies in.
+    /// Its nesting depth.
     pub depth: u32,
-    /// From the end of what came before it to the end of its own commands.
+    /// From the end of the previous work to the end of its own commands.
     pub nanoseconds: f64,
 }
 
@@ -31,11 +31,11 @@ pub(super) struct Profiler {
     open: Vec<Option<usize>>,
     /// Timestamps written so far: they take the pool's queries in order.
     written: u32,
-    /// Whether nothing was recorded since the last timestamp, so that it stands for now as well.
+    /// Whether nothing was recorded since the last timestamp, so that it can be reused.
     fresh: bool,
     /// Present while a profile is held.
     pub(super) commands: Option<Commands>,
-    /// The timestamp behind each timed command.
+    /// The timestamp after each timed command.
     command_ends: Vec<u32>,
 }
 
@@ -46,10 +46,10 @@ struct Scope {
     end: u32,
 }
 
-/// What a recording took on the device.
+/// The device times of a recording.
 #[derive(Default)]
 pub(super) struct Collected {
-    /// The whole recording; None where there are no timestamps.
+    /// The whole recording; None without timestamps.
     pub(super) nanoseconds: Option<f64>,
     pub(super) scopes: Vec<ScopeTime>,
     pub(super) commands: Vec<CommandRecord>,
@@ -58,7 +58,7 @@ pub(super) struct Collected {
 }
 
 impl Profiler {
-    /// `pool` has [`QUERIES`] queries, all reset, or is null where there are no timestamps.
+    /// `pool` has [`QUERIES`] queries, all reset, or is null without timestamps.
     pub(super) fn new(pool: vk::QueryPool, commands: Option<Commands>) -> Self {
         Self {
             pool,
@@ -96,7 +96,7 @@ impl Profiler {
         inner.names.end_label(commands);
     }
 
-    /// Notes a command that was just recorded, and when it is over.
+    /// Notes a command that was just recorded, and its end.
     pub(super) fn command(
         &mut self,
         inner: &Inner,
@@ -114,8 +114,8 @@ impl Profiler {
         }
     }
 
-    /// The timestamp of the end of everything recorded so far: a new one only if something came since the last, for
-    /// each costs the device a pause.
+    /// The timestamp of the end of everything recorded so far. It is a new one only if commands came since
+    /// the last, because each timestamp stalls the device.
     fn now(&mut self, inner: &Inner, commands: vk::CommandBuffer) -> u32 {
         if self.fresh {
             return self.written - 1;
@@ -136,7 +136,7 @@ impl Profiler {
         self.written - 1
     }
 
-    /// Whether all timestamps are there. Never waits.
+    /// Whether all timestamps are available. Never waits.
     pub(super) fn is_ready(&self, inner: &Inner) -> Result<bool> {
         if self.written == 0 || self.pool == vk::QueryPool::null() {
             return Ok(true);

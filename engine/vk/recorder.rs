@@ -16,15 +16,15 @@ use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
 
-/// Bytes that [`Recorder::update`] takes at most.
+/// Most bytes of [`Recorder::update`].
 pub const MAX_UPDATE_BYTES: usize = 65_536;
 
 /// A recording in progress. Commands run in the order of recording; those between two barriers may overlap.
 ///
-/// Nothing is executed before [`super::Context::submit`]. In debug builds, and wherever
-/// [`super::ContextOptions::hazard_check`] is set, a missing barrier panics with the names of both commands.
+/// Nothing is executed before [`super::Context::submit`]. In debug builds, and with
+/// [`super::ContextOptions::hazard_check`], a missing barrier panics with the names of both commands.
 pub struct Recorder {
-    // Kept memory must go after the commands that use it: fields drop in this order.
+    // Fields drop in this order: the commands must be dropped before the memory that they use.
     pub(super) commands: Target,
     pub(super) inner: Arc<Inner>,
     profiler: Profiler,
@@ -33,7 +33,7 @@ pub struct Recorder {
     hazards: Option<Hazards>,
     barriers: u32,
     omitted: Vec<u32>,
-    /// Present while somebody audits.
+    /// Present with an audit.
     pub(super) audit: Option<audit::Commands>,
     /// The first call that failed. No dispatch is recorded after it, and the recording cannot be submitted.
     pub(super) failed: Option<Error>,
@@ -44,7 +44,7 @@ pub(super) enum Target {
     Foreign(ForeignTarget),
 }
 
-/// A host's command buffer, and what a [`super::RecordSlot`] lends for the recording.
+/// A host's command buffer, and the objects that a [`super::RecordSlot`] lends to the recording.
 pub(super) struct ForeignTarget {
     pub(super) raw: vk::CommandBuffer,
     pub(super) queries: vk::QueryPool,
@@ -100,7 +100,7 @@ impl Recorder {
         profiled: Option<Profiled>,
         audit: Option<audit::Commands>,
     ) -> Self {
-        // An audited recording may take several command buffers, one after the other.
+        // An audited recording may take several command buffers.
         let queries = if audit.is_some() { vk::QueryPool::null() } else { commands.queries() };
         let inner = commands.inner.clone();
         let mut recorder = Self::with_target(Target::Owned(commands), inner, queries);
@@ -110,7 +110,7 @@ impl Recorder {
         recorder
     }
 
-    /// Records into a command buffer of the host, who submits it: see [`super::RecordSlot::begin`].
+    /// Records into a command buffer that the host submits: see [`super::RecordSlot::begin`].
     pub(super) fn foreign(
         inner: &Arc<Inner>,
         target: ForeignTarget,
@@ -124,7 +124,8 @@ impl Recorder {
         recorder
     }
 
-    /// Ends a recording into a command buffer of the host. Borrowed objects go back to their pools when they are dropped.
+    /// Ends a recording into a host's command buffer. Borrowed objects return to their pools when they are
+    /// dropped.
     pub(super) fn finish_foreign(mut self) -> (ForeignTarget, Profiler, PoolGuard<Kept>) {
         self.profiler.end(&self.inner, self.raw());
         match self.commands {
@@ -164,11 +165,12 @@ impl Recorder {
         }
     }
 
-    /// Dispatches a number of workgroups, in two dimensions where one does not hold them: see
+    /// Dispatches a number of workgroups, in two dimensions if one is not enough: see
     /// [`super::Limits::grid`].
     ///
     /// # Panics
-    /// When a buffer cannot be bound, when something is of another context, or when a barrier is missing (see [`Recorder`]).
+    /// When a buffer cannot be bound, when a resource is of another context, or when a barrier is missing
+    /// (see [`Recorder`]).
     pub fn dispatch<K: KernelInterface>(
         &mut self,
         kernel: &Kernel<K>,
@@ -180,7 +182,7 @@ impl Recorder {
         self.dispatch_3d(kernel, bind, push, grid);
     }
 
-    /// Dispatches a grid of workgroups. A grid of none records nothing.
+    /// Dispatches a grid of workgroups. An empty grid records nothing.
     ///
     /// # Panics
     /// As [`Recorder::dispatch`], and when the grid exceeds the device's limit.
@@ -257,7 +259,7 @@ impl Recorder {
         });
     }
 
-    /// The grids of indirect dispatches, as their arguments stand at the end, to where the profile reads them.
+    /// Copies the final arguments of indirect dispatches to the profile's readback buffer.
     fn copy_indirect_arguments(&mut self) {
         let Some(profiled) = self.profiler.commands.take() else { return };
         let copies: Vec<_> = profiled.copies().collect();
@@ -274,8 +276,8 @@ impl Recorder {
         self.profiler.commands = Some(profiled);
     }
 
-    /// What went wrong in the recording so far: a driver without memory for descriptors or views. [`super::Context::submit`]
-    /// asks by itself.
+    /// The first error of the recording so far: the driver had no memory for descriptors or views.
+    /// [`super::Context::submit`] checks this itself.
     ///
     /// # Errors
     /// [`Error::Vulkan`]
@@ -368,8 +370,8 @@ impl Recorder {
         }
     }
 
-    /// Orders everything before it before everything after it: compute and transfer writes are visible to compute,
-    /// transfers and indirect arguments. The one kind of barrier there is.
+    /// Orders everything before it before everything after it: compute and transfer writes become visible to
+    /// compute, transfers and indirect arguments. It is the only kind of barrier.
     pub fn barrier(&mut self) {
         let number = self.barriers;
         self.barriers += 1;
@@ -421,14 +423,14 @@ impl Recorder {
         self.barriers
     }
 
-    /// For tests: the `index`-th call of [`Recorder::barrier`] (from 0) will do nothing. A recording that collects
-    /// hazards keeps the barrier on the device and hides it from the checker alone.
+    /// For tests: makes the `index`-th call of [`Recorder::barrier`] (from 0) do nothing. A recording that
+    /// collects hazards keeps the barrier on the device and hides it from the checker only.
     pub fn omit_barrier(&mut self, index: u32) {
         self.omitted.push(index);
     }
 
-    /// For tests: collects hazards, beginning with the next command, in place of panicking; see
-    /// [`Recorder::hazards`]. Works whether or not the context checks.
+    /// For tests: collects hazards from the next command on instead of panicking; see [`Recorder::hazards`].
+    /// Works even if the context does not check.
     pub fn collect_hazards(&mut self) {
         self.hazards = Some(Hazards::new(true));
     }

@@ -1,12 +1,12 @@
-//! What a device has to offer, and what a host has to enable, as values: the one list that choosing a device of our
-//! own, opening it, and judging a device of somebody else's go by.
+//! Required device properties and features as values: the one list for choosing and opening a device of our
+//! own, and for checking a host's device.
 
 use super::context::Context;
 use ash::vk;
 use std::ffi::CStr;
 use std::fmt;
 
-/// Device features that matter here, each by its Vulkan name.
+/// The relevant device features, by their Vulkan names.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Features {
     /// scalarBlockLayout, Vulkan 1.2.
@@ -22,7 +22,7 @@ pub struct Features {
 }
 
 impl Features {
-    /// What every device has to have.
+    /// Features that every device must have.
     pub const REQUIRED: Self = Self {
         scalar_block_layout: true,
         synchronization2: true,
@@ -31,7 +31,7 @@ impl Features {
         compute_full_subgroups: true,
     };
 
-    /// What the features' structs of a device (or of its creation) say.
+    /// Reads the features' structs of a device (or of its creation).
     pub fn of(
         v12: &vk::PhysicalDeviceVulkan12Features<'_>,
         v13: &vk::PhysicalDeviceVulkan13Features<'_>,
@@ -45,7 +45,7 @@ impl Features {
         }
     }
 
-    /// Turns on what is set here in the structs that a device is going to be created with, and leaves the rest alone.
+    /// Turns on these features in the structs for the creation of a device, and does not change the others.
     ///
     /// A host that chains the structs of single features instead sets the fields of the same names there.
     pub fn merge_into(
@@ -72,7 +72,7 @@ impl Features {
         ]
     }
 
-    /// The first feature of [`Features::REQUIRED`] that is not set here.
+    /// The first feature of [`Features::REQUIRED`] that is not set.
     pub fn missing(&self) -> Option<&'static str> {
         let required = Self::REQUIRED.all().into_iter().zip(self.all());
         required.into_iter().find(|((_, required), (_, has))| *required && !has).map(|(_, (name, _))| name)
@@ -89,7 +89,7 @@ pub(super) const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
     (vk::SubgroupFeatureFlags::SHUFFLE_RELATIVE, "shuffle relative"),
 ];
 
-/// Limits that must be at least so high.
+/// Least values of limits.
 pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
     ("maxComputeWorkGroupInvocations", 128),
     ("maxComputeSharedMemorySize", 16_384),
@@ -110,39 +110,39 @@ pub(super) fn low_limit(l: &vk::PhysicalDeviceLimits) -> Option<String> {
     low.map(|((name, least), has)| format!("{name} of {least} (it has {has})"))
 }
 
-/// An extension that is used where it is enabled.
+/// An extension that is used if it is enabled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OptionalExtension {
     /// Its name.
     pub name: &'static CStr,
-    /// What is done without it.
+    /// The substitute without it.
     pub without: &'static str,
 }
 
-/// What a host has to enable, and what it may. The `Display` is the list for people.
+/// Required and optional properties of a host's device. The `Display` is a readable list.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Requirements {
-    /// Of instance and device, as in `vk::API_VERSION_1_3`.
+    /// Version of instance and device, as in `vk::API_VERSION_1_3`.
     pub api_version: u32,
     /// The queue that frames are submitted to.
     pub queue: vk::QueueFlags,
     /// Features to enable: see [`Features::merge_into`].
     pub features: Features,
-    /// Device extensions to enable: there are none at present.
+    /// Required device extensions: none at present.
     pub extensions: Vec<&'static CStr>,
-    /// Device extensions that are made use of.
+    /// Device extensions that are used if enabled.
     pub optional_extensions: Vec<OptionalExtension>,
-    /// Instance extensions that are made use of.
+    /// Instance extensions that are used if enabled.
     pub optional_instance_extensions: Vec<OptionalExtension>,
     /// Subgroup operations in compute shaders.
     pub subgroup_operations: vk::SubgroupFeatureFlags,
-    /// Limits that must be at least so high, by their Vulkan names.
+    /// Least values of limits, by their Vulkan names.
     pub limits: Vec<(&'static str, u64)>,
 }
 
 impl Context {
-    /// What a host has to enable for [`Context::from_foreign`].
+    /// The requirements of [`Context::from_foreign`].
     pub fn requirements() -> Requirements {
         let operations = SUBGROUP_OPERATIONS.iter().map(|(flag, _)| *flag);
         Requirements {

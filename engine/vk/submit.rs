@@ -16,17 +16,17 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-/// What a submission took.
+/// Device times of a submission.
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct RunReport {
-    /// Each [`Recorder::scope`] in the order of recording. Empty where there are no timestamps.
+    /// Each [`Recorder::scope`] in the order of recording. Empty without timestamps.
     pub scopes: Vec<ScopeTime>,
-    /// The whole recording on the device, nanoseconds. 0 where there are no timestamps.
+    /// The whole recording on the device, nanoseconds. 0 without timestamps.
     pub nanoseconds: f64,
 }
 
-/// The Vulkan objects of one recording, used again after it.
+/// The Vulkan objects of one recording, reused after it.
 #[derive(Clone, Copy)]
 pub(super) struct Slot {
     pool: vk::CommandPool,
@@ -89,7 +89,7 @@ impl Slot {
     }
 }
 
-/// A command buffer in the recording state or submitted. Goes back to the context when dropped.
+/// A command buffer in the recording state or submitted. Returns to the context when dropped.
 pub(super) struct Commands {
     pub(super) inner: Arc<Inner>,
     slot: Slot,
@@ -120,7 +120,7 @@ impl Commands {
                 inner.device.cmd_reset_query_pool(slot.commands, slot.queries, 0, count);
             }
         }
-        // Makes whatever earlier submissions wrote visible, also where nobody has waited for them.
+        // Makes the writes of earlier submissions visible, including those that were not waited for.
         let earlier = vk::MemoryBarrier2::default()
             .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
             .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
@@ -134,7 +134,7 @@ impl Commands {
         self.slot.commands
     }
 
-    /// Null where there are no timestamps, or none are wanted.
+    /// Null without timestamps, or if none are requested.
     pub(super) fn queries(&self) -> vk::QueryPool {
         let wanted = self.inner.timestamps.load(Ordering::Relaxed);
         if wanted { self.slot.queries } else { vk::QueryPool::null() }
@@ -171,7 +171,7 @@ impl Commands {
         Ok(())
     }
 
-    /// Sleeps until the submission is over, or for as long as a timeout says.
+    /// Sleeps until the submission has finished, or until the timeout.
     pub(super) fn wait(&mut self, timeout: Option<Duration>) -> Result<()> {
         const ROUND: Duration = Duration::from_secs(60);
         let mut waited = Duration::ZERO;
@@ -189,7 +189,7 @@ impl Commands {
                     }
                 }
                 Err(error) => {
-                    // Of a lost device, nothing runs any more; otherwise that is not known.
+                    // A lost device runs nothing any more; after other errors that is unknown.
                     self.submitted = error != vk::Result::ERROR_DEVICE_LOST;
                     return Err(self.inner.failed("vkWaitForFences", error));
                 }
@@ -198,7 +198,7 @@ impl Commands {
         Ok(())
     }
 
-    /// Whatever happens, nothing runs any more afterwards.
+    /// Waits until nothing of the submission runs any more, also after errors.
     fn settle(&mut self) {
         if self.wait(None).is_err() && self.submitted {
             if let Ok(queue) = self.inner.lock_queue() {
@@ -233,14 +233,14 @@ impl Drop for Commands {
 }
 
 impl Inner {
-    /// The error of a failed call; remembers when it says that the device is lost.
+    /// The error of a failed call. Remembers a lost device.
     pub(super) fn failed(&self, call: &'static str, result: vk::Result) -> Error {
         self.lost.fetch_or(result == vk::Result::ERROR_DEVICE_LOST, Ordering::Relaxed);
         vk_error(call)(result)
     }
 }
 
-/// Everything that a recording refers to.
+/// All resources of a recording.
 #[derive(Default)]
 pub(super) struct Kept {
     blocks: Vec<Arc<Block>>,
@@ -261,7 +261,8 @@ impl Kept {
         }
     }
 
-    /// Lets go of everything, and keeps the lists' own memory. What nobody else holds is destroyed.
+    /// Releases all resources, and keeps the lists' own memory. Resources without another holder are
+    /// destroyed.
     pub(super) fn clear(&mut self) {
         self.blocks.clear();
         self.pipelines.clear();
@@ -275,10 +276,10 @@ impl Kept {
     }
 }
 
-/// A submission under way. Dropping it waits as well.
+/// A running submission. Dropping it waits as well.
 #[must_use = "the results are there only after wait()"]
 pub struct Pending {
-    // Dropped in this order: the wait comes before the memory goes.
+    // Dropped in this order: the wait must come before the memory is freed.
     commands: Commands,
     profiler: Option<Profiler>,
     audit: Option<audit::Commands>,
@@ -289,16 +290,16 @@ pub struct Pending {
 }
 
 impl Pending {
-    /// Sleeps until the device is done; then its results may be read.
+    /// Sleeps until the device has finished; then its results may be read.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`]; [`Error::Timeout`] after [`super::ContextOptions::timeout`]: the submission is waited for by
-    /// a thread of its own then, and what it uses remains in use until it is over.
+    /// [`Error::DeviceLost`]; [`Error::Timeout`] after [`super::ContextOptions::timeout`]: a thread then
+    /// waits for the submission, and its resources remain in use until it has finished.
     pub fn wait(mut self) -> Result<RunReport> {
         let timeout = self.commands.inner.timeout;
         if let Err(error) = self.commands.wait(timeout) {
             if self.commands.submitted {
-                // Without a thread, it is waited for here: what is not run is dropped.
+                // If no thread can be spawned, the closure is dropped, which waits here.
                 let _ = std::thread::Builder::new().name("late submission".into()).spawn(move || drop(self));
             }
             return Err(error);
@@ -309,7 +310,7 @@ impl Pending {
         }
         let Some(mut profiler) = self.profiler.take() else { return Ok(RunReport::default()) };
         let inner = &self.commands.inner;
-        // What has been computed is there, whether or not anybody knows how long it took.
+        // The results are valid even if the times cannot be read.
         let collected = profiler.collect(inner).unwrap_or_default();
         let report = RunReport {
             scopes: collected.scopes.clone(),
@@ -346,10 +347,10 @@ impl Context {
         Ok(Recorder::new(commands, label, profiled, audit::Commands::begin(&self.0, label)))
     }
 
-    /// Submits a recording; whoever needs its results waits for the [`Pending`].
+    /// Submits a recording. Wait for the [`Pending`] before using its results.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], [`Error::Vulkan`] when out of memory, also where that was while recording.
+    /// [`Error::DeviceLost`], [`Error::Vulkan`] when out of memory, also if that happened while recording.
     ///
     /// # Panics
     /// When the recorder records into a foreign command buffer.

@@ -1,9 +1,9 @@
 //! Buffers that kernels read as texels.
 //!
-//! A shader declares `uniform textureBuffer name;` (vec4 of f32) or `uniform utextureBuffer name;` (u32), reads with
-//! `texelFetch(name, index)`, and is bound to an ordinary [`super::Buffer`]. To a GPU this is one more way of reading;
-//! llvmpipe fetches a texel for all lanes by vector instructions, where every component of a storage buffer is a loop
-//! over the lanes: a vec4 costs a quarter of what it costs there.
+//! A shader declares `uniform textureBuffer name;` (vec4 of f32) or `uniform utextureBuffer name;` (u32),
+//! reads with `texelFetch(name, index)`, and is bound to an ordinary [`super::Buffer`]. On a GPU this is
+//! equivalent to a storage buffer. llvmpipe fetches a texel for all lanes by vector instructions, while it
+//! reads every component of a storage buffer in a loop over the lanes: a vec4 by texel costs a quarter.
 
 use super::context::Inner;
 use super::vk_error;
@@ -12,7 +12,7 @@ use ash::vk;
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
-/// What a texel is.
+/// Format of a texel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum TexelFormat {
     /// Four f32: `textureBuffer`.
@@ -46,12 +46,12 @@ pub(super) struct TexelRange {
     pub format: TexelFormat,
 }
 
-/// The views of a block, made when they are first needed. The block calls [`TexelViews::destroy`] at its end.
+/// The views of a block, made on first use. The block calls [`TexelViews::destroy`] at its end.
 #[derive(Default)]
 pub(super) struct TexelViews(Mutex<HashMap<TexelRange, vk::BufferView>>);
 
 impl TexelViews {
-    /// The view of a range of a buffer: its offset is aligned and its texels are not too many.
+    /// The view of a range of a buffer. Its offset must be aligned and its texels within the limit.
     pub fn of(&self, inner: &Inner, buffer: vk::Buffer, range: TexelRange) -> Result<vk::BufferView> {
         let mut views = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(view) = views.get(&range) {
@@ -71,7 +71,7 @@ impl TexelViews {
         Ok(view)
     }
 
-    /// Destroys the views. No recording that uses one is under way.
+    /// Destroys the views. No recording that uses one may be running.
     pub fn destroy(&mut self, inner: &Inner) {
         for (_, view) in self.0.get_mut().unwrap_or_else(PoisonError::into_inner).drain() {
             // SAFETY: idle, as the caller sees to; destroyed once.

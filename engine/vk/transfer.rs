@@ -1,4 +1,4 @@
-//! Bytes to and from device memory.
+//! Transfers to and from device memory.
 
 use super::buffer::Buffer;
 use super::context::Context;
@@ -6,18 +6,18 @@ use super::memory::MemoryKind;
 use super::recorder::MAX_UPDATE_BYTES;
 use crate::Result;
 
-/// Staging memory of one transfer, at most.
+/// Most staging memory of one transfer.
 const CHUNK_BYTES: u64 = 16 << 20;
-/// Chunks that mapped memory is handed out in: they stay in the cache.
+/// Size of the chunks in which mapped memory is read: they stay in the cache.
 const MAPPED_CHUNK_BYTES: u64 = 256 << 10;
 
 impl Context {
-    /// Copies bytes into the start of a buffer and waits: straight into memory that is mapped, else through staging
-    /// memory in bounded chunks.
+    /// Copies bytes into the start of a buffer and waits: directly if the memory is mapped, otherwise through
+    /// staging memory in bounded chunks.
     ///
     /// # Errors
-    /// [`crate::Error::Argument`] when the bytes do not fit, or while a submission that uses the buffer's arena is
-    /// under way.
+    /// [`crate::Error::Argument`] when the bytes do not fit, or while a submission that uses the buffer's
+    /// arena is running.
     pub fn upload(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
         buffer.check_range(0, bytes.len())?;
         if bytes.is_empty() {
@@ -41,7 +41,7 @@ impl Context {
         let mut offset = 0;
         for chunk in bytes.chunks(CHUNK_BYTES as usize) {
             staging.write(0, chunk)?;
-            // The last chunk may end within a word: its rest goes into the buffer's padding.
+            // The last chunk may end within a word: the rest of that word is in the buffer's padding.
             let length = (chunk.len() as u64).next_multiple_of(4).min(buffer.bytes() - offset);
             self.run("upload", |recorder| {
                 recorder.copy(&staging.range(0, length), &buffer.range(offset, length));
@@ -52,18 +52,18 @@ impl Context {
         Ok(())
     }
 
-    /// The bytes of a buffer, after everything that was submitted before.
+    /// The bytes of a buffer, after all earlier submissions.
     ///
     /// # Errors
-    /// [`crate::Error::Argument`] while a submission that uses the buffer's arena is under way.
+    /// [`crate::Error::Argument`] while a submission that uses the buffer's arena is running.
     pub fn download(&self, buffer: &Buffer) -> Result<Vec<u8>> {
         let mut bytes = Vec::with_capacity(buffer.bytes() as usize);
         self.download_chunks(buffer, |chunk| bytes.extend_from_slice(chunk))?;
         Ok(bytes)
     }
 
-    /// Hands the contents of a buffer out in order, chunk by chunk, so that they need not be held twice. All chunks but
-    /// the last have a multiple of 256 bytes.
+    /// Passes the contents of a buffer to `take` in order, chunk by chunk, so that they need not be held
+    /// twice. All chunks except the last have a multiple of 256 bytes.
     ///
     /// # Errors
     /// As [`Context::download`].
@@ -99,7 +99,7 @@ impl Context {
         Ok(())
     }
 
-    /// Bytes of memory that an upload of so many takes for its time, at most.
+    /// Most bytes of temporary memory for an upload of `bytes` bytes.
     pub(crate) fn staging_bytes(&self, bytes: u64) -> u64 {
         if self.0.unified_memory { 0 } else { bytes.min(CHUNK_BYTES) }
     }

@@ -1,9 +1,9 @@
-// Multiply-adds on registers and nothing else: how many operations per second the device's shaders reach at best, the
-// yardstick of kernels that compute more than they move.
+// Multiply-adds on registers only: the most operations per second that the device's shaders reach. It is the reference for
+// compute-bound kernels.
 //
 // invocation: ROUNDS * STEPS steps of x <- x * factor + term in each of CHAINS independent chains; subgroup, workgroup:
 // nothing shared
-// out: results[i], one per invocation: the sum of its chains, so that no compiler may leave them out
+// out: results[i], one per invocation: the sum of its chains, so that no compiler removes them
 // shared: none; any subgroup size (no subgroup operations)
 #version 460
 #extension GL_EXT_scalar_block_layout : require

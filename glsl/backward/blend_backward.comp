@@ -1,19 +1,20 @@
-// Backward of the blending, front to back, without atomics: what each (tile, Gaussian) instance owes to its tile.
+// Backward pass of the blending, front to back, without atomics: the gradient of each (tile, Gaussian) instance.
 //
-// With g = dL/dpixel, s = g . c and R = what the rest of the list adds to g . pixel (it starts as g . final colour):
+// With g = dL/dpixel, s = g . c and R = the contribution of the remaining list to g . pixel (R starts as g . final colour):
 //   R <- R - T alpha s,   dL/dalpha = T s - R / (1 - alpha),   dL/dpower = alpha dL/dalpha (0 where alpha is clamped).
 // An instance's sums over its pixels, with (dx, dy) = mean - pixel and p = dL/dpower:
 //   sum p (1, dx, dy, dx^2, dx dy, dy^2), sum T alpha g (r, g, b, inverse depth).
-// project_backward turns the moments into gradients of mean, conic and opacity. They are written to the instance's own
-// slot (its place before the tile sort, contiguous per Gaussian), so the sum over tiles has one fixed order.
+// project_backward turns the moments into gradients of mean, conic and opacity. The sums are stored at the instance's index
+// before the tile sort. These indices are contiguous per Gaussian, so the sum over tiles has one fixed order.
 //
-// invocation: COLUMNS x ROWS pixels; subgroup: a region of the tile, culls and passes Gaussians round as in blend, then
-// adds over its lanes by a transposing butterfly; workgroup: one tile; regions meet in shared memory per batch
+// invocation: COLUMNS x ROWS pixels; subgroup: a region of the tile; it culls Gaussians and broadcasts the hits as blend
+// does, then adds over its lanes by a transposing butterfly; workgroup: one tile; it adds its regions in shared memory
 // in: tile_ranges, sorted_visible, sorted_instances, PerVisible attributes; PerPixel: accumulated, inverse_depth,
 //     last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
-// out, PerInstance: instance_gradients_a (1, dx, dy, dx dx), instance_gradients_b (dx dy, dy dy, r, g), instance_gradients_c (b, inverse depth)
-// in/out, PerPixel: backward_state (T, R) between passes over very long tiles, see blend; state[STATE_BLEND_BACKWARD_HITS] where
-//     COUNT_HITS asks for it
+// out, PerInstance: instance_gradients_a (1, dx, dy, dx dx), instance_gradients_b (dx dy, dy dy, r, g),
+//     instance_gradients_c (b, inverse depth)
+// in/out, PerPixel: backward_state (T, R) between passes over very long tiles, see blend; with COUNT_HITS also
+//     state[STATE_BLEND_BACKWARD_HITS]
 // shared: BATCH * REGIONS * INSTANCE_SUMS words and masks; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -34,7 +35,7 @@ layout(constant_id = 2) const bool INVERSE_DEPTH = false;
 layout(constant_id = 3) const bool INCREMENTAL_EXP = false;
 // See blend.comp.
 layout(constant_id = 4) const bool COUNT_HITS = false;
-// See blend_gradient.glsl; for subgroups of at most 16.
+// See blend_gradient.glsl. Only for subgroups of at most 16.
 layout(constant_id = 5) const bool STRIPS = false;
 layout(local_size_x_id = 0) in;
 
@@ -42,7 +43,7 @@ layout(local_size_x_id = 0) in;
 #include "dispatch.glsl"
 #include "subgroup.glsl"
 
-// Entries whose sums meet in shared memory at a time: a multiple of every subgroup size.
+// Entries whose sums are added in shared memory at a time: a multiple of every subgroup size.
 const uint BATCH = SUBGROUP_SIZE > 32 ? SUBGROUP_SIZE : 32;
 const uint STEPS = BATCH / SUBGROUP_SIZE;
 const uint MASK_WORDS = BATCH / 32;
@@ -65,8 +66,8 @@ float add_across(float value, uint first_bit) {
     return value;
 }
 
-// Adds ten values over the subgroup and stores them at partial[base]: each exchange halves the values per lane
-// instead of moving all of them, so ten sums cost about as many shuffles as two would.
+// Adds ten values over the subgroup and stores the sums at partial[base]. Each exchange halves the values per lane, so ten
+// sums cost about as many shuffles as two sums that are added one by one.
 void store_sums(uint base, Sums s) {
     uint lane = gl_SubgroupInvocationID;
     float a = keep_or_give(keep_or_give(s.linear.x, s.linear.y, 1), keep_or_give(s.linear.z, s.quadratic.x, 1), 2);
@@ -132,7 +133,7 @@ void main() {
                     uint shift = step * SUBGROUP_SIZE % 32;
                     touched[mask_word] = shift == 0 ? bits : touched[mask_word] | bits << shift;
                 }
-                // Tested at its end: see blend.comp.
+                // The loop tests at its end: see blend.comp.
                 if (bits != 0) for (;;) {
                     uint lane = findLSB(bits) + 32 * word;
                     bits &= bits - 1;
@@ -171,7 +172,8 @@ void main() {
         barrier();
     }
 
-    // Entries behind the last that any pixel blended owe nothing, but their slots are read.
+    // Entries after the last one that any pixel blended have zero gradients. project_backward still reads them, so they are
+    // written.
     uint batches = (max(work_end, begin) - begin + BATCH - 1) / BATCH;
     for (uint entry = begin + batches * BATCH + gl_LocalInvocationID.x; entry < end; entry += WORKGROUP_SIZE) {
         store_instance(range.x + entry, no_sums());

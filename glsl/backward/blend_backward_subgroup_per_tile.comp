@@ -1,9 +1,9 @@
-// The same as blend_backward.comp without shared memory and barriers: for processors, where a barrier moves every variable of
-// a loop to memory, and shared memory is reached lane by lane.
+// The same as blend_backward.comp, without shared memory and barriers. For processors: there a barrier moves every variable
+// of a loop to memory, and shared memory is accessed lane by lane.
 //
-// invocation: COLUMNS x ROWS pixels of each region of the tile; subgroup and workgroup: one tile. Each lane has one
-// Gaussian, tests its reach against each region, and passes it round; the sums over all lanes and regions end up in the
-// registers of the lane that has the Gaussian
+// invocation: COLUMNS x ROWS pixels of each region of the tile; subgroup and workgroup: one tile. Each lane fetches one
+// Gaussian, tests it against each region, and broadcasts it; the sums over all lanes and regions end up in the registers
+// of the lane that fetched the Gaussian
 // in, out: as blend_backward.comp
 // shared: none; subgroup sizes 4 to 128
 #version 460
@@ -25,7 +25,7 @@ layout(constant_id = 2) const bool INVERSE_DEPTH = false;
 layout(constant_id = 3) const bool INCREMENTAL_EXP = false;
 // See blend.comp.
 layout(constant_id = 4) const bool COUNT_HITS = false;
-// See blend_gradient.glsl; for subgroups of at most 16.
+// See blend_gradient.glsl. Only for subgroups of at most 16.
 layout(constant_id = 5) const bool STRIPS = false;
 layout(local_size_x_id = 0) in;
 
@@ -33,7 +33,8 @@ layout(local_size_x_id = 0) in;
 #include "dispatch.glsl"
 #include "subgroup.glsl"
 
-// The sum over the subgroup, in all lanes; by hand, because drivers without vector instructions for it are slow.
+// The sum over the subgroup, in all lanes. By shuffles, because drivers without vector instructions for subgroupAdd are
+// slow.
 float add_over_lanes(float value) {
     value += subgroupShuffleXor(value, 1);
     value += subgroupShuffleXor(value, 2);
@@ -50,7 +51,7 @@ void add_if(bool own, inout float sum, float value) {
     sum += own ? total : 0.0;
 }
 
-// Tests each lane's Gaussian against a region, and goes through the hits.
+// Tests each lane's Gaussian against a region, and blends the hits.
 void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout GradientPixel pixels[MAX_PIXELS],
     inout Sums own_sums) {
     vec2 corner_px = vec2(origin + lane_offset());
@@ -58,7 +59,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
     [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
         uint bits = hits[word];
         if (COUNT_HITS) hit_count += bitCount(bits);
-        // Tested at its end: see blend.comp.
+        // The loop tests at its end: see blend.comp.
         if (bits != 0) for (;;) {
             uint lane = findLSB(bits) + 32 * word;
             bits &= bits - 1;
@@ -134,7 +135,8 @@ void main() {
         }
     }
 
-    // Entries behind the last that any pixel blended owe nothing, but their slots are read.
+    // Entries after the last one that any pixel blended have zero gradients. project_backward still reads them, so they are
+    // written.
     for (uint entry = batch + gl_SubgroupInvocationID; entry < end; entry += SUBGROUP_SIZE) {
         store_instance(range.x + entry, no_sums());
     }

@@ -1,5 +1,5 @@
-// Gradients of all parameters of all Gaussians in the parameters' own layout; zero for what is not visible.
-// For users of the gradients: training does not need it, adam.comp derives the same on the fly.
+// Gradients of all parameters of all Gaussians in the layout of the parameters; zero for Gaussians that are not visible. For
+// applications that read gradients. Training does not need it: adam.comp computes the same values on the fly.
 //
 // invocation: one Gaussian
 // in: parameters (PerGaussian planes, for the viewing direction), visible_index, gradients (PerVisible planes)

@@ -1,12 +1,13 @@
-// Backward of the projection: from an instance's sums to the gradients of a Gaussian's parameters
-// (paper, appendix A; the exact derivative of project.comp, also through the Jacobian's clamp).
+// Backward pass of the projection: from the sums of a Gaussian's instances to the gradients of its parameters (paper,
+// appendix A; the exact derivative of project.comp, including the Jacobian's clamp).
 //
-// invocation: one visible Gaussian; subgroup: adds the slots of Gaussians with many tiles together, the lanes' in a
+// invocation: one visible Gaussian; subgroup: adds the instances of a Gaussian with many tiles together, over the lanes in a
 // fixed order, so that results do not depend on scheduling
-// in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, first_instances, conic_opacity, instance_gradients_a, instance_gradients_b, instance_gradients_c
+// in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, first_instances, conic_opacity,
+//      instance_gradients_a, instance_gradients_b, instance_gradients_c
 // out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
 //      (d colour before its clamp at 0, dL/dy px)
-// in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) when `accumulate` is set, nothing overflowed
+// in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) if `accumulate` is set, nothing overflowed
 //         and the norm is finite
 // shared: none; subgroup sizes 4 to 128
 #version 460
@@ -23,7 +24,7 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
-// Slots above which a Gaussian is summed by its whole subgroup.
+// A Gaussian with more instances is summed by its whole subgroup.
 layout(constant_id = 3) const uint LANE_INSTANCES = 64;
 layout(local_size_x_id = 0) in;
 
@@ -40,7 +41,7 @@ layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
 
-// Stride of the gradient planes, and whether to add to the statistics.
+// Stride of the gradient planes, and whether to update the statistics.
 #define CAMERA_PUSH_EXTRA uint gradient_stride; uint accumulate;
 
 #include "camera_push.glsl"
@@ -94,10 +95,10 @@ Sums sum_slots(uint begin, uint slots, bool exists) {
     return sums;
 }
 
-// d (rows of M), from the gradient of the dilated covariance.
+// Gradient of the rows of M, from that of the dilated covariance.
 void covariance_backward(Projection p, vec3 conic, vec3 d_conic, float d_opacity, float opacity_raw, out vec3 d_row_x,
     out vec3 d_row_y) {
-    // conic = cov^-1: d cov = -conic d_conic conic, with the off-diagonal's gradient shared by both places.
+    // conic = cov^-1: d cov = -conic d_conic conic. Both off-diagonal entries share the gradient of the conic's single one.
     float gx = d_conic.x, gy = 0.5 * d_conic.y, gz = d_conic.z;
     float t00 = conic.x * gx + conic.y * gy;
     float t01 = conic.x * gy + conic.y * gz;
@@ -119,7 +120,7 @@ void covariance_backward(Projection p, vec3 conic, vec3 d_conic, float d_opacity
     d_row_y = 2.0 * (d_xy * p.row_x + d_yy * p.row_y);
 }
 
-// Gradient of the raw quaternion from that of its rotation matrix (columns of `d`), through the normalisation.
+// Gradient of the raw quaternion, through the normalisation, from that of its rotation matrix (columns of `d`).
 vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
     float w = q.x, x = q.y, y = q.z, z = q.w;
     vec4 g;
@@ -131,7 +132,7 @@ vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
 }
 
 void main() {
-    // Workgroups have the size of culling's blocks.
+    // A workgroup has the size of a culling block.
     uvec4 visible_range = UVEC4_AT(visible_ranges, 2 * (first / WORKGROUP_SIZE) + 1);
     uint visible = visible_range.x + linear_invocation();
     bool exists = visible < visible_range.y;
@@ -139,7 +140,7 @@ void main() {
     uint gaussian = UINT_AT(visible_list, slot_visible);
     uint index = exists ? gaussian - first : 0;
     uint slots = exists ? UVEC4_AT(footprints, splat_at(slot_visible, SPLAT_FOOTPRINT)).w : 0;
-    // Slots beyond the capacity do not exist; the frame is then run again anyway.
+    // Instances beyond the capacity do not exist. The frame has overflowed then and is run again anyway.
     uint begin = slots == 0 ? 0 : UINT_AT(first_instances, slot_visible);
     slots = state[STATE_OVERFLOW] != 0 ? 0 : slots;
     Sums sums = sum_slots(begin, slots, exists);
@@ -167,7 +168,7 @@ void main() {
     covariance_backward(p, conic.xyz, d_conic, d_opacity, opacity_raw, d_row_x, d_row_y);
     vec3 d_log_scale = d_row_x * p.row_x + d_row_y * p.row_y;
 
-    // Rows of M are J times the axes, scaled.
+    // The rows of M are J times the scaled axes.
     d_row_x *= p.scale;
     d_row_y *= p.scale;
     float inverse_z = 1.0 / p.mean_camera.z;
@@ -181,7 +182,7 @@ void main() {
     mat3 d_rotation = mat3(from_camera(d_axes[0]), from_camera(d_axes[1]), from_camera(d_axes[2]));
     vec4 d_quat = quaternion_backward(p.quat, p.inverse_norm, d_rotation);
 
-    // J = (f/z, -f slope / z); an unclamped slope is x/z, a clamped one does not depend on the mean.
+    // J = (f/z, -f slope / z). An unclamped slope is x/z; a clamped slope does not depend on the mean.
     vec2 through_slope = vec2(p.clamped.x ? 0.0 : 1.0, p.clamped.y ? 0.0 : 1.0);
     vec2 d_slope = -j_diagonal * d_j_depth * through_slope + d_mean2d * focal_px;
     vec3 d_camera;
@@ -190,7 +191,7 @@ void main() {
         - inverse_z * dot(d_slope, p.mean_camera.xy * inverse_z) - inverse_z * inverse_z * d_inverse_z;
     vec3 d_mean = from_camera(d_camera);
 
-    // Colour: the clamp at 0, then the direction.
+    // Colour: through the clamp at 0, then through the direction.
     vec3 towards = mean_opacity.xyz - camera_position();
     float inverse_distance = inversesqrt(dot(towards, towards));
     vec3 direction = towards * inverse_distance;
@@ -219,7 +220,7 @@ void main() {
         if (accumulate != 0 && state[STATE_OVERFLOW] == 0) {
             vec2 ndc = d_mean2d * 0.5 * vec2(image_width, image_height);
             float norm = length(ndc);
-            // Of one that is not finite no other view could make up, nor any later one.
+            // A norm that is not finite would spoil the statistics for good, so it is skipped.
             statistics[gaussian] += is_finite(norm) ? vec2(norm, 1.0) : vec2(0.0);
         }
     }

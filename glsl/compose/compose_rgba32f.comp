@@ -1,6 +1,6 @@
 // A blended picture into a host's storage image of format rgba32f (compose.glsl).
 //
-//   out = (C, 1 - T) + T behind, where behind is a background of alpha 1, nothing (premultiplied colour), or the image
+//   out = (C, 1 - T) + T * below, where `below` is a background of alpha 1, zero (premultiplied colour), or the image
 //
 // invocation: one pixel
 // in, PerPixel: accumulated (r, g, b without background, T); out, and in with COMPOSE_OVER: target

@@ -1,4 +1,4 @@
-// What a host's depth image says of each pixel, as the blending wants it: 1/z of the nearest opaque thing.
+// Converts a host's depth image into the depth limit of the blending: 1/z of the nearest opaque surface per pixel.
 //
 //   1/z = scale * d + offset is exact for every perspective projection: standard, reversed or with an infinite far plane
 //   (engine/scene/view.rs derives scale and offset from the projection matrix).
@@ -20,12 +20,12 @@ layout(set = 0, binding = 17) uniform texture2D depth;
 layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
-    // The image's texel that is pixel (0, 0).
+    // Texel of the depth image that belongs to pixel (0, 0).
     uint offset_x;
     uint offset_y;
     float scale;
     float offset;
-    // What the image is cleared to: nothing is there.
+    // Clear value of the depth image: a pixel without a surface.
     float clear_value;
 };
 

@@ -20,10 +20,10 @@ layout(set = 0, binding = 16, r32f) writeonly uniform image2D target;
 layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
-    // The target's texel that is pixel (0, 0).
+    // Texel of the target that receives pixel (0, 0).
     uint offset_x;
     uint offset_y;
-    // Below this weight a pixel counts as empty, and gets this depth.
+    // A pixel with a smaller sum of weights counts as empty, and receives this depth.
     float min_weight;
     float empty;
 };

@@ -1,5 +1,5 @@
-// Adaptive density control, decision (paper, section 5.2; reference densify_and_prune): which Gaussians stay, are
-// cloned, or split, already without those that pruning would remove.
+// Adaptive density control, classification (paper, section 5.2; reference densify_and_prune): which Gaussians stay, are
+// cloned, or are split. Gaussians that the later pruning would remove are excluded here.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
 // in: parameters (PerGaussian planes), statistics (sum of NDC gradient norms, views)
@@ -28,7 +28,7 @@ layout(push_constant, scalar) uniform Push {
     uint count;
     uint blocks;
     float gradient_threshold;
-    // Largest scale that is cloned rather than split, world units.
+    // Largest scale that is cloned instead of split, world units.
     float clone_scale;
     float min_opacity;
     // Largest scale that is kept, world units; 0 for no bound.

@@ -1,7 +1,7 @@
-// Copies the rows of the new set from the old one. Halves of a split Gaussian get a mean drawn from it and scales
-// divided by 1.6; clones and halves start with zero moments (paper, section 5.2; reference densify_and_split).
+// Copies each row of the new set from its source in the old set. The halves of a split Gaussian get means drawn from it and
+// scales divided by 1.6. Clones and halves start with zero moments (paper, section 5.2; reference densify_and_split).
 //
-// invocation: one row of the new set; those whose source lies outside the bound range leave at once
+// invocation: one row of the new set; it returns at once if the row's source lies outside the bound range
 // in: sources[row], from (PerGaussian planes, or moments); out: to (PerGaussian planes)
 // shared: none; any subgroup size
 #version 460
@@ -11,9 +11,9 @@
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-// The planes are moments of the optimiser: zero for new Gaussians.
+// The planes are the optimiser's moments, which are zero for new Gaussians.
 layout(constant_id = 2) const bool MOMENTS = false;
-// The normal numbers come from `noise`[child * noise_stride + Gaussian] instead of the generator (for comparisons).
+// The normal numbers come from `noise`[child * noise_stride + Gaussian] instead of the generator. For comparisons.
 layout(constant_id = 3) const bool EXPLICIT_NOISE = false;
 layout(local_size_x_id = 0) in;
 
@@ -39,7 +39,7 @@ layout(push_constant, scalar) uniform Push {
 #include "planes.glsl"
 #include "random.glsl"
 
-// log 1.6: halves of a split are smaller by this factor.
+// log 1.6: the halves of a split Gaussian are smaller by this factor.
 const float LOG_SPLIT = 0.47000362924573563;
 
 vec3 rotate(vec4 quat, vec3 v) {

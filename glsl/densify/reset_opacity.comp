@@ -1,4 +1,4 @@
-// Opacity reset (paper, section 5.2; reference reset_opacity): opacity <- min(opacity, 0.01), its moments zeroed.
+// Opacity reset (paper, section 5.2; reference reset_opacity): opacity <- min(opacity, 0.01), and zero moments.
 //
 // invocation: one Gaussian
 // in/out: parameters, moments_1, moments_2 (PerGaussian planes; only the opacity's component changes)
@@ -18,7 +18,7 @@ layout(set = 0, binding = 2, scalar) buffer Moments2 { vec4 moments_2[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint count;
-    // Logit of the largest opacity that remains.
+    // Logit of the largest opacity after the reset.
     float max_logit;
 };
 

@@ -1,9 +1,9 @@
-// Where each row of the new set comes from: those that stay, then clones, then first and second halves of the split,
-// each in the old order (the reference's order after its prune).
+// The source of each row of the new set. First the Gaussians that stay, then the clones, then the first and the second
+// halves of the split Gaussians, each in the old order (the reference's order after its prune).
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians, the same blocks as in classify
 // in: decisions[Gaussian], block_offsets[decision * blocks + block], totals[3]
-// out: sources[row] = Gaussian | kind << KIND_SHIFT; rows behind the capacity are dropped
+// out: sources[row] = Gaussian | kind << KIND_SHIFT; rows beyond the capacity are dropped
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require

@@ -1,11 +1,11 @@
-// Where each row of the new set lies on the Z-order curve (Morton 1966) through all of space: sorted by it, Gaussians that are
-// close to each other in the scene, and so in most pictures, are close to each other in memory.
+// Position of each row of the new set on a Z-order curve (Morton 1966) through all of space. After a sort by it, Gaussians
+// that are close to each other in the scene, and so in most pictures, are close to each other in memory.
 //
-// Along each axis space is folded into (-1, 1), d / (1 + |d|) for a distance d from the cameras' middle in extents of the
-// scene, and cut into 1024 cells: half of them lie within one extent.
+// Each axis is folded into (-1, 1) by d / (1 + |d|), where d is the distance from the centre of the cameras in units of the
+// scene's extent. The folded axis has 1024 cells: half of them lie within one extent.
 //
-// invocation: one row of the new set; those whose source lies outside the bound range leave at once
-// in: sources[row], parameters (PerGaussian planes); out: keys[row] < 2^ZORDER_BITS, a cell's bits in turn, x lowest
+// invocation: one row of the new set; it returns at once if the row's source lies outside the bound range
+// in: sources[row], parameters (PerGaussian planes); out: keys[row] < 2^ZORDER_BITS, the cell's bits interleaved, x lowest
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -24,7 +24,7 @@ layout(push_constant, scalar) uniform Push {
     uint first;
     uint count;
     uint rows;
-    // The cameras' middle, and the scene's extent.
+    // The centre of the cameras, and the scene's extent.
     vec3 center;
     float extent;
 };
@@ -36,12 +36,12 @@ const uint CELLS = 1 << (ZORDER_BITS / 3);
 
 uint cell(float distance) {
     float folded = distance / (1.0 + abs(distance));
-    // What has no place goes to the first cell: NaN and infinity, by their bits, as a compiler may take no number for them.
+    // NaN and infinity go to the first cell. The test is on their bits, because a compiler may assume that no value is NaN.
     bool placed = (floatBitsToUint(distance) & 0x7F800000) != 0x7F800000;
     return placed ? min(uint(max(0.5 + 0.5 * folded, 0.0) * float(CELLS)), CELLS - 1) : 0;
 }
 
-// Two zero bits between each two of the lower ten.
+// Inserts two zero bits after each of the lower ten bits.
 uint spread(uint v) {
     v = (v | v << 16) & 0x030000FF;
     v = (v | v << 8) & 0x0300F00F;

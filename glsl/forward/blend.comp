@@ -3,16 +3,17 @@
 //   alpha = min(0.99, o exp(-(A dx^2 + C dy^2) / 2 - B dx dy)), skipped below 1/255;
 //   C += T alpha c, T <- T (1 - alpha); a pixel stops before the Gaussian that would bring T below 1e-4.
 //
-// invocation: COLUMNS x ROWS pixels of each of REGIONS_PER_SUBGROUP regions; subgroup: REGIONS_PER_SUBGROUP regions of the tile (tile_region.glsl): each
-// lane tests one Gaussian's exact reach against a region, then all lanes blend the hits, passed round by shuffles;
-// workgroup: one tile
+// invocation: COLUMNS x ROWS pixels of each of REGIONS_PER_SUBGROUP regions; subgroup: REGIONS_PER_SUBGROUP regions of the
+// tile (tile_region.glsl): each lane tests one Gaussian against a region, then all lanes blend the hits, which are broadcast
+// by shuffles; workgroup: one tile
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
 // out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, last_entries
-//     (1 + place of the last blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
-// Entries [first_entry, first_entry + max_entries) of each tile; with first_entry > 0 it goes on where the pass
-// before stopped (drivers that bound the iterations of an invocation need several passes for very long tiles). Frames of
-// very many instances take several dispatches, each over the tiles that begin in a range of them.
+//     (1 + list index of the last blended entry of the tile, 0 if none); state[STATE_LONGEST_TILE]
 // shared: none; subgroup sizes 4 to 128
+//
+// A pass handles entries [first_entry, first_entry + max_entries) of each tile. With first_entry > 0 it continues where the
+// previous pass stopped: drivers that limit the iterations of an invocation need several passes for very long tiles. Frames
+// with very many instances take several dispatches, each over the tiles whose first instance lies in its range.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -28,17 +29,17 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
-// Splats behind depth_limits do not count.
+// Splats farther away than depth_limits do not count.
 layout(constant_id = 3) const bool DEPTH_LIMIT = false;
-// With INVERSE_DEPTH: the sum of weights * z in place of weights / z.
+// With INVERSE_DEPTH: the sum of weights * z instead of weights / z.
 layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 // See blending.glsl.
 layout(constant_id = 5) const bool INCREMENTAL_EXP = false;
-// Regions of a subgroup, 1, 2 or 4: with more of them a Gaussian is fetched fewer times, and a lane has more pixels.
+// Regions of a subgroup: 1, 2 or 4. With more regions a Gaussian is fetched fewer times, and a lane has more pixels.
 layout(constant_id = 6) const uint REGIONS_PER_SUBGROUP = 1;
-// Counts the pixels that Gaussians are blended over, to compare what the kernel computes with what the device could.
+// Counts the pixels that Gaussians are blended over, to compare the kernel's rate with the device's.
 layout(constant_id = 7) const bool COUNT_HITS = false;
-// See blend_io.glsl; for subgroups of at most 16, whose lanes have four rows of a column or eight.
+// See blend_io.glsl. Only for subgroups of at most 16, whose lanes have four or eight rows of a column.
 layout(constant_id = 8) const bool STRIPS = false;
 layout(local_size_x_id = 0) in;
 
@@ -49,10 +50,10 @@ layout(local_size_x_id = 0) in;
 #include "dispatch.glsl"
 #include "subgroup.glsl"
 
-// Most pixels of a lane in a region; a literal, as MAX_COLUMN_ROWS.
+// Most pixels of a lane in a region. A literal for the same reason as MAX_COLUMN_ROWS.
 const uint MAX_PIXELS = 16;
 
-// Gaussians blended over a region, with COUNT_HITS.
+// With COUNT_HITS: Gaussians blended over a region.
 uint hit_count = 0;
 
 // Tests each lane's splat against a region and blends the hits over it.
@@ -137,7 +138,7 @@ void main() {
     if (REGIONS_PER_SUBGROUP > 2) load_region(origin_2 + lane_offset(), pixels_2);
     if (REGIONS_PER_SUBGROUP > 2) load_region(origin_3 + lane_offset(), pixels_3);
 
-    // Both loops test at their end: a loop that tests first costs a driver without branches one more masked iteration.
+    // Both loops test at their end: with a test at the start, a driver without branches runs one more masked iteration.
     uint batch = first_entry;
     if (batch < end) for (;;) {
         uint entry = batch + gl_SubgroupInvocationID;

@@ -3,19 +3,19 @@
 //   alpha = min(0.99, o exp(-(A dx^2 + C dy^2) / 2 - B dx dy)), skipped below 1/255;
 //   C += T alpha c, T <- T (1 - alpha); a pixel stops before the Gaussian that would bring T below 1e-4.
 //
-// The paper's form of it: the workgroup fetches a batch of Gaussians into shared memory, and every invocation walks over
-// all of them for its own pixels. The picture of blend.comp, which culls per region instead (to the bit, where a
-// compiler fuses sums of products in both or in neither); which is faster
-// depends on the device.
+// The paper's form of the kernel: the workgroup fetches a batch of Gaussians into shared memory, and every invocation loops
+// over the whole batch for its own pixels. The picture equals that of blend.comp, which culls per region instead. They agree
+// to the bit if the compiler fuses sums of products in both kernels or in neither. The device decides which one is faster.
 //
 // invocation: PIXELS pixels, and one Gaussian of each batch to fetch; workgroup: one tile, batches of WORKGROUP_SIZE
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
 // out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, last_entries
-//     (1 + place of the last blended entry in its tile's list, 0 if none); state[STATE_LONGEST_TILE]
-// Entries [first_entry, first_entry + max_entries) of each tile; with first_entry > 0 it goes on where the pass
-// before stopped (drivers that bound the iterations of an invocation need several passes for very long tiles).
-// shared: WORKGROUP_SIZE * 10 words and one; any subgroup size (no subgroup operations: its columns of pixels are those
-// of blend.comp where INCREMENTAL_EXP makes a pixel depend on its place in one)
+//     (1 + list index of the last blended entry of the tile, 0 if none); state[STATE_LONGEST_TILE]
+// shared: WORKGROUP_SIZE * 10 words and one; any subgroup size (no subgroup operations)
+//
+// With INCREMENTAL_EXP a pixel's value depends on its position in a column, so the columns are those of blend.comp.
+// A pass handles entries [first_entry, first_entry + max_entries) of each tile. With first_entry > 0 it continues where the
+// previous pass stopped: drivers that limit the iterations of an invocation need several passes for very long tiles.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -24,26 +24,26 @@
 #include "constants.glsl"
 #include "buffers.glsl"
 
-// A divisor of 256 / COLUMN_ROWS, the columns of a tile.
+// A divisor of 256 / COLUMN_ROWS, the number of columns of a tile.
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
-// Splats behind depth_limits do not count.
+// Splats farther away than depth_limits do not count.
 layout(constant_id = 3) const bool DEPTH_LIMIT = false;
-// With INVERSE_DEPTH: the sum of weights * z in place of weights / z.
+// With INVERSE_DEPTH: the sum of weights * z instead of weights / z.
 layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 // See blending.glsl.
 layout(constant_id = 5) const bool INCREMENTAL_EXP = false;
 // Counts the pixels that Gaussians are blended over, as blend.comp does.
 layout(constant_id = 7) const bool COUNT_HITS = false;
-// See blend_io.glsl; with INCREMENTAL_EXP.
+// See blend_io.glsl. Only with INCREMENTAL_EXP.
 layout(constant_id = 8) const bool STRIPS = false;
 layout(local_size_x_id = 0) in;
 
 #include "region_shape.glsl"
 
 const uint COLUMN_ROWS = INCREMENTAL_EXP ? ROWS : 1;
-// Columns of an invocation, and its pixels.
+// Columns and pixels of an invocation.
 const uint OWN_COLUMNS = TILE_SIZE * TILE_SIZE / COLUMN_ROWS / WORKGROUP_SIZE;
 const uint PIXELS = OWN_COLUMNS * COLUMN_ROWS;
 
@@ -56,7 +56,8 @@ shared vec4 conics[WORKGROUP_SIZE];
 shared vec4 shades[WORKGROUP_SIZE];
 shared uint alive;
 
-// The first pixel of an invocation's column k within the tile: columns lie side by side, then the next rows of them.
+// First pixel, within the tile, of column k of the invocation. Columns are numbered from left to right, then from top to
+// bottom.
 uvec2 column_origin(uint k) {
     uint column = gl_LocalInvocationID.x + k * WORKGROUP_SIZE;
     return uvec2(column % TILE_SIZE, column / TILE_SIZE * COLUMN_ROWS);
@@ -86,7 +87,7 @@ void main() {
         pixels[k] = load_pixel(corner + pixel_of(k));
     }
 
-    // Gaussians that all pixels of the tile walk over, with COUNT_HITS.
+    // With COUNT_HITS: Gaussians that all pixels of the tile loop over.
     uint walked = 0;
     for (uint batch = begin; batch < end; batch += WORKGROUP_SIZE) {
         if (gl_LocalInvocationID.x == 0) {
@@ -106,7 +107,7 @@ void main() {
         conics[gl_LocalInvocationID.x] = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
         shades[gl_LocalInvocationID.x] = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
         barrier();
-        // Uniform: all have seen the same word, and nobody writes it before the barrier below.
+        // Uniform: all invocations have read the same word, and no invocation writes it before the barrier below.
         uint fetched = alive != 0 ? min(end - batch, WORKGROUP_SIZE) : 0;
         for (uint k = 0; k < fetched; ++k) {
             Splat splat = splat_of(means[k], conics[k], shades[k]);

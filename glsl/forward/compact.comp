@@ -1,7 +1,7 @@
-// The list of visible Gaussians in their own order (stable), and its inverse.
+// The list of visible Gaussians in the order of the Gaussians (stable), and its inverse.
 //
-// invocation: every SUBGROUP_SIZE-th Gaussian of a block; subgroup: one block of BLOCK Gaussians, those that culling counts
-// together, walked over with a running count, so that no barrier is needed
+// invocation: every SUBGROUP_SIZE-th Gaussian of a block; subgroup: one block of BLOCK Gaussians, the blocks of cull; it
+// keeps a running count, so no barrier is needed
 // in: visible_flags[Gaussian], block_offsets[block] (exclusive prefix sums)
 // out: visible_list[visible] = Gaussian, visible_index[Gaussian] = visible or NOT_VISIBLE
 // shared: none; subgroup sizes 4 to 128

@@ -1,5 +1,5 @@
-// How many tiles each visible Gaussian touches and which, in depth order, and the sums of blocks of their numbers: first
-// step of the prefix sum that gives each Gaussian its instances (scan_reduce.comp, with a gather).
+// The tiles of each visible Gaussian and their number, in depth order, and the sum of these numbers per block. The sums are
+// the first step of the prefix sum that assigns the instances (scan_reduce.comp, with a gather).
 //
 // invocation: ITEMS visible Gaussians; workgroup: one block of WORKGROUP_SIZE * ITEMS of them, a block of the scan
 // in: order[rank] = visible, tile_lists[visible] (tile_span.glsl)
@@ -36,7 +36,7 @@ void main() {
     uint n = state[STATE_VISIBLE];
     uint block = linear_workgroup();
     uint first = block * WORKGROUP_SIZE * ITEMS + gl_LocalInvocationID.x;
-    // All reads first: they lie all over the memory, and wait for it together.
+    // All reads come first: they are scattered, and their latencies overlap.
     uvec2 lists[ITEMS];
     [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
         uint rank = first + k * WORKGROUP_SIZE;

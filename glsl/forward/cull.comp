@@ -1,5 +1,6 @@
-// Which Gaussians are visible, and how many in each block: first step of the stable compaction of the visible.
-// Near plane, degenerate covariance, opacity below 1/255, and no tile touched (paper, section 6; reference preprocessCUDA).
+// Visibility of each Gaussian, and the number of visible ones in each block: first step of the stable compaction. Culls by
+// the near plane, a degenerate covariance, an opacity below 1/255, and an empty set of tiles (paper, section 6; reference
+// preprocessCUDA).
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
 // in: parameters (PerGaussian planes); out: visible_flags[Gaussian], block_counts[block]

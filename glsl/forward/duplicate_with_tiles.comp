@@ -1,16 +1,17 @@
-// One (tile, Gaussian) instance per touched tile, in depth order and, within a Gaussian, row by row.
+// One (tile, Gaussian) instance per touched tile, in depth order and, within a Gaussian, row by row (paper, section 6;
+// reference duplicateWithKeys).
 //
-// Work is split by instances, so a Gaussian that covers the screen costs no more per invocation than a small one. A
-// subgroup searches the Gaussian of its first instance, then goes through the ranks: each lane fetches one Gaussian, and
-// the instances of these Gaussians are dealt to the lanes, which get their Gaussian's list of tiles by shuffles. Gaussians
-// of too many tiles for a list are left to the end: the subgroup takes one after the other, each lane works out one of its
-// rows, and their tiles are dealt likewise.
+// Work is split by instances, so a Gaussian that covers the screen costs no more per invocation than a small one. A subgroup
+// searches for the Gaussian of its first instance, then advances through the ranks. Each lane fetches one Gaussian. The
+// instances of these Gaussians are distributed over the lanes, and a lane reads its Gaussian's list of tiles by shuffles.
+// Gaussians with too many tiles for a list come last. The subgroup handles them one by one: each lane computes the span of
+// one row, and the tiles of these rows are distributed in the same way.
 //
 // invocation: ITEMS instances; subgroup: a run of SUBGROUP_SIZE * ITEMS consecutive instances
 // in: order[rank], instance_offsets[rank] (exclusive prefix sums of the tile counts), list_heads[rank], list_rows[rank]
-//     (tile_list.glsl); where there is no list, PerVisible: mean2d_extent, footprints
-// out: instance_tiles[instance] (sort keys), instance_visible[instance]; with FOR_BACKWARD first_instances[visible] = its first
-//      instance
+//     (tile_list.glsl); for Gaussians without a list, PerVisible: mean2d_extent, footprints
+// out: instance_tiles[instance] (sort keys), instance_visible[instance]; with FOR_BACKWARD first_instances[visible] = its
+//      first instance
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -55,14 +56,14 @@ layout(push_constant, scalar) uniform Push {
 
 const uint RUN = SUBGROUP_SIZE * ITEMS;
 
-// Last rank in [low, low + ranks) whose offset is at most `instance`: the lanes probe at even distances at a time.
+// Last rank in [low, low + ranks) with an offset of at most `instance`. The lanes probe at equal distances in each round.
 uint find_rank(uint instance, uint low, uint ranks) {
     while (ranks > 1) {
         uint apart = (ranks + SUBGROUP_SIZE - 1) / SUBGROUP_SIZE;
         uint probe = gl_SubgroupInvocationID * apart;
         bool exists = probe < ranks;
         bool passed = exists && UINT_AT(instance_offsets, low + (exists ? probe : 0)) <= instance;
-        // The first lane's has: what it searches for lies behind.
+        // The first lane's probe always passes: the rank searched for is at or after it.
         uint last = max(subgroupBallotBitCount(subgroupBallot(passed)), 1) - 1;
         low += last * apart;
         ranks = min(apart, ranks - last * apart);
@@ -70,7 +71,7 @@ uint find_rank(uint instance, uint low, uint ranks) {
     return low;
 }
 
-// Last lane whose `begin` is at most `instance`, given that the first one's is.
+// Last lane with `begin` <= `instance`. The first lane satisfies this.
 uint owner_of(uint instance, uint begin) {
     uint owner = 0;
     [[unroll]] for (uint bit = 64; bit > 0; bit /= 2) {
@@ -82,7 +83,7 @@ uint owner_of(uint instance, uint begin) {
     return owner;
 }
 
-// Instances of the run from `run_begin` to `run_end` of Gaussians without a list, the first of them not below `rank`.
+// Writes the instances in [run_begin, run_end) of Gaussians without a list, from rank `rank` on.
 void put_unlisted(uint rank, uint visible_count, uint run_begin, uint run_end) {
     bool done = false;
     do {
@@ -113,8 +114,8 @@ void put_unlisted(uint rank, uint visible_count, uint run_begin, uint run_end) {
             uint row_end = rows_begin + subgroupInclusiveAdd(width);
             uint row_begin = row_end - width;
             rows_begin = subgroupShuffle(row_end, SUBGROUP_SIZE - 1);
-            // The last row takes what is left: should a driver round here otherwise than where tiles were counted, each
-            // instance still gets a tile of the box.
+            // The last row takes the remaining tiles. If the driver rounds differently here than in the count, each instance
+            // still gets a tile of the box.
             uint last_lane = box.w - 1 - first_row;
             uint rows_end = last_lane < SUBGROUP_SIZE ? stop : min(rows_begin, stop);
             do {
@@ -132,7 +133,7 @@ void put_unlisted(uint rank, uint visible_count, uint run_begin, uint run_end) {
         } while (next < stop && first_row < box.w);
         done = !one && subgroupAny(ends);
         rank += one ? owner + 1 : SUBGROUP_SIZE;
-        // Any number of Gaussians without a tile may follow each other: they are not gone through.
+        // Any number of Gaussians without a tile may follow each other. A search skips them.
         bool skips = !done && !subgroupAny(tiles > 0) && rank < visible_count;
         rank = find_rank(subgroupShuffle(offset, 0), rank, skips ? visible_count - rank : 1);
     } while (!done);
@@ -163,7 +164,7 @@ void main() {
             first_instances[visible] = offset;
         }
         any_unlisted = any_unlisted || tiles > 0 && !is_listed(list);
-        // The instances of these Gaussians, up to the end of the run.
+        // The end of these Gaussians' instances, at most the end of the run.
         uint beyond = subgroupShuffle(exists ? offset + tiles : instances, SUBGROUP_SIZE - 1);
         uint batch_end = min(beyond, run_end);
         bool found_none = batch_end <= next;

@@ -1,7 +1,7 @@
-// Screen-space attributes of the visible Gaussians: mean, conic, extent, tiles, depth, and colour from
-// spherical harmonics (paper, section 4; reference preprocessCUDA and computeColorFromSH).
+// Screen-space attributes of the visible Gaussians: mean, conic, extent, tiles, depth, and colour from spherical harmonics
+// (paper, section 4; reference preprocessCUDA and computeColorFromSH).
 //
-// invocation: one visible Gaussian of the bound range of parameters, walking over its tile rows to count its tiles
+// invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
 // in: parameters (PerGaussian planes), visible_list, visible_ranges; out, PerVisible: mean2d_extent (x, y, half extents,
 //     px), conic_opacity (A, B, C, opacity), color_inverse_depth (r, g, b, 1/z), depth_keys (bits of z), footprints
 //     and tile_lists (tile_span.glsl)
@@ -38,7 +38,7 @@ layout(set = 0, binding = 8, scalar) writeonly buffer TileLists { uvec2 tile_lis
 #include "sh_planes.glsl"
 
 void main() {
-    // Workgroups have the size of culling's blocks.
+    // A workgroup has the size of a culling block.
     uvec4 visible_range = UVEC4_AT(visible_ranges, 2 * (first / WORKGROUP_SIZE) + 1);
     uint visible = visible_range.x + linear_invocation();
     if (visible >= visible_range.y) {
@@ -61,7 +61,7 @@ void main() {
         color += basis[k] * sh[k];
     }
 
-    // A coefficient that is not finite must not spread to the pixels.
+    // A coefficient that is not finite must not reach the pixels.
     bool valid = is_finite(color.x) && is_finite(color.y) && is_finite(color.z);
     color = valid ? color : vec3(0.0);
 

@@ -1,9 +1,9 @@
-// Where each tile's instances begin and end in the sorted sequence (paper, section 6: identifyTileRanges), and with FOR_BACKWARD
-// which Gaussian each sorted instance shows; without, it is what was sorted.
+// Begin and end of each tile's instances in the sorted sequence (paper, section 6; reference identifyTileRanges). With
+// FOR_BACKWARD also the visible Gaussian of each sorted instance; without it, that is the value that was sorted.
 //
 // invocation: one sorted instance, compared with its neighbours
-// in: sorted_tiles[n]; with FOR_BACKWARD sorted_instances[n] (places before the sort), instance_visible[slot]
-// out: tile_ranges[tile] = (begin, end), only of tiles that occur; with FOR_BACKWARD sorted_visible[n]
+// in: sorted_tiles[n]; with FOR_BACKWARD sorted_instances[n] (indices before the tile sort), instance_visible[instance]
+// out: tile_ranges[tile] = (begin, end), only of tiles with instances; with FOR_BACKWARD sorted_visible[n]
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require

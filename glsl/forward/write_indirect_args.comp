@@ -1,12 +1,11 @@
-// Turns a count that only the device knows into what follows from it: the count clamped to its capacity,
-// and the indirect arguments of the dispatches over it.
+// Clamps a count that only the device knows to its capacity, and writes the indirect arguments of the dispatches over it.
 //
 // One invocation in all.
-// in: state[count_index] = how many are needed; 0xFFFFFFFF for more than 32 bits hold (scan_spine.comp)
-// out: state[count_index + 1] = min(needed, capacity), 0 where prefix sums have wrapped around, which lead nowhere then;
-//      state[STATE_OVERFLOW] set when clamped;
-//      arguments[3]: workgroups for blocks of `block_elementwise`, `block_sort` and `block_third` elements (of the
-//      scan for the visible, of expansion for the instances)
+// in: state[count_index] = the needed count; 0xFFFFFFFF if it exceeds 32 bits (scan_spine.comp)
+// out: state[count_index + 1] = min(needed, capacity); 0 if the prefix sums wrapped around and are invalid;
+//      state[STATE_OVERFLOW] is set if the count was clamped;
+//      arguments[3]: workgroups for blocks of `block_elementwise`, `block_sort` and `block_third` elements (the third: of
+//      the scan for the visible Gaussians, of the duplication for the instances)
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require

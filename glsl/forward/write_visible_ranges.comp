@@ -1,7 +1,7 @@
-// Which of the visible lie in each range of a scene's parameters, and the indirect arguments of the dispatches over them.
+// The visible Gaussians of each parameter range of a scene, and the indirect arguments of the dispatches over them.
 //
 // invocation: one range; workgroup: WORKGROUP_SIZE ranges
-// in: block_offsets[block]: visible Gaussians before each block of culling; state[STATE_VISIBLE]
+// in: block_offsets[block]: visible Gaussians before each culling block; state[STATE_VISIBLE]
 // out, at the range's first block b: visible_ranges[2 b] = workgroups (x, y, z, 0), visible_ranges[2 b + 1] = (first
 //      visible, one past the last, 0, 0)
 // shared: none; any subgroup size
@@ -20,13 +20,13 @@ layout(set = 0, binding = 2, scalar) writeonly buffer VisibleRanges { uvec4 visi
 
 layout(push_constant, scalar) uniform Push {
     uint ranges;
-    // Blocks of culling in the frame.
+    // Culling blocks in the frame.
     uint blocks;
-    // The scene's first block, how many it has, and how many each of its ranges has but the last.
+    // The scene's first block, its number of blocks, and the blocks of each of its ranges except the last.
     uint first_block;
     uint own_blocks;
     uint blocks_per_range;
-    // Elements of a workgroup of the dispatches.
+    // Elements per workgroup of the dispatches.
     uint block_elementwise;
     uint max_workgroups_per_axis;
 };

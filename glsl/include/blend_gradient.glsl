@@ -1,8 +1,11 @@
-// Blending's backward over the pixels of a lane: buffers, push constants, and what one Gaussian owes to them. The same in all
-// variants of the kernel, which differ in how they add over lanes and regions; see blend_backward.comp for the derivative.
-// Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see blend_io.glsl), GL_KHR_shader_subgroup_basic and _shuffle.
+// The backward pass of blending for the pixels of one lane: buffers, push constants, and the gradient of one Gaussian. All
+// variants of the kernel share it. They differ in how they add over lanes and regions. blend_backward.comp has the
+// derivative.
+//
+// Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see blend_io.glsl),
+// GL_KHR_shader_subgroup_basic and _shuffle.
 
-// Training has nothing but splats, and inverse depth.
+// Training draws splats only, with inverse depth: no host depth image, no linear depth.
 const bool DEPTH_LIMIT = false;
 const bool LINEAR_DEPTH = false;
 
@@ -48,10 +51,10 @@ layout(push_constant, scalar) uniform Push {
 #include "blending.glsl"
 #include "splat_shuffle.glsl"
 
-// Most pixels of a lane in a region; a literal, as MAX_COLUMN_ROWS.
+// Most pixels of a lane in a region. A literal for the same reason as MAX_COLUMN_ROWS.
 const uint MAX_PIXELS = 16;
 
-// Gaussians blended over a region, with COUNT_HITS.
+// With COUNT_HITS: Gaussians blended over a region.
 uint hit_count = 0;
 
 void note_hits() {
@@ -62,14 +65,14 @@ void note_hits() {
 
 struct GradientPixel {
     float transmittance;
-    // What the rest of the list adds to gradient . pixel.
+    // The contribution of the remaining list to gradient . pixel.
     float rest;
     // dL/d(r, g, b, inverse depth).
     vec4 gradient;
     uint last;
 };
 
-// An instance's sums over pixels, see blend_backward.comp.
+// One instance's sums over the pixels, see blend_backward.comp.
 struct Sums {
     // dL/dpower times 1, dx, dy; dx^2, dx dy, dy^2.
     vec3 linear;
@@ -82,13 +85,13 @@ bool is_pixel(uvec2 at) {
     return at.x < image_width && at.y < image_height;
 }
 
-// What loss and blending have left at a pixel: its composited colour, and its gradient.
+// What blending and the loss have written for a pixel: its composited colour and its gradient.
 struct Handed {
     vec3 color;
     vec4 gradient;
 };
 
-// At four rows of a column, from a multiple of 4 on.
+// Loads four rows of a column. The first row is a multiple of 4.
 void load_four(uvec2 at, bool tile_exists, out Handed handed[4]) {
     bool inside = tile_exists && is_pixel(at);
     vec4 rows[7];
@@ -100,7 +103,7 @@ void load_four(uvec2 at, bool tile_exists, out Handed handed[4]) {
         rows[plane] = plane < 3 || INVERSE_DEPTH ? VEC4_AT(image_gradient, texel) : vec4(0.0);
     }
     [[unroll]] for (uint k = 0; k < 4; ++k) {
-        // Nobody has written the gradient below the picture.
+        // The loss writes no gradient below the picture.
         bool exists = at.y + k < image_height;
         vec4 gradient = vec4(rows[0][k], rows[1][k], rows[2][k], rows[3][k]);
         handed[k] = Handed(vec3(rows[4][k], rows[5][k], rows[6][k]), exists ? gradient : vec4(0.0));
@@ -117,7 +120,8 @@ Handed load_one(uvec2 at, bool tile_exists) {
     return Handed(color.xyz + color.w * background, gradient);
 }
 
-// The pixels of a lane in a region as this pass finds them; returns 1 + the last place that counts for any of them.
+// Loads the state of a lane's pixels in a region as the previous pass left it. Returns 1 + the last list index that any of
+// these pixels blended.
 uint load_pixels(uvec2 corner, bool tile_exists, out GradientPixel pixels[MAX_PIXELS]) {
     uint lane_last = 0;
     Handed handed[MAX_PIXELS];
@@ -156,7 +160,7 @@ uint load_pixels(uvec2 corner, bool tile_exists, out GradientPixel pixels[MAX_PI
     return lane_last;
 }
 
-// What the next pass finds.
+// Stores the state for the next pass.
 void store_pixels(uvec2 corner, bool tile_exists, GradientPixel pixels[MAX_PIXELS]) {
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
         uvec2 at = corner + pixel_step(k);
@@ -166,7 +170,8 @@ void store_pixels(uvec2 corner, bool tile_exists, GradientPixel pixels[MAX_PIXEL
     }
 }
 
-// What the Gaussian at a place of the tile's list owes to the pixels of a lane, which it is then blended over.
+// Gradient of the Gaussian at list index `place` over the pixels of a lane. Blends the Gaussian over these pixels as it
+// goes.
 Sums blend_backward(Splat splat, uint place, vec2 corner_px, inout GradientPixel pixels[MAX_PIXELS]) {
     vec4 value = vec4(splat.rgb, splat.inverse_z);
     vec2 d0 = splat.mean - corner_px;
@@ -206,7 +211,7 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, inout GradientPixel
     return Sums(vec3(sum_1, sum_x, sum_y), vec3(sum_xx, sum_xy, sum_yy), sum_value);
 }
 
-// To the instance's own slot: (1, dx, dy, dx dx), (dx dy, dy dy, r, g), (b, inverse depth).
+// Writes to the instance's index before the tile sort: (1, dx, dy, dx dx), (dx dy, dy dy, r, g), (b, inverse depth).
 void store_instance(uint place, Sums sums) {
     uint target = UINT_AT(sorted_instances, place);
     instance_gradients_a[target] = vec4(sums.linear, sums.quadratic.x);

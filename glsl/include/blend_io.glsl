@@ -1,6 +1,9 @@
-// Buffers and push constants of the blending kernels, and how a pixel's state is kept between passes.
-// Needs blending.glsl, buffers.glsl, STRIPS: the picture is left composited on the background, three planes in strips
-// (strips.glsl), as loss and blending's backward want it on processors; `accumulated` then only goes from pass to pass.
+// Buffers and push constants of the blending kernels, and the state of a pixel between passes.
+//
+// With STRIPS the picture is composited on the background and stored as three planes in strips (strips.glsl): on processors
+// the loss and the backward pass read that layout. `accumulated` then only carries the state from one pass to the next.
+//
+// Needs blending.glsl, buffers.glsl, STRIPS.
 
 layout(set = 0, binding = 0, scalar) readonly buffer TileRanges { uvec2 tile_ranges[]; };
 UINT_READS(1, SortedVisible, sorted_visible);
@@ -11,7 +14,7 @@ layout(set = 0, binding = 5, scalar) buffer Accumulated { vec4 accumulated[]; };
 layout(set = 0, binding = 6, scalar) buffer InverseDepth { float inverse_depth[]; };
 layout(set = 0, binding = 7, scalar) buffer LastEntries { uint last_entries[]; };
 layout(set = 0, binding = 8, scalar) buffer State { uint state[]; };
-// Per pixel: 1/z of what else is in the picture, 0 for nothing. Only read with DEPTH_LIMIT.
+// Per pixel: 1/z of the host's nearest opaque surface, 0 for none. Only read with DEPTH_LIMIT.
 layout(set = 0, binding = 9, scalar) readonly buffer DepthLimits { float depth_limits[]; };
 
 VEC4_WRITES(10, Composited, composited);
@@ -24,12 +27,12 @@ layout(push_constant, scalar) uniform Push {
     // This pass handles entries [first_entry, first_entry + max_entries) of each tile.
     uint first_entry;
     uint max_entries;
-    // This dispatch handles the tiles whose instances begin at [first_instance, first_instance + max_instances).
+    // This dispatch handles the tiles whose first instance lies in [first_instance, first_instance + max_instances).
     uint first_instance;
     uint max_instances;
     // See tile_order.glsl.
     uint tile_row_interleave;
-    // No pass follows: a tile with more entries than this one reaches leaves the frame invalid (STATE_OVERFLOW).
+    // 1 in the last pass: a tile with more entries than this pass reaches then makes the frame invalid (STATE_OVERFLOW).
     uint last_pass;
     uint splat_stride;
     // Only read with STRIPS.
@@ -41,7 +44,7 @@ layout(push_constant, scalar) uniform Push {
 #include "tile_order.glsl"
 #include "strips.glsl"
 
-// Notes the longest tile, and tiles that the passes do not reach the end of.
+// Records the longest tile, and sets STATE_OVERFLOW for a tile that the last pass does not finish.
 void note_tile(uint entries, uint end) {
     if (first_entry == 0) {
         atomicMax(state[STATE_LONGEST_TILE], entries);
@@ -51,7 +54,7 @@ void note_tile(uint entries, uint end) {
     }
 }
 
-// A pixel as this pass finds it: fresh, or as the pass before left it.
+// Loads a pixel: a fresh one in the first pass, otherwise the state that the previous pass stored.
 Pixel load_pixel(uvec2 at) {
     bool inside = at.x < image_width && at.y < image_height;
     Pixel pixel = fresh_pixel(inside);
@@ -71,7 +74,7 @@ Pixel load_pixel(uvec2 at) {
     return pixel;
 }
 
-// A pass that others follow keeps the sign, so that the next one knows which pixels have stopped.
+// If another pass follows, the sign of T is kept: it tells the next pass which pixels have stopped.
 void store_pixel(uvec2 at, Pixel pixel, bool more) {
     if (at.x < image_width && at.y < image_height) {
         uint index = at.y * image_width + at.x;
@@ -85,7 +88,7 @@ void store_pixel(uvec2 at, Pixel pixel, bool more) {
     }
 }
 
-// Four rows of a column, from a multiple of 4 on; rows below the picture are 0.
+// Stores four rows of a column, the first a multiple of 4. Rows below the picture are 0.
 void store_composited(uvec2 at, Pixel pixels[4]) {
     if (at.x < image_width && at.y / STRIP_ROWS < strips_of_image()) {
         [[unroll]] for (uint channel = 0; channel < 3; ++channel) {

@@ -1,9 +1,11 @@
-// One Gaussian blended over a column of pixels, front to back: the same arithmetic in every variant of the kernel.
-// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, INCREMENTAL_EXP and COLUMN_ROWS: the pixels of a column, one below
-// the other, that belong to an invocation.
+// Blends one Gaussian over a column of pixels, front to back. Every variant of the kernel shares this arithmetic. A column
+// is the vertical run of COLUMN_ROWS pixels that belongs to one invocation.
+//
+// Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, INCREMENTAL_EXP and COLUMN_ROWS.
 
-// No region gives an invocation more pixels in a column. Not COLUMN_ROWS: an array whose size is a specialization constant
-// has a type of its own in every declaration, and comes back from a function undefined.
+// No region gives an invocation a longer column. This is a literal instead of COLUMN_ROWS: an array sized by a
+// specialization constant has a distinct type in every declaration, and a function that returns one returns undefined
+// values.
 const uint MAX_COLUMN_ROWS = 8;
 
 const float LOG2_E = 1.4426950408889634;
@@ -19,7 +21,7 @@ struct Splat {
     float opacity;
     vec3 rgb;
     float inverse_z;
-    // What the quotient of neighbouring pixels' opacities is multiplied by from one pixel of a column to the next.
+    // Factor of the opacity ratio of neighbouring pixels from one pixel of a column to the next.
     float curvature;
 };
 
@@ -28,7 +30,7 @@ struct Pixel {
     float transmittance;
     vec3 color;
     float depth;
-    // Nothing whose 1/z is smaller counts: it lies behind what else is in the picture.
+    // Splats with a smaller 1/z lie behind the host's opaque surface and do not count.
     float least_inverse_z;
     uint last;
 };
@@ -39,26 +41,26 @@ Splat splat_of(vec2 mean, vec4 conic_opacity, vec4 color_inverse_depth) {
     return Splat(mean, form, conic_opacity.w, color_inverse_depth.xyz, color_inverse_depth.w, curvature);
 }
 
-// An opacity before the clamp at ALPHA_MAX, or 0 where it does not count. Where the form is indefinite by rounding alone
-// the opacity exceeds the splat's.
+// Opacity before the clamp at ALPHA_MAX, or 0 where it does not count. If rounding alone makes the form indefinite, the
+// opacity exceeds the splat's own.
 float counted(float alpha, float opacity) {
     return alpha >= ALPHA_MIN && alpha <= opacity ? alpha : 0.0;
 }
 
-// Opacities of a splat at the pixels of a column whose first is at `first_px`. Precise, so that all kernels decide alike: a
-// compiler must not contract the products in one of them only.
+// Opacities of a splat at the pixels of a column; `first_px` is the first pixel. `precise` keeps the compiler from
+// contracting the products in one kernel only: all kernels must take the same decisions.
 //
-// INCREMENTAL_EXP: along a column a Gaussian is a geometric sequence of second order, alpha(k + 1) = alpha(k) r(k) and
-// r(k + 1) = r(k) curvature, from its middle outwards: three exponentials and two products per pixel instead of an
-// exponential each. It pays where exp2 is computed by many instructions. Within the half column of at most 4 px,
-// opacities that count are within 2^82 of the middle's (the form's coefficient is at least -2.41 because of the
-// dilation), so nothing that counts is lost below float32's range.
+// INCREMENTAL_EXP: along a column, a Gaussian is a second-order geometric sequence, alpha(k + 1) = alpha(k) r(k) and r(k +
+// 1) = r(k) curvature. It is evaluated from the middle of the column outwards. This takes three exponentials, and two
+// products per pixel instead of one exponential per pixel. It pays where exp2 takes many instructions. A half column has at
+// most 4 px. Within it, opacities that count are within 2^82 of the middle's (the form's coefficient is at least -2.41
+// because of the dilation), so no opacity that counts underflows float32.
 void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]) {
     const uint middle = COLUMN_ROWS / 2;
     float dx = splat.mean.x - first_px.x;
     precise float b_dx = splat.form.y * dx;
     precise float a_dx_dx = splat.form.x * dx * dx;
-    // A power of at most 0 but for the rounding of products.
+    // The power is at most 0 except for rounding of the products.
     float limit = splat.opacity * 1.00001;
     if (INCREMENTAL_EXP && COLUMN_ROWS > 2) {
         float dy = splat.mean.y - (first_px.y + float(middle));
@@ -67,7 +69,7 @@ void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]
         precise float bend = splat.form.z;
         precise float alpha = splat.opacity * exp2(power);
         alphas[middle] = counted(alpha, limit);
-        // Bounded, so that 0 times it stays 0.
+        // Bounded, so that the product with 0 is 0 and not NaN.
         precise float below = exp2(min(bend - slope, 100.0));
         precise float down = alpha;
         [[unroll]] for (uint k = middle + 1; k < COLUMN_ROWS; ++k) {
@@ -92,12 +94,12 @@ void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]
     }
 }
 
-// `unclamped`: of column_alphas.
+// `unclamped` is the opacity from column_alphas.
 void blend_splat(Splat splat, float unclamped, uint place, inout Pixel pixel) {
     float alpha = min(ALPHA_MAX, unclamped);
     precise float next = pixel.transmittance * (1.0 - alpha);
-    // Also where the splat does not count, but not where the pixel has stopped before.
-    // Splats come front to back, so what follows one behind the limit lies behind it as well: the pixel stops.
+    // Tested even if the splat does not count at this pixel, but not after the pixel has stopped. Splats come front to back,
+    // so all later splats lie behind the limit too: the pixel stops.
     bool behind = DEPTH_LIMIT && splat.inverse_z < pixel.least_inverse_z;
     bool goes_on = next >= TRANSMITTANCE_MIN && !behind;
     float weight = goes_on ? alpha * pixel.transmittance : 0.0;

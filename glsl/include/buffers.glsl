@@ -1,11 +1,11 @@
-// Buffers in two forms. A shader with this include is compiled twice: as it stands, and with TEXELS, for the drivers of
-// processors. That form reads by texel, a quarter of the work there (engine/vk/texels.rs), and can write by 64 bits: each
-// store is a loop over the lanes, whatever it stores, and works its place out anew in each lane, unless other stores share
-// that. It pays where stores are most of a kernel. A device gets the form that `Limits::prefers_texels` says; both have the same
-// interface and give the same bits.
+// Each buffer has two forms. A shader with this include is compiled twice: as it stands, and with TEXELS for drivers of
+// processors. The TEXELS form reads by texel, which is a quarter of the work there (engine/vk/texels.rs), and can write 64
+// bits at once. On a processor each store is a loop over the lanes, and each lane computes its address again unless other
+// stores share it; the wide store pays where stores are most of a kernel. `Limits::prefers_texels` selects the form for a
+// device. Both forms have the same interface and give the same bits.
 //
-// VEC4_READS(binding, Block, name); declares a buffer, VEC4_AT(name, index) reads from it; likewise for other types, and
-// VEC4_WRITES and VEC4_PUT(name, index, value) to write.
+// VEC4_READS(binding, Block, name); declares a buffer, VEC4_AT(name, index) reads from it; likewise for other types.
+// VEC4_WRITES and VEC4_PUT(name, index, value) write.
 
 #ifdef TEXELS
 #extension GL_EXT_samplerless_texture_functions : require

@@ -1,4 +1,4 @@
-// A column of a strip that is written at once: on processors a store is a loop over the lanes, whatever it stores.
+// Writes a column of a strip with one wide store: on processors a store of any width is a loop over the lanes.
 // Needs strips.glsl, GL_EXT_shader_explicit_arithmetic_types_int64.
 
 uint64_t pair(float first, float second) {

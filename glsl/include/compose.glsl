@@ -1,5 +1,5 @@
-// Writes a blended picture into a host's storage image: alone, or over what is there. A kernel of its own for each
-// format, since the format is part of the image's type. Needs constants.glsl and COMPOSE_FORMAT.
+// Writes a blended picture into a host's storage image, either replacing the image or composited over it. Each format has
+// its own kernel because the format is part of the image's type. Needs constants.glsl and COMPOSE_FORMAT.
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(local_size_x_id = 0) in;
@@ -10,7 +10,7 @@ layout(set = 0, binding = 16, COMPOSE_FORMAT) uniform image2D target;
 layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
-    // The target's texel that is pixel (0, 0).
+    // Texel of the target that receives pixel (0, 0).
     uint offset_x;
     uint offset_y;
     // COMPOSE_BACKGROUND, COMPOSE_PREMULTIPLIED or COMPOSE_OVER.

@@ -18,10 +18,10 @@ const float ELLIPSOID_LEAST_OPACITY = 0.2;
 const uint EXTENT_EXACT = 0;
 const uint EXTENT_REFERENCE = 1;
 
-// Parameters of a Gaussian as vec4 planes, in rows of PLANE_ROW Gaussians. Planes that are read together, those of geometry and
-// those of each SH degree, lie together for all Gaussians, row by row (planes.glsl). A row is a cache line of a GPU, which coalesces
-// it. A processor reads few streams of memory: planes of all Gaussians were a stream each, 45 in the optimiser, more than
-// it fetches ahead; and it fetches nothing of degrees that are not in use yet.
+// Parameters of a Gaussian as vec4 planes, in rows of PLANE_ROW Gaussians. Planes that are read together lie together, row
+// by row, for all Gaussians: the geometry planes, and the planes of each SH degree (planes.glsl). A row is one cache line of
+// a GPU, so accesses coalesce. A processor prefetches few streams of memory. With one stream per plane the optimiser would
+// read 45 of them; and with this layout no bytes of unused SH degrees are fetched.
 const uint PLANE_ROW = 8;
 const uint PLANE_MEAN_OPACITY = 0;
 const uint PLANE_QUAT = 1;
@@ -33,14 +33,14 @@ const uint SH_PLANES_1 = 3;
 const uint SH_PLANES_2 = 7;
 const uint SH_PLANES_3 = 12;
 
-// Attributes of a visible Gaussian, each a vec4: see splat_record.glsl.
+// Attributes of a visible Gaussian, each a vec4 (splat_record.glsl).
 const uint SPLAT_MEAN2D_EXTENT = 0;
 const uint SPLAT_CONIC_OPACITY = 1;
 const uint SPLAT_COLOR_INVERSE_DEPTH = 2;
 const uint SPLAT_FOOTPRINT = 3;
 const uint SPLAT_PLANES = 4;
 
-// Gradient planes of a visible Gaussian: plane p of the i-th visible lies at p * stride + i.
+// Gradient planes of a visible Gaussian: plane p of visible Gaussian i lies at p * stride + i.
 const uint GRADIENT_MEAN_OPACITY = 0;
 const uint GRADIENT_QUAT = 1;
 const uint GRADIENT_LOG_SCALE = 2;
@@ -55,7 +55,7 @@ const uint STATE_INSTANCES = 3;
 const uint STATE_LONGEST_TILE = 4;
 const uint STATE_NON_FINITE = 5;
 const uint STATE_OVERFLOW = 6;
-// Gaussians blended over 8 x 8 pixels, forward and backward, where COUNT_HITS asks for it.
+// With COUNT_HITS: Gaussians blended over 8 x 8 pixels, forward and backward.
 const uint STATE_BLEND_HITS = 7;
 const uint STATE_BLEND_BACKWARD_HITS = 8;
 const uint STATE_WORDS = 9;
@@ -69,31 +69,31 @@ const uint ARGUMENTS_INSTANCES_SORT = 4;
 const uint ARGUMENTS_INSTANCES_EXPAND = 5;
 const uint ARGUMENTS_COUNT = 6;
 
-// Radix sort: bins of one digit at most.
+// Radix sort: most bins of one digit.
 const uint SORT_BINS = 256;
 
 // Marks a Gaussian that is not visible in this frame.
 const uint NOT_VISIBLE = 0xFFFFFFFF;
 
-// Bits of a place on the curve that densification orders Gaussians along, ten for each axis.
+// Bits of a position on the Z-order curve by which densification orders Gaussians: ten per axis.
 const uint ZORDER_BITS = 30;
 
-// What becomes of a Gaussian at densification (kinds of a row of the new set).
+// Kind of a row of the new set at densification.
 const uint KIND_KEPT = 0;
 const uint KIND_CLONE = 1;
 const uint KIND_SPLIT_0 = 2;
 const uint KIND_SPLIT_1 = 3;
-// A row's source is its Gaussian | kind << KIND_SHIFT.
+// Source of a row: Gaussian | kind << KIND_SHIFT.
 const uint KIND_SHIFT = 30;
 
 // Sums of one (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth.
 const uint INSTANCE_SUMS = 10;
 
-// Arithmetic measurement: independent chains of an invocation, and steps of each per round.
+// Arithmetic benchmark: independent chains per invocation, and steps of each chain per round.
 const uint MULTIPLY_ADD_CHAINS = 8;
 const uint MULTIPLY_ADD_STEPS = 4;
 
-// What lies behind the splats in a host's image: a background, nothing (premultiplied colour), or the image itself.
+// What the splats are composited over in a host's image: a background, nothing (premultiplied colour), or the image.
 const uint COMPOSE_BACKGROUND = 0;
 const uint COMPOSE_PREMULTIPLIED = 1;
 const uint COMPOSE_OVER = 2;

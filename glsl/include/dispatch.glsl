@@ -1,4 +1,4 @@
-// Workgroup counts above the axis limit are dispatched in two dimensions: the linear index undoes that.
+// A dispatch above the axis limit is two-dimensional; this recovers the linear workgroup index.
 uint linear_workgroup() {
     return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x;
 }

@@ -1,7 +1,8 @@
-// Frames of very many instances are blended by several dispatches, each over the tiles whose instances begin in a range.
+// Frames with very many instances are blended by several dispatches. Each handles the tiles whose first instance lies in its
+// range.
 // Needs the push constants `first_instance` and `max_instances`.
 
-// Whether this dispatch handles the tile with a range of instances.
+// Whether this dispatch handles the tile with this range of instances.
 bool in_dispatch_range(uvec2 range) {
     return range.x - first_instance < max_instances;
 }

@@ -1,6 +1,7 @@
-// Where the planes of a Gaussian lie: see PLANE_ROW in constants.glsl, and ScenePlan::place, which says the same.
+// Addresses of a Gaussian's parameter planes: see PLANE_ROW in constants.glsl. ScenePlan::place is the same formula on the
+// host.
 
-// Index of plane `plane` of the `index`-th Gaussian of a chunk that holds `gaussians`.
+// Index of `plane` of Gaussian `index` in a chunk with capacity `gaussians`.
 uint plane_at(uint plane, uint index, uint gaussians) {
     uint first = 0, end = PLANE_SH;
     if (plane >= PLANE_SH + SH_PLANES_2) {
@@ -20,7 +21,7 @@ uint plane_at(uint plane, uint index, uint gaussians) {
     return first * gaussians + (row * (end - first) + plane - first) * PLANE_ROW + index % PLANE_ROW;
 }
 
-// The same of a plane of geometry: they come first, however many Gaussians the chunk holds.
+// The same for a geometry plane. Geometry comes first, so the index does not depend on the chunk's capacity.
 uint geometry_at(uint plane, uint index) {
     return plane_at(plane, index, 0);
 }

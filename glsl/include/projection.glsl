@@ -1,6 +1,6 @@
-// EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and backward.
-// Needs constants.glsl, camera_push.glsl, tile_span.glsl and `parameters`. Kernels that can draw something else in place of
-// the Gaussians themselves define CAMERA_PUSH_SHAPE.
+// EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and the backward
+// pass. Kernels that can draw ellipsoids or points instead define CAMERA_PUSH_SHAPE.
+// Needs constants.glsl, camera_push.glsl, tile_span.glsl and `parameters`.
 
 #ifndef CAMERA_PUSH_SHAPE
 const float scale_modifier = 1.0;
@@ -10,8 +10,8 @@ const float opacity_drawn = 0.0;
 
 struct Projection {
     vec3 mean_camera;      // R mean + t
-    mat3 axes_camera;      // R R(q), columns: the Gaussian's axes in camera space, as long as the object's scale
-    vec3 scale;            // exp(log_scale), by the modifier
+    mat3 axes_camera;      // R R(q), columns: the Gaussian's axes in camera space, of the length of the object's scale
+    vec3 scale;            // exp(log_scale) times the scale modifier
     vec4 quat;             // unit, or zero
     float inverse_norm;    // 1 / |q|, or 0 for a zero quaternion
     vec2 slope;            // x/z and y/z, clamped to the Jacobian limits
@@ -21,7 +21,7 @@ struct Projection {
     vec3 row_y;
     vec3 cov2d;            // (xx, xy, yy) with the dilation, px^2
     float det_raw;         // determinant before the dilation
-    float det;             // and after it
+    float det;             // determinant after the dilation
 };
 
 mat3 rotation_of(vec4 q) {
@@ -68,7 +68,7 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     p.row_x = (j_diagonal.x * axes_x + j_depth.x * axes_z) * p.scale;
     p.row_y = (j_diagonal.y * axes_y + j_depth.y * axes_z) * p.scale;
 
-    // det(M M^T) = |row_x x row_y|^2 (Cauchy-Binet): no cancellation between the products of a needle's variances.
+    // det(M M^T) = |row_x x row_y|^2 (Cauchy-Binet). The difference of products would cancel for a needle-shaped Gaussian.
     float xx = dot(p.row_x, p.row_x);
     float yy = dot(p.row_y, p.row_y);
     vec3 minors = cross(p.row_x, p.row_y);
@@ -82,7 +82,7 @@ float sigmoid(float logit) {
     return 1.0 / (1.0 + exp(-logit));
 }
 
-// What a Gaussian covers on the screen.
+// The screen area that a Gaussian covers.
 struct Footprint {
     bool visible;
     float opacity;         // after the antialiasing compensation
@@ -109,7 +109,7 @@ Footprint footprint_of(Projection p, float opacity_logit) {
     bool valid = p.mean_camera.z > NEAR_PLANE && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
         && is_finite(p.cov2d.z) && is_finite(f.mean2d_px.x) && is_finite(f.mean2d_px.y) && is_finite(f.opacity);
 
-    // Extent where opacity * exp(-q/2) = 1/255; widened by more than float32 can err, which costs time only.
+    // Extent at which opacity * exp(-q/2) = 1/255, widened by more than the float32 error. The excess costs time only.
     float level = 2.0 * log(255.0 * f.opacity);
     level = f.opacity >= ALPHA_MIN ? max(level, 0.0) * 1.0001 + 0.002 : 0.0;
     vec2 half_extent = sqrt(level * p.cov2d.xz) * 1.0001 + 0.001;

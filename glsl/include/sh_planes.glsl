@@ -2,7 +2,7 @@
 // Needs sh.glsl, planes.glsl, `parameters`, `chunk_gaussians`.
 
 vec4 sh_plane(uint plane, uint index) {
-    // Planes above the active degree may not exist: read one that does, and drop it.
+    // Planes above the active degree may not exist: read plane 0 instead, and discard it.
     vec4 value = VEC4_AT(parameters, plane_at(PLANE_SH + (plane < SH_PLANES ? plane : 0), index, chunk_gaussians));
     return plane < SH_PLANES ? value : vec4(0.0);
 }

@@ -1,7 +1,7 @@
-// Where the attributes of a visible Gaussian lie. One record of SPLAT_PLANES vec4 behind the other in one buffer, which is
-// then bound to all of them: a Gaussian's attributes are gathered from one cache line; or a buffer for each, where one for
-// all would exceed what a binding may cover.
-// Needs constants.glsl and a push constant `splat_stride`: SPLAT_PLANES, or 1.
+// Address of an attribute of a visible Gaussian. The attributes form records of SPLAT_PLANES vec4, one after the other in
+// one buffer. That buffer is bound at every attribute's binding, so the gather of one Gaussian touches one cache line. If
+// the buffer would exceed the largest binding, each attribute has a buffer of its own.
+// Needs constants.glsl and a push constant `splat_stride`: SPLAT_PLANES, or 1 for separate buffers.
 uint splat_at(uint visible, uint plane) {
     return visible * splat_stride + (splat_stride == 1 ? 0 : plane);
 }

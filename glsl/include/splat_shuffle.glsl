@@ -1,4 +1,4 @@
-// A splat of another lane.
+// Reads the splat of another lane.
 // Needs blending.glsl and GL_KHR_shader_subgroup_shuffle.
 
 Splat shuffled(Splat splat, uint lane) {

@@ -8,12 +8,12 @@ const float SSIM_WINDOW[SSIM_TAPS] = float[](
     0.0010283801, 0.0075987581, 0.0360007721, 0.1093606895, 0.2130055377, 0.2660117249,
     0.2130055377, 0.1093606895, 0.0360007721, 0.0075987581, 0.0010283801);
 
-// What is windowed: only the sum of the two variances occurs in SSIM, so that four moments will do.
+// The four windowed moments. SSIM uses the two variances only as a sum, so x^2 + y^2 is one moment.
 vec4 ssim_moments(vec2 value) {
     return vec4(value, dot(value, value), value.x * value.y);
 }
 
-// SSIM from the windowed x, y, x^2 + y^2 and x y, and its derivatives by the windowed x, x^2 and x y.
+// SSIM from the windowed x, y, x^2 + y^2 and x y, and its derivatives with respect to the windowed x, x^2 and x y.
 float ssim_and_derivatives(vec4 moments, out vec3 derivatives) {
     float mx = moments.x, my = moments.y;
     float a1 = 2.0 * mx * my + SSIM_C1;
@@ -29,7 +29,7 @@ float ssim_and_derivatives(vec4 moments, out vec3 derivatives) {
     return ssim;
 }
 
-// The loss from the means of |x - y| and of SSIM.
+// The loss from the mean of |x - y| and the mean of SSIM.
 float total_loss(vec2 means, float lambda_dssim) {
     return (1.0 - lambda_dssim) * means.x + lambda_dssim * (1.0 - means.y);
 }

@@ -1,7 +1,7 @@
-// Columns of both pictures, in strips.
-// Needs strips.glsl, FLOAT_PHOTO, MASKED (not with FLOAT_PHOTO), and the texels `rendered`, three planes of f32, and `photo`: three
-// planes of bytes, 255 being 1, or of f32; with MASKED it is 0 where the photograph does not count, and a fourth plane is not 0
-// where it does. All are 0 below the picture.
+// Reads columns of both pictures, in strips. All texels below the picture are 0. `rendered` has three planes of f32. `photo`
+// has three planes of bytes (255 is 1) or of f32. With MASKED, `photo` is 0 at pixels that do not count, and has a fourth
+// plane that is not 0 at pixels that count.
+// Needs strips.glsl, FLOAT_PHOTO, MASKED (not with FLOAT_PHOTO), and the texels `rendered` and `photo`.
 
 const uint MASK_PLANE = 3;
 
@@ -14,7 +14,7 @@ uint photo_byte(uvec2 bytes, uint row) {
     return bytes[row / 4] >> (8 * (row % 4)) & 0xFF;
 }
 
-// Rendered value x and the photograph's y at each row of a column; `mask_column` is the same column of the mask.
+// Rendered value x and photograph's value y at each row of a column; `mask_column` is the same column in the mask plane.
 void read_column(uint column, uint mask_column, out vec2 values[STRIP_ROWS]) {
     uvec2 bytes = uvec2(0), mask = uvec2(0);
     if (!FLOAT_PHOTO) bytes = photo_bytes(column);

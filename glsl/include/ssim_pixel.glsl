@@ -1,12 +1,12 @@
-// Both pictures at a pixel, read from where they are.
+// Both pictures at one pixel.
 // Needs FLOAT_PHOTO, MASKED (RGBA8 only), the buffers `accumulated` and `photo`, and the push constant `background`.
 
-// Whether a pixel counts. Those that do not are 0 in both pictures, whatever is there: the pictures times the mask.
+// Whether a pixel counts. The mask multiplies both pictures, so a masked pixel is 0 in both.
 bool counts(uint pixel) {
     return !MASKED || photo[pixel] >> 24 != 0;
 }
 
-// Rendered value x and the photograph's y at a pixel.
+// Rendered value x and photograph's value y at a pixel.
 vec2 rendered_and_photo(uint pixel, uint channel) {
     vec4 rendered = accumulated[pixel];
     uint word = photo[FLOAT_PHOTO ? 3 * pixel + channel : pixel];

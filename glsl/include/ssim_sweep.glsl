@@ -1,6 +1,7 @@
-// The window by sweeps in registers: an invocation goes along a strip of one channel (strips.glsl). It windows each column along
-// the column, and adds the result to the windows of the eleven columns around it, ten of which wait for more.
-// Needs ssim.glsl, strips.glsl, dispatch.glsl, SWEPT (vec3 or vec4: what is windowed together), and the push constants
+// Evaluates the window by sweeps in registers: an invocation moves along a strip of one channel (strips.glsl). It convolves
+// each column vertically, and adds the result to the windows of the eleven columns around it. Ten of these windows are
+// incomplete after each step.
+// Needs ssim.glsl, strips.glsl, dispatch.glsl, SWEPT (vec3 or vec4: the values convolved together), and the push constants
 // image_width, image_height, first_channel, invocations, columns.
 
 const uint SWEEP_VALUES = STRIP_ROWS + 2 * SSIM_RADIUS;
@@ -8,10 +9,10 @@ const uint SWEEP_WAITING = SSIM_TAPS - 1;
 
 // Values of the current column, from SSIM_RADIUS rows above the strip to SSIM_RADIUS below it.
 SWEPT sweep_values[SWEEP_VALUES];
-// Windows of the columns right of the one that is complete next.
+// Incomplete windows: those of the columns right of the next complete one.
 SWEPT sweep_waiting[SWEEP_WAITING][STRIP_ROWS];
 
-// The part of an invocation: columns `first_x` to `end_x` - 1 of a strip.
+// The share of one invocation: columns `first_x` to `end_x` - 1 of a strip.
 struct Sweep {
     bool exists;
     uint channel;
@@ -43,13 +44,14 @@ Sweep sweep_of_invocation() {
     return sweep;
 }
 
-// A column of a plane in the strips above, of and below a sweep; where there is none, another one that can be read.
+// Indices of a plane's column in the strips above, at and below a sweep. A strip that does not exist is replaced by one that
+// can be read.
 uvec3 sweep_columns(Sweep sweep, uint plane, uint x) {
     uint own = strip_column(plane, sweep.strip, x);
     return uvec3(sweep.has_above ? own - strip_pitch() : own, own, sweep.has_below ? own + strip_pitch() : own);
 }
 
-// Takes the current column in, and returns the window of a row SSIM_RADIUS columns left of it. Once per column and row.
+// Adds the current column, and returns the window of a row SSIM_RADIUS columns to its left. Called once per column and row.
 SWEPT sweep_window(uint row) {
     SWEPT along_column = SSIM_WINDOW[SSIM_RADIUS] * sweep_values[row + SSIM_RADIUS];
     [[unroll]] for (uint tap = 0; tap < SSIM_RADIUS; ++tap) {

@@ -1,11 +1,11 @@
 // Subgroup helpers that hold for any subgroup size from 4 to 128.
 // Needs SUBGROUP_SIZE, GL_KHR_shader_subgroup_ballot and _shuffle.
 
-// Words of a ballot that a subgroup of this size fills.
+// Number of ballot words for this subgroup size.
 const uint BALLOT_WORDS = (SUBGROUP_SIZE + 31) / 32;
 
-// Lanes below this one that hold the same `key`, and how many lanes hold it at all, among lanes with `valid`.
-// Narrow subgroups compare by shuffles, wide ones by one ballot per bit of the key (multisplit).
+// Among lanes with `valid`: `peers` is the number of lanes that hold the same `key`, `below` the number of them below this
+// lane. Narrow subgroups compare by shuffles, wide ones by one ballot per bit of the key (multisplit).
 void match_key(uint key, uint bits, bool valid, out uint below, out uint peers) {
     if (SUBGROUP_SIZE <= 8) {
         uint tagged = valid ? key : 0xFFFFFFFF;

@@ -1,6 +1,8 @@
-// The tiles of a footprint, where it meets few: LISTED | their number | column of the first row's first tile | the box's
-// first tile; then the tiles up to the ends of all rows but the last possible one, and the columns of the first tiles of
-// the rows below the first. Columns count from the box's. A footprint of more tiles has their number and no list.
+// The tiles of a footprint, packed into two words if they are few.
+// First word: LISTED | number of tiles | column of the first row's first tile | first tile of the bounding box.
+// Second word: for every possible row except the last, the number of tiles up to its end; then, for every row after the
+// first, the column of its first tile. Columns count from the left side of the box. If the tiles do not fit, the first word
+// is their number and there is no list.
 const uint LISTED = 0x80000000u;
 const uint LISTED_TILES = 31;
 const uint LISTED_COLUMNS = 8;
@@ -19,7 +21,7 @@ uint tiles_met(uvec2 list) {
     return is_listed(list) ? list.x >> LIST_TILES_SHIFT & LISTED_TILES : list.x;
 }
 
-// Tile number `left` of a list.
+// Tile number `left` of the list.
 uint listed_tile(uvec2 list, uint left, uint tiles_per_row) {
     uint row = 0;
     uint before = 0;

@@ -1,12 +1,12 @@
-// How a workgroup of one tile divides it: each subgroup owns a region 8 pixels wide, 8 high (16 high for subgroups of
-// 128), each lane COLUMNS x ROWS of its pixels. A subgroup then culls Gaussians against its own region only, and no
-// barrier is needed to blend. Works for any subgroup size from 4 to 128.
+// Division of a tile within its workgroup. Each subgroup owns a region 8 pixels wide and 8 high (16 high for subgroups of
+// 128). Each lane owns COLUMNS x ROWS pixels of the region. A subgroup culls Gaussians against its own region only, so
+// blending needs no barrier. Works for any subgroup size from 4 to 128.
 // Needs constants.glsl, SUBGROUP_SIZE, GL_KHR_shader_subgroup_basic.
 
 #include "region_shape.glsl"
 
 const uint PIXELS = COLUMNS * ROWS;
-// A column of blending.glsl.
+// Rows of a column, as blending.glsl needs them.
 const uint COLUMN_ROWS = ROWS;
 
 // First pixel of a region, and this lane's first pixel in it.
@@ -18,14 +18,14 @@ uvec2 lane_offset() {
     return uvec2(gl_SubgroupInvocationID % LANES_X, gl_SubgroupInvocationID / LANES_X * ROWS);
 }
 
-// Pixel k of a lane: row k % ROWS of its column k / ROWS. Columns are LANES_X apart, rows lie below each other.
+// Offset of pixel k of a lane: row k % ROWS of its column k / ROWS. Columns are LANES_X apart, rows are adjacent.
 uvec2 pixel_step(uint k) {
     return uvec2(k / ROWS * LANES_X, k % ROWS);
 }
 
-// Whether a Gaussian reaches alpha >= 1/255 at some point of the rectangle of the region's pixel centres. `form` is
-// (a, b, c) of log2 exp(power) = a dx^2 + b dx dy + c dy^2, which is largest on an edge that faces the mean, if the
-// mean lies outside. The test errs on the safe side by more than float32 can: a false hit costs time only.
+// Whether a Gaussian reaches alpha >= 1/255 anywhere in the rectangle of the region's pixel centres. `form` is (a, b, c) of
+// log2 exp(power) = a dx^2 + b dx dy + c dy^2. If the mean lies outside, the form is largest on an edge that faces the mean.
+// The test is conservative by more than the float32 error: a false hit only costs time.
 bool meets_region(vec4 mean2d_extent_px, vec3 form, float opacity, uvec2 origin) {
     vec2 low = vec2(origin) - mean2d_extent_px.xy;
     vec2 high = low + vec2(REGION_WIDTH - 1, REGION_HEIGHT - 1);

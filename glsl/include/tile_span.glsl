@@ -1,13 +1,14 @@
-// Which tiles a Gaussian's footprint meets: the tiles around its box, and of each row of them those that the ellipse
-// meets. Counting (project) and expanding must agree to the bit, hence `precise` throughout.
+// Which tiles a Gaussian's footprint meets: the rows of tiles of its bounding box, and in each row the tiles that the
+// ellipse meets. The count (project) and the duplication (duplicate_with_tiles) must agree to the bit, hence `precise`
+// throughout.
 // Needs constants.glsl and a push constant `extent`.
 //
-// A footprint is four words. Exact extent: shape of the rows (row_shape), tiles met. Reference extent: x0 | x1 << 16 and
-// y0 | y1 << 16 in tiles, the radius in px, tiles met.
+// A footprint is four words. Exact extent: shape of the rows (row_shape), number of tiles. Reference extent: x0 | x1 << 16
+// and y0 | y1 << 16 in tiles, the radius in px, number of tiles.
 
 #include "tile_list.glsl"
 
-// Tiles that hold pixel centres of the box, (x0, x1, y0, y1), the second of each one past the last. Tile t holds the pixel
+// Tiles that hold pixel centres of the box: (x0, x1, y0, y1), where x1 and y1 are one past the last. Tile t holds the pixel
 // centres 16 t .. 16 t + 15.
 uvec4 tile_box(vec4 mean2d_extent_px, uvec2 grid) {
     precise vec2 low = ceil((mean2d_extent_px.xy - mean2d_extent_px.zw - float(TILE_SIZE - 1)) / float(TILE_SIZE));
@@ -25,8 +26,8 @@ uvec4 unpack_tiles(uvec2 packed) {
     return uvec4(packed.x & 0xFFFF, packed.x >> 16, packed.y & 0xFFFF, packed.y >> 16);
 }
 
-// What the rows of an ellipse conic(e, e) <= level have in common, as bits of floats: the height at which it reaches
-// furthest to the left, the slope of the middles of its rows, and half its width through the mean.
+// Terms shared by all rows of an ellipse conic(e, e) <= level, as bits of floats: the height of its leftmost point, the
+// slope of the midpoints of its rows, and its half width at the mean.
 uvec3 row_shape(vec4 mean2d_extent_px, vec4 conic_opacity) {
     precise float leftmost = conic_opacity.y * mean2d_extent_px.z / conic_opacity.z;
     precise float slope = -conic_opacity.y / conic_opacity.x;
@@ -36,8 +37,8 @@ uvec3 row_shape(vec4 mean2d_extent_px, vec4 conic_opacity) {
     return floatBitsToUint(vec3(leftmost, slope, half_width));
 }
 
-// The tiles of one row: (first tile, one past the last). Cut by the row's pixel centres, the ellipse spans [left, right]
-// in x: x = slope y -+ w sqrt(1 - (y/h)^2), extreme at y = -+ leftmost or at the row's edge.
+// The tiles of one row: (first tile, one past the last). Within the row's pixel centres, the ellipse spans [left, right] in
+// x: x = slope y -+ w sqrt(1 - (y/h)^2), with extremes at y = -+ leftmost or at the edges of the row.
 uvec2 tile_span(uint row, vec4 mean2d_extent_px, uvec3 shape, uvec2 tiles_x) {
     if (extent == EXTENT_REFERENCE) {
         return tiles_x;
@@ -55,7 +56,7 @@ uvec2 tile_span(uint row, vec4 mean2d_extent_px, uvec3 shape, uvec2 tiles_x) {
     precise float rise_left = y_left / half_y;
     precise float right = form.y * y_right + form.z * sqrt(max(0.0, 1.0 - rise_right * rise_right));
     precise float left = form.y * y_left - form.z * sqrt(max(0.0, 1.0 - rise_left * rise_left));
-    // Rounding of the terms above grows with their size; the margin grows with it.
+    // The margin grows with the terms above, because their rounding error does.
     precise float margin = 0.02 + 1e-5 * (half_x + half_y);
     right = min(right + margin, half_x);
     left = max(left - margin, -half_x);
@@ -66,18 +67,18 @@ uvec2 tile_span(uint row, vec4 mean2d_extent_px, uvec3 shape, uvec2 tiles_x) {
     return uvec2(x0, x1);
 }
 
-// Goes over all the rows of a box, which has at least one. A word is 0 where there is no list.
+// Packs the tiles of all rows of a box with at least one row. The second word is 0 if the tiles do not fit into a list.
 uvec2 list_tiles(vec4 mean2d_extent_px, uvec3 shape, uvec4 box, uint tiles_per_row) {
     uint tiles = 0;
     uint row = 0;
     uint first_column = 0;
     uint columns = 0;
-    // Ends that are not set are those of rows behind the last: no tile lies behind them.
+    // Row ends that are never set belong to rows after the last: no tile comes after them.
     uint unset = 0;
     // Tested at its end: see blend.comp.
     for (;;) {
         uvec2 span = tile_span(box.z + row, mean2d_extent_px, shape, box.xy);
-        // Of a row without tiles any.
+        // A row without tiles has no first column; any value does.
         uint column = span.x - box.x & LISTED_COLUMNS - 1;
         tiles += span.y - span.x;
         first_column = row == 0 ? column : first_column;

@@ -1,5 +1,5 @@
-// Indirect arguments for one workgroup per block of elements: two-dimensional above the limit of an axis, as dispatch.glsl
-// undoes; all zero for nothing.
+// Indirect arguments for one workgroup per block of elements. Above the axis limit the dispatch is two-dimensional, and
+// dispatch.glsl recovers the linear index. Without elements the arguments are all zero.
 // Needs `max_workgroups_per_axis`.
 uvec4 workgroup_count(uint elements, uint block) {
     uint groups = elements / block + (elements % block != 0 ? 1 : 0);

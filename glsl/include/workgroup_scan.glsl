@@ -1,13 +1,13 @@
 // Exclusive prefix sum over the invocations of a workgroup, for any subgroup size.
 // Needs WORKGROUP_SIZE, SUBGROUP_SIZE and GL_KHR_shader_subgroup_arithmetic.
-// All invocations must call it; it ends with a barrier, so it may be called again at once.
+// All invocations must call it. It ends with a barrier, so the next call may follow immediately.
 
 shared uint scan_subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE + 1];
 
 uint workgroup_exclusive_add(uint value, out uint total) {
     const uint subgroups = WORKGROUP_SIZE / SUBGROUP_SIZE;
     uint before = subgroupExclusiveAdd(value);
-    // Known when the kernel is compiled: without a barrier it is cheaper on a processor.
+    // A compile-time condition. Omitting the barriers saves time on a processor.
     if (subgroups == 1) {
         total = subgroupAdd(value);
         return before;

@@ -12,11 +12,11 @@
 #extension GL_GOOGLE_include_directive : require
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
-// Pixels in a row that one invocation computes: a divisor of 16.
+// Pixels in a row per invocation: a divisor of 16.
 layout(constant_id = 2) const uint STRIP = 4;
-// The photograph is three floats per pixel instead of RGBA8.
+// The photograph has three floats per pixel instead of RGBA8.
 layout(constant_id = 3) const bool FLOAT_PHOTO = false;
-// The fourth byte of a photograph's pixel is 0 where it does not count.
+// The fourth byte of a photograph's pixel is 0 at pixels that do not count.
 layout(constant_id = 4) const bool MASKED = false;
 layout(local_size_x_id = 0) in;
 
@@ -54,7 +54,7 @@ void main() {
     uint channel = first_channel + gl_WorkGroupID.z;
     ivec2 size = ivec2(image_width, image_height);
     ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);
-    // Rows of SSIM_PITCH: no division, for a few idle lanes.
+    // Rows of SSIM_PITCH avoid a division, and leave few lanes idle.
     [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_PITCH; round += WORKGROUP_SIZE) {
         uint at = round + gl_LocalInvocationID.x;
         uvec2 place = uvec2(at % SSIM_PITCH, at / SSIM_PITCH);

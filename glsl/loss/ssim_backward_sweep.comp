@@ -1,10 +1,10 @@
-// The same as ssim_backward.comp without shared memory and barriers: for processors, where a value that goes through
-// memory costs as much as ten multiplications.
+// The same as ssim_backward.comp, without shared memory and barriers. For processors: there a memory access costs as much as
+// ten multiplications.
 //
-// invocation: `columns` columns of a strip of one channel, see ssim_sweep.glsl; subgroup, workgroup: nothing in common
-// in, strips: rendered, photo, see ssim_columns.glsl, derivatives as ssim_forward_sweep.comp leaves them; out, strips:
+// invocation: `columns` columns of a strip of one channel, see ssim_sweep.glsl; subgroup, workgroup: nothing shared
+// in, strips: rendered, photo, see ssim_columns.glsl, derivatives as ssim_forward_sweep.comp writes them; out, strips:
 //     image_gradient, a plane for each channel, undefined below the picture
-// One workgroup more, with `partials` of the forward pass, does what loss_reduce.comp does: a dispatch less.
+// One additional workgroup adds the `partials` of the forward pass as loss_reduce.comp does, which saves a dispatch.
 // shared: none; any subgroup size; reads texels, writes columns
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -35,12 +35,12 @@ layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
     uint first_channel;
-    // Of all channels of the dispatch.
+    // Invocations for all channels of the dispatch.
     uint invocations;
-    // Columns of one invocation.
+    // Columns per invocation.
     uint columns;
     float lambda_dssim;
-    // Of all channels; 0 where another dispatch adds them.
+    // Partial sums of all channels; 0 if another dispatch adds them.
     uint partials;
     uint slot;
 };
@@ -67,7 +67,7 @@ vec3 derivatives_at(uint row) {
     return values;
 }
 
-// The loss, by one subgroup in one fixed order.
+// Adds the loss with one subgroup, in one fixed order.
 void add_partials(float scale) {
     vec2 sum = vec2(0.0);
     for (uint index = gl_SubgroupInvocationID; index < partials; index += SUBGROUP_SIZE) {

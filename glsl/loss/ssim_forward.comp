@@ -1,11 +1,11 @@
-// L1 and SSIM between the rendered image and the photograph, and what the backward pass needs of SSIM
-// (reference: loss_utils.py; Wang et al. 2004).
+// L1 and SSIM between the rendered image and the photograph, and SSIM's derivatives for the backward pass (reference:
+// loss_utils.py; Wang et al. 2004).
 //
 //   SSIM = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sx^2 + sy^2 + C2)), means and variances under the window
 //
 // invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable
 // in, PerPixel: accumulated (r, g, b, T), photo (RGBA8); out, PerPixel and channel (channel * pixels + pixel, from the
-//     first channel of the dispatch): derivatives of SSIM by the windowed x, x^2 and x y;
+//     first channel of the dispatch): derivatives of SSIM with respect to the windowed x, x^2 and x y;
 //     loss_partials[workgroup] = sums of (|x - y|, SSIM)
 // shared: 2 * 26^2 + 4 * 26 * 16 words and two per subgroup; any subgroup size
 #version 460
@@ -17,11 +17,11 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
-// Pixels in a row that one invocation computes: a divisor of 16.
+// Pixels in a row per invocation: a divisor of 16.
 layout(constant_id = 2) const uint STRIP = 4;
-// The photograph is three floats per pixel instead of RGBA8.
+// The photograph has three floats per pixel instead of RGBA8.
 layout(constant_id = 3) const bool FLOAT_PHOTO = false;
-// The fourth byte of a photograph's pixel is 0 where it does not count.
+// The fourth byte of a photograph's pixel is 0 at pixels that do not count.
 layout(constant_id = 4) const bool MASKED = false;
 layout(local_size_x_id = 0) in;
 
@@ -60,7 +60,7 @@ void main() {
     uint channel = first_channel + gl_WorkGroupID.z;
     ivec2 size = ivec2(image_width, image_height);
     ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);
-    // Rows of SSIM_PITCH: no division, for a few idle lanes.
+    // Rows of SSIM_PITCH avoid a division, and leave few lanes idle.
     [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_PITCH; round += WORKGROUP_SIZE) {
         uint at = round + gl_LocalInvocationID.x;
         uvec2 place = uvec2(at % SSIM_PITCH, at / SSIM_PITCH);

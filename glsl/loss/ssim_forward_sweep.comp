@@ -1,9 +1,10 @@
-// The same as ssim_forward.comp without shared memory and barriers: for processors, where a value that goes through
-// memory costs as much as ten multiplications.
+// The same as ssim_forward.comp, without shared memory and barriers. For processors: there a memory access costs as much as
+// ten multiplications.
 //
-// invocation: `columns` columns of a strip of one channel, see ssim_sweep.glsl; subgroup, workgroup: nothing in common
-// in, strips: rendered, photo, see ssim_columns.glsl; out, strips for each channel of the dispatch: derivatives of SSIM by the
-//     windowed x, x^2 and x y, see ssim_derivatives.glsl; loss_partials[first_partial + invocation] = sums of (|x - y|, SSIM)
+// invocation: `columns` columns of a strip of one channel, see ssim_sweep.glsl; subgroup, workgroup: nothing shared
+// in, strips: rendered, photo, see ssim_columns.glsl; out, strips for each channel of the dispatch: derivatives of SSIM with
+//     respect to the windowed x, x^2 and x y, see ssim_derivatives.glsl; loss_partials[first_partial + invocation] = sums of
+//     (|x - y|, SSIM)
 // shared: none; any subgroup size; reads texels, writes columns
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -28,11 +29,11 @@ layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
     uint first_channel;
-    // Of all channels of the dispatch.
+    // Invocations for all channels of the dispatch.
     uint invocations;
-    // Columns of one invocation.
+    // Columns per invocation.
     uint columns;
-    // Where the partial sums of the dispatch begin.
+    // Index of the dispatch's first partial sum.
     uint first_partial;
 };
 

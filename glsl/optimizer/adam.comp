@@ -2,14 +2,15 @@
 //
 //   m <- b1 m + (1 - b1) g,  v <- b2 v + (1 - b2) g^2,  p <- p - rate / (1 - b1^t) m / (sqrt(v / (1 - b2^t)) + eps)
 //
-// Dense: Gaussians outside the view have a zero gradient, and their moments still decay. SPARSE: they are left alone.
-// SH gradients are derived from the colour's here; planes above the active degree have neither gradient nor moments.
-// A Gaussian with a gradient that is not finite is left as it was and counted. Nothing changes if the frame overflowed.
+// Without SPARSE, Gaussians outside the view have a zero gradient, and their moments still decay. With SPARSE they do not
+// change. SH gradients are computed here from the colour's gradient. Planes above the active degree have neither gradient
+// nor moments. A Gaussian with a gradient that is not finite does not change, and is counted. If the frame overflowed,
+// nothing changes.
 //
 // invocation: one Gaussian
 // in: visible_index, gradients (PerVisible planes), state
-// in/out: parameters, moments_1, moments_2 (PerGaussian planes), each bound a second time to be read; state[STATE_NON_FINITE]
-//     counts the skipped
+// in/out: parameters, moments_1, moments_2 (PerGaussian planes), each bound a second time for reads;
+//     state[STATE_NON_FINITE] counts the skipped Gaussians
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -30,7 +31,7 @@ VEC4_WRITES(2, Moments2, moments_2);
 UINT_READS(3, VisibleIndex, visible_index);
 VEC4_READS(4, Gradients, gradients);
 layout(set = 0, binding = 5, scalar) buffer State { uint state[]; };
-// The same memory as the first three: an invocation reads what is its own before it writes it.
+// The same memory as the first three bindings. Each invocation reads its own elements before it writes them.
 VEC4_READS(6, OldParameters, old_parameters);
 VEC4_READS(7, OldMoments1, old_moments_1);
 VEC4_READS(8, OldMoments2, old_moments_2);
@@ -54,7 +55,7 @@ layout(push_constant, scalar) uniform Push {
     float rate_log_scale;
     float rate_sh_dc;
     float rate_sh_rest;
-    // 1 / sqrt(1 - b2^t): for all parameters but the opacity, whose steps may be fewer, and for the opacity.
+    // 1 / sqrt(1 - b2^t): for all parameters except the opacity, and for the opacity, which may have fewer steps.
     float inverse_bias_2;
     float inverse_bias_2_opacity;
 };
@@ -101,10 +102,11 @@ void main() {
         atomicAdd(state[STATE_NON_FINITE], 1);
         return;
     }
-    // The direction is that of the forward pass: it needs the mean from before this step.
+    // The direction of the forward pass, from the mean before this step.
     vec3 mean = VEC4_AT(old_parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)).xyz;
     float basis[16];
-    // Outside the view the colour has no gradient, but a Gaussian at the camera has no direction: NaN times 0 is NaN.
+    // Outside the view the colour has no gradient. A Gaussian at the camera's position has no direction: without this test
+    // NaN times 0 would be NaN.
     sh_basis(seen ? normalize(mean - camera_position) : vec3(0.0), basis);
 
     vec4 bias = vec4(inverse_bias_2);

@@ -30,7 +30,7 @@ void main() {
     uint first = min(linear_invocation() * ITEMS, n);
     uint end = min(first + ITEMS, n);
     uint last_four = end / 4;
-    // The last values may be fewer than four.
+    // The last group may have fewer than four values.
     uint rest = max(last_four * 4, first);
     uint sum = 0;
     for (uint four = first / 4; four < last_four; ++four) {
@@ -42,7 +42,7 @@ void main() {
     }
     uint total;
     uint running = workgroup_exclusive_add(sum, total);
-    // A workgroup past the end has no offset of its own: read one that exists.
+    // A workgroup past the end has no offset: it reads one that exists.
     running += block_offsets[min(block, n == 0 ? 0 : (n - 1) / (WORKGROUP_SIZE * ITEMS))];
     for (uint four = first / 4; four < last_four; ++four) {
         uvec4 value = values[four];

@@ -30,7 +30,7 @@ void main() {
     uint first = min(linear_invocation() * ITEMS, n);
     uint end = min(first + ITEMS, n);
     uint last_four = end / 4;
-    // The last values may be fewer than four.
+    // The last group may have fewer than four values.
     uint rest = max(last_four * 4, first);
     uint sum = 0;
     for (uint four = first / 4; four < last_four; ++four) {

@@ -1,9 +1,8 @@
 // Exclusive prefix sum of the block sums, in place, by a single workgroup: second step of reduce-then-scan.
 //
-// invocation: one block sum at a time; workgroup: walks over all of them with a carry
+// invocation: one block sum at a time; workgroup: loops over all of them with a carry
 // in/out: block_sums[first_sum ..][m], m = ceil(n / block_size); n = count, or totals[count] when from_totals is set
-// out: totals[total_index] = the sum of all, or 0xFFFFFFFF where that needs more than 32 bits: a count that wrapped
-//     around would pass for a small one
+// out: totals[total_index] = the total, or 0xFFFFFFFF if it exceeds 32 bits: a wrapped total would look like a small one
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -18,7 +17,7 @@ layout(local_size_x_id = 0) in;
 layout(set = 0, binding = 0, scalar) buffer BlockSums { uint block_sums[]; };
 layout(set = 0, binding = 1, scalar) buffer Totals { uint totals[]; };
 
-// `from_totals` != 0: the number of values is totals[count], else it is `count`. The sums start at `first_sum`.
+// If `from_totals` != 0, the number of values is totals[count], otherwise `count`. The sums start at `first_sum`.
 layout(push_constant, scalar) uniform Push {
     uint count;
     uint from_totals;
@@ -37,7 +36,7 @@ void main() {
     for (uint first = 0; first < blocks; first += WORKGROUP_SIZE) {
         uint index = first + gl_LocalInvocationID.x;
         uint value = index < blocks ? block_sums[first_sum + (index < blocks ? index : 0)] : 0;
-        // In halves, whose sums cannot wrap.
+        // Sums of 16-bit halves, which cannot wrap.
         uint low_total;
         uint high_total;
         uint low = workgroup_exclusive_add(value & 0xFFFF, low_total);

@@ -1,7 +1,7 @@
 // Stable scatter by one digit: last step of a radix sort pass.
 //
-// Each subgroup owns a contiguous run of its block's keys, so ranks within the run follow from matching lanes
-// round by round, and runs, blocks and digits follow each other in order: that makes the pass stable.
+// Each subgroup owns a contiguous run of its block's keys. Matching lanes, round by round, gives the ranks within the run.
+// Runs, blocks and digits are processed in order, so the pass is stable.
 //
 // invocation: ITEMS keys; subgroup: a run of SUBGROUP_SIZE * ITEMS keys; workgroup: one block
 // in: keys[n], values[n], histogram (exclusive within a digit), digit_totals; out: sorted_keys[n], sorted_values[n]
@@ -20,7 +20,7 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint ITEMS = 16;
-// The values are the keys' own positions (0, 1, 2, ...): then `values` is not read.
+// The values are the keys' indices (0, 1, 2, ...), and `values` is not read.
 layout(constant_id = 3) const bool IDENTITY_VALUES = false;
 layout(local_size_x_id = 0) in;
 
@@ -44,7 +44,7 @@ layout(push_constant, scalar) uniform Push {
 
 const uint SUBGROUPS = WORKGROUP_SIZE / SUBGROUP_SIZE;
 
-// Per subgroup and digit: first the count within the run, then where the run's first such key goes.
+// Per subgroup and digit: first the count within the run, then the output index of the run's first key with this digit.
 shared uint run_bins[SUBGROUPS * SORT_BINS];
 
 void main() {
@@ -76,7 +76,7 @@ void main() {
         rank[k] = before + below;
         subgroupMemoryBarrierShared();
         subgroupBarrier();
-        // The last of the peers carries the count on.
+        // The last of the lanes with the same digit updates the count.
         if (valid && below + 1 == peers) {
             run_bins[run_base + digit] = before + peers;
         }
@@ -85,7 +85,7 @@ void main() {
     }
     barrier();
 
-    // Where each digit starts: the digits before it, the blocks before this one, the runs before each run.
+    // Start of each digit: after all lower digits, all earlier blocks, and all earlier runs.
     uint carry = 0;
     for (uint low = 0; low < digits; low += WORKGROUP_SIZE) {
         uint digit = low + gl_LocalInvocationID.x;

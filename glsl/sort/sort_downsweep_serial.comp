@@ -1,11 +1,11 @@
-// Stable scatter by one digit: last step of a pass of the sort by runs (see sort_upsweep_serial).
+// Stable scatter by one digit: last step of a pass of the serial sort (see sort_upsweep_serial).
 //
-// The counts of the block's runs become the places of their next keys: a digit starts behind all lower digits, and
-// within it behind all earlier blocks and runs. Then each invocation takes the keys of its run in order: that makes the
-// pass stable.
+// The counts of the block's runs become the output indices of their next keys. A digit starts after all lower digits, and
+// within a digit a run starts after all earlier blocks and runs. Each invocation then processes its keys in order, so the
+// pass is stable.
 //
 // invocation: a run of ITEMS keys; workgroup: a single subgroup, one block of SUBGROUP_SIZE runs
-// in: keys[n], values[n], in fours; histogram (exclusive within a digit), digit_totals; run_counts, used up
+// in: keys[n], values[n], in fours; histogram (exclusive within a digit), digit_totals; run_counts, which are overwritten
 // out: sorted_keys[n], sorted_values[n]
 // shared: none; any subgroup size
 #version 460
@@ -18,7 +18,7 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 32;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint ITEMS = 1024;
-// The values are the keys' own positions (0, 1, 2, ...): then `values` is not read.
+// The values are the keys' indices (0, 1, 2, ...), and `values` is not read.
 layout(constant_id = 3) const bool IDENTITY_VALUES = false;
 layout(local_size_x_id = 0) in;
 
@@ -100,7 +100,7 @@ void main() {
         put(row, key.z, value.z);
         put(row, key.w, value.w);
     }
-    // The last run may end within four keys.
+    // The last run may end inside a group of four keys.
     for (uint index = max(end / 4 * 4, first); index < end; ++index) {
         put(row, keys[index / 4][index % 4], IDENTITY_VALUES ? index : values[index / 4][index % 4]);
     }

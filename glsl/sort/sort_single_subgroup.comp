@@ -1,11 +1,11 @@
-// The whole sort of few keys by a single subgroup, in one dispatch: on a processor, the twelve dispatches of the sort by
-// runs cost more than a second core gains.
+// The whole sort of few keys by a single subgroup, in one dispatch. On a processor, the twelve dispatches of the serial sort
+// cost more time than a second core saves.
 //
-// Each pass as in sort_upsweep_serial and sort_downsweep_serial, with as many runs as lanes.
+// Each pass works as in sort_upsweep_serial and sort_downsweep_serial, with as many runs as lanes.
 //
 // invocation: a run of ceil(n / lanes) keys in every pass; workgroup: one, a single subgroup
 // in/out: keys_a[n], values_a[n], n = counts[count_index], in fours; the passes alternate between them and keys_b[n],
-//         values_b[n], and the result lies in a after an even number of passes
+//         values_b[n]; after an even number of passes the result is in a
 // scratch: run_counts: 2^digit_bits words (at least 4) per lane, in fours
 // shared: none; any subgroup size
 #version 460
@@ -17,7 +17,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 32;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
-// The values are the keys' own positions (0, 1, 2, ...): then the first pass does not read `values_a`.
+// The values are the keys' indices (0, 1, 2, ...), and the first pass does not read `values_a`.
 layout(constant_id = 3) const bool IDENTITY_VALUES = false;
 layout(local_size_x_id = 0) in;
 
@@ -34,9 +34,9 @@ layout(push_constant, scalar) uniform Push {
     uint passes;
 };
 
-// Fours of digits.
+// Number of groups of four digits.
 uint quads;
-// Where this lane's histogram begins.
+// Start of this lane's histogram.
 uint row;
 
 void synchronize() {
@@ -60,7 +60,8 @@ uint take_place(uint digit) {
     return place;
 }
 
-// The counts become the places of the runs' next keys: behind all lower digits, and within a digit behind earlier runs.
+// Turns the counts into the output index of each run's next key: after all lower digits, and within a digit after earlier
+// runs.
 void place_runs() {
     uint carry = 0;
     for (uint low = 0; low < quads; low += SUBGROUP_SIZE) {
@@ -83,7 +84,7 @@ void place_runs() {
     }
 }
 
-// A macro, because a buffer cannot be a function's parameter. The last run may end within four keys.
+// A macro, because a buffer cannot be a function's parameter. The last run may end inside a group of four keys.
 #define SORT_PASS(keys, values, sorted_keys, sorted_values, made_up)                            \
     clear_counts();                                                                             \
     for (uint four = first / 4; four < end / 4; ++four) {                                       \

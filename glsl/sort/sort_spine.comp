@@ -1,7 +1,7 @@
-// Exclusive prefix sum of each digit's row of the histogram, in place, and the row's total:
-// second step of a radix sort pass. Rows are independent: a subgroup walks along one, and no barrier is needed.
+// Exclusive prefix sum of each digit's row of the histogram, in place, and the row's total: second step of a radix sort
+// pass. Rows are independent: one subgroup processes a row, and no barrier is needed.
 //
-// invocation: one count at a time; subgroup: one digit's row, walked with a carry; workgroup: some rows
+// invocation: one count at a time; subgroup: one digit's row, with a carry; workgroup: some rows
 // in/out: histogram[digit * blocks + block]; out: digit_totals[digit]
 // shared: none; any subgroup size
 #version 460

@@ -1,7 +1,7 @@
-// Histograms of one digit in each run of keys, and in each block of runs: first step of a pass of the sort by runs.
+// Histograms of one digit in each run of keys, and in each block of runs: first step of a pass of the serial sort.
 //
-// For processors, which have few lanes, no coalescing and slow atomics: an invocation that counts its own consecutive keys
-// in its own histogram needs neither atomics nor barriers, and its cache holds both.
+// For processors, which have few lanes, no coalescing and slow atomics. An invocation counts its own consecutive keys in its
+// own histogram. This needs neither atomics nor barriers, and the cache holds both the keys and the histogram.
 //
 // invocation: a run of ITEMS keys; workgroup: a single subgroup, one block of SUBGROUP_SIZE runs
 // in: keys[n], n = counts[count_index], in fours
@@ -60,7 +60,7 @@ void main() {
         count_key(row, key.z);
         count_key(row, key.w);
     }
-    // The last run may end within four keys.
+    // The last run may end inside a group of four keys.
     for (uint index = max(end / 4 * 4, first); index < end; ++index) {
         count_key(row, keys[index / 4][index % 4]);
     }

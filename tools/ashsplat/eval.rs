@@ -170,7 +170,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
     let model = Model::locate(path, arguments.iteration)?;
     let mut data = arguments.data.applied_to(&model.settings.data)?;
-    // Of a bare PLY nobody knows the split: the usual one.
+    // A bare PLY does not record its split: use the default one.
     data.eval |= model.folder.is_none();
     let scene = arguments.look.load(&model.ply)?;
     let white = model.settings.train.white_background;

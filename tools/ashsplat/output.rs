@@ -13,8 +13,8 @@ use std::sync::OnceLock;
 /// Why stdout takes no more lines, from the first that it did not take.
 static STDOUT_FAILURE: OnceLock<std::io::Error> = OnceLock::new();
 
-/// Writes a line to stdout. Where nobody reads any more nothing happens; of another failure [`check_stdout`] tells at the
-/// end, for the work goes on.
+/// Writes a line to stdout. A closed pipe is no error. The work continues after any other failure, and
+/// [`check_stdout`] reports it at the end.
 pub fn say(text: std::fmt::Arguments<'_>) {
     note(writeln!(std::io::stdout(), "{text}"));
 }
@@ -41,8 +41,8 @@ pub fn check_stdout() -> Result<()> {
     }
 }
 
-/// Refuses results that could not be written, before the work that they are of: `(option, file)`. Folders that are
-/// missing are created when the file is written.
+/// Refuses results that could not be written, before the work that they are of: `(option, file)`. Folders
+/// that are missing are created when the file is written.
 pub fn check(results: &[(&'static str, Option<&Path>)]) -> Result<()> {
     let mut seen: Vec<(&str, PathBuf)> = Vec::new();
     for (option, path) in results.iter().filter_map(|(option, path)| Some((option, (*path)?))) {
@@ -100,7 +100,7 @@ pub fn in_folder<T>(path: &Path, write: impl FnOnce(&Path) -> Result<T>) -> Resu
     let new: Vec<&Path> = above.take_while(|folder| !folder.exists()).collect();
     let result = make_way(path).and_then(|()| write(path));
     if result.is_err() {
-        // Innermost first; one that somebody else has put something into stays.
+        // Innermost first. A folder that another program has put a file into stays.
         new.iter().all(|folder| std::fs::remove_dir(folder).is_ok());
     }
     result
@@ -119,8 +119,8 @@ pub fn remove(path: &Path) -> Result<()> {
     }
 }
 
-/// Removes what an earlier run that was killed while it wrote left in a folder (`.NAME.XXXXXX.tmp`), and so many levels of
-/// folders below it. What cannot be removed stays: it harms nobody.
+/// Removes the temporary files (`.NAME.XXXXXX.tmp`) of an earlier run that was killed, in a folder and in
+/// `levels` levels of folders below it. Files that cannot be removed stay, and do no harm.
 pub fn remove_leftovers(folder: &Path, levels: u32) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten() {
@@ -201,8 +201,8 @@ pub fn write_exr(path: &Path, frame: &Frame) -> Result<()> {
     write_whole(path, |out| out.write_all(bytes.get_ref()))
 }
 
-/// Depth of each pixel: the harmonic mean of the blended Gaussians' depths, `Σ αT / Σ (αT / z)` = (1 − transmittance)
-/// / inverse depth. Where nothing was blended: infinity.
+/// Depth of each pixel: the harmonic mean of the blended Gaussians' depths, `Σ αT / Σ (αT / z)` = (1 −
+/// transmittance) / inverse depth. Where nothing was blended: infinity.
 pub fn expected_depth(frame: &Frame) -> Vec<f32> {
     let Some(inverse_depth) = &frame.inverse_depth else { return vec![f32::INFINITY; frame.color.len()] };
     let depth = |(&inverse, &transmittance): (&f32, &f32)| {

@@ -108,7 +108,8 @@ pub fn cameras(dataset: &Path) -> Result<Vec<NamedCamera>> {
     Ok(cameras)
 }
 
-/// From now on Ctrl-C ends the program at once, for nobody looks at the flag any more; what it was to end is ended here.
+/// From now on Ctrl-C ends the program at once, because the flag is not read any more. An earlier Ctrl-C
+/// takes effect here.
 pub fn end_at_once(stop: &AtomicBool) -> Result<()> {
     if stop.swap(true, Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
 }

@@ -33,9 +33,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
 ///
 /// Names and defaults are those of the reference implementation; hyphens and underscores are both accepted.
-/// Ctrl-C finishes the iteration, saves, writes a checkpoint, and exits with 130. When an iteration fails, the scene
-/// before it is saved and a checkpoint written: no scene where its opacities were reset already, and neither where the
-/// device is lost or too slow, so that nobody knows what became of them. A run that goes on from a checkpoint ends with the same bits as one that was never stopped.
+/// Ctrl-C finishes the iteration, saves, writes a checkpoint, and exits with 130. When an iteration fails,
+/// the scene before it is saved and a checkpoint written. The scene is not saved if its opacities were
+/// already reset. Neither is saved if the device is lost or too slow, because the state of the Gaussians is
+/// then unknown. A run that resumes from a checkpoint ends with the same bits as one that was never stopped.
 #[derive(Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -49,12 +50,13 @@ pub struct Arguments {
     /// Go on from this checkpoint, or from the newest of the model folder; all else must be as it was
     #[arg(long, value_name = "FILE|latest")]
     start_checkpoint: Option<PathBuf>,
-    /// Most memory for photos, with a unit: 800M, 6G; more of them are kept in a file beside the model folder and read
-    /// while training runs, with the same result [default: half of what the device gives or --max-memory says]
+    /// Most memory for photos, with a unit: 800M, 6G; more of them are kept in a file beside the model folder
+    /// and read while training runs, with the same result [default: half of what the device gives or
+    /// --max-memory says]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     photo_memory: Option<u64>,
-    /// Instead of training: run so many iterations twice, compare hashes after each, and name the first kernel whose
-    /// output differs
+    /// Instead of training: run so many iterations twice, compare hashes after each, and name the first
+    /// kernel whose output differs
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     verify_determinism: Option<u32>,
     #[command(flatten)]
@@ -85,7 +87,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
-    // The device first: without one, nobody should wait for the photos.
+    // Open the device first, so that its absence is reported before the photos are loaded.
     let context = arguments.device.context()?;
     let start = arguments.start_checkpoint.as_ref();
     let start = start.map(|asked| Start::read(asked, &settings.data.model_path)).transpose()?;
@@ -166,8 +168,8 @@ pub struct Run {
 }
 
 impl Run {
-    /// Creates the trainer, and then, when nothing but the disk can fail any more, the model folder with everything that
-    /// is known before training.
+    /// Creates the trainer, and then, when nothing but the disk can fail any more, the model folder with
+    /// everything that is known before training.
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
         let points = dataset.initial_points(u64::from(settings.train.seed));
         let initial = ashsplat_files::initial_gaussians(&points, settings.train.sh_degree)?;
@@ -225,7 +227,8 @@ impl Run {
         }
     }
 
-    /// Trains to the end, or until Ctrl-C: then the answer is true. After a failure, too, scene and log are saved.
+    /// Trains to the end, or until Ctrl-C: then the answer is true. After a failure, too, scene and log are
+    /// saved.
     pub fn train(&mut self, stop: &AtomicBool) -> Result<bool> {
         let mut watch = Stopwatch::start();
         let result = self.iterate(stop, &mut watch);
@@ -269,7 +272,7 @@ impl Run {
             }
             let kept = self.check(&report).and_then(|()| self.keep(report.iteration, stopping, watch));
             self.log.add(&report, *kept.as_ref().unwrap_or(&None), &self.trainer.memory());
-            // Whatever became of saving and testing: with the checkpoint, nothing of the training is lost.
+            // Even if saving or testing fails, the checkpoint holds the complete training.
             if stopping || self.settings.data.checkpoint_iterations.contains(&report.iteration) {
                 let written = watch.paused(|| self.write_checkpoint());
                 if let (Err(error), Err(_)) = (&kept, &written) {

@@ -16,9 +16,9 @@ pub struct AshsplatMemoryRequest {
     pub bytes: u64,
     /// The piece begins at a multiple of this in its memory.
     pub alignment: u64,
-    /// Bit i: memory type i will do.
+    /// Bit i: memory type i is allowed.
     pub memory_types: u32,
-    /// Whether it has to be mapped; otherwise it is best device-local.
+    /// Whether it must be mapped; otherwise it should be device-local.
     pub host_visible: bool,
 }
 
@@ -28,17 +28,17 @@ pub struct AshsplatMemoryRequest {
 pub struct AshsplatMemory {
     /// VkDeviceMemory.
     pub memory: u64,
-    /// Bytes in front of the piece there.
+    /// Byte offset of the piece in the memory object.
     pub offset: u64,
-    /// Where the piece begins in the address space if it is mapped, else NULL.
+    /// Host address of the piece if it is mapped, otherwise NULL.
     pub mapped: *mut c_void,
-    /// Whatever the allocator wants to know it by.
+    /// An identifier for the allocator's own use.
     pub id: u64,
 }
 
-/// A host's allocator, which all buffers get their memory from. It is called by what allocates and frees, also from other
-/// threads. Recording never allocates; it frees what only the slot's last frame still used, unless ashsplat_slot_release
-/// has done so.
+/// A host's allocator, which provides the memory of all buffers. Functions that allocate or free call it,
+/// also from other threads. Recording never allocates. It frees memory that only the slot's last frame still
+/// used, unless ashsplat_slot_release has done so.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatAllocator {
@@ -52,7 +52,7 @@ pub struct AshsplatAllocator {
             memory: *mut AshsplatMemory,
         ) -> bool,
     >,
-    /// Takes a piece back that is not in use any more.
+    /// Frees a piece that is not in use any more.
     pub free: Option<unsafe extern "C" fn(user: *mut c_void, memory: AshsplatMemory)>,
 }
 
@@ -66,15 +66,15 @@ pub(super) struct Adapter {
     free: Free,
 }
 
-// SAFETY: whoever hands an allocator over promises that it may be called from any thread.
+// SAFETY: the owner of an allocator promises that it may be called from any thread.
 unsafe impl Send for Adapter {}
 // SAFETY: as above.
 unsafe impl Sync for Adapter {}
 
 impl Adapter {
     /// # Safety
-    /// The functions keep what [`HostAllocator`] and their own documentation say, from any thread, as long as the adapter
-    /// lives.
+    /// The functions keep what [`HostAllocator`] and their own documentation say, from any thread, as long as
+    /// the adapter lives.
     pub(super) unsafe fn new(allocator: &AshsplatAllocator) -> Result<Self> {
         let (Some(allocate), Some(free)) = (allocator.allocate, allocator.free) else {
             return Err(Error::argument("allocator", "a function is null"));
@@ -83,7 +83,7 @@ impl Adapter {
     }
 }
 
-// SAFETY: as whoever made the adapter has promised.
+// SAFETY: as the creator of the adapter has promised.
 unsafe impl HostAllocator for Adapter {
     fn allocate(&self, request: &MemoryRequest<'_>) -> Result<HostMemory, String> {
         let name = CString::new(request.name).unwrap_or_default();

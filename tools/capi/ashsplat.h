@@ -9,11 +9,11 @@
 #include <stdint.h>
 #include <stdlib.h>
 
-// What came of a call.
+// The result of a call.
 typedef enum AshsplatStatus {
-  // All is well.
+  // Success.
   AshsplatStatus_Ok = 0,
-  // An argument makes no sense.
+  // An argument is invalid.
   AshsplatStatus_Argument = 1,
   // A file cannot be read, written or understood.
   AshsplatStatus_File = 2,
@@ -21,29 +21,29 @@ typedef enum AshsplatStatus {
   AshsplatStatus_NoDevice = 3,
   // The device lacks something, or the host has not enabled it.
   AshsplatStatus_MissingFeature = 4,
-  // Something does not fit.
+  // A limit or a capacity is exceeded.
   AshsplatStatus_TooLarge = 5,
   // A Vulkan call failed.
   AshsplatStatus_Vulkan = 6,
   // A defect of this library.
   AshsplatStatus_Internal = 7,
-  // The device is lost: nothing of its context works any more.
+  // The device is lost, and its context is unusable.
   AshsplatStatus_DeviceLost = 8,
-  // A submission is not over after the time that it may take; it is still under way.
+  // A submission has not finished within its timeout; it is still running.
   AshsplatStatus_Timeout = 9,
 } AshsplatStatus;
 
-// What lies behind the splats.
+// What the splats are composited over.
 typedef enum AshsplatBackground {
   // A background colour; the result is opaque.
   AshsplatBackground_Color = 0,
   // Nothing: premultiplied colour and alpha.
   AshsplatBackground_Nothing = 1,
-  // What the image holds.
+  // The image's content.
   AshsplatBackground_Image = 2,
 } AshsplatBackground;
 
-// Which pixels a Gaussian counts at.
+// At which pixels a Gaussian counts.
 typedef enum AshsplatExtent {
   // Wherever its alpha is at least 1/255.
   AshsplatExtent_Exact = 0,
@@ -51,7 +51,8 @@ typedef enum AshsplatExtent {
   AshsplatExtent_Reference = 1,
 } AshsplatExtent;
 
-// Within which directions the projection is linearised at the Gaussian itself; beyond, at the limit.
+// Directions within which the projection is linearised at the Gaussian itself. Outside, it is linearised at
+// the limit.
 typedef enum AshsplatJacobianLimit {
   // The picture's edges and 0.3 tan(fov/2) beyond.
   AshsplatJacobianLimit_Edge = 0,
@@ -59,7 +60,7 @@ typedef enum AshsplatJacobianLimit {
   AshsplatJacobianLimit_Symmetric = 1,
 } AshsplatJacobianLimit;
 
-// What is drawn of each Gaussian.
+// How each Gaussian is drawn.
 typedef enum AshsplatShape {
   // The Gaussian itself.
   AshsplatShape_Gaussian = 0,
@@ -84,8 +85,8 @@ typedef struct AshsplatScene AshsplatScene;
 // Trains Gaussians on photographs.
 typedef struct AshsplatTrainer AshsplatTrainer;
 
-// A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z + cy), where the
-// centre of the first pixel is (0.5, 0.5).
+// A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z +
+// cy), where the centre of the first pixel is (0.5, 0.5).
 typedef struct AshsplatCamera {
   // R, row by row.
   float camera_from_world[9];
@@ -113,7 +114,7 @@ typedef struct AshsplatRenderSettings {
   uint32_t jacobian_limit;
   // An AshsplatShape.
   uint32_t shape;
-  // Highest degree of the spherical harmonics that is used: 3 for all that are stored.
+  // Highest evaluated SH degree: 3 for all stored degrees.
   uint32_t sh_degree;
   // Factor of all scales: 1 for the scene as it is.
   float scale_modifier;
@@ -131,9 +132,9 @@ typedef struct AshsplatMemoryRequest {
   uint64_t bytes;
   // The piece begins at a multiple of this in its memory.
   uint64_t alignment;
-  // Bit i: memory type i will do.
+  // Bit i: memory type i is allowed.
   uint32_t memory_types;
-  // Whether it has to be mapped; otherwise it is best device-local.
+  // Whether it must be mapped; otherwise it should be device-local.
   bool host_visible;
 } AshsplatMemoryRequest;
 
@@ -141,23 +142,23 @@ typedef struct AshsplatMemoryRequest {
 typedef struct AshsplatMemory {
   // VkDeviceMemory.
   uint64_t memory;
-  // Bytes in front of the piece there.
+  // Byte offset of the piece in the memory object.
   uint64_t offset;
-  // Where the piece begins in the address space if it is mapped, else NULL.
+  // Host address of the piece if it is mapped, otherwise NULL.
   void *mapped;
-  // Whatever the allocator wants to know it by.
+  // An identifier for the allocator's own use.
   uint64_t id;
 } AshsplatMemory;
 
-// A host's allocator, which all buffers get their memory from. It is called by what allocates and frees, also from other
-// threads. Recording never allocates; it frees what only the slot's last frame still used, unless ashsplat_slot_release
-// has done so.
+// A host's allocator, which provides the memory of all buffers. Functions that allocate or free call it,
+// also from other threads. Recording never allocates. It frees memory that only the slot's last frame still
+// used, unless ashsplat_slot_release has done so.
 typedef struct AshsplatAllocator {
   // Handed to both functions.
   void *user;
   // Allocates a piece; false when it cannot. Mapped memory has to be host-coherent.
   bool (*allocate)(void *user, const struct AshsplatMemoryRequest *request, struct AshsplatMemory *memory);
-  // Takes a piece back that is not in use any more.
+  // Frees a piece that is not in use any more.
   void (*free)(void *user, struct AshsplatMemory memory);
 } AshsplatAllocator;
 
@@ -173,7 +174,7 @@ typedef struct AshsplatHost {
   void *device;
   // The family of the queues that recordings are submitted to.
   uint32_t queue_family;
-  // VkQueue for what submits by itself, or NULL: then only recording works.
+  // VkQueue for functions that submit, or NULL: then only recording works.
   void *queue;
   // The VkPhysicalDeviceVulkan12Features that the device was created with.
   const void *vulkan12_features;
@@ -185,7 +186,8 @@ typedef struct AshsplatHost {
   uint32_t extension_count;
   // Whether VK_EXT_debug_utils was enabled.
   bool debug_utils;
-  // Where buffers get their memory from, or NULL: from the device itself. Copied; what it refers to is not.
+  // The allocator of the buffers' memory, or NULL for the device itself. The struct is copied; its
+  // pointees are not.
   const struct AshsplatAllocator *allocator;
   // A VkPipelineCache that kernels are built with, or 0. The host keeps and destroys it.
   uint64_t pipeline_cache;
@@ -209,7 +211,8 @@ typedef struct AshsplatHostImage {
   uint32_t layer;
 } AshsplatHostImage;
 
-// How 1/z follows from a depth buffer's value d: 1/z = scale d + offset; nothing is where it holds clear_value.
+// Conversion of a depth buffer's value d: 1/z = scale d + offset. clear_value marks pixels without a
+// surface.
 typedef struct AshsplatDepthMapping {
   // See above.
   float scale;
@@ -219,7 +222,7 @@ typedef struct AshsplatDepthMapping {
   float clear_value;
 } AshsplatDepthMapping;
 
-// A scene and where it stands: x_world = scale rotation x_object + translation.
+// A scene and its pose: x_world = scale rotation x_object + translation.
 typedef struct AshsplatPlaced {
   // The scene.
   const struct AshsplatScene *scene;
@@ -227,7 +230,7 @@ typedef struct AshsplatPlaced {
   float world_from_object[9];
   // World units.
   float translation[3];
-  // World units per unit of the scene, the same in all directions: 1 where nothing is to be scaled.
+  // World units per unit of the scene, the same in all directions: 1 for no scaling.
   float scale;
 } AshsplatPlaced;
 
@@ -241,8 +244,8 @@ typedef struct AshsplatImageState {
   uint64_t accesses;
 } AshsplatImageState;
 
-// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference implementation's
-// files, before their activations.
+// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference
+// implementation's files, before their activations.
 typedef struct AshsplatGaussians {
   // How many.
   uint32_t count;
@@ -264,17 +267,17 @@ typedef struct AshsplatGaussians {
 typedef struct AshsplatUpdate {
   // The scene.
   const struct AshsplatScene *scene;
-  // Index of the first Gaussian that is replaced.
+  // Index of the first replaced Gaussian.
   uint32_t first;
-  // The new ones; harmonics above the scene's degree are dropped, missing ones are zero.
+  // The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
   struct AshsplatGaussians gaussians;
 } AshsplatUpdate;
 
 // A frame to record.
 typedef struct AshsplatFrame {
-  // The scenes, sorted together.
+  // The scenes, whose Gaussians are sorted together.
   const struct AshsplatPlaced *scenes;
-  // How many: one at least.
+  // Number of scenes, at least one.
   uint32_t scene_count;
   // The camera; its width and height are the frame's.
   struct AshsplatCamera camera;
@@ -282,66 +285,67 @@ typedef struct AshsplatFrame {
   const struct AshsplatRenderSettings *settings;
   // The image that is written, or NULL: then the slot's own buffer, ashsplat_slot_pixels.
   const struct AshsplatImage *target;
-  // What the host does with the target before.
+  // The host's use of the target before the frame.
   struct AshsplatImageState target_from;
-  // The target's texel that is the frame's pixel (0, 0).
+  // Texel of the target that receives the frame's pixel (0, 0).
   uint32_t target_offset[2];
-  // What lies behind the splats in the target: an AshsplatBackground.
+  // What the splats are composited over: an AshsplatBackground.
   uint32_t behind;
   // Its colour, for AshsplatBackground_Color.
   float background[3];
-  // The host's depth image, or NULL: splats behind it are hidden.
+  // The host's depth image, which hides splats that are farther away, or NULL.
   const struct AshsplatImage *depth;
-  // What the host does with the depth image before.
+  // The host's use of the depth image before the frame.
   struct AshsplatImageState depth_from;
-  // The depth image's texel that is the frame's pixel (0, 0).
+  // Texel of the depth image that belongs to the frame's pixel (0, 0).
   uint32_t depth_offset[2];
   // How to read it.
   struct AshsplatDepthMapping depth_mapping;
   // The r32f image that expected depth is written to, or NULL.
   const struct AshsplatImage *expected_depth;
-  // What the host does with that image before.
+  // The host's use of that image before the frame.
   struct AshsplatImageState expected_depth_from;
-  // That image's texel that is the frame's pixel (0, 0).
+  // Texel of that image that receives the frame's pixel (0, 0).
   uint32_t expected_depth_offset[2];
-  // Where the splats' weights sum to less, a pixel of expected depth is empty.
+  // A pixel of expected depth is empty if the splats' weights sum to less.
   float min_weight;
   // The expected depth of empty pixels.
   float empty_depth;
-  // What changes before.
+  // Parameter updates before the frame.
   const struct AshsplatUpdate *updates;
-  // How many changes.
+  // Number of updates.
   uint32_t update_count;
 } AshsplatFrame;
 
-// What a recording leaves behind: what uses its results next waits for these stages and accesses, and finds the images
-// in these layouts.
+// The state after a recording. The next user of its results waits for these stages and accesses, and finds
+// the images in these layouts.
 typedef struct AshsplatRelease {
   // VkPipelineStageFlags2 that write results.
   uint64_t stages;
   // VkAccessFlags2 that they write with.
   uint64_t accesses;
-  // How the target was used last.
+  // Last use of the target.
   struct AshsplatImageState target;
-  // How the depth image was used last.
+  // Last use of the depth image.
   struct AshsplatImageState depth;
-  // How the image of expected depth was used last.
+  // Last use of the image of expected depth.
   struct AshsplatImageState expected_depth;
 } AshsplatRelease;
 
-// How parameters lie in a host's own buffers: as planes of four floats. Plane 0 is mean and opacity logit, 1 the quaternion
-// (w, x, y, z), 2 log-scales and 0; the others are the coefficients of the spherical harmonics, red, green and blue one after
-// the other, filled up with zeros. Planes 0 to 2 (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (a degree each) lie together for
-// all Gaussians, in rows of eight: of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at
-// 16 * (first * chunk_gaussians + (i / 8 * (end - first) + p - first) * 8 + i % 8) bytes.
+// The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
+// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and 0. The others are the SH coefficients,
+// red, green and blue one after the other, padded with zeros. The groups of planes are 0 to 2 (geometry), 3,
+// 4 and 5, 6 to 9, and 10 to 14 (one degree each). A group is contiguous for all Gaussians, in rows of
+// eight. In the group of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at byte
+// 16 * (first * chunk_gaussians + (i / 8 * (end - first) + p - first) * 8 + i % 8).
 typedef struct AshsplatScenePlan {
-  // Buffers.
+  // Number of buffers.
   uint32_t chunks;
   // Planes of a Gaussian: three, and those of the spherical harmonics.
   uint32_t planes;
-  // Gaussians that a buffer holds.
+  // Gaussians per buffer.
   uint32_t chunk_gaussians;
-  // Bytes of a buffer.
+  // Bytes per buffer.
   uint64_t chunk_bytes;
 } AshsplatScenePlan;
 
@@ -355,7 +359,7 @@ typedef struct AshsplatHostBuffer {
   uint64_t bytes;
 } AshsplatHostBuffer;
 
-// What is to be allocated ahead for recording.
+// What is allocated in advance for recording.
 typedef struct AshsplatReservation {
   // Frames in flight.
   uint32_t slots;
@@ -365,18 +369,19 @@ typedef struct AshsplatReservation {
   uint32_t scenes;
   // Highest degree of the scenes' spherical harmonics.
   uint32_t sh_degree;
-  // (tile, Gaussian) instances of a frame; 0 for a guess. AshsplatReport says how many a frame needs.
+  // (tile, Gaussian) instances of a frame; 0 for an estimate. AshsplatReport has the number that a frame
+  // needs.
   uint32_t instances;
   // Width of the largest picture, pixels.
   uint32_t width;
   // Height of the largest picture, pixels.
   uint32_t height;
-  // Passes of blending, 0 for one: more only for tiles so full that a driver's limit on loops cuts them off. AshsplatReport
-  // says how many a frame needs.
+  // Passes of blending, 0 for one. More are only needed if a driver's limit on loops cuts off very long
+  // tiles. AshsplatReport has the number that a frame needs.
   uint32_t blend_passes;
   // Whether frames will render the sum of weights / z.
   bool inverse_depth;
-  // Whether frames will be hidden behind a host's depth image.
+  // Whether frames will read a host's depth image.
   bool occlusion;
   // Whether frames will render expected depth.
   bool expected_depth;
@@ -384,30 +389,30 @@ typedef struct AshsplatReservation {
   uint64_t staging_bytes;
 } AshsplatReservation;
 
-// What a recorded frame was made of.
+// The report of a recorded frame.
 typedef struct AshsplatReport {
-  // Whether the frame has finished; nothing else is said before.
+  // Whether the frame has finished. The other fields are valid only then.
   bool finished;
-  // Whether something did not fit: the picture lacks what lies farthest back, or, where `instances_needed` is
-  // `UINT32_MAX`, everything.
+  // Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
+  // if `instances_needed` is `UINT32_MAX`.
   bool overflow;
   // Gaussians in the frame's scenes.
   uint32_t gaussians;
-  // Visible ones.
+  // Visible Gaussians.
   uint32_t visible;
   // (tile, Gaussian) instances that the picture needs.
   uint32_t instances_needed;
-  // Instances that there was room for.
+  // The frame's capacity in instances.
   uint32_t instance_capacity;
-  // Entries of the fullest tile.
+  // Entries of the longest tile.
   uint32_t longest_tile;
-  // Passes of blending that the fullest tile needs.
+  // Passes of blending that the longest tile needs.
   uint32_t blend_passes_needed;
-  // Time on the device, nanoseconds; 0 where it has no clock.
+  // Time on the device, nanoseconds; 0 without timestamps.
   double nanoseconds;
 } AshsplatReport;
 
-// A photograph to train on and where it was taken from.
+// A photograph to train on, and its camera.
 typedef struct AshsplatTrainView {
   // The camera; its size is the photograph's.
   struct AshsplatCamera camera;
@@ -415,20 +420,21 @@ typedef struct AshsplatTrainView {
   const uint8_t *rgb;
 } AshsplatTrainView;
 
-// What a step of training did.
+// The report of a training step.
 typedef struct AshsplatStep {
-  // Whether the step has finished; nothing else is said before.
+  // Whether the step has finished. The other fields are valid only then.
   bool finished;
-  // Whether it changed nothing, because there was too little room: ashsplat_trainer_maintain makes more, then the
-  // iteration is recorded again.
+  // Whether it changed nothing, because a capacity was too small. ashsplat_trainer_maintain grows it. Then
+  // the iteration is recorded again.
   bool overflow;
   // Its iteration, from 1.
   uint32_t iteration;
-  // The loss before it; NaN where the iteration was left out, because there cannot be as much room as its frame needs.
+  // The loss before it; NaN if the iteration was skipped, because its frame exceeds the largest possible
+  // capacity.
   float loss;
   // Gaussians in it.
   uint32_t gaussians;
-  // Visible in its view.
+  // Gaussians visible in its view.
   uint32_t visible;
   // (tile, Gaussian) instances that its view needs.
   uint32_t instances;
@@ -436,16 +442,16 @@ typedef struct AshsplatStep {
   uint32_t view;
 } AshsplatStep;
 
-// What happened between two recorded steps.
+// The report of ashsplat_trainer_maintain.
 typedef struct AshsplatMaintenance {
   // Whether Gaussians were added and removed.
   bool densified;
   // Whether opacities were reset.
   bool opacities_reset;
-  // Whether there is more room now.
+  // Whether the capacity has grown.
   bool grown;
-  // The iteration that was left out, because there cannot be as much room as its frame needs; 0 for none. The next step
-  // is the one behind it.
+  // The iteration that was skipped, because its frame exceeds the largest possible capacity; 0 for none.
+  // The next step is the iteration after it.
   uint32_t skipped;
 } AshsplatMaintenance;
 
@@ -459,16 +465,17 @@ const char *ashsplat_last_error(void);
 // The version of the library, "0.1.0".
 const char *ashsplat_version(void);
 
-// Opens a device of the library's own: the one of this number or part of a name, or for NULL what the environment
-// variable ASHSPLAT_DEVICE says, else the best. It and everything made with it may be used by any thread, by one at a time.
+// Opens a device by its number or part of its name. For NULL, the environment variable ASHSPLAT_DEVICE
+// selects the device, otherwise the best one is opened. The context and everything made from it may be used
+// by any thread, one at a time.
 //
 // # Safety
 // `device` is NULL or a C string; `context` is valid for a write.
 enum AshsplatStatus ashsplat_context_new(const char *device,
                                          struct AshsplatContext **context);
 
-// Closes a context. The device stays open until all that was made from it is freed as well; one of the host's own is
-// left alone.
+// Closes a context. The device stays open until everything made from it is freed as well. A host's device is
+// never closed.
 //
 // # Safety
 // `context` is NULL or of this library and not used afterwards.
@@ -509,7 +516,8 @@ enum AshsplatStatus ashsplat_renderer_new(const struct AshsplatContext *context,
 // `renderer` is NULL or of this library and not used afterwards.
 void ashsplat_renderer_free(struct AshsplatRenderer *renderer);
 
-// A camera at `eye` that looks at `target`, with square pixels and `fov_x` radians from the left to the right edge.
+// A camera at `eye` that looks at `target`, with square pixels and `fov_x` radians from the left to the
+// right edge.
 //
 // # Safety
 // The three vectors have three floats each; `camera` is valid for a write.
@@ -521,11 +529,12 @@ enum AshsplatStatus ashsplat_camera_look_at(const float *eye,
                                             uint32_t height,
                                             struct AshsplatCamera *camera);
 
-// Renders a scene, submits and waits: `rgb` receives red, green and blue of each pixel, row by row, on a background.
+// Renders a scene, submits and waits: `rgb` receives red, green and blue of each pixel, row by row, on a
+// background.
 //
 // # Safety
-// `renderer`, `scene` and `camera` are alive, `settings` too, or NULL for the defaults; `background` has three floats, `rgb`
-// room for 3 * width * height.
+// `renderer`, `scene` and `camera` are alive, `settings` too, or NULL for the defaults; `background` has
+// three floats, `rgb` room for 3 * width * height.
 enum AshsplatStatus ashsplat_render(struct AshsplatRenderer *renderer,
                                     const struct AshsplatScene *scene,
                                     const struct AshsplatCamera *camera,
@@ -539,50 +548,53 @@ enum AshsplatStatus ashsplat_render(struct AshsplatRenderer *renderer,
 // `path` is a C string, `rgb` has 3 * width * height floats.
 enum AshsplatStatus ashsplat_write_png(const char *path, uint32_t width, uint32_t height, const float *rgb);
 
-// What a host has to enable, as text for people.
+// The features and extensions that a host has to enable, as readable text.
 const char *ashsplat_requirements(void);
 
-// Turns on what is required in the structs that a host is going to create its device with, and leaves the rest alone:
-// VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features.
+// Turns on the required features in the structs with which a host will create its device, and does not
+// change the others: VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features.
 //
 // # Safety
 // Both pointers are valid for such structs.
 enum AshsplatStatus ashsplat_merge_features(void *vulkan12,
                                             void *vulkan13);
 
-// A context on a host's device, of which nothing is ever destroyed. Only its queue is waited for, where one is given, by
-// what submits by itself.
+// A context on a host's device. It never destroys objects of the host. Only the given queue is waited for,
+// and only by functions that submit.
 //
 // # Safety
-// - the instance and the device are alive, were created for Vulkan 1.3 or later, and outlive the context and all that
-//   is made from it;
+// - the instance and the device are alive, were created for Vulkan 1.3 or later, and outlive the context and
+//   all that is made from it;
 // - the device was created from the physical device, with the queue family, the features and the extensions;
-// - a queue, if it is given, is one of the device and of that family, and nobody else uses it during a call that submits;
-// - the functions of an allocator may be called from any thread until all that was made from the context is freed, and give
-//   memory that is as requested and nobody else's;
+// - a queue, if given, is one of the device and of that family, and has no other user during a call that
+//   submits;
+// - the functions of an allocator may be called from any thread until everything made from the context is
+//   freed, and return memory as requested, without another user;
 // - `context` is valid for a write.
 enum AshsplatStatus ashsplat_context_from_host(const struct AshsplatHost *host,
                                                struct AshsplatContext **context);
 
-// A view of a host's image: as a target that kernels write (`sampled` false), or as a depth image that they read.
+// A view of a host's image: as a target that kernels write (`sampled` false), or as a depth image that they
+// read.
 //
 // # Safety
-// The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and the
-// execution of all recordings that use it; `image` is valid for a write.
+// The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and
+// the execution of all recordings that use it; `image` is valid for a write.
 enum AshsplatStatus ashsplat_image_adopt(const struct AshsplatContext *context,
                                          const struct AshsplatHostImage *host,
                                          bool sampled,
                                          struct AshsplatImage **image);
 
-// Frees a view; slots keep it as long as their recordings use it, and the host's image has to stay until they have let go:
-// ashsplat_slot_release.
+// Frees a view. Slots keep it as long as their recordings use it, and the host's image must live until they
+// have released it: ashsplat_slot_release.
 //
 // # Safety
 // `image` is NULL or of this library and not used afterwards.
 void ashsplat_image_free(struct AshsplatImage *image);
 
-// A host's matrices as a camera, and how its depth is to be read: both column by column, clip = projection * view *
-// world, depth from 0 to 1, standard or reversed. `clip_y_up`: clip space's +y is at the top of the picture.
+// Converts a host's matrices to a camera and a depth mapping. Both matrices are column-major, clip =
+// projection * view * world, depth from 0 to 1, standard or reversed. `clip_y_up`: clip space's +y is at the
+// top of the picture.
 //
 // # Safety
 // Both matrices have 16 floats; `camera` and `mapping` are valid for a write, or `mapping` is NULL.
@@ -594,17 +606,20 @@ enum AshsplatStatus ashsplat_camera_from_matrices(const float *view_from_world,
                                                   struct AshsplatCamera *camera,
                                                   struct AshsplatDepthMapping *mapping);
 
-// Records a frame into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is wrong
-// with the frame is said before anything is recorded. The slot is in flight until the device has executed it.
+// Records a frame into a VkCommandBuffer. It never submits, waits, allocates, maps or reads back. Errors of
+// the frame are reported before anything is recorded. The slot is in flight until the device has executed
+// the frame.
 //
 // # Safety
-// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
-//   submitted at most once before it is recorded again;
-// - before the slot is recorded again or released, and before the renderer reserves anew or is freed, the execution of the
-//   whole command buffer is over: its fence was waited for; or the slot is discarded. ashsplat_slot_finished does not say
-//   that. Scenes and views of images may be freed before: the slot keeps what it uses;
-// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
-// - what other queues wrote or read is synchronised by the host, by semaphores; images of another queue family were
+// - `commands` is of the context's device and queue family, in the recording state, outside of a render
+//   pass; it is submitted at most once before it is recorded again;
+// - before the slot is recorded again or released, and before the renderer reserves again or is freed, the
+//   execution of the whole command buffer has finished: its fence was waited for; or the slot is discarded.
+//   ashsplat_slot_finished is not enough. Scenes and views of images may be freed earlier: the slot keeps
+//   the ones that it uses;
+// - the host assumes afterwards that the command buffer's compute pipeline, descriptor sets and push
+//   constants have changed;
+// - the host synchronises accesses of other queues by semaphores; images of another queue family were
 //   released there and acquired here;
 // - `frame` is valid with all that it points to, `release` for a write, or NULL.
 enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
@@ -623,8 +638,8 @@ enum AshsplatStatus ashsplat_context_handles(const struct AshsplatContext *conte
                                              void **device,
                                              uint32_t *queue_family);
 
-// Uploads a scene from a host's arrays, with room for `capacity` Gaussians if that is more: AshsplatUpdate and
-// ashsplat_scene_set_count change it later. Of no Gaussians, an empty scene; then nothing is submitted.
+// Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
+// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted.
 //
 // # Safety
 // `context` is alive, `gaussians` is valid with arrays as long as it says, `scene` is valid for a write.
@@ -633,7 +648,7 @@ enum AshsplatStatus ashsplat_scene_new(const struct AshsplatContext *context,
                                        uint32_t capacity,
                                        struct AshsplatScene **scene);
 
-// How the parameters of `capacity` Gaussians lie in a host's own buffers.
+// The layout of the parameters of `capacity` Gaussians in a host's own buffers.
 //
 // # Safety
 // `context` is alive, `plan` is valid for a write.
@@ -642,14 +657,15 @@ enum AshsplatStatus ashsplat_scene_plan(const struct AshsplatContext *context,
                                         uint32_t sh_degree,
                                         struct AshsplatScenePlan *plan);
 
-// A scene of `count` Gaussians in buffers of the host's own, one for each chunk of ashsplat_scene_plan for the same
-// capacity and degree. Whoever writes them signals as for any buffer that compute shaders read.
+// A scene of `count` Gaussians in the host's own buffers, one for each chunk of ashsplat_scene_plan for the
+// same capacity and degree. A host that writes them synchronises the writes as for any buffer that compute
+// shaders read.
 //
 // # Safety
 // - `context` is alive, `buffers` has `buffer_count` elements, `scene` is valid for a write;
-// - each buffer is of the context's device, bound to memory, as large as it says, and has the usages STORAGE_BUFFER,
-//   TRANSFER_SRC and TRANSFER_DST; it lives until the scene is freed and the last recording that uses it has been
-//   executed; no two overlap.
+// - each buffer is of the context's device, bound to memory, of the given size, and has the usages
+//   STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST; it lives until the scene is freed and the last recording
+//   that uses it has been executed; no two overlap.
 enum AshsplatStatus ashsplat_scene_from_buffers(const struct AshsplatContext *context,
                                                 uint32_t capacity,
                                                 uint32_t sh_degree,
@@ -664,26 +680,26 @@ enum AshsplatStatus ashsplat_scene_from_buffers(const struct AshsplatContext *co
 // `scene` is alive.
 enum AshsplatStatus ashsplat_scene_set_count(struct AshsplatScene *scene, uint32_t count);
 
-// Staging memory that an update of so many Gaussians of a scene of this degree takes, for AshsplatReservation.
+// Staging bytes of an update of `gaussians` Gaussians of a scene of this degree, for AshsplatReservation.
 uint64_t ashsplat_update_bytes(uint32_t gaussians,
                                uint32_t sh_degree);
 
-// The settings that a scene is trained with and shown as it is.
+// The default settings, with which scenes are trained and shown.
 //
 // # Safety
 // `settings` is valid for a write.
 enum AshsplatStatus ashsplat_render_settings(struct AshsplatRenderSettings *settings);
 
-// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before, whose command
-// buffers have to be over.
+// Allocates frame slots and builds all kernels that frames of this kind need. Replaces the previous slots,
+// whose command buffers must have finished.
 //
 // # Safety
 // `renderer` and `wanted` are alive.
 enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
                                      const struct AshsplatReservation *wanted);
 
-// What the last frame of a slot was made of, once it has finished. Never waits, but on llvmpipe, where asking for the time
-// does.
+// The report of a slot's last frame, once it has finished. Never waits, except on llvmpipe, where reading
+// the time waits.
 //
 // # Safety
 // `renderer` is alive, `report` valid for a write.
@@ -691,11 +707,12 @@ enum AshsplatStatus ashsplat_slot_report(struct AshsplatRenderer *renderer,
                                          uint32_t slot,
                                          struct AshsplatReport *report);
 
-// The VkBuffer that a frame without target fills, and the bytes in front of it there: premultiplied red, green, blue
-// and transmittance of each pixel, row by row, as floats. A storage buffer and a source of transfers, until the renderer
-// reserves anew. The host uses it behind the frame, after a barrier from AshsplatRelease's stages and accesses, until the slot
-// is recorded again; if it reads it in other stages than compute and transfer, in a later command buffer, it waits for those
-// before.
+// The VkBuffer that a frame without target fills, and the byte offset in it: premultiplied red, green, blue
+// and transmittance of each pixel, row by row, as floats. Usable as a storage buffer and a source of
+// transfers, until the renderer reserves again. The host may use it after the frame, behind a barrier from
+// AshsplatRelease's stages and accesses, until the slot is recorded again. A host that reads it in other
+// stages than compute and transfer, in a later command buffer, must wait for those stages before the next
+// recording.
 //
 // # Safety
 // `renderer` is alive, `buffer` and `offset` are valid for a write.
@@ -704,8 +721,8 @@ enum AshsplatStatus ashsplat_slot_pixels(struct AshsplatRenderer *renderer,
                                          uint64_t *buffer,
                                          uint64_t *offset);
 
-// The VkBuffer that the sum of weights / z is rendered into (AshsplatRenderSettings), and the bytes in front of it there:
-// a float for each pixel, row by row.
+// The VkBuffer with the sum of weights / z (AshsplatRenderSettings), and the byte offset in it: a float for
+// each pixel, row by row.
 //
 // # Safety
 // As ashsplat_slot_pixels.
@@ -714,33 +731,36 @@ enum AshsplatStatus ashsplat_slot_inverse_depth(struct AshsplatRenderer *rendere
                                                 uint64_t *buffer,
                                                 uint64_t *offset);
 
-// Whether the last frame of a slot is done. What the host has recorded behind it may still run. Never waits.
+// Whether the last frame of a slot has finished. Commands that the host has recorded after it may still run.
+// Never waits.
 //
 // # Safety
 // `renderer` is alive, `finished` valid for a write.
 enum AshsplatStatus ashsplat_slot_finished(struct AshsplatRenderer *renderer, uint32_t slot, bool *finished);
 
-// Lets go of what the last frame of a slot used: scenes and views that were freed meanwhile are destroyed now, and not
-// when the slot is recorded again.
+// Releases what the last frame of a slot used. Scenes and views that were freed meanwhile are destroyed now
+// instead of at the slot's next recording.
 //
 // # Safety
-// `renderer` is alive; the frame's command buffer is over: its fence was waited for.
+// `renderer` is alive; the frame's command buffer has finished: its fence was waited for.
 enum AshsplatStatus ashsplat_slot_release(struct AshsplatRenderer *renderer,
                                           uint32_t slot);
 
 // Forgets the last recording of a slot, whose command buffer was thrown away.
 //
 // # Safety
-// `renderer` is alive; the command buffer was not submitted and is not going to be, or its execution is over.
+// `renderer` is alive; the command buffer was not submitted and never will be, or its execution has
+// finished.
 enum AshsplatStatus ashsplat_slot_discard(struct AshsplatRenderer *renderer, uint32_t slot);
 
-// Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the largest distance
-// of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the names of the reference
-// implementation's settings, `{"iterations": 7000}`; what is missing keeps its default, and so does everything for NULL.
+// Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the
+// largest distance of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the
+// names of the reference implementation's settings, `{"iterations": 7000}`; missing settings keep their
+// defaults, and NULL keeps all defaults.
 //
 // # Safety
-// `context` is alive, `views` has `view_count` elements with bytes as the cameras say, `initial` is valid with arrays as
-// long as it says, `settings_json` is NULL or a C string, `trainer` is valid for a write.
+// `context` is alive, `views` has `view_count` elements with bytes as the cameras say, `initial` is valid
+// with arrays as long as it says, `settings_json` is NULL or a C string, `trainer` is valid for a write.
 enum AshsplatStatus ashsplat_trainer_new(const struct AshsplatContext *context,
                                          const struct AshsplatTrainView *views,
                                          uint32_t view_count,
@@ -761,40 +781,44 @@ void ashsplat_trainer_free(struct AshsplatTrainer *trainer);
 // `trainer` is alive, `step` is NULL or valid for a write.
 enum AshsplatStatus ashsplat_trainer_step(struct AshsplatTrainer *trainer, struct AshsplatStep *step);
 
-// Builds all kernels and allocates everything that recorded steps need: `slots` of them may be in flight, with room for
-// `instances` (tile, Gaussian) pairs at least, or 0 for a guess. Submits and waits.
+// Builds all kernels and allocates everything that recorded steps need. `slots` steps may be in flight, with
+// a capacity of at least `instances` (tile, Gaussian) pairs, or 0 for an estimate. Submits and waits.
 //
 // # Safety
-// `trainer` is alive; the whole command buffers of all recorded steps are over: their fences were waited for. That
-// ashsplat_trainer_outcome has an answer does not say that.
+// `trainer` is alive; the whole command buffers of all recorded steps have finished: their fences were
+// waited for. A result of ashsplat_trainer_outcome is not enough.
 enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
                                              uint32_t slots,
                                              uint32_t instances);
 
-// Records the next iteration into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is
-// wrong is said before anything is recorded, also that maintenance is due. The slot is in flight until the device has
-// executed it.
+// Records the next iteration into a VkCommandBuffer. It never submits, waits, allocates, maps or reads back.
+// Errors are reported before anything is recorded, including that maintenance is due. The slot is in flight
+// until the device has executed the step.
 //
 // # Safety
-// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
-//   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
-// - the trainer lives until its execution is over, and the slot is recorded again only then: its fence was waited for;
-// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
+// - `commands` is of the context's device and queue family, in the recording state, outside of a render
+//   pass; it is submitted at most once before it is recorded again, and steps in the order in which they
+//   were recorded;
+// - the trainer lives until the execution has finished, and the slot is recorded again only then: its fence
+//   was waited for;
+// - the host assumes afterwards that the command buffer's compute pipeline, descriptor sets and push
+//   constants have changed;
 // - `release` is NULL or valid for a write.
 enum AshsplatStatus ashsplat_trainer_record(struct AshsplatTrainer *trainer,
                                             void *commands,
                                             uint32_t slot,
                                             struct AshsplatRelease *release);
 
-// Forgets the last recorded step of a slot, whose command buffer was thrown away: then those of all steps recorded behind it
-// have to be thrown away as well.
+// Forgets the last recorded step of a slot, whose command buffer was discarded. The command buffers of all
+// steps recorded after it must then be discarded as well.
 //
 // # Safety
 // `trainer` is alive; the command buffer was not submitted and is not going to be.
 enum AshsplatStatus ashsplat_trainer_discard(struct AshsplatTrainer *trainer,
                                              uint32_t slot);
 
-// What came of the last recorded step of a slot. Never waits, but on llvmpipe, where asking for the time does.
+// The outcome of the last recorded step of a slot. Never waits, except on llvmpipe, where reading the time
+// waits.
 //
 // # Safety
 // `trainer` is alive, `step` valid for a write.
@@ -802,23 +826,23 @@ enum AshsplatStatus ashsplat_trainer_outcome(struct AshsplatTrainer *trainer,
                                              uint32_t slot,
                                              struct AshsplatStep *step);
 
-// Whether ashsplat_trainer_maintain has to be called before another step can be recorded. Never waits.
+// Whether ashsplat_trainer_maintain must be called before another step can be recorded. Never waits.
 //
 // # Safety
 // `trainer` is alive, `is_due` valid for a write.
 enum AshsplatStatus ashsplat_trainer_maintenance_is_due(struct AshsplatTrainer *trainer, bool *is_due);
 
-// Does what recorded steps cannot: densifies and resets opacities where that is due, makes room after a step that
-// overflowed. Submits, waits and allocates; no recorded step may be in flight. Scenes of ashsplat_trainer_scene are out
-// of date afterwards.
+// Does what recorded steps cannot: densifies and resets opacities if that is due, and grows the capacity
+// after a step that overflowed. Submits, waits and allocates; no recorded step may be in flight. Scenes of
+// ashsplat_trainer_scene are out of date afterwards.
 //
 // # Safety
-// `trainer` is alive, `done` is NULL or valid for a write; the whole command buffers of all recorded steps are over: their
-// fences were waited for. That ashsplat_trainer_outcome has an answer does not say that.
+// `trainer` is alive, `done` is NULL or valid for a write; the whole command buffers of all recorded steps
+// have finished: their fences were waited for. A result of ashsplat_trainer_outcome is not enough.
 enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
                                               struct AshsplatMaintenance *done);
 
-// The Gaussians as they lie on the device, for ashsplat_record behind recorded steps, until the next
+// The Gaussians on the device, for ashsplat_record after recorded steps. Valid until the next
 // ashsplat_trainer_maintain or ashsplat_trainer_step.
 //
 // # Safety
@@ -826,7 +850,8 @@ enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
 enum AshsplatStatus ashsplat_trainer_scene(const struct AshsplatTrainer *trainer,
                                            struct AshsplatScene **scene);
 
-// Reads the Gaussians back and writes them as PLY in the reference implementation's layout. Submits and waits.
+// Reads the Gaussians back and writes them as PLY in the reference implementation's layout. Submits and
+// waits.
 //
 // # Safety
 // `trainer` is alive, `path` is a C string.

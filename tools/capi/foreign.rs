@@ -21,7 +21,7 @@ use std::sync::Arc;
 /// A view of a host's image.
 pub struct AshsplatImage(Image);
 
-/// What a host has to enable, as text for people.
+/// The features and extensions that a host has to enable, as readable text.
 #[unsafe(no_mangle)]
 pub extern "C" fn ashsplat_requirements() -> *const c_char {
     static TEXT: std::sync::OnceLock<std::ffi::CString> = std::sync::OnceLock::new();
@@ -30,8 +30,8 @@ pub extern "C" fn ashsplat_requirements() -> *const c_char {
     text.as_ptr()
 }
 
-/// Turns on what is required in the structs that a host is going to create its device with, and leaves the rest alone:
-/// VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features.
+/// Turns on the required features in the structs with which a host will create its device, and does not
+/// change the others: VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features.
 ///
 /// # Safety
 /// Both pointers are valid for such structs.
@@ -49,16 +49,17 @@ pub unsafe extern "C" fn ashsplat_merge_features(
     })
 }
 
-/// A context on a host's device, of which nothing is ever destroyed. Only its queue is waited for, where one is given, by
-/// what submits by itself.
+/// A context on a host's device. It never destroys objects of the host. Only the given queue is waited for,
+/// and only by functions that submit.
 ///
 /// # Safety
-/// - the instance and the device are alive, were created for Vulkan 1.3 or later, and outlive the context and all that
-///   is made from it;
+/// - the instance and the device are alive, were created for Vulkan 1.3 or later, and outlive the context and
+///   all that is made from it;
 /// - the device was created from the physical device, with the queue family, the features and the extensions;
-/// - a queue, if it is given, is one of the device and of that family, and nobody else uses it during a call that submits;
-/// - the functions of an allocator may be called from any thread until all that was made from the context is freed, and give
-///   memory that is as requested and nobody else's;
+/// - a queue, if given, is one of the device and of that family, and has no other user during a call that
+///   submits;
+/// - the functions of an allocator may be called from any thread until everything made from the context is
+///   freed, and return memory as requested, without another user;
 /// - `context` is valid for a write.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_context_from_host(
@@ -116,11 +117,12 @@ unsafe fn from_host(host: &AshsplatHost) -> Result<Context> {
     }
 }
 
-/// A view of a host's image: as a target that kernels write (`sampled` false), or as a depth image that they read.
+/// A view of a host's image: as a target that kernels write (`sampled` false), or as a depth image that they
+/// read.
 ///
 /// # Safety
-/// The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and the
-/// execution of all recordings that use it; `image` is valid for a write.
+/// The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and
+/// the execution of all recordings that use it; `image` is valid for a write.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_image_adopt(
     context: *const AshsplatContext,
@@ -145,8 +147,8 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
     })
 }
 
-/// Frees a view; slots keep it as long as their recordings use it, and the host's image has to stay until they have let go:
-/// ashsplat_slot_release.
+/// Frees a view. Slots keep it as long as their recordings use it, and the host's image must live until they
+/// have released it: ashsplat_slot_release.
 ///
 /// # Safety
 /// `image` is NULL or of this library and not used afterwards.
@@ -156,8 +158,9 @@ pub unsafe extern "C" fn ashsplat_image_free(image: *mut AshsplatImage) {
     unsafe { take(image) }
 }
 
-/// A host's matrices as a camera, and how its depth is to be read: both column by column, clip = projection * view *
-/// world, depth from 0 to 1, standard or reversed. `clip_y_up`: clip space's +y is at the top of the picture.
+/// Converts a host's matrices to a camera and a depth mapping. Both matrices are column-major, clip =
+/// projection * view * world, depth from 0 to 1, standard or reversed. `clip_y_up`: clip space's +y is at the
+/// top of the picture.
 ///
 /// # Safety
 /// Both matrices have 16 floats; `camera` and `mapping` are valid for a write, or `mapping` is NULL.
@@ -189,17 +192,20 @@ pub unsafe extern "C" fn ashsplat_camera_from_matrices(
     })
 }
 
-/// Records a frame into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is wrong
-/// with the frame is said before anything is recorded. The slot is in flight until the device has executed it.
+/// Records a frame into a VkCommandBuffer. It never submits, waits, allocates, maps or reads back. Errors of
+/// the frame are reported before anything is recorded. The slot is in flight until the device has executed
+/// the frame.
 ///
 /// # Safety
-/// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
-///   submitted at most once before it is recorded again;
-/// - before the slot is recorded again or released, and before the renderer reserves anew or is freed, the execution of the
-///   whole command buffer is over: its fence was waited for; or the slot is discarded. ashsplat_slot_finished does not say
-///   that. Scenes and views of images may be freed before: the slot keeps what it uses;
-/// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
-/// - what other queues wrote or read is synchronised by the host, by semaphores; images of another queue family were
+/// - `commands` is of the context's device and queue family, in the recording state, outside of a render
+///   pass; it is submitted at most once before it is recorded again;
+/// - before the slot is recorded again or released, and before the renderer reserves again or is freed, the
+///   execution of the whole command buffer has finished: its fence was waited for; or the slot is discarded.
+///   ashsplat_slot_finished is not enough. Scenes and views of images may be freed earlier: the slot keeps
+///   the ones that it uses;
+/// - the host assumes afterwards that the command buffer's compute pipeline, descriptor sets and push
+///   constants have changed;
+/// - the host synchronises accesses of other queues by semaphores; images of another queue family were
 ///   released there and acquired here;
 /// - `frame` is valid with all that it points to, `release` for a write, or NULL.
 #[unsafe(no_mangle)]

@@ -86,7 +86,7 @@ unsafe fn borrowed<'a, T>(pointer: *const T, what: &str) -> Result<&'a T> {
 /// The object behind a pointer, to change it.
 ///
 /// # Safety
-/// The pointer is null or valid for the call, and nobody else uses the object meanwhile.
+/// The pointer is null or valid for the call, and the object has no other user meanwhile.
 unsafe fn borrowed_mut<'a, T>(pointer: *mut T, what: &str) -> Result<&'a mut T> {
     // SAFETY: as promised.
     unsafe { pointer.as_mut() }.ok_or_else(|| Error::argument(what, "the pointer is null"))
@@ -154,8 +154,9 @@ pub extern "C" fn ashsplat_version() -> *const c_char {
     VERSION.as_ptr().cast()
 }
 
-/// Opens a device of the library's own: the one of this number or part of a name, or for NULL what the environment
-/// variable ASHSPLAT_DEVICE says, else the best. It and everything made with it may be used by any thread, by one at a time.
+/// Opens a device by its number or part of its name. For NULL, the environment variable ASHSPLAT_DEVICE
+/// selects the device, otherwise the best one is opened. The context and everything made from it may be used
+/// by any thread, one at a time.
 ///
 /// # Safety
 /// `device` is NULL or a C string; `context` is valid for a write.
@@ -175,8 +176,8 @@ pub unsafe extern "C" fn ashsplat_context_new(
     })
 }
 
-/// Closes a context. The device stays open until all that was made from it is freed as well; one of the host's own is
-/// left alone.
+/// Closes a context. The device stays open until everything made from it is freed as well. A host's device is
+/// never closed.
 ///
 /// # Safety
 /// `context` is NULL or of this library and not used afterwards.
@@ -265,7 +266,8 @@ pub unsafe extern "C" fn ashsplat_renderer_free(renderer: *mut AshsplatRenderer)
     unsafe { take(renderer) }
 }
 
-/// A camera at `eye` that looks at `target`, with square pixels and `fov_x` radians from the left to the right edge.
+/// A camera at `eye` that looks at `target`, with square pixels and `fov_x` radians from the left to the
+/// right edge.
 ///
 /// # Safety
 /// The three vectors have three floats each; `camera` is valid for a write.
@@ -291,11 +293,12 @@ pub unsafe extern "C" fn ashsplat_camera_look_at(
     })
 }
 
-/// Renders a scene, submits and waits: `rgb` receives red, green and blue of each pixel, row by row, on a background.
+/// Renders a scene, submits and waits: `rgb` receives red, green and blue of each pixel, row by row, on a
+/// background.
 ///
 /// # Safety
-/// `renderer`, `scene` and `camera` are alive, `settings` too, or NULL for the defaults; `background` has three floats, `rgb`
-/// room for 3 * width * height.
+/// `renderer`, `scene` and `camera` are alive, `settings` too, or NULL for the defaults; `background` has
+/// three floats, `rgb` room for 3 * width * height.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_render(
     renderer: *mut AshsplatRenderer,

@@ -49,8 +49,8 @@ pub(super) fn updates<'a>(copied: &'a [(&'a DeviceScene, u32, Gaussians)]) -> Ve
     copied.iter().map(|&(scene, first, ref gaussians)| Update { scene, first, gaussians }).collect()
 }
 
-/// Uploads a scene from a host's arrays, with room for `capacity` Gaussians if that is more: AshsplatUpdate and
-/// ashsplat_scene_set_count change it later. Of no Gaussians, an empty scene; then nothing is submitted.
+/// Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
+/// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted.
 ///
 /// # Safety
 /// `context` is alive, `gaussians` is valid with arrays as long as it says, `scene` is valid for a write.
@@ -74,7 +74,7 @@ pub unsafe extern "C" fn ashsplat_scene_new(
     })
 }
 
-/// How the parameters of `capacity` Gaussians lie in a host's own buffers.
+/// The layout of the parameters of `capacity` Gaussians in a host's own buffers.
 ///
 /// # Safety
 /// `context` is alive, `plan` is valid for a write.
@@ -98,14 +98,15 @@ pub unsafe extern "C" fn ashsplat_scene_plan(
     })
 }
 
-/// A scene of `count` Gaussians in buffers of the host's own, one for each chunk of ashsplat_scene_plan for the same
-/// capacity and degree. Whoever writes them signals as for any buffer that compute shaders read.
+/// A scene of `count` Gaussians in the host's own buffers, one for each chunk of ashsplat_scene_plan for the
+/// same capacity and degree. A host that writes them synchronises the writes as for any buffer that compute
+/// shaders read.
 ///
 /// # Safety
 /// - `context` is alive, `buffers` has `buffer_count` elements, `scene` is valid for a write;
-/// - each buffer is of the context's device, bound to memory, as large as it says, and has the usages STORAGE_BUFFER,
-///   TRANSFER_SRC and TRANSFER_DST; it lives until the scene is freed and the last recording that uses it has been
-///   executed; no two overlap.
+/// - each buffer is of the context's device, bound to memory, of the given size, and has the usages
+///   STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST; it lives until the scene is freed and the last recording
+///   that uses it has been executed; no two overlap.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_scene_from_buffers(
     context: *const AshsplatContext,
@@ -142,7 +143,7 @@ pub unsafe extern "C" fn ashsplat_scene_set_count(scene: *mut AshsplatScene, cou
     guarded(|| unsafe { borrowed_mut(scene, "scene")?.scene.set_count(count) })
 }
 
-/// Staging memory that an update of so many Gaussians of a scene of this degree takes, for AshsplatReservation.
+/// Staging bytes of an update of `gaussians` Gaussians of a scene of this degree, for AshsplatReservation.
 #[unsafe(no_mangle)]
 pub extern "C" fn ashsplat_update_bytes(gaussians: u32, sh_degree: u32) -> u64 {
     Reservation::update_bytes(gaussians, sh_degree.min(3))

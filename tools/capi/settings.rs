@@ -3,7 +3,7 @@
 use super::{AshsplatStatus, borrowed_mut, guarded};
 use ashsplat::{Background, Error, Extent, JacobianLimit, RenderSettings, Result, Shape};
 
-/// What lies behind the splats.
+/// What the splats are composited over.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatBackground {
@@ -11,11 +11,11 @@ pub enum AshsplatBackground {
     Color = 0,
     /// Nothing: premultiplied colour and alpha.
     Nothing = 1,
-    /// What the image holds.
+    /// The image's content.
     Image = 2,
 }
 
-/// Which pixels a Gaussian counts at.
+/// At which pixels a Gaussian counts.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatExtent {
@@ -25,7 +25,8 @@ pub enum AshsplatExtent {
     Reference = 1,
 }
 
-/// Within which directions the projection is linearised at the Gaussian itself; beyond, at the limit.
+/// Directions within which the projection is linearised at the Gaussian itself. Outside, it is linearised at
+/// the limit.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatJacobianLimit {
@@ -35,7 +36,7 @@ pub enum AshsplatJacobianLimit {
     Symmetric = 1,
 }
 
-/// What is drawn of each Gaussian.
+/// How each Gaussian is drawn.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatShape {
@@ -57,7 +58,7 @@ pub struct AshsplatRenderSettings {
     pub jacobian_limit: u32,
     /// An AshsplatShape.
     pub shape: u32,
-    /// Highest degree of the spherical harmonics that is used: 3 for all that are stored.
+    /// Highest evaluated SH degree: 3 for all stored degrees.
     pub sh_degree: u32,
     /// Factor of all scales: 1 for the scene as it is.
     pub scale_modifier: f32,
@@ -98,7 +99,7 @@ pub(super) fn behind(number: u32, background: [f32; 3]) -> Result<Background> {
     one_of("behind", number, &[Background::Color(background), Background::Nothing, Background::Image])
 }
 
-/// The settings that a scene is trained with and shown as it is.
+/// The default settings, with which scenes are trained and shown.
 ///
 /// # Safety
 /// `settings` is valid for a write.

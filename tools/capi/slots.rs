@@ -7,8 +7,8 @@ use ashsplat::ash::vk::Handle;
 use ashsplat::vk::Buffer;
 use ashsplat::{Reservation, Result};
 
-/// Allocates frame slots and builds all kernels that frames of this kind need, in place of those before, whose command
-/// buffers have to be over.
+/// Allocates frame slots and builds all kernels that frames of this kind need. Replaces the previous slots,
+/// whose command buffers must have finished.
 ///
 /// # Safety
 /// `renderer` and `wanted` are alive.
@@ -34,8 +34,8 @@ pub unsafe extern "C" fn ashsplat_reserve(
     })
 }
 
-/// What the last frame of a slot was made of, once it has finished. Never waits, but on llvmpipe, where asking for the time
-/// does.
+/// The report of a slot's last frame, once it has finished. Never waits, except on llvmpipe, where reading
+/// the time waits.
 ///
 /// # Safety
 /// `renderer` is alive, `report` valid for a write.
@@ -53,11 +53,12 @@ pub unsafe extern "C" fn ashsplat_slot_report(
     })
 }
 
-/// The VkBuffer that a frame without target fills, and the bytes in front of it there: premultiplied red, green, blue
-/// and transmittance of each pixel, row by row, as floats. A storage buffer and a source of transfers, until the renderer
-/// reserves anew. The host uses it behind the frame, after a barrier from AshsplatRelease's stages and accesses, until the slot
-/// is recorded again; if it reads it in other stages than compute and transfer, in a later command buffer, it waits for those
-/// before.
+/// The VkBuffer that a frame without target fills, and the byte offset in it: premultiplied red, green, blue
+/// and transmittance of each pixel, row by row, as floats. Usable as a storage buffer and a source of
+/// transfers, until the renderer reserves again. The host may use it after the frame, behind a barrier from
+/// AshsplatRelease's stages and accesses, until the slot is recorded again. A host that reads it in other
+/// stages than compute and transfer, in a later command buffer, must wait for those stages before the next
+/// recording.
 ///
 /// # Safety
 /// `renderer` is alive, `buffer` and `offset` are valid for a write.
@@ -75,8 +76,8 @@ pub unsafe extern "C" fn ashsplat_slot_pixels(
     })
 }
 
-/// The VkBuffer that the sum of weights / z is rendered into (AshsplatRenderSettings), and the bytes in front of it there:
-/// a float for each pixel, row by row.
+/// The VkBuffer with the sum of weights / z (AshsplatRenderSettings), and the byte offset in it: a float for
+/// each pixel, row by row.
 ///
 /// # Safety
 /// As ashsplat_slot_pixels.
@@ -106,7 +107,8 @@ unsafe fn tell(found: &Buffer, buffer: *mut u64, offset: *mut u64) -> Result<()>
     Ok(())
 }
 
-/// Whether the last frame of a slot is done. What the host has recorded behind it may still run. Never waits.
+/// Whether the last frame of a slot has finished. Commands that the host has recorded after it may still run.
+/// Never waits.
 ///
 /// # Safety
 /// `renderer` is alive, `finished` valid for a write.
@@ -123,11 +125,11 @@ pub unsafe extern "C" fn ashsplat_slot_finished(
     })
 }
 
-/// Lets go of what the last frame of a slot used: scenes and views that were freed meanwhile are destroyed now, and not
-/// when the slot is recorded again.
+/// Releases what the last frame of a slot used. Scenes and views that were freed meanwhile are destroyed now
+/// instead of at the slot's next recording.
 ///
 /// # Safety
-/// `renderer` is alive; the frame's command buffer is over: its fence was waited for.
+/// `renderer` is alive; the frame's command buffer has finished: its fence was waited for.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_slot_release(renderer: *mut AshsplatRenderer, slot: u32) -> AshsplatStatus {
     // SAFETY: as promised.
@@ -137,7 +139,8 @@ pub unsafe extern "C" fn ashsplat_slot_release(renderer: *mut AshsplatRenderer, 
 /// Forgets the last recording of a slot, whose command buffer was thrown away.
 ///
 /// # Safety
-/// `renderer` is alive; the command buffer was not submitted and is not going to be, or its execution is over.
+/// `renderer` is alive; the command buffer was not submitted and never will be, or its execution has
+/// finished.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_slot_discard(renderer: *mut AshsplatRenderer, slot: u32) -> AshsplatStatus {
     // SAFETY: as promised.

@@ -14,7 +14,7 @@ use std::ffi::{c_char, c_void};
 /// Trains Gaussians on photographs.
 pub struct AshsplatTrainer(Trainer);
 
-/// A photograph to train on and where it was taken from.
+/// A photograph to train on, and its camera.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatTrainView {
@@ -24,22 +24,23 @@ pub struct AshsplatTrainView {
     pub rgb: *const u8,
 }
 
-/// What a step of training did.
+/// The report of a training step.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AshsplatStep {
-    /// Whether the step has finished; nothing else is said before.
+    /// Whether the step has finished. The other fields are valid only then.
     pub finished: bool,
-    /// Whether it changed nothing, because there was too little room: ashsplat_trainer_maintain makes more, then the
-    /// iteration is recorded again.
+    /// Whether it changed nothing, because a capacity was too small. ashsplat_trainer_maintain grows it. Then
+    /// the iteration is recorded again.
     pub overflow: bool,
     /// Its iteration, from 1.
     pub iteration: u32,
-    /// The loss before it; NaN where the iteration was left out, because there cannot be as much room as its frame needs.
+    /// The loss before it; NaN if the iteration was skipped, because its frame exceeds the largest possible
+    /// capacity.
     pub loss: f32,
     /// Gaussians in it.
     pub gaussians: u32,
-    /// Visible in its view.
+    /// Gaussians visible in its view.
     pub visible: u32,
     /// (tile, Gaussian) instances that its view needs.
     pub instances: u32,
@@ -73,7 +74,7 @@ impl From<&StepOutcome> for AshsplatStep {
     }
 }
 
-/// What happened between two recorded steps.
+/// The report of ashsplat_trainer_maintain.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AshsplatMaintenance {
@@ -81,10 +82,10 @@ pub struct AshsplatMaintenance {
     pub densified: bool,
     /// Whether opacities were reset.
     pub opacities_reset: bool,
-    /// Whether there is more room now.
+    /// Whether the capacity has grown.
     pub grown: bool,
-    /// The iteration that was left out, because there cannot be as much room as its frame needs; 0 for none. The next step
-    /// is the one behind it.
+    /// The iteration that was skipped, because its frame exceeds the largest possible capacity; 0 for none.
+    /// The next step is the iteration after it.
     pub skipped: u32,
 }
 
@@ -99,13 +100,14 @@ impl From<Maintenance> for AshsplatMaintenance {
     }
 }
 
-/// Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the largest distance
-/// of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the names of the reference
-/// implementation's settings, `{"iterations": 7000}`; what is missing keeps its default, and so does everything for NULL.
+/// Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the
+/// largest distance of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the
+/// names of the reference implementation's settings, `{"iterations": 7000}`; missing settings keep their
+/// defaults, and NULL keeps all defaults.
 ///
 /// # Safety
-/// `context` is alive, `views` has `view_count` elements with bytes as the cameras say, `initial` is valid with arrays as
-/// long as it says, `settings_json` is NULL or a C string, `trainer` is valid for a write.
+/// `context` is alive, `views` has `view_count` elements with bytes as the cameras say, `initial` is valid
+/// with arrays as long as it says, `settings_json` is NULL or a C string, `trainer` is valid for a write.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_trainer_new(
     context: *const AshsplatContext,
@@ -180,12 +182,12 @@ pub unsafe extern "C" fn ashsplat_trainer_step(
     })
 }
 
-/// Builds all kernels and allocates everything that recorded steps need: `slots` of them may be in flight, with room for
-/// `instances` (tile, Gaussian) pairs at least, or 0 for a guess. Submits and waits.
+/// Builds all kernels and allocates everything that recorded steps need. `slots` steps may be in flight, with
+/// a capacity of at least `instances` (tile, Gaussian) pairs, or 0 for an estimate. Submits and waits.
 ///
 /// # Safety
-/// `trainer` is alive; the whole command buffers of all recorded steps are over: their fences were waited for. That
-/// ashsplat_trainer_outcome has an answer does not say that.
+/// `trainer` is alive; the whole command buffers of all recorded steps have finished: their fences were
+/// waited for. A result of ashsplat_trainer_outcome is not enough.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_trainer_reserve(
     trainer: *mut AshsplatTrainer,
@@ -198,15 +200,18 @@ pub unsafe extern "C" fn ashsplat_trainer_reserve(
     })
 }
 
-/// Records the next iteration into a VkCommandBuffer. Submits, waits for, allocates, maps and reads back nothing; what is
-/// wrong is said before anything is recorded, also that maintenance is due. The slot is in flight until the device has
-/// executed it.
+/// Records the next iteration into a VkCommandBuffer. It never submits, waits, allocates, maps or reads back.
+/// Errors are reported before anything is recorded, including that maintenance is due. The slot is in flight
+/// until the device has executed the step.
 ///
 /// # Safety
-/// - `commands` is of the context's device and queue family, in the recording state, outside of a render pass; it is
-///   submitted at most once before it is recorded again, and steps in the order in which they were recorded;
-/// - the trainer lives until its execution is over, and the slot is recorded again only then: its fence was waited for;
-/// - the host expects nothing of the command buffer's compute pipeline, descriptor sets and push constants afterwards;
+/// - `commands` is of the context's device and queue family, in the recording state, outside of a render
+///   pass; it is submitted at most once before it is recorded again, and steps in the order in which they
+///   were recorded;
+/// - the trainer lives until the execution has finished, and the slot is recorded again only then: its fence
+///   was waited for;
+/// - the host assumes afterwards that the command buffer's compute pipeline, descriptor sets and push
+///   constants have changed;
 /// - `release` is NULL or valid for a write.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_trainer_record(
@@ -227,8 +232,8 @@ pub unsafe extern "C" fn ashsplat_trainer_record(
     })
 }
 
-/// Forgets the last recorded step of a slot, whose command buffer was thrown away: then those of all steps recorded behind it
-/// have to be thrown away as well.
+/// Forgets the last recorded step of a slot, whose command buffer was discarded. The command buffers of all
+/// steps recorded after it must then be discarded as well.
 ///
 /// # Safety
 /// `trainer` is alive; the command buffer was not submitted and is not going to be.
@@ -244,7 +249,8 @@ pub unsafe extern "C" fn ashsplat_trainer_discard(
     })
 }
 
-/// What came of the last recorded step of a slot. Never waits, but on llvmpipe, where asking for the time does.
+/// The outcome of the last recorded step of a slot. Never waits, except on llvmpipe, where reading the time
+/// waits.
 ///
 /// # Safety
 /// `trainer` is alive, `step` valid for a write.
@@ -262,7 +268,7 @@ pub unsafe extern "C" fn ashsplat_trainer_outcome(
     })
 }
 
-/// Whether ashsplat_trainer_maintain has to be called before another step can be recorded. Never waits.
+/// Whether ashsplat_trainer_maintain must be called before another step can be recorded. Never waits.
 ///
 /// # Safety
 /// `trainer` is alive, `is_due` valid for a write.
@@ -278,13 +284,13 @@ pub unsafe extern "C" fn ashsplat_trainer_maintenance_is_due(
     })
 }
 
-/// Does what recorded steps cannot: densifies and resets opacities where that is due, makes room after a step that
-/// overflowed. Submits, waits and allocates; no recorded step may be in flight. Scenes of ashsplat_trainer_scene are out
-/// of date afterwards.
+/// Does what recorded steps cannot: densifies and resets opacities if that is due, and grows the capacity
+/// after a step that overflowed. Submits, waits and allocates; no recorded step may be in flight. Scenes of
+/// ashsplat_trainer_scene are out of date afterwards.
 ///
 /// # Safety
-/// `trainer` is alive, `done` is NULL or valid for a write; the whole command buffers of all recorded steps are over: their
-/// fences were waited for. That ashsplat_trainer_outcome has an answer does not say that.
+/// `trainer` is alive, `done` is NULL or valid for a write; the whole command buffers of all recorded steps
+/// have finished: their fences were waited for. A result of ashsplat_trainer_outcome is not enough.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_trainer_maintain(
     trainer: *mut AshsplatTrainer,
@@ -300,7 +306,7 @@ pub unsafe extern "C" fn ashsplat_trainer_maintain(
     })
 }
 
-/// The Gaussians as they lie on the device, for ashsplat_record behind recorded steps, until the next
+/// The Gaussians on the device, for ashsplat_record after recorded steps. Valid until the next
 /// ashsplat_trainer_maintain or ashsplat_trainer_step.
 ///
 /// # Safety
@@ -317,7 +323,8 @@ pub unsafe extern "C" fn ashsplat_trainer_scene(
     })
 }
 
-/// Reads the Gaussians back and writes them as PLY in the reference implementation's layout. Submits and waits.
+/// Reads the Gaussians back and writes them as PLY in the reference implementation's layout. Submits and
+/// waits.
 ///
 /// # Safety
 /// `trainer` is alive, `path` is a C string.

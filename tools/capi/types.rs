@@ -7,13 +7,13 @@ use ashsplat::{Camera, Release, SlotReport};
 use glam::{Mat3, Vec3};
 use std::ffi::{c_char, c_void};
 
-/// What came of a call.
+/// The result of a call.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatStatus {
-    /// All is well.
+    /// Success.
     Ok = 0,
-    /// An argument makes no sense.
+    /// An argument is invalid.
     Argument = 1,
     /// A file cannot be read, written or understood.
     File = 2,
@@ -21,20 +21,20 @@ pub enum AshsplatStatus {
     NoDevice = 3,
     /// The device lacks something, or the host has not enabled it.
     MissingFeature = 4,
-    /// Something does not fit.
+    /// A limit or a capacity is exceeded.
     TooLarge = 5,
     /// A Vulkan call failed.
     Vulkan = 6,
     /// A defect of this library.
     Internal = 7,
-    /// The device is lost: nothing of its context works any more.
+    /// The device is lost, and its context is unusable.
     DeviceLost = 8,
-    /// A submission is not over after the time that it may take; it is still under way.
+    /// A submission has not finished within its timeout; it is still running.
     Timeout = 9,
 }
 
-/// A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z + cy), where the
-/// centre of the first pixel is (0.5, 0.5).
+/// A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z +
+/// cy), where the centre of the first pixel is (0.5, 0.5).
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatCamera {
@@ -72,7 +72,8 @@ impl From<&AshsplatCamera> for Camera {
     }
 }
 
-/// How 1/z follows from a depth buffer's value d: 1/z = scale d + offset; nothing is where it holds clear_value.
+/// Conversion of a depth buffer's value d: 1/z = scale d + offset. clear_value marks pixels without a
+/// surface.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatDepthMapping {
@@ -110,7 +111,7 @@ pub struct AshsplatHost {
     pub device: *mut c_void,
     /// The family of the queues that recordings are submitted to.
     pub queue_family: u32,
-    /// VkQueue for what submits by itself, or NULL: then only recording works.
+    /// VkQueue for functions that submit, or NULL: then only recording works.
     pub queue: *mut c_void,
     /// The VkPhysicalDeviceVulkan12Features that the device was created with.
     pub vulkan12_features: *const c_void,
@@ -122,7 +123,8 @@ pub struct AshsplatHost {
     pub extension_count: u32,
     /// Whether VK_EXT_debug_utils was enabled.
     pub debug_utils: bool,
-    /// Where buffers get their memory from, or NULL: from the device itself. Copied; what it refers to is not.
+    /// The allocator of the buffers' memory, or NULL for the device itself. The struct is copied; its
+    /// pointees are not.
     pub allocator: *const super::AshsplatAllocator,
     /// A VkPipelineCache that kernels are built with, or 0. The host keeps and destroys it.
     pub pipeline_cache: u64,
@@ -160,7 +162,7 @@ pub struct AshsplatImageState {
     pub accesses: u64,
 }
 
-/// What is to be allocated ahead for recording.
+/// What is allocated in advance for recording.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatReservation {
@@ -172,18 +174,19 @@ pub struct AshsplatReservation {
     pub scenes: u32,
     /// Highest degree of the scenes' spherical harmonics.
     pub sh_degree: u32,
-    /// (tile, Gaussian) instances of a frame; 0 for a guess. AshsplatReport says how many a frame needs.
+    /// (tile, Gaussian) instances of a frame; 0 for an estimate. AshsplatReport has the number that a frame
+    /// needs.
     pub instances: u32,
     /// Width of the largest picture, pixels.
     pub width: u32,
     /// Height of the largest picture, pixels.
     pub height: u32,
-    /// Passes of blending, 0 for one: more only for tiles so full that a driver's limit on loops cuts them off. AshsplatReport
-    /// says how many a frame needs.
+    /// Passes of blending, 0 for one. More are only needed if a driver's limit on loops cuts off very long
+    /// tiles. AshsplatReport has the number that a frame needs.
     pub blend_passes: u32,
     /// Whether frames will render the sum of weights / z.
     pub inverse_depth: bool,
-    /// Whether frames will be hidden behind a host's depth image.
+    /// Whether frames will read a host's depth image.
     pub occlusion: bool,
     /// Whether frames will render expected depth.
     pub expected_depth: bool,
@@ -191,8 +194,8 @@ pub struct AshsplatReservation {
     pub staging_bytes: u64,
 }
 
-/// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference implementation's
-/// files, before their activations.
+/// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference
+/// implementation's files, before their activations.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatGaussians {
@@ -212,21 +215,22 @@ pub struct AshsplatGaussians {
     pub sh: *const f32,
 }
 
-/// How parameters lie in a host's own buffers: as planes of four floats. Plane 0 is mean and opacity logit, 1 the quaternion
-/// (w, x, y, z), 2 log-scales and 0; the others are the coefficients of the spherical harmonics, red, green and blue one after
-/// the other, filled up with zeros. Planes 0 to 2 (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (a degree each) lie together for
-/// all Gaussians, in rows of eight: of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at
-/// 16 * (first * chunk_gaussians + (i / 8 * (end - first) + p - first) * 8 + i % 8) bytes.
+/// The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
+/// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and 0. The others are the SH coefficients,
+/// red, green and blue one after the other, padded with zeros. The groups of planes are 0 to 2 (geometry), 3,
+/// 4 and 5, 6 to 9, and 10 to 14 (one degree each). A group is contiguous for all Gaussians, in rows of
+/// eight. In the group of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at byte
+/// 16 * (first * chunk_gaussians + (i / 8 * (end - first) + p - first) * 8 + i % 8).
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatScenePlan {
-    /// Buffers.
+    /// Number of buffers.
     pub chunks: u32,
     /// Planes of a Gaussian: three, and those of the spherical harmonics.
     pub planes: u32,
-    /// Gaussians that a buffer holds.
+    /// Gaussians per buffer.
     pub chunk_gaussians: u32,
-    /// Bytes of a buffer.
+    /// Bytes per buffer.
     pub chunk_bytes: u64,
 }
 
@@ -248,13 +252,13 @@ pub struct AshsplatHostBuffer {
 pub struct AshsplatUpdate {
     /// The scene.
     pub scene: *const super::AshsplatScene,
-    /// Index of the first Gaussian that is replaced.
+    /// Index of the first replaced Gaussian.
     pub first: u32,
-    /// The new ones; harmonics above the scene's degree are dropped, missing ones are zero.
+    /// The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
     pub gaussians: AshsplatGaussians,
 }
 
-/// A scene and where it stands: x_world = scale rotation x_object + translation.
+/// A scene and its pose: x_world = scale rotation x_object + translation.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct AshsplatPlaced {
@@ -264,7 +268,7 @@ pub struct AshsplatPlaced {
     pub world_from_object: [f32; 9],
     /// World units.
     pub translation: [f32; 3],
-    /// World units per unit of the scene, the same in all directions: 1 where nothing is to be scaled.
+    /// World units per unit of the scene, the same in all directions: 1 for no scaling.
     pub scale: f32,
 }
 
@@ -283,9 +287,9 @@ impl AshsplatPlaced {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct AshsplatFrame {
-    /// The scenes, sorted together.
+    /// The scenes, whose Gaussians are sorted together.
     pub scenes: *const AshsplatPlaced,
-    /// How many: one at least.
+    /// Number of scenes, at least one.
     pub scene_count: u32,
     /// The camera; its width and height are the frame's.
     pub camera: AshsplatCamera,
@@ -293,40 +297,40 @@ pub struct AshsplatFrame {
     pub settings: *const super::AshsplatRenderSettings,
     /// The image that is written, or NULL: then the slot's own buffer, ashsplat_slot_pixels.
     pub target: *const super::AshsplatImage,
-    /// What the host does with the target before.
+    /// The host's use of the target before the frame.
     pub target_from: AshsplatImageState,
-    /// The target's texel that is the frame's pixel (0, 0).
+    /// Texel of the target that receives the frame's pixel (0, 0).
     pub target_offset: [u32; 2],
-    /// What lies behind the splats in the target: an AshsplatBackground.
+    /// What the splats are composited over: an AshsplatBackground.
     pub behind: u32,
     /// Its colour, for AshsplatBackground_Color.
     pub background: [f32; 3],
-    /// The host's depth image, or NULL: splats behind it are hidden.
+    /// The host's depth image, which hides splats that are farther away, or NULL.
     pub depth: *const super::AshsplatImage,
-    /// What the host does with the depth image before.
+    /// The host's use of the depth image before the frame.
     pub depth_from: AshsplatImageState,
-    /// The depth image's texel that is the frame's pixel (0, 0).
+    /// Texel of the depth image that belongs to the frame's pixel (0, 0).
     pub depth_offset: [u32; 2],
     /// How to read it.
     pub depth_mapping: AshsplatDepthMapping,
     /// The r32f image that expected depth is written to, or NULL.
     pub expected_depth: *const super::AshsplatImage,
-    /// What the host does with that image before.
+    /// The host's use of that image before the frame.
     pub expected_depth_from: AshsplatImageState,
-    /// That image's texel that is the frame's pixel (0, 0).
+    /// Texel of that image that receives the frame's pixel (0, 0).
     pub expected_depth_offset: [u32; 2],
-    /// Where the splats' weights sum to less, a pixel of expected depth is empty.
+    /// A pixel of expected depth is empty if the splats' weights sum to less.
     pub min_weight: f32,
     /// The expected depth of empty pixels.
     pub empty_depth: f32,
-    /// What changes before.
+    /// Parameter updates before the frame.
     pub updates: *const AshsplatUpdate,
-    /// How many changes.
+    /// Number of updates.
     pub update_count: u32,
 }
 
-/// What a recording leaves behind: what uses its results next waits for these stages and accesses, and finds the images
-/// in these layouts.
+/// The state after a recording. The next user of its results waits for these stages and accesses, and finds
+/// the images in these layouts.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AshsplatRelease {
@@ -334,11 +338,11 @@ pub struct AshsplatRelease {
     pub stages: u64,
     /// VkAccessFlags2 that they write with.
     pub accesses: u64,
-    /// How the target was used last.
+    /// Last use of the target.
     pub target: AshsplatImageState,
-    /// How the depth image was used last.
+    /// Last use of the depth image.
     pub depth: AshsplatImageState,
-    /// How the image of expected depth was used last.
+    /// Last use of the image of expected depth.
     pub expected_depth: AshsplatImageState,
 }
 
@@ -371,28 +375,28 @@ impl From<&Release> for AshsplatRelease {
     }
 }
 
-/// What a recorded frame was made of.
+/// The report of a recorded frame.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AshsplatReport {
-    /// Whether the frame has finished; nothing else is said before.
+    /// Whether the frame has finished. The other fields are valid only then.
     pub finished: bool,
-    /// Whether something did not fit: the picture lacks what lies farthest back, or, where `instances_needed` is
-    /// `UINT32_MAX`, everything.
+    /// Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
+    /// if `instances_needed` is `UINT32_MAX`.
     pub overflow: bool,
     /// Gaussians in the frame's scenes.
     pub gaussians: u32,
-    /// Visible ones.
+    /// Visible Gaussians.
     pub visible: u32,
     /// (tile, Gaussian) instances that the picture needs.
     pub instances_needed: u32,
-    /// Instances that there was room for.
+    /// The frame's capacity in instances.
     pub instance_capacity: u32,
-    /// Entries of the fullest tile.
+    /// Entries of the longest tile.
     pub longest_tile: u32,
-    /// Passes of blending that the fullest tile needs.
+    /// Passes of blending that the longest tile needs.
     pub blend_passes_needed: u32,
-    /// Time on the device, nanoseconds; 0 where it has no clock.
+    /// Time on the device, nanoseconds; 0 without timestamps.
     pub nanoseconds: f64,
 }
 

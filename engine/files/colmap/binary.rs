@@ -79,13 +79,13 @@ pub(super) fn claimed_count(path: &Path) -> u64 {
     }
 }
 
-/// A file that knows how much of it is left.
+/// A file that tracks how many of its bytes remain.
 struct BinaryFile<'a> {
     path: &'a Path,
     reader: BufReader<File>,
     length: u64,
     remaining: u64,
-    /// What is being read, for messages.
+    /// The current record, for messages.
     record: String,
 }
 
@@ -103,7 +103,7 @@ impl<'a> BinaryFile<'a> {
         };
         let mut start = Vec::new();
         Read::take(&mut this.reader, 512).read_to_end(&mut start).map_err(io)?;
-        // A count of 0 is all zeros, and sound.
+        // A count of 0 is all zeros, and valid.
         if let Some((problem, remedy)) = sniff::recognise(&start).filter(|_| start != [0; 8]) {
             return Err(Error::input(path, problem, remedy));
         }
@@ -116,7 +116,7 @@ impl<'a> BinaryFile<'a> {
         Error::input(self.path, place, "the file is damaged or was cut short: copy the model again")
     }
 
-    /// The number of records, refused when the file cannot hold as many.
+    /// The number of records. Refused if the file is too small for them.
     fn count(&mut self, what: &str, record_bytes: u64) -> Result<usize> {
         let count = u64::from_le_bytes(self.take()?);
         match usize::try_from(count) {

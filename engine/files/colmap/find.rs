@@ -1,4 +1,4 @@
-//! Where in a data set the model is.
+//! Finds the model in a data set.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ pub struct ModelFolder {
     pub folder: PathBuf,
     /// Whether the files are text rather than binary.
     pub text: bool,
-    /// Said when the choice was not obvious.
+    /// A message if the choice was not obvious.
     pub warning: Option<String>,
 }
 
@@ -63,7 +63,7 @@ pub fn exists(dataset: impl AsRef<Path>) -> bool {
     below.iter().chain([&sparse, &dataset.to_owned()]).any(|folder| has_model(folder))
 }
 
-/// What is there instead of a model says what to do.
+/// The error names a remedy that depends on what the folder holds instead of a model.
 fn no_model(dataset: &Path) -> Error {
     let problem = "has no COLMAP model (sparse/0/cameras.bin or .txt) and no transforms.json";
     let place = dataset.display();
@@ -127,7 +127,7 @@ fn largest(candidates: &[PathBuf]) -> Result<ModelFolder> {
     describe(folder.clone(), Some(warning))
 }
 
-/// Registered images and points that a model says it has; 0 where it cannot be read.
+/// Registered images and points by the counts in the model's files; 0 if they cannot be read.
 fn claimed_size(folder: &Path) -> (u64, u64) {
     match describe(folder.to_owned(), None) {
         Ok(found) if found.text => (

@@ -1,4 +1,4 @@
-//! A sparse model in memory, and what of it can be trained on.
+//! A sparse model in memory, and the cameras that can be trained on.
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -63,7 +63,7 @@ impl CameraModel {
         self.0 as i32
     }
 
-    /// How many parameters it has.
+    /// Number of its parameters.
     pub fn parameters(self) -> usize {
         MODELS[self.0].1
     }
@@ -74,7 +74,7 @@ impl CameraModel {
 pub struct ColmapCamera {
     /// COLMAP's id; ids may have gaps.
     pub id: u32,
-    /// Which parameters there are.
+    /// The camera model.
     pub model: CameraModel,
     /// Width of its images, pixels.
     pub width: u64,
@@ -102,7 +102,7 @@ pub struct ColmapImage {
 /// A sparse model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    /// Where it was read from.
+    /// The folder it was read from.
     pub source: ModelFolder,
     /// Cameras by id.
     pub cameras: BTreeMap<u32, ColmapCamera>,
@@ -110,18 +110,18 @@ pub struct Model {
     pub images: Vec<ColmapImage>,
     /// The points, in the file's order, without those at no finite position.
     pub points: PointCloud,
-    /// Everything odd that did not prevent reading.
+    /// All oddities that did not prevent reading.
     pub warnings: Vec<String>,
 }
 
 impl Model {
-    /// Reads a model. Any camera model is read; whether it can be used is [`Model::camera_of`]'s question.
+    /// Reads a model. Any camera model is read; [`Model::camera_of`] checks whether it can be used.
     ///
-    /// A missing list of points gives none and a warning; points at NaN are left out with a warning.
+    /// A missing list of points gives no points and a warning. Points at NaN are dropped with a warning.
     ///
     /// # Errors
-    /// [`Error::Io`] when a file cannot be read, [`Error::Input`] when one is empty, damaged or cut short, or names
-    /// a camera model that COLMAP does not have, or an id or name appears twice.
+    /// [`Error::Io`] when a file cannot be read, [`Error::Input`] when one is empty, damaged or cut short, or
+    /// names a camera model that COLMAP does not have, or an id or name appears twice.
     pub fn read(source: &ModelFolder) -> Result<Self> {
         let ending = if source.text { "txt" } else { "bin" };
         let file = |part: &str| source.folder.join(format!("{part}.{ending}"));
@@ -147,10 +147,10 @@ impl Model {
         self.source.folder.join(format!("{part}.{}", if self.source.text { "txt" } else { "bin" }))
     }
 
-    /// The camera with pose of an image: where the lens distorts, without its distortion, at the photo's size.
+    /// The camera with pose of an image, at the photo's size and without lens distortion.
     ///
     /// # Errors
-    /// [`Error::Input`] naming file and id when the camera does not exist, has a lens that is not modelled, no usable
+    /// [`Error::Input`] naming file and id when the camera does not exist, has an unsupported lens, no usable
     /// size or focal length, or the pose is not finite or a zero quaternion.
     pub fn camera_of(&self, image: &ColmapImage) -> Result<Camera> {
         let file = self.file("images");
@@ -222,7 +222,7 @@ impl Model {
     }
 }
 
-/// Focal lengths and principal point, and the distortion; `None` for lenses that are not modelled.
+/// Focal lengths and principal point, and the distortion; `None` for unsupported lenses.
 fn optics(camera: &ColmapCamera) -> Option<([f64; 4], Distortion)> {
     let brown =
         |k: [f64; 3], d: [f64; 3], p: [f64; 2]| Distortion::Brown { k: [k[0], k[1], k[2], 0.0], d, p };
@@ -265,7 +265,7 @@ impl ColmapImage {
     }
 }
 
-/// The command that makes pinhole images and a pinhole model out of a distorted one.
+/// The command that converts a distorted model to pinhole images and a pinhole model.
 pub fn undistort_command(model: &Path) -> String {
     let dataset =
         model.ancestors().find(|a| a.file_name().is_some_and(|n| n == "sparse")).and_then(Path::parent);

@@ -145,7 +145,7 @@ impl<'a> TextFile<'a> {
     }
 }
 
-/// What is left of a line.
+/// The rest of a line.
 struct Words<'a> {
     path: &'a Path,
     line: u64,

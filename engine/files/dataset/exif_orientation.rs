@@ -1,9 +1,9 @@
-//! Which photos are turned as their metadata (Exif) say.
+//! Decides which photos are rotated by their metadata (Exif).
 //!
-//! COLMAP, nerfstudio (Pillow), instant-ngp (stb_image) and the reference take pixels as they are stored; OpenCV and what
-//! is built on it turn them first. Where a photo lies on its side, the size of its camera tells which it was; what holds
-//! for those photos of a data set holds for the others, of which no size tells: square ones, those upside down or
-//! mirrored, and those whose cameras have no size.
+//! COLMAP, nerfstudio (Pillow), instant-ngp (stb_image) and the reference use pixels as they are stored.
+//! OpenCV, and programs that use it, rotate them first. For a photo on its side, the size of its camera shows
+//! which of both was done. The result for these photos of a data set is applied to the others, whose size
+//! shows nothing: square ones, those upside down or mirrored, and those whose cameras have no size.
 
 use std::path::Path;
 
@@ -13,22 +13,23 @@ use crate::images::{Header, PhotoOrientation, header};
 
 /// The decision for all photos of a data set.
 pub(super) struct Turned {
-    /// Whether each is turned.
+    /// Whether each one is rotated.
     pub(super) photos: Vec<bool>,
-    /// How many stay as they are stored though their metadata say otherwise, and nothing tells.
+    /// Number of photos that are used as stored although their metadata ask for a rotation, because no size
+    /// decides it.
     pub(super) untold: usize,
 }
 
-/// Width and height of a camera, or what is in proportion to them.
+/// Width and height of a camera, or values in proportion to them.
 pub(super) type Sides = [f64; 2];
 
 impl Turned {
-    /// Photos (where there is one) and the sides of their cameras (where they are known).
+    /// Photos (if they exist) and the sides of their cameras (if they are known).
     pub(super) fn of(photos: &[(Option<&Path>, Option<Sides>)], choice: PhotoOrientation) -> Self {
         if choice == PhotoOrientation::Stored {
             return Self { photos: vec![false; photos.len()], untold: 0 };
         }
-        // Why one cannot be read is said when it is.
+        // A photo that cannot be read is reported when it is loaded.
         let asked = |&(path, sides): &(Option<&Path>, Option<Sides>)| Some((header(path?).ok()?, sides));
         let photos: Vec<Option<(Header, Option<Sides>)>> = photos.par_iter().map(asked).collect();
         let oriented: Vec<Option<(Header, Option<Sides>)>> =
@@ -45,7 +46,7 @@ impl Turned {
         Self { photos: turned.collect(), untold: if tells { 0 } else { untold } }
     }
 
-    /// What to say where nothing tells.
+    /// The warning if no size decides it.
     pub(super) fn warning(&self, list: &Path) -> Option<String> {
         let Self { untold, .. } = self;
         let photos = if *untold == 1 { "1 photo is" } else { &format!("{untold} photos are") };
@@ -60,7 +61,7 @@ impl Turned {
     }
 }
 
-/// Whether a camera is that of the turned photo; none where its sides are as good for the one as for the other.
+/// Whether a camera has the size of the rotated photo; None if its sides fit both.
 fn told_by(header: Header, [width, height]: Sides) -> Option<bool> {
     let (stored_width, stored_height) = header.size(false);
     let tells = header.lies_on_its_side() && stored_width != stored_height && width != height;

@@ -1,4 +1,4 @@
-//! The photos of a data set one at a time, for those who look at a few.
+//! The photos of a data set one at a time, for applications that need only a few.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use crate::progress::Progress;
 use ashsplat::Result;
 use ashsplat::scene::PointCloud;
 
-/// The views of a data set, whose photos are read when they are asked for.
+/// The views of a data set. Their photos are read on request.
 pub struct Gallery {
     pub(super) unpacked: Unpacked,
     pub(super) options: DatasetOptions,
@@ -24,11 +24,11 @@ pub struct Gallery {
 }
 
 impl Gallery {
-    /// Finds out what a data set (or a ZIP of one, which is unpacked for as long as the value lives) consists of; the
-    /// photos are not decoded.
+    /// Opens a data set (or a ZIP of one, which stays unpacked as long as this value lives). The photos are
+    /// not decoded.
     ///
     /// # Errors
-    /// As [`Dataset::load`], but for the photos' contents and the split.
+    /// As [`Dataset::load`], except for the photos' contents and the split.
     pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref(), progress)?;
         let plan = Plan::of(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
@@ -61,12 +61,12 @@ impl Gallery {
         &self.held_out
     }
 
-    /// What the user should know though it does not prevent using the photos.
+    /// Warnings that do not prevent the use of the photos.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
-    /// The points that the data set comes with; there may be none.
+    /// The data set's points. There may be none.
     pub fn points(&self) -> &PointCloud {
         &self.points
     }

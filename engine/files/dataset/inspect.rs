@@ -1,4 +1,4 @@
-//! Everything that is wrong with a data set, at once.
+//! Reports all problems of a data set at once.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,7 +15,7 @@ use crate::progress::Progress;
 use ashsplat::scene::{Bounds, scene_extent};
 use ashsplat::{Error, Result};
 
-/// What a data set contains and what is wrong with it.
+/// Contents and problems of a data set.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DatasetReport {
     /// The folder of the COLMAP model, or the transforms.json, when there is one.
@@ -40,7 +40,7 @@ pub struct DatasetReport {
     pub scene_extent: f32,
     /// Problems that prevent training, one line each.
     pub problems: Vec<String>,
-    /// What the user should know though it does not prevent training.
+    /// Warnings that do not prevent training.
     pub warnings: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! What of a photo counts.
+//! Masks: which pixels of a photo count.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use ashsplat::scene::camera::Intrinsics;
 use ashsplat::scene::lens::Lens;
 use ashsplat::{Error, Result};
 
-/// One value per pixel, row-major: what counts is at least [`COUNTS`].
+/// One value per pixel, row-major. A pixel counts if its value is at least [`COUNTS`].
 #[derive(Clone)]
 pub(super) struct Mask {
     width: u32,
@@ -16,16 +16,16 @@ pub(super) struct Mask {
     values: Vec<u8>,
 }
 
-/// Where a mask is at least this, the pixel counts.
+/// Least mask value of a pixel that counts.
 const COUNTS: u8 = 128;
 
 impl Mask {
-    /// The alpha channel of a photo of a size.
+    /// The alpha channel of a photo of this size.
     pub(super) fn of_alpha(width: u32, height: u32, values: Vec<u8>) -> Self {
         Self { width, height, values }
     }
 
-    /// Reads the mask of a photo of a size; one of a larger version of the photo is made smaller.
+    /// Reads the mask of a photo of this size. The mask of a larger version of the photo is scaled down.
     pub(super) fn read(path: &Path, turned: bool, width: u32, height: u32) -> Result<Self> {
         let size = header(path)?.size(turned);
         if !is_enlarged(size, (width, height)) {
@@ -42,19 +42,20 @@ impl Mask {
         Self { width: grey.width, height: grey.height, values }
     }
 
-    /// What counts in both, which are of one size.
+    /// The pixels that count in both masks, which have the same size.
     pub(super) fn and(mut self, other: &Self) -> Self {
         self.values.iter_mut().zip(&other.values).for_each(|(a, &b)| *a = (*a).min(b));
         self
     }
 
-    /// As the pinhole camera in place of a lens has it.
+    /// The mask for the pinhole camera that replaces a lens.
     pub(super) fn undistorted(&self, lens: &Lens, pinhole: &Intrinsics) -> Self {
         let rgb = self.values.iter().flat_map(|&m| [m; 3]).collect();
         Self::of_grey(undistort(&Photo { width: self.width, height: self.height, rgb }, lens, pinhole))
     }
 
-    /// At another size: a pixel counts where all do that it covers, since its colour is of them all.
+    /// Scales the mask. A pixel counts if all pixels that it covers do, since its colour is a mean of all of
+    /// them.
     pub(super) fn scaled_to(self, width: u32, height: u32) -> Self {
         if (width, height) == (self.width, self.height) {
             return self;
@@ -73,7 +74,7 @@ impl Mask {
         Self { width, height, values }
     }
 
-    /// 255 where a pixel counts, else 0; none where all do.
+    /// 255 where a pixel counts, otherwise 0; None if all pixels count.
     pub(super) fn into_values(self) -> Option<Vec<u8>> {
         let counts = |&value: &u8| value >= COUNTS;
         let hides = !self.values.iter().all(counts);
@@ -81,18 +82,19 @@ impl Mask {
     }
 }
 
-/// Whether a picture is another one, or a larger version of it whose sides were rounded when it was made smaller.
+/// Whether a picture has the size of another one, or of a larger version whose sides were rounded when it was
+/// scaled down.
 fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
     let [a, b] = [(size.0, of.0), (size.1, of.1)].map(|(larger, side)| {
         let [larger, side] = [larger, side].map(f64::from);
-        // By what the side can have been divided.
+        // Range of factors by which the side may have been divided.
         (larger / (side + 1.0), if side > 1.0 { larger / (side - 1.0) } else { f64::INFINITY })
     });
     size == of || (size.0 >= of.0 && size.1 >= of.1 && a.0 < b.1 && b.0 < a.1)
 }
 
-/// `NAME.png` or, as COLMAP has them, `NAME.jpg.png` in `masks`, or in the folder of masks that goes with the photos':
-/// `masks_4` with `images_4`.
+/// `NAME.png` or, as COLMAP names them, `NAME.jpg.png` in `masks`, or in the masks' folder that belongs to
+/// the photos': `masks_4` with `images_4`.
 pub(super) fn mask_of(dataset: &Path, images: &str, name: &str, finder: &mut Finder) -> Option<PathBuf> {
     let mut in_folder = |folder: PathBuf| {
         let whole = folder.join(plain(&format!("{name}.png")));
@@ -101,7 +103,7 @@ pub(super) fn mask_of(dataset: &Path, images: &str, name: &str, finder: &mut Fin
     in_folder(dataset.join(beside(images))).or_else(|| in_folder(dataset.join("masks")))
 }
 
-/// The mask that a `transforms.json` names, or the one in the folder of masks that goes with the photos'.
+/// The mask that a `transforms.json` names, or the one in the masks' folder that belongs to the photos'.
 pub(super) fn mask_in_folder(dataset: &Path, images: &str, named: &Path) -> PathBuf {
     let rest = named.strip_prefix(dataset.join("masks")).ok();
     let beside = rest.map(|rest| dataset.join(beside(images)).join(rest)).filter(|path| path.is_file());

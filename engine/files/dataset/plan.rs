@@ -1,4 +1,4 @@
-//! What a data set is made of before its photos are read, whatever describes it.
+//! The contents of a data set of any format before its photos are read.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,18 +16,18 @@ use ashsplat::scene::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
 use ashsplat::{Error, Result};
 
-/// A camera that is so many times as far from the middle as the median is a stray.
+/// A camera is a stray if its distance from the middle is this many times the median.
 const STRAY: f32 = 1000.0;
 
-/// Views, points, and what is odd.
+/// Views, points, and warnings.
 pub(super) struct Plan {
     /// The folder of the model, or the file with the cameras.
     pub(super) source: PathBuf,
     /// The file that lists the views.
     pub(super) list: PathBuf,
-    /// The views by name, or why one cannot be used.
+    /// The views by name, or the reason why one cannot be used.
     pub(super) views: Vec<Result<PlannedView>>,
-    /// Whether the data set itself says which views are held out.
+    /// Whether the data set itself specifies the held-out views.
     pub(super) has_split: bool,
     pub(super) points: PointCloud,
     /// Number of cameras by "MODEL WIDTHxHEIGHT".
@@ -41,24 +41,24 @@ pub(crate) struct PlannedView {
     image_id: u32,
     camera_from_world: Mat3,
     translation: Vec3,
-    /// What the photo was taken with.
+    /// The camera of the photo, with its lens.
     lens: Lens,
-    /// The pinhole camera in its place; the same without distortion.
+    /// The pinhole camera that replaces it; the same without distortion.
     pinhole: Intrinsics,
     photo_path: PathBuf,
-    /// Whether the photo is turned as its metadata say.
+    /// Whether the photo is rotated by its metadata.
     turned: bool,
-    /// What of the photo counts.
+    /// The photo's mask file.
     mask_path: Option<PathBuf>,
     /// Whether transparent pixels of the photo do not count; otherwise they show the background.
     alpha_is_mask: bool,
-    /// Whether the data set says that the view is held out.
+    /// Whether the data set specifies that the view is held out.
     pub(super) held_out: bool,
 }
 
 impl Plan {
-    /// Finds out what a data set consists of; the photos are looked for, and where nothing else gives their size,
-    /// opened, but not decoded.
+    /// Reads the contents of a data set. It looks for the photos, and opens those whose size is not known
+    /// otherwise, but does not decode them.
     pub(super) fn of(path: &Path, options: &DatasetOptions) -> Result<Self> {
         let mut plan = match transforms::find(path) {
             Some(files) if !colmap::exists(path) => Self::of_transforms(path, &files, options)?,
@@ -68,7 +68,7 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Names cameras that are so far from the others that they can only be mistakes.
+    /// Warns of cameras that are so far from the others that they must be mistakes.
     fn warn_of_strays(&mut self) {
         let views: Vec<&PlannedView> = self.views.iter().filter_map(|view| view.as_ref().ok()).collect();
         let positions: Vec<Vec3> = views.iter().map(|view| view.camera().position()).collect();
@@ -107,7 +107,7 @@ impl Plan {
         for camera in model.cameras.values() {
             let kind = format!("{} {}x{}", camera.model.name(), camera.width, camera.height);
             *plan.cameras.entry(kind).or_default() += 1;
-            // What is wrong with a camera is said of the images that have it.
+            // A problem of a camera is reported for the images that use it.
             if let Ok(lens) = model.lens(camera) {
                 lenses.insert(camera.id, (lens, plan.undistorted(camera, &lens, &model.file("cameras"))));
             }
@@ -128,7 +128,7 @@ impl Plan {
             let camera = model.cameras.get(&image.camera_id);
             (path.as_deref().ok(), camera.map(|camera| [camera.width as f64, camera.height as f64]))
         });
-        // COLMAP itself never turns photos: where no size tells otherwise, there is nothing to warn of.
+        // COLMAP itself never rotates photos, so there is nothing to warn of if no size shows otherwise.
         let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation).photos;
         let mut view = |((image, photo_path), turned): ((&ColmapImage, Result<PathBuf>), bool)| {
             let camera = model.camera_of(image)?;
@@ -168,7 +168,7 @@ impl Plan {
         Ok(plan)
     }
 
-    /// The pinhole in place of a lens, and a word about it.
+    /// The pinhole that replaces a lens, and a message about it.
     fn undistorted(&mut self, camera: &ColmapCamera, lens: &Lens, file: &Path) -> Option<Intrinsics> {
         let pinhole = lens.inscribed_pinhole();
         if let Some(Intrinsics { width, height, .. }) = pinhole.filter(|_| lens.is_distorted()) {
@@ -266,7 +266,7 @@ impl Plan {
         if let Some(what) = lens.intrinsics().absurdity() {
             return Err(problem(what));
         }
-        // Frames share a few lenses; a distorted one is dear to fit.
+        // Frames share a few lenses, and fitting a distorted one is expensive.
         let pinhole = match lenses.iter().find(|(known, _)| *known == lens) {
             Some((_, pinhole)) => *pinhole,
             None => {
@@ -296,7 +296,7 @@ impl Plan {
         })
     }
 
-    /// Which of the views (by place) are held out.
+    /// Which of the views (by index) are held out.
     pub(super) fn is_test(&self, index: usize, options: &DatasetOptions) -> bool {
         let says_so = || self.views[index].as_ref().is_ok_and(|view| view.held_out);
         if self.has_split { options.eval && says_so() } else { options.is_test(index) }
@@ -319,7 +319,7 @@ pub(super) fn check_split(list: &Path, held_out: &[bool]) -> Result<()> {
     Err(Error::input(list, problem, "train without --eval"))
 }
 
-/// The photo of a frame, in the folder that is asked for where the file names `images`.
+/// The photo of a frame, in the requested folder if the file names `images`.
 fn photo_in_folder(path: &Path, frame: &Frame, images: &str, finder: &mut Finder) -> PathBuf {
     match frame.name.strip_prefix("images/") {
         Some(rest) if images != "images" => {
@@ -331,12 +331,12 @@ fn photo_in_folder(path: &Path, frame: &Frame, images: &str, finder: &mut Finder
 }
 
 impl PlannedView {
-    /// The pinhole camera of the view at the size of its file, as far as the data set gives it.
+    /// The pinhole camera of the view at the size of its file, as far as the data set specifies it.
     pub(crate) fn camera(&self) -> Camera {
         Camera::with_pose(self.camera_from_world, self.translation, self.pinhole)
     }
 
-    /// The photo, undistorted, with what of it counts, and its camera.
+    /// The undistorted photo, its mask, and its camera.
     pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Option<Mask>, Camera)> {
         let (lens, pinhole) = self.optics_of_file(options.divisor())?;
         let (width, height) = (lens.width, lens.height);
@@ -355,7 +355,7 @@ impl PlannedView {
         Ok((photo, mask, Camera::with_pose(self.camera_from_world, self.translation, pinhole)))
     }
 
-    /// Lens and pinhole at the size of a photo that somebody divided by `divisor`, rounding each side as they liked.
+    /// Lens and pinhole at the size of a photo that was divided by `divisor`, with any rounding of its sides.
     fn optics_of_file(&self, divisor: u32) -> Result<(Lens, Intrinsics)> {
         let Lens { width: w, height: h, .. } = self.lens;
         if divisor == 1 {
@@ -373,11 +373,11 @@ impl PlannedView {
             return Err(Error::input(&self.photo_path, problem, remedy));
         }
         let lens = self.lens.scaled_to(width, height);
-        // Undistorted at one size, it can be so at another.
+        // A lens that can be undistorted at one size can be at another.
         Ok((lens, lens.inscribed_pinhole().unwrap_or(lens.intrinsics())))
     }
 
-    /// Bytes of the photo with its mask, before anybody looked at it. On a device it takes about as much.
+    /// Estimated bytes of the photo with its mask, before it is read. On a device it takes about the same.
     pub(super) fn texel_bytes(&self, options: &DatasetOptions) -> u64 {
         let divided = |side: u32| (side / options.divisor()).max(1);
         let (width, height) =

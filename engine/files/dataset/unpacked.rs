@@ -73,7 +73,7 @@ impl Unpacked {
     }
 }
 
-/// Whether a file is a ZIP, whatever its name; also an empty one.
+/// Whether a file is a ZIP archive by its content, including an empty one.
 pub(super) fn starts_like_zip(path: &Path) -> bool {
     let mut start = [0; 4];
     File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok()

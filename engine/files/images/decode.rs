@@ -15,18 +15,19 @@ use ashsplat::{Error, Result};
 /// Most memory that decoding one picture may take.
 const MAX_DECODE_BYTES: u64 = 2 << 30;
 
-/// Deflate cannot compress further: a PNG with less data per decoded byte is cut short or lies about its size.
+/// Deflate cannot compress further. A PNG with less data per decoded byte is cut short or has a wrong size in
+/// its header.
 const MAX_DEFLATE_RATIO: u64 = 1032;
 
-/// So much of a file mostly holds what stands before the pixels, with a preview in its metadata.
+/// Bytes that usually suffice for the part before the pixels, including a preview in the metadata.
 const HEADER_BYTES: u64 = 256 << 10;
 
-/// What a picture says of itself before its pixels.
+/// Properties of a picture from its header.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Header {
     /// Width and height as stored, pixels.
     stored: (u32, u32),
-    /// What makes of it what is to be seen.
+    /// The transformation from the stored to the displayed picture.
     orientation: Orientation,
 }
 
@@ -36,25 +37,25 @@ impl Header {
         Ok(Self { stored, orientation: orientation(&mut decoder) })
     }
 
-    /// Whether the picture is meant to be seen otherwise than it is stored.
+    /// Whether the displayed picture differs from the stored one.
     pub(crate) fn has_orientation(&self) -> bool {
         self.orientation != Orientation::NoTransforms
     }
 
-    /// Whether turning it swaps its sides.
+    /// Whether the rotation swaps its sides.
     pub(crate) fn lies_on_its_side(&self) -> bool {
         use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
         matches!(self.orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
     }
 
-    /// Width and height, stored or turned as its metadata say, pixels.
+    /// Width and height, as stored or as rotated by the metadata, pixels.
     pub(crate) fn size(&self, turned: bool) -> (u32, u32) {
         let (width, height) = self.stored;
         if turned && self.lies_on_its_side() { (height, width) } else { (width, height) }
     }
 }
 
-/// Reads no more of a file than it must.
+/// Reads as little of the file as possible.
 pub(crate) fn header(path: &Path) -> Result<Header> {
     let mut start = Vec::new();
     File::open(path)
@@ -74,12 +75,12 @@ pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
     Ok(header(path.as_ref())?.stored)
 }
 
-/// None where the metadata cannot be read.
+/// None if the metadata cannot be read.
 fn orientation(decoder: &mut impl ImageDecoder) -> Orientation {
     decoder.orientation().unwrap_or(Orientation::NoTransforms)
 }
 
-/// The picture, turned as its metadata say or not, and its alpha channel if it has one.
+/// The picture, optionally rotated by its metadata, and its alpha channel if it has one.
 pub(super) fn read(
     path: &Path,
     background: [f32; 3],
@@ -126,7 +127,7 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     fs::read(path).map_err(|source| Error::io(path, "read", source))
 }
 
-/// A decoder for what the bytes are, whatever the file's name says, and the picture's size.
+/// A decoder chosen by the content instead of the file's name, and the picture's size.
 fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<(impl ImageDecoder + 'a, (u32, u32))> {
     let mut reader = ImageReader::new(Cursor::new(bytes));
     let format =
@@ -166,7 +167,7 @@ fn composite(image: DynamicImage, background: [f32; 3]) -> (Vec<u8>, Option<Vec<
     (rgb, Some(alphas))
 }
 
-/// Whether a JPEG reaches its end-of-image marker. Decoders fill up a cut one with grey and say nothing.
+/// Whether a JPEG reaches its end-of-image marker. Decoders fill a truncated one with grey without an error.
 fn jpeg_is_complete(bytes: &[u8]) -> bool {
     const START_OF_SCAN: u8 = 0xda;
     const END_OF_IMAGE: u8 = 0xd9;
@@ -191,7 +192,7 @@ fn jpeg_is_complete(bytes: &[u8]) -> bool {
     false
 }
 
-/// Where the entropy-coded data from `at` end: at the next marker that is neither stuffing nor a restart.
+/// End of the entropy-coded data from `at`: the next marker that is neither stuffing nor a restart.
 fn end_of_scan(bytes: &[u8], mut at: usize) -> usize {
     while let Some(&[first, second]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
         if first == 0xff && !matches!(second, 0x00 | 0xd0..=0xd7 | 0xff) {

@@ -38,7 +38,7 @@ pub(super) const CHUNK_PROPERTIES: [&str; 18] = [
     "max_b",
 ];
 
-/// Those that older files have: colours are 0 to 1 in them.
+/// The properties of older files, in which colours are 0 to 1.
 const CHUNK_PROPERTIES_WITHOUT_COLOR: usize = 12;
 
 pub(super) const VERTEX_PROPERTIES: [&str; 4] =
@@ -106,7 +106,7 @@ fn read_chunks(file: &mut PlyFile<'_>, element: &Element) -> Result<Vec<Chunk>> 
     Ok(chunks)
 }
 
-/// The degree and the bytes of the element `sh`, which lies behind the vertices, if there is one.
+/// The degree and the bytes of the optional element `sh`, which follows the vertices.
 fn read_sh(path: &Path, count: u64) -> Result<(u32, Vec<u8>)> {
     let mut file = PlyFile::open(path)?;
     if !file.header.elements.iter().any(|e| e.name == "sh") {
@@ -162,7 +162,7 @@ impl Source for CompressedPly<'_> {
     }
 }
 
-/// Appends a Gaussian, but for its higher SH.
+/// Appends a Gaussian without its higher SH.
 fn push(chunk: &Chunk, [position, rotation, scale, color]: [u32; 4], block: &mut Gaussians) {
     let [x, y, z] = unpack_11_10_11(position);
     block.means.push([(x, 0), (y, 1), (z, 2)].map(|(t, axis)| lerp(chunk[axis], chunk[axis + 3], t)));
@@ -188,7 +188,7 @@ fn unpack_11_10_11(value: u32) -> [f64; 3] {
     [unorm(value >> 21, 11), unorm(value >> 11, 10), unorm(value, 11)]
 }
 
-/// The three smaller components in 10 bits each, and which one is left out; the order is w, x, y, z.
+/// The three smaller components in 10 bits each, and the index of the omitted one; the order is w, x, y, z.
 fn unpack_rotation(value: u32) -> [f32; 4] {
     let small = [20, 10, 0].map(|shift| (unorm(value >> shift, 10) - 0.5) * std::f64::consts::SQRT_2);
     let largest = (1.0 - small.iter().map(|v| v * v).sum::<f64>()).max(0.0).sqrt();

@@ -142,7 +142,7 @@ fn pack_rotation(quat: [f32; 4]) -> u32 {
     let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
     let quat = if length > 0.0 { quat.map(|q| q / length) } else { [1.0, 0.0, 0.0, 0.0] };
     let largest = (1..4).fold(0, |best, i| if quat[i].abs() > quat[best].abs() { i } else { best });
-    // The component that is left out is positive.
+    // The omitted component is positive.
     let sign = if quat[largest] < 0.0 { -1.0 } else { 1.0 };
     let others = (0..4).filter(|&i| i != largest);
     others.fold(largest as u32, |packed, i| {

@@ -1,4 +1,4 @@
-//! The head of a PLY file: encoding, elements and their properties.
+//! The header of a PLY file: encoding, elements and their properties.
 
 use std::fmt::Display;
 use std::io::{BufRead, Read};
@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::sniff;
 use ashsplat::{Error, Result};
 
-/// Limits that no honest header reaches; they bound the memory of parsing.
+/// Limits above any valid header. They bound the memory of parsing.
 const MAX_LINE_BYTES: u64 = 64 * 1024;
 const MAX_LINES: usize = 20_000;
 
@@ -103,14 +103,15 @@ pub(crate) struct Header {
     pub(crate) bytes: u64,
     /// Number of lines of the header.
     pub(crate) lines: u64,
-    /// Whether a comment says that the Gaussians want antialiasing.
+    /// Whether a comment marks the Gaussians as trained with antialiasing.
     pub(crate) antialiased: bool,
 }
 
-/// The comment with which this crate's files say that the Gaussians want antialiasing; PLY has no word for it.
+/// The comment that marks the Gaussians of this crate's files as trained with antialiasing. PLY has no field
+/// for it.
 pub(crate) const ANTIALIASED: &str = "antialiased";
 
-/// Reads the header; afterwards the reader stands at the first byte of the data.
+/// Reads the header. The reader is then at the first byte of the data.
 pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
     check_magic(reader, path)?;
     let mut parser = Parser {
@@ -174,7 +175,7 @@ impl Parser<'_> {
         }
         let text = std::mem::take(&mut self.text);
         let Ok(text) = std::str::from_utf8(&text) else {
-            // Comments come in any encoding; nothing else does.
+            // Only comments may have any encoding.
             return if is_comment(&text) {
                 Ok(false)
             } else {

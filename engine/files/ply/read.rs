@@ -12,30 +12,31 @@ use ashsplat::{Error, Result};
 /// How to read Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PlyOptions {
-    /// Leave out Gaussians with unusable parameters instead of refusing the file.
+    /// Drop Gaussians with unusable parameters instead of refusing the file.
     pub drop_invalid: bool,
 }
 
-/// Gaussians from a file, and what was left out.
+/// Gaussians from a file, and the number of dropped ones.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PlyScene {
     /// The usable Gaussians, in the file's order.
     pub gaussians: Gaussians,
-    /// Number of Gaussians that were left out because a parameter is not usable.
+    /// Number of Gaussians that were dropped because of an unusable parameter.
     pub dropped: u64,
-    /// Which those are, in words ("5 of 16 Gaussians have …, first vertex 0: x = NaN").
+    /// Description of the dropped ones ("5 of 16 Gaussians have …, first vertex 0: x = NaN").
     pub warning: Option<String>,
 }
 
-/// Reads Gaussians: any property order, encoding and scalar type; more properties and elements are ignored; the
-/// SH degree follows from the number of `f_rest` properties. [`splats::read`] reads the other formats too.
+/// Reads Gaussians with any property order, encoding and scalar type. Additional properties and elements are
+/// ignored. The SH degree follows from the number of `f_rest` properties. [`splats::read`] reads the other
+/// formats too.
 ///
-/// A parameter is unusable when it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), when a
-/// coordinate exceeds 1e18 or a log-scale 88 (both overflow in the projection).
+/// A parameter is unusable if it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), if a
+/// coordinate exceeds 1e18, or if a log-scale exceeds 88 (both overflow in the projection).
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is not a PLY file with Gaussians, is cut
-/// short or damaged, or has unusable parameters and [`PlyOptions::drop_invalid`] is not set.
+/// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is not a PLY file with Gaussians, is
+/// cut short or damaged, or has unusable parameters and [`PlyOptions::drop_invalid`] is not set.
 pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
     let path = path.as_ref();
     let source = Box::new(GaussianRows::open(path)?);
@@ -99,11 +100,11 @@ impl Source for GaussianRows<'_> {
     }
 }
 
-/// Reads coloured points: x y z and red green blue (0 to 255), by name; white where there are no colours.
+/// Reads coloured points: x y z and red green blue (0 to 255), by name; white if there are no colours.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no PLY file with points, is cut short or
-/// damaged, or has a position that is not finite.
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no PLY file with points, is cut
+/// short or damaged, or has a position that is not finite.
 pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();
     let mut file = PlyFile::open(path)?;
@@ -131,12 +132,12 @@ pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
     }
 }
 
-/// Rows to reserve for; the header's count was checked against the file's size.
+/// Number of rows to reserve. The header's count was checked against the file's size.
 fn capacity(element: &Element) -> usize {
     usize::try_from(element.count).unwrap_or(0)
 }
 
-/// Where the parameters stand in a row: `x y z opacity scale_* rot_* f_dc_* f_rest_*`.
+/// Positions of the parameters in a row: `x y z opacity scale_* rot_* f_dc_* f_rest_*`.
 struct Layout {
     names: Vec<String>,
     sh_degree: u32,
@@ -191,7 +192,7 @@ fn push(row: &[f64], gaussians: &mut Gaussians) {
     gaussians.sh.extend((0..per_channel).map(rest));
 }
 
-/// Says what the file is when it holds no Gaussians.
+/// The error for a file without Gaussians, with the kind of the file.
 fn missing_property(path: &Path, element: &Element, missing: &str) -> Error {
     if element.has("packed_position") {
         return Error::input(path, "is a compressed PLY (packed_position)", "read it with io::splats");

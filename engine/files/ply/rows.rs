@@ -1,4 +1,4 @@
-//! The rows of one element as numbers, whatever their encoding, streamed through a small buffer.
+//! The rows of one element as numbers, in any encoding, streamed through a small buffer.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};

@@ -16,9 +16,9 @@ pub struct ConvertOptions {
     pub read: ReadOptions,
     /// The highest SH degree that is kept; none: all that the output can hold.
     pub sh_degree: Option<u32>,
-    /// Gaussians of a smaller opacity are left out.
+    /// Gaussians of a smaller opacity are dropped.
     pub min_opacity: Option<f32>,
-    /// Gaussians with means outside are left out; in the input's frame.
+    /// Gaussians with means outside are dropped; in the input's frame.
     pub crop_box: Option<Bounds>,
     /// How everything is moved.
     pub similarity: Similarity,

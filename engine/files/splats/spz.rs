@@ -18,9 +18,9 @@ const FLAG_EXTENSIONS: u8 = 2;
 pub(super) const HEADER_BYTES: u64 = 32;
 /// Length of the header of versions 2 and 3, inside the gzip stream.
 const OLD_HEADER_BYTES: usize = 16;
-/// No honest file unpacks to more than this many times its size (deflate cannot; zstd does not with splats).
+/// No valid file unpacks to more than this many times its size (deflate cannot; zstd does not with splats).
 const MAX_RATIO: u64 = 1032;
-/// More fractional bits than a coordinate has bits make no sense.
+/// A coordinate cannot have more fractional bits than bits.
 const MAX_FRACTIONAL_BITS: u32 = 24;
 /// Extensions are a few numbers.
 const MAX_EXTENSION_BYTES: u64 = 1 << 20;
@@ -36,7 +36,7 @@ pub(super) struct Spz {
     header: Header,
 }
 
-/// The parts of both headers that mean the same.
+/// The fields that both headers have.
 struct Head {
     packing: Packing,
     count: u64,
@@ -148,7 +148,7 @@ impl Open {
         self.finish(head, planes, &rest)
     }
 
-    /// Exactly so many bytes; memory grows with what comes, not with what is promised.
+    /// Reads exactly this many bytes. Memory grows with the data received, not with the header's count.
     fn unpacked(&self, stream: &mut impl Read, bytes: u64, what: &str) -> Result<Vec<u8>> {
         let mut data = Vec::new();
         let read = stream.take(bytes).read_to_end(&mut data);
@@ -254,10 +254,10 @@ impl Open {
     }
 }
 
-/// The planes in words.
+/// Names of the planes.
 const NAMES: [&str; PLANES] = ["means", "opacities", "colours", "scales", "rotations", "spherical harmonics"];
 
-/// Which axes must be mirrored: those of the format, unless an extension says that the file's are others.
+/// The axes to mirror: those of the format, unless an extension declares others.
 fn axes(mut extensions: &[u8]) -> Result<[bool; 3], String> {
     while let Some((head, rest)) = extensions.split_first_chunk::<8>() {
         let [kind, length] =

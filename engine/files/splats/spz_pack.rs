@@ -1,7 +1,7 @@
 //! The packed attributes of SPZ, one plane of bytes each.
 //!
-//! Format: Niantic's description (github.com/nianticlabs/spz). Axes are right, up, back: y and z are the other way
-//! round than in this crate.
+//! Format: Niantic's description (github.com/nianticlabs/spz). Axes are right, up, back: y and z are opposite
+//! to those of this crate.
 
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
@@ -9,10 +9,10 @@ use ashsplat::scene::gaussians::sh_coefficients;
 /// Factor of the constant SH term in a colour byte.
 const COLOR_SCALE: f32 = 0.15;
 
-/// Bits that the reference keeps of SH values of degree 1 and of the others.
+/// Bits of SH values that the reference keeps, for degree 1 and for higher degrees.
 const SH_BITS: [u32; 2] = [5, 4];
 
-/// Which axes of this crate's frame SPZ's own has the other way round.
+/// Axes that are opposite in this crate and in SPZ.
 pub(super) const MIRRORED: [bool; 3] = [false, true, true];
 
 /// The attributes in the order of the file.
@@ -25,7 +25,7 @@ pub(super) struct Packing {
     pub(super) version: u32,
     /// Degree that is stored, 0 to 4.
     pub(super) sh_degree: u32,
-    /// Bits of a coordinate behind the point.
+    /// Fractional bits of a coordinate.
     pub(super) fractional_bits: u32,
 }
 
@@ -90,7 +90,7 @@ fn byte(value: f32) -> u8 {
 }
 
 fn fixed_24(bytes: &[u8]) -> i32 {
-    // The sign comes down from the top byte.
+    // The shift extends the sign of the top byte.
     i32::from_le_bytes([0, bytes[0], bytes[1], bytes[2]]) >> 8
 }
 

@@ -14,13 +14,13 @@ const VERSION: u32 = 4;
 /// zstd's level in the format's first implementation.
 const LEVEL: i32 = 12;
 
-/// Bits of a coordinate behind the point where the scene is not too large for them (first implementation).
+/// Fractional bits of a coordinate, if the scene is not too large for them (first implementation).
 const FRACTIONAL_BITS: u32 = 12;
 
-/// Bits of a coordinate, the sign among them.
+/// Bits of a coordinate, including the sign.
 const COORDINATE_BITS: u32 = 24;
 
-/// Writes Gaussians as they come; what is kept in memory is compressed.
+/// Writes Gaussians as they arrive. Only compressed data are held in memory.
 pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let io = |source| Error::io(path, "write", source);
     let Ok(count) = u32::try_from(outline.count) else {
@@ -76,7 +76,7 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
     })
 }
 
-/// As many as the farthest coordinate leaves, 12 at most.
+/// The bits that the farthest coordinate leaves, at most 12.
 fn fractional_bits(path: &Path, outline: &Outline) -> Result<u32> {
     let farthest = outline.bounds.map_or(0.0, |b| b.min.abs().max(b.max.abs()).max_element());
     let fits = |bits: &u32| {

@@ -16,17 +16,17 @@ use ashsplat::{Error, Result};
 /// How far `R Rᵀ` of a pose may be from a multiple of the identity, relative.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
-/// A scale this near to 1 is 1.
+/// A scale this close to 1 is taken as 1.
 const SCALE_ROUNDING: f64 = 1e-12;
 
-/// A photo and how it was taken.
+/// A photo and its camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
     /// The photo's path below the file's folder, as the file names it, with its ending.
     pub name: String,
     /// The photo.
     pub photo_path: PathBuf,
-    /// What of the photo counts (`mask_path`), where the file says so.
+    /// The photo's mask (`mask_path`), if the file names one.
     pub mask_path: Option<PathBuf>,
     /// Rotation from world to camera (x right, y down, z forward).
     pub camera_from_world: Mat3,
@@ -41,17 +41,17 @@ pub struct Frame {
 /// Intrinsics that may lack the photo's size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Optics {
-    /// Width and height, pixels, where the file gives them.
+    /// Width and height, pixels, if the file has them.
     pub size: Option<[u32; 2]>,
-    /// Focal lengths in x and y; where one is missing, it is the other: square pixels.
+    /// Focal lengths in x and y. If one is missing, it equals the other: square pixels.
     focal: [Option<Focal>; 2],
-    /// Principal point, pixels; the middle where the file gives none.
+    /// Principal point, pixels; by default the middle.
     center: [Option<f64>; 2],
     /// The lens.
     distortion: Distortion,
 }
 
-/// A focal length, or the angle that gives it.
+/// A focal length, or the angle that determines it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Focal {
     Pixels(f64),
@@ -60,13 +60,13 @@ enum Focal {
 }
 
 impl Optics {
-    /// Width and height, or what is about half of them; none where the file gives neither.
+    /// Width and height, or approximate halves of them; None if the file has neither.
     pub(crate) fn sides(&self) -> Option<[f64; 2]> {
         let middle = || Some([self.center[0]?, self.center[1]?]);
         self.size.map(|size| size.map(f64::from)).or_else(middle)
     }
 
-    /// The lens for photos of a size.
+    /// The lens for photos of this size.
     pub fn lens(&self, width: u32, height: u32) -> Lens {
         let sides = [f64::from(width), f64::from(height)];
         let pixels = |axis: usize| match self.focal[axis]? {
@@ -80,7 +80,7 @@ impl Optics {
     }
 }
 
-/// Rows of a matrix of 3 or 4 rows of 4 finite numbers; the fourth row is not looked at.
+/// Rows of a matrix of 3 or 4 rows of 4 finite numbers. The fourth row is ignored.
 pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
     let rows = value.as_array().filter(|rows| matches!(rows.len(), 3 | 4))?;
     let row = |row: &Value| -> Option<[f64; 4]> {
@@ -91,7 +91,7 @@ pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
     rows?.get(..3)?.try_into().ok()
 }
 
-/// Appends the frames of a file; what is odd about them.
+/// Appends the frames of a file. Returns the warnings.
 pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -> Result<Vec<String>> {
     let Some(list) = document["frames"].as_array() else {
         return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
@@ -179,8 +179,8 @@ impl Reader<'_> {
         self.error(format!("the path {name:?} leads out of the folder, and nothing in it has that name"))
     }
 
-    /// The photo's name and path, and whether the name led out of the folder. What is missing is taken for a PNG where it
-    /// has no ending.
+    /// The photo's name and path, and whether the name led out of the folder. A missing file without an
+    /// extension is assumed to be a PNG.
     fn photo(&self, named: &str) -> Result<(String, PathBuf, bool)> {
         let mut finder = self.finder.borrow_mut();
         let mut name = plain(named);
@@ -189,7 +189,7 @@ impl Reader<'_> {
         let found = match within {
             Some(path) => finder.photo(&path).unwrap_or(path),
             None => {
-                // What was written on another machine, or into another folder: its photos lie here under the same names.
+                // A path from another machine or folder: the photos have the same names here.
                 let parts: Vec<&str> = name.split('/').collect();
                 let tails = (1..parts.len()).map(|first| parts[first..].join("/"));
                 let found = tails.into_iter().find_map(|tail| {
@@ -224,7 +224,7 @@ impl Reader<'_> {
         let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
         let axes = DMat3::from_cols(column(0), column(1), column(2));
         let scale = axes.determinant().cbrt();
-        // What is a rotation but for the rounding of doubles is taken as it is, to the bit.
+        // A rotation up to the rounding of doubles is used unchanged, to the bit.
         let rotation = if (scale - 1.0).abs() < SCALE_ROUNDING { axes } else { axes * (1.0 / scale) };
         let off = rotation * rotation.transpose() - DMat3::IDENTITY;
         // Also false for a scale of 0, which gives NaN.
@@ -237,7 +237,7 @@ impl Reader<'_> {
         Ok((camera_from_world.as_mat3(), translation.as_vec3()))
     }
 
-    /// A number of the frame, else of the file; other values than numbers are errors.
+    /// A number of the frame, or otherwise of the file. Other types are errors.
     fn number(&self, key: &str) -> Result<Option<f64>> {
         for (holder, value) in [("", &self.frame[key]), ("the file's ", &self.document[key])] {
             match value {

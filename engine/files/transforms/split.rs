@@ -1,4 +1,4 @@
-//! Which frames of a nerfstudio file are trained on, and which are held out.
+//! Splits the frames of a nerfstudio file into training and held-out ones.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -9,10 +9,10 @@ use serde_json::Value;
 use crate::names::plain;
 use ashsplat::{Error, Result};
 
-/// The lists of names, those that are held out last: the first of them that there is counts.
+/// The lists of names. Of the held-out lists, which come last, the first that exists is used.
 const LISTS: [&str; 3] = ["train_filenames", "test_filenames", "val_filenames"];
 
-/// What a frame is for.
+/// Use of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Part {
     Train,
@@ -20,7 +20,7 @@ pub(super) enum Part {
     None,
 }
 
-/// The names of each list and whether a frame has them; none where the file lacks the list, or it is empty.
+/// The names of each list, and whether a frame has them; None if the file lacks the list, or it is empty.
 pub(super) struct Split {
     lists: [Option<RefCell<HashMap<String, bool>>>; 3],
 }
@@ -43,7 +43,8 @@ impl Split {
         Ok(Self { lists })
     }
 
-    /// What the frame with a path is for that is used under a name. Without a list for training, what no list has.
+    /// The use of the frame with a path, under a name. Without a training list, frames that are in no list
+    /// are used for it.
     pub(super) fn part_of(&self, path: &str, name: &str) -> Part {
         let path = plain(path);
         let lists = |at: usize| {
@@ -60,7 +61,7 @@ impl Split {
         }
     }
 
-    /// Refuses a list with a name that no frame had.
+    /// Refuses a list with a name that no frame has.
     pub(super) fn check(&self, path: &Path) -> Result<()> {
         for (list, key) in self.lists.iter().zip(LISTS) {
             let unknown = list.iter().flat_map(|list| {
@@ -75,7 +76,7 @@ impl Split {
         Ok(())
     }
 
-    /// The lists that say what is used.
+    /// The lists that are used.
     pub(super) fn used_lists(&self) -> String {
         let held_out = if self.lists[1].is_some() { 1 } else { 2 };
         let used = [0, held_out].into_iter().filter(|&at| self.lists[at].is_some());

@@ -5,7 +5,8 @@ use ashsplat::{Error, Result};
 use serde_json::Value;
 use std::path::Path;
 
-/// Times that differ by less than this share are the same, whatever their spread: clocks and frequencies drift.
+/// Times that differ by less than this share count as equal for any spread, because clocks and frequencies
+/// drift.
 const DRIFT: f64 = 0.10;
 /// Times that differ by less per call are the same: the cost of a dispatch jitters by this much.
 const JITTER_US: f64 = 10.0;

@@ -24,7 +24,7 @@ pub enum Task {
     Train(Box<Training>),
 }
 
-/// Pairs of the sort where nobody says how many.
+/// Default number of pairs of the sort.
 const PAIRS: u32 = 1 << 22;
 /// Values of the scan for each pair of the sort: it takes so little time that fewer would be lost in the cost of timing.
 const VALUES_PER_PAIR: u32 = 4;

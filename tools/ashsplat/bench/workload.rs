@@ -35,9 +35,9 @@ pub struct SyntheticArguments {
 }
 
 impl SyntheticArguments {
-    /// Gaussians where nobody says how many.
+    /// Default number of Gaussians.
     pub const GAUSSIANS: u32 = 300_000;
-    /// The same of SH degrees.
+    /// Default SH degree.
     pub const SH_DEGREE: u32 = 3;
 
     pub fn sh_degree(&self) -> u32 {
@@ -243,7 +243,7 @@ impl Scene {
         self.workload_with(settings, more.as_bytes())
     }
 
-    /// For the result file; counts of a frame are filled in by whoever renders it.
+    /// For the result file. The command that renders a frame fills in its counts.
     pub fn workload(&self, settings: &RenderSettings) -> Workload {
         self.workload_with(settings, &[])
     }

@@ -34,10 +34,10 @@ pub struct LiveArguments {
     /// Address of that page; another than this machine's own needs --view-token
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1", requires = "view")]
     view_host: String,
-    /// Whoever opens the page must know this word: http://HOST:PORT/?token=WORD
+    /// Word that the page's address must contain: http://HOST:PORT/?token=WORD
     #[arg(long, value_name = "WORD", requires = "view")]
     view_token: Option<String>,
-    /// Most of the time that all who look on may take of training's time, 0.01 to 0.9
+    /// Largest share of training's time that all viewers together may take, 0.01 to 0.9
     #[arg(long, value_name = "SHARE", default_value_t = 0.2, value_parser = share)]
     view_share: f64,
     /// Answer the reference implementation's network viewer (SIBR) at this address
@@ -80,7 +80,7 @@ const RENEWAL: Duration = Duration::from_millis(500);
 /// How long a paused training waits before it looks whether it is to end.
 const REST: Duration = Duration::from_millis(100);
 
-/// What whoever looks on wants of the training.
+/// The viewers' requests to the training.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Wish {
     save: bool,
@@ -159,7 +159,7 @@ impl Live {
         })
     }
 
-    /// Notes an iteration and serves whoever looks on, within the share.
+    /// Notes an iteration and serves the viewers, within the share.
     fn after_step(&mut self, trainer: &mut Trainer, report: &StepReport, test: &[View]) -> Result<Wish> {
         self.note(|curves| curves.step(report));
         self.allowance.trained(self.trains_since.elapsed());
@@ -326,7 +326,7 @@ impl Run {
         Ok(())
     }
 
-    /// Shows an iteration to whoever looks on and does what they ask; `stop` is raised when they ask for the end.
+    /// Shows an iteration to the viewers and handles their requests. `stop` is set when they request the end.
     pub(super) fn show(
         &mut self,
         report: &StepReport,

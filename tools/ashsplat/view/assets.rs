@@ -37,7 +37,7 @@ pub fn find(path: &str) -> Option<(&'static str, &'static str)> {
 mod tests {
     use super::*;
 
-    /// Whatever a file of the page names is another one of them.
+    /// Every file that a page names is an asset too.
     #[test]
     fn nothing_is_loaded_from_elsewhere() {
         for (name, _, text) in FILES {

@@ -232,7 +232,7 @@ impl Hub {
         self.lock().status.as_ref().map(|status| status(since))
     }
 
-    /// Whether anybody waits for anything.
+    /// Whether any request is waiting.
     pub fn is_wanted(&self) -> bool {
         let state = self.lock();
         !state.remote.is_empty() || !state.films.is_empty() || state.clients.values().any(Client::waits)
@@ -365,14 +365,14 @@ mod tests {
         // One that waits goes at once, and not the one that is being made.
         assert!(hub.cancel_film(b) && !hub.film_is_called_off());
         assert!(!hub.cancel_film(b), "it has none any more");
-        // One that is being made is called off, whoever asks for another one meanwhile.
+        // A film in progress stays cancelled when another page requests one.
         assert!(!hub.cancel_film(a));
         assert_eq!(hub.film(b, film()), Some(2));
         assert!(hub.film_is_called_off());
         hub.film_ended();
         assert_eq!(hub.take_film().map(|(owner, _)| owner), Some(c));
         assert!(!hub.film_is_called_off(), "that was another");
-        // Whoever goes takes his films along.
+        // A page that leaves takes its films along.
         hub.leave(b);
         hub.leave(c);
         assert!(hub.film_is_called_off());
@@ -384,7 +384,7 @@ mod tests {
     #[test]
     fn training_hears_a_bounded_number_of_actions() {
         let hub = Hub::default();
-        // Where nothing is trained nobody would ever take them.
+        // Without training no page would ever fetch them.
         assert!(!hub.act(TrainAction::Pause) && hub.actions().is_empty());
         hub.set_status(|_| String::new());
         let taken = (0..1000).filter(|_| hub.act(TrainAction::Step)).count();

@@ -32,7 +32,7 @@ pub struct ServeArguments {
     /// Port of the page; 0 takes a free one
     #[arg(long, value_name = "N", default_value_t = 8090)]
     pub port: u16,
-    /// Whoever opens the page must know this word: http://HOST:PORT/?token=WORD
+    /// Word that the page's address must contain: http://HOST:PORT/?token=WORD
     #[arg(long, value_name = "WORD")]
     pub token: Option<String>,
     /// Whether these are the options of `train --view`, which have other names.
@@ -389,7 +389,7 @@ mod tests {
         }
     }
 
-    /// One page reads, and so answers pings; the other is there no more, and nobody closed its connection.
+    /// One page reads, and so answers pings. The other is gone without having closed its connection.
     #[test]
     fn silent_pages_are_given_up() {
         let hub = Arc::new(Hub::default());

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Serves pages with pictures of whatever is given to it.
+/// Serves pages with pictures of any subject.
 pub struct Studio {
     hub: Arc<Hub>,
     /// How the scene looks as it was trained.
@@ -23,7 +23,7 @@ pub struct Studio {
     film: Option<Film>,
     /// Films whose frames are there, each on a thread of its own: neither frames nor training wait for them.
     assembling: Vec<JoinHandle<()>>,
-    /// Whether nobody wants these any more.
+    /// Whether no page needs these any more.
     abandoned: Arc<AtomicBool>,
 }
 
@@ -45,7 +45,7 @@ impl Studio {
     /// Does one task, if one comes in time. Whether anything was done.
     ///
     /// # Errors
-    /// When the device is lost; whatever else fails is told to the page that asked for it.
+    /// When the device is lost. Other errors are reported to the page that made the request.
     pub fn serve(&mut self, painter: &mut dyn Painter, longest: Duration) -> Result<bool> {
         let Some(task) = self.hub.next(longest) else { return Ok(false) };
         match task {

@@ -1,10 +1,10 @@
-//! How much of training's time those who look on may take.
+//! Bounds the share of training's time that viewers may take.
 
 use std::time::Duration;
 
-/// Whoever looks on runs into debt, which training works off: what takes a time `t` is followed by `t (1 - share) / share`
-/// of training before anything else is done for them. Time that nobody wants is not saved up, so that between any two
-/// moments they have taken at most `share` of the time, but for the one task that is the last.
+/// Work for viewers creates a debt, which training pays off: work of duration `t` is followed by `t (1 -
+/// share) / share` of training before the next work for viewers. Unused time is not saved up. So between any
+/// two moments viewers have taken at most `share` of the time, except for the last task.
 #[derive(Clone, Copy, Debug)]
 pub struct Allowance {
     share: f64,

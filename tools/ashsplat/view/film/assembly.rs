@@ -102,7 +102,7 @@ impl Assembly {
     }
 
     fn run_ffmpeg(&self, path: &Path, abandoned: &AtomicBool) -> Result<(), String> {
-        // A file, not a pipe: nobody reads it while ffmpeg runs.
+        // A file instead of a pipe: no thread would read the pipe while ffmpeg runs.
         let trouble = |e: std::io::Error| format!("ffmpeg cannot be started: {e}");
         let mut said = tempfile::tempfile().map_err(trouble)?;
         let mut command = Command::new("ffmpeg");

@@ -60,7 +60,7 @@ impl State {
         self.filming.is_some() || !self.films.is_empty()
     }
 
-    /// What was asked by whoever has waited for longest for a turn.
+    /// The request of the page that has waited longest for a turn.
     pub(super) fn take_task(&mut self) -> Option<Task> {
         self.turn += 1;
         let films_turn = if self.has_films() { self.film_served } else { u64::MAX };

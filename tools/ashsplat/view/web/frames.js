@@ -75,7 +75,7 @@ export class Frames {
     async show(header, blob) {
         const sent = this.sent.get(header.seq);
         const now = performance.now();
-        // Whatever was sent before has been overtaken.
+        // All earlier requests are obsolete now.
         for (const seq of this.sent.keys()) if (seq <= header.seq) this.sent.delete(seq);
         if (sent && sent.scale < 1 || sent?.scale === SCALES[this.level]) this.adapt(now - sent.time, sent.scale);
         this.rate.push(now);
