@@ -278,8 +278,7 @@ impl Context {
             };
             let cache = cache.inspect_err(|_| {
                 if let Some(layouts) = &layouts {
-                    // SAFETY: nothing uses them yet.
-                    unsafe { descriptors::destroy_layouts(&device, layouts) }
+                    descriptors::destroy_layouts(&device, layouts);
                 }
             })?;
             Ok((limits, layouts, cache))

@@ -2,7 +2,6 @@
 
 use ashsplat::vk::PipelineCacheData;
 use ashsplat_files::atomic;
-use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 
