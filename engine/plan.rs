@@ -4,11 +4,13 @@
 //! tile or per pixel. Only the device knows how many Gaussians are visible and how many instances a frame
 //! has, so the sizes here are capacities. Buffers of visible Gaussians have the capacity of all Gaussians.
 
+mod grids;
 mod launch_sizes;
 mod sorting;
 mod strips;
 
 pub use crate::tuning::SortMethod;
+pub use grids::check_grids;
 pub use launch_sizes::LaunchSizes;
 pub use strips::{STRIP_ROWS, Strips};
 
@@ -354,37 +356,6 @@ frame_requests! {
     instance_gradients_c: |s| s.slots * 8;
     /// Per visible Gaussian: planes named GRADIENT_*.
     gradients: |s| s.backward * s.gaussians * 16 * u64::from(GRADIENT_PLANES);
-}
-
-/// Checks that every dispatch of a frame of this capacity fits a grid of workgroups. Vulkan does not check
-/// indirect dispatches.
-///
-/// # Errors
-/// [`Error::TooLarge`] with the number of workgroups.
-pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSizes) -> Result<()> {
-    let smallest = block.smallest();
-    let (columns, rows) = tile_grid(capacity.width, capacity.height);
-    let axis = u64::from(limits.max_workgroups_per_axis);
-    let elements = u64::from(capacity.gaussians.max(capacity.instances));
-    let checks = [
-        (blocks(elements, smallest.into()), axis * axis),
-        (u64::from(columns) * u64::from(rows), axis * axis),
-        // The loss has one workgroup per tile.
-        (u64::from(columns.max(rows).max(3)) * u64::from(capacity.backward), axis),
-    ];
-    match checks.iter().find(|(needed, limit)| needed > limit) {
-        None => Ok(()),
-        Some(&(needed, limit)) => Err(Error::TooLarge {
-            what: format!(
-                "a frame of {}x{} pixels, {} Gaussians and {} instances",
-                capacity.width, capacity.height, capacity.gaussians, capacity.instances
-            ),
-            needed,
-            unit: "workgroups",
-            limit,
-            limit_name: "maxComputeWorkGroupCount",
-        }),
-    }
 }
 
 /// Most Gaussians that can be trained on a device: their gradients lie in one buffer.

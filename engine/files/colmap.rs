@@ -6,8 +6,10 @@ mod binary;
 mod find;
 mod model;
 mod text;
+mod types;
 mod write;
 
 pub use find::{ModelFolder, exists, find};
-pub use model::{CameraModel, ColmapCamera, ColmapImage, Model, undistort_command};
+pub use model::{Model, undistort_command};
+pub use types::{CameraModel, ColmapCamera, ColmapImage};
 pub use write::write;

@@ -2,7 +2,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `instance`, `device`, `context` | loader, devices and their choice, the open [`Context`] |
+//! | `instance`, `device`, `create_device`, `context` | loader, devices and their choice, the open [`Context`] |
 //! | `limits`, `workarounds` | [`Limits`], read once; stricter ones for tests; [`Workarounds`] by driver |
 //! | `memory`, `buffer` | [`Context::allocate`]: requests packed into blocks; a [`Buffer`] is a named range of one |
 //! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
@@ -51,6 +51,7 @@ mod budget;
 mod buffer;
 mod clock;
 mod context;
+mod create_device;
 mod debug;
 mod descriptors;
 mod device;

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-use super::model::{CameraModel, ColmapCamera, ColmapImage};
+use super::types::{CameraModel, ColmapCamera, ColmapImage};
 use crate::sniff;
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};

@@ -6,98 +6,12 @@ use std::path::{Path, PathBuf};
 use glam::dvec2;
 
 use super::find::ModelFolder;
+use super::types::{ColmapCamera, ColmapImage};
 use super::{binary, text};
-use crate::names::{plain, stays_inside};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::lens::{Distortion, Lens};
 use ashsplat::scene::{Camera, PointCloud};
 use ashsplat::{Error, Result};
-
-/// COLMAP's camera models by number: name and number of parameters.
-const MODELS: [(&str, usize); 16] = [
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12),
-    ("FOV", 5),
-    ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5),
-    ("THIN_PRISM_FISHEYE", 12),
-    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
-    ("SIMPLE_DIVISION", 4),
-    ("DIVISION", 5),
-    ("SIMPLE_FISHEYE", 3),
-    ("FISHEYE", 4),
-];
-
-/// One of COLMAP's camera models.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CameraModel(usize);
-
-impl CameraModel {
-    /// Parameters f, cx, cy.
-    pub const SIMPLE_PINHOLE: Self = Self(0);
-    /// Parameters fx, fy, cx, cy.
-    pub const PINHOLE: Self = Self(1);
-
-    /// By COLMAP's number.
-    pub fn from_number(number: i64) -> Option<Self> {
-        usize::try_from(number).ok().filter(|&n| n < MODELS.len()).map(Self)
-    }
-
-    /// By COLMAP's name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        MODELS.iter().position(|(model, _)| *model == name).map(Self)
-    }
-
-    /// COLMAP's name.
-    pub fn name(self) -> &'static str {
-        MODELS[self.0].0
-    }
-
-    /// COLMAP's number.
-    pub fn number(self) -> i32 {
-        self.0 as i32
-    }
-
-    /// Number of its parameters.
-    pub fn parameters(self) -> usize {
-        MODELS[self.0].1
-    }
-}
-
-/// A camera without pose, as in the model.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ColmapCamera {
-    /// COLMAP's id; ids may have gaps.
-    pub id: u32,
-    /// The camera model.
-    pub model: CameraModel,
-    /// Width of its images, pixels.
-    pub width: u64,
-    /// Height of its images, pixels.
-    pub height: u64,
-    /// Focal lengths, principal point, distortion, in the model's order.
-    pub parameters: Vec<f64>,
-}
-
-/// A registered image.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ColmapImage {
-    /// COLMAP's id; ids may have gaps and are in no order.
-    pub id: u32,
-    /// Id of its camera.
-    pub camera_id: u32,
-    /// Path below the images folder.
-    pub name: String,
-    /// Rotation from world to camera as quaternion (w, x, y, z), not necessarily of unit length.
-    pub quat: [f64; 4],
-    /// Translation from world to camera, world units.
-    pub translation: [f64; 3],
-}
 
 /// A sparse model.
 #[derive(Clone, Debug, PartialEq)]
@@ -248,21 +162,6 @@ fn optics(camera: &ColmapCamera) -> Option<([f64; 4], Distortion)> {
         ("FISHEYE", &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], fisheye([0.0; 4])),
         _ => return None,
     })
-}
-
-impl ColmapImage {
-    /// The photo's path below the images folder.
-    ///
-    /// # Errors
-    /// [`Error::Input`] naming `model_file` when the name is absolute or leads out of the folder.
-    pub fn photo_path(&self, images_folder: &Path, model_file: &Path) -> Result<PathBuf> {
-        let name = plain(&self.name);
-        if stays_inside(&name) {
-            return Ok(images_folder.join(name));
-        }
-        let problem = format!("image {}: the name {:?} leads out of the images folder", self.id, self.name);
-        Err(Error::input(model_file, problem, "names must be paths below the images folder"))
-    }
 }
 
 /// The command that converts a distorted model to pinhole images and a pinhole model.

@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::str::FromStr;
 
-use super::model::{CameraModel, ColmapCamera, ColmapImage};
+use super::types::{CameraModel, ColmapCamera, ColmapImage};
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
 

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::DQuat;
 
-use super::model::{CameraModel, ColmapCamera, ColmapImage};
+use super::types::{CameraModel, ColmapCamera, ColmapImage};
 use crate::atomic;
 use ashsplat::scene::{Camera, PointCloud};
 use ashsplat::{Error, Result};

@@ -1,0 +1,53 @@
+//! Creation of a device of our own.
+
+use super::device::Candidate;
+use super::requirements::Features;
+use super::vk_error;
+use crate::Result;
+use ash::vk;
+
+/// A device with one queue, the required features, and the optional features that it has.
+pub(super) fn create_device(
+    instance: &ash::Instance,
+    candidate: &Candidate,
+    printf: bool,
+) -> Result<ash::Device> {
+    let optional = &candidate.features;
+    let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
+        .shader_int8(optional.int8)
+        .storage_buffer8_bit_access(optional.storage8)
+        .uniform_and_storage_buffer8_bit_access(optional.uniform_storage8)
+        .vulkan_memory_model(optional.memory_model)
+        .vulkan_memory_model_device_scope(optional.memory_model_device_scope);
+    let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
+    Features::REQUIRED.merge_into(&mut v12, &mut v13);
+    let mut extensions = Vec::new();
+    if optional.push_descriptor {
+        extensions.push(ash::khr::push_descriptor::NAME.as_ptr());
+    }
+    if optional.portability_subset {
+        extensions.push(c"VK_KHR_portability_subset".as_ptr());
+    }
+    if optional.memory_budget {
+        extensions.push(ash::ext::memory_budget::NAME.as_ptr());
+    }
+    extensions.extend(optional.calibrated_timestamps.map(|kind| kind.extension().as_ptr()));
+    let priorities = [1.0];
+    let queues = [vk::DeviceQueueCreateInfo::default()
+        .queue_family_index(candidate.queue_family)
+        .queue_priorities(&priorities)];
+    // Without them the layer refuses to print.
+    let printing = printf && optional.graphics_stores;
+    let core = vk::PhysicalDeviceFeatures::default()
+        .shader_int64(optional.int64)
+        .fragment_stores_and_atomics(printing)
+        .vertex_pipeline_stores_and_atomics(printing);
+    let info = vk::DeviceCreateInfo::default()
+        .enabled_features(&core)
+        .queue_create_infos(&queues)
+        .enabled_extension_names(&extensions)
+        .push_next(&mut v12)
+        .push_next(&mut v13);
+    // SAFETY: all features and extensions were found present; each struct is chained once and outlives the call.
+    unsafe { instance.create_device(candidate.physical, &info, None) }.map_err(vk_error("vkCreateDevice"))
+}
