@@ -91,7 +91,7 @@ pub use kernel::{
 };
 pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of, is_yardstick};
 pub use memory::{MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
-pub use pipeline_cache::PipelineCacheData;
+pub use pipeline_cache::{PipelineCacheData, PipelineCacheSink};
 pub use profile::{BoundBuffer, CommandRecord, Profile, Submission};
 pub use profiler::ScopeTime;
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};

@@ -6,13 +6,16 @@ use ash::vk;
 use std::fmt;
 use std::sync::Arc;
 
+/// Gets the data of a pipeline cache.
+pub type PipelineCacheSink = Arc<dyn Fn(&[u8]) + Send + Sync>;
+
 /// A cache of our own: what it begins with, and who gets its data at the end.
 #[derive(Clone)]
 pub struct PipelineCacheData {
     /// The data of a run before; empty or of another device: the cache begins empty.
     pub data: Vec<u8>,
     /// Called with the data when the context ends, if they have changed.
-    pub on_close: Arc<dyn Fn(&[u8]) + Send + Sync>,
+    pub on_close: PipelineCacheSink,
 }
 
 impl fmt::Debug for PipelineCacheData {

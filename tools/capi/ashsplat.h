@@ -471,8 +471,7 @@ const char *ashsplat_version(void);
 //
 // # Safety
 // `device` is NULL or a C string; `context` is valid for a write.
-enum AshsplatStatus ashsplat_context_new(const char *device,
-                                         struct AshsplatContext **context);
+enum AshsplatStatus ashsplat_context_new(const char *device, struct AshsplatContext **context);
 
 // Closes a context. The device stays open until everything made from it is freed as well. A host's device is
 // never closed.
@@ -556,8 +555,7 @@ const char *ashsplat_requirements(void);
 //
 // # Safety
 // Both pointers are valid for such structs.
-enum AshsplatStatus ashsplat_merge_features(void *vulkan12,
-                                            void *vulkan13);
+enum AshsplatStatus ashsplat_merge_features(void *vulkan12, void *vulkan13);
 
 // A context on a host's device. It never destroys objects of the host. Only the given queue is waited for,
 // and only by functions that submit.
@@ -681,8 +679,7 @@ enum AshsplatStatus ashsplat_scene_from_buffers(const struct AshsplatContext *co
 enum AshsplatStatus ashsplat_scene_set_count(struct AshsplatScene *scene, uint32_t count);
 
 // Staging bytes of an update of `gaussians` Gaussians of a scene of this degree, for AshsplatReservation.
-uint64_t ashsplat_update_bytes(uint32_t gaussians,
-                               uint32_t sh_degree);
+uint64_t ashsplat_update_bytes(uint32_t gaussians, uint32_t sh_degree);
 
 // The default settings, with which scenes are trained and shown.
 //
@@ -743,8 +740,7 @@ enum AshsplatStatus ashsplat_slot_finished(struct AshsplatRenderer *renderer, ui
 //
 // # Safety
 // `renderer` is alive; the frame's command buffer has finished: its fence was waited for.
-enum AshsplatStatus ashsplat_slot_release(struct AshsplatRenderer *renderer,
-                                          uint32_t slot);
+enum AshsplatStatus ashsplat_slot_release(struct AshsplatRenderer *renderer, uint32_t slot);
 
 // Forgets the last recording of a slot, whose command buffer was thrown away.
 //
@@ -814,8 +810,7 @@ enum AshsplatStatus ashsplat_trainer_record(struct AshsplatTrainer *trainer,
 //
 // # Safety
 // `trainer` is alive; the command buffer was not submitted and is not going to be.
-enum AshsplatStatus ashsplat_trainer_discard(struct AshsplatTrainer *trainer,
-                                             uint32_t slot);
+enum AshsplatStatus ashsplat_trainer_discard(struct AshsplatTrainer *trainer, uint32_t slot);
 
 // The outcome of the last recorded step of a slot. Never waits, except on llvmpipe, where reading the time
 // waits.
@@ -855,8 +850,7 @@ enum AshsplatStatus ashsplat_trainer_scene(const struct AshsplatTrainer *trainer
 //
 // # Safety
 // `trainer` is alive, `path` is a C string.
-enum AshsplatStatus ashsplat_trainer_save(const struct AshsplatTrainer *trainer,
-                                          const char *path);
+enum AshsplatStatus ashsplat_trainer_save(const struct AshsplatTrainer *trainer, const char *path);
 
 #ifdef __cplusplus
 }  // extern "C"
