@@ -124,7 +124,7 @@ impl Dataset {
     /// # Errors
     /// [`ashsplat::Error::Io`] and [`ashsplat::Error::Input`] for the first problem of cameras or photos: see
     /// [`super::colmap::find`], [`super::colmap::Model::read`], [`super::colmap::Model::camera_of`],
-    /// [`super::transforms::Transforms::read`] and [`super::Photo::read_sized`]; no registered images; no
+    /// [`super::transforms::Transforms::read`] and [`super::PhotoFileFormat::read_sized`]; no registered images; no
     /// training views left by the split. [`ashsplat::Error::Interrupted`] when `progress` requests the stop.
     pub fn load(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         Gallery::open(path, options, progress)?.load(progress)
