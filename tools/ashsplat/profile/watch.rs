@@ -54,7 +54,7 @@ mod reloading {
 
     /// The shaders that the program was built from.
     fn own_glsl() -> PathBuf {
-        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../glsl"))
+        PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../glsl"))
     }
 
     struct Spirv<'a> {
