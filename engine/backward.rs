@@ -140,7 +140,7 @@ impl Backward {
         Ok(())
     }
 
-    /// Builds the kernel of [`Backward::record_duplicate`].
+    /// Builds the kernel of [`Backward::record_expand_gradients`].
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -233,7 +233,7 @@ impl Backward {
     /// Records the conversion of `frame.gradients` to gradients of all parameters of all Gaussians, in the
     /// layout of the scene's planes, and of the 2D means in pixels. The caller places barriers before and
     /// after.
-    pub fn record_duplicate(
+    pub fn record_expand_gradients(
         &self,
         r: &mut Recorder,
         inputs: &FrameInputs,

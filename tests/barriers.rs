@@ -127,7 +127,7 @@ impl Training {
         if kind == Kind::Gradients {
             self.backward.record(recorder, &inputs, image_gradient, statistics);
             recorder.barrier();
-            self.backward.record_duplicate(recorder, &inputs, &self.gradients, mean2d_gradients);
+            self.backward.record_expand_gradients(recorder, &inputs, &self.gradients, mean2d_gradients);
             return;
         }
         let loss = LossInputs {

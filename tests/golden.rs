@@ -80,9 +80,9 @@ fn own() -> PathBuf {
 pub fn sets(shared: &Path) -> Vec<SetFile> {
     let mut sets = list(&own());
     assert!(!sets.is_empty(), "no golden vectors in {}", own().display());
-    let further: Vec<SetFile> = list(&shared.join("golden"));
-    let is_new = |set: &SetFile| !list(&own()).iter().any(|own| own.name == set.name);
-    sets.extend(further.into_iter().filter(is_new));
+    let mut further = list(&shared.join("golden"));
+    further.retain(|set| sets.iter().all(|own| own.name != set.name));
+    sets.append(&mut further);
     sets.sort_by(|a, b| a.name.cmp(&b.name));
     sets
 }

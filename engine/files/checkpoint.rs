@@ -18,8 +18,8 @@ const FORMAT: &str = "ashsplat-checkpoint/2";
 const FINGERPRINT: &str = "metadata_fingerprint";
 /// Present only if memory was bounded.
 const MAX_MEMORY: &str = "room_max_memory";
-/// Older files lack it.
-const SKIPPED: &str = "skipped";
+/// [`Checkpoint::skipped`], under the name that files have had from the beginning. The oldest files lack it.
+const SKIPPED: &str = "left_out";
 /// The data begin at a multiple of this.
 const ALIGNMENT: usize = 8;
 

@@ -75,7 +75,7 @@ impl Renderer {
             r.barrier();
             backward.record(r, inputs, &extra[2], Statistics { buffer: &extra[1], accumulate: false });
             r.barrier();
-            backward.record_duplicate(r, inputs, &planes, &extra[0]);
+            backward.record_expand_gradients(r, inputs, &planes, &extra[0]);
             Ok(())
         });
         ran.map_err(Failed::error)?;

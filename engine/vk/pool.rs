@@ -67,10 +67,10 @@ mod tests {
     #[test]
     fn it_goes_home_unless_it_is_kept() {
         let pool: Pool<Vec<u32>> = Arc::new(Mutex::new(vec![1]));
-        let mut lent = PoolGuard::take_from(&pool);
-        lent.push(2);
-        assert!(pool.lock().expect("unpoisoned").is_empty() && lent.is_from(&pool));
-        drop(lent);
+        let mut guard = PoolGuard::take_from(&pool);
+        guard.push(2);
+        assert!(pool.lock().expect("unpoisoned").is_empty() && guard.is_from(&pool));
+        drop(guard);
         assert_eq!(*pool.lock().expect("unpoisoned"), [1, 2]);
         assert_eq!(PoolGuard::take_from(&pool).keep(), [1, 2]);
         assert!(pool.lock().expect("unpoisoned").is_empty());
@@ -79,9 +79,9 @@ mod tests {
     #[test]
     fn a_panic_sends_it_home() {
         let pool: Pool<Vec<u32>> = Arc::new(Mutex::new(vec![1]));
-        let lent = PoolGuard::take_from(&pool);
+        let guard = PoolGuard::take_from(&pool);
         let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(move || {
-            let _lent = lent;
+            let _guard = guard;
             panic!("in the middle");
         }));
         assert!(panicked.is_err());

@@ -63,13 +63,13 @@ fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &InFli
 
 /// As many steps in flight as there are slots, and maintenance whenever it is due.
 fn train_recorded(host: &Host) {
-    const FOR_BACKWARD: usize = 3;
+    const SLOTS: usize = 3;
     let context = guest(host);
     let mut owned = trainer(&context, settings());
     let expected: Vec<StepReport> = (0..200).map(|_| owned.step().expect("a step")).collect();
     let mut recorded = trainer(&context, settings());
-    recorded.reserve_steps(&StepReservation { slots: FOR_BACKWARD as u32, instances: 0 }).expect("memory");
-    let frames = [0; FOR_BACKWARD].map(|_| InFlight::new(host).expect("a command buffer"));
+    recorded.reserve_steps(&StepReservation { slots: SLOTS as u32, instances: 0 }).expect("memory");
+    let frames = [0; SLOTS].map(|_| InFlight::new(host).expect("a command buffer"));
     let (mut pending, mut densifications) = (Vec::<(usize, u32)>::new(), 0);
     let check = |trainer: &mut Trainer, (slot, iteration): (usize, u32)| {
         frames[slot].wait(host).expect("done");
@@ -81,7 +81,7 @@ fn train_recorded(host: &Host) {
         assert_eq!(numbers(&got), numbers(wanted), "iteration {iteration}");
     };
     for number in 0..200 {
-        let slot = number % FOR_BACKWARD;
+        let slot = number % SLOTS;
         if recorded.maintenance_is_due().expect("an answer") {
             for step in pending.drain(..) {
                 check(&mut recorded, step);
@@ -90,7 +90,7 @@ fn train_recorded(host: &Host) {
             densifications += u32::from(maintenance.densified.is_some_and(|d| d.cloned + d.split > 0));
             assert!(!recorded.maintenance_is_due().expect("an answer"));
             assert_eq!(recorded.maintain().expect("nothing to do"), Default::default());
-        } else if pending.len() == FOR_BACKWARD {
+        } else if pending.len() == SLOTS {
             check(&mut recorded, pending.remove(0));
         }
         frames[slot].begin(host).expect("recording");

@@ -61,7 +61,7 @@ fn check(gpu: &Gpu, kernel: &Kernel<Interface>, spec: Spec, keys: &[u32], [shift
 }
 
 #[test]
-fn sort_scatter_equals_its_twin() {
+fn sort_downsweep_equals_its_twin() {
     let gpu = Gpu::new();
     for identity_values in [false, true] {
         let spec = spec(&gpu, identity_values);
@@ -77,7 +77,7 @@ fn sort_scatter_equals_its_twin() {
 }
 
 #[test]
-fn sort_scatter_of_equal_and_extreme_keys() {
+fn sort_downsweep_of_equal_and_extreme_keys() {
     let gpu = Gpu::new();
     let spec = spec(&gpu, false);
     let kernel = gpu.kernel::<Interface>(&spec);

@@ -68,7 +68,7 @@ fn check(gpu: &Gpu, kernel: &Kernel<Interface>, spec: Spec, keys: &[u32], [shift
 }
 
 #[test]
-fn sort_scatter_runs_equals_its_twin() {
+fn sort_downsweep_serial_equals_its_twin() {
     let gpu = Gpu::new();
     for identity_values in [false, true] {
         let spec = spec(&gpu, identity_values);
@@ -86,7 +86,7 @@ fn sort_scatter_runs_equals_its_twin() {
 }
 
 #[test]
-fn sort_scatter_runs_of_equal_and_extreme_keys() {
+fn sort_downsweep_serial_of_equal_and_extreme_keys() {
     let gpu = Gpu::new();
     let spec = spec(&gpu, false);
     let kernel = gpu.kernel::<Interface>(&spec);

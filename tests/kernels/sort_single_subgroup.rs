@@ -46,7 +46,7 @@ fn check(gpu: &Gpu, kernel: &Kernel<Interface>, spec: Spec, keys: &[u32], [digit
 }
 
 #[test]
-fn sort_alone_equals_its_twin() {
+fn sort_single_subgroup_equals_its_twin() {
     let gpu = Gpu::new();
     for identity_values in [false, true] {
         let spec = spec(&gpu, identity_values);
@@ -62,7 +62,7 @@ fn sort_alone_equals_its_twin() {
 }
 
 #[test]
-fn sort_alone_of_equal_and_extreme_keys() {
+fn sort_single_subgroup_of_equal_and_extreme_keys() {
     let gpu = Gpu::new();
     let spec = spec(&gpu, false);
     let kernel = gpu.kernel::<Interface>(&spec);

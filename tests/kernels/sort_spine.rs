@@ -7,7 +7,7 @@ use crate::common::scenes::Random;
 use crate::reference::sort_spine::sort_spine;
 
 #[test]
-fn sort_scan_equals_its_twin() {
+fn sort_spine_equals_its_twin() {
     let gpu = Gpu::new();
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
     let kernel = gpu.kernel::<Interface>(&spec);

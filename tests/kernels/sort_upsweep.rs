@@ -7,7 +7,7 @@ use crate::common::scenes::Random;
 use crate::reference::sort_upsweep::sort_upsweep;
 
 #[test]
-fn sort_count_equals_its_twin() {
+fn sort_upsweep_equals_its_twin() {
     let gpu = Gpu::new();
     let spec = Spec { workgroup_size: gpu.workgroup(64), items: 4 };
     let kernel = gpu.kernel::<Interface>(&spec);

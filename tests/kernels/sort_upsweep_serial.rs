@@ -8,7 +8,7 @@ use crate::reference::sort_upsweep::sort_upsweep;
 use crate::reference::sort_upsweep_serial::sort_upsweep_serial;
 
 #[test]
-fn sort_count_runs_equals_its_twin() {
+fn sort_upsweep_serial_equals_its_twin() {
     let gpu = Gpu::new();
     let lanes = gpu.subgroup();
     let spec = Spec { workgroup_size: lanes, subgroup_size: lanes, items: 12 };

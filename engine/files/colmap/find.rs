@@ -20,7 +20,7 @@ pub struct ModelFolder {
     pub warning: Option<String>,
 }
 
-const REGIONS_PER_SUBGROUP: [&str; 3] = ["cameras", "images", "points3D"];
+const PARTS: [&str; 3] = ["cameras", "images", "points3D"];
 
 /// Finds the model of a data set: `sparse/N` (of several the one with the most registered images, then points,
 /// then the lowest name), `sparse`, or the folder itself.
@@ -97,9 +97,7 @@ fn has_photos(folder: &Path) -> bool {
 }
 
 fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {
-    let missing = |ending| {
-        REGIONS_PER_SUBGROUP[..2].iter().find(|part| !folder.join(format!("{part}.{ending}")).is_file())
-    };
+    let missing = |ending| PARTS[..2].iter().find(|part| !folder.join(format!("{part}.{ending}")).is_file());
     let text = match (missing("bin"), missing("txt")) {
         (None, _) => false,
         (_, None) => true,
@@ -134,7 +132,7 @@ fn claimed_size(folder: &Path) -> (u64, u64) {
             text::count_images(&found.folder.join("images.txt")),
             text::count_rows(&found.folder.join("points3D.txt")),
         ),
-        Ok(found) => [REGIONS_PER_SUBGROUP[1], REGIONS_PER_SUBGROUP[2]]
+        Ok(found) => [PARTS[1], PARTS[2]]
             .map(|part| binary::claimed_count(&found.folder.join(format!("{part}.bin"))))
             .into(),
         Err(_) => (0, 0),
@@ -144,7 +142,7 @@ fn claimed_size(folder: &Path) -> (u64, u64) {
 fn has_model(folder: &Path) -> bool {
     let file =
         |part: &&str| ["bin", "txt"].iter().any(|ending| folder.join(format!("{part}.{ending}")).is_file());
-    REGIONS_PER_SUBGROUP[..2].iter().any(file)
+    PARTS[..2].iter().any(file)
 }
 
 /// Subfolders, `2` before `10`; none when the folder does not exist.
