@@ -1,7 +1,11 @@
-//! The loss of an image against a photograph, and its gradient: (1 - λ) L1 + λ (1 - SSIM).
+//! The loss of training and its gradient: a sum of terms ([`LossTerm`]), of which the first is that of an
+//! image against a photograph, (1 - λ) L1 + λ (1 - SSIM).
 
 mod photo;
+mod photometric;
+mod regularizers;
 mod scratch;
+mod term;
 
 use crate::error::Result;
 use crate::kernels::loss::{
@@ -12,7 +16,9 @@ use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
 use scratch::{ScratchBytes, Sweeps};
 
 pub use photo::{photo_bytes, photo_on_device};
-pub use scratch::scratch_requests;
+pub use photometric::Photometric;
+pub use regularizers::Regularizers;
+pub use term::{LossTerm, Targets, TermInputs};
 
 /// How SSIM's window is evaluated. The results agree except for rounding; the cost depends on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -55,6 +55,7 @@ pub struct Optimizer {
     context: Context,
     sizes: LaunchSizes,
     sparse: bool,
+    parameter_gradients: bool,
     adam: [Option<Kernel<adam::Interface>>; 4],
 }
 
@@ -62,7 +63,14 @@ impl Optimizer {
     /// Prepares for a device. Sparse Adam does not change Gaussians outside the view, and corrects no bias.
     pub fn new(context: &Context, sparse: bool) -> Self {
         let sizes = LaunchSizes::new(context.limits());
-        Self { context: context.clone(), sizes, sparse, adam: Default::default() }
+        let context = context.clone();
+        Self { context, sizes, sparse, parameter_gradients: false, adam: Default::default() }
+    }
+
+    /// As [`Optimizer::new`], for a loss with terms that depend on the parameters directly: their gradient is
+    /// passed to [`Optimizer::record`].
+    pub fn with_parameter_gradients(context: &Context, sparse: bool) -> Self {
+        Self { parameter_gradients: true, ..Self::new(context, sparse) }
     }
 
     /// Builds the variant for an SH degree unless it exists.
@@ -76,14 +84,24 @@ impl Optimizer {
                 workgroup_size: self.sizes.elementwise_workgroup,
                 sh_degree,
                 sparse: self.sparse,
+                parameter_gradients: self.parameter_gradients,
             };
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         Ok(())
     }
 
-    /// Records one step from `frame.gradients`. The caller places barriers before and after.
-    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, moments: &Moments, step: &Step) {
+    /// Records one step from `frame.gradients`, and from `parameter_gradients`
+    /// ([`TermInputs`](crate::loss::TermInputs)) with [`Optimizer::with_parameter_gradients`]. The caller
+    /// places barriers before and after.
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        moments: &Moments,
+        parameter_gradients: &[Buffer],
+        step: &Step,
+    ) {
         let Some(kernel) = &self.adam[inputs.sh_degree as usize] else {
             panic!("Optimizer::prepare was not called for SH degree {}", inputs.sh_degree);
         };
@@ -105,6 +123,11 @@ impl Optimizer {
                     old_parameters: parameters,
                     old_moments_1: moments_1,
                     old_moments_2: moments_2,
+                    // Without such terms nothing is read from it.
+                    parameter_gradients: match self.parameter_gradients {
+                        true => &parameter_gradients[range.chunk],
+                        false => &inputs.frame.gradients,
+                    },
                 };
                 let push = push(inputs, step, range.first, range.count);
                 r.dispatch(

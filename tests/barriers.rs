@@ -149,7 +149,7 @@ impl Training {
         let rates =
             Rates { mean: 1e-4, opacity: 0.025, quat: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
         let step = Step { rates, count: 1, opacity_count: 1 };
-        self.optimizer.record(recorder, &inputs, &self.moments, &step);
+        self.optimizer.record(recorder, &inputs, &self.moments, &[], &step);
     }
 
     /// The hazards of a recording without one of its barriers, and how many barriers it has.

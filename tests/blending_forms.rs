@@ -80,7 +80,7 @@ fn train(context: &Context, [first, then]: [Blending; 2]) -> ([u64; 2], Vec<u32>
     let photo = |number: u32| {
         let rgb = (0..56 * 40 * 3).map(|k| (k * (number + 2) / 7) as u8).collect();
         let photo = Photo { width: 56, height: 40, rgb };
-        TrainView { camera: camera(&small_view([56, 40])), photo: photo.into() }
+        TrainView::new(camera(&small_view([56, 40])), photo)
     };
     let settings = TrainSettings {
         iterations: 40,

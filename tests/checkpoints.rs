@@ -38,7 +38,7 @@ pub fn views(count: u32, gray: u8) -> Vec<TrainView> {
         .map(|i| {
             let turned = View { camera_from_world: rotation_about_y(f64::from(i)), ..small_view([40, 30]) };
             let rgb = (0..40 * 30 * 3).map(|k| gray.wrapping_add((k * (i + 3)) as u8)).collect();
-            TrainView { camera: camera(&turned), photo: Photo { width: 40, height: 30, rgb }.into() }
+            TrainView::new(camera(&turned), Photo { width: 40, height: 30, rgb })
         })
         .collect()
 }
@@ -144,8 +144,8 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         iteration: 9,
         optimizer_steps: 9,
         opacity_steps: 8,
-        densification_due: false,
-        opacity_reset_due: true,
+        due: ashsplat::trainer::Actions::RESET_OPACITY,
+        strategy: Default::default(),
         first_moments: one.clone(),
         second_moments: one.clone(),
         gaussians: one,

@@ -23,7 +23,7 @@ fn views() -> Vec<TrainView> {
             let frame = renderer.render(&camera(&view), &settings(&view)).expect("a photograph");
             let rgb =
                 frame.color.iter().flatten().map(|x| (x * 255.0).round().clamp(0.0, 255.0) as u8).collect();
-            TrainView { camera: camera(&view), photo: Photo { width: 70, height: 50, rgb }.into() }
+            TrainView::new(camera(&view), Photo { width: 70, height: 50, rgb })
         })
         .collect()
 }

@@ -25,6 +25,7 @@ enum Kind {
     Densify,
     ResetOpacity,
     Train,
+    Regularizers,
     Other,
 }
 
@@ -38,6 +39,7 @@ impl Kind {
             () if has("xyz_p0") => Kind::Adam,
             () if has("lr_xyz") => Kind::Rates,
             () if has("in_grad_accum") && has("out_kind") => Kind::Densify,
+            () if has("reg_loss") => Kind::Regularizers,
             () if has("logits") && has("out") => Kind::ResetOpacity,
             () => Kind::Other,
         }
@@ -81,6 +83,9 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     let mut sets = list(&own());
     assert!(!sets.is_empty(), "no golden vectors in {}", own().display());
     let mut further = list(&shared.join("golden"));
+    // Of the sets of training features those whose feature exists.
+    let features = list(&shared.join("golden/training"));
+    further.extend(features.into_iter().filter(|set| set.kind == Kind::Regularizers));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);
     sets.sort_by(|a, b| a.name.cmp(&b.name));

@@ -186,7 +186,7 @@ fn invariant_under_counting_samples() {
         renderer.upload(&gaussians(&scene)).expect("upload");
         let frame = renderer.render(&camera(&view), &settings(&view)).expect("a frame");
         let photo = Photo { width: 64, height: 48, rgb: vec![100; 64 * 48 * 3] };
-        let views = vec![TrainView { camera: camera(&view), photo: photo.into() }];
+        let views = vec![TrainView::new(camera(&view), photo)];
         let settings = TrainSettings { sh_degree: 0, ..TrainSettings::default() };
         let mut trainer =
             Trainer::new(&context, views, &gaussians(&scene), 5.0, settings).expect("a trainer");

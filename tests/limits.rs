@@ -198,7 +198,7 @@ fn crowded() -> (Context, Gaussians) {
 fn view_of(size: [u32; 2]) -> TrainView {
     let [width, height] = size;
     let rgb = (0..width * height * 3).map(|k| (k * 7) as u8).collect();
-    TrainView { camera: camera(&small_view(size)), photo: Photo { width, height, rgb }.into() }
+    TrainView::new(camera(&small_view(size)), Photo { width, height, rgb })
 }
 
 /// A view whose frames are too large is left out, and the others are trained; nothing is grown meanwhile; a run that goes

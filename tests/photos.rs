@@ -32,7 +32,7 @@ fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
     let memory = PhotoMemory { bytes: held_bytes(views, held), folder: std::env::temp_dir() };
     let file = memory.create_file().expect("a file");
     let stored = |view: &TrainView| file.store(&view.photo).expect("stored");
-    views.iter().map(|view| TrainView { photo: stored(view), ..view.clone() }).collect()
+    views.iter().map(|view| TrainView::new(view.camera, stored(view))).collect()
 }
 
 fn short() -> TrainSettings {
@@ -129,7 +129,7 @@ fn photos_in_a_file_are_what_they_were() {
 fn photos_and_masks_of_wrong_sizes_are_refused() {
     let gpu = Gpu::new();
     let refusal = |photo: StoredPhoto| {
-        let view = TrainView { photo, ..checkpoints::views(1, 3).remove(0) };
+        let view = TrainView::new(checkpoints::views(1, 3)[0].camera, photo);
         let refused = Trainer::new(gpu.context, vec![view], &checkpoints::start(), EXTENT, short()).err();
         refused.expect("refused").to_string()
     };
@@ -183,7 +183,7 @@ fn training_in_strips_is_training_by_pixels() {
             let rgb = (0..3 * pixels).map(|k| (k * (i as u32 + 3) / 5 % 256) as u8).collect();
             let mask = (i % 2 == 1).then(|| (0..pixels).map(|k| (k % 11 != 0).into()).collect());
             let photo = StoredPhoto::new(Photo { width, height, rgb }, mask);
-            TrainView { camera: camera(&turned), photo }
+            TrainView::new(camera(&turned), photo)
         })
         .collect();
     let [strips, pixels] =
@@ -214,7 +214,7 @@ fn seen(indices: impl Iterator<Item = u32>, occluder: Option<bool>) -> Vec<Train
             }
         }
         let mask = (occluder == Some(true)).then_some(mask);
-        TrainView { camera: camera(&turned), photo: StoredPhoto::new(photo, mask) }
+        TrainView::new(camera(&turned), StoredPhoto::new(photo, mask))
     };
     indices.map(of_view).collect()
 }

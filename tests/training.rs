@@ -205,7 +205,7 @@ fn training_follows_the_twin() {
     let gpu = Gpu::new();
     let s = training_settings();
     let mut twin = Twin::new(start(), &photo());
-    let views = vec![TrainView { camera: camera(&view(0)), photo: photo().into() }];
+    let views = vec![TrainView::new(camera(&view(0)), photo())];
     let mut trainer =
         Trainer::new(gpu.context, views, &gaussians(&twin.gaussians), SCENE_EXTENT as f32, s.clone())
             .expect("a trainer");
@@ -262,7 +262,7 @@ fn training_step_that_overflows_is_run_again() {
     let photo = || Photo { width: 320, height: 240, rgb: vec![127; 3 * 320 * 240] };
     let s = TrainSettings { sh_degree: 0, ..TrainSettings::default() };
     let train = |room_first: bool| -> (Gaussians, Vec<f32>, u32) {
-        let views = vec![TrainView { camera: camera(&view), photo: photo().into() }];
+        let views = vec![TrainView::new(camera(&view), photo())];
         let mut trainer =
             Trainer::new(gpu.context, views, &gaussians(&scene), 5.0, s.clone()).expect("a trainer");
         let mut retries = 0;

@@ -4,7 +4,8 @@ use crate::atomic;
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::trainer::checkpoint::{Checkpoint, Room, Tensor};
+use ashsplat::trainer::checkpoint::{Checkpoint, Room, StrategyState, StrategyStatistic, Tensor};
+use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
 use bytemuck::Pod;
 use safetensors::{Dtype, SafeTensors};
@@ -20,6 +21,11 @@ const FINGERPRINT: &str = "metadata_fingerprint";
 const MAX_MEMORY: &str = "room_max_memory";
 /// [`Checkpoint::skipped`], under the name that files have had from the beginning. The oldest files lack it.
 const SKIPPED: &str = "left_out";
+/// The actions of [`Checkpoint::due`] that every version knows, each by its name.
+const DUE: [(&str, Actions); 2] =
+    [("densification_due", Actions::DENSIFY), ("opacity_reset_due", Actions::RESET_OPACITY)];
+/// All other actions, as bits. Present only if there are any.
+const OTHERS_DUE: &str = "strategy_due";
 /// The data begin at a multiple of this.
 const ALIGNMENT: usize = 8;
 
@@ -92,8 +98,6 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         ("iteration", checkpoint.iteration.to_string()),
         ("optimizer_steps", checkpoint.optimizer_steps.to_string()),
         ("opacity_steps", checkpoint.opacity_steps.to_string()),
-        ("densification_due", checkpoint.densification_due.to_string()),
-        ("opacity_reset_due", checkpoint.opacity_reset_due.to_string()),
         (SKIPPED, checkpoint.skipped.to_string()),
         ("room_gaussians", gaussians.to_string()),
         ("room_frame_gaussians", frame_gaussians.to_string()),
@@ -108,7 +112,13 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         ("view_order_position", (u64::from(checkpoint.iteration) % views).to_string()),
     ];
     let max_memory = max_memory.map(|bytes| (MAX_MEMORY, bytes.to_string()));
-    Ok(pairs.into_iter().chain(max_memory).map(|(name, value)| (name.to_owned(), value)).collect())
+    let due = DUE.map(|(name, action)| (name, checkpoint.due.contains(action).to_string()));
+    let others = DUE.iter().fold(checkpoint.due, |due, (_, action)| due.without(*action));
+    let others = (!others.is_empty()).then(|| (OTHERS_DUE, others.0.to_string()));
+    let named = pairs.into_iter().chain(due).chain(others).chain(max_memory);
+    let own = checkpoint.strategy.values.iter();
+    let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
+    Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
 }
 
 /// The hash of the metadata, without its own entry.
@@ -150,12 +160,15 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         iteration: metadata.parsed("iteration")?,
         optimizer_steps: metadata.parsed("optimizer_steps")?,
         opacity_steps: metadata.parsed("opacity_steps")?,
-        densification_due: metadata.parsed("densification_due")?,
-        opacity_reset_due: metadata.parsed("opacity_reset_due")?,
+        due: metadata.due()?,
         gaussians: gaussians(&tensors, Checkpoint::SETS[0])?,
         first_moments: gaussians(&tensors, Checkpoint::SETS[1])?,
         second_moments: gaussians(&tensors, Checkpoint::SETS[2])?,
         statistics: values(&tensors, "statistics", &[2])?,
+        strategy: StrategyState {
+            statistics: strategy_statistics(&header, &tensors)?,
+            values: metadata.strategy(),
+        },
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
         room: Room {
             gaussians: metadata.parsed("room_gaussians")?,
@@ -193,6 +206,22 @@ impl Metadata {
         self.0.contains_key(name).then(|| self.parsed(name)).transpose()
     }
 
+    fn due(&self) -> Result<Actions, String> {
+        let mut due = Actions(self.optional(OTHERS_DUE)?.unwrap_or(0));
+        for (name, action) in DUE {
+            due = due.and(action.when(self.parsed(name)?));
+        }
+        Ok(due)
+    }
+
+    /// The strategy's own values.
+    fn strategy(&self) -> Vec<(String, String)> {
+        let own = |(name, value): (&String, &String)| {
+            Some((name.strip_prefix(Checkpoint::STRATEGY)?.to_owned(), value.clone()))
+        };
+        self.0.iter().filter_map(own).collect()
+    }
+
     fn hexadecimal(&self, name: &str) -> Result<u64, String> {
         let text = self.text(name)?;
         u64::from_str_radix(text, 16).map_err(|_| format!("has '{text}' as the metadata '{name}'"))
@@ -207,6 +236,26 @@ fn values<T: Pod>(tensors: &SafeTensors, name: &str, row: &[usize]) -> Result<Ve
         return Err(format!("has a tensor '{name}' of {:?} {:?}", tensor.dtype(), tensor.shape()));
     }
     Ok(bytemuck::pod_collect_to_vec(tensor.data()))
+}
+
+/// The strategy's own statistics, in the order of the data.
+fn strategy_statistics(
+    header: &safetensors::tensor::Metadata,
+    tensors: &SafeTensors,
+) -> Result<Vec<StrategyStatistic>, String> {
+    let mut all = Vec::new();
+    for name in header.offset_keys() {
+        let Some(own) = name.strip_prefix(Checkpoint::STRATEGY) else { continue };
+        let tensor = tensors.tensor(&name).map_err(|e| e.to_string())?;
+        let (Dtype::F32, &[_, floats]) = (tensor.dtype(), tensor.shape()) else {
+            return Err(format!("has a tensor '{name}' of {:?} {:?}", tensor.dtype(), tensor.shape()));
+        };
+        let floats =
+            u32::try_from(floats).map_err(|_| format!("has a tensor '{name}' of {floats} columns"))?;
+        let values = bytemuck::pod_collect_to_vec(tensor.data());
+        all.push(StrategyStatistic { name: own.to_owned(), floats, values });
+    }
+    Ok(all)
 }
 
 fn gaussians(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {

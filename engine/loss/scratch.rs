@@ -81,13 +81,3 @@ impl ScratchBytes {
         requests
     }
 }
-
-/// [`Loss::scratch_requests`] on a device for images of these sizes.
-pub fn scratch_requests(
-    limits: &Limits,
-    sizes: impl IntoIterator<Item = (u32, u32)>,
-) -> Vec<(&'static str, u64)> {
-    let windowing = Windowing::for_device(limits);
-    let of = |(width, height)| ScratchBytes::new(windowing, width, height);
-    ScratchBytes::maximum(sizes.into_iter().map(of)).requests(limits)
-}

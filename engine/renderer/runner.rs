@@ -136,10 +136,16 @@ impl FrameRunner {
         self.store.release();
     }
 
-    /// Allocates buffers with backward for these cameras, and builds the kernels up to an SH degree, for
-    /// [`FrameRunner::record`].
-    pub fn reserve(&mut self, gaussians: u32, cameras: &[Camera], sh_degree: u32) -> Result<()> {
-        let variant = BlendVariant { backward: true, ..BlendVariant::default() };
+    /// Allocates buffers with backward for these cameras, and builds the kernels up to an SH degree, with or
+    /// without inverse depth, for [`FrameRunner::record`].
+    pub fn reserve(
+        &mut self,
+        gaussians: u32,
+        cameras: &[Camera],
+        sh_degree: u32,
+        inverse_depth: bool,
+    ) -> Result<()> {
+        let variant = BlendVariant { backward: true, inverse_depth, ..BlendVariant::default() };
         for degree in 0..=sh_degree {
             self.forward.prepare_variant(degree, variant)?;
         }

@@ -1,10 +1,10 @@
 //! Memory of a training run, computed before it is allocated.
 
-use super::LossScratch;
 use super::checkpoint::Room;
+use super::model::RowMemory;
 use super::photos::PhotoBytes;
+use super::step_recorder::StepRecorder;
 use crate::error::{Error, Result};
-use crate::loss;
 use crate::plan::{
     FrameCapacity, LaunchSizes, ScenePlan, check_grids, frame_bytes, frame_requests, initial_instances,
     max_trained_gaussians, max_trained_instances,
@@ -12,16 +12,6 @@ use crate::plan::{
 use crate::renderer::FrameStore;
 use crate::scene::Camera;
 use crate::vk::Context;
-
-/// Parameters, two moments, and the target of densification's gather.
-const SETS: u64 = 4;
-/// Bytes of a Gaussian's statistics.
-const STATISTICS_BYTES: u64 = 8;
-
-/// Bytes of the planes and statistics of a plan.
-pub(super) fn sets_bytes(plan: &ScenePlan) -> u64 {
-    SETS * plan.chunk_bytes() * u64::from(plan.chunks) + STATISTICS_BYTES * u64::from(plan.capacity)
-}
 
 /// Largest width and largest height of the views, px: a frame's buffers serve all of them.
 pub(super) fn largest_sides(cameras: &[Camera]) -> (u32, u32) {
@@ -33,6 +23,8 @@ pub(super) fn largest_sides(cameras: &[Camera]) -> (u32, u32) {
 pub(super) struct Before<'a> {
     pub cameras: &'a [Camera],
     pub photo_bytes: PhotoBytes,
+    pub rows: &'a RowMemory,
+    pub recorder: &'a StepRecorder,
     /// Initial number of Gaussians.
     pub count: u32,
     pub sh_degree: u32,
@@ -43,13 +35,12 @@ impl Before<'_> {
     fn buffer_bytes(&self, context: &Context, plan: &ScenePlan, frame: Option<FrameCapacity>) -> u64 {
         let limits = context.limits();
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
-        let planes = bytes(&vec![("planes", plan.chunk_bytes()); plan.chunks as usize]);
-        let statistics = bytes(&[("statistics", STATISTICS_BYTES * u64::from(plan.capacity))]);
-        let scratch = loss::scratch_requests(limits, self.cameras.iter().map(|c| (c.width, c.height)));
+        let sizes: Vec<_> = self.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
+        let scratch = self.recorder.device_requests(&sizes);
         // The counts of training's frames and of drawn frames.
-        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&LossScratch::READBACK);
+        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.recorder.readback_request()]);
         let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
-        SETS * planes + statistics + bytes(&LossScratch::with_losses(scratch)) + readback + frame
+        self.rows.allocation_bytes(context, plan) + bytes(&scratch) + readback + frame
     }
 
     /// The first frame with this number of Gaussians, large enough for all views.
@@ -64,7 +55,7 @@ impl Before<'_> {
     /// # Errors
     /// [`Error::TooLarge`] with the needed bytes, if even the initial Gaussians do not fit.
     pub fn initial_capacity(&self, context: &Context) -> Result<u32> {
-        let Self { cameras, ref photo_bytes, count, sh_degree } = *self;
+        let Self { cameras, ref photo_bytes, count, sh_degree, .. } = *self;
         let most = max_trained_gaussians(context.limits());
         if count > most {
             return Err(Error::TooLarge {
@@ -140,6 +131,7 @@ pub(super) fn grown_capacity(context: &Context, rows: u32) -> u32 {
 /// Current sizes of a training run.
 pub(super) struct Present<'a> {
     pub context: &'a Context,
+    pub rows: &'a RowMemory,
     pub plan: &'a ScenePlan,
     pub frame: FrameCapacity,
     /// Current bytes of the frame's buffers.
@@ -150,7 +142,7 @@ impl Present<'_> {
     /// Whether planes for a plan and a frame of its capacity fit beside the current planes, and, once those
     /// are freed, a frame with proportionally more instances.
     pub fn has_room(&self, plan: &ScenePlan) -> bool {
-        let Self { context, plan: old, frame, frame_bytes: old_frame } = self;
+        let Self { context, rows, plan: old, frame, frame_bytes: old_frame } = self;
         let limits = context.limits();
         if plan.capacity > max_trained_gaussians(limits) {
             return false;
@@ -163,9 +155,9 @@ impl Present<'_> {
             u64::from(frame.instances) * u64::from(plan.capacity) / u64::from(old.capacity.max(1));
         let full =
             FrameCapacity { instances: instances.min(max_trained_instances(limits).into()) as u32, ..grown };
-        let beside = (context.memory_total().bytes + sets_bytes(plan)).saturating_sub(*old_frame);
+        let beside = (context.memory_total().bytes + rows.bytes(plan)).saturating_sub(*old_frame);
         let during = beside + frame_bytes(&grown, &sizes);
-        let after = (beside + frame_bytes(&full, &sizes)).saturating_sub(sets_bytes(old));
+        let after = (beside + frame_bytes(&full, &sizes)).saturating_sub(rows.bytes(old));
         during.max(after) <= limit
     }
 

@@ -5,6 +5,7 @@
 //! was never interrupted: random numbers are keyed by seed and iteration, so no generator has state.
 
 use super::settings::TrainSettings;
+use super::strategy::Actions;
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::scene::Gaussians;
@@ -33,10 +34,8 @@ pub struct Checkpoint {
     pub optimizer_steps: u64,
     /// Steps of the opacities' optimiser so far.
     pub opacity_steps: u64,
-    /// Whether the next step begins with a densification.
-    pub densification_due: bool,
-    /// Whether the next step begins with an opacity reset.
-    pub opacity_reset_due: bool,
+    /// Work of the strategy at the beginning of the next step.
+    pub due: Actions,
     /// The parameters.
     pub gaussians: Gaussians,
     /// Adam's first moments, shaped like the parameters.
@@ -45,10 +44,32 @@ pub struct Checkpoint {
     pub second_moments: Gaussians,
     /// Per Gaussian: sum of the 2D mean's gradient norms (NDC), number of views.
     pub statistics: Vec<[f32; 2]>,
+    /// What the strategy keeps besides.
+    pub strategy: StrategyState,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
     pub skipped: u32,
     /// Allocated capacities.
     pub room: Room,
+}
+
+/// The state of a strategy: see [`Strategy`](super::Strategy).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StrategyState {
+    /// Its own statistics.
+    pub statistics: Vec<StrategyStatistic>,
+    /// Names and values of its state on the host.
+    pub values: Vec<(String, String)>,
+}
+
+/// A statistic of a strategy.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StrategyStatistic {
+    /// Its name.
+    pub name: String,
+    /// Values per Gaussian.
+    pub floats: u32,
+    /// The values, Gaussian by Gaussian.
+    pub values: Vec<f32>,
 }
 
 /// A part of a checkpoint.
@@ -127,11 +148,19 @@ impl Checkpoint {
         let shape = vec![self.statistics.len(), 2];
         let bytes = bytemuck::cast_slice(&self.statistics);
         tensors.push(Tensor { name: "statistics".into(), shape, bytes });
+        for StrategyStatistic { name, floats, values } in &self.strategy.statistics {
+            let shape = vec![values.len() / (*floats).max(1) as usize, *floats as usize];
+            let name = format!("{}{name}", Self::STRATEGY);
+            tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(values) });
+        }
         tensors
     }
 
     /// Prefixes of the tensors' names: parameters, first and second moments.
     pub const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
+
+    /// Prefix of the strategy's own statistics, and of its values in the metadata.
+    pub const STRATEGY: &str = "strategy.";
 
     /// A hash of all tensors. Equal hashes mean states that are equal to the bit.
     pub fn fingerprint(&self) -> u64 {
@@ -152,7 +181,10 @@ impl Checkpoint {
                 return Err(Error::argument("moments", "are of another number or degree than the Gaussians"));
             }
         }
-        if self.statistics.len() != self.gaussians.len() {
+        let rows = |statistic: &StrategyStatistic| {
+            statistic.floats > 0 && statistic.values.len() == self.gaussians.len() * statistic.floats as usize
+        };
+        if self.statistics.len() != self.gaussians.len() || !self.strategy.statistics.iter().all(rows) {
             return Err(Error::argument("statistics", "are of another number than the Gaussians"));
         }
         if self.gaussians.sh_degree != self.settings.sh_degree {

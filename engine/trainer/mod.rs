@@ -7,34 +7,45 @@
 
 mod budget;
 pub mod checkpoint;
-mod density;
+mod iteration;
+mod model;
+pub mod options;
 mod photos;
+mod population;
 mod record;
+mod report;
+mod residency;
 mod resume;
-mod schedule;
+mod run;
 pub mod settings;
 mod step;
+mod step_recorder;
+pub mod strategy;
 pub mod verify;
 
 pub use checkpoint::{Checkpoint, Room};
-pub use record::{Maintenance, RecordedStep, StepOutcome, StepReservation};
-pub use settings::{OptimizerType, TrainSettings};
+pub use population::{Growth, Population};
+pub use record::{RecordedStep, StepReservation};
+pub use report::{Maintenance, StepOutcome, StepReport};
+pub use settings::{OptimizerType, StrategyType, TrainSettings};
+pub use strategy::{Actions, Densified, Strategy};
 
-use crate::backward::Backward;
-use crate::densify::Densify;
 use crate::error::{Error, Result};
 use crate::forward::{Blending, RenderSettings, SceneBuffers};
-use crate::loss::{Loss, PhotoFormat};
-use crate::optimizer::{Moments, Optimizer};
+use crate::loss::{LossTerm, Photometric, Regularizers};
 use crate::planes;
-use crate::renderer::{BlendSamples, Frame, FrameRunner, FrameStore, PixelReport, TileReport};
+use crate::renderer::{Frame, FrameRunner, FrameStore, PixelReport, TileReport};
 use crate::scene::StoredPhoto;
 use crate::scene::{Camera, Gaussians};
-use crate::vk::{ArenaMemory, Buffer, Context, MemoryKind, ScopeTime};
+use crate::vk::{ArenaMemory, Context};
+use model::{Model, RowMemory, State};
 use photos::Photos;
+use run::Run;
+use step_recorder::{LossMemory, StepRecorder};
 
 /// A photograph and its camera.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct TrainView {
     /// The camera; its size is the photo's.
     pub camera: Camera,
@@ -43,74 +54,33 @@ pub struct TrainView {
     pub photo: StoredPhoto,
 }
 
-/// The report of a step.
-#[derive(Clone, Debug, Default)]
-pub struct StepReport {
-    /// Iteration, from 1.
-    pub iteration: u32,
-    /// Whether the iteration was skipped, because its frame has more (tile, Gaussian) instances than the
-    /// device or the memory can hold. It has changed nothing, and its losses are NaN. See [`Trainer::step`].
-    pub skipped: bool,
-    /// (1 - λ) L1 + λ (1 - SSIM) before the step.
-    pub loss: f32,
-    /// Mean absolute difference.
-    pub l1: f32,
-    /// Mean SSIM.
-    pub ssim: f32,
-    /// Gaussians in the step.
-    pub gaussians: u32,
-    /// Gaussians visible in the step's view.
-    pub visible: u32,
-    /// (tile, Gaussian) instances of the step's view.
-    pub instances: u32,
-    /// Instances of the longest tile of the step's view.
-    pub longest_tile: u32,
-    /// Samples of blending, if counted.
-    pub samples: BlendSamples,
-    /// Gaussians that did not change because their gradient was not finite.
-    pub skipped_non_finite: u32,
-    /// Wall time of the step; 0 for a recorded one.
-    pub milliseconds: f64,
-    /// Index of the view.
-    pub view: usize,
-    /// The report of the densification before the step, if the previous iteration requested one. For recorded
-    /// steps see [`Maintenance`].
-    pub densified: Option<Densified>,
-    /// Device time per stage.
-    pub scopes: Vec<ScopeTime>,
-}
-
-/// The report of a densification.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Densified {
-    /// Gaussians before.
-    pub before: u32,
-    /// Gaussians that stayed.
-    pub kept: u32,
-    /// Clones that were added.
-    pub cloned: u32,
-    /// Gaussians that were replaced by two each.
-    pub split: u32,
-    /// Whether memory or the device's limits did not suffice for all new Gaussians, so that only those with
-    /// the largest gradients were cloned or split.
-    pub limited: bool,
-}
-
-impl Densified {
-    /// Gaussians afterwards.
-    pub fn rows(&self) -> u32 {
-        self.kept + self.cloned + 2 * self.split
+impl TrainView {
+    /// A view to train on.
+    pub fn new(camera: Camera, photo: impl Into<StoredPhoto>) -> Self {
+        Self { camera, photo: photo.into() }
     }
 }
 
-/// The optimiser's state and the scene on the device.
-pub(crate) struct Training {
-    pub scene: SceneBuffers,
-    pub moments: Moments,
-    /// A fourth set of planes, the target of densification's gather.
-    pub spare: Vec<Buffer>,
-    /// Per Gaussian: sum of NDC gradient norms, views.
-    pub statistics: Buffer,
+/// The parts of training that can be exchanged. The photometric term of the loss always comes first.
+pub struct TrainParts {
+    /// Density control.
+    pub strategy: Box<dyn Strategy>,
+    /// Terms of the loss besides the photometric one and the strategy's own.
+    pub terms: Vec<Box<dyn LossTerm>>,
+}
+
+impl TrainParts {
+    /// The parts that the settings name.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
+        let mut terms: Vec<Box<dyn LossTerm>> = Vec::new();
+        if settings.opacity_reg > 0.0 || settings.scale_reg > 0.0 {
+            terms.push(Box::new(Regularizers::new(context, settings.opacity_reg, settings.scale_reg)?));
+        }
+        Ok(Self { strategy: strategy::of_settings(context, settings)?, terms })
+    }
 }
 
 /// Trains Gaussians on photographs.
@@ -133,57 +103,18 @@ pub(crate) struct Training {
 /// The [guide](crate::guide::first_training) has more; [`Trainer::record_step`] is for a host's command buffer.
 pub struct Trainer {
     context: Context,
-    settings: TrainSettings,
-    scene_extent: f32,
-    cameras: Vec<Camera>,
-    views_fingerprint: u64,
+    run: Run,
     photos: Photos,
+    schedule: iteration::Schedule,
+    strategy: Box<dyn Strategy>,
+    recorder: StepRecorder,
+    losses: LossMemory,
     runner: FrameRunner,
     /// Buffers of the frames that are drawn between steps. Training does not depend on them.
     pictures: FrameStore,
-    loss: Loss,
-    /// For views with masks.
-    masked_loss: Option<Loss>,
-    backward: Backward,
-    optimizer: Optimizer,
-    densify: Densify,
-    training: Training,
-    scratch: LossScratch,
-    order: step::ViewOrder,
-    progress: step::Progress,
+    rows: RowMemory,
+    state: State,
     recording: record::Recording,
-    /// Most instances of a frame so far; see [`Room::most_instances`].
-    most_instances: u32,
-    /// Number of consecutive skipped iterations.
-    skipped: u32,
-    /// Whether it is unknown if a submission that changes the scene was executed.
-    broken: bool,
-}
-
-pub(crate) struct LossScratch {
-    /// The buffers of [`Loss::scratch_requests`].
-    pub loss: Vec<Buffer>,
-    pub losses: Buffer,
-    pub readback: Buffer,
-}
-
-impl LossScratch {
-    const READBACK: [(&str, u64); 1] = [("loss_readback", 16)];
-
-    fn with_losses(mut scratch: Vec<(&'static str, u64)>) -> Vec<(&'static str, u64)> {
-        scratch.push(("losses", 16));
-        scratch
-    }
-
-    fn new(context: &Context, loss: &Loss, cameras: &[Camera]) -> Result<Self> {
-        let requests = loss.scratch_requests(cameras.iter().map(|c| (c.width, c.height)));
-        let mut device = context.allocate("loss", &Self::with_losses(requests), MemoryKind::Device)?;
-        let host = context.allocate("readback", &Self::READBACK, MemoryKind::HostVisible)?;
-        match (device.pop(), <[Buffer; 1]>::try_from(host)) {
-            (Some(losses), Ok([readback])) => Ok(Self { loss: device, losses, readback }),
-            _ => unreachable!("one buffer per request"),
-        }
-    }
 }
 
 impl Trainer {
@@ -202,16 +133,33 @@ impl Trainer {
         scene_extent: f32,
         settings: TrainSettings,
     ) -> Result<Self> {
-        Self::build(context, views, initial, scene_extent, settings, None)
+        settings.check()?;
+        let parts = TrainParts::of_settings(context, &settings)?;
+        Self::with_parts(context, views, initial, scene_extent, settings, parts)
     }
 
-    /// As [`Trainer::new`], with the capacities of an earlier run.
-    fn build(
+    /// As [`Trainer::new`], with a strategy or terms of the loss that the settings do not name.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`].
+    pub fn with_parts(
         context: &Context,
         views: Vec<TrainView>,
         initial: &Gaussians,
         scene_extent: f32,
         settings: TrainSettings,
+        parts: TrainParts,
+    ) -> Result<Self> {
+        Self::build(context, views, initial, (settings, scene_extent), parts, None)
+    }
+
+    /// `room`: the capacities of an earlier run.
+    fn build(
+        context: &Context,
+        views: Vec<TrainView>,
+        initial: &Gaussians,
+        (settings, scene_extent): (TrainSettings, f32),
+        parts: TrainParts,
         room: Option<&Room>,
     ) -> Result<Self> {
         settings.check()?;
@@ -226,9 +174,26 @@ impl Trainer {
             return Err(Error::argument("scene extent", problem));
         }
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+        let sh_degree = settings.sh_degree;
         let count = crate::plan::to_u32(initial.len() as u64)?;
         let photo_bytes = photos::device_bytes(context, &views)?;
-        let before = budget::Before { cameras: &cameras, photo_bytes, count, sh_degree: settings.sh_degree };
+        let TrainParts { mut strategy, terms } = parts;
+        let any_masked = views.iter().any(|view| view.photo.is_masked());
+        let mut all: Vec<Box<dyn LossTerm>> =
+            vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
+        all.extend(terms);
+        all.extend(strategy.loss_terms(context, &settings)?);
+        let recorder = StepRecorder::new(context, all, settings.optimizer_type);
+        let targets = recorder.targets();
+        let rows = RowMemory::new(strategy.statistics(), targets.parameters);
+        let before = budget::Before {
+            cameras: &cameras,
+            photo_bytes,
+            rows: &rows,
+            recorder: &recorder,
+            count,
+            sh_degree,
+        };
         let room = room.filter(|room| before.has_room(context, room));
         let capacity = match room {
             Some(room) => room.gaussians,
@@ -237,37 +202,26 @@ impl Trainer {
         let photos = Photos::new(context, &views, settings.seed)?;
         let views_fingerprint = resume::fingerprint_of(&views);
         drop(views);
-        let scene = planes::upload(context, "scene", initial, capacity, settings.sh_degree)?;
-        let training = Training::new(context, scene)?;
-        let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
-        let loss = Loss::new(context, PhotoFormat::Rgba8)?;
-        let masked = photos.any_masked().then(|| Loss::new(context, PhotoFormat::MaskedRgba8));
+        let scene = planes::upload(context, "scene", initial, capacity, sh_degree)?;
+        let state = State::new(Model::new(context, scene, &rows)?);
         let mut runner = FrameRunner::new(context)?;
         if let Some(frame) = room.and_then(Room::frame) {
             runner.restore(frame)?;
         }
+        let run = Run { settings, scene_extent, cameras, views_fingerprint };
         Ok(Self {
-            scratch: LossScratch::new(context, &loss, &cameras)?,
-            order: step::ViewOrder::new(settings.seed, cameras.len()),
-            runner,
+            losses: recorder.allocate(context, &run.sizes())?,
+            schedule: iteration::Schedule::new(&run, targets.inverse_depth),
             pictures: FrameStore::new(context)?,
-            loss,
-            masked_loss: masked.transpose()?,
-            backward: Backward::new(context),
-            optimizer: Optimizer::new(context, sparse),
-            densify: Densify::new(context)?,
             context: context.clone(),
-            settings,
-            scene_extent,
-            cameras,
-            views_fingerprint,
+            run,
             photos,
-            training,
-            progress: step::Progress::default(),
+            strategy,
+            recorder,
+            runner,
+            rows,
+            state,
             recording: record::Recording::default(),
-            most_instances: 0,
-            skipped: 0,
-            broken: false,
         })
     }
 
@@ -278,7 +232,7 @@ impl Trainer {
 
     /// The settings.
     pub fn settings(&self) -> &TrainSettings {
-        &self.settings
+        &self.run.settings
     }
 
     /// The form of blending.
@@ -297,12 +251,17 @@ impl Trainer {
     /// Number of finished iterations. Recorded ones count once they have finished and [`Trainer::settle`] has
     /// been called.
     pub fn iteration(&self) -> u32 {
-        self.progress.iteration
+        self.state.progress.iteration
+    }
+
+    /// The strategy's work between an iteration (1-based) and the next one.
+    pub fn actions_at(&self, iteration: u32) -> Actions {
+        self.strategy.work(&self.run.settings, iteration).actions
     }
 
     /// The SH degree of this iteration.
     pub fn sh_degree(&self) -> u32 {
-        self.settings.sh_degree_at(self.progress.iteration)
+        self.run.settings.sh_degree_at(self.state.progress.iteration)
     }
 
     /// Renders the current scene. If `settings.sh_degree` is None, it uses the SH degree of this iteration.
@@ -351,10 +310,10 @@ impl Trainer {
         mut draw: impl FnMut(&mut FrameRunner, &SceneBuffers) -> Result<T>,
     ) -> Result<T> {
         self.check_readable()?;
-        let Self { runner, pictures, training, .. } = self;
+        let Self { runner, pictures, state, .. } = self;
         let mut apart = |runner: &mut FrameRunner| {
             runner.exchange(pictures);
-            let drawn = draw(runner, &training.scene);
+            let drawn = draw(runner, &state.model.scene);
             runner.exchange(pictures);
             if drawn.is_err() {
                 pictures.forget();
@@ -380,11 +339,7 @@ impl Trainer {
 
     /// The render settings of training, without the random background.
     pub fn render_settings(&self) -> RenderSettings {
-        RenderSettings {
-            antialias: self.settings.antialiasing,
-            background: [f32::from(u8::from(self.settings.white_background)); 3],
-            ..RenderSettings::default()
-        }
+        self.run.render_settings()
     }
 
     /// Downloads the Gaussians.
@@ -394,7 +349,7 @@ impl Trainer {
     /// the device is lost.
     pub fn gaussians(&self) -> Result<Gaussians> {
         self.check_readable()?;
-        planes::download(&self.context, &self.training.scene)
+        planes::download(&self.context, &self.state.model.scene)
     }
 
     /// Bytes of device memory in use by all arenas of the context.
@@ -407,31 +362,5 @@ impl Trainer {
         let mut all = self.context.memory();
         all.push(self.context.memory_total());
         all
-    }
-}
-
-impl Training {
-    fn new(context: &Context, scene: SceneBuffers) -> Result<Self> {
-        let moments = Moments {
-            first: planes::allocate(context, "moments", &scene.plan)?,
-            second: planes::allocate(context, "moments", &scene.plan)?,
-        };
-        let spare = planes::allocate(context, "spare", &scene.plan)?;
-        let statistics = allocate_statistics(context, scene.plan.capacity)?;
-        context.run("clear moments", |r| {
-            for buffer in moments.first.iter().chain(&moments.second).chain([&statistics]) {
-                r.fill(buffer, 0);
-            }
-            Ok(())
-        })?;
-        Ok(Self { scene, moments, spare, statistics })
-    }
-}
-
-fn allocate_statistics(context: &Context, capacity: u32) -> Result<Buffer> {
-    let requests = [("statistics", u64::from(capacity) * 8)];
-    match context.allocate("statistics", &requests, MemoryKind::Device)?.pop() {
-        Some(buffer) => Ok(buffer),
-        None => unreachable!("one buffer per request"),
     }
 }

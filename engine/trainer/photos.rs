@@ -3,8 +3,8 @@
 use std::sync::mpsc::{Receiver, sync_channel};
 
 use super::TrainView;
-use super::schedule::{Schedule, Use};
-use super::step::ViewOrder;
+use super::iteration::ViewOrder;
+use super::residency::{Residency, Use};
 use crate::error::{Error, Result};
 use crate::loss::{Windowing, photo_bytes, photo_on_device};
 use crate::scene::StoredPhoto;
@@ -165,14 +165,6 @@ impl Photos {
             Self::Streamed(stream) => stream.photos[view].is_masked(),
         }
     }
-
-    /// Whether any view has masked pixels.
-    pub fn any_masked(&self) -> bool {
-        match self {
-            Self::Resident { masked, .. } => masked.contains(&true),
-            Self::Streamed(stream) => stream.photos.iter().any(StoredPhoto::is_masked),
-        }
-    }
 }
 
 /// Photographs that are read from a file during training. A thread reads them in the order in which they will
@@ -185,7 +177,7 @@ pub(super) struct Stream {
 }
 
 struct Running {
-    schedule: Schedule,
+    schedule: Residency,
     /// The prepared iteration.
     iteration: u32,
     at: Use,
@@ -220,7 +212,7 @@ impl Stream {
 
     fn start(&self, windowing: Windowing, iteration: u32) -> Result<Running> {
         let order = ViewOrder::new(self.seed, self.photos.len());
-        let schedule = Schedule::new(order, self.slots.len(), iteration);
+        let schedule = Residency::new(order, self.slots.len(), iteration);
         let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
         let (sender, texels) = sync_channel(AHEAD as usize);
         // If all photographs fit, each is read once.

@@ -5,8 +5,9 @@
 //! overflows changes nothing, and neither do the steps recorded after it: the device keeps its overflow flag
 //! until then.
 
-use super::step::{IterationPlan, Progress, read_losses, step_parts};
-use super::{Densified, StepReport, Trainer};
+use super::iteration::{IterationPlan, Progress};
+use super::step_recorder::StepParts;
+use super::{Maintenance, StepOutcome, StepReport, Trainer};
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::plan::LaunchSizes;
@@ -44,37 +45,6 @@ pub struct RecordedStep {
     pub release: Release,
 }
 
-/// The outcome of a recorded step that has finished.
-#[derive(Clone, Debug)]
-pub enum StepOutcome {
-    /// The step was executed.
-    Done(StepReport),
-    /// The step changed nothing, because its frame or that of an earlier step overflowed.
-    /// [`Trainer::maintain`] grows the capacity. Then its iteration is recorded again.
-    Overflowed {
-        /// The iteration to be repeated.
-        iteration: u32,
-        /// (tile, Gaussian) instances that the step needs.
-        instances_needed: u32,
-        /// The step's capacity in instances.
-        instance_capacity: u32,
-    },
-}
-
-/// The report of [`Trainer::maintain`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Maintenance {
-    /// The report of the densification, if one was due.
-    pub densified: Option<Densified>,
-    /// Whether opacities were reset.
-    pub opacities_reset: bool,
-    /// Whether the capacity has grown after a step that overflowed.
-    pub grown: bool,
-    /// The skipped iteration, whose instances exceed the largest possible capacity: see [`Trainer::step`].
-    pub skipped: Option<u32>,
-}
-
 /// The recorded steps of a host.
 #[derive(Default)]
 pub(super) struct Recording {
@@ -104,8 +74,8 @@ struct InFlight {
 }
 
 impl StepSlot {
-    fn new(context: &Context, dispatches: usize) -> Result<Self> {
-        let host = [("state_readback", u64::from(c::STATE_WORDS) * 4), ("loss_readback", 16)];
+    fn new(context: &Context, dispatches: usize, losses: (&'static str, u64)) -> Result<Self> {
+        let host = [("state_readback", u64::from(c::STATE_WORDS) * 4), losses];
         let host = context.allocate("step slot", &host, MemoryKind::HostVisible)?;
         let Ok([state, losses]) = <[Buffer; 2]>::try_from(host) else {
             unreachable!("one buffer per request")
@@ -142,13 +112,13 @@ impl Trainer {
         self.recording.slots.clear();
         self.recording.frame_is_ready = false;
         self.runner.set_instances_at_least(wanted.instances);
-        for sh_degree in 0..=self.settings.sh_degree {
-            self.backward.prepare(sh_degree, false)?;
-            self.optimizer.prepare(sh_degree)?;
+        for sh_degree in 0..=self.run.settings.sh_degree {
+            self.recorder.prepare(sh_degree)?;
         }
         let dispatches = self.step_dispatches();
-        let slots: Result<_> = (0..wanted.slots).map(|_| StepSlot::new(&self.context, dispatches)).collect();
-        self.recording.slots = slots?;
+        let losses = self.recorder.readback_request();
+        let slot = |_| StepSlot::new(&self.context, dispatches, losses);
+        self.recording.slots = (0..wanted.slots).map(slot).collect::<Result<_>>()?;
         self.make_ready(true)
     }
 
@@ -166,7 +136,7 @@ impl Trainer {
     /// device; while maintenance is due ([`Trainer::maintenance_is_due`]); and as [`Trainer::step`] for a
     /// trainer whose state is unknown.
     pub fn record_step(&mut self, commands: ForeignCommands, slot: u32) -> Result<RecordedStep> {
-        self.check_whole()?;
+        self.state.check_whole()?;
         if !commands.belongs_to(&self.context) {
             return Err(Error::argument("command buffer", "it belongs to another device"));
         }
@@ -182,7 +152,7 @@ impl Trainer {
                 "maintenance is due first: wait for the steps in flight, then call Trainer::maintain";
             return Err(Error::argument("training step", problem));
         }
-        let progress = self.recording.in_flight.back().map_or(self.progress, |last| last.after);
+        let progress = self.recording.in_flight.back().map_or(self.state.progress, |last| last.after);
         let plan = self.plan_after(&progress);
         self.runner.frame()?;
         let mut recorder = self.recording.slots[index].record.begin(commands, "ashsplat training step")?;
@@ -191,7 +161,7 @@ impl Trainer {
         let slot = &mut self.recording.slots[index];
         slot.record.end(recorder)?;
         slot.outcome = None;
-        let (after, gaussians) = (progress.after(&plan), self.training.scene.count);
+        let (after, gaussians) = (progress.after(&plan), self.state.model.scene.count);
         self.recording.in_flight.push_back(InFlight { slot: index, plan, after, gaussians });
         let release = Release {
             stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
@@ -210,9 +180,16 @@ impl Trainer {
         plan: &IterationPlan,
         [state, losses]: [&Buffer; 2],
     ) -> Result<()> {
-        let (runner, request, tail) = step_parts!(self, plan);
-        runner.record(r, &request, |r, inputs| {
-            tail.record(r, inputs, losses);
+        let parts = StepParts {
+            run: &self.run,
+            model: &self.state.model,
+            photos: &self.photos,
+            memory: &self.losses,
+            strategy: &*self.strategy,
+            plan,
+        };
+        self.runner.record(r, &parts.frame(), |r, inputs| {
+            self.recorder.record(r, inputs, &parts, losses);
             r.barrier();
             r.copy(&inputs.frame.state, state);
         })
@@ -224,7 +201,7 @@ impl Trainer {
     /// When the device is lost.
     pub fn settle(&mut self) -> Result<u32> {
         let settled = self.settle_finished();
-        self.broken |= settled.is_err();
+        self.state.broken |= settled.is_err();
         settled
     }
 
@@ -246,11 +223,9 @@ impl Trainer {
                     instance_capacity: self.runner.capacity().instances,
                 }
             } else {
-                self.progress = first.after;
-                self.skipped = 0;
-                self.most_instances = self.most_instances.max(state.instances);
-                let losses = read_losses(&slot.losses)?;
-                StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, losses, &state))
+                self.state.done(first.after, state.instances);
+                let losses = self.recorder.read_losses(&slot.losses)?;
+                StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, &losses, &state))
             });
             self.recording.in_flight.pop_front();
         }
@@ -263,14 +238,14 @@ impl Trainer {
         let is_recorded = |step: &InFlight| slots[step.slot].record.is_recorded();
         let Some(first) = in_flight.iter().position(|step| !is_recorded(step)) else { return Ok(()) };
         if in_flight.range(first..).any(is_recorded) {
-            self.broken = true;
+            self.state.broken = true;
             let problem = "a step was thrown away, but not those recorded behind it; go on from a checkpoint";
             return Err(Error::argument("training steps", problem));
         }
         let late = in_flight.range(first..).any(|step| slots[step.slot].record.was_discarded_late());
         in_flight.truncate(first);
         if late {
-            self.broken = true;
+            self.state.broken = true;
             let problem = "a step was discarded after it had been executed; go on from a checkpoint";
             return Err(Error::argument("training steps", problem));
         }
@@ -304,9 +279,9 @@ impl Trainer {
     pub fn maintenance_is_due(&mut self) -> Result<bool> {
         self.settle()?;
         let recording = &self.recording;
-        let due = recording.in_flight.back().map_or(self.progress, |last| last.after).due;
-        let fits = self.runner.capacity().gaussians >= self.training.scene.plan.capacity;
-        Ok(due.densifies || due.resets || recording.overflow.is_some() || !recording.frame_is_ready || !fits)
+        let due = recording.in_flight.back().map_or(self.state.progress, |last| last.after).due;
+        let fits = self.runner.capacity().gaussians >= self.state.model.scene.plan.capacity;
+        Ok(!due.is_empty() || recording.overflow.is_some() || !recording.frame_is_ready || !fits)
     }
 
     /// Does what recorded steps cannot. It densifies and resets opacities if the previous iteration requested
@@ -319,7 +294,7 @@ impl Trainer {
     /// # Errors
     /// [`Error::Argument`] while recorded steps are in flight or without a queue; as [`Trainer::step`].
     pub fn maintain(&mut self) -> Result<Maintenance> {
-        self.check_whole()?;
+        self.state.check_whole()?;
         if self.settle()? > 0 {
             return Err(Error::argument("training steps", "are in flight: wait for them first"));
         }
@@ -327,7 +302,7 @@ impl Trainer {
             return Ok(Maintenance::default());
         }
         let done = self.run_maintenance();
-        self.note_failure(&done);
+        self.state.note_failure(&done);
         done
     }
 
@@ -338,8 +313,9 @@ impl Trainer {
             self.make_room_for_steps(needed, &mut done)?;
             self.recording.overflow = None;
         }
-        done.opacities_reset = self.progress.due.resets;
-        done.densified = self.catch_up()?;
+        let changes = self.catch_up()?;
+        done.densified = changes.densified;
+        done.opacities_reset = changes.opacities_reset;
         self.make_ready(false)?;
         Ok(done)
     }
@@ -354,9 +330,9 @@ impl Trainer {
         match grown {
             Ok(grown) => done.grown = grown,
             Err(error) => {
-                let progress = self.progress;
+                let progress = self.state.progress;
                 let plan = self.plan_after(&progress);
-                self.leave_out(&plan, &first, error)?;
+                self.skip(&plan, &first, error)?;
                 done.skipped = Some(plan.iteration);
             }
         }
@@ -366,8 +342,9 @@ impl Trainer {
     /// Allocates buffers for all views, clears the contents of earlier frames, and makes slots for the
     /// dispatches. Recordings that are never submitted create all objects that are made on first use.
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
-        let gaussians = self.training.scene.plan.capacity;
-        self.runner.reserve(gaussians, &self.cameras, self.settings.sh_degree)?;
+        let gaussians = self.state.model.scene.plan.capacity;
+        let inverse_depth = self.recorder.targets().inverse_depth;
+        self.runner.reserve(gaussians, &self.run.cameras, self.run.settings.sh_degree, inverse_depth)?;
         let frame = self.runner.frame()?;
         self.context.run("clear state", |r| {
             r.fill(&frame.state, 0);
@@ -378,10 +355,10 @@ impl Trainer {
             slot.record = RecordSlot::new(&self.context, dispatches)?;
             slot.dispatches = dispatches;
         }
-        let progress = self.progress;
+        let progress = self.state.progress;
         let plan = self.plan_after(&progress);
         // Views differ only in their photographs, which stay in place.
-        let views = if every_view { 0..self.cameras.len() } else { plan.view..plan.view + 1 };
+        let views = if every_view { 0..self.run.cameras.len() } else { plan.view..plan.view + 1 };
         if let Some(slot) = self.recording.slots.first() {
             for view in views {
                 let mut recorder = self.context.begin("rehearsal")?;
@@ -400,14 +377,14 @@ impl Trainer {
         let frame = self.runner.capacity();
         let blending =
             LaunchSizes::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
-        (PER_STEP + 4 * self.training.scene.plan.chunks + 2 * blending) as usize
+        (PER_STEP + 4 * self.state.model.scene.plan.chunks + 2 * blending) as usize
     }
 
     /// The Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps.
     /// Valid until the next [`Trainer::maintain`] or [`Trainer::step`]. `RenderSettings::sh_degree` should be
     /// [`Trainer::sh_degree`].
     pub fn scene(&self) -> DeviceScene {
-        DeviceScene::of(&self.context, self.training.scene.clone())
+        DeviceScene::of(&self.context, self.state.model.scene.clone())
     }
 
     /// A slot's recording state, for a host that has discarded its command buffer ([`RecordSlot::discard`]).
@@ -432,7 +409,7 @@ impl Trainer {
     /// Fails unless the scene and its state are those of the last step, and no recorded step can change them.
     pub(super) fn check_readable(&self) -> Result<()> {
         self.check_settled()?;
-        self.check_whole()
+        self.state.check_whole()
     }
 
     fn slot_index(&self, slot: u32) -> Result<usize> {

@@ -1,16 +1,16 @@
 //! Conversion of a trainer to a [`Checkpoint`], and back.
 
-use super::checkpoint::{Checkpoint, Room, Wanted};
+use super::checkpoint::{Checkpoint, Room, StrategyState, StrategyStatistic, Wanted};
+use super::iteration::Progress;
 use super::settings::TrainSettings;
-use super::step::{Due, Progress};
-use super::{TrainView, Trainer};
-use crate::error::Result;
+use super::{TrainParts, TrainView, Trainer};
+use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
 use crate::plan::FrameCapacity;
 use crate::planes;
 use crate::scene::Camera;
-use crate::vk::Buffer;
+use crate::vk::{Buffer, Context};
 
 impl Trainer {
     /// Downloads the state that [`Trainer::resume`] needs.
@@ -20,39 +20,46 @@ impl Trainer {
     /// outcome; when the device is lost.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
         self.check_readable()?;
-        let (training, progress) = (&self.training, &self.progress);
+        let (model, progress) = (&self.state.model, &self.state.progress);
         let planes_of = |chunks: &[Buffer]| {
-            planes::download(
-                &self.context,
-                &SceneBuffers { chunks: chunks.to_vec(), ..training.scene.clone() },
-            )
+            planes::download(&self.context, &SceneBuffers { chunks: chunks.to_vec(), ..model.scene.clone() })
         };
-        let count = u64::from(training.scene.count);
-        let statistics = match count {
-            0 => Vec::new(),
-            _ => {
-                let bytes = self.context.download(&training.statistics.range(0, count * 8))?;
-                bytemuck::pod_collect_to_vec(&bytes)
+        let count = u64::from(model.scene.count);
+        // Each value is of f32.
+        let values = |buffer: &Buffer, floats: u32| -> Result<Vec<f32>> {
+            match count {
+                0 => Ok(Vec::new()),
+                _ => {
+                    let bytes = self.context.download(&buffer.range(0, count * u64::from(floats) * 4))?;
+                    Ok(bytemuck::pod_collect_to_vec(&bytes))
+                }
             }
         };
+        let mut statistics = Vec::new();
+        for (statistic, buffer) in self.rows.statistics().iter().zip(&model.statistics) {
+            let values = values(buffer, statistic.floats)?;
+            let (name, floats) = (statistic.name.to_owned(), statistic.floats);
+            statistics.push(StrategyStatistic { name, floats, values });
+        }
+        let gradient = statistics.remove(0).values;
         Ok(Checkpoint {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             device: self.context.device_name().to_owned(),
             driver: self.context.description().driver.clone(),
-            settings: self.settings.clone(),
-            views: self.cameras.len() as u64,
-            views_fingerprint: self.views_fingerprint,
-            scene_extent: self.scene_extent,
+            settings: self.run.settings.clone(),
+            views: self.run.cameras.len() as u64,
+            views_fingerprint: self.run.views_fingerprint,
+            scene_extent: self.run.scene_extent,
             iteration: progress.iteration,
             optimizer_steps: progress.steps,
             opacity_steps: progress.opacity_steps,
-            densification_due: progress.due.densifies,
-            opacity_reset_due: progress.due.resets,
+            due: progress.due,
             gaussians: self.gaussians()?,
-            first_moments: planes_of(&training.moments.first)?,
-            second_moments: planes_of(&training.moments.second)?,
-            statistics,
-            skipped: self.skipped,
+            first_moments: planes_of(&model.moments.first)?,
+            second_moments: planes_of(&model.moments.second)?,
+            statistics: bytemuck::cast_slice(&gradient).to_vec(),
+            strategy: StrategyState { statistics, values: self.strategy.state() },
+            skipped: self.state.skipped,
             room: self.room(),
         })
     }
@@ -64,10 +71,26 @@ impl Trainer {
     /// # Errors
     /// [`crate::Error::Argument`] naming what differs; as [`Trainer::new`].
     pub fn resume(
-        context: &crate::vk::Context,
+        context: &Context,
         views: Vec<TrainView>,
         scene_extent: f32,
         settings: TrainSettings,
+        from: &Checkpoint,
+    ) -> Result<Self> {
+        settings.check()?;
+        let parts = TrainParts::of_settings(context, &settings)?;
+        Self::resume_with_parts(context, views, (settings, scene_extent), parts, from)
+    }
+
+    /// As [`Trainer::resume`], for a run of [`Trainer::with_parts`].
+    ///
+    /// # Errors
+    /// As [`Trainer::resume`].
+    pub fn resume_with_parts(
+        context: &Context,
+        views: Vec<TrainView>,
+        (settings, scene_extent): (TrainSettings, f32),
+        mut parts: TrainParts,
         from: &Checkpoint,
     ) -> Result<Self> {
         from.check_shapes()?;
@@ -77,33 +100,51 @@ impl Trainer {
             views_fingerprint: fingerprint_of(&views),
             scene_extent,
         })?;
+        parts.strategy.restore(&from.strategy.values)?;
         let room = Some(&from.room);
-        let mut trainer = Trainer::build(context, views, &from.gaussians, scene_extent, settings, room)?;
-        trainer.progress = Progress {
+        let given = (settings, scene_extent);
+        let mut trainer = Trainer::build(context, views, &from.gaussians, given, parts, room)?;
+        trainer.restore_statistics(from)?;
+        let state = &mut trainer.state;
+        state.progress = Progress {
             iteration: from.iteration,
             steps: from.optimizer_steps,
             opacity_steps: from.opacity_steps,
-            due: Due { densifies: from.densification_due, resets: from.opacity_reset_due },
+            due: from.due,
         };
-        let training = &trainer.training;
         let moments = [
-            (&training.moments.first, &from.first_moments),
-            (&training.moments.second, &from.second_moments),
+            (&state.model.moments.first, &from.first_moments),
+            (&state.model.moments.second, &from.second_moments),
         ];
         for (chunks, values) in moments {
-            planes::fill(
-                context,
-                &SceneBuffers { chunks: chunks.clone(), ..training.scene.clone() },
-                values,
-            )?;
+            let scene = SceneBuffers { chunks: chunks.clone(), ..state.model.scene.clone() };
+            planes::fill(context, &scene, values)?;
         }
-        context.upload(&training.statistics, bytemuck::cast_slice(&from.statistics))?;
-        trainer.most_instances = from.room.most_instances;
-        trainer.skipped = from.skipped;
+        state.most_instances = from.room.most_instances;
+        state.skipped = from.skipped;
         if from.iteration > 0 && from.iteration == from.settings.iterations {
             trainer.finish_last_iteration()?;
         }
         Ok(trainer)
+    }
+
+    fn restore_statistics(&mut self, from: &Checkpoint) -> Result<()> {
+        let (rows, buffers) = (self.rows.statistics(), &self.state.model.statistics);
+        self.context.upload(&buffers[0], bytemuck::cast_slice(&from.statistics))?;
+        let own = &from.strategy.statistics;
+        let names = |all: &mut dyn Iterator<Item = (&str, u32)>| -> Vec<String> {
+            all.map(|(name, floats)| format!("{name}[{floats}]")).collect()
+        };
+        let there = names(&mut own.iter().map(|statistic| (statistic.name.as_str(), statistic.floats)));
+        let here = names(&mut rows[1..].iter().map(|statistic| (statistic.name, statistic.floats)));
+        if there != here {
+            let problem = format!("has the strategy's statistics {there:?}, this one has {here:?}");
+            return Err(Error::argument("checkpoint", problem));
+        }
+        for (statistic, buffer) in own.iter().zip(&buffers[1..]) {
+            self.context.upload(buffer, bytemuck::cast_slice(&statistic.values))?;
+        }
+        Ok(())
     }
 }
 
@@ -111,14 +152,14 @@ impl Trainer {
     fn room(&self) -> Room {
         let frame = self.runner.capacity();
         Room {
-            gaussians: self.training.scene.plan.capacity,
+            gaussians: self.state.model.scene.plan.capacity,
             frame_gaussians: frame.gaussians,
             frame_instances: frame.instances,
             frame_width: frame.width,
             frame_height: frame.height,
             blend_passes: frame.blend_passes,
             backward: frame.backward.into(),
-            most_instances: self.most_instances,
+            most_instances: self.state.most_instances,
             max_memory: self.context.max_memory(),
         }
     }

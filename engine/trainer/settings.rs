@@ -1,9 +1,14 @@
 //! The settings of a training run, under the names of the reference implementation's command line.
+//!
+//! Each setting is declared once, in [`TrainSettings`]: its type, default, bounds and description. The command
+//! line, the TOML file, the checkpoint and the C API follow from the declaration, through
+//! [`TrainSettings::OPTIONS`] or serde.
 
+use super::options::{Bounds, OptionValue, TrainOption, options};
+use crate::Result;
 use crate::scene::gaussians::MAX_SH_DEGREE;
-use crate::{Error, Result};
 
-/// Which optimiser moves the parameters.
+/// The optimiser of the parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum OptimizerType {
@@ -14,85 +19,79 @@ pub enum OptimizerType {
     SparseAdam,
 }
 
-/// Declares the settings once: the fields with their defaults, and the list of names and values.
-macro_rules! train_settings {
-    ($(#[$about:meta])* pub struct $name:ident { $($(#[$doc:meta])* $field:ident: $kind:ty = $default:expr,)* }) => {
-        $(#[$about])*
-        #[derive(Clone, Debug, PartialEq)]
-        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
-        pub struct $name { $($(#[$doc])* pub $field: $kind,)* }
-
-        impl Default for $name {
-            fn default() -> Self {
-                Self { $($field: $default,)* }
-            }
-        }
-
-        impl $name {
-            /// Every setting's name and value, in the order of their declaration.
-            pub fn values(&self) -> Vec<(&'static str, String)> {
-                vec![$((stringify!($field), format!("{:?}", self.$field)),)*]
-            }
-        }
-    };
+/// The strategy of density control. A host can hand in one of its own: [`super::TrainParts`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum StrategyType {
+    /// That of the reference implementation: clone, split, prune, opacity reset.
+    #[default]
+    Default,
+    /// None: the Gaussians of the beginning are optimised, and their number stays.
+    Fixed,
 }
 
-train_settings! {
+options! {
     /// Everything that shapes a training run, apart from the data: the arguments of the reference
     /// implementation (gaussian-splatting, `arguments/__init__.py`) under their own names and with their
-    /// defaults, and three that it hard-codes.
+    /// defaults, three that it hard-codes, and later work's under the names of their papers' code.
     ///
     /// Iterations are counted from 1. With the feature `serde` they read from and write to any of its formats; missing fields take
     /// their defaults, unknown ones are refused.
     pub struct TrainSettings {
-        /// Number of iterations; one view each.
-        iterations: u32 = 30_000,
-        /// Highest degree of the spherical harmonics, 0 to 3.
-        sh_degree: u32 = 3,
-        /// The SH degree in use starts at 0 and rises by one every so many iterations (the reference: 1000).
-        sh_degree_interval: u32 = 1000,
-        /// Learning rate of the means at the start, in units of the scene's extent.
-        position_lr_init: f64 = 1.6e-4,
-        /// Learning rate of the means at the end, in units of the scene's extent.
-        position_lr_final: f64 = 1.6e-6,
-        /// Accepted because the reference has it; without effect there and here (the delay lasts 0 steps).
-        position_lr_delay_mult: f64 = 0.01,
-        /// The iteration at which the learning rate of the means reaches `position_lr_final`.
-        position_lr_max_steps: u32 = 30_000,
-        /// Learning rate of the SH coefficients of degree 0; the others take a twentieth of it.
-        feature_lr: f64 = 2.5e-3,
-        /// Learning rate of the opacity logits.
-        opacity_lr: f64 = 0.025,
-        /// Learning rate of the log-scales.
-        scaling_lr: f64 = 5e-3,
-        /// Learning rate of the quaternions.
-        rotation_lr: f64 = 1e-3,
-        /// A Gaussian whose largest scale exceeds this share of the scene's extent is split, a smaller one cloned.
-        percent_dense: f64 = 0.01,
-        /// Weight of 1 − SSIM in the loss; the L1 term takes the rest.
-        lambda_dssim: f64 = 0.2,
-        /// Iterations between two densifications.
-        densification_interval: u32 = 100,
-        /// Iterations between two opacity resets.
-        opacity_reset_interval: u32 = 3000,
-        /// Densification starts after this iteration.
-        densify_from_iter: u32 = 500,
-        /// Densification, and the collection of its statistics, end before this iteration.
-        densify_until_iter: u32 = 15_000,
-        /// Mean norm of the 2D mean's gradient, in normalised device coordinates, from which a Gaussian is densified.
-        densify_grad_threshold: f64 = 2e-4,
-        /// Gaussians of a smaller opacity are pruned at a densification (the reference: 0.005).
-        min_opacity: f64 = 0.005,
-        /// Compose over white instead of black.
-        white_background: bool = false,
-        /// Compose over a new random colour in every iteration, so that no Gaussian paints the background.
-        random_background: bool = false,
-        /// Compensate the opacity for the screen-space dilation (Mip-Splatting's 2D filter).
-        antialiasing: bool = false,
-        /// Which optimiser.
-        optimizer_type: OptimizerType = OptimizerType::Default,
-        /// Seed of everything random: order of the views, split positions, random backgrounds.
-        seed: u32 = 0,
+        /// Number of iterations, one view each
+        iterations: u32 = 30_000, Bounds::AtLeast(1);
+        /// Highest degree of the spherical harmonics, 0 to 3
+        sh_degree: u32 = 3, Bounds::AtMost(MAX_SH_DEGREE);
+        /// Iterations after which the SH degree in use rises by one
+        sh_degree_interval: u32 = 1000, Bounds::AtLeast(1);
+        /// Learning rate of the means at the start, times the scene's extent
+        position_lr_init: f64 = 1.6e-4, Bounds::Positive;
+        /// Learning rate of the means at the end, times the scene's extent
+        position_lr_final: f64 = 1.6e-6, Bounds::Positive;
+        /// Without effect, as in the reference, whose delay lasts 0 steps
+        position_lr_delay_mult: f64 = 0.01, Bounds::NotNegative;
+        /// Iteration at which position_lr_final is reached
+        position_lr_max_steps: u32 = 30_000, Bounds::AtLeast(1);
+        /// Learning rate of the SH coefficients of degree 0; the others take a twentieth of it
+        feature_lr: f64 = 2.5e-3, Bounds::NotNegative;
+        /// Learning rate of the opacity logits
+        opacity_lr: f64 = 0.025, Bounds::NotNegative;
+        /// Learning rate of the log-scales
+        scaling_lr: f64 = 5e-3, Bounds::NotNegative;
+        /// Learning rate of the quaternions
+        rotation_lr: f64 = 1e-3, Bounds::NotNegative;
+        /// Larger than this share of the scene's extent: split, else cloned
+        percent_dense: f64 = 0.01, Bounds::NotNegative;
+        /// Weight of 1 - SSIM in the loss; the L1 term takes the rest
+        lambda_dssim: f64 = 0.2, Bounds::Share;
+        /// Weight of the mean opacity in the loss (3DGS-MCMC: 0.01)
+        opacity_reg: f64 = 0.0, Bounds::NotNegative;
+        /// Weight of the mean scale in the loss (3DGS-MCMC: 0.01)
+        scale_reg: f64 = 0.0, Bounds::NotNegative;
+        /// Strategy of density control: the reference's, or none
+        strategy: StrategyType = StrategyType::Default, Bounds::None;
+        /// Iterations between densifications
+        densification_interval: u32 = 100, Bounds::AtLeast(1);
+        /// Iterations between opacity resets
+        opacity_reset_interval: u32 = 3000, Bounds::AtLeast(1);
+        /// Densification starts after this iteration
+        densify_from_iter: u32 = 500, Bounds::None;
+        /// Densification, and the collection of its statistics, end before this iteration
+        densify_until_iter: u32 = 15_000, Bounds::None;
+        /// Mean norm of the 2D mean's gradient (NDC) from which a Gaussian is densified
+        densify_grad_threshold: f64 = 2e-4, Bounds::NotNegative;
+        /// Gaussians of a smaller opacity are pruned at a densification
+        min_opacity: f64 = 0.005, Bounds::Share;
+        /// White background instead of black
+        white_background: bool = false, Bounds::None;
+        /// A new random background colour in every iteration, so that no Gaussian paints the background
+        random_background: bool = false, Bounds::None;
+        /// Compensate the opacity for the screen-space dilation (Mip-Splatting's 2D filter)
+        antialiasing: bool = false, Bounds::None;
+        /// Adam on all Gaussians, or on those seen only
+        optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
+        /// Seed of everything random: order of the views, split positions, random backgrounds
+        seed: u32 = 0, Bounds::None;
     }
 }
 
@@ -100,32 +99,12 @@ train_settings! {
 const FEATURE_REST_SHARE: f64 = 1.0 / 20.0;
 
 impl TrainSettings {
-    /// Checks that every value makes sense; the trainer calls this before any work.
+    /// Checks that every value is within its bounds; the trainer calls this before any work.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the setting's name, its value and what would be right.
+    /// [`Error::Argument`](crate::Error::Argument) with the setting's name, its value and what would be right.
     pub fn check(&self) -> Result<()> {
-        at_least_one("iterations", self.iterations)?;
-        at_least_one("sh_degree_interval", self.sh_degree_interval)?;
-        at_least_one("position_lr_max_steps", self.position_lr_max_steps)?;
-        at_least_one("densification_interval", self.densification_interval)?;
-        at_least_one("opacity_reset_interval", self.opacity_reset_interval)?;
-        if self.sh_degree > MAX_SH_DEGREE {
-            let problem = format!("is {}, must be 0 to {MAX_SH_DEGREE}", self.sh_degree);
-            return Err(Error::argument("sh_degree", problem));
-        }
-        // The schedule of the means is log-linear: its ends must be positive.
-        in_range("position_lr_init", self.position_lr_init, f64::MIN_POSITIVE, 1e6)?;
-        in_range("position_lr_final", self.position_lr_final, f64::MIN_POSITIVE, 1e6)?;
-        in_range("position_lr_delay_mult", self.position_lr_delay_mult, 0.0, 1e6)?;
-        in_range("feature_lr", self.feature_lr, 0.0, 1e6)?;
-        in_range("opacity_lr", self.opacity_lr, 0.0, 1e6)?;
-        in_range("scaling_lr", self.scaling_lr, 0.0, 1e6)?;
-        in_range("rotation_lr", self.rotation_lr, 0.0, 1e6)?;
-        in_range("percent_dense", self.percent_dense, 0.0, 1e6)?;
-        in_range("lambda_dssim", self.lambda_dssim, 0.0, 1.0)?;
-        in_range("densify_grad_threshold", self.densify_grad_threshold, 0.0, 1e6)?;
-        in_range("min_opacity", self.min_opacity, 0.0, 1.0)
+        Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))
     }
 
     /// Learning rate of the means at an iteration, in units of the scene's extent (multiply by it): log-linear
@@ -170,25 +149,6 @@ impl TrainSettings {
             && (iteration.is_multiple_of(self.opacity_reset_interval)
                 || (self.white_background && iteration == self.densify_from_iter))
     }
-}
-
-fn at_least_one(name: &str, value: u32) -> Result<()> {
-    if value == 0 {
-        return Err(Error::argument(name, "is 0, must be at least 1"));
-    }
-    Ok(())
-}
-
-fn in_range(name: &str, value: f64, low: f64, high: f64) -> Result<()> {
-    if !(low..=high).contains(&value) {
-        let bounds = match (low, high) {
-            (0.0, 1.0) => "between 0 and 1",
-            (0.0, _) => "a finite number, 0 or more",
-            _ => "a finite number above 0",
-        };
-        return Err(Error::argument(name, format!("is {value}, must be {bounds}")));
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -89,6 +89,9 @@ const uint KIND_SHIFT = 30;
 // Sums of one (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth.
 const uint INSTANCE_SUMS = 10;
 
+// Workgroups, and so partial sums, of the opacity and scale regularisers.
+const uint REGULARIZE_PARTIALS = 256;
+
 // Arithmetic benchmark: independent chains per invocation, and steps of each chain per round.
 const uint MULTIPLY_ADD_CHAINS = 8;
 const uint MULTIPLY_ADD_STEPS = 4;

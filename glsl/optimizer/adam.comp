@@ -23,6 +23,7 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SPARSE = false;
+layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_WRITES(0, Parameters, parameters);
@@ -35,6 +36,7 @@ layout(set = 0, binding = 5, scalar) buffer State { uint state[]; };
 VEC4_READS(6, OldParameters, old_parameters);
 VEC4_READS(7, OldMoments1, old_moments_1);
 VEC4_READS(8, OldMoments2, old_moments_2);
+VEC4_READS(9, ParameterGradients, parameter_gradients);
 
 layout(push_constant, scalar) uniform Push {
     vec3 camera_position;
@@ -98,6 +100,11 @@ void main() {
     d_quat = seen ? d_quat : vec4(0.0);
     d_log_scale = seen ? d_log_scale : vec4(0.0);
     d_color = seen ? d_color : vec4(0.0);
+    if (PARAMETER_GRADIENTS) {
+        d_mean_opacity += VEC4_AT(parameter_gradients, geometry_at(PLANE_MEAN_OPACITY, index));
+        d_quat += VEC4_AT(parameter_gradients, geometry_at(PLANE_QUAT, index));
+        d_log_scale.xyz += VEC4_AT(parameter_gradients, geometry_at(PLANE_LOG_SCALE, index)).xyz;
+    }
     if (!(finite(d_mean_opacity) && finite(d_quat) && finite(d_log_scale) && finite(d_color))) {
         atomicAdd(state[STATE_NON_FINITE], 1);
         return;

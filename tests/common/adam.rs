@@ -1,6 +1,6 @@
 //! The optimiser's kernel with its state on the device.
 
-use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_NON_FINITE, STATE_WORDS};
+use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_WORDS};
 use ashsplat::kernels::optimizer::adam::{self, Push};
 use ashsplat::vk::{Buffer, Kernel};
 
@@ -39,8 +39,9 @@ pub struct Step {
     pub camera_position: [f64; 3],
 }
 
-fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool) -> Kernel<adam::Interface> {
-    gpu.kernel(&adam::Spec { workgroup_size: gpu.workgroup(64), sh_degree, sparse })
+fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool, parameter_gradients: bool) -> Kernel<adam::Interface> {
+    let workgroup_size = gpu.workgroup(64);
+    gpu.kernel(&adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients })
 }
 
 /// Parameters and moments on the device.
@@ -53,6 +54,7 @@ pub struct AdamState<'a> {
     room: usize,
     parameters: Buffer,
     moments: [Buffer; 2],
+    parameter_gradients: Option<Buffer>,
 }
 
 impl<'a> AdamState<'a> {
@@ -63,7 +65,8 @@ impl<'a> AdamState<'a> {
         let zeros = || gpu.zeros::<[f32; 4]>("moments", planes(coefficients) * room);
         AdamState {
             gpu,
-            kernel: kernel(gpu, sh_degree, sparse),
+            kernel: kernel(gpu, sh_degree, sparse, false),
+            parameter_gradients: None,
             workgroup: gpu.workgroup(64),
             count,
             coefficients,
@@ -77,11 +80,26 @@ impl<'a> AdamState<'a> {
     pub fn continued(&self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
         AdamState {
             gpu: self.gpu,
-            kernel: kernel(self.gpu, sh_degree, sparse),
+            kernel: kernel(self.gpu, sh_degree, sparse, false),
+            parameter_gradients: None,
             parameters: self.parameters.clone(),
             moments: self.moments.clone(),
             ..*self
         }
+    }
+
+    /// With gradients of the parameters themselves: means, quaternions, scales and opacities of `direct`.
+    pub fn with_parameter_gradients(
+        self,
+        sh_degree: u32,
+        sparse: bool,
+        direct: &[Gaussian],
+    ) -> AdamState<'a> {
+        let mut planes = pack(direct, self.room);
+        planes.truncate(PLANE_SH as usize * self.room);
+        let kernel = kernel(self.gpu, sh_degree, sparse, true);
+        let parameter_gradients = Some(self.gpu.buffer("parameter_gradients", &planes));
+        AdamState { kernel, parameter_gradients, ..self }
     }
 
     /// Steps; `gradients` has `None` for what is not visible. Returns how many were skipped as not finite.
@@ -106,6 +124,7 @@ impl<'a> AdamState<'a> {
             old_parameters: parameters,
             old_moments_1: moments_1,
             old_moments_2: moments_2,
+            parameter_gradients: self.parameter_gradients.as_ref().unwrap_or(gradients),
         };
         self.gpu.run(|recorder| recorder.dispatch(&self.kernel, &bind, &push, workgroups));
         self.gpu.read::<u32>(state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]

@@ -18,6 +18,7 @@ pub mod lenses;
 pub mod loss;
 pub mod npz;
 pub mod page;
+pub mod regularizers;
 pub mod running;
 pub mod scenes;
 pub mod splats;

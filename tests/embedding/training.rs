@@ -33,10 +33,8 @@ pub fn views() -> Vec<TrainView> {
         let (width, height) = (40 + 8 * number, 36);
         let mask = (number == 2).then(|| (0..width * height).map(|k| 255 * u8::from(k % 5 > 0)).collect());
         let rgb = (0..width * height * 3).map(|k| (k * (number + 2) / 7) as u8).collect();
-        TrainView {
-            camera: camera(number as f32, width, height),
-            photo: StoredPhoto::new(Photo { width, height, rgb }, mask),
-        }
+        let photo = StoredPhoto::new(Photo { width, height, rgb }, mask);
+        TrainView::new(camera(number as f32, width, height), photo)
     };
     (0..4).map(view).collect()
 }

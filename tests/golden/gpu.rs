@@ -22,6 +22,7 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
         Kind::Densify => vec![of_file(set, "densify", gpu_training::densify)],
         Kind::ResetOpacity => vec![of_file(set, "reset_opacity", gpu_training::reset_opacity)],
         Kind::Train => vec![of_file(set, "train", gpu_training::train)],
+        Kind::Regularizers => vec![of_file(set, "regularizers", gpu_training::regularizers)],
         Kind::Other => vec![],
     }
 }

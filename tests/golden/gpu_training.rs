@@ -13,12 +13,13 @@ use ashsplat::{TrainSettings, planes};
 use super::rendering::SINGLE;
 use super::report;
 use super::sets::{gaussians, view};
-use super::training::{FIELDS, GROUPS, departing};
+use super::training::{FIELDS, GROUPS, REGULARIZER_WEIGHTS, RegularizerSet, departing};
 use crate::common::adam::{AdamState, Rates, Step, VisibleGradient};
 use crate::common::compare::{PixelTolerance, elementwise, equal, gradient, pixels};
 use crate::common::engine;
 use crate::common::gpu::Gpu;
 use crate::common::npz::{Npz, rows};
+use crate::common::regularizers::regularize;
 use crate::reference::pipeline::render;
 use crate::reference::types::{Gaussian, Gradient};
 use crate::reference::{schedule, sh};
@@ -337,6 +338,14 @@ pub fn reset_opacity(path: &Path) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+pub fn regularizers(path: &Path) -> Result<(), String> {
+    let (set, npz) = (RegularizerSet::read(path), Npz::read(path));
+    let gpu = Gpu::new();
+    let ([loss, ..], gradients) = regularize(&gpu, &set.gaussians, REGULARIZER_WEIGHTS);
+    elementwise("loss", &[loss], npz.values("reg_loss"), 0.0, ROUNDING)?;
+    set.check_gradients(&npz, &gradients, ROUNDING)
 }
 
 /// Full iterations: picture, loss, gradients and step, each on the device.

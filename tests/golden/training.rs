@@ -14,7 +14,10 @@ use crate::reference::project::intermediate;
 use crate::reference::scatter_sources::{Densify, place};
 use crate::reference::tiles::alpha_unclamped;
 use crate::reference::types::{ALPHA_MAX, Gaussian, Gradient, View};
-use crate::reference::{loss_reduce, reset_opacity as reset_twin, schedule};
+use crate::reference::{
+    loss_reduce, regularize as regularize_twin, regularize_reduce as regularize_reduce_twin,
+    reset_opacity as reset_twin, schedule,
+};
 
 /// The rounding of stored float32.
 const ROUNDING: f64 = 1.5e-7;
@@ -245,4 +248,45 @@ fn step(gaussian: &mut Gaussian, d: &Gradient, moments: &mut Vec<Parameter>, ite
         adam_step(parameter, gradient, rate, iteration);
         *value = parameter.value;
     }
+}
+
+/// Weights of the mean opacity and of the mean scale in the sets.
+pub const REGULARIZER_WEIGHTS: [f64; 2] = [0.01, 0.01];
+
+/// Gaussians of which only opacities and scales count.
+pub struct RegularizerSet {
+    pub gaussians: Vec<Gaussian>,
+}
+
+impl RegularizerSet {
+    pub fn read(path: &Path) -> RegularizerSet {
+        let npz = Npz::read(path);
+        let scales = npz.rows::<3>("log_scales");
+        let of = |(&opacity_logit, &log_scale): (&f64, &[f64; 3])| Gaussian {
+            mean: [0.0; 3],
+            quat: [1.0, 0.0, 0.0, 0.0],
+            log_scale,
+            opacity_logit,
+            sh: vec![[0.0; 3]],
+        };
+        RegularizerSet { gaussians: npz.values("opacity_logits").iter().zip(&scales).map(of).collect() }
+    }
+
+    /// Compares gradients of all Gaussians.
+    pub fn check_gradients(&self, npz: &Npz, actual: &[Gaussian], relative: f64) -> Result<(), String> {
+        let logits: Vec<f64> = actual.iter().map(|g| g.opacity_logit).collect();
+        let scales: Vec<f64> = actual.iter().flat_map(|g| g.log_scale).collect();
+        let absolute = |values: &[f64]| relative * values.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        let (d_logits, d_scales) = (npz.values("reg_d_opacity_logits"), npz.values("reg_d_log_scales"));
+        elementwise("d opacity logit", &logits, d_logits, absolute(d_logits), relative)?;
+        elementwise("d log-scale", &scales, d_scales, absolute(d_scales), relative).map(|_| ())
+    }
+}
+
+pub fn regularizers(path: &Path) -> Result<(), String> {
+    let (set, npz) = (RegularizerSet::read(path), Npz::read(path));
+    let sums = regularize_twin::regularize(&set.gaussians, REGULARIZER_WEIGHTS);
+    let [loss, ..] = regularize_reduce_twin::losses(&sums, set.gaussians.len(), REGULARIZER_WEIGHTS);
+    elementwise("loss", &[loss], npz.values("reg_loss"), 0.0, 2e-7)?;
+    set.check_gradients(&npz, &sums.gradients, 2e-7)
 }

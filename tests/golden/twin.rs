@@ -28,6 +28,11 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
             })]
         }
         Kind::Train => vec![trial(format!("golden_twin_train_{name}"), move || training::train(&file.path))],
+        Kind::Regularizers => {
+            vec![trial(format!("golden_twin_regularizers_{name}"), move || {
+                training::regularizers(&file.path)
+            })]
+        }
         Kind::Other => vec![],
     }
 }

@@ -176,6 +176,49 @@ fn adam_changes_nothing_after_an_overflow() {
     assert!(state.download() == before);
 }
 
+/// Gradients of the parameters themselves add to those of the frame, and count outside the view as well; sparse
+/// steps leave what is outside alone.
+#[test]
+fn adam_adds_gradients_of_the_parameters() {
+    let gpu = Gpu::new();
+    for (gpu, sparse) in [(&gpu, false), (&gpu, true), (&Gpu::without_texels(), false)] {
+        let mut random = Random::new(12);
+        let gaussians = mixed_scene(&mut random, 150, 16);
+        let direct: Vec<Gaussian> = mixed_scene(&mut random, 150, 16)
+            .into_iter()
+            .map(|g| Gaussian { opacity_logit: 1e-5 * g.opacity_logit, ..g })
+            .collect();
+        let state = AdamState::new(gpu, &gaussians, 3, sparse).with_parameter_gradients(3, sparse, &direct);
+        let gradients = random_gradients(&mut random, 150);
+        let count = i32::from(!sparse);
+        let skipped = state.step(&gradients, &Step { rates: RATES, count, camera_position: CAMERA }, false);
+        assert_eq!(skipped, 0);
+        let twins: Vec<Vec<Parameter>> = (gaussians.iter().zip(&gradients).zip(&direct))
+            .map(|((gaussian, gradient), direct)| {
+                let seen = gradient.unwrap_or_default();
+                let mut sum = gradient_scalars(&seen, gaussian.mean, 3, 16);
+                let own = scalars(&Gaussian { sh: vec![[0.0; 3]; 16], ..direct.clone() });
+                sum.iter_mut().zip(own).for_each(|(sum, (own, _))| *sum += own);
+                let step = |((value, rate), gradient): ((f64, f64), f64)| {
+                    let mut parameter = Parameter { value, ..Parameter::default() };
+                    match (sparse, gradient_is_seen(&seen)) {
+                        (true, true) => adam_sparse(&mut parameter, gradient, rate),
+                        (true, false) => {}
+                        (false, _) => adam(&mut parameter, gradient, rate, 1),
+                    }
+                    parameter
+                };
+                scalars(gaussian).into_iter().zip(sum).map(step).collect()
+            })
+            .collect();
+        compare(&state, &twins);
+    }
+}
+
+fn gradient_is_seen(gradient: &VisibleGradient) -> bool {
+    gradient.mean != [0.0; 3]
+}
+
 /// Where no direction exists, none is needed: a Gaussian at the camera is never seen.
 #[test]
 fn adam_leaves_a_gaussian_at_the_camera_finite() {

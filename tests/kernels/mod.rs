@@ -22,6 +22,8 @@ mod multiply_add;
 mod project;
 mod project_backward;
 mod ranges;
+mod regularize;
+mod regularize_reduce;
 mod reset_opacity;
 mod scan_apply;
 mod scan_reduce;

@@ -30,6 +30,8 @@ pub mod pipeline;
 pub mod project;
 pub mod project_backward;
 pub mod ranges;
+pub mod regularize;
+pub mod regularize_reduce;
 pub mod reset_opacity;
 pub mod scan_apply;
 pub mod scan_reduce;

@@ -1,11 +1,12 @@
 //! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
 
 use ashsplat::trainer::TrainSettings;
+use ashsplat::trainer::options::{OptionKind, OptionValue, TrainOption};
 use ashsplat::{Error, Result};
-use clap::Args;
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, value_parser};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use toml::Table;
+use toml::{Table, Value};
 
 /// Name of the dump that `--config` reads back.
 pub const SETTINGS_FILE: &str = "settings.toml";
@@ -16,7 +17,7 @@ pub const CAMERAS_FILE: &str = "cameras.json";
 
 /// The settings that can be given on the command line, under the reference's names. All are optional: what is
 /// not given comes from `--config`, or else is the default.
-#[derive(Args, Serialize, Default)]
+#[derive(Args, Default, Serialize)]
 pub struct Overrides {
     /// Data set: a folder with images/ and sparse/0/ as COLMAP writes them, or with transforms.json, or a ZIP of one
     #[arg(short, long, value_name = "DATASET")]
@@ -46,78 +47,78 @@ pub struct Overrides {
     /// Write a checkpoint, from which training can go on, after these iterations
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     checkpoint_iterations: Option<Vec<u32>>,
-    /// Number of iterations, one view each [default: 30000]
-    #[arg(long, value_name = "N")]
-    iterations: Option<u32>,
-    /// Highest degree of the spherical harmonics, 0 to 3 [default: 3]
-    #[arg(long, value_name = "N")]
-    sh_degree: Option<u32>,
-    /// Iterations after which the SH degree in use rises by one [default: 1000]
-    #[arg(long, value_name = "N")]
-    sh_degree_interval: Option<u32>,
-    /// Learning rate of the means at the start, times the scene's extent [default: 0.00016]
-    #[arg(long, value_name = "X")]
-    position_lr_init: Option<f64>,
-    /// Learning rate of the means at the end, times the scene's extent [default: 0.0000016]
-    #[arg(long, value_name = "X")]
-    position_lr_final: Option<f64>,
-    /// Without effect, as in the reference [default: 0.01]
-    #[arg(long, value_name = "X")]
-    position_lr_delay_mult: Option<f64>,
-    /// Iteration at which position_lr_final is reached [default: 30000]
-    #[arg(long, value_name = "N")]
-    position_lr_max_steps: Option<u32>,
-    /// Learning rate of the colours (SH degree 0; the others take a twentieth) [default: 0.0025]
-    #[arg(long, value_name = "X")]
-    feature_lr: Option<f64>,
-    /// Learning rate of the opacities' logits [default: 0.025]
-    #[arg(long, value_name = "X")]
-    opacity_lr: Option<f64>,
-    /// Learning rate of the logarithms of the scales [default: 0.005]
-    #[arg(long, value_name = "X")]
-    scaling_lr: Option<f64>,
-    /// Learning rate of the quaternions [default: 0.001]
-    #[arg(long, value_name = "X")]
-    rotation_lr: Option<f64>,
-    /// Larger than this share of the scene's extent: split, else cloned [default: 0.01]
-    #[arg(long, value_name = "X")]
-    percent_dense: Option<f64>,
-    /// Weight of 1 - SSIM in the loss [default: 0.2]
-    #[arg(long, value_name = "X")]
-    lambda_dssim: Option<f64>,
-    /// Iterations between densifications [default: 100]
-    #[arg(long, value_name = "N")]
-    densification_interval: Option<u32>,
-    /// Iterations between opacity resets [default: 3000]
-    #[arg(long, value_name = "N")]
-    opacity_reset_interval: Option<u32>,
-    /// Densification starts after this iteration [default: 500]
-    #[arg(long, value_name = "N")]
-    densify_from_iter: Option<u32>,
-    /// Densification ends before this iteration [default: 15000]
-    #[arg(long, value_name = "N")]
-    densify_until_iter: Option<u32>,
-    /// Gradient of the 2D mean from which a Gaussian is densified [default: 0.0002]
-    #[arg(long, value_name = "X")]
-    densify_grad_threshold: Option<f64>,
-    /// Gaussians of a smaller opacity are pruned [default: 0.005]
-    #[arg(long, value_name = "X")]
-    min_opacity: Option<f64>,
-    /// White background instead of black
-    #[arg(short, long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
-    white_background: Option<bool>,
-    /// A random background colour in every iteration
-    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
-    random_background: Option<bool>,
-    /// Compensate the opacity for the screen-space dilation (Mip-Splatting)
-    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
-    antialiasing: Option<bool>,
-    /// Adam on all Gaussians, or on those seen only [default: default]
-    #[arg(long, value_parser = ["default", "sparse_adam"], value_name = "NAME")]
-    optimizer_type: Option<String>,
-    /// Seed of everything random [default: 0]
-    #[arg(long, value_name = "N")]
-    seed: Option<u32>,
+    #[command(flatten)]
+    #[serde(flatten)]
+    train: TrainOverrides,
+}
+
+/// The settings of training that are given on the command line, by their names. The options follow from
+/// [`TrainSettings::OPTIONS`].
+#[derive(Clone, Debug, Default, Serialize)]
+#[serde(transparent)]
+pub struct TrainOverrides(Table);
+
+/// Options that also have a letter, as in the reference.
+const LETTERS: [(&str, char); 1] = [("white_background", 'w')];
+
+impl TrainOverrides {
+    fn argument(option: &TrainOption) -> Arg {
+        let about = option.about.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ");
+        let default = match option.default_value() {
+            OptionValue::Switch(false) => String::new(),
+            value => format!(" [default: {value}]"),
+        };
+        let argument = Arg::new(option.name).long(option.name.replace('_', "-")).help(about + &default);
+        let argument = match LETTERS.iter().find(|(name, _)| *name == option.name) {
+            Some((_, letter)) => argument.short(*letter),
+            None => argument,
+        };
+        match option.kind {
+            OptionKind::Integer => argument.value_name("N").value_parser(value_parser!(u32)),
+            OptionKind::Number => argument.value_name("X").value_parser(value_parser!(f64)),
+            OptionKind::Choice(names) => argument.value_name("NAME").value_parser(names.to_vec()),
+            OptionKind::Switch => argument
+                .value_name("BOOL")
+                .num_args(0..=1)
+                .require_equals(true)
+                .default_missing_value("true")
+                .value_parser(value_parser!(bool)),
+        }
+    }
+}
+
+impl Args for TrainOverrides {
+    fn augment_args(command: Command) -> Command {
+        command.args(TrainSettings::OPTIONS.iter().map(Self::argument))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for TrainOverrides {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let mut overrides = Self::default();
+        overrides.update_from_arg_matches(matches)?;
+        Ok(overrides)
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        for option in TrainSettings::OPTIONS {
+            let name = option.name;
+            let given: Option<Value> = match option.kind {
+                OptionKind::Integer => matches.get_one::<u32>(name).map(|&value| i64::from(value).into()),
+                OptionKind::Number => matches.get_one::<f64>(name).map(|&value| value.into()),
+                OptionKind::Choice(_) => matches.get_one::<String>(name).map(|value| value.clone().into()),
+                OptionKind::Switch => matches.get_one::<bool>(name).map(|&value| value.into()),
+            };
+            if let Some(value) = given {
+                self.0.insert(name.into(), value);
+            }
+        }
+        Ok(())
+    }
 }
 
 /// An iteration; -1, with which scripts for the reference say "never", becomes 0, which never comes.
@@ -305,7 +306,8 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("my.toml");
         std::fs::write(&path, "iterations = 10\nseed = 3\n").expect("written");
-        let overrides = Overrides { iterations: Some(20), ..Default::default() };
+        let mut overrides = Overrides::default();
+        overrides.train.0.insert("iterations".into(), 20.into());
         let settings = Settings::resolve(Some(&path), &overrides).expect("settings");
         assert_eq!((settings.train.iterations, settings.train.seed), (20, 3));
     }

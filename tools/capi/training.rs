@@ -150,7 +150,7 @@ unsafe fn train_view(view: &AshsplatTrainView) -> Result<TrainView> {
     let (width, height) = (camera.width, camera.height);
     // SAFETY: as promised.
     let rgb = unsafe { slice(view.rgb, 3 * width as usize * height as usize, "view's rgb")? };
-    Ok(TrainView { camera, photo: Photo { width, height, rgb: rgb.to_vec() }.into() })
+    Ok(TrainView::new(camera, Photo { width, height, rgb: rgb.to_vec() }))
 }
 
 /// Frees a trainer. No recorded step of it may still be executed.

@@ -154,10 +154,7 @@ pub fn trainer(context: &Context, scene: &Scene, seed: u64) -> Result<Trainer> {
             renderer.upload(&scene.gaussians)?;
             let frame = renderer.render(&scene.camera, &RenderSettings::default())?;
             let photo = Photo::from_f32(frame.width, frame.height, &frame.color)?;
-            (
-                TrainView { camera: scene.camera, photo: photo.into() },
-                synthetic::disturbed(&scene.gaussians, seed),
-            )
+            (TrainView::new(scene.camera, photo), synthetic::disturbed(&scene.gaussians, seed))
         }
     };
     let settings = steady_settings(scene.gaussians.sh_degree, seed);

@@ -51,7 +51,7 @@ impl Training {
         let views = loaded.train.into_iter();
         Ok(Self {
             source: dataset.display().to_string(),
-            views: views.map(|view| TrainView { camera: view.camera, photo: view.photo }).collect(),
+            views: views.map(|view| TrainView::new(view.camera, view.photo)).collect(),
             initial: ashsplat_files::initial_gaussians(&points, sh_degree)?,
             scene_extent: loaded.scene_extent,
             ends,

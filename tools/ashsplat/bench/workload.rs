@@ -182,7 +182,7 @@ impl SceneArguments {
             let count = loaded.train.len();
             let view = loaded.train.into_iter().nth(self.view).ok_or_else(|| no_view(count))?;
             let camera = view.camera;
-            let view = photos.then_some(TrainView { camera, photo: view.photo });
+            let view = photos.then_some(TrainView::new(camera, view.photo));
             (camera, view, Some(loaded.points), loaded.scene_extent)
         } else {
             let cameras = Dataset::cameras(dataset, &DatasetOptions::default())?;

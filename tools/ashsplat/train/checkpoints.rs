@@ -4,6 +4,7 @@ use super::Run;
 use crate::args::{self, DeviceArguments};
 use crate::config::SETTINGS_FILE;
 use crate::output;
+use ashsplat::trainer::strategy::Actions;
 use ashsplat::trainer::{Checkpoint, TrainSettings, TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -129,10 +130,10 @@ impl Run {
         }
         let checkpoint = self.trainer.checkpoint();
         // Of a state that cannot be had, the worst is assumed.
-        let still = |due: fn(&Checkpoint) -> bool| checkpoint.as_ref().is_ok_and(due);
-        let settings = &self.settings.train;
-        let reset = settings.resets_opacity_at(iteration) && !still(|c| c.opacity_reset_due);
-        let densified = settings.densifies_at(iteration) && !still(|c| c.densification_due);
+        let still_due = checkpoint.as_ref().map_or(Actions::NONE, |checkpoint| checkpoint.due);
+        let done = self.trainer.actions_at(iteration).without(still_due);
+        let reset = done.contains(Actions::RESET_OPACITY);
+        let densified = done.contains(Actions::DENSIFY);
         if self.saved != Some(iteration) {
             let reason = if densified { "failed, densified already: " } else { "failed: " };
             let saved = match reset {

@@ -406,7 +406,7 @@ mod tests {
         let points = PointCloud { positions: vec![[0.0; 3], [0.2; 3]], colors: vec![[9; 3]; 2] };
         let context = Context::new(&ContextOptions::default()).expect("a device");
         let initial = ashsplat_files::initial_gaussians(&points, 0).expect("Gaussians");
-        let views = vec![TrainView { camera, photo: photo(16).into() }];
+        let views = vec![TrainView::new(camera, photo(16))];
         let settings = TrainSettings { sh_degree: 0, ..Default::default() };
         let mut trainer = Trainer::new(&context, views, &initial, 1.0, settings).expect("a trainer");
         let folder = tempfile::tempdir().expect("a temporary folder");

@@ -27,7 +27,7 @@ impl Prepared {
         let cameras = test.iter().chain(&train).map(own).collect();
         let held_out = !test.is_empty();
         let test = if held_out { test } else { sample(&train) };
-        let train = train.into_iter().map(|view| TrainView { camera: view.camera, photo: view.photo });
+        let train = train.into_iter().map(|view| TrainView::new(view.camera, view.photo));
         Prepared { cameras, train: train.collect(), test, held_out, scene_extent }
     }
 }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
-use ashsplat::trainer::Checkpoint;
+use ashsplat::trainer::{Actions, Checkpoint};
 use ashsplat::vk::{ContextOptions, Fault, Faults};
 use ashsplat_files::CheckpointFile;
 use ashsplat_files::Photo;
@@ -76,7 +76,7 @@ fn a_failed_iteration_saves_only_what_is_known_and_seen() {
                 unknown += 1;
             }
             (_, checkpoint) => {
-                let due = checkpoint.expect("one").opacity_reset_due;
+                let due = checkpoint.expect("one").due.contains(Actions::RESET_OPACITY);
                 assert_eq!(scene, due, "{fault:?} {index}");
                 *(if due { &mut seen } else { &mut reset }) += 1;
             }

@@ -1,6 +1,6 @@
 //! Which photographs are on the device if only some of them fit.
 
-use super::step::ViewOrder;
+use super::iteration::ViewOrder;
 
 /// The photograph of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,7 +14,7 @@ pub(super) struct Use {
 
 /// Belady's algorithm: the order is known, so the photograph that is needed last is replaced.
 #[derive(Clone)]
-pub(super) struct Schedule {
+pub(super) struct Residency {
     order: ViewOrder,
     /// The next iteration, from 1.
     iteration: u32,
@@ -26,7 +26,7 @@ pub(super) struct Schedule {
     epoch_end: u32,
 }
 
-impl Schedule {
+impl Residency {
     /// Starts at an iteration, with empty slots.
     pub fn new(order: ViewOrder, slots: usize, iteration: u32) -> Self {
         let uses = vec![[0; 2]; order.views()];
@@ -75,7 +75,7 @@ mod tests {
 
     /// Loads in `epochs` epochs.
     fn loads(views: usize, slots: usize, epochs: u32) -> u32 {
-        let mut schedule = Schedule::new(ViewOrder::new(3, views), slots, 1);
+        let mut schedule = Residency::new(ViewOrder::new(3, views), slots, 1);
         let mut order = ViewOrder::new(3, views);
         let mut held = vec![None; slots];
         let mut loads = 0;
@@ -116,7 +116,7 @@ mod tests {
     /// A resumed run has the same views.
     #[test]
     fn it_begins_anywhere() {
-        let mut schedule = Schedule::new(ViewOrder::new(3, 9), 4, 14);
+        let mut schedule = Residency::new(ViewOrder::new(3, 9), 4, 14);
         let mut order = ViewOrder::new(3, 9);
         for iteration in 14..60 {
             assert_eq!(schedule.advance().view, order.view(iteration));

@@ -1,0 +1,160 @@
+//! The schedule of a run: what each iteration does. All of it depends on the settings, the seed and the
+//! iteration alone.
+
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::run::Run;
+use super::settings::OptimizerType;
+use super::strategy::{Actions, Strategy, Work};
+use crate::forward::RenderSettings;
+use crate::optimizer::{Rates, Step};
+
+/// Random streams of a run, all derived from its seed.
+const STREAM_VIEWS: u64 = 1;
+const STREAM_BACKGROUND: u64 = 2;
+
+/// Each view once per epoch, in random order.
+#[derive(Clone)]
+pub(super) struct ViewOrder {
+    seed: u32,
+    views: usize,
+    epoch: u64,
+    order: Vec<usize>,
+}
+
+impl ViewOrder {
+    pub fn new(seed: u32, views: usize) -> Self {
+        Self { seed, views, epoch: u64::MAX, order: Vec::new() }
+    }
+
+    /// Number of views.
+    pub fn views(&self) -> usize {
+        self.views
+    }
+
+    /// The view of an iteration, from 1. It depends only on the seed and the iteration.
+    pub fn view(&mut self, iteration: u32) -> usize {
+        let index = iteration as usize - 1;
+        let epoch = (index / self.views) as u64;
+        if epoch != self.epoch {
+            let mut rng = generator(self.seed, STREAM_VIEWS, epoch);
+            self.order = (0..self.views).collect();
+            self.order.shuffle(&mut rng);
+            self.epoch = epoch;
+        }
+        self.order[index % self.views]
+    }
+}
+
+fn generator(seed: u32, stream: u64, counter: u64) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(u64::from(seed));
+    rng.set_stream(stream);
+    // Each counter has 2^20 words of its own, far more than an iteration draws.
+    rng.set_word_pos(u128::from(counter) << 20);
+    rng
+}
+
+/// Progress of a run between two iterations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Progress {
+    /// Iterations done.
+    pub iteration: u32,
+    /// Steps of the optimiser: fewer than iterations, as those that densify have none.
+    pub steps: u64,
+    pub opacity_steps: u64,
+    /// Work before the next iteration.
+    pub due: Actions,
+}
+
+impl Progress {
+    /// The progress after an iteration.
+    pub fn after(&self, plan: &IterationPlan) -> Self {
+        let Work { optimizes, optimizes_opacity, actions, .. } = plan.work;
+        Self {
+            iteration: plan.iteration,
+            steps: self.steps + u64::from(optimizes),
+            opacity_steps: self.opacity_steps + u64::from(optimizes && optimizes_opacity),
+            due: actions,
+        }
+    }
+}
+
+/// The work of an iteration.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct IterationPlan {
+    pub iteration: u32,
+    pub view: usize,
+    pub work: Work,
+    pub sh_degree: u32,
+    pub settings: RenderSettings,
+    pub step: Step,
+}
+
+impl IterationPlan {
+    /// A plan with all work that any iteration does, for some view: for a recording that is never executed.
+    pub fn rehearsal(self, view: usize) -> Self {
+        Self { view, work: Work { optimizes: true, ..self.work }, ..self }
+    }
+}
+
+/// Makes the plans of iterations.
+pub(super) struct Schedule {
+    order: ViewOrder,
+    /// Whether a term of the loss needs the inverse depth.
+    inverse_depth: bool,
+}
+
+impl Schedule {
+    pub fn new(run: &Run, inverse_depth: bool) -> Self {
+        Self { order: ViewOrder::new(run.settings.seed, run.cameras.len()), inverse_depth }
+    }
+
+    /// The plan of the next iteration.
+    pub fn plan_after(&mut self, progress: &Progress, run: &Run, strategy: &dyn Strategy) -> IterationPlan {
+        let iteration = progress.iteration + 1;
+        let s = &run.settings;
+        let mut work = strategy.work(s, iteration);
+        // The reference's last iteration only saves.
+        work.optimizes &= iteration < s.iterations;
+        IterationPlan {
+            iteration,
+            view: self.order.view(iteration),
+            work,
+            sh_degree: s.sh_degree_at(iteration),
+            settings: RenderSettings {
+                background: background(run, iteration),
+                inverse_depth: self.inverse_depth,
+                ..run.render_settings()
+            },
+            step: optimizer_step(run, iteration, progress, &work),
+        }
+    }
+}
+
+fn background(run: &Run, iteration: u32) -> [f32; 3] {
+    if run.settings.random_background {
+        let mut rng = generator(run.settings.seed, STREAM_BACKGROUND, iteration.into());
+        return [rng.random(), rng.random(), rng.random()];
+    }
+    run.render_settings().background
+}
+
+fn optimizer_step(run: &Run, iteration: u32, progress: &Progress, work: &Work) -> Step {
+    let s = &run.settings;
+    let rates = Rates {
+        mean: s.position_lr(iteration) * f64::from(run.scene_extent),
+        opacity: if work.optimizes_opacity { s.opacity_lr } else { 0.0 },
+        quat: s.rotation_lr,
+        log_scale: s.scaling_lr,
+        sh_dc: s.feature_lr,
+        sh_rest: s.feature_rest_lr(),
+    };
+    match s.optimizer_type {
+        OptimizerType::SparseAdam => Step { rates, count: 0, opacity_count: 0 },
+        OptimizerType::Default => {
+            Step { rates, count: progress.steps + 1, opacity_count: progress.opacity_steps + 1 }
+        }
+    }
+}

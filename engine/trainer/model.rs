@@ -1,0 +1,150 @@
+//! What a training run changes: on the device the Gaussians, their moments and statistics; on the host the
+//! progress.
+
+use super::iteration::Progress;
+use super::strategy::{GRADIENT_STATISTIC, Statistic};
+use crate::error::{Error, Result};
+use crate::forward::SceneBuffers;
+use crate::kernels::constants::PLANE_SH;
+use crate::optimizer::Moments;
+use crate::plan::ScenePlan;
+use crate::planes;
+use crate::vk::{Buffer, Context, MemoryKind};
+
+/// Sets of planes: parameters, two moments, and the target of densification's gather.
+const PLANE_SETS: u64 = 4;
+
+/// The memory that the Gaussians of a run need, besides that of a frame.
+pub(super) struct RowMemory {
+    statistics: Vec<Statistic>,
+    parameter_gradients: bool,
+}
+
+impl RowMemory {
+    /// `own`: the strategy's statistics.
+    pub fn new(own: Vec<Statistic>, parameter_gradients: bool) -> Self {
+        Self { statistics: [vec![GRADIENT_STATISTIC], own].concat(), parameter_gradients }
+    }
+
+    /// The statistics, the gradient's first.
+    pub fn statistics(&self) -> &[Statistic] {
+        &self.statistics
+    }
+
+    fn statistics_requests(&self, capacity: u32) -> Vec<(&'static str, u64)> {
+        let bytes = |statistic: &Statistic| u64::from(capacity) * u64::from(statistic.floats) * 4;
+        self.statistics.iter().map(|statistic| (statistic.name, bytes(statistic))).collect()
+    }
+
+    fn gradient_requests(&self, plan: &ScenePlan) -> Vec<(&'static str, u64)> {
+        let chunks = if self.parameter_gradients { plan.chunks as usize } else { 0 };
+        // Geometry planes only: means with opacities, quaternions, scales.
+        let bytes = u64::from(plan.chunk_gaussians) * u64::from(PLANE_SH) * 16;
+        vec![("parameter_gradients", bytes); chunks]
+    }
+
+    /// Bytes of the buffers with the capacity of a plan.
+    pub fn bytes(&self, plan: &ScenePlan) -> u64 {
+        let others = self.statistics_requests(plan.capacity).into_iter().chain(self.gradient_requests(plan));
+        PLANE_SETS * plan.chunk_bytes() * u64::from(plan.chunks) + others.map(|(_, bytes)| bytes).sum::<u64>()
+    }
+
+    /// Bytes that their allocation takes.
+    pub fn allocation_bytes(&self, context: &Context, plan: &ScenePlan) -> u64 {
+        let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
+        let planes = bytes(&vec![("planes", plan.chunk_bytes()); plan.chunks as usize]);
+        let gradients = self.gradient_requests(plan);
+        PLANE_SETS * planes
+            + bytes(&self.statistics_requests(plan.capacity))
+            + if gradients.is_empty() { 0 } else { bytes(&gradients) }
+    }
+
+    /// One buffer per statistic.
+    pub fn allocate_statistics(&self, context: &Context, capacity: u32) -> Result<Vec<Buffer>> {
+        context.allocate("statistics", &self.statistics_requests(capacity), MemoryKind::Device)
+    }
+
+    /// One buffer per chunk; none without terms that depend on the parameters directly.
+    pub fn allocate_parameter_gradients(&self, context: &Context, plan: &ScenePlan) -> Result<Vec<Buffer>> {
+        let requests = self.gradient_requests(plan);
+        match requests.is_empty() {
+            true => Ok(Vec::new()),
+            false => context.allocate("gradients", &requests, MemoryKind::Device),
+        }
+    }
+}
+
+/// The Gaussians on the device, with what training keeps of them.
+pub(super) struct Model {
+    pub scene: SceneBuffers,
+    pub moments: Moments,
+    /// A fourth set of planes, the target of densification's gather.
+    pub spare: Vec<Buffer>,
+    /// Per Gaussian: see [`super::strategy::StepInputs::statistics`].
+    pub statistics: Vec<Buffer>,
+    /// Per chunk: see [`crate::loss::TermInputs::parameter_gradients`].
+    pub parameter_gradients: Vec<Buffer>,
+}
+
+impl Model {
+    /// Allocates what belongs to a scene, and clears it.
+    pub fn new(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
+        let moments = Moments {
+            first: planes::allocate(context, "moments", &scene.plan)?,
+            second: planes::allocate(context, "moments", &scene.plan)?,
+        };
+        let spare = planes::allocate(context, "spare", &scene.plan)?;
+        let statistics = rows.allocate_statistics(context, scene.plan.capacity)?;
+        let parameter_gradients = rows.allocate_parameter_gradients(context, &scene.plan)?;
+        context.run("clear moments", |r| {
+            for buffer in moments.first.iter().chain(&moments.second).chain(&statistics) {
+                r.fill(buffer, 0);
+            }
+            Ok(())
+        })?;
+        Ok(Self { scene, moments, spare, statistics, parameter_gradients })
+    }
+}
+
+/// The state of a run between two steps.
+pub(super) struct State {
+    pub model: Model,
+    pub progress: Progress,
+    /// Most instances of a frame so far; see [`super::Room::most_instances`].
+    pub most_instances: u32,
+    /// Number of consecutive skipped iterations.
+    pub skipped: u32,
+    /// Whether it is unknown if a submission that changes the scene was executed.
+    pub broken: bool,
+}
+
+impl State {
+    pub fn new(model: Model) -> Self {
+        Self { model, progress: Progress::default(), most_instances: 0, skipped: 0, broken: false }
+    }
+
+    /// An iteration's step has been executed.
+    pub fn done(&mut self, after: Progress, instances: u32) {
+        self.progress = after;
+        self.skipped = 0;
+        self.most_instances = self.most_instances.max(instances);
+    }
+
+    /// Whether the state of the scene is known.
+    pub fn check_whole(&self) -> Result<()> {
+        if self.broken {
+            let problem = "an earlier step was not finished; go on from a checkpoint, or anew";
+            return Err(Error::argument("trainer", problem));
+        }
+        Ok(())
+    }
+
+    /// A submission whose wait failed may or may not have been executed.
+    pub fn note_failure<T>(&mut self, result: &Result<T>) {
+        self.broken = match result {
+            Err(Error::DeviceLost { .. } | Error::Timeout { .. }) => true,
+            Err(Error::Vulkan { call, .. }) => *call == "vkWaitForFences",
+            _ => false,
+        };
+    }
+}

@@ -1,0 +1,258 @@
+//! The set of Gaussians between two steps, as a strategy sees and changes it.
+
+use super::budget;
+use super::model::{Model, RowMemory};
+use super::run::Run;
+use super::settings::TrainSettings;
+use crate::densify::{Curve, Densify, Gather, RandomKey};
+use crate::error::{Error, Result};
+use crate::forward::SceneBuffers;
+use crate::kernels::constants::KIND_SHIFT;
+use crate::optimizer::Moments;
+use crate::plan::{FrameCapacity, ScenePlan};
+use crate::planes;
+use crate::renderer::{FrameRunner, FrameStore};
+use crate::scene::Camera;
+use crate::scene::camera::middle;
+use crate::vk::{Buffer, Context, MemoryKind, Recorder};
+
+/// The Gaussians with their moments and statistics, between two steps.
+pub struct Population<'a> {
+    pub(super) context: &'a Context,
+    pub(super) run: &'a Run,
+    pub(super) rows: &'a RowMemory,
+    pub(super) runner: &'a mut FrameRunner,
+    pub(super) pictures: &'a mut FrameStore,
+    pub(super) model: &'a mut Model,
+    pub(super) most_instances: &'a mut u32,
+    pub(super) iteration: u32,
+}
+
+/// New planes for a set that exceeds its capacity; nothing for a set that fits.
+pub struct Growth(Option<Fresh>);
+
+struct Fresh {
+    plan: ScenePlan,
+    sets: Vec<Vec<Buffer>>,
+    statistics: Vec<Buffer>,
+    parameter_gradients: Vec<Buffer>,
+}
+
+impl Population<'_> {
+    /// The device.
+    pub fn context(&self) -> &Context {
+        self.context
+    }
+
+    /// The run's settings.
+    pub fn settings(&self) -> &TrainSettings {
+        &self.run.settings
+    }
+
+    /// The scene's extent, world units.
+    pub fn scene_extent(&self) -> f32 {
+        self.run.scene_extent
+    }
+
+    /// The training cameras.
+    pub fn cameras(&self) -> &[Camera] {
+        &self.run.cameras
+    }
+
+    /// The last iteration, from 1.
+    pub fn iteration(&self) -> u32 {
+        self.iteration
+    }
+
+    /// Number of Gaussians.
+    pub fn count(&self) -> u32 {
+        self.model.scene.count
+    }
+
+    /// The parameters.
+    pub fn scene(&self) -> &SceneBuffers {
+        &self.model.scene
+    }
+
+    /// Adam's moments.
+    pub fn moments(&self) -> &Moments {
+        &self.model.moments
+    }
+
+    /// The statistics: see [`super::strategy::StepInputs::statistics`].
+    pub fn statistics(&self) -> &[Buffer] {
+        &self.model.statistics
+    }
+
+    /// Frees what pictures drawn between steps have left.
+    pub fn release_pictures(&mut self) {
+        self.pictures.release();
+    }
+
+    /// The space-filling curve along which Gaussians are stored.
+    pub fn curve(&self) -> Curve {
+        let middle = middle(self.run.cameras.iter().map(Camera::position)).unwrap_or_default();
+        Curve { center: middle.as_vec3(), extent: self.run.scene_extent }
+    }
+
+    /// The most Gaussians that the set should grow to, so that frames stay within what the device and the
+    /// memory hold.
+    pub fn most_rows(&self) -> u32 {
+        self.present().most_rows_by_instances(self.count(), *self.most_instances)
+    }
+
+    /// Planes and a frame for `rows` rows, if they exceed the capacity: with a reserve of half, without a
+    /// reserve, or with the largest capacity that the memory holds, if the gain is worth the copy. If the
+    /// capacity cannot grow, the growth is none: see [`Population::capacity_with`].
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn make_room(&mut self, rows: u32) -> Result<Growth> {
+        let old = self.model.scene.plan.capacity;
+        if rows <= old {
+            return Ok(Growth(None));
+        }
+        let most = self.present().most_with_room(rows)?;
+        let worth_it = old + old / 16;
+        for capacity in [budget::grown_capacity(self.context, rows), rows, most] {
+            if capacity <= worth_it && capacity < rows {
+                continue;
+            }
+            if let Some(fresh) = or_none(self.allocate_fresh(capacity))? {
+                return Ok(Growth(Some(fresh)));
+            }
+        }
+        Ok(Growth(None))
+    }
+
+    /// The capacity in Gaussians with a growth.
+    pub fn capacity_with(&self, growth: &Growth) -> u32 {
+        growth.0.as_ref().map_or(self.model.scene.plan.capacity, |fresh| fresh.plan.capacity)
+    }
+
+    /// Replaces the set by `rows` rows, in one submission: either all of it is executed or the old set stays.
+    /// `record_sources` records, and returns, the source of each row: its Gaussian, and its kind in the bits
+    /// from `KIND_SHIFT` on (kept, clone, first or second half of a split Gaussian). Kept Gaussians keep
+    /// their moments; those of new ones are zero, and so are all statistics.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn rebuild<'b>(
+        &mut self,
+        rows: u32,
+        growth: Growth,
+        kernels: &Densify,
+        key: &RandomKey,
+        record_sources: impl FnOnce(&mut Recorder, &SceneBuffers) -> &'b Buffer,
+    ) -> Result<()> {
+        let (old, fresh, before) = (&*self.model, growth.0, self.count());
+        let plan = fresh.as_ref().map_or(old.scene.plan, |fresh| fresh.plan);
+        // Without growth the four sets of planes rotate: each is gathered into the set that the previous
+        // gather freed.
+        let sets = [&old.scene.chunks, &old.moments.first, &old.moments.second];
+        let targets: [&Vec<Buffer>; 3] = match &fresh {
+            Some(fresh) => [&fresh.sets[0], &fresh.sets[1], &fresh.sets[2]],
+            None => [&old.spare, &old.scene.chunks, &old.moments.first],
+        };
+        let (spare, statistics, parameter_gradients) = match &fresh {
+            Some(fresh) => (&fresh.sets[3], &fresh.statistics, &fresh.parameter_gradients),
+            None => (&old.moments.second, &old.statistics, &old.parameter_gradients),
+        };
+        self.context.run("densify: gather", |r| {
+            statistics.iter().for_each(|statistic| r.fill(statistic, 0));
+            let sources = record_sources(r, &old.scene);
+            for (set, (from, to)) in sets.iter().zip(targets).enumerate() {
+                let from = SceneBuffers { chunks: from.to_vec(), ..old.scene.clone() };
+                let to = SceneBuffers { chunks: to.clone(), plan, count: rows };
+                let gather = Gather { from: &from, to: &to, sources };
+                if set == 0 {
+                    kernels.record_gather_parameters(r, &gather, key);
+                } else {
+                    r.barrier();
+                    kernels.record_gather_moments(r, &gather);
+                }
+            }
+            Ok(())
+        })?;
+        let [parameters, first, second] = targets.map(Clone::clone);
+        *self.model = Model {
+            scene: SceneBuffers { chunks: parameters, plan, count: rows },
+            moments: Moments { first, second },
+            spare: spare.clone(),
+            statistics: statistics.clone(),
+            parameter_gradients: parameter_gradients.clone(),
+        };
+        *self.most_instances = budget::remembered_instances(*self.most_instances, before, rows);
+        Ok(())
+    }
+
+    /// Keeps these Gaussians, in this order, and removes all others.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for an index that does not exist, and for none at all; when the memory does not
+    /// suffice or the device is lost.
+    pub fn keep(&mut self, kept: &[u32], kernels: &Densify) -> Result<()> {
+        let count = self.count();
+        if kept.is_empty() || kept.len() > count as usize {
+            let problem = format!("are {}, must be 1 to {count}", kept.len());
+            return Err(Error::argument("Gaussians to keep", problem));
+        }
+        if let Some(beyond) = kept.iter().find(|&&index| index >= count.min(1 << KIND_SHIFT)) {
+            return Err(Error::argument("Gaussians to keep", format!("have {beyond}, there are {count}")));
+        }
+        let requests = [("sources", kept.len() as u64 * 4)];
+        let buffers = self.context.allocate("densify", &requests, MemoryKind::Device)?;
+        self.context.upload(&buffers[0], bytemuck::cast_slice(kept))?;
+        let key = RandomKey { seed: self.run.settings.seed, iteration: self.iteration, explicit: None };
+        self.rebuild(kept.len() as u32, Growth(None), kernels, &key, |r, _| {
+            r.barrier();
+            &buffers[0]
+        })
+    }
+
+    fn present(&self) -> budget::Present<'_> {
+        let frame = self.runner.capacity();
+        // For all views, including those that have not been used yet.
+        let (width, height) = budget::largest_sides(&self.run.cameras);
+        budget::Present {
+            context: self.context,
+            rows: self.rows,
+            plan: &self.model.scene.plan,
+            frame: FrameCapacity { width: frame.width.max(width), height: frame.height.max(height), ..frame },
+            frame_bytes: self.runner.frame_bytes(),
+        }
+    }
+
+    /// Planes for parameters, both moments and the spare set with the given capacity, their statistics, and a
+    /// frame. An error if they do not fit the memory. The old planes then still exist. The old frame does
+    /// not, and the next step allocates it again.
+    fn allocate_fresh(&mut self, capacity: u32) -> Result<Fresh> {
+        let plan = ScenePlan::new(self.context.limits(), capacity, self.model.scene.plan.sh_degree)?;
+        if !self.present().has_room(&plan) {
+            return Err(Error::argument("densification", "the memory does not suffice"));
+        }
+        let arenas = ["scene", "moments", "moments", "spare"];
+        let sets: Result<_> =
+            arenas.iter().map(|arena| planes::allocate(self.context, arena, &plan)).collect();
+        let fresh = Fresh {
+            plan,
+            sets: sets?,
+            statistics: self.rows.allocate_statistics(self.context, capacity)?,
+            parameter_gradients: self.rows.allocate_parameter_gradients(self.context, &plan)?,
+        };
+        self.runner.make_room(capacity)?;
+        Ok(fresh)
+    }
+}
+
+/// None if the memory does not suffice; an error if the state of the device is unknown.
+pub(super) fn or_none<T>(result: Result<T>) -> Result<Option<T>> {
+    match result {
+        Ok(done) => Ok(Some(done)),
+        Err(error @ (Error::DeviceLost { .. } | Error::Timeout { .. })) => Err(error),
+        Err(Error::Vulkan { call: call @ "vkWaitForFences", result, remedy }) => {
+            Err(Error::Vulkan { call, result, remedy })
+        }
+        Err(_) => Ok(None),
+    }
+}

@@ -1,0 +1,31 @@
+//! What a training run is given, and keeps unchanged.
+
+use super::settings::TrainSettings;
+use crate::forward::RenderSettings;
+use crate::scene::Camera;
+
+/// The inputs of a run, apart from the photographs.
+pub(super) struct Run {
+    pub settings: TrainSettings,
+    /// World units.
+    pub scene_extent: f32,
+    /// One per view.
+    pub cameras: Vec<Camera>,
+    pub views_fingerprint: u64,
+}
+
+impl Run {
+    /// The render settings of training, without the random background.
+    pub fn render_settings(&self) -> RenderSettings {
+        RenderSettings {
+            antialias: self.settings.antialiasing,
+            background: [f32::from(u8::from(self.settings.white_background)); 3],
+            ..RenderSettings::default()
+        }
+    }
+
+    /// Sizes of all views.
+    pub fn sizes(&self) -> Vec<(u32, u32)> {
+        self.cameras.iter().map(|camera| (camera.width, camera.height)).collect()
+    }
+}

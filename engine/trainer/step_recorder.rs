@@ -1,0 +1,197 @@
+//! Records an iteration: its frame, the terms of the loss, the backward pass, the optimiser's step, and what
+//! the strategy adds.
+
+use super::iteration::IterationPlan;
+use super::model::Model;
+use super::photos::Photos;
+use super::run::Run;
+use super::settings::OptimizerType;
+use super::strategy::{StepInputs, Strategy};
+use crate::backward::{Backward, Statistics};
+use crate::error::Result;
+use crate::forward::FrameInputs;
+use crate::loss::{LossTerm, Targets, TermInputs};
+use crate::optimizer::Optimizer;
+use crate::plan::Strips;
+use crate::renderer::Request;
+use crate::vk::{Buffer, Context, MemoryKind, Recorder};
+
+/// The kernels of an iteration after its frame, and their scratch memory.
+pub(super) struct StepRecorder {
+    terms: Vec<Box<dyn LossTerm>>,
+    targets: Targets,
+    backward: Backward,
+    optimizer: Optimizer,
+}
+
+/// The memory of the loss.
+pub(super) struct LossMemory {
+    /// Per term: the buffers of [`LossTerm::scratch_requests`].
+    scratch: Vec<Vec<Buffer>>,
+    losses: Buffer,
+    /// Instead of the frame's, which has no room for the gradient of the inverse depth on all devices.
+    image_gradient: Option<Buffer>,
+    pub readback: Buffer,
+}
+
+/// Loss, and the numbers of each term.
+pub(super) struct LossValues {
+    /// Sum of the terms.
+    pub total: f32,
+    /// Per term: its name, its weighted value, and its own numbers.
+    pub terms: Vec<(&'static str, [f32; 4])>,
+}
+
+/// One iteration to record.
+pub(super) struct StepParts<'a> {
+    pub run: &'a Run,
+    pub model: &'a Model,
+    pub photos: &'a Photos,
+    pub memory: &'a LossMemory,
+    pub strategy: &'a dyn Strategy,
+    pub plan: &'a IterationPlan,
+}
+
+impl<'a> StepParts<'a> {
+    /// The iteration's frame.
+    pub fn frame(&self) -> Request<'a> {
+        Request {
+            scene: &self.model.scene,
+            camera: &self.run.cameras[self.plan.view],
+            settings: &self.plan.settings,
+            sh_degree: self.plan.sh_degree,
+            backward: true,
+        }
+    }
+}
+
+impl StepRecorder {
+    /// The first of the terms writes the picture's gradient.
+    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, optimizer: OptimizerType) -> Self {
+        let targets = terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()));
+        let sparse = optimizer == OptimizerType::SparseAdam;
+        let optimizer = match targets.parameters {
+            true => Optimizer::with_parameter_gradients(context, sparse),
+            false => Optimizer::new(context, sparse),
+        };
+        Self { terms, targets, backward: Backward::new(context), optimizer }
+    }
+
+    /// The gradients that the terms add to.
+    pub fn targets(&self) -> Targets {
+        self.targets
+    }
+
+    /// Builds the kernels for an SH degree unless they exist.
+    pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
+        self.backward.prepare(sh_degree, self.targets.inverse_depth)?;
+        self.optimizer.prepare(sh_degree)
+    }
+
+    /// The loss's buffers on the device for views of these sizes: scratch of the terms, and the losses.
+    pub fn device_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
+        let mut requests: Vec<_> = self.terms.iter().flat_map(|term| term.scratch_requests(sizes)).collect();
+        requests.push(("losses", self.losses_bytes()));
+        if self.targets.inverse_depth {
+            // Four planes, and as large as an image whose sides are multiples of a strip.
+            let values = |&(width, height): &(u32, u32)| Strips { width, height }.values();
+            requests.push(("image_gradient", 16 * sizes.iter().map(values).max().unwrap_or(0)));
+        }
+        requests
+    }
+
+    /// The losses' copy that the host reads.
+    pub fn readback_request(&self) -> (&'static str, u64) {
+        ("loss_readback", self.losses_bytes())
+    }
+
+    fn losses_bytes(&self) -> u64 {
+        16 * self.terms.len() as u64
+    }
+
+    pub fn allocate(&self, context: &Context, sizes: &[(u32, u32)]) -> Result<LossMemory> {
+        let mut device =
+            context.allocate("loss", &self.device_requests(sizes), MemoryKind::Device)?.into_iter();
+        let scratch = (self.terms.iter())
+            .map(|term| device.by_ref().take(term.scratch_requests(sizes).len()).collect())
+            .collect();
+        let host = context.allocate("readback", &[self.readback_request()], MemoryKind::HostVisible)?;
+        match (device.next(), <[Buffer; 1]>::try_from(host)) {
+            (Some(losses), Ok([readback])) => {
+                Ok(LossMemory { scratch, losses, image_gradient: device.next(), readback })
+            }
+            _ => unreachable!("one buffer per request"),
+        }
+    }
+
+    /// Records the work after a frame. `losses` is a host-readable copy. Persistent state does not change if
+    /// the frame overflowed.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, parts: &StepParts, losses: &Buffer) {
+        let StepParts { model, plan, .. } = *parts;
+        let gradient = parts.memory.image_gradient.as_ref().unwrap_or(&inputs.frame.image_gradient);
+        r.barrier();
+        self.record_loss(r, inputs, parts, gradient);
+        r.barrier();
+        let statistics = Statistics { buffer: &model.statistics[0], accumulate: plan.work.accumulates };
+        self.backward.record(r, inputs, gradient, statistics);
+        let step = StepInputs {
+            frame: inputs,
+            moments: &model.moments,
+            statistics: &model.statistics,
+            iteration: plan.iteration,
+            step: &plan.step,
+            settings: &parts.run.settings,
+            scene_extent: parts.run.scene_extent,
+        };
+        let hooks = parts.strategy.records();
+        if hooks.statistics {
+            r.barrier();
+            parts.strategy.record_statistics(r, &step);
+        }
+        if plan.work.optimizes {
+            r.barrier();
+            self.optimizer.record(r, inputs, &model.moments, &model.parameter_gradients, &plan.step);
+            if hooks.update {
+                r.barrier();
+                parts.strategy.record_update(r, &step);
+            }
+        }
+        r.copy(&parts.memory.losses, losses);
+    }
+
+    fn record_loss(&self, r: &mut Recorder, inputs: &FrameInputs, parts: &StepParts, gradient: &Buffer) {
+        let StepParts { model, photos, memory, plan, .. } = *parts;
+        if self.targets.inverse_depth {
+            r.fill(gradient, 0);
+        }
+        model.parameter_gradients.iter().for_each(|gradients| r.fill(gradients, 0));
+        if self.targets != Targets::default() {
+            r.barrier();
+        }
+        for (row, (term, scratch)) in self.terms.iter().zip(&memory.scratch).enumerate() {
+            if row > 0 {
+                r.barrier();
+            }
+            let inputs = TermInputs {
+                frame: inputs,
+                image_gradient: gradient,
+                photo: photos.of(plan.view),
+                photo_is_masked: photos.is_masked(plan.view),
+                parameter_gradients: &model.parameter_gradients,
+                scratch,
+                losses: &memory.losses,
+                row: row as u32,
+            };
+            term.record(r, &inputs);
+        }
+    }
+
+    /// Reads the losses of a step that has finished.
+    pub fn read_losses(&self, readback: &Buffer) -> Result<LossValues> {
+        let mut bytes = vec![0u8; self.losses_bytes() as usize];
+        readback.read(0, &mut bytes)?;
+        let rows: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+        let terms: Vec<_> = self.terms.iter().map(|term| term.name()).zip(rows).collect();
+        Ok(LossValues { total: terms.iter().map(|(_, row)| row[0]).sum(), terms })
+    }
+}

@@ -1,0 +1,23 @@
+//! No density control.
+
+use super::{Actions, Changes, Strategy, Work};
+use crate::error::Result;
+use crate::trainer::population::Population;
+use crate::trainer::settings::TrainSettings;
+
+/// Optimises the Gaussians of the beginning, and neither adds nor removes any.
+pub struct Fixed;
+
+impl Strategy for Fixed {
+    fn name(&self) -> &'static str {
+        "fixed"
+    }
+
+    fn work(&self, _: &TrainSettings, _: u32) -> Work {
+        Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions: Actions::NONE }
+    }
+
+    fn between_steps(&mut self, _: &mut Population, _: Actions) -> Result<Changes> {
+        Ok(Changes::default())
+    }
+}

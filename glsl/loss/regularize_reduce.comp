@@ -1,0 +1,50 @@
+// Adds the sums of regularize.comp in one fixed order: the regularisers' part of the loss.
+//
+// invocation: every WORKGROUP_SIZE-th partial sum; one workgroup in all
+// in: partials[REGULARIZE_PARTIALS]; out: losses[row] = (weighted sum, mean opacity, mean scale, 0)
+// shared: one vec2 per subgroup; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Partials { vec2 partials[]; };
+layout(set = 0, binding = 1, scalar) writeonly buffer Losses { vec4 losses[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint row;
+    // Gaussians.
+    uint count;
+    // Weights of the mean opacity and of the mean scale.
+    float opacity_weight;
+    float scale_weight;
+};
+
+shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
+
+void main() {
+    vec2 sum = vec2(0.0);
+    for (uint index = gl_LocalInvocationID.x; index < REGULARIZE_PARTIALS; index += WORKGROUP_SIZE) {
+        sum += partials[index];
+    }
+    sum = subgroupAdd(sum);
+    if (gl_SubgroupInvocationID == 0) {
+        subgroup_sums[gl_SubgroupID] = sum;
+    }
+    barrier();
+    if (gl_LocalInvocationID.x == 0) {
+        vec2 total = vec2(0.0);
+        for (uint k = 0; k < WORKGROUP_SIZE / SUBGROUP_SIZE; ++k) {
+            total += subgroup_sums[k];
+        }
+        vec2 mean = total / vec2(count, 3.0 * count);
+        losses[row] = vec4(opacity_weight * mean.x + scale_weight * mean.y, mean, 0.0);
+    }
+}

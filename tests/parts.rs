@@ -1,0 +1,319 @@
+//! Parts of training that are exchanged: a strategy and terms of the loss that the library does not have.
+
+use ashsplat::densify::Densify;
+use ashsplat::loss::{LossTerm, Targets, TermInputs, Windowing};
+use ashsplat::plan::Strips;
+use ashsplat::trainer::strategy::{Changes, Hooks, Statistic, StepInputs, Work};
+use ashsplat::trainer::{Actions, Checkpoint, Densified, Population, Strategy, TrainParts, Trainer};
+use ashsplat::vk::{Buffer, Context, ContextOptions, MemoryKind, Recorder};
+use ashsplat::{Gaussians, Result, TrainSettings, TrainView};
+use ashsplat_files::{CheckpointFile, Photo};
+
+use crate::checkpoints::{start, views};
+use crate::common::engine::{camera, gaussians};
+use crate::common::gpu::Gpu;
+use crate::common::options;
+use crate::common::scenes::{Random, small_scene, small_view};
+use crate::reference::types::View;
+
+const EXTENT: f32 = 5.0;
+/// An action of this strategy alone.
+const PRUNE: Actions = Actions(1 << 7);
+
+/// After every fourth iteration each Gaussian is removed with a probability of a tenth.
+struct RandomPrune {
+    kernels: Densify,
+    pruned: u32,
+}
+
+impl RandomPrune {
+    fn parts(context: &Context) -> TrainParts {
+        let kernels = Densify::new(context).expect("kernels");
+        TrainParts { strategy: Box::new(Self { kernels, pruned: 0 }), terms: Vec::new() }
+    }
+}
+
+impl Strategy for RandomPrune {
+    fn name(&self) -> &'static str {
+        "random_prune"
+    }
+
+    fn work(&self, _: &TrainSettings, iteration: u32) -> Work {
+        let actions = PRUNE.when(iteration.is_multiple_of(4));
+        Work { accumulates: true, optimizes: true, optimizes_opacity: true, actions }
+    }
+
+    fn statistics(&self) -> Vec<Statistic> {
+        vec![Statistic { name: "iteration", floats: 3 }]
+    }
+
+    fn records(&self) -> Hooks {
+        Hooks { statistics: true, update: true }
+    }
+
+    fn record_statistics(&self, r: &mut Recorder, step: &StepInputs) {
+        r.fill(&step.statistics[1], (step.iteration as f32).to_bits());
+    }
+
+    fn record_update(&self, _: &mut Recorder, step: &StepInputs) {
+        assert!(step.step.rates.mean > 0.0 && step.frame.scene.count > 0);
+    }
+
+    fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes> {
+        assert_eq!(action, PRUNE);
+        let mut random = Random::new(u64::from(population.iteration()));
+        let before = population.count();
+        let kept: Vec<u32> = (0..before).filter(|_| random.unit() >= 0.1).collect();
+        population.keep(&kept, &self.kernels)?;
+        self.pruned += before - population.count();
+        let densified = Densified { before, kept: population.count(), ..Densified::default() };
+        Ok(Changes { densified: Some(densified), ..Changes::default() })
+    }
+
+    fn state(&self) -> Vec<(String, String)> {
+        vec![("pruned".into(), self.pruned.to_string())]
+    }
+
+    fn restore(&mut self, state: &[(String, String)]) -> Result<()> {
+        self.pruned = state[0].1.parse().expect("a number");
+        Ok(())
+    }
+}
+
+fn settings() -> TrainSettings {
+    TrainSettings { iterations: 20, sh_degree: 2, sh_degree_interval: 5, seed: 4, ..TrainSettings::default() }
+}
+
+#[test]
+fn a_strategy_of_a_host_prunes_and_resumes_to_the_bit() {
+    let gpu = Gpu::new();
+    let parts = || RandomPrune::parts(gpu.context);
+    let mut trainer = Trainer::with_parts(gpu.context, views(3, 9), &start(), EXTENT, settings(), parts())
+        .expect("a trainer");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("8.safetensors");
+    let mut count = start().len() as u32;
+    for iteration in 1..=20 {
+        let report = trainer.step().expect("a step");
+        assert_eq!(report.densified.is_some(), iteration > 4 && iteration % 4 == 1, "{iteration}");
+        if let Some(densified) = report.densified {
+            assert_eq!((densified.before, densified.kept), (count, report.gaussians));
+            assert!(densified.kept < densified.before);
+            count = densified.kept;
+        }
+        if iteration == 8 {
+            let checkpoint = trainer.checkpoint().expect("a checkpoint");
+            assert_eq!(checkpoint.due, PRUNE);
+            checkpoint.write(&file).expect("written");
+        }
+    }
+    let end = trainer.checkpoint().expect("a checkpoint");
+    let own = &end.strategy.statistics[0];
+    assert_eq!((own.name.as_str(), own.floats, own.values.len()), ("iteration", 3, 3 * count as usize));
+    assert!(own.values.iter().all(|&value| value == 20.0));
+    let read = Checkpoint::read(&file).expect("read back");
+    assert!(read.strategy.values[0].1.parse::<u32>().expect("a number") > 0);
+    let given = || (settings(), EXTENT);
+    let mut resumed =
+        Trainer::resume_with_parts(gpu.context, views(3, 9), given(), parts(), &read).expect("resumed");
+    for _ in 8..20 {
+        resumed.step().expect("a step");
+    }
+    let other = resumed.checkpoint().expect("a checkpoint");
+    assert_eq!(other.strategy, end.strategy);
+    assert_eq!(other.fingerprint(), end.fingerprint());
+    // The library's own strategy has no such state.
+    let refused =
+        Trainer::resume(gpu.context, views(3, 9), EXTENT, settings(), &read).err().expect("refused");
+    assert!(refused.to_string().contains("'pruned'"), "{refused}");
+}
+
+/// Keeping what does not exist, or nothing, is refused, and the set stays.
+struct Wrong {
+    kernels: Densify,
+}
+
+impl Strategy for Wrong {
+    fn name(&self) -> &'static str {
+        "wrong"
+    }
+
+    fn work(&self, _: &TrainSettings, _: u32) -> Work {
+        Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions: PRUNE }
+    }
+
+    fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {
+        let beyond = population.count();
+        for (kept, problem) in [(vec![0, beyond], "there are"), (vec![], "must be 1 to")] {
+            let refused = population.keep(&kept, &self.kernels).err().expect("refused");
+            assert!(refused.to_string().contains(problem), "{refused}");
+        }
+        assert_eq!(population.count(), beyond);
+        Ok(Changes::default())
+    }
+}
+
+#[test]
+fn a_strategy_cannot_keep_what_does_not_exist() {
+    let gpu = Gpu::new();
+    let strategy = Box::new(Wrong { kernels: Densify::new(gpu.context).expect("kernels") });
+    let parts = TrainParts { strategy, terms: Vec::new() };
+    let mut trainer = Trainer::with_parts(gpu.context, views(2, 9), &start(), EXTENT, settings(), parts)
+        .expect("a trainer");
+    for _ in 0..2 {
+        trainer.step().expect("a step");
+    }
+    assert_eq!(trainer.gaussians().expect("Gaussians").len(), start().len());
+}
+
+/// The settings' `fixed` strategy keeps the number of Gaussians where the reference's would have densified.
+#[test]
+fn the_fixed_strategy_keeps_the_number_of_gaussians() {
+    let gpu = Gpu::new();
+    let early = TrainSettings {
+        densify_from_iter: 1,
+        densification_interval: 2,
+        densify_grad_threshold: 1e-9,
+        ..settings()
+    };
+    let count = |strategy| {
+        let settings = TrainSettings { strategy, ..early.clone() };
+        let mut trainer =
+            Trainer::new(gpu.context, views(2, 9), &start(), EXTENT, settings).expect("a trainer");
+        (0..6).for_each(|_| drop(trainer.step().expect("a step")));
+        trainer.gaussians().expect("Gaussians").len()
+    };
+    use ashsplat::trainer::StrategyType::{Default, Fixed};
+    assert_eq!(count(Fixed), start().len());
+    assert!(count(Default) > start().len());
+}
+
+/// Means of opacities and scales.
+fn means(gaussians: &Gaussians) -> [f64; 2] {
+    let opacity = |&logit: &f32| 1.0 / (1.0 + f64::from(-logit).exp());
+    let scale = |scale: &f32| f64::from(*scale).exp();
+    let n = gaussians.len() as f64;
+    let scales = gaussians.log_scales.iter().flat_map(|scale| scale.as_ref().iter());
+    [
+        gaussians.opacity_logits.iter().map(opacity).sum::<f64>() / n,
+        scales.map(scale).sum::<f64>() / (3.0 * n),
+    ]
+}
+
+/// Their value is in the report, and they lower opacities and scales of all Gaussians, also of those outside the view.
+#[test]
+fn regularizers_lower_opacities_and_scales() {
+    let gpu = Gpu::new();
+    let mut initial = start();
+    // Behind the only camera.
+    initial.means[3] = [0.0, 0.0, -500.0].into();
+    let train = |settings: TrainSettings| {
+        let mut trainer =
+            Trainer::new(gpu.context, views(1, 9), &initial, EXTENT, settings).expect("a trainer");
+        let report = trainer.step().expect("a step");
+        (report, trainer.gaussians().expect("Gaussians"))
+    };
+    let weighted = TrainSettings { opacity_reg: 3.0, scale_reg: 2.0, ..settings() };
+    let (report, after) = train(weighted.clone());
+    let [opacity, scale] = means(&initial);
+    let names: Vec<_> = report.terms.iter().map(|(name, _)| *name).collect();
+    assert_eq!(names, ["photometric", "regularizers"]);
+    let expected = 3.0 * opacity + 2.0 * scale;
+    let value = f64::from(report.terms[1].1);
+    assert!((value / expected - 1.0).abs() < 1e-5, "{value}, expected {expected}");
+    assert_eq!(report.loss, report.terms[0].1 + report.terms[1].1);
+    let lower = |gaussians: &Gaussians, i: usize| {
+        let falls = gaussians.log_scales[i].as_ref().iter().zip(initial.log_scales[i].as_ref());
+        gaussians.opacity_logits[i] < initial.opacity_logits[i]
+            && falls.into_iter().all(|(after, before)| after < before)
+    };
+    assert!(lower(&after, 3), "outside the view");
+    let all = (0..initial.len()).filter(|&i| lower(&after, i)).count();
+    assert!(all * 10 > initial.len() * 9, "{all} of {}", initial.len());
+    let (report, without) = train(settings());
+    assert_eq!(report.terms.len(), 1);
+    assert!(!lower(&without, 3));
+    let sparse = ashsplat::trainer::OptimizerType::SparseAdam;
+    let (_, sparse) = train(TrainSettings { optimizer_type: sparse, ..weighted });
+    assert!(!lower(&sparse, 3), "sparse Adam does not move what is not seen");
+}
+
+/// A constant gradient of the inverse depth.
+struct Nearer {
+    /// dL/d(inverse depth) of every pixel: texels with that component alone, or a plane.
+    gradient: Buffer,
+    value: f32,
+    strips: bool,
+}
+
+impl LossTerm for Nearer {
+    fn name(&self) -> &'static str {
+        "nearer"
+    }
+
+    fn targets(&self) -> Targets {
+        Targets { inverse_depth: true, ..Targets::default() }
+    }
+
+    fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
+
+    fn record(&self, r: &mut Recorder, inputs: &TermInputs) {
+        let camera = inputs.frame.camera;
+        let gradient = inputs.image_gradient;
+        let strips = Strips { width: camera.width, height: camera.height };
+        match self.strips {
+            // This overwrites the photometric gradient.
+            false => r.copy(&self.gradient, &gradient.range(0, self.gradient.bytes())),
+            true => r.fill(&gradient.range(12 * strips.values(), 4 * strips.values()), self.value.to_bits()),
+        }
+        r.fill(&inputs.losses.range(16 * u64::from(inputs.row), 16), 0);
+    }
+}
+
+/// The gradient of the inverse depth reaches the means, on both layouts of pictures.
+#[test]
+fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
+    let wide = View { background: [0.0; 3], ..small_view([64, 48]) };
+    let scene = gaussians(&small_scene(&mut Random::new(5), 40, 1));
+    let contexts = [options(), ContextOptions { push_descriptors: false, ..options() }];
+    for options in contexts {
+        let context = Context::new(&options).expect("a device");
+        let camera = camera(&wide);
+        let strips = Windowing::for_device(context.limits()) == Windowing::Sweeps;
+        let moved = |value: f32| {
+            let pixels = (camera.width * camera.height) as usize;
+            let texels = vec![[0.0, 0.0, 0.0, value]; pixels];
+            let bytes = 16 * pixels as u64;
+            let gradient = context.allocate("test", &[("gradient", bytes)], MemoryKind::Device);
+            let gradient = gradient.expect("memory").remove(0);
+            context.upload(&gradient, bytemuck::cast_slice(&texels)).expect("uploaded");
+            let parts = TrainParts {
+                terms: vec![Box::new(Nearer { gradient, value, strips })],
+                ..TrainParts::of_settings(&context, &settings()).expect("parts")
+            };
+            // The same photometric gradient in both runs, and a far smaller one.
+            let rgb = vec![0; 3 * pixels];
+            let photo = Photo { width: camera.width, height: camera.height, rgb };
+            let settings = TrainSettings { sh_degree: 0, ..settings() };
+            let view = TrainView::new(camera, photo);
+            let mut trainer = Trainer::with_parts(&context, vec![view], &scene, EXTENT, settings, parts)
+                .expect("a trainer");
+            let report = trainer.step().expect("a step");
+            assert_eq!(report.terms[1], ("nearer", 0.0));
+            let after = trainer.gaussians().expect("Gaussians");
+            let depth = |g: &Gaussians, i: usize| {
+                (camera.camera_from_world * glam::Vec3::from(g.means[i]) + camera.translation).z
+            };
+            (0..scene.len()).map(|i| depth(&after, i) - depth(&scene, i)).collect::<Vec<f32>>()
+        };
+        // The loss falls with the inverse depth's rise, so what is seen comes nearer; and the other way round. Where one
+        // Gaussian hides another, their opacities count as well.
+        let (nearer, farther) = (moved(-100.0), moved(100.0));
+        let seen = nearer.iter().zip(&farther).filter(|(near, far)| **near != 0.0 && **far != 0.0);
+        let right = seen.clone().filter(|(near, far)| **near < 0.0 && **far > 0.0).count();
+        let all = seen.count();
+        assert!(all > 20 && right * 4 >= all * 3, "{right} of {all}");
+    }
+}

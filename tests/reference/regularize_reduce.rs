@@ -1,0 +1,9 @@
+//! The regularisers' part of the loss, the twin of `loss/regularize_reduce`.
+
+use super::regularize::Sums;
+
+/// The weighted sum, the mean opacity and the mean scale.
+pub fn losses(sums: &Sums, count: usize, weights: [f64; 2]) -> [f64; 3] {
+    let (opacity, scale) = (sums.opacity / count as f64, sums.scale / (3 * count) as f64);
+    [weights[0] * opacity + weights[1] * scale, opacity, scale]
+}
