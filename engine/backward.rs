@@ -156,9 +156,11 @@ impl Backward {
     /// Records the backward pass of the frame that was recorded into the same buffers: from `image_gradient`
     /// to `frame.gradients`. The caller places a barrier before; it ends without one.
     ///
-    /// `image_gradient`: per pixel dL/d(r, g, b, inverse depth), row by row; on devices that use [`Strips`],
-    /// three planes, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth). Without inverse
-    /// depth, `frame.image_gradient` can be passed.
+    /// `image_gradient` has the device's native layout: per pixel dL/d(r, g, b, inverse depth), row by row; on
+    /// devices that use [`Strips`], three planes, or four with
+    /// [`inverse_depth`](crate::RenderSettings::inverse_depth).
+    /// [`PixelBorder::record_gradient`](crate::pixels::PixelBorder::record_gradient) makes it from rows, which
+    /// are the same on all devices. Without inverse depth, `frame.image_gradient` can be passed.
     ///
     /// [`Strips`]: crate::plan::Strips
     pub fn record(

@@ -2,6 +2,7 @@
 //!
 //! - [`first_frame`]: a picture of a scene, and how a frame is made
 //! - [`first_training`]: from photographs to Gaussians
+//! - [`parts`]: other strategies of density control, other terms of the loss
 //! - [`masks_and_memory`]: pixels that do not count, bounds for memory
 //! - [`checkpoints`]: stopping a training and going on
 //! - [`measuring`]: times, counts and benchmarks
@@ -16,6 +17,10 @@ pub mod first_frame {
 
 pub mod first_training {
     #![doc = include_str!("guide/first_training.md")]
+}
+
+pub mod parts {
+    #![doc = include_str!("guide/parts.md")]
 }
 
 pub mod masks_and_memory {

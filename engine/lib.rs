@@ -42,6 +42,7 @@ pub mod guide;
 pub mod kernels;
 pub mod loss;
 pub mod optimizer;
+pub mod pixels;
 pub mod plan;
 pub mod planes;
 pub mod renderer;

@@ -18,7 +18,7 @@ use scratch::{ScratchBytes, Sweeps};
 pub use photo::{photo_bytes, photo_on_device};
 pub use photometric::Photometric;
 pub use regularizers::Regularizers;
-pub use term::{LossTerm, Targets, TermInputs};
+pub use term::{LossTerm, PixelLayout, Targets, TermInputs};
 
 /// How SSIM's window is evaluated. The results agree except for rounding; the cost depends on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,7 +78,8 @@ pub enum PhotoFormat {
     Float,
 }
 
-/// Inputs and outputs of the loss.
+/// Inputs and outputs of the loss, in the device's native layout. [`PixelBorder`](crate::pixels::PixelBorder)
+/// converts them to rows and back.
 #[derive(Clone, Copy)]
 pub struct LossInputs<'a> {
     /// The blended picture, as a frame with backward stores it. [`Windowing::Blocks`]: per pixel,
@@ -170,10 +171,6 @@ impl Loss {
             }
         };
         Ok(Self { limits: limits.clone(), sizes, windows })
-    }
-
-    pub(crate) fn sizes(&self) -> &LaunchSizes {
-        &self.sizes
     }
 
     /// Scratch buffers of the loss, for images of these sizes (width, height).

@@ -103,11 +103,12 @@ fn architecture_unsafe_only_under_vk() {
 
 // ---- dependencies between modules ---------------------------------------------------------------------------------
 
-const STAGES: [&str; 10] = [
+const STAGES: [&str; 11] = [
     "scan",
     "sort",
     "arithmetic",
     "forward",
+    "pixels",
     "planes",
     "backward",
     "compose",

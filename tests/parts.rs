@@ -1,8 +1,8 @@
 //! Parts of training that are exchanged: a strategy and terms of the loss that the library does not have.
 
 use ashsplat::densify::Densify;
-use ashsplat::loss::{LossTerm, Targets, TermInputs, Windowing};
-use ashsplat::plan::Strips;
+use ashsplat::loss::{LossTerm, PixelLayout, Targets, TermInputs};
+use ashsplat::scene::StoredPhoto;
 use ashsplat::trainer::strategy::{Changes, Hooks, Statistic, StepInputs, Work};
 use ashsplat::trainer::{Actions, Checkpoint, Densified, Population, Strategy, TrainParts, Trainer};
 use ashsplat::vk::{Buffer, Context, ContextOptions, MemoryKind, Recorder};
@@ -240,10 +240,8 @@ fn regularizers_lower_opacities_and_scales() {
 
 /// A constant gradient of the inverse depth.
 struct Nearer {
-    /// dL/d(inverse depth) of every pixel: texels with that component alone, or a plane.
+    /// Of each pixel: no gradient of the colour, and this of the inverse depth.
     gradient: Buffer,
-    value: f32,
-    strips: bool,
 }
 
 impl LossTerm for Nearer {
@@ -252,7 +250,7 @@ impl LossTerm for Nearer {
     }
 
     fn targets(&self) -> Targets {
-        Targets { inverse_depth: true, ..Targets::default() }
+        Targets { picture: Some(PixelLayout::Rows), inverse_depth: true, ..Targets::default() }
     }
 
     fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
@@ -260,14 +258,7 @@ impl LossTerm for Nearer {
     }
 
     fn record(&self, r: &mut Recorder, inputs: &TermInputs) {
-        let camera = inputs.frame.camera;
-        let gradient = inputs.image_gradient;
-        let strips = Strips { width: camera.width, height: camera.height };
-        match self.strips {
-            // This overwrites the photometric gradient.
-            false => r.copy(&self.gradient, &gradient.range(0, self.gradient.bytes())),
-            true => r.fill(&gradient.range(12 * strips.values(), 4 * strips.values()), self.value.to_bits()),
-        }
+        r.copy(&self.gradient, &inputs.image_gradient.range(0, self.gradient.bytes()));
         r.fill(&inputs.losses.range(16 * u64::from(inputs.row), 16), 0);
     }
 }
@@ -281,7 +272,6 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
     for options in contexts {
         let context = Context::new(&options).expect("a device");
         let camera = camera(&wide);
-        let strips = Windowing::for_device(context.limits()) == Windowing::Sweeps;
         let moved = |value: f32| {
             let pixels = (camera.width * camera.height) as usize;
             let texels = vec![[0.0, 0.0, 0.0, value]; pixels];
@@ -290,7 +280,7 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
             let gradient = gradient.expect("memory").remove(0);
             context.upload(&gradient, bytemuck::cast_slice(&texels)).expect("uploaded");
             let parts = TrainParts {
-                terms: vec![Box::new(Nearer { gradient, value, strips })],
+                terms: vec![Box::new(Nearer { gradient })],
                 ..TrainParts::of_settings(&context, &settings()).expect("parts")
             };
             // The same photometric gradient in both runs, and a far smaller one.
@@ -315,5 +305,86 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
         let right = seen.clone().filter(|(near, far)| **near < 0.0 && **far > 0.0).count();
         let all = seen.count();
         assert!(all > 20 && right * 4 >= all * 3, "{right} of {all}");
+    }
+}
+
+/// Keeps what a term by rows is given.
+struct Probe {
+    picture: Buffer,
+    photo: Buffer,
+}
+
+impl LossTerm for Probe {
+    fn name(&self) -> &'static str {
+        "probe"
+    }
+
+    fn targets(&self) -> Targets {
+        Targets { picture: Some(PixelLayout::Rows), ..Targets::default() }
+    }
+
+    fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
+        assert!(!sizes.is_empty());
+        vec![("probe", 64)]
+    }
+
+    fn record(&self, r: &mut Recorder, inputs: &TermInputs) {
+        assert_eq!((inputs.scratch.len(), inputs.row), (1, 1));
+        r.copy(&inputs.picture.range(0, self.picture.bytes()), &self.picture);
+        r.copy(&inputs.photo.range(0, self.photo.bytes()), &self.photo);
+        r.fill(&inputs.losses.range(16, 16), 0);
+    }
+}
+
+/// Pictures and photographs have one layout for terms of a host, and such a term without a gradient changes nothing.
+#[test]
+fn a_term_by_rows_sees_the_picture_and_the_photograph() {
+    let view = View { background: [0.0; 3], ..small_view([67, 41]) };
+    let camera = camera(&view);
+    let (scene, pixels) = (gaussians(&small_scene(&mut Random::new(9), 60, 9)), 67 * 41);
+    let rgb: Vec<u8> = (0..3 * pixels).map(|k| (k * 37) as u8).collect();
+    let mask: Vec<u8> = (0..pixels).map(|k| if k % 5 == 0 { 0 } else { 200 }).collect();
+    for (push_descriptors, masked) in [(true, false), (true, true), (false, false), (false, true)] {
+        let context = Context::new(&ContextOptions { push_descriptors, ..options() }).expect("a device");
+        let photo = Photo { width: 67, height: 41, rgb: rgb.clone() };
+        let stored = StoredPhoto::new(photo, masked.then(|| mask.clone()));
+        let [picture, photo]: [Buffer; 2] = context
+            .allocate(
+                "test",
+                &[("picture", 16 * pixels as u64), ("photo", 4 * pixels as u64)],
+                MemoryKind::Device,
+            )
+            .expect("memory")
+            .try_into()
+            .ok()
+            .expect("two");
+        let settings = TrainSettings { white_background: true, ..settings() };
+        let train = |terms: Vec<Box<dyn LossTerm>>| {
+            let parts = TrainParts { terms, ..TrainParts::of_settings(&context, &settings).expect("parts") };
+            let views = vec![TrainView::new(camera, stored.clone())];
+            let mut trainer = Trainer::with_parts(&context, views, &scene, EXTENT, settings.clone(), parts)
+                .expect("a trainer");
+            let white = trainer.render_settings();
+            let before = trainer.render(&camera, &white).expect("a picture").color;
+            trainer.step().expect("a step");
+            (before, trainer.checkpoint().expect("a checkpoint").fingerprint())
+        };
+        let probe = Probe { picture: picture.clone(), photo: photo.clone() };
+        let (expected, fingerprint) = train(vec![Box::new(probe)]);
+        let bytes = context.download(&picture).expect("downloaded");
+        for (actual, expected) in bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes).iter().zip(&expected) {
+            let off = (0..3).map(|k| (actual[k] - expected[k]).abs()).fold(0.0, f32::max);
+            assert!(off < 1e-6, "{actual:?}, expected {expected:?}");
+        }
+        let texels = context.download(&photo).expect("downloaded");
+        for (pixel, actual) in texels.as_chunks::<4>().0.iter().enumerate() {
+            let expected = [rgb[3 * pixel], rgb[3 * pixel + 1], rgb[3 * pixel + 2]];
+            match masked {
+                true if mask[pixel] == 0 => assert_eq!(actual[3], 0),
+                true => assert_eq!(*actual, [expected[0], expected[1], expected[2], 255]),
+                false => assert_eq!(actual[..3], expected),
+            }
+        }
+        assert_eq!(fingerprint, train(Vec::new()).1, "the term has no gradient");
     }
 }

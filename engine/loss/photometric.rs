@@ -1,6 +1,6 @@
 //! The photometric term: (1 - λ) L1 + λ (1 - SSIM).
 
-use super::{Loss, LossInputs, LossTerm, PhotoFormat, TermInputs};
+use super::{Loss, LossInputs, LossTerm, PhotoFormat, PixelLayout, Targets, TermInputs};
 use crate::error::Result;
 use crate::vk::{Context, Recorder};
 
@@ -28,17 +28,21 @@ impl LossTerm for Photometric {
         "photometric"
     }
 
+    fn targets(&self) -> Targets {
+        Targets { picture: Some(PixelLayout::Native), ..Targets::default() }
+    }
+
     fn scratch_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
         self.plain.scratch_requests(sizes.iter().copied())
     }
 
     fn record(&self, r: &mut Recorder, inputs: &TermInputs) {
         let loss = self.masked.as_ref().filter(|_| inputs.photo_is_masked).unwrap_or(&self.plain);
-        let (frame, camera) = (inputs.frame.frame, inputs.frame.camera);
+        let camera = inputs.frame.camera;
         loss.record(
             r,
             &LossInputs {
-                rendered: frame.rendered(loss.sizes()),
+                rendered: inputs.picture,
                 photo: inputs.photo,
                 scratch: inputs.scratch,
                 losses: inputs.losses,

@@ -8,11 +8,15 @@ use crate::vk::{Buffer, Recorder};
 pub struct TermInputs<'a> {
     /// The frame, of which the forward pass precedes.
     pub frame: &'a FrameInputs<'a>,
-    /// dL/d(r, g, b) in the layout of [`Backward::record`](crate::backward::Backward::record); with a term that
-    /// has [`Targets::inverse_depth`], dL/d(r, g, b, inverse depth).
-    pub image_gradient: &'a Buffer,
-    /// The view's photograph: see [`super::LossInputs::photo`].
+    /// The picture. By [`PixelLayout::Rows`]: (r, g, b, 0) per pixel. [`PixelLayout::Native`]: see
+    /// [`super::LossInputs::rendered`].
+    pub picture: &'a Buffer,
+    /// The view's photograph. By [`PixelLayout::Rows`]: (r, g, b, mask) per pixel, a byte each.
+    /// [`PixelLayout::Native`]: see [`super::LossInputs::photo`].
     pub photo: &'a Buffer,
+    /// In and out: the gradient. By [`PixelLayout::Rows`]: dL/d(r, g, b, inverse depth) per pixel, a vec4.
+    /// [`PixelLayout::Native`]: see [`super::LossInputs::image_gradient`].
+    pub image_gradient: &'a Buffer,
     /// Whether the photograph has a mask.
     pub photo_is_masked: bool,
     /// Per chunk of the scene: dL/d(mean, opacity logit), dL/d(quaternion), dL/d(log-scale), laid out like the
@@ -26,35 +30,54 @@ pub struct TermInputs<'a> {
     pub row: u32,
 }
 
-/// Gradients that a term adds to, besides that of the picture.
+/// Layout of pictures, photographs and picture gradients.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PixelLayout {
+    /// Row by row, pixel by pixel, the same on all devices. On processors they are converted for the term.
+    #[default]
+    Rows,
+    /// That of the blending kernels: by rows, or in [`Strips`](crate::plan::Strips).
+    Native,
+}
+
+/// What a term reads and adds to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Targets {
-    /// The fourth component of the image's gradient: dL/d(inverse depth).
+    /// The picture, the photograph and the picture's gradient in this layout; none of them if None.
+    pub picture: Option<PixelLayout>,
+    /// The fourth component of the picture's gradient: dL/d(inverse depth). `frame.frame.inverse_depth` is the
+    /// sum of weights / z per pixel, row by row.
     pub inverse_depth: bool,
     /// [`TermInputs::parameter_gradients`].
     pub parameters: bool,
 }
 
 impl Targets {
-    /// Those of either.
+    /// Those of either; pictures by rows if either needs them.
     #[must_use]
     pub fn and(self, other: Self) -> Self {
         Self {
+            picture: if other.rows() { other.picture } else { self.picture.or(other.picture) },
             inverse_depth: self.inverse_depth || other.inverse_depth,
             parameters: self.parameters || other.parameters,
         }
+    }
+
+    /// Whether pictures are converted for a term.
+    pub fn rows(self) -> bool {
+        self.picture == Some(PixelLayout::Rows)
     }
 }
 
 /// A term of the training loss.
 ///
-/// The first term of a loss writes the picture's gradient, all others add to it. The gradients named by
-/// [`LossTerm::targets`] are zero before the first term, and each term adds to them.
+/// The first term of a loss writes the native gradient of the picture, all others add to theirs. Gradients by
+/// rows, of inverse depth and of parameters are zero before the first term.
 pub trait LossTerm: Send {
     /// Its name in reports and profiles.
     fn name(&self) -> &'static str;
 
-    /// The gradients it adds to.
+    /// What it reads and adds to.
     fn targets(&self) -> Targets {
         Targets::default()
     }

@@ -4,7 +4,7 @@ use super::{Failed, Renderer, Request};
 use crate::backward::Statistics;
 use crate::error::{Error, Result};
 use crate::forward::RenderSettings;
-use crate::plan::Strips;
+use crate::pixels::PixelBorder;
 use crate::planes;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::MemoryKind;
@@ -57,23 +57,26 @@ impl Renderer {
             let [r, g, b] = image_gradient[i];
             [r, g, b, inverse_depth_gradient.map_or(0.0, |d| d[i])]
         });
-        let strips = Strips { width: camera.width, height: camera.height };
-        let target: Vec<f32> = match (Strips::suit(self.context.limits()), settings.inverse_depth) {
-            (true, true) => strips.planes(target),
-            (true, false) => strips.planes(image_gradient.iter().copied()),
-            (false, _) => target.flatten().collect(),
-        };
+        let target: Vec<[f32; 4]> = target.collect();
         let target: &[u8] = bytemuck::cast_slice(&target);
-        let target_bytes = target.len() as u64;
-        let requests = [("mean2d_gradients", count * 8), ("statistics", count * 8), ("target", target_bytes)];
+        let native_bytes = PixelBorder::gradient_bytes(camera.width, camera.height);
+        let requests = [
+            ("mean2d_gradients", count * 8),
+            ("statistics", count * 8),
+            ("target_rows", target.len() as u64),
+            ("target", native_bytes),
+        ];
         let extra = self.context.allocate("gradients", &requests, MemoryKind::Device)?;
         self.context.upload(&extra[2], target)?;
+        let border = PixelBorder::new(&self.context)?;
 
         let request = Request { scene: &scene, camera, settings, sh_degree, backward: true };
         let backward = &self.backward;
         let ran = self.runner.run(&request, |r, inputs| {
             r.barrier();
-            backward.record(r, inputs, &extra[2], Statistics { buffer: &extra[1], accumulate: false });
+            border.record_gradient(r, inputs, &extra[2], &extra[3], false);
+            r.barrier();
+            backward.record(r, inputs, &extra[3], Statistics { buffer: &extra[1], accumulate: false });
             r.barrier();
             backward.record_expand_gradients(r, inputs, &planes, &extra[0]);
             Ok(())

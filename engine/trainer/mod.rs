@@ -183,7 +183,7 @@ impl Trainer {
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
         all.extend(terms);
         all.extend(strategy.loss_terms(context, &settings)?);
-        let recorder = StepRecorder::new(context, all, settings.optimizer_type);
+        let recorder = StepRecorder::new(context, all, settings.optimizer_type)?;
         let targets = recorder.targets();
         let rows = RowMemory::new(strategy.statistics(), targets.parameters);
         let before = budget::Before {

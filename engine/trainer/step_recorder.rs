@@ -10,9 +10,10 @@ use super::strategy::{StepInputs, Strategy};
 use crate::backward::{Backward, Statistics};
 use crate::error::Result;
 use crate::forward::FrameInputs;
-use crate::loss::{LossTerm, Targets, TermInputs};
+use crate::loss::{LossTerm, PixelLayout, Targets, TermInputs};
 use crate::optimizer::Optimizer;
-use crate::plan::Strips;
+use crate::pixels::PixelBorder;
+use crate::plan::LaunchSizes;
 use crate::renderer::Request;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
 
@@ -20,6 +21,9 @@ use crate::vk::{Buffer, Context, MemoryKind, Recorder};
 pub(super) struct StepRecorder {
     terms: Vec<Box<dyn LossTerm>>,
     targets: Targets,
+    /// For terms that read pictures by rows.
+    border: Option<PixelBorder>,
+    sizes: LaunchSizes,
     backward: Backward,
     optimizer: Optimizer,
 }
@@ -31,7 +35,16 @@ pub(super) struct LossMemory {
     losses: Buffer,
     /// Instead of the frame's, which has no room for the gradient of the inverse depth on all devices.
     image_gradient: Option<Buffer>,
+    /// For terms that read pictures by rows.
+    rows: Option<PixelRows>,
     pub readback: Buffer,
+}
+
+/// A view's pictures by rows.
+struct PixelRows {
+    picture: Buffer,
+    gradient: Buffer,
+    photo: Buffer,
 }
 
 /// Loss, and the numbers of each term.
@@ -67,14 +80,24 @@ impl<'a> StepParts<'a> {
 
 impl StepRecorder {
     /// The first of the terms writes the picture's gradient.
-    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, optimizer: OptimizerType) -> Self {
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, optimizer: OptimizerType) -> Result<Self> {
         let targets = terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()));
         let sparse = optimizer == OptimizerType::SparseAdam;
         let optimizer = match targets.parameters {
             true => Optimizer::with_parameter_gradients(context, sparse),
             false => Optimizer::new(context, sparse),
         };
-        Self { terms, targets, backward: Backward::new(context), optimizer }
+        Ok(Self {
+            border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
+            sizes: LaunchSizes::new(context.limits()),
+            backward: Backward::new(context),
+            terms,
+            targets,
+            optimizer,
+        })
     }
 
     /// The gradients that the terms add to.
@@ -92,10 +115,18 @@ impl StepRecorder {
     pub fn device_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
         let mut requests: Vec<_> = self.terms.iter().flat_map(|term| term.scratch_requests(sizes)).collect();
         requests.push(("losses", self.losses_bytes()));
+        let largest =
+            |bytes: fn(u32, u32) -> u64| sizes.iter().map(|&(width, height)| bytes(width, height)).max();
         if self.targets.inverse_depth {
-            // Four planes, and as large as an image whose sides are multiples of a strip.
-            let values = |&(width, height): &(u32, u32)| Strips { width, height }.values();
-            requests.push(("image_gradient", 16 * sizes.iter().map(values).max().unwrap_or(0)));
+            requests.push(("image_gradient", largest(PixelBorder::gradient_bytes).unwrap_or(0)));
+        }
+        if self.targets.rows() {
+            let pixels = largest(|width, height| u64::from(width) * u64::from(height)).unwrap_or(0);
+            requests.extend([
+                ("picture_rows", 16 * pixels),
+                ("gradient_rows", 16 * pixels),
+                ("photo_rows", 4 * pixels),
+            ]);
         }
         requests
     }
@@ -118,7 +149,14 @@ impl StepRecorder {
         let host = context.allocate("readback", &[self.readback_request()], MemoryKind::HostVisible)?;
         match (device.next(), <[Buffer; 1]>::try_from(host)) {
             (Some(losses), Ok([readback])) => {
-                Ok(LossMemory { scratch, losses, image_gradient: device.next(), readback })
+                let image_gradient = self.targets.inverse_depth.then(|| device.next()).flatten();
+                let rows = match [device.next(), device.next(), device.next()] {
+                    [Some(picture), Some(gradient), Some(photo)] => {
+                        Some(PixelRows { picture, gradient, photo })
+                    }
+                    _ => None,
+                };
+                Ok(LossMemory { scratch, losses, image_gradient, rows, readback })
             }
             _ => unreachable!("one buffer per request"),
         }
@@ -161,28 +199,51 @@ impl StepRecorder {
 
     fn record_loss(&self, r: &mut Recorder, inputs: &FrameInputs, parts: &StepParts, gradient: &Buffer) {
         let StepParts { model, photos, memory, plan, .. } = *parts;
+        let (photo, photo_is_masked) = (photos.of(plan.view), photos.is_masked(plan.view));
+        let rows = self.border.as_ref().zip(memory.rows.as_ref());
+        let mut cleared = false;
+        let mut clear = |r: &mut Recorder, buffer: &Buffer| {
+            r.fill(buffer, 0);
+            cleared = true;
+        };
         if self.targets.inverse_depth {
-            r.fill(gradient, 0);
+            clear(r, gradient);
         }
-        model.parameter_gradients.iter().for_each(|gradients| r.fill(gradients, 0));
-        if self.targets != Targets::default() {
+        model.parameter_gradients.iter().for_each(|gradients| clear(r, gradients));
+        if let Some((border, rows)) = rows {
+            clear(r, &rows.gradient);
+            border.record_picture(r, inputs, &rows.picture);
+            let size = (inputs.camera.width, inputs.camera.height);
+            border.record_photo(r, size, photo_is_masked, photo, &rows.photo);
+        }
+        if cleared {
             r.barrier();
         }
+        let native = (inputs.frame.rendered(&self.sizes), photo, gradient);
         for (row, (term, scratch)) in self.terms.iter().zip(&memory.scratch).enumerate() {
             if row > 0 {
                 r.barrier();
             }
+            let (picture, photo, image_gradient) = match (term.targets().picture, rows) {
+                (Some(PixelLayout::Rows), Some((_, rows))) => (&rows.picture, &rows.photo, &rows.gradient),
+                _ => native,
+            };
             let inputs = TermInputs {
                 frame: inputs,
-                image_gradient: gradient,
-                photo: photos.of(plan.view),
-                photo_is_masked: photos.is_masked(plan.view),
+                picture,
+                photo,
+                photo_is_masked,
+                image_gradient,
                 parameter_gradients: &model.parameter_gradients,
                 scratch,
                 losses: &memory.losses,
                 row: row as u32,
             };
             term.record(r, &inputs);
+        }
+        if let Some((border, rows)) = rows {
+            r.barrier();
+            border.record_gradient(r, inputs, &rows.gradient, gradient, true);
         }
     }
 

@@ -25,3 +25,8 @@ uint strip_column(uint plane, uint strip, uint x) {
 uint strip_texel(uint plane, uvec2 at) {
     return STRIP_ROWS / 4 * strip_column(plane, at.y / STRIP_ROWS, at.x) + at.y / 4 % (STRIP_ROWS / 4);
 }
+
+// Index of the value of a pixel.
+uint strip_value(uint plane, uvec2 at) {
+    return STRIP_ROWS * strip_column(plane, at.y / STRIP_ROWS, at.x) + at.y % STRIP_ROWS;
+}

@@ -312,6 +312,37 @@ mod tests {
         assert_eq!((settings.train.iterations, settings.train.seed), (20, 3));
     }
 
+    /// Options, files and checkpoints have the same names and kinds of values.
+    #[test]
+    fn every_option_is_on_the_command_line_and_in_the_file() {
+        let file = Table::try_from(TrainSettings::default()).expect("a table");
+        let options = TrainSettings::OPTIONS;
+        assert_eq!(file.len(), options.len());
+        let command = TrainOverrides::augment_args(Command::new("train"));
+        for option in options {
+            let argument = command.get_arguments().find(|argument| argument.get_id() == option.name);
+            let argument = argument.expect("an argument");
+            assert_eq!(argument.get_long(), Some(option.name.replace('_', "-").as_str()));
+            let given = match (&file[option.name], option.kind) {
+                (Value::Integer(_), OptionKind::Integer) => "7",
+                (Value::Float(_), OptionKind::Number) => "0.5",
+                (Value::Boolean(_), OptionKind::Switch) => "true",
+                (Value::String(name), OptionKind::Choice(names)) => {
+                    assert_eq!(Some(&name.as_str()), names.first(), "the default comes first");
+                    names[1]
+                }
+                (value, kind) => panic!("{}: {value} is no {kind:?}", option.name),
+            };
+            let arguments = ["train".to_owned(), format!("--{}={given}", option.name.replace('_', "-"))];
+            let matches = command.clone().try_get_matches_from(arguments).expect("accepted");
+            let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
+            let settings = Settings::from_table(overrides.0).expect("settings").train;
+            assert_eq!((option.value)(&settings).to_string(), given, "{}", option.name);
+            let changed = settings.values().into_iter().zip(TrainSettings::default().values());
+            assert_eq!(changed.filter(|(a, b)| a != b).count(), 1, "{}", option.name);
+        }
+    }
+
     #[test]
     fn unknown_name_in_file_is_refused() {
         let folder = tempfile::tempdir().expect("a temporary folder");
