@@ -30,7 +30,7 @@ const EXTREMES: [f32; 12] = [
 /// A device of its own with bands around every buffer.
 fn guarded() -> &'static Context {
     static CONTEXT: OnceLock<Context> = OnceLock::new();
-    // Asked for each time: whoever has them is alone with such devices.
+    // Called each time: `options` makes the calling test the only one with such a device.
     let options = ContextOptions { guard_bands: true, ..options() };
     CONTEXT.get_or_init(|| Context::new(&options).expect("a device with guards"))
 }

@@ -339,7 +339,7 @@ fn check_waits(fault: Fault, stride: usize) {
                             trainer.render(&views(1, 5)[0].camera, &trainer.render_settings()).map(drop),
                         ];
                         for refused in handed_out {
-                            let refused = refused.expect_err("of a state that nobody knows").to_string();
+                            let refused = refused.expect_err("the state is unknown").to_string();
                             assert_eq!(refused, error);
                         }
                     }

@@ -158,15 +158,15 @@ fn compare_with_device(view: &View, seed: u64) {
         .expect("gradients");
     drop(renderer);
     let actual = engine::twins(&actual.parameters);
-    let nobody = vec![false; scene.len()];
+    let none = vec![false; scene.len()];
     // A colour of nearly 0 may be clamped or not.
     let near_clamp: Vec<bool> =
         scene.iter().map(|g| color_of(g, view).1.iter().any(|c| c.abs() < 1e-5)).collect();
     let fields: [Field; 5] = [
         ("means", |g| g.mean.to_vec(), |g| g.mean.to_vec(), &near_clamp, 1e-4),
-        ("quaternions", |g| g.quat.to_vec(), |g| g.quat.to_vec(), &nobody, 5e-4),
-        ("log-scales", |g| g.log_scale.to_vec(), |g| g.log_scale.to_vec(), &nobody, 1e-4),
-        ("opacities", |g| vec![g.opacity_logit], |g| vec![g.opacity_logit], &nobody, 1e-4),
+        ("quaternions", |g| g.quat.to_vec(), |g| g.quat.to_vec(), &none, 5e-4),
+        ("log-scales", |g| g.log_scale.to_vec(), |g| g.log_scale.to_vec(), &none, 1e-4),
+        ("opacities", |g| vec![g.opacity_logit], |g| vec![g.opacity_logit], &none, 1e-4),
         ("SH", |g| g.sh.concat(), |g| g.sh.concat(), &near_clamp, 1e-4),
     ];
     for (name, of_actual, of_expected, skip, bound) in fields {

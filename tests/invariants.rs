@@ -70,7 +70,7 @@ fn invariant_ties_follow_the_order_of_the_gaussians() {
     drop(gpu);
 }
 
-/// Gaussians that nobody sees change nothing, to the bit.
+/// Gaussians that are not visible change nothing, to the bit.
 #[test]
 fn invariant_under_culled_gaussians() {
     let gpu = Gpu::new();

@@ -374,7 +374,7 @@ fn memory_budget_stops_growth_not_training() {
     assert_silent(&context);
 }
 
-/// Whoever looks on, at pictures larger and fuller than those of training, changes nothing of what is grown; and sees
+/// Drawing pictures larger and fuller than those of training changes nothing of what is grown; and sees
 /// them, whatever training has taken, as long as there is room for them in its frame's place.
 #[test]
 fn memory_budget_is_trainings_whoever_looks_on() {

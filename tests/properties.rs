@@ -90,16 +90,16 @@ fn check(case: &Case) -> Result<(), String> {
         d.into_iter().map(|color| PixelGradient { color, inverse_depth: 0.0 }).collect();
     let expected = backward(&scene, view, &frame, &d_pixels).parameters;
     let actual = twins(&actual.parameters);
-    let nobody = vec![false; scene.len()];
+    let none = vec![false; scene.len()];
     let bound = GradientTolerance { relative_l2: 1e-3, max_over_max: 1e-3 };
     let flat = |f: fn(&Gaussian) -> Vec<f64>| actual.iter().flat_map(f).collect::<Vec<f64>>();
     let logits: Vec<f64> = expected.iter().map(|g| g.opacity_logit).collect();
-    gradient("opacities", &flat(|g| vec![g.opacity_logit]), &logits, &nobody, bound)?;
+    gradient("opacities", &flat(|g| vec![g.opacity_logit]), &logits, &none, bound)?;
     let scales: Vec<f64> = expected.iter().flat_map(|g| g.log_scale).collect();
-    gradient("log-scales", &flat(|g| g.log_scale.to_vec()), &scales, &nobody, bound)?;
+    gradient("log-scales", &flat(|g| g.log_scale.to_vec()), &scales, &none, bound)?;
     let quats: Vec<f64> = expected.iter().flat_map(|g| g.quat).collect();
     let loose = GradientTolerance { relative_l2: 5e-3, max_over_max: 5e-3 };
-    gradient("quaternions", &flat(|g| g.quat.to_vec()), &quats, &nobody, loose)?;
+    gradient("quaternions", &flat(|g| g.quat.to_vec()), &quats, &none, loose)?;
     Ok(())
 }
 

@@ -170,7 +170,7 @@ impl Twin {
             .filter(|placed| placed.kind == Kind::Child)
             .map(|placed| placed.parent)
             .collect();
-        // Nobody was pruned between the numbering of the splits and here: the first half are first children.
+        // No Gaussian was pruned between the numbering of the splits and here: the first half are first children.
         let splits = &parents[..parents.len() / 2];
         let mut placed = place(&self.gaussians, &self.statistics, densify, |child, split| {
             random_normal([SEED, iteration, splits[split] as u32, child as u32])

@@ -269,7 +269,7 @@ fn a_read_only_folder_is_refused_and_keeps_its_checkpoint() {
     let run = command.output();
     allow(0o755);
     match run {
-        Err(error) => eprintln!("skipped: nobody may not start the program ({error})"),
+        Err(error) => eprintln!("skipped: the user nobody may not start the program ({error})"),
         Ok(output) => {
             let stderr = String::from_utf8_lossy(&output.stderr);
             assert_eq!(output.status.code(), Some(2), "{stderr}");

@@ -69,7 +69,7 @@ fn convert_refuses_in_one_line() {
         );
     }
     assert!(std::fs::read(place("in.ply")).expect("a file") == before);
-    std::fs::write(place("scene.bin"), "of somebody else").expect("written");
+    std::fs::write(place("scene.bin"), "another program's").expect("written");
     let (ply, gltf) = (place("in.ply"), place("scene.gltf"));
     let run = ["convert", text(&ply), text(&gltf)];
     refuse(&run, &["scene.bin", "something else's"]);

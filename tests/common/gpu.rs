@@ -25,7 +25,7 @@ impl Gpu {
     /// The same device without push descriptors, and so without texels: kernels in their form that reads storage buffers.
     pub fn without_texels() -> Gpu {
         static CONTEXT: OnceLock<Context> = OnceLock::new();
-        // Asked for each time: whoever has them is alone with such devices.
+        // Called each time: `options` makes the calling test the only one with such a device.
         let options = options();
         let plain = || Context::new(&ContextOptions { push_descriptors: false, ..options });
         Gpu { context: CONTEXT.get_or_init(|| plain().expect("a device")) }

@@ -36,7 +36,7 @@ impl Pictures {
             let rendered = wave.map(|w| (w * (1.0 - transmittance) + 0.3 * random.signed()) as f32);
             accumulated.push([rendered[0], rendered[1], rendered[2], transmittance as f32]);
             let bytes = wave.map(|w| ((w + 0.1 * random.signed()) * 255.0).clamp(0.0, 255.0) as u32);
-            // The fourth byte is nobody's.
+            // The fourth byte is unused.
             photo.push(bytes[0] | bytes[1] << 8 | bytes[2] << 16 | random.below(256) << 24);
         }
         Pictures { size, accumulated, photo, masked: false }

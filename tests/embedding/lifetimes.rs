@@ -71,7 +71,7 @@ fn what_is_dropped_lives_as_long_as_its_slots_need_it() {
         renderer.record(adopt(&context, &frames[1]), 1, &recorded).expect("a recording");
         frames[1].submit(host).expect("a submission");
         frames[1].wait(host).expect("done");
-        assert!(scene_bytes(&context) < bytes, "nobody uses it any more");
+        assert!(scene_bytes(&context) < bytes, "it has no user any more");
         texture.destroy(host);
         frames.into_iter().for_each(|frame| frame.destroy(host));
     });
@@ -116,7 +116,7 @@ fn a_report_does_not_wait_for_the_hosts_own_commands() {
         assert!(finished.expect("a status"), "not finished before the host's own commands");
         let report = report.expect("a report").expect("the frame was done");
         assert!(report.visible > 100 && !report.overflow && report.scopes.is_empty(), "{report:?}");
-        // SAFETY: nobody waits for it any more.
+        // SAFETY: nothing waits for it any more.
         unsafe { host.device.destroy_event(gate, None) };
         frame.destroy(host);
     });
@@ -171,7 +171,7 @@ fn unfinished(host: &Host) {
         }));
         assert!(panicked.is_err(), "a copy that does not fit");
         drop(recorder);
-        // The host may execute what was recorded: nobody knows.
+        // The host may or may not execute what was recorded.
         assert!(!slot.finished().expect("a status"));
         let error = slot.begin(adopt(&context, &frame), "test").err().expect("in flight");
         assert!(error.to_string().contains("in flight"), "{error}");

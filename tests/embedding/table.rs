@@ -337,7 +337,7 @@ fn record_calls_nothing_that_submits_waits_allocates_or_maps() {
     record_and_count(&HostOptions { push_descriptors: false, ..options() });
 }
 
-/// And the counters see it when somebody does.
+/// And the counters see it when one does.
 #[test]
 fn the_untouched_table_is_the_hosts() {
     with_host(&options(), |host| {

@@ -112,7 +112,7 @@ pub fn judge_gradients(
 ) -> Result<(), String> {
     let results = set.results(extent);
     let count = set.gaussians.len();
-    let nobody = vec![false; count];
+    let none = vec![false; count];
     let clamp = set.gaussian_flag(4);
     let saturated: Vec<bool> = set.gaussians.iter().map(|g| g.opacity_logit.abs() > 16.0).collect();
     let size = set.view.size_px.map(|n| f64::from(n) / 2.0);
@@ -122,15 +122,15 @@ pub fn judge_gradients(
         .map(|px| px.chunks(2).flat_map(|d| [d[0] * size[0], d[1] * size[1]]).collect());
     let owned = |values: &Vec<f64>| Some(values.clone());
     let fields: [Field; 10] = [
-        ("means", owned(&actual.means), &nobody, tolerance.gradient),
-        ("quats", owned(&actual.quats), &nobody, tolerance.quats),
-        ("log_scales", owned(&actual.log_scales), &nobody, tolerance.gradient),
+        ("means", owned(&actual.means), &none, tolerance.gradient),
+        ("quats", owned(&actual.quats), &none, tolerance.quats),
+        ("log_scales", owned(&actual.log_scales), &none, tolerance.gradient),
         ("opacity_logits", owned(&actual.opacity_logits), &saturated, tolerance.gradient),
         ("sh", owned(&actual.sh), &clamp, tolerance.gradient),
-        ("xy_pix", actual.mean2d_px.clone(), &nobody, tolerance.gradient),
-        ("xy_ndc", ndc, &nobody, tolerance.gradient),
-        ("conic", actual.conic.clone(), &nobody, tolerance.gradient),
-        ("opacity", actual.opacity.clone(), &nobody, tolerance.gradient),
+        ("xy_pix", actual.mean2d_px.clone(), &none, tolerance.gradient),
+        ("xy_ndc", ndc, &none, tolerance.gradient),
+        ("conic", actual.conic.clone(), &none, tolerance.gradient),
+        ("opacity", actual.opacity.clone(), &none, tolerance.gradient),
         ("color", actual.color.clone(), &clamp, tolerance.gradient),
     ];
     let mut line = format!("| {name} {extent:?} gradients |");

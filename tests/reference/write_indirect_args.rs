@@ -1,7 +1,7 @@
 //! Workgroup counts of a dispatch over a number of elements, the twin of `forward/write_indirect_args`.
 
 /// The elements within the capacity, and whether some had no room. A number that 32 bits do not hold is `u32::MAX`: then
-/// none, as nobody knows where each of them is.
+/// none, as their places are unknown.
 pub fn clamp(needed: u32, capacity: u32) -> (u32, bool) {
     if needed == u32::MAX { (0, true) } else { (needed.min(capacity), needed > capacity) }
 }

@@ -100,7 +100,7 @@ fn viewer_of_a_training_shows_and_steers_it() {
     assert!(model.join(format!("chkpnt{}.safetensors", last.trim())).is_file());
 }
 
-/// Whoever looks on changes nothing: the same bits with and without.
+/// Viewers change nothing: the same bits with and without.
 #[test]
 fn viewer_does_not_change_a_training() {
     let cloud = |watched: bool| {

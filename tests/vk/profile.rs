@@ -1,4 +1,4 @@
-//! The opt-in profile: what it records, and that it is off unless somebody asks.
+//! The opt-in profile: what it records, and that it is off by default.
 
 use crate::common::gpu::Gpu;
 use ashsplat::scan::{Scan, ScanBuffers, Workgroups};

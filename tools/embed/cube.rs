@@ -103,7 +103,7 @@ impl Cube {
 
     /// Records the pass: clears both attachments and draws the cube.
     pub fn record(&self, host: &Host, commands: vk::CommandBuffer, pass: &CubePass<'_>) {
-        // What was drawn before is not wanted any more, but whoever uses it has to be done: the guest, in compute shaders.
+        // The earlier contents are not needed, but the guest's compute shaders must have finished reading them.
         let [color_last, depth_last] =
             pass.last.map(|(_, stages, accesses)| (vk::ImageLayout::UNDEFINED, stages, accesses));
         pass.color.barrier(host, commands, color_last, COLOR_WRITTEN);

@@ -160,7 +160,7 @@ impl Host {
 
     /// Waits until nothing runs any more.
     pub fn wait(&self) -> Result<()> {
-        // SAFETY: nobody else uses the queue.
+        // SAFETY: this is the queue's only user.
         unsafe { self.device.device_wait_idle()? }
         Ok(())
     }

@@ -378,7 +378,7 @@ mod tests {
         assert!(hub.film_is_called_off());
         hub.film_ended();
         assert!(hub.take_film().is_none() && !hub.has_films());
-        assert_eq!(hub.film(c, film()), None, "nobody is there to see it");
+        assert_eq!(hub.film(c, film()), None, "no page is connected");
     }
 
     #[test]

@@ -86,7 +86,7 @@ mod tests {
                 steps.iter().map(of).sum::<Duration>().as_secs_f64()
             };
             let taken = sum(|step| step.1) / (sum(|step| step.0) + sum(|step| step.1));
-            assert!(taken > 0.05 * share, "{taken}: nobody is served");
+            assert!(taken > 0.05 * share, "{taken}: no viewer is served");
         }
     }
 
@@ -95,7 +95,7 @@ mod tests {
         let second = Duration::from_secs(1);
         let mut allowance = Allowance::new(0.2);
         allowance.trained(1000 * second);
-        assert!(allowance.permits(), "nobody waits for the first picture");
+        assert!(allowance.permits(), "the first picture comes at once");
         allowance.spent(second);
         allowance.trained(Duration::from_millis(3999));
         assert!(!allowance.permits());

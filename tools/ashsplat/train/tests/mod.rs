@@ -72,7 +72,7 @@ fn a_failed_iteration_saves_only_what_is_known_and_seen() {
         let checkpoint = Checkpoint::read(checkpoints::path(folder.path(), 2));
         match (fault, checkpoint) {
             (Fault::WaitMemory, Err(_)) => {
-                assert!(!scene, "of a state that nobody knows");
+                assert!(!scene, "the state is unknown");
                 unknown += 1;
             }
             (_, checkpoint) => {
