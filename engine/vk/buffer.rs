@@ -1,7 +1,8 @@
 //! A named range of device memory.
 
+use super::allocator::MemoryKind;
 use super::context::Context;
-use super::memory::{Block, MemoryKind, PLACEMENT_ALIGNMENT};
+use super::memory::{Block, PLACEMENT_ALIGNMENT};
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;

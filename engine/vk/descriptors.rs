@@ -6,15 +6,16 @@
 //! references to the buffers of the whole set).
 
 use super::context::Inner;
-use super::image::ImageUse;
+use super::error::vk_error;
+use super::format::ImageUse;
 use super::kernel::ImageInfo;
-use super::vk_error;
+use super::requirements::STORAGE_BUFFERS;
 use crate::Result;
 use ash::vk;
 use std::sync::Arc;
 
 /// Most storage buffers of a kernel: bindings 0 to 15.
-pub(super) const BUFFERS: u32 = 16;
+pub(super) const BUFFERS: u32 = STORAGE_BUFFERS;
 /// The binding of a kernel's storage image.
 pub(super) const STORAGE_IMAGE: u32 = 16;
 /// The binding of a kernel's sampled image.

@@ -1,11 +1,12 @@
 //! Two-dimensional images: a host's, or our own.
 
+use super::access::Access;
+use super::allocator::MemoryKind;
 use super::context::{Context, Inner};
-use super::format::{aspect, has_stencil, texel_bytes};
-use super::kernel::Access;
-use super::memory::{MemoryKind, NEXT_ID};
+use super::error::vk_error;
+use super::format::{ImageUse, aspect, has_stencil, texel_bytes};
+use super::memory::NEXT_ID;
 use super::recorder::Recorder;
-use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
@@ -13,39 +14,6 @@ use std::sync::atomic::Ordering;
 
 /// Own images, in [`Context::memory`].
 const ARENA: &str = "images";
-
-/// How kernels use an image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ImageUse {
-    /// Read and written as a storage image, in the layout GENERAL.
-    Storage,
-    /// Read by texel. The layout is DEPTH_STENCIL_READ_ONLY_OPTIMAL if the image is also a depth attachment,
-    /// otherwise SHADER_READ_ONLY_OPTIMAL.
-    Sampled,
-}
-
-impl ImageUse {
-    fn usage(self) -> vk::ImageUsageFlags {
-        match self {
-            Self::Storage => vk::ImageUsageFlags::STORAGE,
-            Self::Sampled => vk::ImageUsageFlags::SAMPLED,
-        }
-    }
-
-    pub(super) fn descriptor_type(self) -> vk::DescriptorType {
-        match self {
-            Self::Storage => vk::DescriptorType::STORAGE_IMAGE,
-            Self::Sampled => vk::DescriptorType::SAMPLED_IMAGE,
-        }
-    }
-
-    fn feature(self) -> vk::FormatFeatureFlags {
-        match self {
-            Self::Storage => vk::FormatFeatureFlags::STORAGE_IMAGE,
-            Self::Sampled => vk::FormatFeatureFlags::SAMPLED_IMAGE,
-        }
-    }
-}
 
 /// A host's image, as it was created.
 #[derive(Clone, Copy, Debug)]

@@ -1,34 +1,18 @@
 //! A compute pipeline with a typed interface.
 
+use super::access::Access;
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
 use super::descriptors;
-use super::image::{Image, ImageUse};
+use super::error::vk_error;
+use super::format::ImageUse;
+use super::image::Image;
 use super::limits::{CHOSEN_BY_HOST, Limits};
 use super::texels::TexelFormat;
-use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
 use std::marker::PhantomData;
 use std::sync::Arc;
-
-/// How a shader accesses a buffer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    /// `readonly`.
-    Read,
-    /// `writeonly`.
-    Write,
-    /// Neither.
-    ReadWrite,
-}
-
-impl Access {
-    /// Whether it writes.
-    pub fn writes(self) -> bool {
-        self != Self::Read
-    }
-}
 
 /// A buffer of a shader.
 #[derive(Clone, Copy, Debug, PartialEq)]

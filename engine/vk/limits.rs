@@ -1,6 +1,7 @@
 //! The limits of a device, read once.
 
-use super::Workarounds;
+use super::texels::TexelFormat;
+use super::workarounds::Workarounds;
 use crate::tuning::{Backend, Tuning};
 
 /// Limits of a device, and the subgroup size of all kernels.
@@ -136,7 +137,7 @@ impl Limits {
     /// buffer that can be bound has more texels than may be read.
     pub fn prefers_texels(&self) -> bool {
         self.tuning.reads_texels
-            && self.max_storage_buffer_range / super::TexelFormat::R32Uint.bytes() <= self.max_texels
+            && self.max_storage_buffer_range / TexelFormat::R32Uint.bytes() <= self.max_texels
     }
 
     /// The value in [`Limits::overrides`] for a constant of a kernel or of a folder of kernels; the last one

@@ -1,25 +1,16 @@
 //! Device memory. Requests are packed into blocks of one VkBuffer and one allocation each.
 
-use super::allocator::{HostAllocator, HostMemory, MemoryRequest};
+use super::allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 use super::budget::MAX_MEMORY;
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
+use super::error::vk_error;
 use super::guards::GUARD_BYTES;
-use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
 use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-
-/// Kind of memory.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MemoryKind {
-    /// Fastest for kernels. Filled by [`Context::upload`], read by [`Context::download`].
-    Device,
-    /// Mapped, coherent and, where possible, cached: [`Buffer::write`] and [`Buffer::read`].
-    HostVisible,
-}
 
 /// Every buffer begins at a multiple of this in its block. No device requires more.
 pub const PLACEMENT_ALIGNMENT: u64 = 256;

@@ -43,6 +43,7 @@
 
 #![allow(unsafe_code)]
 
+mod access;
 mod allocator;
 mod arenas;
 mod audit;
@@ -55,6 +56,7 @@ mod create_device;
 mod debug;
 mod descriptors;
 mod device;
+mod error;
 mod faults;
 mod foreign;
 mod format;
@@ -76,7 +78,8 @@ mod texels;
 mod transfer;
 mod workarounds;
 
-pub use allocator::{HostAllocator, HostMemory, MemoryRequest};
+pub use access::Access;
+pub use allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 pub use arenas::ArenaMemory;
 pub use audit::{Audit, AuditRecord};
 pub use buffer::Buffer;
@@ -84,13 +87,14 @@ pub use context::{Context, ContextOptions};
 pub use device::{DeviceDescription, devices};
 pub use faults::{Fault, Faults};
 pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
-pub use image::{ForeignImage, Image, ImageState, ImageUse};
+pub use format::ImageUse;
+pub use image::{ForeignImage, Image, ImageState};
 pub use instance::validation_available;
 pub use kernel::{
-    Access, BindingInfo, ConstantInfo, ConstantKind, Form, ImageInfo, Kernel, KernelInterface, KernelVisitor,
+    BindingInfo, ConstantInfo, ConstantKind, Form, ImageInfo, Kernel, KernelInterface, KernelVisitor,
 };
 pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of, is_yardstick};
-pub use memory::{MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
+pub use memory::{PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use pipeline_cache::{PipelineCacheData, PipelineCacheSink};
 pub use profile::{BoundBuffer, CommandRecord, Profile, Submission};
 pub use profiler::ScopeTime;
@@ -99,17 +103,3 @@ pub use requirements::{Features, OptionalExtension, Requirements};
 pub use submit::{Pending, RunReport};
 pub use texels::TexelFormat;
 pub use workarounds::Workarounds;
-
-/// The error for a failed Vulkan call.
-fn vk_error(call: &'static str) -> impl Fn(ash::vk::Result) -> crate::Error {
-    use ash::vk::Result as R;
-    move |result| {
-        let remedy = match result {
-            R::ERROR_DEVICE_LOST => return crate::Error::DeviceLost { call },
-            R::ERROR_OUT_OF_DEVICE_MEMORY => "free device memory, or use a smaller scene or resolution",
-            R::ERROR_OUT_OF_HOST_MEMORY => "free memory, or use a smaller scene or resolution",
-            _ => "",
-        };
-        crate::Error::Vulkan { call, result: format!("{result:?} ({result})"), remedy: remedy.to_owned() }
-    }
-}

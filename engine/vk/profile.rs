@@ -1,9 +1,9 @@
 //! The opt-in profile of a context: every command of every submission, with its resources and its time.
 
+use super::access::Access;
+use super::allocator::MemoryKind;
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
-use super::kernel::Access;
-use super::memory::MemoryKind;
 use super::profiler::{Collected, MAX_COMMANDS, ScopeTime};
 use crate::Result;
 use std::sync::{Arc, Mutex, PoisonError, Weak};

@@ -1,8 +1,8 @@
 //! Timestamps around scopes, and after every command while a [`super::Profile`] exists.
 
 use super::context::Inner;
+use super::error::vk_error;
 use super::profile::{CommandRecord, Commands};
-use super::vk_error;
 use crate::Result;
 use ash::vk;
 

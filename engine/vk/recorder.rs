@@ -1,5 +1,6 @@
 //! Records commands: dispatches, fills, copies, and the barriers between them.
 
+use super::access::Access;
 use super::audit;
 use super::bind::Bound;
 use super::buffer::Buffer;
@@ -7,7 +8,7 @@ use super::context::Inner;
 use super::descriptors::{DescriptorSets, OwnedSets};
 use super::hazard::{HazardTracker, Use};
 use super::image::Image;
-use super::kernel::{Access, Kernel, KernelInterface, Pipeline};
+use super::kernel::{Kernel, KernelInterface, Pipeline};
 use super::pool::PoolGuard;
 use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled};
 use super::profiler::Profiler;

@@ -3,13 +3,13 @@
 use super::audit;
 use super::context::{Context, Inner};
 use super::descriptors::DescriptorSets;
+use super::error::vk_error;
 use super::image::Image;
 use super::kernel::Pipeline;
 use super::memory::Block;
 use super::profile::{self, HostTimes};
 use super::profiler::{MAX_SCOPES, Profiler, QUERIES, ScopeTime};
 use super::recorder::Recorder;
-use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::atomic::Ordering;

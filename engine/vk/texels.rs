@@ -6,7 +6,7 @@
 //! reads every component of a storage buffer in a loop over the lanes: a vec4 by texel costs a quarter.
 
 use super::context::Inner;
-use super::vk_error;
+use super::error::vk_error;
 use crate::Result;
 use ash::vk;
 use std::collections::HashMap;

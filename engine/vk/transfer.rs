@@ -1,8 +1,8 @@
 //! Transfers to and from device memory.
 
+use super::allocator::MemoryKind;
 use super::buffer::Buffer;
 use super::context::Context;
-use super::memory::MemoryKind;
 use super::recorder::MAX_UPDATE_BYTES;
 use crate::Result;
 
