@@ -1,25 +1,29 @@
 //! The Vulkan layer: everything that touches the device, and the only place with `unsafe`. Knows no splats.
 //!
+//! From the ground up; a file imports only files that stand below it.
+//!
 //! | module | what |
 //! |---|---|
-//! | `instance`, `device`, `create_device`, `context` | loader, devices and their choice, the open [`Context`] |
-//! | `limits`, `workarounds` | [`Limits`], read once; stricter ones for tests; [`Workarounds`] by driver |
-//! | `memory`, `buffer` | [`Context::allocate`]: requests packed into blocks; a [`Buffer`] is a named range of one |
-//! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
+//! | `error`, `access`, `format`, `texels`, `clock`, `pool`, `arenas` | what all others share |
+//! | `limits`, `workarounds`, `requirements` | [`Limits`], read once; [`Workarounds`] by driver; what a host enables |
+//! | `allocator` | [`MemoryKind`]; [`HostAllocator`]: memory from a host |
 //! | `pipeline_cache` | a host's VkPipelineCache, or one that is kept between runs |
-//! | `allocator` | [`HostAllocator`]: memory from a host |
-//! | `image`, `format` | [`Image`]: a host's or our own |
-//! | `requirements`, `foreign`, `pool` | what a host enables; [`Context::from_foreign`], [`RecordSlot`] |
-//! | `bind`, `descriptors` | binding for a dispatch; descriptor sets where push descriptors are missing |
-//! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
+//! | `debug`, `faults` | names, labels and validation messages; for tests: calls that fail on demand |
+//! | `instance`, `device`, `create_device` | the loader, devices and their choice |
+//! | `open_device` | the open device, which everything made from it keeps open |
+//! | `memory`, `buffer`, `allocate` | requests packed into blocks; a [`Buffer`] is a named range of one |
+//! | `descriptors` | descriptor sets where push descriptors are missing |
+//! | `profile`, `profiler`, `audit` | [`Context::profile`] and [`Context::audit`]: time and output of every command |
+//! | `commands` | command buffers: recorded, submitted, waited for |
+//! | `context`, `open` | the open [`Context`]; [`Context::new`] and its options |
+//! | `budget`, `guards` | [`Context::allocate`], how much memory there may be; bands around buffers, for tests |
+//! | `image`, `adopt` | [`Image`]: a host's or our own; buffers of a host |
+//! | `kernel`, `resources` | [`Kernel`]: a pipeline with the typed interface that build.rs generated; what it binds |
 //! | `hazard` | finds missing barriers while recording |
-//! | `submit` | [`Context::submit`], [`Pending`], [`RunReport`] |
-//! | `transfer` | [`Context::upload`], [`Context::download`] |
-//! | `budget`, `guards` | how much memory there may be; bands around buffers, for tests |
-//! | `audit` | [`Context::audit`]: what every command wrote, as a hash |
-//! | `faults` | for tests: calls that fail on demand |
-//! | `profiler`, `debug` | time of each scope; names, labels and validation messages |
-//! | `profile`, `clock` | [`Context::profile`]: every command with its grid, buffers and time, on the host's clock |
+//! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
+//! | `bind`, `record_image`, `record_audit` | further parts of the recorder |
+//! | `submit`, `transfer` | [`Context::submit`], [`Pending`], [`RunReport`]; [`Context::upload`], [`Context::download`] |
+//! | `foreign` | [`Context::from_foreign`], [`RecordSlot`] |
 //!
 //! # Ownership
 //! A [`Context`] is a counted reference to the open device. Buffers, kernels, recorders and pending submissions hold
@@ -44,6 +48,8 @@
 #![allow(unsafe_code)]
 
 mod access;
+mod adopt;
+mod allocate;
 mod allocator;
 mod arenas;
 mod audit;
@@ -51,6 +57,7 @@ mod bind;
 mod budget;
 mod buffer;
 mod clock;
+mod commands;
 mod context;
 mod create_device;
 mod debug;
@@ -67,12 +74,17 @@ mod instance;
 mod kernel;
 mod limits;
 mod memory;
+mod open;
+mod open_device;
 mod pipeline_cache;
 mod pool;
 mod profile;
 mod profiler;
+mod record_audit;
+mod record_image;
 mod recorder;
 mod requirements;
+mod resources;
 mod submit;
 mod texels;
 mod transfer;
@@ -83,7 +95,7 @@ pub use allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 pub use arenas::ArenaMemory;
 pub use audit::{Audit, AuditRecord};
 pub use buffer::Buffer;
-pub use context::{Context, ContextOptions};
+pub use context::Context;
 pub use device::{DeviceDescription, devices};
 pub use faults::{Fault, Faults};
 pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
@@ -95,6 +107,7 @@ pub use kernel::{
 };
 pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of, is_yardstick};
 pub use memory::{PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
+pub use open::ContextOptions;
 pub use pipeline_cache::{PipelineCacheData, PipelineCacheSink};
 pub use profile::{BoundBuffer, CommandRecord, Profile, Submission};
 pub use profiler::ScopeTime;

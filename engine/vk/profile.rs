@@ -3,23 +3,23 @@
 use super::access::Access;
 use super::allocator::MemoryKind;
 use super::buffer::Buffer;
-use super::context::{Context, Inner};
+use super::open_device::Device;
 use super::profiler::{Collected, MAX_COMMANDS, ScopeTime};
 use crate::Result;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// While it exists, all submissions of its context are recorded command by command. It costs a timestamp per
 /// command; without a profile there is no cost.
 pub struct Profile {
-    log: Arc<Log>,
+    pub(super) log: Arc<Log>,
 }
 
 /// A submission that has finished.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Submission {
-    /// The label given to [`Context::begin`] or [`Context::run`].
+    /// The label given to [`Context::begin`](super::Context::begin) or [`Context::run`](super::Context::run).
     pub label: String,
     /// Its commands in the order of recording.
     pub commands: Vec<CommandRecord>,
@@ -118,20 +118,17 @@ pub(super) struct Commands {
 const GRID_BYTES: u64 = 12;
 
 impl Commands {
-    /// None without a profile.
-    pub(super) fn begin(inner: &Arc<Inner>) -> Result<Option<Self>> {
+    pub(super) fn begin(inner: &Arc<Device>, log: Arc<Log>) -> Result<Self> {
         let begun = Instant::now();
-        let log = inner.profile.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
-        let Some(log) = log else { return Ok(None) };
         let spare = log.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let readback = match spare {
             Some(buffer) => buffer,
             None => {
                 let request = [("indirect_arguments", u64::from(MAX_COMMANDS) * GRID_BYTES)];
-                Context(inner.clone()).allocate("profile", &request, MemoryKind::HostVisible)?.swap_remove(0)
+                inner.allocate("profile", &request, MemoryKind::HostVisible)?.swap_remove(0)
             }
         };
-        Ok(Some(Self { log, records: Vec::new(), indirect: Vec::new(), readback, begun }))
+        Ok(Self { log, records: Vec::new(), indirect: Vec::new(), readback, begun })
     }
 
     /// The index of the new record.
@@ -172,7 +169,7 @@ impl Commands {
     }
 
     /// Writes the submission into the log.
-    pub(super) fn log(self, inner: &Inner, label: String, host: HostTimes, collected: Collected) {
+    pub(super) fn log(self, inner: &Device, label: String, host: HostTimes, collected: Collected) {
         let HostTimes { submitting, submitted, done } = host;
         let calibrated = inner.now_on_both_clocks();
         let begin = collected.begin_ticks;
@@ -212,7 +209,7 @@ pub(super) struct HostTimes {
     pub(super) done: Instant,
 }
 
-impl Inner {
+impl Device {
     /// Nanoseconds between two timestamps of the device.
     pub(super) fn nanoseconds_between(&self, begin: u64, end: u64) -> f64 {
         let bits = self.timestamp_bits;
@@ -227,32 +224,6 @@ impl Inner {
         let ticks = clock.ticks()?;
         let middle = before + before.elapsed() / 2;
         Some((ticks, middle))
-    }
-}
-
-impl Context {
-    /// Records every submission from now on, until the profile is dropped. A newer profile replaces an older
-    /// one.
-    pub fn profile(&self) -> Profile {
-        let profile = Profile { log: Arc::default() };
-        self.set_profile(Some(&profile));
-        profile
-    }
-
-    /// Pauses or resumes profiles: only the given one records.
-    pub fn set_profile(&self, profile: Option<&Profile>) {
-        let log = profile.map_or_else(Weak::new, |profile| Arc::downgrade(&profile.log));
-        *self.0.profile.lock().unwrap_or_else(PoisonError::into_inner) = log;
-    }
-
-    /// Turns timestamps off or on. Without them scopes are only labelled.
-    pub fn set_timestamps(&self, on: bool) {
-        self.0.timestamps.store(on, std::sync::atomic::Ordering::Relaxed);
-    }
-
-    /// Whether the device has timestamps.
-    pub fn has_timestamps(&self) -> bool {
-        self.0.timestamp_bits > 0
     }
 }
 

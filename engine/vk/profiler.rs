@@ -1,7 +1,7 @@
 //! Timestamps around scopes, and after every command while a [`super::Profile`] exists.
 
-use super::context::Inner;
 use super::error::vk_error;
+use super::open_device::Device;
 use super::profile::{CommandRecord, Commands};
 use crate::Result;
 use ash::vk;
@@ -71,7 +71,7 @@ impl Profiler {
         }
     }
 
-    pub(super) fn begin(&mut self, inner: &Inner, commands: vk::CommandBuffer, name: &str) {
+    pub(super) fn begin(&mut self, inner: &Device, commands: vk::CommandBuffer, name: &str) {
         inner.names.begin_label(commands, name);
         let index = self.scopes.len();
         let timed =
@@ -89,7 +89,7 @@ impl Profiler {
         self.scopes.first().filter(|_| wanted).map_or_else(String::new, |scope| scope.name.clone())
     }
 
-    pub(super) fn end(&mut self, inner: &Inner, commands: vk::CommandBuffer) {
+    pub(super) fn end(&mut self, inner: &Device, commands: vk::CommandBuffer) {
         if let Some(Some(index)) = self.open.pop() {
             self.scopes[index].end = self.now(inner, commands);
         }
@@ -99,7 +99,7 @@ impl Profiler {
     /// Notes a command that was just recorded, and its end.
     pub(super) fn command(
         &mut self,
-        inner: &Inner,
+        inner: &Device,
         raw: vk::CommandBuffer,
         describe: impl FnOnce() -> CommandRecord,
     ) {
@@ -116,7 +116,7 @@ impl Profiler {
 
     /// The timestamp of the end of everything recorded so far. It is a new one only if commands came since
     /// the last, because each timestamp stalls the device.
-    fn now(&mut self, inner: &Inner, commands: vk::CommandBuffer) -> u32 {
+    fn now(&mut self, inner: &Device, commands: vk::CommandBuffer) -> u32 {
         if self.fresh {
             return self.written - 1;
         }
@@ -137,7 +137,7 @@ impl Profiler {
     }
 
     /// Whether all timestamps are available. Never waits.
-    pub(super) fn is_ready(&self, inner: &Inner) -> Result<bool> {
+    pub(super) fn is_ready(&self, inner: &Device) -> Result<bool> {
         if self.written == 0 || self.pool == vk::QueryPool::null() {
             return Ok(true);
         }
@@ -149,7 +149,7 @@ impl Profiler {
     }
 
     /// The times of the whole recording, of each scope and of each command. The submission must have been waited for.
-    pub(super) fn collect(&mut self, inner: &Inner) -> Result<Collected> {
+    pub(super) fn collect(&mut self, inner: &Device) -> Result<Collected> {
         let mut commands = self.commands.as_mut().map_or_else(Vec::new, Commands::take);
         if self.scopes.is_empty() || self.pool == vk::QueryPool::null() {
             return Ok(Collected { commands, ..Collected::default() });
@@ -172,7 +172,7 @@ impl Profiler {
         Ok(Collected { nanoseconds: whole, scopes: scopes.collect(), commands, begin_ticks: ticks[0] })
     }
 
-    fn read(&self, inner: &Inner) -> Result<Vec<u64>, vk::Result> {
+    fn read(&self, inner: &Device) -> Result<Vec<u64>, vk::Result> {
         let mut ticks = vec![0u64; self.written as usize];
         let flags = vk::QueryResultFlags::TYPE_64;
         // SAFETY: the recording has reset these queries.

@@ -2,17 +2,18 @@
 
 use super::access::Access;
 use super::audit;
-use super::bind::Bound;
 use super::buffer::Buffer;
-use super::context::Inner;
+use super::commands::Commands;
 use super::descriptors::{DescriptorSets, OwnedSets};
 use super::hazard::{HazardTracker, Use};
 use super::image::Image;
 use super::kernel::{Kernel, KernelInterface, Pipeline};
+use super::limits::Limits;
+use super::open_device::Device;
 use super::pool::PoolGuard;
 use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled};
 use super::profiler::Profiler;
-use super::submit::{Commands, Kept};
+use super::resources::{Bound, Kept};
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
@@ -27,7 +28,7 @@ pub const MAX_UPDATE_BYTES: usize = 65_536;
 pub struct Recorder {
     // Fields drop in this order: the commands must be dropped before the memory that they use.
     pub(super) commands: Target,
-    pub(super) inner: Arc<Inner>,
+    pub(super) inner: Arc<Device>,
     profiler: Profiler,
     pub(super) kept: PoolGuard<Kept>,
     pub(super) bound: vk::Pipeline,
@@ -113,7 +114,7 @@ impl Recorder {
 
     /// Records into a command buffer that the host submits: see [`super::RecordSlot::begin`].
     pub(super) fn foreign(
-        inner: &Arc<Inner>,
+        inner: &Arc<Device>,
         target: ForeignTarget,
         kept: PoolGuard<Kept>,
         label: &str,
@@ -135,7 +136,7 @@ impl Recorder {
         }
     }
 
-    fn with_target(commands: Target, inner: Arc<Inner>, queries: vk::QueryPool) -> Self {
+    fn with_target(commands: Target, inner: Arc<Device>, queries: vk::QueryPool) -> Self {
         Self {
             commands,
             profiler: Profiler::new(queries, None),
@@ -415,7 +416,7 @@ impl Recorder {
     }
 
     /// The device's limits.
-    pub fn limits(&self) -> &super::Limits {
+    pub fn limits(&self) -> &Limits {
         &self.inner.limits
     }
 

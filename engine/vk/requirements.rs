@@ -1,7 +1,6 @@
 //! Required device properties and features as values: the one list for choosing and opening a device of our
 //! own, and for checking a host's device.
 
-use super::context::Context;
 use ash::vk;
 use std::ffi::CStr;
 use std::fmt;
@@ -144,11 +143,11 @@ pub struct Requirements {
     pub limits: Vec<(&'static str, u64)>,
 }
 
-impl Context {
-    /// The requirements of [`Context::from_foreign`].
-    pub fn requirements() -> Requirements {
+impl Requirements {
+    /// Of every device.
+    pub(super) fn of_all() -> Self {
         let operations = SUBGROUP_OPERATIONS.iter().map(|(flag, _)| *flag);
-        Requirements {
+        Self {
             api_version: vk::API_VERSION_1_3,
             queue: vk::QueueFlags::COMPUTE,
             features: Features::REQUIRED,

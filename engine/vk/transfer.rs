@@ -101,7 +101,7 @@ impl Context {
 
     /// Most bytes of temporary memory for an upload of `bytes` bytes.
     pub(crate) fn staging_bytes(&self, bytes: u64) -> u64 {
-        if self.0.unified_memory { 0 } else { bytes.min(CHUNK_BYTES) }
+        if self.device.unified_memory { 0 } else { bytes.min(CHUNK_BYTES) }
     }
 
     fn staging(&self, bytes: u64) -> Result<Buffer> {
