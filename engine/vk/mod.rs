@@ -109,8 +109,7 @@ pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of, is_yardstic
 pub use memory::{PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use open::ContextOptions;
 pub use pipeline_cache::{PipelineCacheData, PipelineCacheSink};
-pub use profile::{BoundBuffer, CommandRecord, Profile, Submission};
-pub use profiler::ScopeTime;
+pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, OptionalExtension, Requirements};
 pub use submit::{Pending, RunReport};

@@ -4,15 +4,28 @@ use super::access::Access;
 use super::allocator::MemoryKind;
 use super::buffer::Buffer;
 use super::open_device::Device;
-use super::profiler::{Collected, MAX_COMMANDS, ScopeTime};
 use crate::Result;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+
+/// Most timed commands of one profiled recording.
+pub(super) const MAX_COMMANDS: u32 = 1024;
 
 /// While it exists, all submissions of its context are recorded command by command. It costs a timestamp per
 /// command; without a profile there is no cost.
 pub struct Profile {
     pub(super) log: Arc<Log>,
+}
+
+/// How long the commands of a scope took on the device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ScopeTime {
+    /// The name given to [`super::Recorder::scope`].
+    pub name: String,
+    /// Its nesting depth.
+    pub depth: u32,
+    /// From the end of the previous work to the end of its own commands.
+    pub nanoseconds: f64,
 }
 
 /// A submission that has finished.
@@ -95,6 +108,17 @@ impl BoundBuffer {
     pub(super) fn new(role: &'static str, buffer: &Buffer, access: Access) -> Self {
         Self { role, name: buffer.static_name(), access, bytes: buffer.bytes() }
     }
+}
+
+/// The device times of a recording.
+#[derive(Default)]
+pub(super) struct Collected {
+    /// The whole recording; None without timestamps.
+    pub(super) nanoseconds: Option<f64>,
+    pub(super) scopes: Vec<ScopeTime>,
+    pub(super) commands: Vec<CommandRecord>,
+    /// The device's clock at the recording's begin, ticks.
+    pub(super) begin_ticks: u64,
 }
 
 /// The log of submissions, and memory for the arguments of indirect dispatches.

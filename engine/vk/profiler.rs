@@ -2,27 +2,14 @@
 
 use super::error::vk_error;
 use super::open_device::Device;
-use super::profile::{CommandRecord, Commands};
+use super::profile::{Collected, CommandRecord, Commands, MAX_COMMANDS, ScopeTime};
 use crate::Result;
 use ash::vk;
 
 /// Most timed scopes of one recording. Later ones are only labelled.
 pub(super) const MAX_SCOPES: u32 = 256;
-/// Most timed commands of one profiled recording.
-pub(super) const MAX_COMMANDS: u32 = 1024;
 /// Queries of a recording: two for each scope, then one for each command.
 pub(super) const QUERIES: u32 = 2 * MAX_SCOPES + MAX_COMMANDS;
-
-/// How long the commands of a scope took on the device.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ScopeTime {
-    /// The name given to [`super::Recorder::scope`].
-    pub name: String,
-    /// Its nesting depth.
-    pub depth: u32,
-    /// From the end of the previous work to the end of its own commands.
-    pub nanoseconds: f64,
-}
 
 /// The scopes of a recording. Scope 0 is the whole recording.
 pub(super) struct Profiler {
@@ -44,17 +31,6 @@ struct Scope {
     depth: u32,
     begin: u32,
     end: u32,
-}
-
-/// The device times of a recording.
-#[derive(Default)]
-pub(super) struct Collected {
-    /// The whole recording; None without timestamps.
-    pub(super) nanoseconds: Option<f64>,
-    pub(super) scopes: Vec<ScopeTime>,
-    pub(super) commands: Vec<CommandRecord>,
-    /// The device's clock at the recording's begin, ticks.
-    pub(super) begin_ticks: u64,
 }
 
 impl Profiler {
