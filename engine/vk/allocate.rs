@@ -2,7 +2,9 @@
 
 use super::allocator::MemoryKind;
 use super::buffer::Buffer;
-use super::memory::{Block, GUARD_BYTES, SMALLEST_BUFFER, pack};
+#[cfg(feature = "testing")]
+use super::guard_bands::GUARD_BYTES;
+use super::memory::{Block, SMALLEST_BUFFER, pack};
 use super::open_device::Device;
 use crate::{Error, Result};
 use std::sync::Arc;
@@ -11,6 +13,14 @@ use std::sync::Arc;
 pub(super) const MAX_MEMORY: &str = "--max-memory";
 
 impl Device {
+    /// Bytes of the bands around each buffer.
+    #[cfg(not(feature = "testing"))]
+    fn guard(&self) -> u64 {
+        0
+    }
+
+    /// Bytes of the bands around each buffer.
+    #[cfg(feature = "testing")]
     fn guard(&self) -> u64 {
         if self.guard_bands { GUARD_BYTES } else { 0 }
     }

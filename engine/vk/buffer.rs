@@ -98,16 +98,6 @@ impl Buffer {
         &self.block
     }
 
-    /// Bytes behind the buffer that are bound with it: see the module `guards`.
-    pub(super) fn guard_behind(&self) -> u64 {
-        self.block.guard_behind(self.offset + self.bytes)
-    }
-
-    /// The guard bands before and after the buffer, which has `bytes` bytes.
-    pub(super) fn guards(&self, bytes: u64) -> [Buffer; 2] {
-        [self.offset - bytes, self.offset + self.bytes].map(|offset| Buffer { offset, bytes, ..self.clone() })
-    }
-
     pub(super) fn raw(&self) -> vk::Buffer {
         self.block.raw
     }

@@ -4,6 +4,7 @@ use super::audit::{self, Audit};
 use super::commands::Pools;
 use super::device::DeviceDescription;
 use super::limits::Limits;
+#[cfg(feature = "testing")]
 use super::memory::Block;
 use super::open_device::Device;
 use super::profile::{self, Profile};
@@ -40,6 +41,7 @@ pub(super) struct Logs {
     /// The audit that hashes the output of every command, if one exists.
     pub(super) audit: Mutex<Weak<audit::Log>>,
     /// Blocks of buffers with guard bands.
+    #[cfg(feature = "testing")]
     pub(super) guarded: Mutex<Vec<Weak<Block>>>,
 }
 

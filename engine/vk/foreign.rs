@@ -6,12 +6,12 @@ use super::context::Context;
 use super::descriptors::OwnedSets;
 use super::device;
 use super::error::vk_error;
-use super::faults;
 use super::open::{ContextOptions, Parts, effective_limits};
 use super::open_device::{Device, Owner};
 use super::pool::{Pool, PoolGuard};
 use super::profile::ScopeTime;
 use super::profiler::{MAX_SCOPES, Profiler};
+use super::raw_device::RawDevice;
 use super::recorder::{ForeignTarget, Recorder};
 use super::requirements::{Features, Requirements};
 use super::resources::Kept;
@@ -108,10 +108,7 @@ impl Context {
             owner: Owner::Host(host.instance.clone()),
             candidate,
             limits,
-            device: match &options.faults {
-                Some(faults) => faults::install(host.device, host.queue, faults),
-                None => host.device.clone(),
-            },
+            device: RawDevice::of_host(host.device.clone()),
             queue: host.queue,
             debug_utils: host.debug_utils,
             allocator: host.allocator.clone(),
@@ -170,7 +167,7 @@ impl Context {
     /// The Vulkan objects of the context, for a host that shares a device of ours.
     pub fn handles(&self) -> (ash::Instance, vk::PhysicalDevice, ash::Device, u32) {
         let inner = &self.device;
-        (inner.owner.instance().clone(), inner.physical, inner.device.clone(), inner.queue_family)
+        (inner.owner.instance().clone(), inner.physical, inner.device.raw.clone(), inner.queue_family)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::buffer::Buffer;
 use super::context::Context;
-use super::memory::GUARD_BYTES;
+use super::guard_bands::GUARD_BYTES;
 use crate::Result;
 use std::sync::{Arc, PoisonError};
 

@@ -15,10 +15,6 @@ pub const PLACEMENT_ALIGNMENT: u64 = 256;
 /// No buffer is smaller.
 pub const SMALLEST_BUFFER: u64 = 16;
 
-/// With guard bands, bytes before and after each buffer that must not be written; a multiple of the buffers'
-/// alignment. The writes of one excess workgroup, of 256 invocations with a vec4 each, end within them.
-pub(super) const GUARD_BYTES: u64 = 16 * PLACEMENT_ALIGNMENT;
-
 /// Buffers whose distance is a multiple of this, bytes, begin in the same sets of a processor's caches. The
 /// scattered keys and values of a sort then evict each other: 1.38 times the time at 2^22 pairs.
 const CACHE_WAY: u64 = 64 << 10;
@@ -99,6 +95,7 @@ pub(super) struct Block {
     pub(super) in_flight: AtomicU32,
     pub(super) texels: TexelViews,
     /// Offset, size and name of the buffers with guard bands.
+    #[cfg(feature = "testing")]
     pub(super) guarded: Mutex<Vec<(u64, u64, &'static str)>>,
 }
 
@@ -134,6 +131,7 @@ impl Block {
             owned: true,
             in_flight: AtomicU32::new(0),
             texels: Default::default(),
+            #[cfg(feature = "testing")]
             guarded: Mutex::default(),
         };
         inner.registry.add(arena, bytes);
@@ -160,6 +158,7 @@ impl Block {
             owned: false,
             in_flight: AtomicU32::new(0),
             texels: Default::default(),
+            #[cfg(feature = "testing")]
             guarded: Mutex::default(),
         }
     }
@@ -232,16 +231,6 @@ impl Block {
             }
             other => other,
         }
-    }
-
-    /// Bytes after a buffer that ends here which are bound with it. Drivers drop writes outside of the bound range, so
-    /// that without them no breach would be visible.
-    pub(super) fn guard_behind(&self, end: u64) -> u64 {
-        if !self.inner.guard_bands {
-            return 0;
-        }
-        let guarded = self.guarded.lock().unwrap_or_else(PoisonError::into_inner);
-        if guarded.iter().any(|(offset, bytes, _)| offset + bytes == end) { GUARD_BYTES } else { 0 }
     }
 
     pub(super) fn is_mapped(&self) -> bool {

@@ -8,7 +8,7 @@
 //! | `limits`, `workarounds`, `requirements` | [`Limits`], read once; [`Workarounds`] by driver; what a host enables |
 //! | `allocator` | [`MemoryKind`]; [`HostAllocator`]: memory from a host |
 //! | `pipeline_cache` | a host's VkPipelineCache, or one that is kept between runs |
-//! | `debug`, `faults` | names, labels and validation messages; for tests: calls that fail on demand |
+//! | `debug`, `raw_device` | names, labels and validation messages; the device's functions |
 //! | `instance`, `device`, `create_device` | the loader, devices and their choice |
 //! | `open_device` | the open device, which everything made from it keeps open |
 //! | `memory`, `buffer`, `allocate` | requests packed into blocks; a [`Buffer`] is a named range of one |
@@ -16,7 +16,7 @@
 //! | `profile`, `profiler`, `audit` | [`Context::profile`] and [`Context::audit`]: time and output of every command |
 //! | `commands` | command buffers: recorded, submitted, waited for |
 //! | `context`, `open` | the open [`Context`]; [`Context::new`] and its options |
-//! | `budget`, `guards` | [`Context::allocate`], how much memory there may be; bands around buffers, for tests |
+//! | `budget` | [`Context::allocate`], and how much memory there may be |
 //! | `image`, `adopt` | [`Image`]: a host's or our own; buffers of a host |
 //! | `kernel`, `resources` | [`Kernel`]: a pipeline with the typed interface that build.rs generated; what it binds |
 //! | `hazard` | finds missing barriers while recording |
@@ -24,6 +24,7 @@
 //! | `bind`, `record_image`, `record_audit` | further parts of the recorder |
 //! | `submit`, `transfer` | [`Context::submit`], [`Pending`], [`RunReport`]; [`Context::upload`], [`Context::download`] |
 //! | `foreign` | [`Context::from_foreign`], [`RecordSlot`] |
+//! | `faults`, `failing_calls`, `guard_bands`, `guards`, `limits_override`, `record_testing` | with the feature `testing` |
 //!
 //! # Ownership
 //! A [`Context`] is a counted reference to the open device. Buffers, kernels, recorders and pending submissions hold
@@ -64,15 +65,23 @@ mod debug;
 mod descriptors;
 mod device;
 mod error;
+#[cfg(feature = "testing")]
+mod failing_calls;
+#[cfg(feature = "testing")]
 mod faults;
 mod foreign;
 mod format;
+#[cfg(feature = "testing")]
+mod guard_bands;
+#[cfg(feature = "testing")]
 mod guards;
 pub mod hazard;
 mod image;
 mod instance;
 mod kernel;
 mod limits;
+#[cfg(feature = "testing")]
+mod limits_override;
 mod memory;
 mod open;
 mod open_device;
@@ -80,8 +89,11 @@ mod pipeline_cache;
 mod pool;
 mod profile;
 mod profiler;
+mod raw_device;
 mod record_audit;
 mod record_image;
+#[cfg(feature = "testing")]
+mod record_testing;
 mod recorder;
 mod requirements;
 mod resources;
@@ -97,6 +109,7 @@ pub use audit::{Audit, AuditRecord};
 pub use buffer::Buffer;
 pub use context::Context;
 pub use device::{DeviceDescription, devices};
+#[cfg(feature = "testing")]
 pub use faults::{Fault, Faults};
 pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
 pub use format::ImageUse;
@@ -105,7 +118,9 @@ pub use instance::validation_available;
 pub use kernel::{
     BindingInfo, ConstantInfo, ConstantKind, Form, ImageInfo, Kernel, KernelInterface, KernelVisitor,
 };
-pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of, is_yardstick};
+pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
+#[cfg(feature = "testing")]
+pub use limits_override::LimitsOverride;
 pub use memory::{PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use open::ContextOptions;
 pub use pipeline_cache::{PipelineCacheData, PipelineCacheSink};

@@ -8,11 +8,15 @@ use super::create_device;
 use super::debug::Names;
 use super::descriptors;
 use super::device::{self, Candidate};
-use super::faults::{self, Faults};
+#[cfg(feature = "testing")]
+use super::faults::Faults;
 use super::instance::Instance;
-use super::limits::{Limits, LimitsOverride, SpecOverride};
+use super::limits::{Limits, SpecOverride};
+#[cfg(feature = "testing")]
+use super::limits_override::LimitsOverride;
 use super::open_device::{Device, Owner};
 use super::pipeline_cache::{PipelineCache, PipelineCacheData};
+use super::raw_device::RawDevice;
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::atomic::AtomicBool;
@@ -35,7 +39,8 @@ pub struct ContextOptions {
     pub timestamps: bool,
     /// Subgroup size of all kernels, if the device supports the choice. None: the device's default.
     pub subgroup_size: Option<u32>,
-    /// Stricter limits than the device's, for tests.
+    /// For tests: stricter limits than the device's.
+    #[cfg(feature = "testing")]
     pub limits_override: Option<LimitsOverride>,
     /// Turn on the validation layer for `debugPrintfEXT` in shaders; [`Context::printed`] returns the output.
     /// It is an error if the layer is not installed.
@@ -43,6 +48,7 @@ pub struct ContextOptions {
     /// Overrides of specialization constants.
     pub overrides: Vec<SpecOverride>,
     /// For tests: transfer through staging memory, as on a discrete GPU, even if device memory can be mapped.
+    #[cfg(feature = "testing")]
     pub force_staging: bool,
     /// For a capture by RenderDoc: accept Vulkan 1.2. Its layer reports this version for every driver without
     /// bufferDeviceAddressCaptureReplay, for example llvmpipe, although it passes 1.3 on.
@@ -54,8 +60,10 @@ pub struct ContextOptions {
     pub max_memory: Option<u64>,
     /// For tests: guard bands around every buffer that detect writes outside of it; see
     /// [`Context::breached_guards`].
+    #[cfg(feature = "testing")]
     pub guard_bands: bool,
     /// For tests: Vulkan calls that fail on demand.
+    #[cfg(feature = "testing")]
     pub faults: Option<Faults>,
     /// Use VK_KHR_push_descriptor if the device has it. Default: yes.
     pub push_descriptors: bool,
@@ -82,14 +90,18 @@ impl Default for ContextOptions {
             hazard_check: cfg!(debug_assertions),
             timestamps: true,
             subgroup_size: None,
+            #[cfg(feature = "testing")]
             limits_override: None,
             debug_printf: false,
             overrides: Vec::new(),
+            #[cfg(feature = "testing")]
             force_staging: false,
             capture: false,
             timeout: None,
             max_memory: None,
+            #[cfg(feature = "testing")]
             guard_bands: false,
+            #[cfg(feature = "testing")]
             faults: None,
             push_descriptors: true,
             texels: true,
@@ -100,11 +112,12 @@ impl Default for ContextOptions {
 
 /// The parts of an open device: see [`Context::assemble`].
 pub(super) struct Parts<'a> {
+    // In this order: the device goes before its instance.
+    pub(super) device: RawDevice,
     pub(super) owner: Owner,
     pub(super) candidate: Candidate,
     /// From [`effective_limits`].
     pub(super) limits: Limits,
-    pub(super) device: ash::Device,
     pub(super) queue: Option<vk::Queue>,
     pub(super) debug_utils: bool,
     pub(super) allocator: Option<Arc<dyn HostAllocator>>,
@@ -126,13 +139,10 @@ impl Context {
         let mut candidate = device::choose(&instance.raw, asked.as_deref(), options.least_version())?;
         candidate.features.push_descriptor &= options.push_descriptors;
         let limits = effective_limits(&candidate, options)?;
-        let device = create_device::create_device(&instance.raw, &candidate, options.debug_printf)?;
+        let device =
+            RawDevice::ours(create_device::create_device(&instance.raw, &candidate, options.debug_printf)?);
         // SAFETY: the device was created with one queue of this family.
         let queue = unsafe { device.get_device_queue(candidate.queue_family, 0) };
-        let device = match &options.faults {
-            Some(faults) => faults::install(&device, Some(queue), faults),
-            None => device,
-        };
         let debug_utils = instance.has_debug_utils;
         let context = Self::assemble(Parts {
             owner: Owner::Us(instance),
@@ -182,6 +192,9 @@ impl Context {
         if !push {
             limits.max_push_descriptors = descriptors::BUFFERS;
         }
+        let unified_memory = candidate.has_unified_memory();
+        #[cfg(feature = "testing")]
+        let unified_memory = unified_memory && !options.force_staging;
         // From here on, dropping it destroys whatever there is.
         let mut open = Device {
             push_descriptor: push.then(|| ash::khr::push_descriptor::Device::new(instance, &device)),
@@ -194,12 +207,13 @@ impl Context {
             physical: candidate.physical,
             limits,
             memory,
-            unified_memory: !options.force_staging && candidate.has_unified_memory(),
+            unified_memory,
             timestamp_bits: if options.timestamps { family.timestamp_valid_bits } else { 0 },
             timestamps: AtomicBool::new(true),
             hazard_check: options.hazard_check,
             timeout: options.timeout,
             max_memory: options.max_memory,
+            #[cfg(feature = "testing")]
             guard_bands: options.guard_bands,
             budget: candidate.features.memory_budget.then_some(candidate.physical),
             lost: AtomicBool::new(false),
@@ -210,6 +224,8 @@ impl Context {
             pipeline_cache: PipelineCache::of_host(pipeline_cache),
             owner,
         };
+        #[cfg(feature = "testing")]
+        open.device.faults.clone_from(&options.faults);
         if !push {
             descriptors::add_shared_layouts(&mut open)?;
         }
@@ -226,7 +242,9 @@ pub(super) fn effective_limits(candidate: &Candidate, options: &ContextOptions) 
     let Some(limits) = device.limits.clone() else {
         return Err(Error::MissingFeature { device: device.name.clone(), feature: "Vulkan 1.3".into() });
     };
-    let mut limits = limits.lowered(&options.limits_override.unwrap_or_default());
+    #[cfg(feature = "testing")]
+    let limits = limits.lowered(&options.limits_override.unwrap_or_default());
+    let mut limits = limits;
     limits.overrides.clone_from(&options.overrides);
     if let Some(size) = options.subgroup_size {
         let (min, max) = (limits.min_subgroup_size, limits.max_subgroup_size);

@@ -7,10 +7,10 @@ use super::clock::Clock;
 use super::debug::{Messages, Names};
 use super::device::DeviceDescription;
 use super::error::vk_error;
-use super::faults;
 use super::instance::Instance;
 use super::limits::Limits;
 use super::pipeline_cache::PipelineCache;
+use super::raw_device::RawDevice;
 use crate::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
@@ -20,7 +20,8 @@ use std::time::Duration;
 
 /// An open device, which everything made from it keeps open.
 pub(super) struct Device {
-    pub(super) device: ash::Device,
+    /// Its functions.
+    pub(super) device: RawDevice,
     /// None: descriptor sets of `shared_layouts` are bound.
     pub(super) push_descriptor: Option<ash::khr::push_descriptor::Device>,
     /// Present without push descriptors: the layouts of the module `descriptors`.
@@ -42,6 +43,7 @@ pub(super) struct Device {
     pub(super) hazard_check: bool,
     pub(super) timeout: Option<Duration>,
     pub(super) max_memory: Option<u64>,
+    #[cfg(feature = "testing")]
     pub(super) guard_bands: bool,
     /// The physical device for budget queries: VK_EXT_memory_budget.
     pub(super) budget: Option<vk::PhysicalDevice>,
@@ -118,21 +120,16 @@ impl Device {
 
 impl Drop for Device {
     fn drop(&mut self) {
-        faults::remove(self.device.handle());
-        let ours = !self.is_foreign();
         // SAFETY: nothing refers to the device any more: all that does holds this struct, and every submission of ours
         // was waited for. The wait is for own devices that were lost; a host's device is the host's to wait for.
         unsafe {
-            if ours {
+            if !self.is_foreign() {
                 let _ = self.device.device_wait_idle();
             }
             for layout in self.shared_layouts.iter().flatten() {
                 self.device.destroy_descriptor_set_layout(*layout, None);
             }
-            self.pipeline_cache.close(&self.device);
-            if ours {
-                self.device.destroy_device(None);
-            }
         }
+        self.pipeline_cache.close(&self.device);
     }
 }

@@ -6,6 +6,7 @@
 //! reads every component of a storage buffer in a loop over the lanes: a vec4 by texel costs a quarter.
 
 use super::error::vk_error;
+use super::raw_device::RawDevice;
 use crate::Result;
 use ash::vk;
 use std::collections::HashMap;
@@ -51,7 +52,7 @@ pub(super) struct TexelViews(Mutex<HashMap<TexelRange, vk::BufferView>>);
 
 impl TexelViews {
     /// The view of a range of a buffer. Its offset must be aligned and its texels within the limit.
-    pub fn of(&self, device: &ash::Device, buffer: vk::Buffer, range: TexelRange) -> Result<vk::BufferView> {
+    pub fn of(&self, device: &RawDevice, buffer: vk::Buffer, range: TexelRange) -> Result<vk::BufferView> {
         let mut views = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(view) = views.get(&range) {
             return Ok(*view);
@@ -71,7 +72,7 @@ impl TexelViews {
     }
 
     /// Destroys the views. No recording that uses one may be running.
-    pub fn destroy(&mut self, device: &ash::Device) {
+    pub fn destroy(&mut self, device: &RawDevice) {
         for (_, view) in self.0.get_mut().unwrap_or_else(PoisonError::into_inner).drain() {
             // SAFETY: idle, as the caller sees to; destroyed once.
             unsafe { device.destroy_buffer_view(view, None) }
