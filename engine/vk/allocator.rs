@@ -6,9 +6,11 @@ use std::ptr::NonNull;
 /// Kind of memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MemoryKind {
-    /// Fastest for kernels. Filled by [`Context::upload`](super::Context::upload), read by [`Context::download`](super::Context::download).
+    /// Fastest for kernels. Filled by [`Context::upload`](super::Context::upload), read by
+    /// [`Context::download`](super::Context::download).
     Device,
-    /// Mapped, coherent and, where possible, cached: [`Buffer::write`](super::Buffer::write) and [`Buffer::read`](super::Buffer::read).
+    /// Mapped, coherent and, where possible, cached: [`Buffer::write`](super::Buffer::write) and
+    /// [`Buffer::read`](super::Buffer::read).
     HostVisible,
 }
 

@@ -16,8 +16,9 @@ impl Context {
     /// bytes and a multiple of 4, and begins at a multiple of 256. The contents are undefined.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] for a request above maxStorageBufferRange or the largest allocation, or when all together
-    /// exceed the memory of a GPU or [`super::ContextOptions::max_memory`]; nothing is allocated then. [`Error::Vulkan`] when the device has no memory left.
+    /// [`crate::Error::TooLarge`] for a request above maxStorageBufferRange or the largest allocation, or when all
+    /// together exceed the memory of a GPU or [`super::ContextOptions::max_memory`]; nothing is allocated then.
+    /// [`crate::Error::Vulkan`] when the device has no memory left.
     pub fn allocate(
         &self,
         arena: &str,
