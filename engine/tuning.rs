@@ -5,8 +5,8 @@
 //! are facts and stand in [`Limits`](crate::vk::Limits); what a driver does against the specification stands in
 //! [`Workarounds`](crate::vk::Workarounds).
 //!
-//! To run a GPU's kernels on a software driver, override the row:
-//! [`LimitsOverride::backend`](crate::vk::LimitsOverride::backend).
+//! The project's own tests run a GPU's kernels on a software driver: with the feature `testing`, they override the row
+//! (`LimitsOverride::backend`).
 
 /// The class of devices that a row of the table is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -1,5 +1,8 @@
 //! The rules of the house that a machine can check. Each rule also has an example that it must reject.
 
+mod circles;
+mod shaders;
+
 use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -249,123 +252,6 @@ fn tools_inside_engine() -> Vec<String> {
         .filter(|source| source.text.contains("#[path") || source.text.contains("include!"))
         .map(|source| source.path.clone())
         .collect()
-}
-
-// ---- shaders ------------------------------------------------------------------------------------------------------
-
-/// Subgroup sizes are never literal: only `SUBGROUP_SIZE` and `gl_SubgroupSize` stand for them.
-fn literal_subgroup_sizes(source: &Source) -> Vec<String> {
-    let builtins = ["gl_SubgroupInvocationID", "gl_SubgroupSize", "gl_SubgroupID", "gl_NumSubgroups"];
-    let literals = ["4", "8", "16", "31", "32", "63", "64", "127", "128"];
-    let assumes = |line: &str| {
-        builtins.iter().any(|builtin| {
-            line.match_indices(builtin).any(|(at, _)| {
-                let after = line[at + builtin.len()..].trim_start_matches([' ', 'u', ')']);
-                let operand = after.trim_start_matches(['=', '!', '<', '>', '&', '%', '/', '*', ' ']);
-                let literal: String = operand.chars().take_while(char::is_ascii_digit).collect();
-                operand.len() < after.len() && literals.contains(&literal.as_str())
-            })
-        })
-    };
-    code_lines(&source.text)
-        .filter(|(_, line)| assumes(line))
-        .map(|(number, line)| format!("{}:{number}: {}", source.path, line.trim()))
-        .collect()
-}
-
-#[test]
-fn architecture_no_literal_subgroup_sizes() {
-    let check =
-        |line: &str| literal_subgroup_sizes(&Source { path: "glsl/a.comp".into(), text: line.into() }).len();
-    assert_eq!(check("if (gl_SubgroupSize == 32) {"), 1);
-    assert_eq!(check("uint lane = gl_SubgroupInvocationID & 31;"), 1);
-    assert_eq!(check("uint lane = gl_SubgroupInvocationID % SUBGROUP_SIZE;"), 0);
-    assert_eq!(check("if (gl_SubgroupInvocationID == 0) {"), 0);
-    let shaders = sources(&["glsl"], &["comp", "glsl"]);
-    assert_none("literal subgroup sizes", shaders.iter().flat_map(literal_subgroup_sizes).collect());
-}
-
-/// Functions that hold a barrier, by the includes; a shader's own `barrier()` counts as well.
-fn has_barrier(line: &str, barrier_functions: &[String]) -> bool {
-    has_word(line, "barrier") || barrier_functions.iter().any(|function| has_word(line, function))
-}
-
-/// `return` in `main` with a barrier behind it: undefined where not all invocations return.
-fn return_before_barrier(source: &Source, barrier_functions: &[String]) -> Vec<String> {
-    let lines: Vec<(usize, &str)> = code_lines(&source.text).collect();
-    let Some(main) = lines.iter().position(|(_, line)| line.contains("void main()")) else { return vec![] };
-    let last_barrier = lines.iter().rposition(|(_, line)| has_barrier(line, barrier_functions)).unwrap_or(0);
-    lines[main..]
-        .iter()
-        .enumerate()
-        .filter(|(place, (_, line))| has_word(line, "return") && main + place < last_barrier)
-        .map(|(_, (number, _))| format!("{}:{number}", source.path))
-        .collect()
-}
-
-/// Names of the functions of a shader include in which a barrier stands.
-fn barrier_functions(source: &Source) -> Vec<String> {
-    let mut functions = Vec::new();
-    let mut current = String::new();
-    for (_, line) in code_lines(&source.text) {
-        let starts =
-            !line.starts_with([' ', '}', '#']) && line.contains('(') && line.trim_end().ends_with('{');
-        if starts {
-            let head = line.split('(').next().unwrap_or_default();
-            current = head.split_whitespace().next_back().unwrap_or_default().to_owned();
-        }
-        if has_word(line, "barrier") && !current.is_empty() {
-            functions.push(current.clone());
-        }
-    }
-    functions
-}
-
-#[test]
-fn architecture_no_return_before_a_barrier() {
-    let source = |text: &str| Source { path: "glsl/a.comp".into(), text: text.into() };
-    let include = source("uint f(uint x) {\n    barrier();\n    return x;\n}\n");
-    assert_eq!(barrier_functions(&include), ["f"]);
-    let early = source("void main() {\n    if (x) return;\n    f(1);\n}");
-    assert_eq!(return_before_barrier(&early, &["f".into()]).len(), 1);
-    let late = source("void main() {\n    barrier();\n    if (x) return;\n    y = 1;\n}");
-    assert_eq!(return_before_barrier(&late, &["f".into()]).len(), 0);
-
-    let shaders = sources(&["glsl"], &["comp", "glsl"]);
-    let functions: Vec<String> = shaders.iter().flat_map(barrier_functions).filter(|f| f != "main").collect();
-    let violations = shaders.iter().flat_map(|s| return_before_barrier(s, &functions)).collect();
-    assert_none("return before a barrier", violations);
-}
-
-/// What is missing of a kernel's triple: shader, twin, test.
-fn missing_of_triples(shaders: &[String], exists: impl Fn(&str) -> bool) -> Vec<String> {
-    let mut missing = Vec::new();
-    for shader in shaders {
-        let stem = shader.rsplit('/').next().unwrap_or(shader).trim_end_matches(".comp");
-        let wanted = [format!("tests/reference/{stem}.rs"), format!("tests/kernels/{stem}.rs")];
-        missing.extend(wanted.into_iter().filter(|path| !exists(path)));
-    }
-    missing
-}
-
-#[test]
-fn architecture_each_shader_has_its_twin_and_its_test() {
-    let missing = missing_of_triples(&["glsl/sort/a.comp".into()], |path| path == "tests/kernels/a.rs");
-    assert_eq!(missing, ["tests/reference/a.rs"]);
-    let shaders: Vec<String> = sources(&["glsl"], &["comp"]).into_iter().map(|source| source.path).collect();
-    assert!(!shaders.is_empty());
-    let root = root();
-    assert_none("missing", missing_of_triples(&shaders, |path| root.join(path).exists()));
-}
-
-#[test]
-fn architecture_each_shader_says_what_it_does() {
-    let silent = sources(&["glsl"], &["comp", "glsl"])
-        .into_iter()
-        .filter(|source| !source.text.starts_with("//"))
-        .map(|source| source.path)
-        .collect();
-    assert_none("shaders without a header", silent);
 }
 
 // ---- code in general ----------------------------------------------------------------------------------------------

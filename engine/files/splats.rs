@@ -6,6 +6,7 @@
 //! its size or less.
 
 mod convert;
+mod detect;
 mod dot_splat;
 mod format;
 mod gltf;
@@ -13,95 +14,35 @@ mod gltf_write;
 mod spz;
 mod spz_pack;
 mod spz_write;
+mod stream;
 mod validation;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::ply;
-use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Bounds, Gaussians};
-use ashsplat::{Error, Result};
+use ashsplat::Result;
+use ashsplat::scene::Gaussians;
 
 pub use convert::{ConvertOptions, Converted, Target, convert};
 pub use format::Format;
-use validation::Unusable;
-
-/// Most Gaussians of a block.
-pub(super) const BLOCK: usize = 16_384;
-
-/// Receives Gaussians block by block. All blocks have the same SH degree.
-pub(super) type Sink<'a> = dyn FnMut(Gaussians) -> Result<()> + 'a;
-
-/// Properties of a file before its Gaussians.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Header {
-    /// Format of the file.
-    pub format: Format,
-    /// Number of Gaussians, usable or not.
-    pub count: u64,
-    /// Degree of the spherical harmonics, 0 to 3.
-    pub sh_degree: u32,
-    /// Whether the Gaussians were trained with antialiasing (Mip-Splatting's opacity compensation) and need
-    /// it.
-    pub antialiased: bool,
-    /// Parts of the file that are not used.
-    pub warnings: Vec<String>,
-}
-
-/// How to read Gaussians.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ReadOptions {
-    /// Drop Gaussians with unusable parameters instead of refusing the file.
-    pub drop_invalid: bool,
-}
-
-/// Gaussians from a file, and the number of dropped ones.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Scene {
-    /// The usable Gaussians, in the file's order.
-    pub gaussians: Gaussians,
-    /// The file's header.
-    pub header: Header,
-    /// Number of Gaussians that were dropped because of an unusable parameter.
-    pub dropped: u64,
-    /// Descriptions of the dropped Gaussians, and other warnings.
-    pub warnings: Vec<String>,
-}
+pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks};
+pub use stream::{Header, ReadOptions, Scene};
 
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is no file of Gaussians, is cut short
+/// [`ashsplat::Error::Io`] when the file cannot be read; [`ashsplat::Error::Input`] when it is no file of Gaussians, is cut short
 /// or damaged, or has unusable parameters (see [`super::ply::read`]) and [`ReadOptions::drop_invalid`] is not
 /// set.
 pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
-    collect_from(Reader::open(path.as_ref(), options)?)
-}
-
-/// All Gaussians of one source.
-pub(super) fn collect(path: &Path, source: Box<dyn Source + '_>, options: &ReadOptions) -> Result<Scene> {
-    collect_from(Reader { path: path.to_owned(), source, options: *options, warning: None })
-}
-
-fn collect_from(mut reader: Reader<'_>) -> Result<Scene> {
-    let header = reader.header().clone();
-    // The header's count was checked against the file's size. Rows still take more memory than packed ones,
-    // and glTF may repeat the same ones a limited number of times.
-    let capacity = usize::try_from(header.count).unwrap_or(0);
-    let mut gaussians = Gaussians::with_capacity(header.sh_degree, capacity);
-    let dropped = reader.blocks(&mut |block| {
-        gaussians.append(&block);
-        Ok(())
-    })?;
-    let warnings = header.warnings.iter().cloned().chain(reader.warning.take()).collect();
-    Ok(Scene { gaussians, header, dropped, warnings })
+    open(path.as_ref(), options)?.collect()
 }
 
 /// Writes Gaussians in the format of the path's extension, or in a given one.
 ///
 /// # Errors
-/// [`Error::Argument`] when the vectors do not fit together; [`Error::Input`] for an unknown extension or for
-/// data that the format cannot hold; [`Error::Io`] naming the file when it cannot be written. No partial file
+/// [`ashsplat::Error::Argument`] when the vectors do not fit together; [`ashsplat::Error::Input`] for an unknown extension or for
+/// data that the format cannot hold; [`ashsplat::Error::Io`] naming the file when it cannot be written. No partial file
 /// remains.
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, options: &WriteOptions) -> Result<()> {
     gaussians.check_shapes()?;
@@ -110,27 +51,8 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, options: &WriteOptio
         Some(format) => format,
         None => Format::of_extension(path)?,
     };
-    let outline = Outline {
-        count: gaussians.len() as u64,
-        sh_degree: gaussians.sh_degree,
-        antialiased: options.antialiased,
-        bounds: gaussians.bounds(),
-    };
-    write_blocks(path, format, &outline, &mut |sink| {
-        let coefficients = sh_coefficients(gaussians.sh_degree);
-        for start in (0..gaussians.len()).step_by(BLOCK) {
-            let rows = start..(start + BLOCK).min(gaussians.len());
-            sink(Gaussians {
-                sh_degree: gaussians.sh_degree,
-                means: gaussians.means[rows.clone()].to_vec(),
-                quats: gaussians.quats[rows.clone()].to_vec(),
-                log_scales: gaussians.log_scales[rows.clone()].to_vec(),
-                opacity_logits: gaussians.opacity_logits[rows.clone()].to_vec(),
-                sh: gaussians.sh[rows.start * coefficients..rows.end * coefficients].to_vec(),
-            })?;
-        }
-        Ok(())
-    })
+    let outline = Outline::of(gaussians, options.antialiased);
+    write_blocks(path, format, &outline, &mut |sink| in_blocks(gaussians, sink))
 }
 
 /// How to write Gaussians.
@@ -142,19 +64,6 @@ pub struct WriteOptions {
     pub antialiased: bool,
 }
 
-/// Properties of a scene that are needed before its first Gaussian is written.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Outline {
-    pub(super) count: u64,
-    pub(super) sh_degree: u32,
-    pub(super) antialiased: bool,
-    /// Box around the means; none without Gaussians.
-    pub(super) bounds: Option<Bounds>,
-}
-
-/// Passes all blocks of a scene, in order, to a sink.
-pub(super) type Produce<'a> = dyn FnMut(&mut Sink<'_>) -> Result<()> + 'a;
-
 fn write_blocks(path: &Path, format: Format, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     match format {
         Format::Ply => ply::write_blocks(path, outline, produce),
@@ -165,60 +74,14 @@ fn write_blocks(path: &Path, format: Format, outline: &Outline, produce: &mut Pr
     }
 }
 
-/// An open file of one format.
-pub(super) trait Source {
-    fn header(&self) -> &Header;
-
-    /// Passes all Gaussians to the sink, usable or not. Called once.
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()>;
-
-    /// Name of one Gaussian in messages about the file.
-    fn row_name(&self) -> &'static str {
-        "Gaussian"
-    }
-}
-
-/// An open file that is read block by block.
-struct Reader<'a> {
-    path: PathBuf,
-    source: Box<dyn Source + 'a>,
-    options: ReadOptions,
-    /// Description of the dropped Gaussians.
-    warning: Option<String>,
-}
-
-impl<'a> Reader<'a> {
-    fn open(path: &'a Path, options: &ReadOptions) -> Result<Self> {
-        let source: Box<dyn Source + 'a> = match Format::of_file(path)? {
-            Format::Ply => Box::new(ply::GaussianRows::open(path)?),
-            Format::CompressedPly => Box::new(ply::CompressedPly::open(path)?),
-            Format::Splat => Box::new(dot_splat::DotSplat::open(path)?),
-            Format::Spz => Box::new(spz::Spz::open(path)?),
-            format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format)?),
-        };
-        Ok(Self { path: path.to_owned(), source, options: *options, warning: None })
-    }
-
-    fn header(&self) -> &Header {
-        self.source.header()
-    }
-
-    /// Passes the usable Gaussians to the sink. Returns the number of dropped ones.
-    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<u64> {
-        let (count, row_name) = (self.header().count, self.source.row_name());
-        let drop_invalid = self.options.drop_invalid;
-        let mut unusable = Unusable::default();
-        self.source.blocks(&mut |mut block| {
-            unusable.look_through(&mut block);
-            // After the first unusable Gaussian, a file that is refused is only counted.
-            if unusable.count() == 0 || drop_invalid { sink(block) } else { Ok(()) }
-        })?;
-        self.warning = unusable.describe(count, row_name);
-        match &self.warning {
-            Some(problem) if !drop_invalid => {
-                Err(Error::input(&self.path, problem.clone(), "--drop-invalid leaves them out"))
-            }
-            _ => Ok(unusable.count()),
-        }
-    }
+/// Opens a file of any format.
+fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
+    let source: Box<dyn Source + 'a> = match Format::of_file(path)? {
+        Format::Ply => Box::new(ply::GaussianRows::open(path)?),
+        Format::CompressedPly => Box::new(ply::CompressedPly::open(path)?),
+        Format::Splat => Box::new(dot_splat::DotSplat::open(path)?),
+        Format::Spz => Box::new(spz::Spz::open(path)?),
+        format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format)?),
+    };
+    Ok(Reader::new(path, source, options))
 }

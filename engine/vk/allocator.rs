@@ -1,8 +1,18 @@
-//! Device memory from a host's own allocator.
+//! Kinds of device memory, and memory from a host's own allocator.
 
-use super::memory::MemoryKind;
 use ash::vk;
 use std::ptr::NonNull;
+
+/// Kind of memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MemoryKind {
+    /// Fastest for kernels. Filled by [`Context::upload`](super::Context::upload), read by
+    /// [`Context::download`](super::Context::download).
+    Device,
+    /// Mapped, coherent and, where possible, cached: [`Buffer::write`](super::Buffer::write) and
+    /// [`Buffer::read`](super::Buffer::read).
+    HostVisible,
+}
 
 /// What is to be allocated.
 #[derive(Clone, Copy, Debug)]

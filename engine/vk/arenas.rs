@@ -1,6 +1,5 @@
 //! Current and peak bytes of each arena.
 
-use super::context::Context;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -40,7 +39,7 @@ impl Registry {
         }
     }
 
-    fn reset_peaks(&self) {
+    pub(super) fn reset_peaks(&self) {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let (arenas, total) = &mut *all;
         // Living blocks have bytes in their arena, so no arena is removed that a block still needs.
@@ -48,7 +47,7 @@ impl Registry {
         arenas.values_mut().chain([total]).for_each(|(now, peak)| *peak = *now);
     }
 
-    fn all(&self) -> Vec<ArenaMemory> {
+    pub(super) fn all(&self) -> Vec<ArenaMemory> {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         all.0
             .iter()
@@ -59,23 +58,5 @@ impl Registry {
     pub(super) fn total(&self) -> ArenaMemory {
         let (bytes, peak_bytes) = self.0.lock().unwrap_or_else(PoisonError::into_inner).1;
         ArenaMemory { name: "total".into(), bytes, peak_bytes }
-    }
-}
-
-impl Context {
-    /// Resets the peaks of [`Context::memory`] and [`Context::memory_total`] to the current bytes, and
-    /// forgets empty arenas. For measurements of several pieces of work on the same context.
-    pub fn reset_memory_peaks(&self) {
-        self.0.registry.reset_peaks();
-    }
-
-    /// Current and peak bytes of each arena. The peak counts from [`Context::reset_memory_peaks`] on.
-    pub fn memory(&self) -> Vec<ArenaMemory> {
-        self.0.registry.all()
-    }
-
-    /// Current and peak bytes of all arenas together (peak as in [`Context::memory`]).
-    pub fn memory_total(&self) -> ArenaMemory {
-        self.0.registry.total()
     }
 }

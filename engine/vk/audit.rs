@@ -5,15 +5,11 @@
 //! slow and hides races between commands. It is submitted in pieces, so that only a few copies exist at a
 //! time. New device memory is cleared, so that bytes that no command writes are equal too.
 
+use super::allocator::MemoryKind;
 use super::buffer::Buffer;
-use super::context::{Context, Inner};
-use super::kernel::Access;
-use super::memory::MemoryKind;
-use super::recorder::{Recorder, Target};
-use super::submit;
+use super::open_device::Device;
 use crate::fingerprint::Fingerprint;
 use crate::{Error, Result};
-use ash::vk;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Bytes of snapshots after which a recording is submitted. A single snapshot may be larger.
@@ -21,7 +17,7 @@ const MOST_BYTES: u64 = 64 << 20;
 
 /// While it exists, the output of every command of its context is hashed.
 pub struct Audit {
-    log: Arc<Log>,
+    pub(super) log: Arc<Log>,
 }
 
 /// A buffer that a command wrote.
@@ -55,27 +51,33 @@ pub(super) struct Commands {
 }
 
 impl Commands {
-    /// None without an audit.
-    pub(super) fn begin(inner: &Arc<Inner>, submission: &str) -> Option<Self> {
-        let log = inner.audit.lock().unwrap_or_else(PoisonError::into_inner).upgrade()?;
+    pub(super) fn begin(log: Arc<Log>, submission: &str) -> Self {
         let submission = submission.to_owned();
-        Some(Self { log, submission, commands: 0, snapshots: Vec::new(), bytes: 0, failure: None })
+        Self { log, submission, commands: 0, snapshots: Vec::new(), bytes: 0, failure: None }
+    }
+
+    pub(super) fn submission(&self) -> &str {
+        &self.submission
+    }
+
+    /// Whether its snapshots take so much memory that they have to be hashed.
+    pub(super) fn is_full(&self) -> bool {
+        self.bytes > MOST_BYTES
     }
 
     /// The copies of a command's outputs: (from, to), of equal sizes.
     pub(super) fn snapshot<'a>(
         &mut self,
-        inner: &Arc<Inner>,
+        inner: &Arc<Device>,
         kernel: &'static str,
         written: impl Iterator<Item = &'a Buffer>,
     ) -> Vec<(&'a Buffer, Buffer)> {
         let command = self.commands;
         self.commands += 1;
-        let context = Context(inner.clone());
         let mut copies = Vec::new();
         for from in written {
             let request = [("snapshot", from.bytes())];
-            match context.allocate("audit", &request, MemoryKind::HostVisible) {
+            match inner.allocate("audit", &request, MemoryKind::HostVisible) {
                 Err(error) => self.failure = self.failure.take().or(Some(error)),
                 Ok(mut allocated) => {
                     let to = allocated.swap_remove(0).range(0, from.bytes());
@@ -105,75 +107,6 @@ impl Commands {
         });
         let hashed: Vec<AuditRecord> = hashed.collect();
         self.log.0.lock().unwrap_or_else(PoisonError::into_inner).extend(hashed);
-        Ok(())
-    }
-}
-
-impl Recorder {
-    /// With an audit, copies the outputs of a command.
-    pub(super) fn audit<'a>(
-        &mut self,
-        command: &'static str,
-        uses: impl Iterator<Item = (&'a Buffer, Access)>,
-    ) {
-        let Some(mut audit) = self.audit.take() else { return };
-        let written = uses.filter(|(_, access)| access.writes()).map(|(buffer, _)| buffer);
-        let copies = audit.snapshot(&self.inner, command, written);
-        self.record_barrier();
-        for (from, to) in copies {
-            let region = vk::BufferCopy::default()
-                .src_offset(from.offset())
-                .dst_offset(to.offset())
-                .size(from.bytes());
-            // SAFETY: recording state; ranges of equal size with transfer usage, in buffers that are kept, here or by
-            // the audit until they are hashed.
-            unsafe { self.inner.device.cmd_copy_buffer(self.raw(), from.raw(), to.raw(), &[region]) }
-        }
-        self.record_barrier();
-        self.audit = Some(audit);
-        self.submit_audited();
-    }
-
-    /// Submits the recording if it holds many snapshots, hashes them, and continues the recording.
-    fn submit_audited(&mut self) {
-        if self.audit.as_ref().is_some_and(|audit| audit.bytes > MOST_BYTES)
-            && let Err(error) = self.submit_snapshots()
-        {
-            self.failed.get_or_insert(error);
-        }
-    }
-
-    fn submit_snapshots(&mut self) -> Result<()> {
-        let (Target::Owned(commands), Some(audit)) = (&mut self.commands, &mut self.audit) else {
-            return Ok(());
-        };
-        commands.submit()?;
-        commands.wait(self.inner.timeout)?;
-        audit.log()?;
-        self.commands = Target::Owned(submit::Commands::begin(&self.inner, &audit.submission, false)?);
-        self.bound = vk::Pipeline::null();
-        Ok(())
-    }
-}
-
-impl Context {
-    /// Hashes the outputs of all following commands, until the audit is dropped.
-    pub fn audit(&self) -> Audit {
-        let log = Arc::<Log>::default();
-        *self.0.audit.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(&log);
-        Audit { log }
-    }
-
-    /// With an audit, clears new memory.
-    pub(super) fn clear_if_audited(&self, buffers: &[Buffer], kind: MemoryKind) -> Result<()> {
-        let audited = self.0.audit.lock().unwrap_or_else(PoisonError::into_inner).strong_count() > 0;
-        if !audited || kind != MemoryKind::Device {
-            return Ok(());
-        }
-        self.run("clear", |recorder| {
-            buffers.iter().for_each(|buffer| recorder.fill(buffer, 0));
-            Ok(())
-        })?;
         Ok(())
     }
 }

@@ -1,39 +1,98 @@
-//! Limits of the allocated memory.
+//! Allocation in a context, and how much memory there is and may be.
 
+use super::allocate::MAX_MEMORY;
+use super::allocator::MemoryKind;
+use super::arenas::ArenaMemory;
+use super::buffer::Buffer;
 use super::context::Context;
+use crate::Result;
 use ash::vk;
-
-/// The user's name for [`super::ContextOptions::max_memory`].
-pub(super) const MAX_MEMORY: &str = "--max-memory";
+use std::sync::PoisonError;
 
 impl Context {
+    /// Allocates buffers of one lifetime; all of them are named `arena.request` in messages.
+    ///
+    /// The requests (name, bytes) are packed into as few blocks as the device allows. Every buffer has at least 16
+    /// bytes and a multiple of 4, and begins at a multiple of 256. The contents are undefined.
+    ///
+    /// # Errors
+    /// [`crate::Error::TooLarge`] for a request above maxStorageBufferRange or the largest allocation, or when all
+    /// together exceed the memory of a GPU or [`super::ContextOptions::max_memory`]; nothing is allocated then.
+    /// [`crate::Error::Vulkan`] when the device has no memory left.
+    pub fn allocate(
+        &self,
+        arena: &str,
+        requests: &[(&'static str, u64)],
+        kind: MemoryKind,
+    ) -> Result<Vec<Buffer>> {
+        let buffers = self.device.allocate(arena, requests, kind)?;
+        #[cfg(feature = "testing")]
+        self.raise_guards(&buffers)?;
+        self.clear_if_audited(&buffers, kind)?;
+        Ok(buffers)
+    }
+
+    /// Bytes that [`Context::allocate`] takes for these requests. For requests that it refuses, their sum.
+    pub(crate) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
+        self.device.allocation_bytes(requests)
+    }
+
+    /// With an audit, clears new memory.
+    fn clear_if_audited(&self, buffers: &[Buffer], kind: MemoryKind) -> Result<()> {
+        let audited = self.logs.audit.lock().unwrap_or_else(PoisonError::into_inner).strong_count() > 0;
+        if !audited || kind != MemoryKind::Device {
+            return Ok(());
+        }
+        self.run("clear", |recorder| {
+            buffers.iter().for_each(|buffer| recorder.fill(buffer, 0));
+            Ok(())
+        })?;
+        Ok(())
+    }
+
+    /// Resets the peaks of [`Context::memory`] and [`Context::memory_total`] to the current bytes, and
+    /// forgets empty arenas. For measurements of several pieces of work on the same context.
+    pub fn reset_memory_peaks(&self) {
+        self.device.registry.reset_peaks();
+    }
+
+    /// Current and peak bytes of each arena. The peak counts from [`Context::reset_memory_peaks`] on.
+    pub fn memory(&self) -> Vec<ArenaMemory> {
+        self.device.registry.all()
+    }
+
+    /// Current and peak bytes of all arenas together (peak as in [`Context::memory`]).
+    pub fn memory_total(&self) -> ArenaMemory {
+        self.device.registry.total()
+    }
+
     /// The most bytes that may be allocated at a time by all arenas together, and the limit's name. It is the
     /// least of [`super::ContextOptions::max_memory`], the driver's current budget (VK_EXT_memory_budget) and
     /// a GPU's largest device-local heap. None: unknown.
     pub fn memory_limit(&self) -> Option<(u64, &'static str)> {
         let heap =
             self.limits().tuning.heap_is_bound.then_some((self.limits().heap_bytes, "device-local heap"));
-        let asked = self.0.max_memory.map(|bytes| (bytes, MAX_MEMORY));
+        let asked = self.device.max_memory.map(|bytes| (bytes, MAX_MEMORY));
         let driver = self.driver_budget().map(|bytes| (bytes, "VK_EXT_memory_budget"));
         [asked, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)
     }
 
     /// [`super::ContextOptions::max_memory`], as requested.
     pub fn max_memory(&self) -> Option<u64> {
-        self.0.max_memory
+        self.device.max_memory
     }
 
     /// The driver's budget for this context in the largest device-local heap, including its current bytes.
     fn driver_budget(&self) -> Option<u64> {
-        let physical = self.0.budget?;
+        let physical = self.device.budget?;
         let mut budget = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
         let mut properties = vk::PhysicalDeviceMemoryProperties2::default().push_next(&mut budget);
         // SAFETY: a query on a physical device of this instance, which has the extension.
         unsafe {
-            let instance = self.0.owner.instance();
+            let instance = self.device.owner.instance();
             instance.get_physical_device_memory_properties2(physical, &mut properties);
         }
-        let heaps = self.0.memory.memory_heaps_as_slice().iter().enumerate();
+        let heaps = self.device.memory.memory_heaps_as_slice().iter().enumerate();
         let local = heaps.filter(|(_, heap)| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
         let (largest, _) = local.max_by_key(|(_, heap)| heap.size)?;
         Some(of_driver(budget.heap_budget[largest], budget.heap_usage[largest], self.memory_total().bytes))

@@ -1,7 +1,7 @@
 //! A named range of device memory.
 
-use super::context::Context;
-use super::memory::{Block, MemoryKind, PLACEMENT_ALIGNMENT};
+use super::allocator::MemoryKind;
+use super::memory::Block;
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
@@ -19,43 +19,6 @@ pub struct Buffer {
 impl Buffer {
     pub(super) fn new(block: Arc<Block>, offset: u64, bytes: u64, name: &'static str) -> Self {
         Self { block, offset, bytes, name }
-    }
-
-    /// A range of a host's buffer.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a null handle, no bytes, an offset that is no multiple of 256 or a size that
-    /// is no multiple of 4; and in a context of our own that reads texels
-    /// ([`ContextOptions::texels`](super::ContextOptions::texels)).
-    ///
-    /// # Safety
-    /// - `raw` is of the context's device, bound to memory, has at least `offset + bytes` bytes and the
-    ///   usages   STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST;
-    /// - it lives until the last recording that uses it has finished and the buffer and its clones are
-    ///   dropped;
-    /// - no two adopted buffers overlap.
-    pub unsafe fn adopt(
-        context: &Context,
-        name: &'static str,
-        raw: vk::Buffer,
-        offset: u64,
-        bytes: u64,
-    ) -> Result<Self> {
-        context.check_adoption()?;
-        let bad = |problem: String| Err(Error::argument(format!("buffer '{name}'"), problem));
-        if raw == vk::Buffer::null() {
-            return bad("the handle is null".into());
-        }
-        if bytes == 0 || !bytes.is_multiple_of(4) || !offset.is_multiple_of(PLACEMENT_ALIGNMENT) {
-            return bad(format!("{bytes} bytes at {offset} are no range of words at a multiple of 256"));
-        }
-        let end = offset.saturating_add(bytes);
-        Ok(Self::new(Arc::new(Block::foreign(&context.0, raw, end)), offset, bytes, name))
-    }
-
-    /// Whether it belongs to this context's device.
-    pub fn belongs_to(&self, context: &Context) -> bool {
-        self.block.is_of(&context.0)
     }
 
     /// The Vulkan buffer, and the byte offset of this range in it.
@@ -133,11 +96,6 @@ impl Buffer {
 
     pub(super) fn block(&self) -> &Arc<Block> {
         &self.block
-    }
-
-    /// The guard bands before and after the buffer, which has `bytes` bytes.
-    pub(super) fn guards(&self, bytes: u64) -> [Buffer; 2] {
-        [self.offset - bytes, self.offset + self.bytes].map(|offset| Buffer { offset, bytes, ..self.clone() })
     }
 
     pub(super) fn raw(&self) -> vk::Buffer {

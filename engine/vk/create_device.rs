@@ -1,8 +1,8 @@
 //! Creation of a device of our own.
 
 use super::device::Candidate;
+use super::error::vk_error;
 use super::requirements::Features;
-use super::vk_error;
 use crate::Result;
 use ash::vk;
 

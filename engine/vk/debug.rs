@@ -1,7 +1,5 @@
 //! Names and labels for tools, and messages of the validation layers.
 
-use super::context::Context;
-use crate::Error;
 use ash::vk;
 use std::ffi::{CStr, CString, c_void};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -139,36 +137,13 @@ impl Names {
     }
 
     /// Puts a label between submissions; false without VK_EXT_debug_utils.
-    fn insert_queue_label(&self, queue: vk::Queue, name: &str) -> bool {
+    pub(super) fn insert_queue_label(&self, queue: vk::Queue, name: &str) -> bool {
         let Some(loader) = &self.0 else { return false };
         let name = c_string(name);
         let label = vk::DebugUtilsLabelEXT::default().label_name(&name);
         // SAFETY: the queue belongs to this device, and the caller holds its lock.
         unsafe { loader.queue_insert_debug_utils_label(queue, &label) }
         true
-    }
-}
-
-impl Context {
-    /// Runs `work` between the two queue labels by which RenderDoc's layer begins and ends a capture. Without
-    /// a window there are no frames that the layer could detect. Without such a layer the labels have no
-    /// effect.
-    ///
-    /// # Errors
-    /// [`Error::MissingFeature`] without VK_EXT_debug_utils, [`Error::Argument`] without a queue, both before
-    /// any work; errors of `work`, after which the capture ends as well.
-    pub fn capture<T>(&self, work: impl FnOnce() -> crate::Result<T>) -> crate::Result<T> {
-        let insert = |label| {
-            let queue = self.0.lock_queue()?;
-            Ok(self.0.names.insert_queue_label(*queue, label))
-        };
-        if !insert("capture-marker,begin_capture")? {
-            let device = self.device_name().to_owned();
-            return Err(Error::MissingFeature { device, feature: "VK_EXT_debug_utils".to_owned() });
-        }
-        let result = work();
-        insert("capture-marker,end_capture")?;
-        result
     }
 }
 

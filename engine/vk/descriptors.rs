@@ -5,16 +5,16 @@
 //! of an earlier use may no longer exist, and drivers access descriptors that no shader uses (lavapipe counts
 //! references to the buffers of the whole set).
 
-use super::context::Inner;
-use super::image::ImageUse;
-use super::kernel::ImageInfo;
-use super::vk_error;
+use super::error::vk_error;
+use super::format::ImageUse;
+use super::open_device::Device;
+use super::requirements::STORAGE_BUFFERS;
 use crate::Result;
 use ash::vk;
 use std::sync::Arc;
 
 /// Most storage buffers of a kernel: bindings 0 to 15.
-pub(super) const BUFFERS: u32 = 16;
+pub(super) const BUFFERS: u32 = STORAGE_BUFFERS;
 /// The binding of a kernel's storage image.
 pub(super) const STORAGE_IMAGE: u32 = 16;
 /// The binding of a kernel's sampled image.
@@ -35,23 +35,19 @@ pub(super) fn slot(binding: u32, kind: vk::DescriptorType) -> vk::DescriptorSetL
 /// The kinds of sets: buffers only, and buffers with one image.
 const KINDS: [Option<ImageUse>; 3] = [None, Some(ImageUse::Storage), Some(ImageUse::Sampled)];
 
-/// The layout of each kind.
-pub(super) type SharedLayouts = [vk::DescriptorSetLayout; KINDS.len()];
-
-/// The kind of set for a kernel with these images; None if there is none.
-pub(super) fn kind_of(images: &[ImageInfo]) -> Option<usize> {
-    let image = match images {
-        [] => None,
-        [image] => Some(image.purpose),
-        _ => return None,
-    };
+/// The kind of set for a kernel with images of these uses; None if there is none.
+pub(super) fn kind_of(mut images: impl Iterator<Item = ImageUse>) -> Option<usize> {
+    let image = images.next();
+    if images.next().is_some() {
+        return None;
+    }
     KINDS.iter().position(|kind| *kind == image)
 }
 
-/// The layouts that kernels share.
-pub(super) fn shared_layouts(device: &ash::Device) -> Result<SharedLayouts> {
-    let mut layouts = SharedLayouts::default();
-    for (layout, image) in layouts.iter_mut().zip(KINDS) {
+/// Makes the layouts that kernels share, for a device without push descriptors.
+pub(super) fn add_shared_layouts(open: &mut Device) -> Result<()> {
+    let layouts = open.shared_layouts.insert(Vec::with_capacity(KINDS.len()));
+    for image in KINDS {
         let mut slots: Vec<_> = (0..BUFFERS).map(|b| slot(b, vk::DescriptorType::STORAGE_BUFFER)).collect();
         slots.extend(image.map(|purpose| {
             let binding = if purpose == ImageUse::Storage { STORAGE_IMAGE } else { SAMPLED_IMAGE };
@@ -59,30 +55,15 @@ pub(super) fn shared_layouts(device: &ash::Device) -> Result<SharedLayouts> {
         }));
         let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&slots);
         // SAFETY: a valid create info.
-        let created = unsafe { device.create_descriptor_set_layout(&info, None) };
-        match created {
-            Ok(created) => *layout = created,
-            Err(error) => {
-                destroy_layouts(device, &layouts);
-                return Err(vk_error("vkCreateDescriptorSetLayout")(error));
-            }
-        }
+        let created = unsafe { open.device.create_descriptor_set_layout(&info, None) };
+        layouts.push(created.map_err(vk_error("vkCreateDescriptorSetLayout"))?);
     }
-    Ok(layouts)
-}
-
-/// Destroys layouts that are no longer in use.
-pub(super) fn destroy_layouts(device: &ash::Device, layouts: &SharedLayouts) {
-    for layout in layouts {
-        // SAFETY: as the caller sees to; null handles are allowed.
-        unsafe { device.destroy_descriptor_set_layout(*layout, None) }
-    }
+    Ok(())
 }
 
 /// Sets of the shared layouts, handed out in order during a recording. The owner calls
 /// [`DescriptorSets::destroy`] at the end.
 pub(super) struct DescriptorSets {
-    layouts: SharedLayouts,
     pools: Vec<vk::DescriptorPool>,
     sets: [Vec<vk::DescriptorSet>; KINDS.len()],
     used: [usize; KINDS.len()],
@@ -90,9 +71,9 @@ pub(super) struct DescriptorSets {
 
 impl DescriptorSets {
     /// None with push descriptors.
-    pub(super) fn new(inner: &Inner) -> Option<Self> {
-        let layouts = inner.shared_layouts?;
-        Some(Self { layouts, pools: Vec::new(), sets: Default::default(), used: Default::default() })
+    pub(super) fn new(inner: &Device) -> Option<Self> {
+        let none = Self { pools: Vec::new(), sets: Default::default(), used: Default::default() };
+        inner.shared_layouts.is_some().then_some(none)
     }
 
     /// Frees the sets of the previous recording.
@@ -101,14 +82,14 @@ impl DescriptorSets {
     }
 
     /// Allocates at least this number of sets for one recording, and some with images.
-    pub(super) fn reserve(&mut self, inner: &Inner, count: usize) -> Result<()> {
+    pub(super) fn reserve(&mut self, inner: &Device, count: usize) -> Result<()> {
         for kind in 0..KINDS.len() {
             self.reserve_kind(inner, kind, if kind == 0 { count } else { POOL_SETS[1] as usize })?;
         }
         Ok(())
     }
 
-    fn reserve_kind(&mut self, inner: &Inner, kind: usize, count: usize) -> Result<()> {
+    fn reserve_kind(&mut self, inner: &Device, kind: usize, count: usize) -> Result<()> {
         while self.sets[kind].len() < count {
             self.add_pool(inner, kind)?;
         }
@@ -116,19 +97,20 @@ impl DescriptorSets {
     }
 
     /// An unused set of a kind, allocated if necessary.
-    pub(super) fn next(&mut self, inner: &Inner, kind: usize) -> Result<vk::DescriptorSet> {
+    pub(super) fn next(&mut self, inner: &Device, kind: usize) -> Result<vk::DescriptorSet> {
         self.reserve_kind(inner, kind, self.used[kind] + 1)?;
         self.used[kind] += 1;
         Ok(self.sets[kind][self.used[kind] - 1])
     }
 
-    fn add_pool(&mut self, inner: &Inner, kind: usize) -> Result<()> {
+    fn add_pool(&mut self, inner: &Device, kind: usize) -> Result<()> {
         let count = POOL_SETS[usize::from(kind > 0)];
         let size = |kind, count| vk::DescriptorPoolSize::default().ty(kind).descriptor_count(count);
         let mut sizes = vec![size(vk::DescriptorType::STORAGE_BUFFER, count * BUFFERS)];
         sizes.extend(KINDS[kind].map(|purpose| size(purpose.descriptor_type(), count)));
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(count).pool_sizes(&sizes);
-        let layouts = vec![self.layouts[kind]; count as usize];
+        let layouts: Vec<_> = inner.shared_layouts.iter().flatten().copied().collect();
+        let layouts = vec![layouts[kind]; count as usize];
         // SAFETY: valid create infos; the pool has room for exactly these sets, and is kept as long as they are.
         unsafe {
             let pool = inner.device.create_descriptor_pool(&info, None);
@@ -144,7 +126,7 @@ impl DescriptorSets {
     }
 
     /// Destroys the pools. No recording that uses a set may be running.
-    pub(super) fn destroy(&mut self, inner: &Inner) {
+    pub(super) fn destroy(&mut self, inner: &Device) {
         self.sets.iter_mut().for_each(Vec::clear);
         for pool in self.pools.drain(..) {
             // SAFETY: idle, as the caller sees to; destroyed once.
@@ -155,11 +137,11 @@ impl DescriptorSets {
 
 /// Sets that are destroyed with this value; none with push descriptors.
 #[derive(Default)]
-pub(super) struct OwnedSets(Option<(Arc<Inner>, DescriptorSets)>);
+pub(super) struct OwnedSets(Option<(Arc<Device>, DescriptorSets)>);
 
 impl OwnedSets {
     /// Sets for recordings of up to `count` dispatches.
-    pub(super) fn new(inner: &Arc<Inner>, count: usize) -> Result<Self> {
+    pub(super) fn new(inner: &Arc<Device>, count: usize) -> Result<Self> {
         let mut owned = Self(DescriptorSets::new(inner).map(|sets| (inner.clone(), sets)));
         match &mut owned.0 {
             Some((inner, sets)) => sets.reserve(inner, count).map(|()| owned),

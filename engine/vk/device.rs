@@ -1,10 +1,10 @@
 //! Enumerates the devices, checks them, and selects one.
 
 use super::clock::Calibrated;
+use super::error::vk_error;
 use super::instance::Instance;
 use super::limits::Limits;
 use super::requirements::{Features, SUBGROUP_OPERATIONS, low_limit};
-use super::vk_error;
 use super::workarounds::Workarounds;
 use crate::tuning::{Backend, Tuning};
 use crate::{Error, Result};

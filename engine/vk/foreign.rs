@@ -2,16 +2,19 @@
 //! buffers.
 
 use super::allocator::HostAllocator;
-use super::context::{Context, ContextOptions, Inner, Owner, Parts};
+use super::context::Context;
 use super::descriptors::OwnedSets;
 use super::device;
-use super::faults;
+use super::error::vk_error;
+use super::open::{ContextOptions, Parts, effective_limits};
+use super::open_device::{Device, Owner};
 use super::pool::{Pool, PoolGuard};
-use super::profiler::{MAX_SCOPES, Profiler, ScopeTime};
+use super::profile::ScopeTime;
+use super::profiler::{MAX_SCOPES, Profiler};
+use super::raw_device::RawDevice;
 use super::recorder::{ForeignTarget, Recorder};
-use super::requirements::Features;
-use super::submit::Kept;
-use super::vk_error;
+use super::requirements::{Features, Requirements};
+use super::resources::Kept;
 use crate::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
@@ -100,19 +103,23 @@ impl Context {
         candidate.features.push_descriptor &=
             options.push_descriptors && host.extensions.contains(&ash::khr::push_descriptor::NAME);
         candidate.features.calibrated_timestamps = None;
+        let limits = effective_limits(&candidate, options)?;
         Self::assemble(Parts {
             owner: Owner::Host(host.instance.clone()),
             candidate,
-            device: match &options.faults {
-                Some(faults) => faults::install(host.device, host.queue, faults),
-                None => host.device.clone(),
-            },
+            limits,
+            device: RawDevice::of_host(host.device.clone()),
             queue: host.queue,
             debug_utils: host.debug_utils,
             allocator: host.allocator.clone(),
             pipeline_cache: host.pipeline_cache,
             options,
         })
+    }
+
+    /// The requirements of [`Context::from_foreign`].
+    pub fn requirements() -> Requirements {
+        Requirements::of_all()
     }
 
     /// A host's command buffer, to record into through a slot.
@@ -143,48 +150,37 @@ impl Context {
         if commands == vk::CommandBuffer::null() {
             return Err(Error::argument("command buffer", "the handle is null"));
         }
-        self.check_adoption()?;
-        Ok(ForeignCommands { inner: self.0.clone(), raw: commands })
-    }
-
-    /// Fails if kernels read texels: the views are made while recording, and a host's buffers may lack the
-    /// usage.
-    pub(super) fn check_adoption(&self) -> Result<()> {
-        if !self.limits().prefers_texels() {
-            return Ok(());
-        }
-        let problem = "its kernels read texels, which a host's buffers and command buffers are not fit for: open it with \
-                       ContextOptions::texels off, or make one of its handles by Context::from_foreign";
-        Err(Error::argument("context", problem))
+        self.device.check_adoption()?;
+        Ok(ForeignCommands { inner: self.device.clone(), raw: commands })
     }
 
     /// Whether the instance and the device are a host's.
     pub fn is_foreign(&self) -> bool {
-        matches!(self.0.owner, Owner::Host(_))
+        self.device.is_foreign()
     }
 
     /// Whether two contexts are the same.
     pub fn is(&self, other: &Context) -> bool {
-        Arc::ptr_eq(&self.0, &other.0)
+        Arc::ptr_eq(&self.device, &other.device)
     }
 
     /// The Vulkan objects of the context, for a host that shares a device of ours.
     pub fn handles(&self) -> (ash::Instance, vk::PhysicalDevice, ash::Device, u32) {
-        let inner = &self.0;
-        (inner.owner.instance().clone(), inner.physical, inner.device.clone(), inner.queue_family)
+        let inner = &self.device;
+        (inner.owner.instance().clone(), inner.physical, inner.device.raw.clone(), inner.queue_family)
     }
 }
 
 /// A host's command buffer in the recording state: [`Context::adopt_commands`].
 pub struct ForeignCommands {
-    inner: Arc<Inner>,
+    inner: Arc<Device>,
     raw: vk::CommandBuffer,
 }
 
 impl ForeignCommands {
     /// Whether it belongs to this context.
     pub fn belongs_to(&self, context: &Context) -> bool {
-        Arc::ptr_eq(&self.inner, &context.0)
+        Arc::ptr_eq(&self.inner, &context.device)
     }
 }
 
@@ -195,7 +191,7 @@ impl ForeignCommands {
 /// The device signals an event at the end of the recording, so that the host can query whether it has
 /// finished.
 pub struct RecordSlot {
-    inner: Arc<Inner>,
+    inner: Arc<Device>,
     event: vk::Event,
     queries: vk::QueryPool,
     descriptors: Pool<OwnedSets>,
@@ -214,7 +210,7 @@ impl RecordSlot {
     /// # Errors
     /// [`Error::Vulkan`] when the driver has no memory left.
     pub fn new(context: &Context, dispatches: usize) -> Result<Self> {
-        let inner = context.0.clone();
+        let inner = context.device.clone();
         let mut slot = Self {
             event: vk::Event::null(),
             queries: vk::QueryPool::null(),

@@ -1,6 +1,39 @@
-//! Properties of image formats.
+//! Properties of image formats, and how kernels use images.
 
 use ash::vk::{self, Format as F};
+
+/// How kernels use an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageUse {
+    /// Read and written as a storage image, in the layout GENERAL.
+    Storage,
+    /// Read by texel. The layout is DEPTH_STENCIL_READ_ONLY_OPTIMAL if the image is also a depth attachment,
+    /// otherwise SHADER_READ_ONLY_OPTIMAL.
+    Sampled,
+}
+
+impl ImageUse {
+    pub(super) fn usage(self) -> vk::ImageUsageFlags {
+        match self {
+            Self::Storage => vk::ImageUsageFlags::STORAGE,
+            Self::Sampled => vk::ImageUsageFlags::SAMPLED,
+        }
+    }
+
+    pub(super) fn descriptor_type(self) -> vk::DescriptorType {
+        match self {
+            Self::Storage => vk::DescriptorType::STORAGE_IMAGE,
+            Self::Sampled => vk::DescriptorType::SAMPLED_IMAGE,
+        }
+    }
+
+    pub(super) fn feature(self) -> vk::FormatFeatureFlags {
+        match self {
+            Self::Storage => vk::FormatFeatureFlags::STORAGE_IMAGE,
+            Self::Sampled => vk::FormatFeatureFlags::SAMPLED_IMAGE,
+        }
+    }
+}
 
 /// The aspect that kernels see.
 pub(super) fn aspect(format: vk::Format) -> vk::ImageAspectFlags {

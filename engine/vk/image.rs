@@ -1,11 +1,12 @@
 //! Two-dimensional images: a host's, or our own.
 
-use super::context::{Context, Inner};
-use super::format::{aspect, has_stencil, texel_bytes};
-use super::kernel::Access;
-use super::memory::{MemoryKind, NEXT_ID};
-use super::recorder::Recorder;
-use super::vk_error;
+use super::allocator::MemoryKind;
+use super::buffer::Buffer;
+use super::context::Context;
+use super::error::vk_error;
+use super::format::{ImageUse, aspect, has_stencil, texel_bytes};
+use super::memory::NEXT_ID;
+use super::open_device::Device;
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
@@ -13,39 +14,6 @@ use std::sync::atomic::Ordering;
 
 /// Own images, in [`Context::memory`].
 const ARENA: &str = "images";
-
-/// How kernels use an image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ImageUse {
-    /// Read and written as a storage image, in the layout GENERAL.
-    Storage,
-    /// Read by texel. The layout is DEPTH_STENCIL_READ_ONLY_OPTIMAL if the image is also a depth attachment,
-    /// otherwise SHADER_READ_ONLY_OPTIMAL.
-    Sampled,
-}
-
-impl ImageUse {
-    fn usage(self) -> vk::ImageUsageFlags {
-        match self {
-            Self::Storage => vk::ImageUsageFlags::STORAGE,
-            Self::Sampled => vk::ImageUsageFlags::SAMPLED,
-        }
-    }
-
-    pub(super) fn descriptor_type(self) -> vk::DescriptorType {
-        match self {
-            Self::Storage => vk::DescriptorType::STORAGE_IMAGE,
-            Self::Sampled => vk::DescriptorType::SAMPLED_IMAGE,
-        }
-    }
-
-    fn feature(self) -> vk::FormatFeatureFlags {
-        match self {
-            Self::Storage => vk::FormatFeatureFlags::STORAGE_IMAGE,
-            Self::Sampled => vk::FormatFeatureFlags::SAMPLED_IMAGE,
-        }
-    }
-}
 
 /// A host's image, as it was created.
 #[derive(Clone, Copy, Debug)]
@@ -89,7 +57,7 @@ impl ImageState {
 pub struct Image(Arc<View>);
 
 struct View {
-    inner: Arc<Inner>,
+    inner: Arc<Device>,
     image: vk::Image,
     view: vk::ImageView,
     /// Null if the image is a host's.
@@ -164,7 +132,7 @@ impl Image {
             .array_layers(1)
             .samples(vk::SampleCountFlags::TYPE_1)
             .usage(usage);
-        let device = &context.0.device;
+        let device = &context.device.device;
         // SAFETY: a valid create info; the image is bound once to memory of its own, and both are given to the view,
         // or destroyed where that fails.
         unsafe {
@@ -199,7 +167,7 @@ impl Image {
             .format(foreign.format)
             .subresource_range(range)
             .push_next(&mut usage);
-        let inner = context.0.clone();
+        let inner = context.device.clone();
         // SAFETY: the image is alive and of this device, with this format and usage.
         let view = unsafe { inner.device.create_image_view(&info, None) };
         let view = view.map_err(vk_error("vkCreateImageView"))?;
@@ -256,10 +224,10 @@ impl Image {
 
     /// Whether it belongs to this context's device.
     pub fn belongs_to(&self, context: &Context) -> bool {
-        self.is_of(&context.0)
+        self.is_of(&context.device)
     }
 
-    pub(super) fn is_of(&self, inner: &Arc<Inner>) -> bool {
+    pub(super) fn is_of(&self, inner: &Arc<Device>) -> bool {
         Arc::ptr_eq(&self.0.inner, inner)
     }
 
@@ -271,6 +239,10 @@ impl Image {
 
     pub(super) fn id(&self) -> u64 {
         self.0.id
+    }
+
+    pub(super) fn raw(&self) -> vk::Image {
+        self.0.image
     }
 
     pub(super) fn descriptor(&self) -> vk::DescriptorImageInfo {
@@ -303,7 +275,7 @@ impl Drop for View {
 
 impl Context {
     fn supports(&self, format: vk::Format, purpose: ImageUse) -> bool {
-        let (instance, physical) = (self.0.owner.instance(), self.0.physical);
+        let (instance, physical) = (self.device.owner.instance(), self.device.physical);
         // SAFETY: a plain query.
         let has = unsafe { instance.get_physical_device_format_properties(physical, format) };
         has.optimal_tiling_features.contains(purpose.feature())
@@ -311,11 +283,11 @@ impl Context {
 
     /// Memory for an image, bound to it, and its bytes.
     fn image_memory(&self, image: vk::Image) -> Result<(vk::DeviceMemory, u64)> {
-        let device = &self.0.device;
+        let device = &self.device.device;
         // SAFETY: the image is of this device and not bound yet; memory that cannot be bound is freed.
         unsafe {
             let needs = device.get_image_memory_requirements(image);
-            let memory_type_index = self.0.memory_type(needs.memory_type_bits, MemoryKind::Device)?;
+            let memory_type_index = self.device.memory_type(needs.memory_type_bits, MemoryKind::Device)?;
             let info = vk::MemoryAllocateInfo::default()
                 .allocation_size(needs.size)
                 .memory_type_index(memory_type_index);
@@ -329,88 +301,9 @@ impl Context {
     }
 }
 
-impl Recorder {
-    /// Makes an image ready for kernels: waits for the use `from`, and changes the layout to
-    /// [`Image::layout`]. Returns the use by kernels.
-    pub fn acquire_image(&mut self, image: &Image, from: ImageState) -> ImageState {
-        let accesses = match image.0.purpose {
-            ImageUse::Storage => {
-                vk::AccessFlags2::SHADER_STORAGE_READ | vk::AccessFlags2::SHADER_STORAGE_WRITE
-            }
-            ImageUse::Sampled => vk::AccessFlags2::SHADER_SAMPLED_READ,
-        };
-        let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
-        let to = ImageState { layout: image.layout(), stages, accesses };
-        self.image_barrier(image, from, to);
-        to
-    }
-
-    /// Copies a buffer of tightly packed texels into an image of our own, and leaves it ready for kernels.
-    ///
-    /// # Panics
-    /// When the buffer is smaller than the image.
-    pub fn copy_to_image(&mut self, from: &super::Buffer, image: &Image) {
-        let transfer = ImageState {
-            layout: vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-            stages: vk::PipelineStageFlags2::ALL_TRANSFER,
-            accesses: vk::AccessFlags2::TRANSFER_WRITE,
-        };
-        self.image_barrier(image, ImageState::UNDEFINED, transfer);
-        self.transfer("copy to image", &[(from, "source", Access::Read)]);
-        let region = image.copy_region(from);
-        // SAFETY: recording state; the layout is as the barrier says, the region is the whole level of the image.
-        unsafe {
-            let (raw, layout) = (self.raw(), transfer.layout);
-            self.inner.device.cmd_copy_buffer_to_image(raw, from.raw(), image.0.image, layout, &[region]);
-        }
-        self.acquire_image(image, transfer);
-    }
-
-    /// Copies an image that kernels have written into a buffer of tightly packed texels.
-    ///
-    /// # Panics
-    /// When the buffer is smaller than the image.
-    pub fn copy_from_image(&mut self, image: &Image, to: &super::Buffer) {
-        let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
-        let accesses = vk::AccessFlags2::SHADER_STORAGE_WRITE;
-        let written = ImageState { layout: image.layout(), stages, accesses };
-        let transfer = ImageState {
-            layout: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
-            stages: vk::PipelineStageFlags2::ALL_TRANSFER,
-            accesses: vk::AccessFlags2::TRANSFER_READ,
-        };
-        self.image_barrier(image, written, transfer);
-        self.transfer("copy from image", &[(to, "destination", Access::Write)]);
-        let region = image.copy_region(to);
-        // SAFETY: as in `copy_to_image`.
-        unsafe {
-            let (raw, layout) = (self.raw(), transfer.layout);
-            self.inner.device.cmd_copy_image_to_buffer(raw, image.0.image, layout, to.raw(), &[region]);
-        }
-    }
-
-    fn image_barrier(&mut self, image: &Image, from: ImageState, to: ImageState) {
-        self.keep_image(image);
-        let barriers = [vk::ImageMemoryBarrier2::default()
-            .src_stage_mask(from.stages)
-            .src_access_mask(from.accesses)
-            .dst_stage_mask(to.stages)
-            .dst_access_mask(to.accesses)
-            .old_layout(from.layout)
-            .new_layout(to.layout)
-            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
-            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
-            .image(image.0.image)
-            .subresource_range(image.whole_range())];
-        let dependency = vk::DependencyInfo::default().image_memory_barriers(&barriers);
-        // SAFETY: recording state, outside of a render pass; the view's owner says that the image is alive.
-        unsafe { self.inner.device.cmd_pipeline_barrier2(self.raw(), &dependency) }
-    }
-}
-
 impl Image {
     /// Including the stencil, whose layout changes together with the depth's.
-    fn whole_range(&self) -> vk::ImageSubresourceRange {
+    pub(super) fn whole_range(&self) -> vk::ImageSubresourceRange {
         let mut range = self.0.range;
         if has_stencil(self.0.format) {
             range.aspect_mask |= vk::ImageAspectFlags::STENCIL;
@@ -418,7 +311,7 @@ impl Image {
         range
     }
 
-    fn copy_region(&self, buffer: &super::Buffer) -> vk::BufferImageCopy {
+    pub(super) fn copy_region(&self, buffer: &Buffer) -> vk::BufferImageCopy {
         let [width, height] = self.0.size;
         let bytes = u64::from(width) * u64::from(height) * texel_bytes(self.0.format);
         assert!(bytes <= buffer.bytes(), "copy: {buffer:?} is smaller than {self:?}, {bytes} bytes");

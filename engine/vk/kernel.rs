@@ -1,34 +1,19 @@
 //! A compute pipeline with a typed interface.
 
+use super::access::Access;
 use super::buffer::Buffer;
-use super::context::{Context, Inner};
+use super::context::Context;
 use super::descriptors;
-use super::image::{Image, ImageUse};
+use super::error::vk_error;
+use super::format::ImageUse;
+use super::image::Image;
 use super::limits::{CHOSEN_BY_HOST, Limits};
+use super::open_device::Device;
 use super::texels::TexelFormat;
-use super::vk_error;
 use crate::{Error, Result};
 use ash::vk;
 use std::marker::PhantomData;
 use std::sync::Arc;
-
-/// How a shader accesses a buffer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    /// `readonly`.
-    Read,
-    /// `writeonly`.
-    Write,
-    /// Neither.
-    ReadWrite,
-}
-
-impl Access {
-    /// Whether it writes.
-    pub fn writes(self) -> bool {
-        self != Self::Read
-    }
-}
 
 /// A buffer of a shader.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -200,7 +185,7 @@ impl<K: KernelInterface> Kernel<K> {
         let constants = overridden::<K>(context.limits(), K::spec_entries(spec));
         let replaced = context.replaced_shader(K::NAME);
         let spirv = replaced.as_deref().map_or(form.spirv, Vec::as_slice);
-        let pipeline = Pipeline::new(&context.0, &demands, form.bindings, spirv, &constants)?;
+        let pipeline = Pipeline::new(&context.device, &demands, form.bindings, spirv, &constants)?;
         Ok(Self { pipeline: Arc::new(pipeline), interface: PhantomData })
     }
 
@@ -226,7 +211,7 @@ impl Context {
     /// It must have the kernel's interface: see [`crate::kernels::compile`].
     #[cfg(feature = "hot-reload")]
     pub fn replace_shader(&self, kernel: &str, spirv: Option<Vec<u32>>) {
-        let mut replaced = self.0.replaced.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut replaced = self.device.replaced.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         match spirv {
             Some(spirv) => replaced.insert(kernel.to_owned(), Arc::new(spirv)),
             None => replaced.remove(kernel),
@@ -234,7 +219,7 @@ impl Context {
     }
 
     fn replaced_shader(&self, kernel: &str) -> Option<Arc<Vec<u32>>> {
-        self.0.replaced.lock().unwrap_or_else(std::sync::PoisonError::into_inner).get(kernel).cloned()
+        self.device.replaced.lock().unwrap_or_else(std::sync::PoisonError::into_inner).get(kernel).cloned()
     }
 }
 
@@ -298,7 +283,7 @@ pub(super) const MAX_BINDINGS: usize = 32;
 
 /// The Vulkan objects of a [`Kernel`].
 pub(super) struct Pipeline {
-    inner: Arc<Inner>,
+    inner: Arc<Device>,
     pub(super) name: &'static str,
     pub(super) bindings: &'static [BindingInfo],
     pub(super) images: &'static [ImageInfo],
@@ -311,7 +296,7 @@ pub(super) struct Pipeline {
 
 impl Pipeline {
     fn new(
-        inner: &Arc<Inner>,
+        inner: &Arc<Device>,
         demands: &Demands,
         bindings: &'static [BindingInfo],
         spirv: &[u32],
@@ -337,7 +322,7 @@ impl Pipeline {
         Ok(pipeline)
     }
 
-    pub(super) fn is_of(&self, inner: &Arc<Inner>) -> bool {
+    pub(super) fn is_of(&self, inner: &Arc<Device>) -> bool {
         Arc::ptr_eq(&self.inner, inner)
     }
 
@@ -351,7 +336,10 @@ impl Pipeline {
             .bindings(&slots);
         // SAFETY: valid create infos; the number of bindings and push bytes was checked against the limits.
         unsafe {
-            let sets = match (&self.inner.shared_layouts, descriptors::kind_of(self.images)) {
+            let sets = match (
+                &self.inner.shared_layouts,
+                descriptors::kind_of(self.images.iter().map(|image| image.purpose)),
+            ) {
                 (Some(layouts), Some(kind)) => [layouts[kind]],
                 (Some(_), None) => {
                     let problem = "has several images, which takes VK_KHR_push_descriptor";

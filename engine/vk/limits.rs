@@ -1,7 +1,8 @@
 //! The limits of a device, read once.
 
-use super::Workarounds;
-use crate::tuning::{Backend, Tuning};
+use super::texels::TexelFormat;
+use super::workarounds::Workarounds;
+use crate::tuning::Tuning;
 
 /// Limits of a device, and the subgroup size of all kernels.
 #[derive(Clone, Debug, PartialEq)]
@@ -89,33 +90,6 @@ pub(super) const CHOSEN_BY_HOST: [&str; 8] = [
     "FOR_BACKWARD",
 ];
 
-/// Stricter limits than the device's, for tests: `None` keeps the device's.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LimitsOverride {
-    /// For [`Limits::max_storage_buffer_range`].
-    pub max_storage_buffer_range: Option<u64>,
-    /// For [`Limits::max_allocation_bytes`].
-    pub max_allocation_bytes: Option<u64>,
-    /// For [`Limits::max_workgroups_per_axis`].
-    pub max_workgroups_per_axis: Option<u32>,
-    /// For [`Limits::max_workgroup_invocations`].
-    pub max_workgroup_invocations: Option<u32>,
-    /// For [`Limits::shared_memory_bytes`].
-    pub shared_memory_bytes: Option<u32>,
-    /// For [`Limits::push_constant_bytes`].
-    pub push_constant_bytes: Option<u32>,
-    /// For [`Limits::max_workgroup_subgroups`].
-    pub max_workgroup_subgroups: Option<u32>,
-    /// For [`Limits::max_push_descriptors`].
-    pub max_push_descriptors: Option<u32>,
-    /// For [`Limits::max_texels`].
-    pub max_texels: Option<u64>,
-    /// For [`Limits::instances_per_dispatch`].
-    pub instances_per_dispatch: Option<u32>,
-    /// For [`Limits::tuning`]: the kernels of another class of devices.
-    pub backend: Option<Backend>,
-}
-
 impl Limits {
     /// The largest workgroup size up to `preferred` on this device: a multiple of the subgroup size, within
     /// the limits of invocations and subgroups, and at least one subgroup.
@@ -136,7 +110,7 @@ impl Limits {
     /// buffer that can be bound has more texels than may be read.
     pub fn prefers_texels(&self) -> bool {
         self.tuning.reads_texels
-            && self.max_storage_buffer_range / super::TexelFormat::R32Uint.bytes() <= self.max_texels
+            && self.max_storage_buffer_range / TexelFormat::R32Uint.bytes() <= self.max_texels
     }
 
     /// The value in [`Limits::overrides`] for a constant of a kernel or of a folder of kernels; the last one
@@ -149,27 +123,6 @@ impl Limits {
             return None;
         }
         self.overrides.iter().rev().find(meant).map(|o| o.bits)
-    }
-
-    /// The limits with each value lowered to the override's. An override never raises a limit.
-    pub fn lowered(mut self, to: &LimitsOverride) -> Self {
-        fn lower<T: Ord + Copy>(limit: &mut T, to: Option<T>) {
-            *limit = to.map_or(*limit, |to| to.min(*limit));
-        }
-        lower(&mut self.max_storage_buffer_range, to.max_storage_buffer_range);
-        lower(&mut self.max_allocation_bytes, to.max_allocation_bytes);
-        lower(&mut self.max_workgroups_per_axis, to.max_workgroups_per_axis);
-        lower(&mut self.max_workgroup_invocations, to.max_workgroup_invocations);
-        lower(&mut self.shared_memory_bytes, to.shared_memory_bytes);
-        lower(&mut self.push_constant_bytes, to.push_constant_bytes);
-        lower(&mut self.max_workgroup_subgroups, to.max_workgroup_subgroups);
-        lower(&mut self.max_push_descriptors, to.max_push_descriptors);
-        lower(&mut self.max_texels, to.max_texels);
-        lower(&mut self.instances_per_dispatch, to.instances_per_dispatch);
-        if let Some(backend) = to.backend {
-            self.tuning = Tuning::of(backend);
-        }
-        self
     }
 
     /// Turns a count of workgroups into a grid: one row if it fits, otherwise rows of the largest width, the

@@ -1,25 +1,14 @@
 //! Device memory. Requests are packed into blocks of one VkBuffer and one allocation each.
 
-use super::allocator::{HostAllocator, HostMemory, MemoryRequest};
-use super::budget::MAX_MEMORY;
-use super::buffer::Buffer;
-use super::context::{Context, Inner};
-use super::guards::GUARD_BYTES;
-use super::vk_error;
+use super::allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
+use super::error::vk_error;
+use super::open_device::Device;
+use super::texels::TexelViews;
 use crate::{Error, Result};
 use ash::vk;
 use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-
-/// Kind of memory.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MemoryKind {
-    /// Fastest for kernels. Filled by [`Context::upload`], read by [`Context::download`].
-    Device,
-    /// Mapped, coherent and, where possible, cached: [`Buffer::write`] and [`Buffer::read`].
-    HostVisible,
-}
 
 /// Every buffer begins at a multiple of this in its block. No device requires more.
 pub const PLACEMENT_ALIGNMENT: u64 = 256;
@@ -88,7 +77,7 @@ unsafe impl Send for Mapping {}
 
 /// One VkBuffer with its memory.
 pub(super) struct Block {
-    inner: Arc<Inner>,
+    inner: Arc<Device>,
     pub(super) raw: vk::Buffer,
     /// Null if the memory is a host's.
     memory: vk::DeviceMemory,
@@ -104,15 +93,18 @@ pub(super) struct Block {
     owned: bool,
     /// Submissions that use the block and have not been waited for.
     pub(super) in_flight: AtomicU32,
-    pub(super) texels: super::texels::TexelViews,
+    pub(super) texels: TexelViews,
+    /// Offset, size and name of the buffers with guard bands.
+    #[cfg(feature = "testing")]
+    pub(super) guarded: Mutex<Vec<(u64, u64, &'static str)>>,
 }
 
 /// Identifies blocks and images in the hazard checker.
 pub(super) static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
 impl Block {
-    fn new(
-        inner: &Arc<Inner>,
+    pub(super) fn new(
+        inner: &Arc<Device>,
         arena: &Arc<str>,
         number: usize,
         bytes: u64,
@@ -139,6 +131,8 @@ impl Block {
             owned: true,
             in_flight: AtomicU32::new(0),
             texels: Default::default(),
+            #[cfg(feature = "testing")]
+            guarded: Mutex::default(),
         };
         inner.registry.add(arena, bytes);
         block.bind_memory(kind)?;
@@ -150,7 +144,7 @@ impl Block {
     }
 
     /// A buffer of a host's.
-    pub(super) fn foreign(inner: &Arc<Inner>, raw: vk::Buffer, bytes: u64) -> Self {
+    pub(super) fn foreign(inner: &Arc<Device>, raw: vk::Buffer, bytes: u64) -> Self {
         Self {
             inner: inner.clone(),
             raw,
@@ -164,10 +158,12 @@ impl Block {
             owned: false,
             in_flight: AtomicU32::new(0),
             texels: Default::default(),
+            #[cfg(feature = "testing")]
+            guarded: Mutex::default(),
         }
     }
 
-    pub(super) fn is_of(&self, inner: &Arc<Inner>) -> bool {
+    pub(super) fn is_of(&self, inner: &Arc<Device>) -> bool {
         Arc::ptr_eq(&self.inner, inner)
     }
 
@@ -277,7 +273,7 @@ impl Block {
 
 impl Drop for Block {
     fn drop(&mut self) {
-        self.texels.destroy(&self.inner);
+        self.texels.destroy(&self.inner.device);
         if !self.owned {
             return;
         }
@@ -294,7 +290,7 @@ impl Drop for Block {
     }
 }
 
-impl Inner {
+impl Device {
     /// The best of the allowed memory types.
     pub(super) fn memory_type(&self, allowed: u32, kind: MemoryKind) -> Result<u32> {
         let types = self.memory.memory_types_as_slice();
@@ -339,82 +335,4 @@ fn memory_type(types: &[vk::MemoryType], allowed: u32, kind: MemoryKind, unified
     let mut found =
         wishes.iter().filter_map(|&(with, without)| (0..types.len()).find(|&i| fits(i, with, without)));
     found.next().map(|i| i as u32)
-}
-
-impl Context {
-    fn guard(&self) -> u64 {
-        if self.0.guard_bands { GUARD_BYTES } else { 0 }
-    }
-
-    /// Bytes of each buffer with its guard bands.
-    fn sizes(&self, requests: &[(&'static str, u64)]) -> Vec<u64> {
-        let guarded = |bytes: u64| bytes.max(SMALLEST_BUFFER).next_multiple_of(4) + 2 * self.guard();
-        requests.iter().map(|(_, bytes)| guarded(*bytes)).collect()
-    }
-
-    /// Bytes that [`Context::allocate`] takes for these requests. For requests that it refuses, their sum.
-    pub(crate) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
-        let sizes = self.sizes(requests);
-        let blocks = pack(&sizes, self.limits().max_allocation_bytes).map_or(sizes, |packing| packing.blocks);
-        blocks.iter().sum()
-    }
-
-    /// Allocates buffers of one lifetime; all of them are named `arena.request` in messages.
-    ///
-    /// The requests (name, bytes) are packed into as few blocks as the device allows. Every buffer has at least 16
-    /// bytes and a multiple of 4, and begins at a multiple of 256. The contents are undefined.
-    ///
-    /// # Errors
-    /// [`Error::TooLarge`] for a request above maxStorageBufferRange or the largest allocation, or when all together
-    /// exceed the memory of a GPU or [`super::ContextOptions::max_memory`]; nothing is allocated then. [`Error::Vulkan`] when the device has no memory left.
-    pub fn allocate(
-        &self,
-        arena: &str,
-        requests: &[(&'static str, u64)],
-        kind: MemoryKind,
-    ) -> Result<Vec<Buffer>> {
-        let limits = self.limits();
-        let too_large = |what: String, needed, limit, limit_name| {
-            Err(Error::TooLarge { what, needed, unit: "bytes", limit, limit_name })
-        };
-        if let Some(&(name, bytes)) = requests.iter().find(|(_, b)| *b > limits.max_storage_buffer_range) {
-            let limit = limits.max_storage_buffer_range;
-            return too_large(format!("buffer {arena}.{name}"), bytes, limit, "maxStorageBufferRange");
-        }
-        let guard = self.guard();
-        let sizes = self.sizes(requests);
-        let packing = match pack(&sizes, limits.max_allocation_bytes) {
-            Ok(packing) => packing,
-            Err(i) => {
-                let limit = limits.max_allocation_bytes;
-                let what = format!("buffer {arena}.{}", requests[i].0);
-                return too_large(what, sizes[i], limit, "maxMemoryAllocationSize");
-            }
-        };
-        let total: u64 = packing.blocks.iter().sum();
-        if total > limits.heap_bytes && kind == MemoryKind::Device && limits.tuning.heap_is_bound {
-            return too_large(format!("arena {arena}"), total, limits.heap_bytes, "device-local heap");
-        }
-        let used = self.0.registry.total().bytes;
-        if let Some(limit) = self.0.max_memory.filter(|&limit| used.saturating_add(total) > limit) {
-            let what = format!("arena {arena} (beside {used} bytes in use)");
-            return too_large(what, used.saturating_add(total), limit, MAX_MEMORY);
-        }
-        let arena: Arc<str> = arena.into();
-        let blocks = (packing.blocks.iter().enumerate())
-            .map(|(number, &bytes)| Ok(Arc::new(Block::new(&self.0, &arena, number, bytes, kind)?)))
-            .collect::<Result<Vec<_>>>()?;
-        let places = requests.iter().zip(&packing.places);
-        let buffers: Vec<Buffer> = places
-            .map(|(&(name, bytes), &(block, offset))| {
-                let bytes = bytes.max(SMALLEST_BUFFER).next_multiple_of(4);
-                Buffer::new(blocks[block].clone(), offset + guard, bytes, name)
-            })
-            .collect();
-        if guard > 0 {
-            self.raise_guards(&buffers)?;
-        }
-        self.clear_if_audited(&buffers, kind)?;
-        Ok(buffers)
-    }
 }

@@ -1,25 +1,30 @@
 //! The Vulkan layer: everything that touches the device, and the only place with `unsafe`. Knows no splats.
 //!
+//! From the ground up; a file imports only files that stand below it.
+//!
 //! | module | what |
 //! |---|---|
-//! | `instance`, `device`, `create_device`, `context` | loader, devices and their choice, the open [`Context`] |
-//! | `limits`, `workarounds` | [`Limits`], read once; stricter ones for tests; [`Workarounds`] by driver |
-//! | `memory`, `buffer` | [`Context::allocate`]: requests packed into blocks; a [`Buffer`] is a named range of one |
-//! | `kernel` | [`Kernel`]: a pipeline with the typed interface that build.rs generated |
+//! | `error`, `access`, `format`, `texels`, `clock`, `pool`, `arenas` | what all others share |
+//! | `limits`, `workarounds`, `requirements` | [`Limits`], read once; [`Workarounds`] by driver; what a host enables |
+//! | `allocator` | [`MemoryKind`]; [`HostAllocator`]: memory from a host |
 //! | `pipeline_cache` | a host's VkPipelineCache, or one that is kept between runs |
-//! | `allocator` | [`HostAllocator`]: memory from a host |
-//! | `image`, `format` | [`Image`]: a host's or our own |
-//! | `requirements`, `foreign`, `pool` | what a host enables; [`Context::from_foreign`], [`RecordSlot`] |
-//! | `bind`, `descriptors` | binding for a dispatch; descriptor sets where push descriptors are missing |
-//! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
+//! | `debug`, `raw_device` | names, labels and validation messages; the device's functions |
+//! | `instance`, `device`, `create_device` | the loader, devices and their choice |
+//! | `open_device` | the open device, which everything made from it keeps open |
+//! | `memory`, `buffer`, `allocate` | requests packed into blocks; a [`Buffer`] is a named range of one |
+//! | `descriptors` | descriptor sets where push descriptors are missing |
+//! | `profile`, `profiler`, `audit` | [`Context::profile`] and [`Context::audit`]: time and output of every command |
+//! | `commands` | command buffers: recorded, submitted, waited for |
+//! | `context`, `open` | the open [`Context`]; [`Context::new`] and its options |
+//! | `budget` | [`Context::allocate`], and how much memory there may be |
+//! | `image`, `adopt` | [`Image`]: a host's or our own; buffers of a host |
+//! | `kernel`, `resources` | [`Kernel`]: a pipeline with the typed interface that build.rs generated; what it binds |
 //! | `hazard` | finds missing barriers while recording |
-//! | `submit` | [`Context::submit`], [`Pending`], [`RunReport`] |
-//! | `transfer` | [`Context::upload`], [`Context::download`] |
-//! | `budget`, `guards` | how much memory there may be; bands around buffers, for tests |
-//! | `audit` | [`Context::audit`]: what every command wrote, as a hash |
-//! | `faults` | for tests: calls that fail on demand |
-//! | `profiler`, `debug` | time of each scope; names, labels and validation messages |
-//! | `profile`, `clock` | [`Context::profile`]: every command with its grid, buffers and time, on the host's clock |
+//! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
+//! | `bind`, `record_image`, `record_audit` | further parts of the recorder |
+//! | `submit`, `transfer` | [`Context::submit`], [`Pending`], [`RunReport`]; [`Context::upload`], [`Context::download`] |
+//! | `foreign` | [`Context::from_foreign`], [`RecordSlot`] |
+//! | `faults`, `failing_calls`, `guard_bands`, `guards`, `limits_override`, `record_testing` | with the feature `testing` |
 //!
 //! # Ownership
 //! A [`Context`] is a counted reference to the open device. Buffers, kernels, recorders and pending submissions hold
@@ -43,6 +48,9 @@
 
 #![allow(unsafe_code)]
 
+mod access;
+mod adopt;
+mod allocate;
 mod allocator;
 mod arenas;
 mod audit;
@@ -50,66 +58,75 @@ mod bind;
 mod budget;
 mod buffer;
 mod clock;
+mod commands;
 mod context;
 mod create_device;
 mod debug;
 mod descriptors;
 mod device;
+mod error;
+#[cfg(feature = "testing")]
+mod failing_calls;
+#[cfg(feature = "testing")]
 mod faults;
 mod foreign;
 mod format;
+#[cfg(feature = "testing")]
+mod guard_bands;
+#[cfg(feature = "testing")]
 mod guards;
 pub mod hazard;
 mod image;
 mod instance;
 mod kernel;
 mod limits;
+#[cfg(feature = "testing")]
+mod limits_override;
 mod memory;
+mod open;
+mod open_device;
 mod pipeline_cache;
 mod pool;
 mod profile;
 mod profiler;
+mod raw_device;
+mod record_audit;
+mod record_image;
+#[cfg(feature = "testing")]
+mod record_testing;
 mod recorder;
 mod requirements;
+mod resources;
 mod submit;
 mod texels;
 mod transfer;
 mod workarounds;
 
-pub use allocator::{HostAllocator, HostMemory, MemoryRequest};
+pub use access::Access;
+pub use allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 pub use arenas::ArenaMemory;
 pub use audit::{Audit, AuditRecord};
 pub use buffer::Buffer;
-pub use context::{Context, ContextOptions};
+pub use context::Context;
 pub use device::{DeviceDescription, devices};
+#[cfg(feature = "testing")]
 pub use faults::{Fault, Faults};
 pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
-pub use image::{ForeignImage, Image, ImageState, ImageUse};
+pub use format::ImageUse;
+pub use image::{ForeignImage, Image, ImageState};
 pub use instance::validation_available;
 pub use kernel::{
-    Access, BindingInfo, ConstantInfo, ConstantKind, Form, ImageInfo, Kernel, KernelInterface, KernelVisitor,
+    BindingInfo, ConstantInfo, ConstantKind, Form, ImageInfo, Kernel, KernelInterface, KernelVisitor,
 };
-pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of, is_yardstick};
-pub use memory::{MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
+pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
+#[cfg(feature = "testing")]
+pub use limits_override::LimitsOverride;
+pub use memory::{PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
+pub use open::ContextOptions;
 pub use pipeline_cache::{PipelineCacheData, PipelineCacheSink};
-pub use profile::{BoundBuffer, CommandRecord, Profile, Submission};
-pub use profiler::ScopeTime;
+pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, OptionalExtension, Requirements};
 pub use submit::{Pending, RunReport};
 pub use texels::TexelFormat;
 pub use workarounds::Workarounds;
-
-/// The error for a failed Vulkan call.
-fn vk_error(call: &'static str) -> impl Fn(ash::vk::Result) -> crate::Error {
-    use ash::vk::Result as R;
-    move |result| {
-        let remedy = match result {
-            R::ERROR_DEVICE_LOST => return crate::Error::DeviceLost { call },
-            R::ERROR_OUT_OF_DEVICE_MEMORY => "free device memory, or use a smaller scene or resolution",
-            R::ERROR_OUT_OF_HOST_MEMORY => "free memory, or use a smaller scene or resolution",
-            _ => "",
-        };
-        crate::Error::Vulkan { call, result: format!("{result:?} ({result})"), remedy: remedy.to_owned() }
-    }
-}

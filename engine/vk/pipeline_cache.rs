@@ -1,6 +1,6 @@
 //! The VkPipelineCache that kernels are built with: a host's, our own, or none.
 
-use super::vk_error;
+use super::error::vk_error;
 use crate::Result;
 use ash::vk;
 use std::fmt;

@@ -1,25 +1,38 @@
 //! The opt-in profile of a context: every command of every submission, with its resources and its time.
 
+use super::access::Access;
+use super::allocator::MemoryKind;
 use super::buffer::Buffer;
-use super::context::{Context, Inner};
-use super::kernel::Access;
-use super::memory::MemoryKind;
-use super::profiler::{Collected, MAX_COMMANDS, ScopeTime};
+use super::open_device::Device;
 use crate::Result;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+
+/// Most timed commands of one profiled recording.
+pub(super) const MAX_COMMANDS: u32 = 1024;
 
 /// While it exists, all submissions of its context are recorded command by command. It costs a timestamp per
 /// command; without a profile there is no cost.
 pub struct Profile {
-    log: Arc<Log>,
+    pub(super) log: Arc<Log>,
+}
+
+/// How long the commands of a scope took on the device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ScopeTime {
+    /// The name given to [`super::Recorder::scope`].
+    pub name: String,
+    /// Its nesting depth.
+    pub depth: u32,
+    /// From the end of the previous work to the end of its own commands.
+    pub nanoseconds: f64,
 }
 
 /// A submission that has finished.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Submission {
-    /// The label given to [`Context::begin`] or [`Context::run`].
+    /// The label given to [`Context::begin`](super::Context::begin) or [`Context::run`](super::Context::run).
     pub label: String,
     /// Its commands in the order of recording.
     pub commands: Vec<CommandRecord>,
@@ -97,6 +110,17 @@ impl BoundBuffer {
     }
 }
 
+/// The device times of a recording.
+#[derive(Default)]
+pub(super) struct Collected {
+    /// The whole recording; None without timestamps.
+    pub(super) nanoseconds: Option<f64>,
+    pub(super) scopes: Vec<ScopeTime>,
+    pub(super) commands: Vec<CommandRecord>,
+    /// The device's clock at the recording's begin, ticks.
+    pub(super) begin_ticks: u64,
+}
+
 /// The log of submissions, and memory for the arguments of indirect dispatches.
 #[derive(Default)]
 pub(super) struct Log {
@@ -118,20 +142,17 @@ pub(super) struct Commands {
 const GRID_BYTES: u64 = 12;
 
 impl Commands {
-    /// None without a profile.
-    pub(super) fn begin(inner: &Arc<Inner>) -> Result<Option<Self>> {
+    pub(super) fn begin(inner: &Arc<Device>, log: Arc<Log>) -> Result<Self> {
         let begun = Instant::now();
-        let log = inner.profile.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
-        let Some(log) = log else { return Ok(None) };
         let spare = log.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let readback = match spare {
             Some(buffer) => buffer,
             None => {
                 let request = [("indirect_arguments", u64::from(MAX_COMMANDS) * GRID_BYTES)];
-                Context(inner.clone()).allocate("profile", &request, MemoryKind::HostVisible)?.swap_remove(0)
+                inner.allocate("profile", &request, MemoryKind::HostVisible)?.swap_remove(0)
             }
         };
-        Ok(Some(Self { log, records: Vec::new(), indirect: Vec::new(), readback, begun }))
+        Ok(Self { log, records: Vec::new(), indirect: Vec::new(), readback, begun })
     }
 
     /// The index of the new record.
@@ -172,7 +193,7 @@ impl Commands {
     }
 
     /// Writes the submission into the log.
-    pub(super) fn log(self, inner: &Inner, label: String, host: HostTimes, collected: Collected) {
+    pub(super) fn log(self, inner: &Device, label: String, host: HostTimes, collected: Collected) {
         let HostTimes { submitting, submitted, done } = host;
         let calibrated = inner.now_on_both_clocks();
         let begin = collected.begin_ticks;
@@ -212,7 +233,7 @@ pub(super) struct HostTimes {
     pub(super) done: Instant,
 }
 
-impl Inner {
+impl Device {
     /// Nanoseconds between two timestamps of the device.
     pub(super) fn nanoseconds_between(&self, begin: u64, end: u64) -> f64 {
         let bits = self.timestamp_bits;
@@ -227,32 +248,6 @@ impl Inner {
         let ticks = clock.ticks()?;
         let middle = before + before.elapsed() / 2;
         Some((ticks, middle))
-    }
-}
-
-impl Context {
-    /// Records every submission from now on, until the profile is dropped. A newer profile replaces an older
-    /// one.
-    pub fn profile(&self) -> Profile {
-        let profile = Profile { log: Arc::default() };
-        self.set_profile(Some(&profile));
-        profile
-    }
-
-    /// Pauses or resumes profiles: only the given one records.
-    pub fn set_profile(&self, profile: Option<&Profile>) {
-        let log = profile.map_or_else(Weak::new, |profile| Arc::downgrade(&profile.log));
-        *self.0.profile.lock().unwrap_or_else(PoisonError::into_inner) = log;
-    }
-
-    /// Turns timestamps off or on. Without them scopes are only labelled.
-    pub fn set_timestamps(&self, on: bool) {
-        self.0.timestamps.store(on, std::sync::atomic::Ordering::Relaxed);
-    }
-
-    /// Whether the device has timestamps.
-    pub fn has_timestamps(&self) -> bool {
-        self.0.timestamp_bits > 0
     }
 }
 

@@ -1,28 +1,15 @@
 //! Timestamps around scopes, and after every command while a [`super::Profile`] exists.
 
-use super::context::Inner;
-use super::profile::{CommandRecord, Commands};
-use super::vk_error;
+use super::error::vk_error;
+use super::open_device::Device;
+use super::profile::{Collected, CommandRecord, Commands, MAX_COMMANDS, ScopeTime};
 use crate::Result;
 use ash::vk;
 
 /// Most timed scopes of one recording. Later ones are only labelled.
 pub(super) const MAX_SCOPES: u32 = 256;
-/// Most timed commands of one profiled recording.
-pub(super) const MAX_COMMANDS: u32 = 1024;
 /// Queries of a recording: two for each scope, then one for each command.
 pub(super) const QUERIES: u32 = 2 * MAX_SCOPES + MAX_COMMANDS;
-
-/// How long the commands of a scope took on the device.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ScopeTime {
-    /// The name given to [`super::Recorder::scope`].
-    pub name: String,
-    /// Its nesting depth.
-    pub depth: u32,
-    /// From the end of the previous work to the end of its own commands.
-    pub nanoseconds: f64,
-}
 
 /// The scopes of a recording. Scope 0 is the whole recording.
 pub(super) struct Profiler {
@@ -46,17 +33,6 @@ struct Scope {
     end: u32,
 }
 
-/// The device times of a recording.
-#[derive(Default)]
-pub(super) struct Collected {
-    /// The whole recording; None without timestamps.
-    pub(super) nanoseconds: Option<f64>,
-    pub(super) scopes: Vec<ScopeTime>,
-    pub(super) commands: Vec<CommandRecord>,
-    /// The device's clock at the recording's begin, ticks.
-    pub(super) begin_ticks: u64,
-}
-
 impl Profiler {
     /// `pool` has [`QUERIES`] queries, all reset, or is null without timestamps.
     pub(super) fn new(pool: vk::QueryPool, commands: Option<Commands>) -> Self {
@@ -71,7 +47,7 @@ impl Profiler {
         }
     }
 
-    pub(super) fn begin(&mut self, inner: &Inner, commands: vk::CommandBuffer, name: &str) {
+    pub(super) fn begin(&mut self, inner: &Device, commands: vk::CommandBuffer, name: &str) {
         inner.names.begin_label(commands, name);
         let index = self.scopes.len();
         let timed =
@@ -89,7 +65,7 @@ impl Profiler {
         self.scopes.first().filter(|_| wanted).map_or_else(String::new, |scope| scope.name.clone())
     }
 
-    pub(super) fn end(&mut self, inner: &Inner, commands: vk::CommandBuffer) {
+    pub(super) fn end(&mut self, inner: &Device, commands: vk::CommandBuffer) {
         if let Some(Some(index)) = self.open.pop() {
             self.scopes[index].end = self.now(inner, commands);
         }
@@ -99,7 +75,7 @@ impl Profiler {
     /// Notes a command that was just recorded, and its end.
     pub(super) fn command(
         &mut self,
-        inner: &Inner,
+        inner: &Device,
         raw: vk::CommandBuffer,
         describe: impl FnOnce() -> CommandRecord,
     ) {
@@ -116,7 +92,7 @@ impl Profiler {
 
     /// The timestamp of the end of everything recorded so far. It is a new one only if commands came since
     /// the last, because each timestamp stalls the device.
-    fn now(&mut self, inner: &Inner, commands: vk::CommandBuffer) -> u32 {
+    fn now(&mut self, inner: &Device, commands: vk::CommandBuffer) -> u32 {
         if self.fresh {
             return self.written - 1;
         }
@@ -137,7 +113,7 @@ impl Profiler {
     }
 
     /// Whether all timestamps are available. Never waits.
-    pub(super) fn is_ready(&self, inner: &Inner) -> Result<bool> {
+    pub(super) fn is_ready(&self, inner: &Device) -> Result<bool> {
         if self.written == 0 || self.pool == vk::QueryPool::null() {
             return Ok(true);
         }
@@ -149,7 +125,7 @@ impl Profiler {
     }
 
     /// The times of the whole recording, of each scope and of each command. The submission must have been waited for.
-    pub(super) fn collect(&mut self, inner: &Inner) -> Result<Collected> {
+    pub(super) fn collect(&mut self, inner: &Device) -> Result<Collected> {
         let mut commands = self.commands.as_mut().map_or_else(Vec::new, Commands::take);
         if self.scopes.is_empty() || self.pool == vk::QueryPool::null() {
             return Ok(Collected { commands, ..Collected::default() });
@@ -172,7 +148,7 @@ impl Profiler {
         Ok(Collected { nanoseconds: whole, scopes: scopes.collect(), commands, begin_ticks: ticks[0] })
     }
 
-    fn read(&self, inner: &Inner) -> Result<Vec<u64>, vk::Result> {
+    fn read(&self, inner: &Device) -> Result<Vec<u64>, vk::Result> {
         let mut ticks = vec![0u64; self.written as usize];
         let flags = vk::QueryResultFlags::TYPE_64;
         // SAFETY: the recording has reset these queries.

@@ -1,17 +1,19 @@
 //! Records commands: dispatches, fills, copies, and the barriers between them.
 
+use super::access::Access;
 use super::audit;
-use super::bind::Bound;
 use super::buffer::Buffer;
-use super::context::Inner;
+use super::commands::Commands;
 use super::descriptors::{DescriptorSets, OwnedSets};
 use super::hazard::{HazardTracker, Use};
 use super::image::Image;
-use super::kernel::{Access, Kernel, KernelInterface, Pipeline};
+use super::kernel::{Kernel, KernelInterface, Pipeline};
+use super::limits::Limits;
+use super::open_device::Device;
 use super::pool::PoolGuard;
 use super::profile::{BoundBuffer, CommandRecord, Commands as Profiled};
 use super::profiler::Profiler;
-use super::submit::{Commands, Kept};
+use super::resources::{Bound, Kept};
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
@@ -26,13 +28,15 @@ pub const MAX_UPDATE_BYTES: usize = 65_536;
 pub struct Recorder {
     // Fields drop in this order: the commands must be dropped before the memory that they use.
     pub(super) commands: Target,
-    pub(super) inner: Arc<Inner>,
+    pub(super) inner: Arc<Device>,
     profiler: Profiler,
     pub(super) kept: PoolGuard<Kept>,
     pub(super) bound: vk::Pipeline,
-    hazards: Option<Hazards>,
-    barriers: u32,
-    omitted: Vec<u32>,
+    pub(super) hazards: Option<Hazards>,
+    pub(super) barriers: u32,
+    /// For tests: barriers that are left out.
+    #[cfg(feature = "testing")]
+    pub(super) omitted: Vec<u32>,
     /// Present with an audit.
     pub(super) audit: Option<audit::Commands>,
     /// The first call that failed. No dispatch is recorded after it, and the recording cannot be submitted.
@@ -60,19 +64,16 @@ impl Target {
     }
 }
 
-struct Hazards {
-    tracker: HazardTracker,
-    uses: Vec<Use>,
+#[derive(Default)]
+pub(super) struct Hazards {
+    pub(super) tracker: HazardTracker,
+    pub(super) uses: Vec<Use>,
     /// None: a hazard panics.
-    collected: Option<Vec<String>>,
+    #[cfg(feature = "testing")]
+    pub(super) collected: Option<Vec<String>>,
 }
 
 impl Hazards {
-    fn new(collect: bool) -> Self {
-        let collected = collect.then(Vec::new);
-        Self { tracker: HazardTracker::new(), uses: Vec::new(), collected }
-    }
-
     fn add(&mut self, buffer: &Buffer, role: &'static str, access: Access) {
         let bytes = buffer.offset()..buffer.offset() + buffer.bytes();
         self.uses.push(Use { block: buffer.block().id, bytes, buffer: buffer.static_name(), role, access });
@@ -85,10 +86,13 @@ impl Hazards {
     fn commit(&mut self, command: &'static str) {
         let found = self.tracker.command(command, &self.uses);
         self.uses.clear();
-        match (&mut self.collected, found.first()) {
-            (Some(collected), _) => collected.extend(found.iter().map(ToString::to_string)),
-            (None, Some(hazard)) => panic!("{hazard}"),
-            (None, None) => {}
+        #[cfg(feature = "testing")]
+        if let Some(collected) = &mut self.collected {
+            collected.extend(found.iter().map(ToString::to_string));
+            return;
+        }
+        if let Some(hazard) = found.first() {
+            panic!("{hazard}");
         }
     }
 }
@@ -112,7 +116,7 @@ impl Recorder {
 
     /// Records into a command buffer that the host submits: see [`super::RecordSlot::begin`].
     pub(super) fn foreign(
-        inner: &Arc<Inner>,
+        inner: &Arc<Device>,
         target: ForeignTarget,
         kept: PoolGuard<Kept>,
         label: &str,
@@ -134,14 +138,15 @@ impl Recorder {
         }
     }
 
-    fn with_target(commands: Target, inner: Arc<Inner>, queries: vk::QueryPool) -> Self {
+    fn with_target(commands: Target, inner: Arc<Device>, queries: vk::QueryPool) -> Self {
         Self {
             commands,
             profiler: Profiler::new(queries, None),
             kept: PoolGuard::default(),
             bound: vk::Pipeline::null(),
-            hazards: inner.hazard_check.then(|| Hazards::new(false)),
+            hazards: inner.hazard_check.then(Hazards::default),
             barriers: 0,
+            #[cfg(feature = "testing")]
             omitted: Vec::new(),
             audit: None,
             failed: None,
@@ -373,17 +378,13 @@ impl Recorder {
     /// Orders everything before it before everything after it: compute and transfer writes become visible to
     /// compute, transfers and indirect arguments. It is the only kind of barrier.
     pub fn barrier(&mut self) {
-        let number = self.barriers;
-        self.barriers += 1;
-        let omitted = self.omitted.contains(&number);
-        let collects = self.hazards.as_ref().is_some_and(|h| h.collected.is_some());
-        if let Some(hazards) = &mut self.hazards
-            && !omitted
-        {
-            hazards.tracker.barrier();
-        }
-        if omitted && !collects {
+        #[cfg(feature = "testing")]
+        if self.omits_barrier() {
             return;
+        }
+        self.barriers += 1;
+        if let Some(hazards) = &mut self.hazards {
+            hazards.tracker.barrier();
         }
         self.record_barrier();
     }
@@ -414,29 +415,12 @@ impl Recorder {
     }
 
     /// The device's limits.
-    pub fn limits(&self) -> &super::Limits {
+    pub fn limits(&self) -> &Limits {
         &self.inner.limits
     }
 
     /// How many times [`Recorder::barrier`] was called.
     pub fn barriers(&self) -> u32 {
         self.barriers
-    }
-
-    /// For tests: makes the `index`-th call of [`Recorder::barrier`] (from 0) do nothing. A recording that
-    /// collects hazards keeps the barrier on the device and hides it from the checker only.
-    pub fn omit_barrier(&mut self, index: u32) {
-        self.omitted.push(index);
-    }
-
-    /// For tests: collects hazards from the next command on instead of panicking; see [`Recorder::hazards`].
-    /// Works even if the context does not check.
-    pub fn collect_hazards(&mut self) {
-        self.hazards = Some(Hazards::new(true));
-    }
-
-    /// The hazards found since [`Recorder::collect_hazards`].
-    pub fn hazards(&self) -> &[String] {
-        self.hazards.as_ref().and_then(|h| h.collected.as_deref()).unwrap_or_default()
     }
 }

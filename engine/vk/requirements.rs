@@ -1,7 +1,6 @@
 //! Required device properties and features as values: the one list for choosing and opening a device of our
 //! own, and for checking a host's device.
 
-use super::context::Context;
 use ash::vk;
 use std::ffi::CStr;
 use std::fmt;
@@ -89,12 +88,15 @@ pub(super) const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
     (vk::SubgroupFeatureFlags::SHUFFLE_RELATIVE, "shuffle relative"),
 ];
 
+/// Storage buffers that a kernel may have on every device.
+pub(super) const STORAGE_BUFFERS: u32 = 16;
+
 /// Least values of limits.
 pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
     ("maxComputeWorkGroupInvocations", 128),
     ("maxComputeSharedMemorySize", 16_384),
     ("maxPushConstantsSize", 128),
-    ("maxPerStageDescriptorStorageBuffers", super::descriptors::BUFFERS as u64),
+    ("maxPerStageDescriptorStorageBuffers", STORAGE_BUFFERS as u64),
 ];
 
 /// The first of [`LEAST_LIMITS`] that a device does not reach.
@@ -141,11 +143,11 @@ pub struct Requirements {
     pub limits: Vec<(&'static str, u64)>,
 }
 
-impl Context {
-    /// The requirements of [`Context::from_foreign`].
-    pub fn requirements() -> Requirements {
+impl Requirements {
+    /// Of every device.
+    pub(super) fn of_all() -> Self {
         let operations = SUBGROUP_OPERATIONS.iter().map(|(flag, _)| *flag);
-        Requirements {
+        Self {
             api_version: vk::API_VERSION_1_3,
             queue: vk::QueueFlags::COMPUTE,
             features: Features::REQUIRED,

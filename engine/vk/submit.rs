@@ -1,20 +1,16 @@
-//! Command buffers, submission and waiting.
+//! Submission and waiting.
 
 use super::audit;
-use super::context::{Context, Inner};
-use super::descriptors::DescriptorSets;
-use super::image::Image;
-use super::kernel::Pipeline;
-use super::memory::Block;
-use super::profile::{self, HostTimes};
-use super::profiler::{MAX_SCOPES, Profiler, QUERIES, ScopeTime};
+use super::commands::Commands;
+use super::context::Context;
+use super::profile::{self, HostTimes, ScopeTime};
+use super::profiler::Profiler;
 use super::recorder::Recorder;
-use super::vk_error;
+use super::resources::Kept;
 use crate::{Error, Result};
-use ash::vk;
+use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Device times of a submission.
 #[derive(Clone, Debug, Default)]
@@ -24,256 +20,6 @@ pub struct RunReport {
     pub scopes: Vec<ScopeTime>,
     /// The whole recording on the device, nanoseconds. 0 without timestamps.
     pub nanoseconds: f64,
-}
-
-/// The Vulkan objects of one recording, reused after it.
-#[derive(Clone, Copy)]
-pub(super) struct Slot {
-    pool: vk::CommandPool,
-    commands: vk::CommandBuffer,
-    fence: vk::Fence,
-    queries: vk::QueryPool,
-}
-
-impl Slot {
-    fn new(inner: &Inner) -> Result<Self> {
-        let null = Self {
-            pool: vk::CommandPool::null(),
-            commands: vk::CommandBuffer::null(),
-            fence: vk::Fence::null(),
-            queries: vk::QueryPool::null(),
-        };
-        let mut slot = null;
-        slot.create(inner).inspect_err(|_| slot.destroy(inner))?;
-        Ok(slot)
-    }
-
-    fn create(&mut self, inner: &Inner) -> Result<()> {
-        let device = &inner.device;
-        let pool = vk::CommandPoolCreateInfo::default()
-            .queue_family_index(inner.queue_family)
-            .flags(vk::CommandPoolCreateFlags::TRANSIENT);
-        // SAFETY: valid create infos for this device.
-        unsafe {
-            self.pool = device.create_command_pool(&pool, None).map_err(vk_error("vkCreateCommandPool"))?;
-            let commands = vk::CommandBufferAllocateInfo::default()
-                .command_pool(self.pool)
-                .level(vk::CommandBufferLevel::PRIMARY)
-                .command_buffer_count(1);
-            let commands = device.allocate_command_buffers(&commands);
-            let commands = commands.map_err(vk_error("vkAllocateCommandBuffers"))?;
-            self.commands = commands.first().copied().unwrap_or_default();
-            let fence = device.create_fence(&vk::FenceCreateInfo::default(), None);
-            self.fence = fence.map_err(vk_error("vkCreateFence"))?;
-            if inner.timestamp_bits > 0 {
-                let queries = vk::QueryPoolCreateInfo::default()
-                    .query_type(vk::QueryType::TIMESTAMP)
-                    .query_count(QUERIES);
-                let queries = device.create_query_pool(&queries, None);
-                self.queries = queries.map_err(vk_error("vkCreateQueryPool"))?;
-                inner.names.name(self.queries, "scope timestamps");
-            }
-        }
-        inner.names.name(self.pool, "recorder pool");
-        inner.names.name(self.fence, "recorder fence");
-        Ok(())
-    }
-
-    pub(super) fn destroy(&self, inner: &Inner) {
-        // SAFETY: the slot is idle; null handles are allowed. Destroying the pool frees its command buffer.
-        unsafe {
-            inner.device.destroy_query_pool(self.queries, None);
-            inner.device.destroy_fence(self.fence, None);
-            inner.device.destroy_command_pool(self.pool, None);
-        }
-    }
-}
-
-/// A command buffer in the recording state or submitted. Returns to the context when dropped.
-pub(super) struct Commands {
-    pub(super) inner: Arc<Inner>,
-    slot: Slot,
-    submitted: bool,
-    pub(super) descriptors: Option<DescriptorSets>,
-}
-
-impl Commands {
-    /// With `every_command`, there are queries for each command too.
-    pub(super) fn begin(inner: &Arc<Inner>, label: &str, every_command: bool) -> Result<Self> {
-        let free = inner.slots.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let slot = match free {
-            Some(slot) => slot,
-            None => Slot::new(inner)?,
-        };
-        let sets = inner.descriptors.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let descriptors = sets.or_else(|| DescriptorSets::new(inner));
-        let commands = Self { inner: inner.clone(), slot, submitted: false, descriptors };
-        inner.names.name(slot.commands, label);
-        let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
-        // SAFETY: the command buffer is in the initial state (new, or its pool was reset) and this thread's alone; the
-        // queries are not in use.
-        unsafe {
-            let begun = inner.device.begin_command_buffer(slot.commands, &info);
-            begun.map_err(vk_error("vkBeginCommandBuffer"))?;
-            if slot.queries != vk::QueryPool::null() {
-                let count = if every_command { QUERIES } else { 2 * MAX_SCOPES };
-                inner.device.cmd_reset_query_pool(slot.commands, slot.queries, 0, count);
-            }
-        }
-        // Makes the writes of earlier submissions visible, including those that were not waited for.
-        let earlier = vk::MemoryBarrier2::default()
-            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
-            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
-            .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
-            .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE);
-        commands.memory_barrier(earlier);
-        Ok(commands)
-    }
-
-    pub(super) fn raw(&self) -> vk::CommandBuffer {
-        self.slot.commands
-    }
-
-    /// Null without timestamps, or if none are requested.
-    pub(super) fn queries(&self) -> vk::QueryPool {
-        let wanted = self.inner.timestamps.load(Ordering::Relaxed);
-        if wanted { self.slot.queries } else { vk::QueryPool::null() }
-    }
-
-    fn memory_barrier(&self, barrier: vk::MemoryBarrier2<'_>) {
-        let barriers = [barrier];
-        let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
-        // SAFETY: the command buffer is in the recording state.
-        unsafe { self.inner.device.cmd_pipeline_barrier2(self.slot.commands, &dependency) }
-    }
-
-    pub(super) fn submit(&mut self) -> Result<()> {
-        // A fence alone does not make writes visible to the host.
-        let to_host = vk::MemoryBarrier2::default()
-            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
-            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
-            .dst_stage_mask(vk::PipelineStageFlags2::HOST)
-            .dst_access_mask(vk::AccessFlags2::HOST_READ | vk::AccessFlags2::HOST_WRITE);
-        self.memory_barrier(to_host);
-        let device = &self.inner.device;
-        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.slot.commands)];
-        let submits = [vk::SubmitInfo2::default().command_buffer_infos(&buffers)];
-        let queue = self.inner.lock_queue()?;
-        // SAFETY: the command buffer was recorded on this device and everything that it refers to is kept by the
-        // caller until the fence has signalled; the lock gives the queue to this thread.
-        unsafe {
-            let ended = device.end_command_buffer(self.slot.commands);
-            ended.map_err(vk_error("vkEndCommandBuffer"))?;
-            let submitted = device.queue_submit2(*queue, &submits, self.slot.fence);
-            submitted.map_err(|error| self.inner.failed("vkQueueSubmit2", error))?;
-        }
-        self.submitted = true;
-        Ok(())
-    }
-
-    /// Sleeps until the submission has finished, or until the timeout.
-    pub(super) fn wait(&mut self, timeout: Option<Duration>) -> Result<()> {
-        const ROUND: Duration = Duration::from_secs(60);
-        let mut waited = Duration::ZERO;
-        while self.submitted {
-            let round = timeout.map_or(ROUND, |timeout| timeout.saturating_sub(waited).min(ROUND));
-            let fences = [self.slot.fence];
-            // SAFETY: the fence is alive and was submitted.
-            let over = unsafe { self.inner.device.wait_for_fences(&fences, true, round.as_nanos() as u64) };
-            match over {
-                Ok(()) => self.submitted = false,
-                Err(vk::Result::TIMEOUT) => {
-                    waited += round;
-                    if timeout.is_some_and(|timeout| waited >= timeout) {
-                        return Err(Error::Timeout { seconds: waited.as_secs_f64() });
-                    }
-                }
-                Err(error) => {
-                    // A lost device runs nothing any more; after other errors that is unknown.
-                    self.submitted = error != vk::Result::ERROR_DEVICE_LOST;
-                    return Err(self.inner.failed("vkWaitForFences", error));
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Waits until nothing of the submission runs any more, also after errors.
-    fn settle(&mut self) {
-        if self.wait(None).is_err() && self.submitted {
-            if let Ok(queue) = self.inner.lock_queue() {
-                // The queue alone: of a host's device, others are in use by other threads.
-                // SAFETY: the lock gives the queue to this thread. When this fails, the device is lost.
-                let _ = unsafe { self.inner.device.queue_wait_idle(*queue) };
-            }
-            self.submitted = false;
-        }
-    }
-}
-
-impl Drop for Commands {
-    fn drop(&mut self) {
-        self.settle();
-        if let Some(mut sets) = self.descriptors.take() {
-            sets.reset();
-            self.inner.descriptors.lock().unwrap_or_else(PoisonError::into_inner).push(sets);
-        }
-        let device = &self.inner.device;
-        // SAFETY: nothing of the slot is in use: it was never submitted, or has been waited for.
-        let reset = unsafe {
-            device
-                .reset_command_pool(self.slot.pool, vk::CommandPoolResetFlags::empty())
-                .and_then(|()| device.reset_fences(&[self.slot.fence]))
-        };
-        match reset {
-            Ok(()) => self.inner.slots.lock().unwrap_or_else(PoisonError::into_inner).push(self.slot),
-            Err(_) => self.slot.destroy(&self.inner),
-        }
-    }
-}
-
-impl Inner {
-    /// The error of a failed call. Remembers a lost device.
-    pub(super) fn failed(&self, call: &'static str, result: vk::Result) -> Error {
-        self.lost.fetch_or(result == vk::Result::ERROR_DEVICE_LOST, Ordering::Relaxed);
-        vk_error(call)(result)
-    }
-}
-
-/// All resources of a recording.
-#[derive(Default)]
-pub(super) struct Kept {
-    blocks: Vec<Arc<Block>>,
-    pipelines: Vec<Arc<Pipeline>>,
-    images: Vec<Image>,
-}
-
-impl Kept {
-    pub(super) fn block(&mut self, block: &Arc<Block>) {
-        if !self.blocks.iter().rev().any(|b| Arc::ptr_eq(b, block)) {
-            self.blocks.push(block.clone());
-        }
-    }
-
-    pub(super) fn image(&mut self, image: &Image) {
-        if !self.images.iter().rev().any(|i| i.id() == image.id()) {
-            self.images.push(image.clone());
-        }
-    }
-
-    /// Releases all resources, and keeps the lists' own memory. Resources without another holder are
-    /// destroyed.
-    pub(super) fn clear(&mut self) {
-        self.blocks.clear();
-        self.pipelines.clear();
-        self.images.clear();
-    }
-
-    pub(super) fn pipeline(&mut self, pipeline: &Arc<Pipeline>) {
-        if !self.pipelines.iter().rev().any(|p| Arc::ptr_eq(p, pipeline)) {
-            self.pipelines.push(pipeline.clone());
-        }
-    }
 }
 
 /// A running submission. Dropping it waits as well.
@@ -342,9 +88,12 @@ impl Context {
         if self.is_lost() {
             return Err(Error::DeviceLost { call: "an earlier call" });
         }
-        let profiled = profile::Commands::begin(&self.0)?;
-        let commands = Commands::begin(&self.0, label, profiled.is_some())?;
-        Ok(Recorder::new(commands, label, profiled, audit::Commands::begin(&self.0, label)))
+        let profile = self.logs.profile.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
+        let profiled = profile.map(|log| profile::Commands::begin(&self.device, log)).transpose()?;
+        let audit = self.logs.audit.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
+        let commands = Commands::begin(&self.pools, label, profiled.is_some())?;
+        let audited = audit.map(|log| audit::Commands::begin(log, label));
+        Ok(Recorder::new(commands, label, profiled, audited))
     }
 
     /// Submits a recording. Wait for the [`Pending`] before using its results.

@@ -5,8 +5,8 @@
 //! equivalent to a storage buffer. llvmpipe fetches a texel for all lanes by vector instructions, while it
 //! reads every component of a storage buffer in a loop over the lanes: a vec4 by texel costs a quarter.
 
-use super::context::Inner;
-use super::vk_error;
+use super::error::vk_error;
+use super::raw_device::RawDevice;
 use crate::Result;
 use ash::vk;
 use std::collections::HashMap;
@@ -52,7 +52,7 @@ pub(super) struct TexelViews(Mutex<HashMap<TexelRange, vk::BufferView>>);
 
 impl TexelViews {
     /// The view of a range of a buffer. Its offset must be aligned and its texels within the limit.
-    pub fn of(&self, inner: &Inner, buffer: vk::Buffer, range: TexelRange) -> Result<vk::BufferView> {
+    pub fn of(&self, device: &RawDevice, buffer: vk::Buffer, range: TexelRange) -> Result<vk::BufferView> {
         let mut views = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(view) = views.get(&range) {
             return Ok(*view);
@@ -65,17 +65,17 @@ impl TexelViews {
             .range(bytes);
         // SAFETY: a range of a buffer with UNIFORM_TEXEL_BUFFER usage, checked by the recorder; every device has to
         // support both formats.
-        let view = unsafe { inner.device.create_buffer_view(&info, None) };
+        let view = unsafe { device.create_buffer_view(&info, None) };
         let view = view.map_err(vk_error("vkCreateBufferView"))?;
         views.insert(range, view);
         Ok(view)
     }
 
     /// Destroys the views. No recording that uses one may be running.
-    pub fn destroy(&mut self, inner: &Inner) {
+    pub fn destroy(&mut self, device: &RawDevice) {
         for (_, view) in self.0.get_mut().unwrap_or_else(PoisonError::into_inner).drain() {
             // SAFETY: idle, as the caller sees to; destroyed once.
-            unsafe { inner.device.destroy_buffer_view(view, None) }
+            unsafe { device.destroy_buffer_view(view, None) }
         }
     }
 }

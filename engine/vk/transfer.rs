@@ -1,8 +1,8 @@
 //! Transfers to and from device memory.
 
+use super::allocator::MemoryKind;
 use super::buffer::Buffer;
 use super::context::Context;
-use super::memory::MemoryKind;
 use super::recorder::MAX_UPDATE_BYTES;
 use crate::Result;
 
@@ -101,7 +101,7 @@ impl Context {
 
     /// Most bytes of temporary memory for an upload of `bytes` bytes.
     pub(crate) fn staging_bytes(&self, bytes: u64) -> u64 {
-        if self.0.unified_memory { 0 } else { bytes.min(CHUNK_BYTES) }
+        if self.device.unified_memory { 0 } else { bytes.min(CHUNK_BYTES) }
     }
 
     fn staging(&self, bytes: u64) -> Result<Buffer> {

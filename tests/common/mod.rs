@@ -5,6 +5,7 @@
 
 pub mod adam;
 pub mod blending;
+pub mod child;
 pub mod cinema;
 pub mod compare;
 pub mod compose;

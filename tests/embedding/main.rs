@@ -14,6 +14,9 @@ mod host;
 #[path = "../../tools/embed/memory.rs"]
 mod memory;
 
+#[path = "../common/child.rs"]
+mod child;
+
 mod allocator;
 mod bad_input;
 mod faults;

@@ -1,6 +1,7 @@
 //! Memory of the whole process over a thousand frames of changing size and camera: in a process of its own, where no other
 //! test allocates, and without the validation layer, which keeps records of its own.
 
+use crate::child;
 use crate::host::{HostOptions, InFlight};
 use crate::stage::{adopt, camera, cloud, guest, with_host};
 use ashsplat::{Camera, DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation};
@@ -8,8 +9,6 @@ use ashsplat::{Camera, DeviceScene, RecordedFrame, RenderSettings, Renderer, Res
 const FRAMES: u32 = 1000;
 /// Allocators and the driver have settled.
 const SETTLED: u32 = 200;
-/// Set in the process that measures.
-const MEASURES: &str = "ASHSPLAT_MEASURE_RESIDENT";
 
 /// Resident pages of the process, KiB; None where the system does not tell.
 fn resident_kib() -> Option<u64> {
@@ -42,7 +41,9 @@ fn report(path: &str, [settled, end]: [u64; 2], device_bytes: u64) {
     assert!(end <= settled + 1024, "{path}: resident memory grows from {settled} to {end} KiB");
 }
 
-fn measure() {
+#[test]
+#[ignore = "the child's part of resident_memory_does_not_grow"]
+fn resident_memory_in_a_child() {
     with_host(&HostOptions::default(), |host| {
         let context = guest(host);
         let gaussians = cloud(150, 7);
@@ -87,18 +88,11 @@ fn measure() {
 
 #[test]
 fn resident_memory_does_not_grow() {
-    if std::env::var_os(MEASURES).is_some() {
-        return measure();
-    }
     if resident_kib().is_none() {
         eprintln!("skipped: this system does not tell the resident memory");
         return;
     }
-    let mut child = std::process::Command::new(std::env::current_exe().expect("this program"));
-    child.args(["--exact", "resident::resident_memory_does_not_grow", "--nocapture", "--test-threads=1"]);
-    let output = child.env(MEASURES, "1").output().expect("a process");
-    let said = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    let said = child::run(&["--exact", "resident::resident_memory_in_a_child"], 1, |_| {});
     let lines: Vec<&str> = said.lines().filter(|line| line.contains("KiB resident")).collect();
     println!("{}", lines.join("\n"));
     assert_eq!(lines.len(), 2, "both paths were measured: {said}");

@@ -1,4 +1,4 @@
-//! `backward/blend_backward_subgroup_per_tile` against its twin.
+//! `backward/blend_backward_subgroup_per_tile` against the twin of `backward/blend_backward`.
 
 use super::blend_backward::{
     in_passes, of_nothing, of_opaque_layers, on_images_of_all_sizes, on_lists_of_all_lengths,

@@ -1,4 +1,4 @@
-//! `forward/blend_shared` against its twin, and against `forward/blend`: on processors to the bit.
+//! `forward/blend_shared` against the twin of `forward/blend`, and against `forward/blend` itself: on processors to the bit.
 
 use crate::common::blending::{
     Blended, CHAINED, How, UNCHAINED, assert_same, forward, forward_limited, forward_shared,
@@ -7,7 +7,7 @@ use crate::common::blending::{
 use crate::common::gpu::Gpu;
 use crate::common::scenes::small_view;
 use crate::common::tiles::Lists;
-use crate::reference::blend_shared::blend;
+use crate::reference::blend::blend;
 use crate::reference::pipeline::pixels_of;
 
 /// Blends by both kernels and the twin.

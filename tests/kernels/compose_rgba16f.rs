@@ -1,10 +1,10 @@
-//! `compose/compose_rgba16f` against its twin.
+//! `compose/compose_rgba16f` against the twin of `compose/compose_rgba32f`, rounded to the image's format.
 
 use ashsplat::ash::vk;
 
 use crate::common::compose::{BEHIND, IMAGE, check, composed};
 use crate::common::gpu::Gpu;
-use crate::reference::compose_rgba16f::compose;
+use crate::reference::compose_rgba32f::compose;
 
 /// A half float without infinities.
 fn from_half(bits: u16) -> f64 {

@@ -1,4 +1,4 @@
-//! `loss/ssim_backward_sweep` against its twin, and the loss as a whole in all its forms.
+//! `loss/ssim_backward_sweep` against the twin of `loss/ssim_backward`, and the loss as a whole in all its forms.
 
 use super::ssim_backward::{TOLERANCE, check};
 use crate::common::compare::{elementwise, gradient};

@@ -1,4 +1,4 @@
-//! `loss/ssim_forward_sweep` against its twin.
+//! `loss/ssim_forward_sweep` against the twin of `loss/ssim_forward`.
 
 use super::ssim_forward::check;
 use crate::common::gpu::Gpu;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::header::Element;
 use super::rows::PlyFile;
-use crate::splats::{self, BLOCK, Sink, Source};
+use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Sink, Source};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::{Gaussians, PointCloud};
 use ashsplat::{Error, Result};
@@ -28,8 +28,8 @@ pub struct PlyScene {
 }
 
 /// Reads Gaussians with any property order, encoding and scalar type. Additional properties and elements are
-/// ignored. The SH degree follows from the number of `f_rest` properties. [`splats::read`] reads the other
-/// formats too.
+/// ignored. The SH degree follows from the number of `f_rest` properties.
+/// [`splats::read`](crate::splats::read) reads the other formats too.
 ///
 /// A parameter is unusable if it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), if a
 /// coordinate exceeds 1e18, or if a log-scale exceeds 88 (both overflow in the projection).
@@ -40,8 +40,8 @@ pub struct PlyScene {
 pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
     let path = path.as_ref();
     let source = Box::new(GaussianRows::open(path)?);
-    let options = splats::ReadOptions { drop_invalid: options.drop_invalid };
-    let scene = splats::collect(path, source, &options)?;
+    let options = ReadOptions { drop_invalid: options.drop_invalid };
+    let scene = Reader::new(path, source, &options).collect()?;
     Ok(PlyScene {
         gaussians: scene.gaussians,
         dropped: scene.dropped,
@@ -60,7 +60,7 @@ pub(crate) struct GaussianRows<'a> {
     file: PlyFile<'a>,
     element: Element,
     layout: Layout,
-    header: splats::Header,
+    header: Header,
 }
 
 impl<'a> GaussianRows<'a> {
@@ -69,8 +69,8 @@ impl<'a> GaussianRows<'a> {
         let element = file.seek_element("vertex")?;
         let layout = Layout::new(path, &element)?;
         file.check_no_list(&element)?;
-        let header = splats::Header {
-            format: splats::Format::Ply,
+        let header = Header {
+            format: Format::Ply,
             count: element.count,
             sh_degree: layout.sh_degree,
             antialiased: file.header.antialiased,
@@ -81,7 +81,7 @@ impl<'a> GaussianRows<'a> {
 }
 
 impl Source for GaussianRows<'_> {
-    fn header(&self) -> &splats::Header {
+    fn header(&self) -> &Header {
         &self.header
     }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::header::ANTIALIASED;
 use crate::atomic;
-use crate::splats::{self, Outline, Produce};
+use crate::splats::{Outline, Produce, in_blocks};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Gaussians, PointCloud};
 use ashsplat::{Error, Result};
@@ -18,8 +18,9 @@ use ashsplat::{Error, Result};
 /// [`ashsplat::Error::Argument`] when the vectors do not fit together, [`ashsplat::Error::Io`] naming the file when it
 /// cannot be written; no partial file is left.
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
-    let options = splats::WriteOptions { format: Some(splats::Format::Ply), ..Default::default() };
-    splats::write(path, gaussians, &options)
+    gaussians.check_shapes()?;
+    let outline = Outline::of(gaussians, false);
+    write_blocks(path.as_ref(), &outline, &mut |sink| in_blocks(gaussians, sink))
 }
 
 /// Writes Gaussians as they come.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::Vec3;
 
-use super::{Format, Header, Outline, ReadOptions, Reader, write_blocks};
+use super::{Format, Header, Outline, ReadOptions, open, write_blocks};
 use crate::decimate::decimate;
 use ashsplat::Result;
 use ashsplat::scene::{Bounds, Gaussians, Similarity};
@@ -63,7 +63,7 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
         Some(format) => format,
         None => Format::of_extension(output)?,
     };
-    let mut reader = Reader::open(input, &options.read)?;
+    let mut reader = open(input, &options.read)?;
     let header = reader.header().clone();
     let sh_degree = header.sh_degree.min(format.max_sh_degree()).min(options.sh_degree.unwrap_or(3));
     let mut warnings = header.warnings.clone();
@@ -99,7 +99,7 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     let outline = Outline { count, sh_degree, antialiased: header.antialiased, bounds };
     write_blocks(output, format, &outline, &mut |sink| match kept.take() {
         Some(all) => sink(all),
-        None => Reader::open(input, &options.read)?
+        None => open(input, &options.read)?
             .blocks(&mut |block| sink(options.change(block, sh_degree)))
             .map(|_| ()),
     })?;

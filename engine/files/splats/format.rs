@@ -1,10 +1,7 @@
-//! Which format a file has.
+//! The formats of files of Gaussians.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
-use crate::{ply, sniff};
 use ashsplat::{Error, Result};
 
 /// A format of files of Gaussians.
@@ -63,32 +60,7 @@ impl Format {
         })
     }
 
-    /// The format that a file has: by its first bytes, and where they say nothing, by its name.
-    ///
-    /// # Errors
-    /// [`Error::Io`] when it cannot be read, [`Error::Input`] when it is in none of the formats.
-    pub fn of_file(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        let start = first_bytes(path)?;
-        let by_name = Self::by_name(path);
-        let by_content = match start.as_slice() {
-            [b'p', b'l', b'y', b'\n' | b'\r', ..] => Some(ply_kind(path)?),
-            [b'N', b'G', b'S', b'P', ..] => Some(Self::Spz),
-            [b'g', b'l', b'T', b'F', ..] => Some(Self::Glb),
-            [0x1f, 0x8b, ..] if by_name.is_none() => Some(Self::Spz),
-            _ => None,
-        };
-        if let Some(format) = by_content.or(by_name) {
-            return Ok(format);
-        }
-        let known = Self::ALL.map(Self::extension).join(" ");
-        let (problem, remedy) =
-            sniff::recognise(&start).unwrap_or(("is no file of Gaussians that is known", ""));
-        let remedy = if remedy.is_empty() { format!("known are {known}") } else { remedy.to_owned() };
-        Err(Error::input(path, problem, remedy))
-    }
-
-    fn by_name(path: &Path) -> Option<Self> {
+    pub(super) fn by_name(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
         // The longer of two that fit.
         Self::ALL.into_iter().filter(|f| name.ends_with(f.extension())).max_by_key(|f| f.extension().len())
@@ -106,19 +78,4 @@ impl std::fmt::Display for Format {
             Self::Gltf => "glTF",
         })
     }
-}
-
-fn ply_kind(path: &Path) -> Result<Format> {
-    Ok(if ply::is_compressed(path)? { Format::CompressedPly } else { Format::Ply })
-}
-
-fn first_bytes(path: &Path) -> Result<Vec<u8>> {
-    let io = |source| Error::io(path, "read", source);
-    let file = File::open(path).map_err(io)?;
-    if !file.metadata().map_err(io)?.is_file() {
-        return Err(Error::input(path, "is not a file", "give the path of a file of Gaussians"));
-    }
-    let mut start = Vec::new();
-    file.take(512).read_to_end(&mut start).map_err(io)?;
-    Ok(start)
 }

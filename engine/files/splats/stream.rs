@@ -1,0 +1,158 @@
+//! Gaussians as they come from a file and go into one: block by block, in whatever format.
+
+use std::path::{Path, PathBuf};
+
+use super::format::Format;
+use super::validation::Unusable;
+use ashsplat::scene::gaussians::sh_coefficients;
+use ashsplat::scene::{Bounds, Gaussians};
+use ashsplat::{Error, Result};
+
+/// Most Gaussians of a block.
+pub(crate) const BLOCK: usize = 16_384;
+
+/// Receives Gaussians block by block. All blocks have the same SH degree.
+pub(crate) type Sink<'a> = dyn FnMut(Gaussians) -> Result<()> + 'a;
+
+/// Properties of a file before its Gaussians.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Header {
+    /// Format of the file.
+    pub format: Format,
+    /// Number of Gaussians, usable or not.
+    pub count: u64,
+    /// Degree of the spherical harmonics, 0 to 3.
+    pub sh_degree: u32,
+    /// Whether the Gaussians were trained with antialiasing (Mip-Splatting's opacity compensation) and need
+    /// it.
+    pub antialiased: bool,
+    /// Parts of the file that are not used.
+    pub warnings: Vec<String>,
+}
+
+/// How to read Gaussians.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReadOptions {
+    /// Drop Gaussians with unusable parameters instead of refusing the file.
+    pub drop_invalid: bool,
+}
+
+/// Gaussians from a file, and the number of dropped ones.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The usable Gaussians, in the file's order.
+    pub gaussians: Gaussians,
+    /// The file's header.
+    pub header: Header,
+    /// Number of Gaussians that were dropped because of an unusable parameter.
+    pub dropped: u64,
+    /// Descriptions of the dropped Gaussians, and other warnings.
+    pub warnings: Vec<String>,
+}
+
+/// Properties of a scene that are needed before its first Gaussian is written.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Outline {
+    pub(crate) count: u64,
+    pub(crate) sh_degree: u32,
+    pub(crate) antialiased: bool,
+    /// Box around the means; none without Gaussians.
+    pub(crate) bounds: Option<Bounds>,
+}
+
+/// Passes all blocks of a scene, in order, to a sink.
+pub(crate) type Produce<'a> = dyn FnMut(&mut Sink<'_>) -> Result<()> + 'a;
+
+impl Outline {
+    pub(crate) fn of(gaussians: &Gaussians, antialiased: bool) -> Self {
+        Self {
+            count: gaussians.len() as u64,
+            sh_degree: gaussians.sh_degree,
+            antialiased,
+            bounds: gaussians.bounds(),
+        }
+    }
+}
+
+/// Passes Gaussians to a sink in blocks.
+pub(crate) fn in_blocks(gaussians: &Gaussians, sink: &mut Sink<'_>) -> Result<()> {
+    let coefficients = sh_coefficients(gaussians.sh_degree);
+    for start in (0..gaussians.len()).step_by(BLOCK) {
+        let rows = start..(start + BLOCK).min(gaussians.len());
+        sink(Gaussians {
+            sh_degree: gaussians.sh_degree,
+            means: gaussians.means[rows.clone()].to_vec(),
+            quats: gaussians.quats[rows.clone()].to_vec(),
+            log_scales: gaussians.log_scales[rows.clone()].to_vec(),
+            opacity_logits: gaussians.opacity_logits[rows.clone()].to_vec(),
+            sh: gaussians.sh[rows.start * coefficients..rows.end * coefficients].to_vec(),
+        })?;
+    }
+    Ok(())
+}
+
+/// An open file of one format.
+pub(crate) trait Source {
+    fn header(&self) -> &Header;
+
+    /// Passes all Gaussians to the sink, usable or not. Called once.
+    fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()>;
+
+    /// Name of one Gaussian in messages about the file.
+    fn row_name(&self) -> &'static str {
+        "Gaussian"
+    }
+}
+
+/// An open file that is read block by block.
+pub(crate) struct Reader<'a> {
+    path: PathBuf,
+    source: Box<dyn Source + 'a>,
+    options: ReadOptions,
+    /// Description of the dropped Gaussians.
+    pub(crate) warning: Option<String>,
+}
+
+impl<'a> Reader<'a> {
+    pub(crate) fn new(path: &Path, source: Box<dyn Source + 'a>, options: &ReadOptions) -> Self {
+        Self { path: path.to_owned(), source, options: *options, warning: None }
+    }
+
+    pub(crate) fn header(&self) -> &Header {
+        self.source.header()
+    }
+
+    /// Passes the usable Gaussians to the sink. Returns the number of dropped ones.
+    pub(crate) fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<u64> {
+        let (count, row_name) = (self.header().count, self.source.row_name());
+        let drop_invalid = self.options.drop_invalid;
+        let mut unusable = Unusable::default();
+        self.source.blocks(&mut |mut block| {
+            unusable.look_through(&mut block);
+            // After the first unusable Gaussian, a file that is refused is only counted.
+            if unusable.count() == 0 || drop_invalid { sink(block) } else { Ok(()) }
+        })?;
+        self.warning = unusable.describe(count, row_name);
+        match &self.warning {
+            Some(problem) if !drop_invalid => {
+                Err(Error::input(&self.path, problem.clone(), "--drop-invalid leaves them out"))
+            }
+            _ => Ok(unusable.count()),
+        }
+    }
+
+    /// All Gaussians of the file.
+    pub(crate) fn collect(mut self) -> Result<Scene> {
+        let header = self.header().clone();
+        // The header's count was checked against the file's size. Rows still take more memory than packed ones,
+        // and glTF may repeat the same ones a limited number of times.
+        let capacity = usize::try_from(header.count).unwrap_or(0);
+        let mut gaussians = Gaussians::with_capacity(header.sh_degree, capacity);
+        let dropped = self.blocks(&mut |block| {
+            gaussians.append(&block);
+            Ok(())
+        })?;
+        let warnings = header.warnings.iter().cloned().chain(self.warning.take()).collect();
+        Ok(Scene { gaussians, header, dropped, warnings })
+    }
+}

@@ -1,0 +1,47 @@
+//! Buffers of a host.
+
+use super::buffer::Buffer;
+use super::context::Context;
+use super::memory::{Block, PLACEMENT_ALIGNMENT};
+use crate::{Error, Result};
+use ash::vk;
+use std::sync::Arc;
+
+impl Buffer {
+    /// A range of a host's buffer.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a null handle, no bytes, an offset that is no multiple of 256 or a size that
+    /// is no multiple of 4; and in a context of our own that reads texels
+    /// ([`ContextOptions::texels`](super::ContextOptions::texels)).
+    ///
+    /// # Safety
+    /// - `raw` is of the context's device, bound to memory, has at least `offset + bytes` bytes and the
+    ///   usages   STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST;
+    /// - it lives until the last recording that uses it has finished and the buffer and its clones are
+    ///   dropped;
+    /// - no two adopted buffers overlap.
+    pub unsafe fn adopt(
+        context: &Context,
+        name: &'static str,
+        raw: vk::Buffer,
+        offset: u64,
+        bytes: u64,
+    ) -> Result<Self> {
+        context.device.check_adoption()?;
+        let bad = |problem: String| Err(Error::argument(format!("buffer '{name}'"), problem));
+        if raw == vk::Buffer::null() {
+            return bad("the handle is null".into());
+        }
+        if bytes == 0 || !bytes.is_multiple_of(4) || !offset.is_multiple_of(PLACEMENT_ALIGNMENT) {
+            return bad(format!("{bytes} bytes at {offset} are no range of words at a multiple of 256"));
+        }
+        let end = offset.saturating_add(bytes);
+        Ok(Self::new(Arc::new(Block::foreign(&context.device, raw, end)), offset, bytes, name))
+    }
+
+    /// Whether it belongs to this context's device.
+    pub fn belongs_to(&self, context: &Context) -> bool {
+        self.block().is_of(&context.device)
+    }
+}

@@ -1,0 +1,86 @@
+//! Allocation: requests are packed into blocks, and the limits are respected.
+
+use super::allocator::MemoryKind;
+use super::buffer::Buffer;
+#[cfg(feature = "testing")]
+use super::guard_bands::GUARD_BYTES;
+use super::memory::{Block, SMALLEST_BUFFER, pack};
+use super::open_device::Device;
+use crate::{Error, Result};
+use std::sync::Arc;
+
+/// The user's name for [`ContextOptions::max_memory`](super::ContextOptions::max_memory).
+pub(super) const MAX_MEMORY: &str = "--max-memory";
+
+impl Device {
+    /// Bytes of the bands around each buffer.
+    #[cfg(not(feature = "testing"))]
+    fn guard(&self) -> u64 {
+        0
+    }
+
+    /// Bytes of the bands around each buffer.
+    #[cfg(feature = "testing")]
+    fn guard(&self) -> u64 {
+        if self.guard_bands { GUARD_BYTES } else { 0 }
+    }
+
+    /// Bytes of each buffer with its guard bands.
+    fn sizes(&self, requests: &[(&'static str, u64)]) -> Vec<u64> {
+        let guarded = |bytes: u64| bytes.max(SMALLEST_BUFFER).next_multiple_of(4) + 2 * self.guard();
+        requests.iter().map(|(_, bytes)| guarded(*bytes)).collect()
+    }
+
+    /// Bytes that [`Device::allocate`] takes for these requests. For requests that it refuses, their sum.
+    pub(super) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
+        let sizes = self.sizes(requests);
+        let blocks = pack(&sizes, self.limits.max_allocation_bytes).map_or(sizes, |packing| packing.blocks);
+        blocks.iter().sum()
+    }
+
+    /// [`Context::allocate`](super::Context::allocate), without what tests and audits do with new memory.
+    pub(super) fn allocate(
+        self: &Arc<Self>,
+        arena: &str,
+        requests: &[(&'static str, u64)],
+        kind: MemoryKind,
+    ) -> Result<Vec<Buffer>> {
+        let limits = &self.limits;
+        let too_large = |what: String, needed, limit, limit_name| {
+            Err(Error::TooLarge { what, needed, unit: "bytes", limit, limit_name })
+        };
+        if let Some(&(name, bytes)) = requests.iter().find(|(_, b)| *b > limits.max_storage_buffer_range) {
+            let limit = limits.max_storage_buffer_range;
+            return too_large(format!("buffer {arena}.{name}"), bytes, limit, "maxStorageBufferRange");
+        }
+        let guard = self.guard();
+        let sizes = self.sizes(requests);
+        let packing = match pack(&sizes, limits.max_allocation_bytes) {
+            Ok(packing) => packing,
+            Err(i) => {
+                let limit = limits.max_allocation_bytes;
+                let what = format!("buffer {arena}.{}", requests[i].0);
+                return too_large(what, sizes[i], limit, "maxMemoryAllocationSize");
+            }
+        };
+        let total: u64 = packing.blocks.iter().sum();
+        if total > limits.heap_bytes && kind == MemoryKind::Device && limits.tuning.heap_is_bound {
+            return too_large(format!("arena {arena}"), total, limits.heap_bytes, "device-local heap");
+        }
+        let used = self.registry.total().bytes;
+        if let Some(limit) = self.max_memory.filter(|&limit| used.saturating_add(total) > limit) {
+            let what = format!("arena {arena} (beside {used} bytes in use)");
+            return too_large(what, used.saturating_add(total), limit, MAX_MEMORY);
+        }
+        let arena: Arc<str> = arena.into();
+        let blocks = (packing.blocks.iter().enumerate())
+            .map(|(number, &bytes)| Ok(Arc::new(Block::new(self, &arena, number, bytes, kind)?)))
+            .collect::<Result<Vec<_>>>()?;
+        let places = requests.iter().zip(&packing.places);
+        let buffers = places.map(|(&(name, bytes), &(block, offset))| {
+            let bytes = bytes.max(SMALLEST_BUFFER).next_multiple_of(4);
+            Buffer::new(blocks[block].clone(), offset + guard, bytes, name)
+        });
+        Ok(buffers.collect())
+    }
+}

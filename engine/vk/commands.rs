@@ -1,0 +1,244 @@
+//! Command buffers: recorded, submitted, waited for and used again.
+
+use super::descriptors::DescriptorSets;
+use super::error::vk_error;
+use super::open_device::Device;
+use super::profiler::{MAX_SCOPES, QUERIES};
+use crate::{Error, Result};
+use ash::vk;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// The Vulkan objects of one recording, reused after it.
+#[derive(Clone, Copy)]
+struct Slot {
+    pool: vk::CommandPool,
+    commands: vk::CommandBuffer,
+    fence: vk::Fence,
+    queries: vk::QueryPool,
+}
+
+impl Slot {
+    fn new(inner: &Device) -> Result<Self> {
+        let null = Self {
+            pool: vk::CommandPool::null(),
+            commands: vk::CommandBuffer::null(),
+            fence: vk::Fence::null(),
+            queries: vk::QueryPool::null(),
+        };
+        let mut slot = null;
+        slot.create(inner).inspect_err(|_| slot.destroy(inner))?;
+        Ok(slot)
+    }
+
+    fn create(&mut self, inner: &Device) -> Result<()> {
+        let device = &inner.device;
+        let pool = vk::CommandPoolCreateInfo::default()
+            .queue_family_index(inner.queue_family)
+            .flags(vk::CommandPoolCreateFlags::TRANSIENT);
+        // SAFETY: valid create infos for this device.
+        unsafe {
+            self.pool = device.create_command_pool(&pool, None).map_err(vk_error("vkCreateCommandPool"))?;
+            let commands = vk::CommandBufferAllocateInfo::default()
+                .command_pool(self.pool)
+                .level(vk::CommandBufferLevel::PRIMARY)
+                .command_buffer_count(1);
+            let commands = device.allocate_command_buffers(&commands);
+            let commands = commands.map_err(vk_error("vkAllocateCommandBuffers"))?;
+            self.commands = commands.first().copied().unwrap_or_default();
+            let fence = device.create_fence(&vk::FenceCreateInfo::default(), None);
+            self.fence = fence.map_err(vk_error("vkCreateFence"))?;
+            if inner.timestamp_bits > 0 {
+                let queries = vk::QueryPoolCreateInfo::default()
+                    .query_type(vk::QueryType::TIMESTAMP)
+                    .query_count(QUERIES);
+                let queries = device.create_query_pool(&queries, None);
+                self.queries = queries.map_err(vk_error("vkCreateQueryPool"))?;
+                inner.names.name(self.queries, "scope timestamps");
+            }
+        }
+        inner.names.name(self.pool, "recorder pool");
+        inner.names.name(self.fence, "recorder fence");
+        Ok(())
+    }
+
+    fn destroy(&self, inner: &Device) {
+        // SAFETY: the slot is idle; null handles are allowed. Destroying the pool frees its command buffer.
+        unsafe {
+            inner.device.destroy_query_pool(self.queries, None);
+            inner.device.destroy_fence(self.fence, None);
+            inner.device.destroy_command_pool(self.pool, None);
+        }
+    }
+}
+
+/// Idle objects of recordings. Whoever records holds the pools.
+pub(super) struct Pools {
+    inner: Arc<Device>,
+    slots: Mutex<Vec<Slot>>,
+    /// Descriptor sets, where there are no push descriptors.
+    descriptors: Mutex<Vec<DescriptorSets>>,
+}
+
+impl Pools {
+    pub(super) fn new(inner: Arc<Device>) -> Self {
+        Self { inner, slots: Mutex::default(), descriptors: Mutex::default() }
+    }
+}
+
+impl Drop for Pools {
+    fn drop(&mut self) {
+        // All of them are idle: whoever gave them back has waited for its submission.
+        let slots = self.slots.get_mut().unwrap_or_else(PoisonError::into_inner);
+        slots.iter().for_each(|slot| slot.destroy(&self.inner));
+        let sets = self.descriptors.get_mut().unwrap_or_else(PoisonError::into_inner);
+        sets.iter_mut().for_each(|sets| sets.destroy(&self.inner));
+    }
+}
+
+/// A command buffer in the recording state or submitted. Returns to its pools when dropped.
+pub(super) struct Commands {
+    pub(super) pools: Arc<Pools>,
+    pub(super) inner: Arc<Device>,
+    slot: Slot,
+    pub(super) submitted: bool,
+    pub(super) descriptors: Option<DescriptorSets>,
+}
+
+impl Commands {
+    /// With `every_command`, there are queries for each command too.
+    pub(super) fn begin(pools: &Arc<Pools>, label: &str, every_command: bool) -> Result<Self> {
+        let inner = &pools.inner;
+        let free = pools.slots.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let slot = match free {
+            Some(slot) => slot,
+            None => Slot::new(inner)?,
+        };
+        let sets = pools.descriptors.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let descriptors = sets.or_else(|| DescriptorSets::new(inner));
+        let commands =
+            Self { pools: pools.clone(), inner: inner.clone(), slot, submitted: false, descriptors };
+        inner.names.name(slot.commands, label);
+        let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        // SAFETY: the command buffer is in the initial state (new, or its pool was reset) and this thread's alone; the
+        // queries are not in use.
+        unsafe {
+            let begun = inner.device.begin_command_buffer(slot.commands, &info);
+            begun.map_err(vk_error("vkBeginCommandBuffer"))?;
+            if slot.queries != vk::QueryPool::null() {
+                let count = if every_command { QUERIES } else { 2 * MAX_SCOPES };
+                inner.device.cmd_reset_query_pool(slot.commands, slot.queries, 0, count);
+            }
+        }
+        // Makes the writes of earlier submissions visible, including those that were not waited for.
+        let earlier = vk::MemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE);
+        commands.memory_barrier(earlier);
+        Ok(commands)
+    }
+
+    pub(super) fn raw(&self) -> vk::CommandBuffer {
+        self.slot.commands
+    }
+
+    /// Null without timestamps, or if none are requested.
+    pub(super) fn queries(&self) -> vk::QueryPool {
+        let wanted = self.inner.timestamps.load(Ordering::Relaxed);
+        if wanted { self.slot.queries } else { vk::QueryPool::null() }
+    }
+
+    fn memory_barrier(&self, barrier: vk::MemoryBarrier2<'_>) {
+        let barriers = [barrier];
+        let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
+        // SAFETY: the command buffer is in the recording state.
+        unsafe { self.inner.device.cmd_pipeline_barrier2(self.slot.commands, &dependency) }
+    }
+
+    pub(super) fn submit(&mut self) -> Result<()> {
+        // A fence alone does not make writes visible to the host.
+        let to_host = vk::MemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::HOST)
+            .dst_access_mask(vk::AccessFlags2::HOST_READ | vk::AccessFlags2::HOST_WRITE);
+        self.memory_barrier(to_host);
+        let device = &self.inner.device;
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.slot.commands)];
+        let submits = [vk::SubmitInfo2::default().command_buffer_infos(&buffers)];
+        let queue = self.inner.lock_queue()?;
+        // SAFETY: the command buffer was recorded on this device and everything that it refers to is kept by the
+        // caller until the fence has signalled; the lock gives the queue to this thread.
+        unsafe {
+            let ended = device.end_command_buffer(self.slot.commands);
+            ended.map_err(vk_error("vkEndCommandBuffer"))?;
+            let submitted = device.queue_submit2(*queue, &submits, self.slot.fence);
+            submitted.map_err(|error| self.inner.failed("vkQueueSubmit2", error))?;
+        }
+        self.submitted = true;
+        Ok(())
+    }
+
+    /// Sleeps until the submission has finished, or until the timeout.
+    pub(super) fn wait(&mut self, timeout: Option<Duration>) -> Result<()> {
+        const ROUND: Duration = Duration::from_secs(60);
+        let mut waited = Duration::ZERO;
+        while self.submitted {
+            let round = timeout.map_or(ROUND, |timeout| timeout.saturating_sub(waited).min(ROUND));
+            let fences = [self.slot.fence];
+            // SAFETY: the fence is alive and was submitted.
+            let over = unsafe { self.inner.device.wait_for_fences(&fences, true, round.as_nanos() as u64) };
+            match over {
+                Ok(()) => self.submitted = false,
+                Err(vk::Result::TIMEOUT) => {
+                    waited += round;
+                    if timeout.is_some_and(|timeout| waited >= timeout) {
+                        return Err(Error::Timeout { seconds: waited.as_secs_f64() });
+                    }
+                }
+                Err(error) => {
+                    // A lost device runs nothing any more; after other errors that is unknown.
+                    self.submitted = error != vk::Result::ERROR_DEVICE_LOST;
+                    return Err(self.inner.failed("vkWaitForFences", error));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits until nothing of the submission runs any more, also after errors.
+    pub(super) fn settle(&mut self) {
+        if self.wait(None).is_err() && self.submitted {
+            if let Ok(queue) = self.inner.lock_queue() {
+                // The queue alone: of a host's device, others are in use by other threads.
+                // SAFETY: the lock gives the queue to this thread. When this fails, the device is lost.
+                let _ = unsafe { self.inner.device.queue_wait_idle(*queue) };
+            }
+            self.submitted = false;
+        }
+    }
+}
+
+impl Drop for Commands {
+    fn drop(&mut self) {
+        self.settle();
+        if let Some(mut sets) = self.descriptors.take() {
+            sets.reset();
+            self.pools.descriptors.lock().unwrap_or_else(PoisonError::into_inner).push(sets);
+        }
+        let device = &self.inner.device;
+        // SAFETY: nothing of the slot is in use: it was never submitted, or has been waited for.
+        let reset = unsafe {
+            device
+                .reset_command_pool(self.slot.pool, vk::CommandPoolResetFlags::empty())
+                .and_then(|()| device.reset_fences(&[self.slot.fence]))
+        };
+        match reset {
+            Ok(()) => self.pools.slots.lock().unwrap_or_else(PoisonError::into_inner).push(self.slot),
+            Err(_) => self.slot.destroy(&self.inner),
+        }
+    }
+}

@@ -1,0 +1,54 @@
+//! For tests: stricter limits than the device's.
+
+use super::limits::Limits;
+use crate::tuning::{Backend, Tuning};
+
+/// Stricter limits than the device's, for tests: `None` keeps the device's.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LimitsOverride {
+    /// For [`Limits::max_storage_buffer_range`].
+    pub max_storage_buffer_range: Option<u64>,
+    /// For [`Limits::max_allocation_bytes`].
+    pub max_allocation_bytes: Option<u64>,
+    /// For [`Limits::max_workgroups_per_axis`].
+    pub max_workgroups_per_axis: Option<u32>,
+    /// For [`Limits::max_workgroup_invocations`].
+    pub max_workgroup_invocations: Option<u32>,
+    /// For [`Limits::shared_memory_bytes`].
+    pub shared_memory_bytes: Option<u32>,
+    /// For [`Limits::push_constant_bytes`].
+    pub push_constant_bytes: Option<u32>,
+    /// For [`Limits::max_workgroup_subgroups`].
+    pub max_workgroup_subgroups: Option<u32>,
+    /// For [`Limits::max_push_descriptors`].
+    pub max_push_descriptors: Option<u32>,
+    /// For [`Limits::max_texels`].
+    pub max_texels: Option<u64>,
+    /// For [`Limits::instances_per_dispatch`].
+    pub instances_per_dispatch: Option<u32>,
+    /// For [`Limits::tuning`]: the kernels of another class of devices.
+    pub backend: Option<Backend>,
+}
+
+impl Limits {
+    /// The limits with each value lowered to the override's. An override never raises a limit.
+    pub fn lowered(mut self, to: &LimitsOverride) -> Self {
+        fn lower<T: Ord + Copy>(limit: &mut T, to: Option<T>) {
+            *limit = to.map_or(*limit, |to| to.min(*limit));
+        }
+        lower(&mut self.max_storage_buffer_range, to.max_storage_buffer_range);
+        lower(&mut self.max_allocation_bytes, to.max_allocation_bytes);
+        lower(&mut self.max_workgroups_per_axis, to.max_workgroups_per_axis);
+        lower(&mut self.max_workgroup_invocations, to.max_workgroup_invocations);
+        lower(&mut self.shared_memory_bytes, to.shared_memory_bytes);
+        lower(&mut self.push_constant_bytes, to.push_constant_bytes);
+        lower(&mut self.max_workgroup_subgroups, to.max_workgroup_subgroups);
+        lower(&mut self.max_push_descriptors, to.max_push_descriptors);
+        lower(&mut self.max_texels, to.max_texels);
+        lower(&mut self.instances_per_dispatch, to.instances_per_dispatch);
+        if let Some(backend) = to.backend {
+            self.tuning = Tuning::of(backend);
+        }
+        self
+    }
+}

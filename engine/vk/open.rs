@@ -1,0 +1,263 @@
+//! Opening a device: the options, and the context of our own device or of a host's.
+
+use super::allocator::HostAllocator;
+use super::arenas::Registry;
+use super::clock::Clock;
+use super::context::Context;
+use super::create_device;
+use super::debug::Names;
+use super::descriptors;
+use super::device::{self, Candidate};
+#[cfg(feature = "testing")]
+use super::faults::Faults;
+use super::instance::Instance;
+use super::limits::{Limits, SpecOverride};
+#[cfg(feature = "testing")]
+use super::limits_override::LimitsOverride;
+use super::open_device::{Device, Owner};
+use super::pipeline_cache::{PipelineCache, PipelineCacheData};
+use super::raw_device::RawDevice;
+use crate::{Error, Result};
+use ash::vk;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// How to open a device.
+#[derive(Clone, Debug)]
+pub struct ContextOptions {
+    /// Index of the device or part of its name. None: the environment variable `ASHSPLAT_DEVICE`, or
+    /// otherwise the best device.
+    pub device: Option<String>,
+    /// Turn on the Khronos validation layer with synchronization validation. It is an error if the layer is
+    /// not installed. With a layer of 2023, open and close such devices only while no other thread uses
+    /// another one: its table of devices has no lock.
+    pub validation: bool,
+    /// Panic if a recording lacks a barrier. Default: in debug builds.
+    pub hazard_check: bool,
+    /// Time scopes if the device can. Default: yes.
+    pub timestamps: bool,
+    /// Subgroup size of all kernels, if the device supports the choice. None: the device's default.
+    pub subgroup_size: Option<u32>,
+    /// For tests: stricter limits than the device's.
+    #[cfg(feature = "testing")]
+    pub limits_override: Option<LimitsOverride>,
+    /// Turn on the validation layer for `debugPrintfEXT` in shaders; [`Context::printed`] returns the output.
+    /// It is an error if the layer is not installed.
+    pub debug_printf: bool,
+    /// Overrides of specialization constants.
+    pub overrides: Vec<SpecOverride>,
+    /// For tests: transfer through staging memory, as on a discrete GPU, even if device memory can be mapped.
+    #[cfg(feature = "testing")]
+    pub force_staging: bool,
+    /// For a capture by RenderDoc: accept Vulkan 1.2. Its layer reports this version for every driver without
+    /// bufferDeviceAddressCaptureReplay, for example llvmpipe, although it passes 1.3 on.
+    pub capture: bool,
+    /// Longest wait for a submission before it is an error. None: no limit. The driver resets a device that
+    /// hangs, and reports it.
+    pub timeout: Option<Duration>,
+    /// Most bytes of device and staging memory, all arenas together. None: the device's memory.
+    pub max_memory: Option<u64>,
+    /// For tests: guard bands around every buffer that detect writes outside of it; see
+    /// [`Context::breached_guards`].
+    #[cfg(feature = "testing")]
+    pub guard_bands: bool,
+    /// For tests: Vulkan calls that fail on demand.
+    #[cfg(feature = "testing")]
+    pub faults: Option<Faults>,
+    /// Use VK_KHR_push_descriptor if the device has it. Default: yes.
+    pub push_descriptors: bool,
+    /// Let kernels read buffers as texels on processors, where that is faster. The views are made while
+    /// recording, so buffers and command buffers of a host cannot be adopted then. Default: yes; never on a
+    /// host's device.
+    pub texels: bool,
+    /// Build kernels with a VkPipelineCache that is kept between runs. Default: none; on a host's device see
+    /// [`ForeignDevice::pipeline_cache`](super::ForeignDevice::pipeline_cache).
+    pub pipeline_cache: Option<PipelineCacheData>,
+}
+
+impl ContextOptions {
+    fn least_version(&self) -> u32 {
+        if self.capture { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_3 }
+    }
+}
+
+impl Default for ContextOptions {
+    fn default() -> Self {
+        Self {
+            device: None,
+            validation: false,
+            hazard_check: cfg!(debug_assertions),
+            timestamps: true,
+            subgroup_size: None,
+            #[cfg(feature = "testing")]
+            limits_override: None,
+            debug_printf: false,
+            overrides: Vec::new(),
+            #[cfg(feature = "testing")]
+            force_staging: false,
+            capture: false,
+            timeout: None,
+            max_memory: None,
+            #[cfg(feature = "testing")]
+            guard_bands: false,
+            #[cfg(feature = "testing")]
+            faults: None,
+            push_descriptors: true,
+            texels: true,
+            pipeline_cache: None,
+        }
+    }
+}
+
+/// The parts of an open device: see [`Context::assemble`].
+pub(super) struct Parts<'a> {
+    // In this order: the device goes before its instance.
+    pub(super) device: RawDevice,
+    pub(super) owner: Owner,
+    pub(super) candidate: Candidate,
+    /// From [`effective_limits`].
+    pub(super) limits: Limits,
+    pub(super) queue: Option<vk::Queue>,
+    pub(super) debug_utils: bool,
+    pub(super) allocator: Option<Arc<dyn HostAllocator>>,
+    /// A host's; null: none.
+    pub(super) pipeline_cache: vk::PipelineCache,
+    pub(super) options: &'a ContextOptions,
+}
+
+impl Context {
+    /// Opens a device.
+    ///
+    /// # Errors
+    /// [`Error::NoLoader`], [`Error::NoDevice`], [`Error::UnknownDevice`], [`Error::MissingFeature`] (also for the
+    /// validation layer), [`Error::Argument`] for a subgroup size that the device does not have.
+    pub fn new(options: &ContextOptions) -> Result<Self> {
+        let instance = Instance::new(options.validation, options.debug_printf)?;
+        let from_environment = std::env::var("ASHSPLAT_DEVICE").ok().filter(|d| !d.trim().is_empty());
+        let asked = options.device.clone().or(from_environment);
+        let mut candidate = device::choose(&instance.raw, asked.as_deref(), options.least_version())?;
+        candidate.features.push_descriptor &= options.push_descriptors;
+        let limits = effective_limits(&candidate, options)?;
+        let device =
+            RawDevice::ours(create_device::create_device(&instance.raw, &candidate, options.debug_printf)?);
+        // SAFETY: the device was created with one queue of this family.
+        let queue = unsafe { device.get_device_queue(candidate.queue_family, 0) };
+        let debug_utils = instance.has_debug_utils;
+        let context = Self::assemble(Parts {
+            owner: Owner::Us(instance),
+            candidate,
+            limits,
+            device,
+            queue: Some(queue),
+            debug_utils,
+            allocator: None,
+            pipeline_cache: vk::PipelineCache::null(),
+            options,
+        })?;
+        context.device.names.name(queue, "ashsplat queue");
+        Ok(context)
+    }
+
+    /// A context from a device that fulfils the requirements. On failure it destroys a device of its own.
+    pub(super) fn assemble(parts: Parts<'_>) -> Result<Self> {
+        let Parts {
+            owner,
+            candidate,
+            mut limits,
+            device,
+            queue,
+            debug_utils,
+            allocator,
+            pipeline_cache,
+            options,
+        } = parts;
+        let instance = owner.instance();
+        // SAFETY: the physical device is of this instance.
+        let (memory, families, properties) = unsafe {
+            (
+                instance.get_physical_device_memory_properties(candidate.physical),
+                instance.get_physical_device_queue_family_properties(candidate.physical),
+                instance.get_physical_device_properties(candidate.physical),
+            )
+        };
+        let family = families.get(candidate.queue_family as usize).copied().unwrap_or_default();
+        let push = candidate.features.push_descriptor;
+        let foreign = !matches!(owner, Owner::Us(_));
+        if foreign || !push || !options.texels || !candidate.features.int64 {
+            // Views of buffers are made while recording, and a host's buffers may lack the usage. Kernels that read
+            // texels write integers of 64 bits.
+            limits.max_texels = 0;
+        }
+        if !push {
+            limits.max_push_descriptors = descriptors::BUFFERS;
+        }
+        let unified_memory = candidate.has_unified_memory();
+        #[cfg(feature = "testing")]
+        let unified_memory = unified_memory && !options.force_staging;
+        // From here on, dropping it destroys whatever there is.
+        let mut open = Device {
+            push_descriptor: push.then(|| ash::khr::push_descriptor::Device::new(instance, &device)),
+            shared_layouts: None,
+            clock: Clock::new(instance, &device, candidate.features.calibrated_timestamps),
+            names: Names::new(instance, &device, debug_utils),
+            device,
+            queue: queue.map(Mutex::new),
+            queue_family: candidate.queue_family,
+            physical: candidate.physical,
+            limits,
+            memory,
+            unified_memory,
+            timestamp_bits: if options.timestamps { family.timestamp_valid_bits } else { 0 },
+            timestamps: AtomicBool::new(true),
+            hazard_check: options.hazard_check,
+            timeout: options.timeout,
+            max_memory: options.max_memory,
+            #[cfg(feature = "testing")]
+            guard_bands: options.guard_bands,
+            budget: candidate.features.memory_budget.then_some(candidate.physical),
+            lost: AtomicBool::new(false),
+            description: candidate.description,
+            registry: Registry::default(),
+            replaced: Mutex::default(),
+            allocator,
+            pipeline_cache: PipelineCache::of_host(pipeline_cache),
+            owner,
+        };
+        #[cfg(feature = "testing")]
+        open.device.faults.clone_from(&options.faults);
+        if !push {
+            descriptors::add_shared_layouts(&mut open)?;
+        }
+        if let (Some(own), false) = (&options.pipeline_cache, foreign) {
+            open.pipeline_cache = PipelineCache::of_data(&open.device, &properties, own.clone())?;
+        }
+        Ok(Self::on(Arc::new(open)))
+    }
+}
+
+/// The device's limits, with the changes of the options.
+pub(super) fn effective_limits(candidate: &Candidate, options: &ContextOptions) -> Result<Limits> {
+    let device = &candidate.description;
+    let Some(limits) = device.limits.clone() else {
+        return Err(Error::MissingFeature { device: device.name.clone(), feature: "Vulkan 1.3".into() });
+    };
+    #[cfg(feature = "testing")]
+    let limits = limits.lowered(&options.limits_override.unwrap_or_default());
+    let mut limits = limits;
+    limits.overrides.clone_from(&options.overrides);
+    if let Some(size) = options.subgroup_size {
+        let (min, max) = (limits.min_subgroup_size, limits.max_subgroup_size);
+        let selectable = limits.subgroup_size_selectable && (min..=max).contains(&size);
+        if size != limits.subgroup_size && !(selectable && size.is_power_of_two()) {
+            let range = if limits.subgroup_size_selectable {
+                format!("'{}' has powers of two from {min} to {max}", device.name)
+            } else {
+                format!("'{}' has only {}", device.name, limits.subgroup_size)
+            };
+            return Err(Error::argument(format!("subgroup size {size}"), range));
+        }
+        limits.subgroup_size = size;
+    }
+    Ok(limits)
+}

@@ -1,0 +1,135 @@
+//! The open device: its functions, properties and settings, and what is kept for all that is made from it. It knows
+//! nothing of buffers, kernels or recordings: they stand on it.
+
+use super::allocator::HostAllocator;
+use super::arenas::Registry;
+use super::clock::Clock;
+use super::debug::{Messages, Names};
+use super::device::DeviceDescription;
+use super::error::vk_error;
+use super::instance::Instance;
+use super::limits::Limits;
+use super::pipeline_cache::PipelineCache;
+use super::raw_device::RawDevice;
+use crate::{Error, Result};
+use ash::vk;
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// An open device, which everything made from it keeps open.
+pub(super) struct Device {
+    /// Its functions.
+    pub(super) device: RawDevice,
+    /// None: descriptor sets of `shared_layouts` are bound.
+    pub(super) push_descriptor: Option<ash::khr::push_descriptor::Device>,
+    /// Present without push descriptors: the layouts of the module `descriptors`.
+    pub(super) shared_layouts: Option<Vec<vk::DescriptorSetLayout>>,
+    pub(super) names: Names,
+    /// None on a host's device whose host keeps the queue to itself.
+    pub(super) queue: Option<Mutex<vk::Queue>>,
+    pub(super) queue_family: u32,
+    pub(super) physical: vk::PhysicalDevice,
+    pub(super) limits: Limits,
+    pub(super) memory: vk::PhysicalDeviceMemoryProperties,
+    /// Whether device memory is the host's memory. Mapping is then the fastest transfer.
+    pub(super) unified_memory: bool,
+    pub(super) timestamp_bits: u32,
+    /// Whether timestamps are currently written.
+    pub(super) timestamps: AtomicBool,
+    /// Reads the device's clock, if it can be compared with the host's.
+    pub(super) clock: Option<Clock>,
+    pub(super) hazard_check: bool,
+    pub(super) timeout: Option<Duration>,
+    pub(super) max_memory: Option<u64>,
+    #[cfg(feature = "testing")]
+    pub(super) guard_bands: bool,
+    /// The physical device for budget queries: VK_EXT_memory_budget.
+    pub(super) budget: Option<vk::PhysicalDevice>,
+    /// Whether the device is lost.
+    pub(super) lost: AtomicBool,
+    pub(super) description: DeviceDescription,
+    pub(super) registry: Registry,
+    /// SPIR-V that replaces a kernel's own.
+    pub(super) replaced: Mutex<HashMap<String, Arc<Vec<u32>>>>,
+    /// The allocator of the buffers' memory; None: the device.
+    pub(super) allocator: Option<Arc<dyn HostAllocator>>,
+    /// What kernels are built with.
+    pub(super) pipeline_cache: PipelineCache,
+    // Destroyed after the device: keep it last.
+    pub(super) owner: Owner,
+}
+
+/// Owner of the instance and the device.
+pub(super) enum Owner {
+    /// We, who destroy them.
+    Us(Instance),
+    /// A host. They are neither destroyed nor waited for.
+    Host(ash::Instance),
+}
+
+impl Owner {
+    pub(super) fn instance(&self) -> &ash::Instance {
+        match self {
+            Self::Us(instance) => &instance.raw,
+            Self::Host(instance) => instance,
+        }
+    }
+
+    pub(super) fn messages(&self) -> Option<&Arc<Messages>> {
+        match self {
+            Self::Us(instance) => instance.messenger.as_ref().map(|m| &m.messages),
+            Self::Host(_) => None,
+        }
+    }
+}
+
+impl Device {
+    /// Whether the instance and the device are a host's.
+    pub(super) fn is_foreign(&self) -> bool {
+        matches!(self.owner, Owner::Host(_))
+    }
+
+    /// Locks the queue for this thread.
+    pub(super) fn lock_queue(&self) -> Result<MutexGuard<'_, vk::Queue>> {
+        let Some(queue) = &self.queue else {
+            let problem = "the host keeps its queue: only recording into its command buffers is possible";
+            return Err(Error::argument("queue", problem));
+        };
+        Ok(queue.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The error of a failed call. Remembers a lost device.
+    pub(super) fn failed(&self, call: &'static str, result: vk::Result) -> Error {
+        self.lost.fetch_or(result == vk::Result::ERROR_DEVICE_LOST, Ordering::Relaxed);
+        vk_error(call)(result)
+    }
+
+    /// Fails if kernels read texels: the views are made while recording, and a host's buffers may lack the
+    /// usage.
+    pub(super) fn check_adoption(&self) -> Result<()> {
+        if !self.limits.prefers_texels() {
+            return Ok(());
+        }
+        let problem = "its kernels read texels, which a host's buffers and command buffers are not fit for: open it with \
+                       ContextOptions::texels off, or make one of its handles by Context::from_foreign";
+        Err(Error::argument("context", problem))
+    }
+}
+
+impl Drop for Device {
+    fn drop(&mut self) {
+        // SAFETY: nothing refers to the device any more: all that does holds this struct, and every submission of ours
+        // was waited for. The wait is for own devices that were lost; a host's device is the host's to wait for.
+        unsafe {
+            if !self.is_foreign() {
+                let _ = self.device.device_wait_idle();
+            }
+            for layout in self.shared_layouts.iter().flatten() {
+                self.device.destroy_descriptor_set_layout(*layout, None);
+            }
+        }
+        self.pipeline_cache.close(&self.device);
+    }
+}
