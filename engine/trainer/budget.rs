@@ -3,7 +3,6 @@
 use super::checkpoint::Room;
 use super::model::RowMemory;
 use super::photos::PhotoBytes;
-use super::step_recorder::StepRecorder;
 use crate::error::{Error, Result};
 use crate::plan::{
     FrameCapacity, LaunchSizes, ScenePlan, check_grids, frame_bytes, frame_requests, initial_instances,
@@ -24,7 +23,8 @@ pub(super) struct Before<'a> {
     pub cameras: &'a [Camera],
     pub photo_bytes: PhotoBytes,
     pub rows: &'a RowMemory,
-    pub recorder: &'a StepRecorder,
+    /// The loss's buffers on the device, and the losses' copy that the host reads.
+    pub loss: (&'a [(&'static str, u64)], (&'static str, u64)),
     /// Initial number of Gaussians.
     pub count: u32,
     pub sh_degree: u32,
@@ -35,12 +35,11 @@ impl Before<'_> {
     fn buffer_bytes(&self, context: &Context, plan: &ScenePlan, frame: Option<FrameCapacity>) -> u64 {
         let limits = context.limits();
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
-        let sizes: Vec<_> = self.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
-        let scratch = self.recorder.device_requests(&sizes);
+        let (scratch, losses) = self.loss;
         // The counts of training's frames and of drawn frames.
-        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.recorder.readback_request()]);
+        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[losses]);
         let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
-        self.rows.allocation_bytes(context, plan) + bytes(&scratch) + readback + frame
+        self.rows.allocation_bytes(context, plan) + bytes(scratch) + readback + frame
     }
 
     /// The first frame with this number of Gaussians, large enough for all views.

@@ -5,7 +5,7 @@
 //! was never interrupted: random numbers are keyed by seed and iteration, so no generator has state.
 
 use super::settings::TrainSettings;
-use super::strategy::Actions;
+use super::work::Actions;
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::scene::Gaussians;

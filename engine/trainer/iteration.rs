@@ -1,60 +1,12 @@
 //! The schedule of a run: what each iteration does. All of it depends on the settings, the seed and the
 //! iteration alone.
 
-use rand::seq::SliceRandom;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
+use super::random::{self, ViewOrder};
 use super::run::Run;
 use super::settings::OptimizerType;
-use super::strategy::{Actions, Strategy, Work};
+use super::work::{Actions, Work};
 use crate::forward::RenderSettings;
 use crate::optimizer::{Rates, Step};
-
-/// Random streams of a run, all derived from its seed.
-const STREAM_VIEWS: u64 = 1;
-const STREAM_BACKGROUND: u64 = 2;
-
-/// Each view once per epoch, in random order.
-#[derive(Clone)]
-pub(super) struct ViewOrder {
-    seed: u32,
-    views: usize,
-    epoch: u64,
-    order: Vec<usize>,
-}
-
-impl ViewOrder {
-    pub fn new(seed: u32, views: usize) -> Self {
-        Self { seed, views, epoch: u64::MAX, order: Vec::new() }
-    }
-
-    /// Number of views.
-    pub fn views(&self) -> usize {
-        self.views
-    }
-
-    /// The view of an iteration, from 1. It depends only on the seed and the iteration.
-    pub fn view(&mut self, iteration: u32) -> usize {
-        let index = iteration as usize - 1;
-        let epoch = (index / self.views) as u64;
-        if epoch != self.epoch {
-            let mut rng = generator(self.seed, STREAM_VIEWS, epoch);
-            self.order = (0..self.views).collect();
-            self.order.shuffle(&mut rng);
-            self.epoch = epoch;
-        }
-        self.order[index % self.views]
-    }
-}
-
-fn generator(seed: u32, stream: u64, counter: u64) -> ChaCha8Rng {
-    let mut rng = ChaCha8Rng::seed_from_u64(u64::from(seed));
-    rng.set_stream(stream);
-    // Each counter has 2^20 words of its own, far more than an iteration draws.
-    rng.set_word_pos(u128::from(counter) << 20);
-    rng
-}
 
 /// Progress of a run between two iterations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -111,11 +63,10 @@ impl Schedule {
         Self { order: ViewOrder::new(run.settings.seed, run.cameras.len()), inverse_depth }
     }
 
-    /// The plan of the next iteration.
-    pub fn plan_after(&mut self, progress: &Progress, run: &Run, strategy: &dyn Strategy) -> IterationPlan {
+    /// The plan of the next iteration. `work` is what the strategy says of it.
+    pub fn plan_after(&mut self, progress: &Progress, run: &Run, mut work: Work) -> IterationPlan {
         let iteration = progress.iteration + 1;
         let s = &run.settings;
-        let mut work = strategy.work(s, iteration);
         // The reference's last iteration only saves.
         work.optimizes &= iteration < s.iterations;
         IterationPlan {
@@ -135,8 +86,7 @@ impl Schedule {
 
 fn background(run: &Run, iteration: u32) -> [f32; 3] {
     if run.settings.random_background {
-        let mut rng = generator(run.settings.seed, STREAM_BACKGROUND, iteration.into());
-        return [rng.random(), rng.random(), rng.random()];
+        return random::background(run.settings.seed, iteration);
     }
     run.render_settings().background
 }

@@ -12,6 +12,7 @@ mod model;
 pub mod options;
 mod photos;
 mod population;
+mod random;
 mod record;
 mod report;
 mod residency;
@@ -20,15 +21,19 @@ mod run;
 pub mod settings;
 mod step;
 mod step_recorder;
+mod strategies;
 pub mod strategy;
 pub mod verify;
+mod work;
 
 pub use checkpoint::{Checkpoint, Room};
 pub use population::{Growth, Population};
 pub use record::{RecordedStep, StepReservation};
 pub use report::{Maintenance, StepOutcome, StepReport};
 pub use settings::{OptimizerType, StrategyType, TrainSettings};
-pub use strategy::{Actions, Densified, Strategy};
+pub use strategies::{Fixed, Reference};
+pub use strategy::Strategy;
+pub use work::{Actions, Densified};
 
 use crate::error::{Error, Result};
 use crate::forward::{Blending, RenderSettings, SceneBuffers};
@@ -79,7 +84,7 @@ impl TrainParts {
         if settings.opacity_reg > 0.0 || settings.scale_reg > 0.0 {
             terms.push(Box::new(Regularizers::new(context, settings.opacity_reg, settings.scale_reg)?));
         }
-        Ok(Self { strategy: strategy::of_settings(context, settings)?, terms })
+        Ok(Self { strategy: strategies::of_settings(context, settings)?, terms })
     }
 }
 
@@ -186,11 +191,12 @@ impl Trainer {
         let recorder = StepRecorder::new(context, all, settings.optimizer_type)?;
         let targets = recorder.targets();
         let rows = RowMemory::new(strategy.statistics(), targets.parameters);
+        let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let before = budget::Before {
             cameras: &cameras,
             photo_bytes,
             rows: &rows,
-            recorder: &recorder,
+            loss: (&recorder.device_requests(&sizes), recorder.readback_request()),
             count,
             sh_degree,
         };
@@ -210,7 +216,7 @@ impl Trainer {
         }
         let run = Run { settings, scene_extent, cameras, views_fingerprint };
         Ok(Self {
-            losses: recorder.allocate(context, &run.sizes())?,
+            losses: recorder.allocate(context, &sizes)?,
             schedule: iteration::Schedule::new(&run, targets.inverse_depth),
             pictures: FrameStore::new(context)?,
             context: context.clone(),

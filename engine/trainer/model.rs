@@ -2,7 +2,7 @@
 //! progress.
 
 use super::iteration::Progress;
-use super::strategy::{GRADIENT_STATISTIC, Statistic};
+use super::work::{GRADIENT_STATISTIC, Statistic};
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
 use crate::kernels::constants::PLANE_SH;

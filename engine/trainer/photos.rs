@@ -3,7 +3,7 @@
 use std::sync::mpsc::{Receiver, sync_channel};
 
 use super::TrainView;
-use super::iteration::ViewOrder;
+use super::random::ViewOrder;
 use super::residency::{Residency, Use};
 use crate::error::{Error, Result};
 use crate::loss::{Windowing, photo_bytes, photo_on_device};

@@ -2,7 +2,7 @@
 
 use super::iteration::IterationPlan;
 use super::step_recorder::LossValues;
-use super::strategy::Densified;
+use super::work::Densified;
 use crate::renderer::{BlendSamples, State};
 use crate::vk::ScopeTime;
 

@@ -1,6 +1,6 @@
 //! Which photographs are on the device if only some of them fit.
 
-use super::iteration::ViewOrder;
+use super::random::ViewOrder;
 
 /// The photograph of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -23,9 +23,4 @@ impl Run {
             ..RenderSettings::default()
         }
     }
-
-    /// Sizes of all views.
-    pub fn sizes(&self) -> Vec<(u32, u32)> {
-        self.cameras.iter().map(|camera| (camera.width, camera.height)).collect()
-    }
 }

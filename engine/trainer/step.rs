@@ -3,7 +3,7 @@
 use super::iteration::{IterationPlan, Progress};
 use super::population::Population;
 use super::step_recorder::{LossValues, StepParts};
-use super::strategy::{Changes, Work};
+use super::work::{Changes, Work};
 use super::{StepReport, Trainer};
 use crate::error::{Error, Result};
 use crate::renderer::{Failed, Ran, State};
@@ -85,7 +85,8 @@ impl Trainer {
 
     /// The plan of the next iteration.
     pub(super) fn plan_after(&mut self, progress: &Progress) -> IterationPlan {
-        self.schedule.plan_after(progress, &self.run, &*self.strategy)
+        let work = self.strategy.work(&self.run.settings, progress.iteration + 1);
+        self.schedule.plan_after(progress, &self.run, work)
     }
 
     /// Does what the previous iteration left to be done before the next one. The reference tests and saves

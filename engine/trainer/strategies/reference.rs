@@ -1,12 +1,13 @@
 //! The reference's density control (Kerbl et al. 2023, section 5.2): clone and split where the gradient of the
 //! 2D mean is large, prune what is transparent or too large, reset opacities.
 
-use super::{Actions, Changes, Densified, Strategy, Work};
 use crate::densify::{Densify, DensifyBuffers, DensifySettings, OrderBuffers, RandomKey};
 use crate::error::Result;
 use crate::plan::LaunchSizes;
 use crate::trainer::population::{Population, or_none};
 use crate::trainer::settings::TrainSettings;
+use crate::trainer::strategy::Strategy;
+use crate::trainer::work::{Actions, Changes, Densified, Work};
 use crate::vk::{Context, MemoryKind};
 
 /// Scales above this share of the scene's extent are pruned after the first opacity reset (reference).

@@ -1,9 +1,10 @@
 //! No density control.
 
-use super::{Actions, Changes, Strategy, Work};
 use crate::error::Result;
 use crate::trainer::population::Population;
 use crate::trainer::settings::TrainSettings;
+use crate::trainer::strategy::Strategy;
+use crate::trainer::work::{Actions, Changes, Work};
 
 /// Optimises the Gaussians of the beginning, and neither adds nor removes any.
 pub struct Fixed;

@@ -1,0 +1,56 @@
+//! Random numbers of a run on the host: the order of its views, and its backgrounds.
+
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Random streams of a run, all derived from its seed.
+const STREAM_VIEWS: u64 = 1;
+const STREAM_BACKGROUND: u64 = 2;
+
+/// Each view once per epoch, in random order.
+#[derive(Clone)]
+pub(super) struct ViewOrder {
+    seed: u32,
+    views: usize,
+    epoch: u64,
+    order: Vec<usize>,
+}
+
+impl ViewOrder {
+    pub fn new(seed: u32, views: usize) -> Self {
+        Self { seed, views, epoch: u64::MAX, order: Vec::new() }
+    }
+
+    /// Number of views.
+    pub fn views(&self) -> usize {
+        self.views
+    }
+
+    /// The view of an iteration, from 1. It depends only on the seed and the iteration.
+    pub fn view(&mut self, iteration: u32) -> usize {
+        let index = iteration as usize - 1;
+        let epoch = (index / self.views) as u64;
+        if epoch != self.epoch {
+            let mut rng = generator(self.seed, STREAM_VIEWS, epoch);
+            self.order = (0..self.views).collect();
+            self.order.shuffle(&mut rng);
+            self.epoch = epoch;
+        }
+        self.order[index % self.views]
+    }
+}
+
+fn generator(seed: u32, stream: u64, counter: u64) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(u64::from(seed));
+    rng.set_stream(stream);
+    // Each counter has 2^20 words of its own, far more than an iteration draws.
+    rng.set_word_pos(u128::from(counter) << 20);
+    rng
+}
+
+/// A random background for an iteration: r, g, b.
+pub(super) fn background(seed: u32, iteration: u32) -> [f32; 3] {
+    let mut rng = generator(seed, STREAM_BACKGROUND, iteration.into());
+    [rng.random(), rng.random(), rng.random()]
+}

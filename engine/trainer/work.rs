@@ -1,0 +1,124 @@
+//! What a strategy asks of training, and what it reports.
+
+/// Work between two steps: a set of up to 32 actions, which only the strategy interprets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Actions(pub u32);
+
+impl Actions {
+    /// No work.
+    pub const NONE: Self = Self(0);
+    /// A densification.
+    pub const DENSIFY: Self = Self(1);
+    /// An opacity reset.
+    pub const RESET_OPACITY: Self = Self(2);
+
+    /// Both sets.
+    #[must_use]
+    pub const fn and(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// The set if the condition holds, otherwise none.
+    #[must_use]
+    pub const fn when(self, condition: bool) -> Self {
+        if condition { self } else { Self::NONE }
+    }
+
+    /// Without the actions of another set.
+    #[must_use]
+    pub const fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// Whether all actions of another set are in this one.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// Whether there are none.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// The action that comes first: that of the lowest bit.
+    #[must_use]
+    pub const fn first(self) -> Self {
+        Self(self.0 & self.0.wrapping_neg())
+    }
+}
+
+/// The part of an iteration's work that the strategy decides.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Work {
+    /// Whether the backward pass adds to the gradient statistics ([`StepInputs::statistics`](super::strategy::StepInputs::statistics)).
+    pub accumulates: bool,
+    /// Whether the optimiser makes a step.
+    pub optimizes: bool,
+    /// Whether that step moves the opacities.
+    pub optimizes_opacity: bool,
+    /// Work before the next iteration.
+    pub actions: Actions,
+}
+
+/// The outcome of [`Strategy::between_steps`](super::Strategy::between_steps).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Changes {
+    /// How the set of Gaussians has changed.
+    pub densified: Option<Densified>,
+    /// Whether opacities were reset.
+    pub opacities_reset: bool,
+}
+
+/// The report of a densification.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Densified {
+    /// Gaussians before.
+    pub before: u32,
+    /// Gaussians that stayed.
+    pub kept: u32,
+    /// Clones that were added.
+    pub cloned: u32,
+    /// Gaussians that were replaced by two each.
+    pub split: u32,
+    /// Whether memory or the device's limits did not suffice for all new Gaussians, so that only those with
+    /// the largest gradients were cloned or split.
+    pub limited: bool,
+}
+
+impl Densified {
+    /// Gaussians afterwards.
+    pub fn rows(&self) -> u32 {
+        self.kept + self.cloned + 2 * self.split
+    }
+}
+
+/// A buffer of a strategy with values per Gaussian: zero at the beginning and after each change of the set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Statistic {
+    /// Its name, in memory reports and in the checkpoint.
+    pub name: &'static str,
+    /// Floats per Gaussian.
+    pub floats: u32,
+}
+
+/// The norm of the 2D mean's gradient (NDC) summed over views, and the number of views: what the backward pass
+/// accumulates if [`Work::accumulates`] is set. The first of every trainer's statistics.
+pub const GRADIENT_STATISTIC: Statistic = Statistic { name: "statistics", floats: 2 };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn actions_are_done_one_by_one_densification_first() {
+        let mut due = Actions::DENSIFY.and(Actions::RESET_OPACITY).and(Actions(1 << 31));
+        let mut order = Vec::new();
+        while !due.is_empty() {
+            order.push(due.first());
+            due = due.without(due.first());
+        }
+        assert_eq!(order, [Actions::DENSIFY, Actions::RESET_OPACITY, Actions(1 << 31)]);
+        assert_eq!(Actions::DENSIFY.when(false), Actions::NONE);
+        assert!(!Actions::DENSIFY.contains(Actions::RESET_OPACITY));
+    }
+}
