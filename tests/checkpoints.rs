@@ -16,7 +16,7 @@ use crate::reference::types::View;
 const EXTENT: f32 = 5.0;
 
 /// Densifies after 15 and 30, resets opacities after 20.
-fn settings() -> TrainSettings {
+pub fn settings() -> TrainSettings {
     TrainSettings {
         iterations: 40,
         sh_degree: 2,

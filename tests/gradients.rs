@@ -3,7 +3,7 @@
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::engine;
 use crate::common::gpu::Gpu;
-use crate::common::scenes::{Random, small_scene, small_view};
+use crate::common::scenes::{Random, scalars, small_scene, small_view};
 use crate::common::tiles::is_unstable;
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::loss_reduce;
@@ -30,16 +30,6 @@ fn random_weights(random: &mut Random, view: &View) -> Vec<PixelGradient> {
             inverse_depth: random.signed(),
         })
         .collect()
-}
-
-/// All the scalar parameters of a Gaussian in one order.
-fn scalars(gaussian: &mut Gaussian) -> Vec<&mut f64> {
-    let mut all: Vec<&mut f64> = gaussian.mean.iter_mut().collect();
-    all.extend(gaussian.quat.iter_mut());
-    all.extend(gaussian.log_scale.iter_mut());
-    all.push(&mut gaussian.opacity_logit);
-    all.extend(gaussian.sh.iter_mut().flatten());
-    all
 }
 
 fn flat(gradient: &Gradient) -> Vec<f64> {

@@ -35,17 +35,13 @@ fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
     views.iter().map(|view| TrainView::new(view.camera, stored(view))).collect()
 }
 
+/// As in the tests of checkpoints, without an opacity reset and without random backgrounds.
 fn short() -> TrainSettings {
+    let usual = TrainSettings::default();
     TrainSettings {
-        iterations: 40,
-        sh_degree: 2,
-        sh_degree_interval: 12,
-        densify_from_iter: 10,
-        densification_interval: 15,
-        densify_until_iter: 38,
-        densify_grad_threshold: 2e-5,
-        seed: 6,
-        ..TrainSettings::default()
+        opacity_reset_interval: usual.opacity_reset_interval,
+        random_background: usual.random_background,
+        ..checkpoints::settings()
     }
 }
 

@@ -6,7 +6,7 @@ use ashsplat_files::Photo;
 
 use crate::common::engine::{camera, gaussians, settings, twins};
 use crate::common::gpu::Gpu;
-use crate::common::scenes::{Random, small_scene, small_view};
+use crate::common::scenes::{Random, scalars, small_scene, small_view};
 use crate::reference::adam::{Parameter, adam};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::classify::Statistic;
@@ -52,16 +52,6 @@ fn photo() -> Photo {
     let frame = render(&scene, &view(0));
     let rgb = frame.pixels.iter().flat_map(|p| p.color).map(|x| (x * 255.0).round().clamp(0.0, 255.0) as u8);
     Photo { width: SIZE[0], height: SIZE[1], rgb: rgb.collect() }
-}
-
-/// Everything that the optimiser moves of a Gaussian.
-fn scalars(gaussian: &mut Gaussian) -> Vec<&mut f64> {
-    let mut all: Vec<&mut f64> = gaussian.mean.iter_mut().collect();
-    all.extend(gaussian.quat.iter_mut());
-    all.extend(gaussian.log_scale.iter_mut());
-    all.push(&mut gaussian.opacity_logit);
-    all.extend(gaussian.sh.iter_mut().flatten());
-    all
 }
 
 const OPACITY: usize = 10;

@@ -180,14 +180,8 @@ impl Trainer {
         plan: &IterationPlan,
         [state, losses]: [&Buffer; 2],
     ) -> Result<()> {
-        let parts = StepParts {
-            run: &self.run,
-            model: &self.state.model,
-            photos: &self.photos,
-            memory: &self.losses,
-            strategy: &*self.strategy,
-            plan,
-        };
+        let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
+        let parts = StepParts::new(run, model, &self.photos, &self.losses, strategy, plan);
         self.runner.record(r, &parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, losses);
             r.barrier();

@@ -138,14 +138,8 @@ impl Trainer {
     /// Runs forward, loss, backward and the optimiser's step in one submission.
     fn run_step(&mut self, plan: &IterationPlan) -> Result<Ran, Failed> {
         self.recorder.prepare(plan.sh_degree)?;
-        let parts = StepParts {
-            run: &self.run,
-            model: &self.state.model,
-            photos: &self.photos,
-            memory: &self.losses,
-            strategy: &*self.strategy,
-            plan,
-        };
+        let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
+        let parts = StepParts::new(run, model, &self.photos, &self.losses, strategy, plan);
         self.runner.run(&parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
             Ok(())

@@ -57,15 +57,26 @@ pub(super) struct LossValues {
 
 /// One iteration to record.
 pub(super) struct StepParts<'a> {
-    pub run: &'a Run,
-    pub model: &'a Model,
-    pub photos: &'a Photos,
-    pub memory: &'a LossMemory,
-    pub strategy: &'a dyn Strategy,
-    pub plan: &'a IterationPlan,
+    run: &'a Run,
+    model: &'a Model,
+    photos: &'a Photos,
+    memory: &'a LossMemory,
+    strategy: &'a dyn Strategy,
+    plan: &'a IterationPlan,
 }
 
 impl<'a> StepParts<'a> {
+    pub fn new(
+        run: &'a Run,
+        model: &'a Model,
+        photos: &'a Photos,
+        memory: &'a LossMemory,
+        strategy: &'a dyn Strategy,
+        plan: &'a IterationPlan,
+    ) -> Self {
+        Self { run, model, photos, memory, strategy, plan }
+    }
+
     /// The iteration's frame.
     pub fn frame(&self) -> Request<'a> {
         Request {

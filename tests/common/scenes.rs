@@ -120,3 +120,13 @@ pub fn mixed_scene(random: &mut Random, count: usize, coefficients: usize) -> Ve
         })
         .collect()
 }
+
+/// All the scalar parameters of a Gaussian in one order.
+pub fn scalars(gaussian: &mut Gaussian) -> Vec<&mut f64> {
+    let mut all: Vec<&mut f64> = gaussian.mean.iter_mut().collect();
+    all.extend(gaussian.quat.iter_mut());
+    all.extend(gaussian.log_scale.iter_mut());
+    all.push(&mut gaussian.opacity_logit);
+    all.extend(gaussian.sh.iter_mut().flatten());
+    all
+}

@@ -25,53 +25,37 @@ pub trait Painter {
     fn iteration(&self) -> Option<u32>;
 }
 
-impl Painter for Renderer {
-    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
-        Renderer::render(self, camera, settings)
-    }
-    fn render_with_tiles(
-        &mut self,
-        camera: &Camera,
-        settings: &RenderSettings,
-    ) -> Result<(Frame, TileReport)> {
-        Renderer::render_with_tiles(self, camera, settings)
-    }
-    fn inspect(
-        &mut self,
-        camera: &Camera,
-        settings: &RenderSettings,
-        pixel: [u32; 2],
-    ) -> Result<PixelReport> {
-        Renderer::inspect(self, camera, settings, pixel)
-    }
-    fn iteration(&self) -> Option<u32> {
-        None
-    }
+/// A painter whose methods of the same names draw.
+macro_rules! painter {
+    ($kind:ident, $iteration:expr) => {
+        impl Painter for $kind {
+            fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
+                $kind::render(self, camera, settings)
+            }
+            fn render_with_tiles(
+                &mut self,
+                camera: &Camera,
+                settings: &RenderSettings,
+            ) -> Result<(Frame, TileReport)> {
+                $kind::render_with_tiles(self, camera, settings)
+            }
+            fn inspect(
+                &mut self,
+                camera: &Camera,
+                settings: &RenderSettings,
+                pixel: [u32; 2],
+            ) -> Result<PixelReport> {
+                $kind::inspect(self, camera, settings, pixel)
+            }
+            fn iteration(&self) -> Option<u32> {
+                $iteration(self)
+            }
+        }
+    };
 }
 
-impl Painter for Trainer {
-    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
-        Trainer::render(self, camera, settings)
-    }
-    fn render_with_tiles(
-        &mut self,
-        camera: &Camera,
-        settings: &RenderSettings,
-    ) -> Result<(Frame, TileReport)> {
-        Trainer::render_with_tiles(self, camera, settings)
-    }
-    fn inspect(
-        &mut self,
-        camera: &Camera,
-        settings: &RenderSettings,
-        pixel: [u32; 2],
-    ) -> Result<PixelReport> {
-        Trainer::inspect(self, camera, settings, pixel)
-    }
-    fn iteration(&self) -> Option<u32> {
-        Some(Trainer::iteration(self))
-    }
-}
+painter!(Renderer, |_: &Renderer| None);
+painter!(Trainer, |trainer: &Trainer| Some(trainer.iteration()));
 
 /// A picture, and what there is to say about it.
 pub struct Drawn {
