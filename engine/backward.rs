@@ -6,7 +6,7 @@
 //! the same bits.
 
 use crate::error::Result;
-use crate::forward::{Forward, FrameInputs, camera_push, range_arguments, record_passes};
+use crate::forward::{Forward, FrameInputs, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
 };
@@ -205,13 +205,14 @@ impl Backward {
             if range.chunk > 0 {
                 r.barrier();
             }
-            let push = camera_push!(
-                project_backward::Push,
-                inputs,
-                range,
+            let push = project_backward::Push {
+                first: range.first,
+                chunk_gaussians: inputs.scene.plan.chunk_gaussians,
+                antialias: inputs.settings.antialias.into(),
+                splat_stride: f.splats().stride,
                 gradient_stride: inputs.capacity.gaussians,
-                accumulate: statistics.accumulate.into()
-            );
+                accumulate: statistics.accumulate.into(),
+            };
             let bind = project_backward::Bind {
                 parameters: &inputs.scene.chunks[range.chunk],
                 state: &f.state,
@@ -225,6 +226,7 @@ impl Backward {
                 instance_gradients_c: &f.instance_gradients_c,
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
+                camera_block: &block_of(f, 0),
             };
             r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));
         }

@@ -7,6 +7,7 @@
 
 mod blend_forms;
 mod blending;
+mod camera_block;
 mod inputs;
 mod settings;
 mod shape;
@@ -14,42 +15,21 @@ mod shape;
 pub use blend_forms::{BlendMeasurement, Blending};
 pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
-pub use inputs::{FrameInputs, PlacedScene};
+pub(crate) use camera_block::block_of;
+pub use inputs::{FrameInputs, PlacedScene, SceneBuffers};
 pub use settings::{Extent, JacobianLimit, RenderSettings};
-pub(crate) use settings::{camera_push, jacobian_limits};
 pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
-pub(crate) use shape::{ShapePush, shape_push};
 
 use crate::error::Result;
 use crate::kernels::constants as c;
 use crate::kernels::forward::{
     compact, count, cull, duplicate_with_tiles, project, ranges, write_indirect_args, write_visible_ranges,
 };
-use crate::plan::{
-    FrameBuffers, FrameCapacity, GaussianRange, LaunchSizes, ScenePlan, blocks, tile_bits, tile_grid,
-};
+use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange, LaunchSizes, blocks, tile_bits, tile_grid};
 use crate::scan::{Scan, ScanBuffers, Workgroups};
 use crate::scene::Camera;
 use crate::sort::{RadixSort, SortBuffers, Values};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
-
-/// The parameters of a scene on the device: planes split into chunks.
-#[derive(Clone)]
-pub struct SceneBuffers {
-    /// One buffer per chunk of Gaussians.
-    pub chunks: Vec<Buffer>,
-    /// The layout of the planes.
-    pub plan: ScenePlan,
-    /// Number of Gaussians.
-    pub count: u32,
-}
-
-impl SceneBuffers {
-    /// The evaluated SH degree: the settings' degree, at most the stored one.
-    pub fn active_degree(&self, settings: &RenderSettings) -> u32 {
-        settings.sh_degree.unwrap_or(self.plan.sh_degree).min(self.plan.sh_degree)
-    }
-}
 
 /// The kernels of the forward pass.
 pub struct Forward {
@@ -152,8 +132,8 @@ impl Forward {
     /// Records a frame. [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        // Culling accesses neither buffer, so the barrier after it covers these clears as well.
         r.scope("clear", |r| {
+            camera_block::record_blocks(r, inputs);
             let overflow = 4 * u64::from(c::STATE_OVERFLOW);
             match inputs.keeps_overflow {
                 false => r.fill(&f.state, 0),
@@ -177,28 +157,23 @@ impl Forward {
     /// Culls, and compacts the visible Gaussians in their own order.
     fn record_visibility(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        let mut fresh = true;
         for (first, count) in inputs.gaps() {
             r.fill(&f.visible_flags.range(u64::from(first) * 4, u64::from(count) * 4), 0);
-            fresh = false;
         }
+        let [extent, antialias] = inputs.settings.modes();
         for part in inputs.parts() {
-            let range = GaussianRange { first: part.first, ..part.range };
-            let push = shape_push!(cull::Push, &part, range);
+            let GaussianRange { chunk, first, count } = part.range;
+            let chunk_gaussians = part.scene.plan.chunk_gaussians;
+            let push = cull::Push { first, count, chunk_gaussians, extent, antialias };
             let bind = cull::Bind {
-                parameters: &part.scene.chunks[range.chunk],
+                parameters: &part.scene.chunks[chunk],
                 visible_flags: &f.visible_flags,
                 block_counts: &f.visible_blocks,
+                camera_block: &block_of(f, part.place),
             };
-            if !std::mem::take(&mut fresh) {
-                r.barrier();
-            }
-            r.dispatch(
-                &self.cull,
-                &bind,
-                &push,
-                blocks(range.count.into(), self.sizes.elementwise_workgroup.into()),
-            );
+            r.barrier();
+            let workgroups = blocks(count.into(), self.sizes.elementwise_workgroup.into());
+            r.dispatch(&self.cull, &bind, &push, workgroups);
         }
         r.barrier();
         let (count, subgroup_size) = (inputs.index_count(), self.context.limits().subgroup_size);
@@ -278,13 +253,19 @@ impl Forward {
     /// Records the screen-space attributes of the visible Gaussians.
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        let splats = f.splats();
+        let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
         for (index, part) in inputs.parts().enumerate() {
             let Some(kernel) = &self.project[part.sh_degree as usize] else {
                 panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
             };
-            let range = GaussianRange { first: part.first, ..part.range };
-            let push = shape_push!(project::Push, &part, range);
+            let range = part.range;
+            let push = project::Push {
+                first: range.first,
+                chunk_gaussians: part.scene.plan.chunk_gaussians,
+                extent,
+                antialias,
+                splat_stride: splats.stride,
+            };
             let bind = project::Bind {
                 parameters: &part.scene.chunks[range.chunk],
                 visible_ranges: &f.visible_ranges,
@@ -295,6 +276,7 @@ impl Forward {
                 depth_keys: &f.depth_keys_a,
                 footprints: splats.footprints,
                 tile_lists: &f.tile_lists,
+                camera_block: &block_of(f, part.place),
             };
             if index > 0 {
                 r.barrier();

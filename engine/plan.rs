@@ -17,11 +17,12 @@ pub use strips::{STRIP_ROWS, Strips};
 use launch_sizes::ELEMENTWISE_WORKGROUP;
 
 use crate::error::{Error, Result};
+use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants::{
     ARGUMENTS_COUNT, GRADIENT_PLANES, PLANE_ROW, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2,
     SH_PLANES_3, SPLAT_PLANES, STATE_WORDS, TILE_SIZE,
 };
-use crate::vk::{Buffer, Limits, pack};
+use crate::vk::{Buffer, Limits, PLACEMENT_ALIGNMENT, pack};
 use std::ops::Range;
 
 /// `ceil(n / d)`.
@@ -149,6 +150,8 @@ pub struct FrameCapacity {
     pub gaussians: u32,
     /// (tile, Gaussian) instances.
     pub instances: u32,
+    /// Scenes.
+    pub scenes: u32,
     /// Width of the largest image, pixels.
     pub width: u32,
     /// Height of the largest image, pixels.
@@ -168,6 +171,14 @@ pub const fn tile_grid(width: u32, height: u32) -> (u32, u32) {
 pub const fn tile_bits(tiles: u32) -> u32 {
     if tiles <= 2 { 1 } else { 32 - (tiles - 1).leading_zeros() }
 }
+
+/// Bytes from one scene's camera block to the next, with room for more members: a multiple of what devices
+/// require of the offset of a uniform block, and far below what they allow as its size.
+pub const CAMERA_BLOCK_BYTES: u64 = 512;
+const _: () = assert!(
+    size_of::<CameraBlock>() as u64 <= CAMERA_BLOCK_BYTES
+        && CAMERA_BLOCK_BYTES.is_multiple_of(PLACEMENT_ALIGNMENT)
+);
 
 /// Bytes per element of the widest buffer per instance.
 const INSTANCE_BYTES: u64 = 16;
@@ -215,6 +226,7 @@ macro_rules! frame_requests {
 }
 
 struct FrameSizes {
+    scenes: u64,
     gaussians: u64,
     gaussian_blocks: u64,
     scan_blocks: u64,
@@ -250,6 +262,7 @@ impl FrameSizes {
         let record = 16 * u64::from(SPLAT_PLANES);
         let together = gaussians * record <= block.max_binding_bytes;
         Self {
+            scenes: capacity.scenes.into(),
             gaussians,
             gaussian_blocks: blocks(gaussians, block.elementwise_workgroup.into()),
             scan_blocks: blocks(gaussians, block.scan.into()),
@@ -276,6 +289,8 @@ frame_requests! {
     state: |_| u64::from(STATE_WORDS) * 4;
     /// Indirect arguments, named ARGUMENTS_*.
     arguments: |_| u64::from(ARGUMENTS_COUNT) * 16;
+    /// Per scene: its camera and how it is drawn, see camera_block.glsl.
+    camera_blocks: |s| s.scenes * CAMERA_BLOCK_BYTES;
     /// Per range of parameters: indirect arguments, and its range of visible Gaussians. There are fewer
     /// ranges than blocks.
     visible_ranges: |s| s.gaussian_blocks.max(1) * 32;

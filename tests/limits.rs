@@ -119,6 +119,7 @@ fn limits_of_images_are_those_of_the_picture_in_training_too() {
         let capacity = FrameCapacity {
             gaussians: 1000,
             instances: 5000,
+            scenes: 1,
             width,
             height,
             blend_passes: 1,

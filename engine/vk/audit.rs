@@ -5,9 +5,9 @@
 //! slow and hides races between commands. It is submitted in pieces, so that only a few copies exist at a
 //! time. New device memory is cleared, so that bytes that no command writes are equal too.
 
+use super::binding::Access;
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
-use super::kernel::Access;
 use super::memory::MemoryKind;
 use super::recorder::{Recorder, Target};
 use super::submit;

@@ -6,8 +6,6 @@
 //! references to the buffers of the whole set).
 
 use super::context::Inner;
-use super::image::ImageUse;
-use super::kernel::ImageInfo;
 use super::vk_error;
 use crate::Result;
 use ash::vk;
@@ -19,8 +17,10 @@ pub(super) const BUFFERS: u32 = 16;
 pub(super) const STORAGE_IMAGE: u32 = 16;
 /// The binding of a kernel's sampled image.
 pub(super) const SAMPLED_IMAGE: u32 = 17;
+/// The binding of a kernel's uniform block.
+pub(super) const UNIFORM_BLOCK: u32 = 18;
 
-/// Sets per pool: for kernels with buffers only, and for kernels with an image.
+/// Sets per pool: for kernels with storage buffers only, and for the others.
 const POOL_SETS: [u32; 2] = [128, 16];
 
 /// One resource of a kernel in the layout of its set.
@@ -32,31 +32,36 @@ pub(super) fn slot(binding: u32, kind: vk::DescriptorType) -> vk::DescriptorSetL
         .stage_flags(vk::ShaderStageFlags::COMPUTE)
 }
 
-/// The kinds of sets: buffers only, and buffers with one image.
-const KINDS: [Option<ImageUse>; 3] = [None, Some(ImageUse::Storage), Some(ImageUse::Sampled)];
+/// The kinds of sets: what they have beside [`BUFFERS`] storage buffers, with its binding.
+const KINDS: [Option<(u32, vk::DescriptorType)>; 4] = [
+    None,
+    Some((UNIFORM_BLOCK, vk::DescriptorType::UNIFORM_BUFFER)),
+    Some((STORAGE_IMAGE, vk::DescriptorType::STORAGE_IMAGE)),
+    Some((SAMPLED_IMAGE, vk::DescriptorType::SAMPLED_IMAGE)),
+];
+/// The kinds that most dispatches of a recording may use.
+const FREQUENT_KINDS: usize = 2;
 
 /// The layout of each kind.
 pub(super) type SharedLayouts = [vk::DescriptorSetLayout; KINDS.len()];
 
-/// The kind of set for a kernel with these images; None if there is none.
-pub(super) fn kind_of(images: &[ImageInfo]) -> Option<usize> {
-    let image = match images {
-        [] => None,
-        [image] => Some(image.purpose),
-        _ => return None,
-    };
-    KINDS.iter().position(|kind| *kind == image)
+/// The kind of set for a kernel with these resources; None if there is none.
+pub(super) fn kind_of(slots: &[vk::DescriptorSetLayoutBinding<'_>]) -> Option<usize> {
+    let storage = vk::DescriptorType::STORAGE_BUFFER;
+    let mut others = slots.iter().filter(|slot| slot.descriptor_type != storage);
+    let other = others.next().map(|slot| (slot.binding, slot.descriptor_type));
+    match others.next() {
+        None => KINDS.iter().position(|kind| *kind == other),
+        Some(_) => None,
+    }
 }
 
 /// The layouts that kernels share.
 pub(super) fn shared_layouts(device: &ash::Device) -> Result<SharedLayouts> {
     let mut layouts = SharedLayouts::default();
-    for (layout, image) in layouts.iter_mut().zip(KINDS) {
+    for (layout, other) in layouts.iter_mut().zip(KINDS) {
         let mut slots: Vec<_> = (0..BUFFERS).map(|b| slot(b, vk::DescriptorType::STORAGE_BUFFER)).collect();
-        slots.extend(image.map(|purpose| {
-            let binding = if purpose == ImageUse::Storage { STORAGE_IMAGE } else { SAMPLED_IMAGE };
-            slot(binding, purpose.descriptor_type())
-        }));
+        slots.extend(other.map(|(binding, kind)| slot(binding, kind)));
         let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&slots);
         // SAFETY: a valid create info.
         let created = unsafe { device.create_descriptor_set_layout(&info, None) };
@@ -100,10 +105,11 @@ impl DescriptorSets {
         self.used = Default::default();
     }
 
-    /// Allocates at least this number of sets for one recording, and some with images.
+    /// Allocates at least this number of sets of each frequent kind for one recording, and some with images.
     pub(super) fn reserve(&mut self, inner: &Inner, count: usize) -> Result<()> {
         for kind in 0..KINDS.len() {
-            self.reserve_kind(inner, kind, if kind == 0 { count } else { POOL_SETS[1] as usize })?;
+            let count = if kind < FREQUENT_KINDS { count } else { POOL_SETS[1] as usize };
+            self.reserve_kind(inner, kind, count)?;
         }
         Ok(())
     }
@@ -126,7 +132,7 @@ impl DescriptorSets {
         let count = POOL_SETS[usize::from(kind > 0)];
         let size = |kind, count| vk::DescriptorPoolSize::default().ty(kind).descriptor_count(count);
         let mut sizes = vec![size(vk::DescriptorType::STORAGE_BUFFER, count * BUFFERS)];
-        sizes.extend(KINDS[kind].map(|purpose| size(purpose.descriptor_type(), count)));
+        sizes.extend(KINDS[kind].map(|(_, other)| size(other, count)));
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(count).pool_sizes(&sizes);
         let layouts = vec![self.layouts[kind]; count as usize];
         // SAFETY: valid create infos; the pool has room for exactly these sets, and is kept as long as they are.

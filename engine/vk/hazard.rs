@@ -6,7 +6,7 @@
 //!
 //! It does not use Vulkan: a block of memory is a number, so it is tested without a device.
 
-use super::kernel::Access;
+use super::binding::Access;
 use std::fmt;
 use std::ops::Range;
 

@@ -1,8 +1,8 @@
 //! Two-dimensional images: a host's, or our own.
 
+use super::binding::Access;
 use super::context::{Context, Inner};
 use super::format::{aspect, has_stencil, texel_bytes};
-use super::kernel::Access;
 use super::memory::{MemoryKind, NEXT_ID};
 use super::recorder::Recorder;
 use super::vk_error;

@@ -47,6 +47,7 @@ mod allocator;
 mod arenas;
 mod audit;
 mod bind;
+mod binding;
 mod budget;
 mod buffer;
 mod clock;
@@ -79,6 +80,7 @@ mod workarounds;
 pub use allocator::{HostAllocator, HostMemory, MemoryRequest};
 pub use arenas::ArenaMemory;
 pub use audit::{Audit, AuditRecord};
+pub use binding::{Access, BindingInfo, BindingKind, ImageInfo};
 pub use buffer::Buffer;
 pub use context::{Context, ContextOptions};
 pub use device::{DeviceDescription, devices};
@@ -86,9 +88,7 @@ pub use faults::{Fault, Faults};
 pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
 pub use image::{ForeignImage, Image, ImageState, ImageUse};
 pub use instance::validation_available;
-pub use kernel::{
-    Access, BindingInfo, ConstantInfo, ConstantKind, Form, ImageInfo, Kernel, KernelInterface, KernelVisitor,
-};
+pub use kernel::{ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelVisitor};
 pub use limits::{Limits, LimitsOverride, SpecOverride, is_kernel_of, is_yardstick};
 pub use memory::{MemoryKind, PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use pipeline_cache::{PipelineCacheData, PipelineCacheSink};

@@ -1,8 +1,8 @@
 //! The opt-in profile of a context: every command of every submission, with its resources and its time.
 
+use super::binding::Access;
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
-use super::kernel::Access;
 use super::memory::MemoryKind;
 use super::profiler::{Collected, MAX_COMMANDS, ScopeTime};
 use crate::Result;

@@ -41,15 +41,23 @@ layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
 
-// Stride of the gradient planes, and whether to update the statistics.
-#define CAMERA_PUSH_EXTRA uint gradient_stride; uint accumulate;
+layout(push_constant, scalar) uniform Push {
+    // First Gaussian of the bound parameter range, and capacity of the range.
+    uint first;
+    uint chunk_gaussians;
+    // As in project.comp.
+    uint antialias;
+    uint splat_stride;
+    // Stride of the gradient planes, and whether to update the statistics.
+    uint gradient_stride;
+    uint accumulate;
+};
 
-#include "camera_push.glsl"
+#include "camera_block.glsl"
 #include "dispatch.glsl"
 #include "planes.glsl"
 #include "splat_record.glsl"
 #include "subgroup.glsl"
-#include "tile_span.glsl"
 #include "projection.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"

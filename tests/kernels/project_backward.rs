@@ -6,7 +6,7 @@ use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBL
 use super::blend_backward::from_moments;
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{camera_push, pack, room};
+use crate::common::layout::{camera_block, pack, room};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::project::{color, project};
 use crate::reference::project_backward::{mean2d_statistic, project_backward};
@@ -131,11 +131,16 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
         instance_gradients_c: &instance_gradients_c,
         gradients: &gradients,
         statistics: &statistics,
+        camera_block: &gpu.buffer("camera_block", &[camera_block(&scene.view)]),
     };
-    let push = camera_push!(
-        Push, &scene.view, size, room,
-        gradient_stride: gradient_stride as u32, accumulate: u32::from(accumulate)
-    );
+    let push = Push {
+        first: 0,
+        chunk_gaussians: room as u32,
+        antialias: scene.view.antialias.into(),
+        splat_stride: 1,
+        gradient_stride: gradient_stride as u32,
+        accumulate: accumulate.into(),
+    };
     gpu.run(|recorder| {
         recorder.dispatch(&kernel, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1)
     });
