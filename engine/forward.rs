@@ -25,9 +25,8 @@ use crate::kernels::constants as c;
 use crate::kernels::forward::{
     compact, count, cull, duplicate_with_tiles, project, ranges, write_indirect_args, write_visible_ranges,
 };
-use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange, LaunchSizes, blocks, tile_bits, tile_grid};
+use crate::plan::{FrameBuffers, GaussianRange, LaunchSizes, blocks, sorted_side, tile_bits, tile_grid};
 use crate::scan::{Scan, ScanBuffers, Workgroups};
-use crate::scene::Camera;
 use crate::sort::{RadixSort, SortBuffers, Values};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -105,10 +104,10 @@ impl Forward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
-        let slot = &mut self.project[sh_degree as usize];
-        if slot.is_none() {
+        let built = &mut self.project[sh_degree as usize];
+        if built.is_none() {
             let spec = project::Spec { workgroup_size: self.sizes.elementwise_workgroup, sh_degree };
-            *slot = Some(Kernel::new(&self.context, &spec)?);
+            *built = Some(Kernel::new(&self.context, &spec)?);
         }
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
@@ -149,8 +148,8 @@ impl Forward {
         r.scope("depth sort", |r| self.record_depth_sort(r, f));
         r.scope("count", |r| self.record_count(r, inputs));
         r.scope("duplicate", |r| self.record_duplicate(r, inputs));
-        let sorted = r.scope("tile sort", |r| self.record_tile_sort(r, inputs));
-        r.scope("ranges", |r| self.record_ranges(r, inputs, sorted));
+        r.scope("tile sort", |r| self.record_tile_sort(r, inputs));
+        r.scope("ranges", |r| self.record_ranges(r, inputs));
         r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
     }
 
@@ -168,7 +167,7 @@ impl Forward {
             let bind = cull::Bind {
                 parameters: &part.scene.chunks[chunk],
                 visible_flags: &f.visible_flags,
-                block_counts: &f.visible_blocks,
+                block_counts: f.visible_counts(),
                 camera_block: &block_of(f, part.place),
             };
             r.barrier();
@@ -180,7 +179,7 @@ impl Forward {
         let culled_blocks = count.div_ceil(self.sizes.elementwise_workgroup);
         self.scan.record_block_sums(
             r,
-            &f.visible_blocks,
+            f.visible_counts(),
             (0, culled_blocks),
             &f.state,
             c::STATE_VISIBLE_NEEDED,
@@ -190,7 +189,7 @@ impl Forward {
             &self.compact,
             &compact::Bind {
                 visible_flags: &f.visible_flags,
-                block_offsets: &f.visible_blocks,
+                block_offsets: f.visible_offsets(),
                 visible_list: &f.visible_list,
                 visible_index: &f.visible_index,
             },
@@ -212,7 +211,7 @@ impl Forward {
                 &self.write_visible_ranges,
                 &write_visible_ranges::Bind {
                     state: &f.state,
-                    block_offsets: &f.visible_blocks,
+                    block_offsets: f.visible_offsets(),
                     visible_ranges: &f.visible_ranges,
                 },
                 &write_visible_ranges::Push {
@@ -273,7 +272,7 @@ impl Forward {
                 mean2d_extent: splats.mean2d_extent,
                 conic_opacity: splats.conic_opacity,
                 color_inverse_depth: splats.color_inverse_depth,
-                depth_keys: &f.depth_keys_a,
+                depth_keys: f.depth_keys(),
                 footprints: splats.footprints,
                 tile_lists: &f.tile_lists,
                 camera_block: &block_of(f, part.place),
@@ -291,13 +290,12 @@ impl Forward {
         let buffers = SortBuffers {
             counts: &f.state,
             count_index: c::STATE_VISIBLE,
-            keys: [&f.depth_keys_a, &f.depth_keys_b],
-            values: [&f.order_a, &f.order_b],
+            keys: f.depth_sort_keys(),
+            values: f.depth_sort_values(),
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
         };
         let at = arguments(f, c::ARGUMENTS_VISIBLE_SORT);
-        // 32 bits take four passes, so the order ends in `order_a`.
         self.sort.record(r, &buffers, Values::Positions, u32::BITS, Workgroups::Indirect(&at));
         r.barrier();
     }
@@ -308,11 +306,11 @@ impl Forward {
         let f = inputs.frame;
         let bind = count::Bind {
             state: &f.state,
-            order: &f.order_a,
+            order: f.depth_order(),
             tile_lists: &f.tile_lists,
             tiles_touched: &f.tiles_touched,
-            list_heads: &f.depth_keys_a,
-            list_rows: &f.depth_keys_b,
+            list_heads: f.list_heads(),
+            list_rows: f.list_rows(),
             block_sums: &f.scan_blocks,
         };
         let at = arguments(f, c::ARGUMENTS_VISIBLE_SCAN);
@@ -340,14 +338,14 @@ impl Forward {
         let (for_backward, splats) = (inputs.capacity.backward, f.splats());
         let bind = duplicate_with_tiles::Bind {
             state: &f.state,
-            order: &f.order_a,
+            order: f.depth_order(),
             instance_offsets: &f.instance_offsets,
             mean2d_extent: splats.mean2d_extent,
             footprints: splats.footprints,
-            list_heads: &f.depth_keys_a,
-            list_rows: &f.depth_keys_b,
-            instance_tiles: &f.tiles_a,
-            instance_visible: if for_backward { &f.instance_visible } else { &f.sorted_a },
+            list_heads: f.list_heads(),
+            list_rows: f.list_rows(),
+            instance_tiles: f.instance_tiles(),
+            instance_visible: f.instance_visible(for_backward),
             first_instances: &f.first_instances,
         };
         let (tiles_per_row, tile_rows) = tile_grid(inputs.camera.width, inputs.camera.height);
@@ -359,63 +357,40 @@ impl Forward {
     }
 
     /// Sorts the instances by tile. The sort is stable, so depth order remains within a tile. The values are
-    /// the instance indices before the tile sort, or without backward the visible Gaussians. Returns which
-    /// buffer holds the result.
-    fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) -> usize {
+    /// the instance indices before the tile sort, or without backward the visible Gaussians.
+    fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
         let buffers = SortBuffers {
             counts: &f.state,
             count_index: c::STATE_INSTANCES,
-            keys: [&f.tiles_a, &f.tiles_b],
-            values: [&f.sorted_a, &f.sorted_b],
+            keys: f.tile_sort_keys(),
+            values: f.tile_sort_values(),
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
         };
         let at = arguments(f, c::ARGUMENTS_INSTANCES_SORT);
         let bits = tile_bits(columns * rows);
         let values = if inputs.capacity.backward { Values::Positions } else { Values::Given };
-        let sorted = self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
+        let side = self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
+        assert_eq!(side, sorted_side(&self.sizes, inputs.camera), "FrameBuffers::sorted_tiles is elsewhere");
         r.barrier();
-        sorted
     }
 
     /// Finds the begin and end of each tile's instances.
-    fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs, sorted: usize) {
+    fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let bind = ranges::Bind {
             state: &f.state,
-            sorted_tiles: [&f.tiles_a, &f.tiles_b][sorted],
-            sorted_instances: [&f.sorted_a, &f.sorted_b][sorted],
-            instance_visible: &f.instance_visible,
+            sorted_tiles: f.sorted_tiles(&self.sizes, inputs.camera),
+            sorted_instances: f.sorted_instances(&self.sizes, inputs.camera),
+            instance_visible: f.instance_visible(inputs.capacity.backward),
             tile_ranges: &f.tile_ranges,
-            sorted_visible: &f.sorted_visible,
+            sorted_visible: &f.gathered_visible,
         };
         let kernel = &self.ranges[usize::from(inputs.capacity.backward)];
         r.dispatch_indirect(kernel, &bind, &ranges::Push {}, &arguments(f, c::ARGUMENTS_INSTANCES));
         r.barrier();
-    }
-
-    /// The buffer of sorted values that holds the result for an image of this size.
-    fn sorted_values<'a>(sizes: &LaunchSizes, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
-        let (columns, rows) = tile_grid(camera.width, camera.height);
-        let passes = sizes.sort_passes(tile_bits(columns * rows));
-        if passes.is_multiple_of(2) { &frame.sorted_a } else { &frame.sorted_b }
-    }
-
-    /// The index before the tile sort of each sorted instance, in a frame with backward.
-    pub fn sorted_instances<'a>(sizes: &LaunchSizes, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
-        Self::sorted_values(sizes, frame, camera)
-    }
-
-    /// The visible Gaussian of each sorted instance.
-    pub fn sorted_visible<'a>(
-        sizes: &LaunchSizes,
-        frame: &'a FrameBuffers,
-        capacity: &FrameCapacity,
-        camera: &Camera,
-    ) -> &'a Buffer {
-        if capacity.backward { &frame.sorted_visible } else { Self::sorted_values(sizes, frame, camera) }
     }
 }
 

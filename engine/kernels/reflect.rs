@@ -4,11 +4,14 @@
 //! build.rs uses it to generate the typed interface of each kernel. It supports what the compute shaders of
 //! this crate use; anything more is an error that names it.
 
+#[path = "../vk/binding_numbers.rs"]
+mod binding_numbers;
 #[path = "shader.rs"]
 mod shader;
 #[path = "spirv.rs"]
 mod spirv;
 
+use binding_numbers::{BUFFERS, SAMPLED_IMAGE, STORAGE_IMAGE, UNIFORM_BLOCK};
 pub use shader::{Binding, BindingKind, Block, Field, ImageBinding, Shader, SpecConstant};
 use spirv::{operation, text};
 use std::collections::BTreeMap;
@@ -66,12 +69,6 @@ const NON_READABLE: u32 = 25;
 const BINDING: u32 = 33;
 const DESCRIPTOR_SET: u32 = 34;
 const OFFSET: u32 = 35;
-
-/// The bindings of images and of a uniform block, after all storage buffers. A few layouts then fit every
-/// kernel on devices without push descriptors.
-const STORAGE_IMAGE_BINDING: u32 = 16;
-const SAMPLED_IMAGE_BINDING: u32 = 17;
-const UNIFORM_BLOCK_BINDING: u32 = 18;
 
 #[derive(Default)]
 struct Module {
@@ -228,8 +225,8 @@ impl Module {
                 || (0..members.len() as u32)
                     .all(|m| self.member_decorations.contains_key(&(block, m, decoration)))
         };
-        if binding >= STORAGE_IMAGE_BINDING {
-            return Err(format!("buffer '{block_name}': its binding is not below {STORAGE_IMAGE_BINDING}"));
+        if binding >= BUFFERS {
+            return Err(format!("buffer '{block_name}': its binding is not below {BUFFERS}"));
         }
         let (reads, writes) = (!everywhere(NON_READABLE), !everywhere(NON_WRITABLE));
         Ok(Binding { name: self.member_name(block, 0)?, binding, reads, writes, kind: BindingKind::Storage })
@@ -253,7 +250,7 @@ impl Module {
     fn image(&self, variable: u32, ty: u32) -> Result<ImageBinding, String> {
         let name = self.name(variable).to_owned();
         let storage = matches!(self.types.get(&ty), Some(Type::Image { storage: true }));
-        let wanted = if storage { STORAGE_IMAGE_BINDING } else { SAMPLED_IMAGE_BINDING };
+        let wanted = if storage { STORAGE_IMAGE } else { SAMPLED_IMAGE };
         let at = |decoration| self.decorations.get(&(variable, decoration)).copied();
         if at(DESCRIPTOR_SET) != Some(0) || at(BINDING) != Some(wanted) {
             return Err(format!("image '{name}': write set = 0, binding = {wanted}"));
@@ -268,13 +265,13 @@ impl Module {
         if !self.decorations.contains_key(&(block, BLOCK)) {
             return Err(format!("'{name}' is not a uniform block"));
         }
-        if self.binding(variable, &name)? != UNIFORM_BLOCK_BINDING {
-            return Err(format!("uniform block '{name}': write set = 0, binding = {UNIFORM_BLOCK_BINDING}"));
+        if self.binding(variable, &name)? != UNIFORM_BLOCK {
+            return Err(format!("uniform block '{name}': write set = 0, binding = {UNIFORM_BLOCK}"));
         }
         let members = self.members(block, "member of a uniform block")?;
         Ok(Binding {
             name: with_underscores(&name),
-            binding: UNIFORM_BLOCK_BINDING,
+            binding: UNIFORM_BLOCK,
             reads: true,
             writes: false,
             kind: BindingKind::Uniform(Block { name, members }),

@@ -35,8 +35,8 @@ impl Recorder {
         assert!(pipeline.is_of(&self.inner), "kernel {} is of another context", pipeline.name);
         let mut buffers = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
         let mut views = [vk::BufferView::null(); MAX_BINDINGS];
-        let slots = buffers.iter_mut().zip(&mut views).zip(pipeline.bindings);
-        for (((slot, view), info), buffer) in slots.zip(bound.buffers) {
+        let descriptors = buffers.iter_mut().zip(&mut views).zip(pipeline.bindings);
+        for (((descriptor, view), info), buffer) in descriptors.zip(bound.buffers) {
             self.check_binding(pipeline, info, buffer);
             if let BindingKind::Texels(format) = info.kind {
                 *view = self.texel_view(pipeline, info.name, buffer, format)?;
@@ -47,31 +47,32 @@ impl Recorder {
                 _ => buffer.bytes() + self.inner.guard_behind(buffer),
             };
             let offset = buffer.offset();
-            *slot = vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(offset).range(bytes);
+            *descriptor =
+                vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(offset).range(bytes);
         }
         let mut images = [vk::DescriptorImageInfo::default(); MAX_IMAGES];
-        for ((slot, info), image) in images.iter_mut().zip(pipeline.images).zip(bound.images) {
+        for ((descriptor, info), image) in images.iter_mut().zip(pipeline.images).zip(bound.images) {
             let (kernel, name) = (pipeline.name, image.name());
             assert!(image.purpose() == info.purpose, "{kernel}: image '{name}' is no {:?}", info.purpose);
             self.keep_image(image);
-            *slot = image.descriptor();
+            *descriptor = image.descriptor();
         }
         let mut writes = [vk::WriteDescriptorSet::default(); MAX_BINDINGS + MAX_IMAGES];
         let (first, rest) = writes.split_at_mut(bound.buffers.len());
-        let slots = pipeline.bindings.iter().zip(&buffers).zip(&views);
-        for (write, ((info, slot), view)) in first.iter_mut().zip(slots) {
+        let descriptors = pipeline.bindings.iter().zip(&buffers).zip(&views);
+        for (write, ((info, descriptor), view)) in first.iter_mut().zip(descriptors) {
             let empty = vk::WriteDescriptorSet::default().dst_binding(info.binding);
             let empty = empty.descriptor_type(info.kind.descriptor_type());
             *write = match info.kind {
                 BindingKind::Texels(_) => empty.texel_buffer_view(std::slice::from_ref(view)),
-                _ => empty.buffer_info(std::slice::from_ref(slot)),
+                _ => empty.buffer_info(std::slice::from_ref(descriptor)),
             };
         }
-        for ((write, info), slot) in rest.iter_mut().zip(pipeline.images).zip(&images) {
+        for ((write, info), descriptor) in rest.iter_mut().zip(pipeline.images).zip(&images) {
             *write = vk::WriteDescriptorSet::default()
                 .dst_binding(info.binding)
                 .descriptor_type(info.purpose.descriptor_type())
-                .image_info(std::slice::from_ref(slot));
+                .image_info(std::slice::from_ref(descriptor));
         }
         let mut count = bound.buffers.len() + bound.images.len();
         let storage = pipeline.bindings.iter().position(|info| info.kind == BindingKind::Storage);

@@ -14,7 +14,7 @@ use super::instance::Instance;
 use super::limits::{Limits, LimitsOverride, SpecOverride};
 use super::pipeline_cache::{PipelineCache, PipelineCacheData};
 use super::profile::Log;
-use super::submit::Slot;
+use super::submit::Objects;
 use crate::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
@@ -156,7 +156,7 @@ pub(super) struct Inner {
     /// SPIR-V that replaces a kernel's own.
     pub(super) replaced: Mutex<HashMap<String, Arc<Vec<u32>>>>,
     /// Idle command buffers.
-    pub(super) slots: Mutex<Vec<Slot>>,
+    pub(super) idle_objects: Mutex<Vec<Objects>>,
     /// Idle descriptor sets, where there are no push descriptors.
     pub(super) descriptors: Mutex<Vec<DescriptorSets>>,
     /// The allocator of the buffers' memory; None: the device.
@@ -315,7 +315,7 @@ impl Context {
             description: candidate.description,
             registry: Registry::default(),
             replaced: Mutex::default(),
-            slots: Mutex::default(),
+            idle_objects: Mutex::default(),
             descriptors: Mutex::default(),
             allocator,
             pipeline_cache,
@@ -378,7 +378,7 @@ impl Inner {
 
 impl Drop for Inner {
     fn drop(&mut self) {
-        let slots = std::mem::take(&mut *self.slots.lock().unwrap_or_else(PoisonError::into_inner));
+        let idle = std::mem::take(&mut *self.idle_objects.lock().unwrap_or_else(PoisonError::into_inner));
         faults::remove(self.device.handle());
         let mut sets = std::mem::take(&mut *self.descriptors.lock().unwrap_or_else(PoisonError::into_inner));
         let ours = matches!(self.owner, Owner::Us(_));
@@ -388,7 +388,7 @@ impl Drop for Inner {
             if ours {
                 let _ = self.device.device_wait_idle();
             }
-            slots.iter().for_each(|slot| slot.destroy(self));
+            idle.iter().for_each(|objects| objects.destroy(self));
             sets.iter_mut().for_each(|sets| sets.destroy(self));
             if let Some(layouts) = &self.shared_layouts {
                 descriptors::destroy_layouts(&self.device, layouts);

@@ -5,26 +5,22 @@
 //! of an earlier use may no longer exist, and drivers access descriptors that no shader uses (lavapipe counts
 //! references to the buffers of the whole set).
 
+pub(super) use super::binding_numbers::BUFFERS;
+use super::binding_numbers::{SAMPLED_IMAGE, STORAGE_IMAGE, UNIFORM_BLOCK};
 use super::context::Inner;
 use super::vk_error;
 use crate::Result;
 use ash::vk;
 use std::sync::Arc;
 
-/// Most storage buffers of a kernel: bindings 0 to 15.
-pub(super) const BUFFERS: u32 = 16;
-/// The binding of a kernel's storage image.
-pub(super) const STORAGE_IMAGE: u32 = 16;
-/// The binding of a kernel's sampled image.
-pub(super) const SAMPLED_IMAGE: u32 = 17;
-/// The binding of a kernel's uniform block.
-pub(super) const UNIFORM_BLOCK: u32 = 18;
-
 /// Sets per pool: for kernels with storage buffers only, and for the others.
 const POOL_SETS: [u32; 2] = [128, 16];
 
 /// One resource of a kernel in the layout of its set.
-pub(super) fn slot(binding: u32, kind: vk::DescriptorType) -> vk::DescriptorSetLayoutBinding<'static> {
+pub(super) fn layout_binding(
+    binding: u32,
+    kind: vk::DescriptorType,
+) -> vk::DescriptorSetLayoutBinding<'static> {
     vk::DescriptorSetLayoutBinding::default()
         .binding(binding)
         .descriptor_type(kind)
@@ -46,10 +42,10 @@ const FREQUENT_KINDS: usize = 2;
 pub(super) type SharedLayouts = [vk::DescriptorSetLayout; KINDS.len()];
 
 /// The kind of set for a kernel with these resources; None if there is none.
-pub(super) fn kind_of(slots: &[vk::DescriptorSetLayoutBinding<'_>]) -> Option<usize> {
+pub(super) fn kind_of(bindings: &[vk::DescriptorSetLayoutBinding<'_>]) -> Option<usize> {
     let storage = vk::DescriptorType::STORAGE_BUFFER;
-    let mut others = slots.iter().filter(|slot| slot.descriptor_type != storage);
-    let other = others.next().map(|slot| (slot.binding, slot.descriptor_type));
+    let mut others = bindings.iter().filter(|binding| binding.descriptor_type != storage);
+    let other = others.next().map(|binding| (binding.binding, binding.descriptor_type));
     match others.next() {
         None => KINDS.iter().position(|kind| *kind == other),
         Some(_) => None,
@@ -60,9 +56,10 @@ pub(super) fn kind_of(slots: &[vk::DescriptorSetLayoutBinding<'_>]) -> Option<us
 pub(super) fn shared_layouts(device: &ash::Device) -> Result<SharedLayouts> {
     let mut layouts = SharedLayouts::default();
     for (layout, other) in layouts.iter_mut().zip(KINDS) {
-        let mut slots: Vec<_> = (0..BUFFERS).map(|b| slot(b, vk::DescriptorType::STORAGE_BUFFER)).collect();
-        slots.extend(other.map(|(binding, kind)| slot(binding, kind)));
-        let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&slots);
+        let storage = vk::DescriptorType::STORAGE_BUFFER;
+        let mut bindings: Vec<_> = (0..BUFFERS).map(|b| layout_binding(b, storage)).collect();
+        bindings.extend(other.map(|(binding, kind)| layout_binding(binding, kind)));
+        let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
         // SAFETY: a valid create info.
         let created = unsafe { device.create_descriptor_set_layout(&info, None) };
         match created {

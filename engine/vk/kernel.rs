@@ -3,7 +3,7 @@
 use super::binding::{BindingInfo, BindingKind, ImageInfo};
 use super::buffer::Buffer;
 use super::context::{Context, Inner};
-use super::descriptors;
+use super::descriptors::{kind_of, layout_binding};
 use super::image::Image;
 use super::limits::{CHOSEN_BY_HOST, Limits};
 use super::vk_error;
@@ -288,15 +288,16 @@ impl Pipeline {
 
     fn create_layout(&mut self, push_bytes: u32) -> Result<()> {
         let device = &self.inner.device;
-        let buffers = self.bindings.iter().map(|b| descriptors::slot(b.binding, b.kind.descriptor_type()));
-        let images = self.images.iter().map(|i| descriptors::slot(i.binding, i.purpose.descriptor_type()));
-        let slots: Vec<_> = buffers.chain(images).collect();
+        let buffers = self.bindings.iter().map(|b| (b.binding, b.kind.descriptor_type()));
+        let images = self.images.iter().map(|i| (i.binding, i.purpose.descriptor_type()));
+        let all = buffers.chain(images);
+        let bindings: Vec<_> = all.map(|(binding, kind)| layout_binding(binding, kind)).collect();
         let set = vk::DescriptorSetLayoutCreateInfo::default()
             .flags(vk::DescriptorSetLayoutCreateFlags::PUSH_DESCRIPTOR_KHR)
-            .bindings(&slots);
+            .bindings(&bindings);
         // SAFETY: valid create infos; the number of bindings and push bytes was checked against the limits.
         unsafe {
-            let sets = match (&self.inner.shared_layouts, descriptors::kind_of(&slots)) {
+            let sets = match (&self.inner.shared_layouts, kind_of(&bindings)) {
                 (Some(layouts), Some(kind)) => {
                     self.set_kind = kind;
                     [layouts[kind]]

@@ -48,6 +48,7 @@ mod arenas;
 mod audit;
 mod bind;
 mod binding;
+mod binding_numbers;
 mod budget;
 mod buffer;
 mod clock;

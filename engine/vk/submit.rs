@@ -28,14 +28,14 @@ pub struct RunReport {
 
 /// The Vulkan objects of one recording, reused after it.
 #[derive(Clone, Copy)]
-pub(super) struct Slot {
+pub(super) struct Objects {
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
     fence: vk::Fence,
     queries: vk::QueryPool,
 }
 
-impl Slot {
+impl Objects {
     fn new(inner: &Inner) -> Result<Self> {
         let null = Self {
             pool: vk::CommandPool::null(),
@@ -43,9 +43,9 @@ impl Slot {
             fence: vk::Fence::null(),
             queries: vk::QueryPool::null(),
         };
-        let mut slot = null;
-        slot.create(inner).inspect_err(|_| slot.destroy(inner))?;
-        Ok(slot)
+        let mut objects = null;
+        objects.create(inner).inspect_err(|_| objects.destroy(inner))?;
+        Ok(objects)
     }
 
     fn create(&mut self, inner: &Inner) -> Result<()> {
@@ -80,7 +80,7 @@ impl Slot {
     }
 
     pub(super) fn destroy(&self, inner: &Inner) {
-        // SAFETY: the slot is idle; null handles are allowed. Destroying the pool frees its command buffer.
+        // SAFETY: they are idle; null handles are allowed. Destroying the pool frees its command buffer.
         unsafe {
             inner.device.destroy_query_pool(self.queries, None);
             inner.device.destroy_fence(self.fence, None);
@@ -92,7 +92,7 @@ impl Slot {
 /// A command buffer in the recording state or submitted. Returns to the context when dropped.
 pub(super) struct Commands {
     pub(super) inner: Arc<Inner>,
-    slot: Slot,
+    objects: Objects,
     submitted: bool,
     pub(super) descriptors: Option<DescriptorSets>,
 }
@@ -100,24 +100,24 @@ pub(super) struct Commands {
 impl Commands {
     /// With `every_command`, there are queries for each command too.
     pub(super) fn begin(inner: &Arc<Inner>, label: &str, every_command: bool) -> Result<Self> {
-        let free = inner.slots.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let slot = match free {
-            Some(slot) => slot,
-            None => Slot::new(inner)?,
+        let free = inner.idle_objects.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let objects = match free {
+            Some(objects) => objects,
+            None => Objects::new(inner)?,
         };
         let sets = inner.descriptors.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let descriptors = sets.or_else(|| DescriptorSets::new(inner));
-        let commands = Self { inner: inner.clone(), slot, submitted: false, descriptors };
-        inner.names.name(slot.commands, label);
+        let commands = Self { inner: inner.clone(), objects, submitted: false, descriptors };
+        inner.names.name(objects.commands, label);
         let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
         // SAFETY: the command buffer is in the initial state (new, or its pool was reset) and this thread's alone; the
         // queries are not in use.
         unsafe {
-            let begun = inner.device.begin_command_buffer(slot.commands, &info);
+            let begun = inner.device.begin_command_buffer(objects.commands, &info);
             begun.map_err(vk_error("vkBeginCommandBuffer"))?;
-            if slot.queries != vk::QueryPool::null() {
+            if objects.queries != vk::QueryPool::null() {
                 let count = if every_command { QUERIES } else { 2 * MAX_SCOPES };
-                inner.device.cmd_reset_query_pool(slot.commands, slot.queries, 0, count);
+                inner.device.cmd_reset_query_pool(objects.commands, objects.queries, 0, count);
             }
         }
         // Makes the writes of earlier submissions visible, including those that were not waited for.
@@ -131,20 +131,20 @@ impl Commands {
     }
 
     pub(super) fn raw(&self) -> vk::CommandBuffer {
-        self.slot.commands
+        self.objects.commands
     }
 
     /// Null without timestamps, or if none are requested.
     pub(super) fn queries(&self) -> vk::QueryPool {
         let wanted = self.inner.timestamps.load(Ordering::Relaxed);
-        if wanted { self.slot.queries } else { vk::QueryPool::null() }
+        if wanted { self.objects.queries } else { vk::QueryPool::null() }
     }
 
     fn memory_barrier(&self, barrier: vk::MemoryBarrier2<'_>) {
         let barriers = [barrier];
         let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
         // SAFETY: the command buffer is in the recording state.
-        unsafe { self.inner.device.cmd_pipeline_barrier2(self.slot.commands, &dependency) }
+        unsafe { self.inner.device.cmd_pipeline_barrier2(self.objects.commands, &dependency) }
     }
 
     pub(super) fn submit(&mut self) -> Result<()> {
@@ -156,15 +156,15 @@ impl Commands {
             .dst_access_mask(vk::AccessFlags2::HOST_READ | vk::AccessFlags2::HOST_WRITE);
         self.memory_barrier(to_host);
         let device = &self.inner.device;
-        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.slot.commands)];
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.objects.commands)];
         let submits = [vk::SubmitInfo2::default().command_buffer_infos(&buffers)];
         let queue = self.inner.lock_queue()?;
         // SAFETY: the command buffer was recorded on this device and everything that it refers to is kept by the
         // caller until the fence has signalled; the lock gives the queue to this thread.
         unsafe {
-            let ended = device.end_command_buffer(self.slot.commands);
+            let ended = device.end_command_buffer(self.objects.commands);
             ended.map_err(vk_error("vkEndCommandBuffer"))?;
-            let submitted = device.queue_submit2(*queue, &submits, self.slot.fence);
+            let submitted = device.queue_submit2(*queue, &submits, self.objects.fence);
             submitted.map_err(|error| self.inner.failed("vkQueueSubmit2", error))?;
         }
         self.submitted = true;
@@ -177,7 +177,7 @@ impl Commands {
         let mut waited = Duration::ZERO;
         while self.submitted {
             let round = timeout.map_or(ROUND, |timeout| timeout.saturating_sub(waited).min(ROUND));
-            let fences = [self.slot.fence];
+            let fences = [self.objects.fence];
             // SAFETY: the fence is alive and was submitted.
             let over = unsafe { self.inner.device.wait_for_fences(&fences, true, round.as_nanos() as u64) };
             match over {
@@ -219,15 +219,17 @@ impl Drop for Commands {
             self.inner.descriptors.lock().unwrap_or_else(PoisonError::into_inner).push(sets);
         }
         let device = &self.inner.device;
-        // SAFETY: nothing of the slot is in use: it was never submitted, or has been waited for.
+        // SAFETY: none of the objects is in use: it was never submitted, or has been waited for.
         let reset = unsafe {
             device
-                .reset_command_pool(self.slot.pool, vk::CommandPoolResetFlags::empty())
-                .and_then(|()| device.reset_fences(&[self.slot.fence]))
+                .reset_command_pool(self.objects.pool, vk::CommandPoolResetFlags::empty())
+                .and_then(|()| device.reset_fences(&[self.objects.fence]))
         };
         match reset {
-            Ok(()) => self.inner.slots.lock().unwrap_or_else(PoisonError::into_inner).push(self.slot),
-            Err(_) => self.slot.destroy(&self.inner),
+            Ok(()) => {
+                self.inner.idle_objects.lock().unwrap_or_else(PoisonError::into_inner).push(self.objects)
+            }
+            Err(_) => self.objects.destroy(&self.inner),
         }
     }
 }

@@ -18,7 +18,8 @@ pub fn room(count: usize) -> usize {
 }
 
 /// Where plane `plane` of the `index`-th Gaussian lies: geometry and each SH degree for itself, in rows of eight Gaussians.
-fn place(plane: u32, index: usize, room: usize) -> usize {
+/// `ScenePlan::place` is compared with it, and what the kernels read of what is packed with it.
+pub fn place(plane: u32, index: usize, room: usize) -> usize {
     let (first, planes) = match plane {
         0..3 => (0, 3),
         3 => (3, 1),

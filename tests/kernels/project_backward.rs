@@ -21,12 +21,12 @@ struct Scene {
     gaussians: Vec<Gaussian>,
     visible: Vec<u32>,
     splats: Vec<Splat>,
-    /// Per visible Gaussian, its slots' sums.
+    /// Per visible Gaussian, its instances' sums.
     sums: Vec<Vec<[f64; 10]>>,
 }
 
 impl Scene {
-    /// Every `many`-th Gaussian has more slots than one lane adds alone.
+    /// Every `many`-th Gaussian has more instances than one lane adds alone.
     fn random(size: usize, view: View, many: usize) -> Scene {
         let mut random = Random::new(size as u64);
         let mut gaussians = mixed_scene(&mut random, size, 16);
@@ -42,8 +42,8 @@ impl Scene {
             .iter()
             .enumerate()
             .map(|(place, splat)| {
-                let slots = if place % many == many - 1 { 64 + place % 200 } else { place % 5 };
-                (0..slots).map(|_| random_sums(&mut random, splat)).collect()
+                let instances = if place % many == many - 1 { 64 + place % 200 } else { place % 5 };
+                (0..instances).map(|_| random_sums(&mut random, splat)).collect()
             })
             .collect();
         Scene { view, gaussians, visible, splats, sums }
@@ -55,9 +55,9 @@ impl Scene {
             .enumerate()
             .map(|(place, &gaussian)| {
                 let mut sum = [0.0; 10];
-                for slot in &self.sums[place] {
+                for instance in &self.sums[place] {
                     for k in 0..10 {
-                        sum[k] += slot[k];
+                        sum[k] += instance[k];
                     }
                 }
                 let d = from_moments(&self.splats[place], sum);
