@@ -6,7 +6,7 @@
 //! the same bits.
 
 use crate::error::Result;
-use crate::forward::{Forward, FrameInputs, camera_push, range_arguments, record_passes};
+use crate::forward::{FrameInputs, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
 };
@@ -47,8 +47,8 @@ macro_rules! blend_backward_arguments {
         let splats = f.splats();
         let bind = $kernel::Bind {
             tile_ranges: &f.tile_ranges,
-            sorted_visible: Forward::sorted_visible(sizes, f, $inputs.capacity, $inputs.camera),
-            sorted_instances: Forward::sorted_instances(sizes, f, $inputs.camera),
+            sorted_visible: f.sorted_visible(sizes, $inputs.capacity.backward, $inputs.camera),
+            sorted_instances: f.sorted_instances(sizes, $inputs.camera),
             mean2d_extent: splats.mean2d_extent,
             conic_opacity: splats.conic_opacity,
             color_inverse_depth: splats.color_inverse_depth,
@@ -97,12 +97,12 @@ impl Backward {
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
         let subgroup_size = self.context.limits().subgroup_size;
-        let slot = &mut self.blend[usize::from(inverse_depth)];
-        if slot.is_none() {
+        let built = &mut self.blend[usize::from(inverse_depth)];
+        if built.is_none() {
             let LaunchSizes {
                 tile, incremental_exp, blend_backward_subgroup_per_tile: alone, strips, ..
             } = self.sizes;
-            *slot = Some(if alone {
+            *built = Some(if alone {
                 let workgroup_size = subgroup_size;
                 let spec = blend_backward_subgroup_per_tile::Spec {
                     workgroup_size,
@@ -125,8 +125,8 @@ impl Backward {
                 Blend::Regions(Kernel::new(&self.context, &spec)?)
             });
         }
-        let slot = &mut self.project[sh_degree as usize];
-        if slot.is_none() {
+        let built = &mut self.project[sh_degree as usize];
+        if built.is_none() {
             let spec = project_backward::Spec {
                 // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
                 // workgroup's size.
@@ -135,7 +135,7 @@ impl Backward {
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
             };
-            *slot = Some(Kernel::new(&self.context, &spec)?);
+            *built = Some(Kernel::new(&self.context, &spec)?);
         }
         Ok(())
     }
@@ -145,10 +145,10 @@ impl Backward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_expand(&mut self, sh_degree: u32) -> Result<()> {
-        let slot = &mut self.expand[sh_degree as usize];
-        if slot.is_none() {
+        let built = &mut self.expand[sh_degree as usize];
+        if built.is_none() {
             let spec = expand_gradients::Spec { workgroup_size: self.sizes.elementwise_workgroup, sh_degree };
-            *slot = Some(Kernel::new(&self.context, &spec)?);
+            *built = Some(Kernel::new(&self.context, &spec)?);
         }
         Ok(())
     }
@@ -207,13 +207,14 @@ impl Backward {
             if range.chunk > 0 {
                 r.barrier();
             }
-            let push = camera_push!(
-                project_backward::Push,
-                inputs,
-                range,
+            let push = project_backward::Push {
+                first: range.first,
+                chunk_gaussians: inputs.scene.plan.chunk_gaussians,
+                antialias: inputs.settings.antialias.into(),
+                splat_stride: f.splats().stride,
                 gradient_stride: inputs.capacity.gaussians,
-                accumulate: statistics.accumulate.into()
-            );
+                accumulate: statistics.accumulate.into(),
+            };
             let bind = project_backward::Bind {
                 parameters: &inputs.scene.chunks[range.chunk],
                 state: &f.state,
@@ -227,6 +228,7 @@ impl Backward {
                 instance_gradients_c: &f.instance_gradients_c,
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
+                camera_block: &block_of(f, 0),
             };
             r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));
         }

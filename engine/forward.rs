@@ -7,6 +7,7 @@
 
 mod blend_forms;
 mod blending;
+mod camera_block;
 mod inputs;
 mod settings;
 mod shape;
@@ -14,42 +15,20 @@ mod shape;
 pub use blend_forms::{BlendMeasurement, Blending};
 pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
-pub use inputs::{FrameInputs, PlacedScene};
+pub(crate) use camera_block::block_of;
+pub use inputs::{FrameInputs, PlacedScene, SceneBuffers};
 pub use settings::{Extent, JacobianLimit, RenderSettings};
-pub(crate) use settings::{camera_push, jacobian_limits};
 pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
-pub(crate) use shape::{ShapePush, shape_push};
 
 use crate::error::Result;
 use crate::kernels::constants as c;
 use crate::kernels::forward::{
     compact, count, cull, duplicate_with_tiles, project, ranges, write_indirect_args, write_visible_ranges,
 };
-use crate::plan::{
-    FrameBuffers, FrameCapacity, GaussianRange, LaunchSizes, ScenePlan, blocks, tile_bits, tile_grid,
-};
+use crate::plan::{FrameBuffers, GaussianRange, LaunchSizes, blocks, sorted_side, tile_bits, tile_grid};
 use crate::scan::{Scan, ScanBuffers, Workgroups};
-use crate::scene::Camera;
 use crate::sort::{RadixSort, SortBuffers, Values};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
-
-/// The parameters of a scene on the device: planes split into chunks.
-#[derive(Clone)]
-pub struct SceneBuffers {
-    /// One buffer per chunk of Gaussians.
-    pub chunks: Vec<Buffer>,
-    /// The layout of the planes.
-    pub plan: ScenePlan,
-    /// Number of Gaussians.
-    pub count: u32,
-}
-
-impl SceneBuffers {
-    /// The evaluated SH degree: the settings' degree, at most the stored one.
-    pub fn active_degree(&self, settings: &RenderSettings) -> u32 {
-        settings.sh_degree.unwrap_or(self.plan.sh_degree).min(self.plan.sh_degree)
-    }
-}
 
 /// The kernels of the forward pass.
 pub struct Forward {
@@ -125,10 +104,10 @@ impl Forward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
-        let slot = &mut self.project[sh_degree as usize];
-        if slot.is_none() {
+        let built = &mut self.project[sh_degree as usize];
+        if built.is_none() {
             let spec = project::Spec { workgroup_size: self.sizes.elementwise_workgroup, sh_degree };
-            *slot = Some(Kernel::new(&self.context, &spec)?);
+            *built = Some(Kernel::new(&self.context, &spec)?);
         }
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
@@ -152,8 +131,8 @@ impl Forward {
     /// Records a frame. [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        // Culling accesses neither buffer, so the barrier after it covers these clears as well.
         r.scope("clear", |r| {
+            camera_block::record_blocks(r, inputs);
             let overflow = 4 * u64::from(c::STATE_OVERFLOW);
             match inputs.keeps_overflow {
                 false => r.fill(&f.state, 0),
@@ -169,43 +148,38 @@ impl Forward {
         r.scope("depth sort", |r| self.record_depth_sort(r, f));
         r.scope("count", |r| self.record_count(r, inputs));
         r.scope("duplicate", |r| self.record_duplicate(r, inputs));
-        let sorted = r.scope("tile sort", |r| self.record_tile_sort(r, inputs));
-        r.scope("ranges", |r| self.record_ranges(r, inputs, sorted));
+        r.scope("tile sort", |r| self.record_tile_sort(r, inputs));
+        r.scope("ranges", |r| self.record_ranges(r, inputs));
         r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
     }
 
     /// Culls, and compacts the visible Gaussians in their own order.
     fn record_visibility(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        let mut fresh = true;
         for (first, count) in inputs.gaps() {
             r.fill(&f.visible_flags.range(u64::from(first) * 4, u64::from(count) * 4), 0);
-            fresh = false;
         }
+        let [extent, antialias] = inputs.settings.modes();
         for part in inputs.parts() {
-            let range = GaussianRange { first: part.first, ..part.range };
-            let push = shape_push!(cull::Push, &part, range);
+            let GaussianRange { chunk, first, count } = part.range;
+            let chunk_gaussians = part.scene.plan.chunk_gaussians;
+            let push = cull::Push { first, count, chunk_gaussians, extent, antialias };
             let bind = cull::Bind {
-                parameters: &part.scene.chunks[range.chunk],
+                parameters: &part.scene.chunks[chunk],
                 visible_flags: &f.visible_flags,
-                block_counts: &f.visible_blocks,
+                block_counts: f.visible_counts(),
+                camera_block: &block_of(f, part.place),
             };
-            if !std::mem::take(&mut fresh) {
-                r.barrier();
-            }
-            r.dispatch(
-                &self.cull,
-                &bind,
-                &push,
-                blocks(range.count.into(), self.sizes.elementwise_workgroup.into()),
-            );
+            r.barrier();
+            let workgroups = blocks(count.into(), self.sizes.elementwise_workgroup.into());
+            r.dispatch(&self.cull, &bind, &push, workgroups);
         }
         r.barrier();
         let (count, subgroup_size) = (inputs.index_count(), self.context.limits().subgroup_size);
         let culled_blocks = count.div_ceil(self.sizes.elementwise_workgroup);
         self.scan.record_block_sums(
             r,
-            &f.visible_blocks,
+            f.visible_counts(),
             (0, culled_blocks),
             &f.state,
             c::STATE_VISIBLE_NEEDED,
@@ -215,7 +189,7 @@ impl Forward {
             &self.compact,
             &compact::Bind {
                 visible_flags: &f.visible_flags,
-                block_offsets: &f.visible_blocks,
+                block_offsets: f.visible_offsets(),
                 visible_list: &f.visible_list,
                 visible_index: &f.visible_index,
             },
@@ -237,7 +211,7 @@ impl Forward {
                 &self.write_visible_ranges,
                 &write_visible_ranges::Bind {
                     state: &f.state,
-                    block_offsets: &f.visible_blocks,
+                    block_offsets: f.visible_offsets(),
                     visible_ranges: &f.visible_ranges,
                 },
                 &write_visible_ranges::Push {
@@ -278,13 +252,19 @@ impl Forward {
     /// Records the screen-space attributes of the visible Gaussians.
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        let splats = f.splats();
+        let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
         for (index, part) in inputs.parts().enumerate() {
             let Some(kernel) = &self.project[part.sh_degree as usize] else {
                 panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
             };
-            let range = GaussianRange { first: part.first, ..part.range };
-            let push = shape_push!(project::Push, &part, range);
+            let range = part.range;
+            let push = project::Push {
+                first: range.first,
+                chunk_gaussians: part.scene.plan.chunk_gaussians,
+                extent,
+                antialias,
+                splat_stride: splats.stride,
+            };
             let bind = project::Bind {
                 parameters: &part.scene.chunks[range.chunk],
                 visible_ranges: &f.visible_ranges,
@@ -292,9 +272,10 @@ impl Forward {
                 mean2d_extent: splats.mean2d_extent,
                 conic_opacity: splats.conic_opacity,
                 color_inverse_depth: splats.color_inverse_depth,
-                depth_keys: &f.depth_keys_a,
+                depth_keys: f.depth_keys(),
                 footprints: splats.footprints,
                 tile_lists: &f.tile_lists,
+                camera_block: &block_of(f, part.place),
             };
             if index > 0 {
                 r.barrier();
@@ -309,13 +290,12 @@ impl Forward {
         let buffers = SortBuffers {
             counts: &f.state,
             count_index: c::STATE_VISIBLE,
-            keys: [&f.depth_keys_a, &f.depth_keys_b],
-            values: [&f.order_a, &f.order_b],
+            keys: f.depth_sort_keys(),
+            values: f.depth_sort_values(),
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
         };
         let at = arguments(f, c::ARGUMENTS_VISIBLE_SORT);
-        // 32 bits take four passes, so the order ends in `order_a`.
         self.sort.record(r, &buffers, Values::Positions, u32::BITS, Workgroups::Indirect(&at));
         r.barrier();
     }
@@ -326,11 +306,11 @@ impl Forward {
         let f = inputs.frame;
         let bind = count::Bind {
             state: &f.state,
-            order: &f.order_a,
+            order: f.depth_order(),
             tile_lists: &f.tile_lists,
             tiles_touched: &f.tiles_touched,
-            list_heads: &f.depth_keys_a,
-            list_rows: &f.depth_keys_b,
+            list_heads: f.list_heads(),
+            list_rows: f.list_rows(),
             block_sums: &f.scan_blocks,
         };
         let at = arguments(f, c::ARGUMENTS_VISIBLE_SCAN);
@@ -358,14 +338,14 @@ impl Forward {
         let (for_backward, splats) = (inputs.capacity.backward, f.splats());
         let bind = duplicate_with_tiles::Bind {
             state: &f.state,
-            order: &f.order_a,
+            order: f.depth_order(),
             instance_offsets: &f.instance_offsets,
             mean2d_extent: splats.mean2d_extent,
             footprints: splats.footprints,
-            list_heads: &f.depth_keys_a,
-            list_rows: &f.depth_keys_b,
-            instance_tiles: &f.tiles_a,
-            instance_visible: if for_backward { &f.instance_visible } else { &f.sorted_a },
+            list_heads: f.list_heads(),
+            list_rows: f.list_rows(),
+            instance_tiles: f.instance_tiles(),
+            instance_visible: f.instance_visible(for_backward),
             first_instances: &f.first_instances,
         };
         let (tiles_per_row, tile_rows) = tile_grid(inputs.camera.width, inputs.camera.height);
@@ -377,63 +357,40 @@ impl Forward {
     }
 
     /// Sorts the instances by tile. The sort is stable, so depth order remains within a tile. The values are
-    /// the instance indices before the tile sort, or without backward the visible Gaussians. Returns which
-    /// buffer holds the result.
-    fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) -> usize {
+    /// the instance indices before the tile sort, or without backward the visible Gaussians.
+    fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
         let buffers = SortBuffers {
             counts: &f.state,
             count_index: c::STATE_INSTANCES,
-            keys: [&f.tiles_a, &f.tiles_b],
-            values: [&f.sorted_a, &f.sorted_b],
+            keys: f.tile_sort_keys(),
+            values: f.tile_sort_values(),
             histogram: &f.histogram,
             digit_totals: &f.digit_totals,
         };
         let at = arguments(f, c::ARGUMENTS_INSTANCES_SORT);
         let bits = tile_bits(columns * rows);
         let values = if inputs.capacity.backward { Values::Positions } else { Values::Given };
-        let sorted = self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
+        let side = self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
+        assert_eq!(side, sorted_side(&self.sizes, inputs.camera), "FrameBuffers::sorted_tiles is elsewhere");
         r.barrier();
-        sorted
     }
 
     /// Finds the begin and end of each tile's instances.
-    fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs, sorted: usize) {
+    fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let bind = ranges::Bind {
             state: &f.state,
-            sorted_tiles: [&f.tiles_a, &f.tiles_b][sorted],
-            sorted_instances: [&f.sorted_a, &f.sorted_b][sorted],
-            instance_visible: &f.instance_visible,
+            sorted_tiles: f.sorted_tiles(&self.sizes, inputs.camera),
+            sorted_instances: f.sorted_instances(&self.sizes, inputs.camera),
+            instance_visible: f.instance_visible(inputs.capacity.backward),
             tile_ranges: &f.tile_ranges,
-            sorted_visible: &f.sorted_visible,
+            sorted_visible: &f.gathered_visible,
         };
         let kernel = &self.ranges[usize::from(inputs.capacity.backward)];
         r.dispatch_indirect(kernel, &bind, &ranges::Push {}, &arguments(f, c::ARGUMENTS_INSTANCES));
         r.barrier();
-    }
-
-    /// The buffer of sorted values that holds the result for an image of this size.
-    fn sorted_values<'a>(sizes: &LaunchSizes, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
-        let (columns, rows) = tile_grid(camera.width, camera.height);
-        let passes = sizes.sort_passes(tile_bits(columns * rows));
-        if passes.is_multiple_of(2) { &frame.sorted_a } else { &frame.sorted_b }
-    }
-
-    /// The index before the tile sort of each sorted instance, in a frame with backward.
-    pub fn sorted_instances<'a>(sizes: &LaunchSizes, frame: &'a FrameBuffers, camera: &Camera) -> &'a Buffer {
-        Self::sorted_values(sizes, frame, camera)
-    }
-
-    /// The visible Gaussian of each sorted instance.
-    pub fn sorted_visible<'a>(
-        sizes: &LaunchSizes,
-        frame: &'a FrameBuffers,
-        capacity: &FrameCapacity,
-        camera: &Camera,
-    ) -> &'a Buffer {
-        if capacity.backward { &frame.sorted_visible } else { Self::sorted_values(sizes, frame, camera) }
     }
 }
 

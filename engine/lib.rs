@@ -16,7 +16,7 @@
 //! ```text
 //!            per Gaussian        per visible              per (tile, Gaussian) instance          per tile, per pixel
 //!  forward   cull → compact ──→ project → depth sort ──→ count → scan → expand → tile sort ──→ ranges → blend
-//!  backward  adam ←──────────── project backward ←────── slots ←──────────────────────────────── blend backward ← loss
+//!  backward  adam ←──────────── project backward ←─ instances' sums ←─────────────────────────── blend backward ← loss
 //!            densify: classify → scatter sources → gather
 //! ```
 //!

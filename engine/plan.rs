@@ -4,12 +4,15 @@
 //! tile or per pixel. Only the device knows how many Gaussians are visible and how many instances a frame
 //! has, so the sizes here are capacities. Buffers of visible Gaussians have the capacity of all Gaussians.
 
+mod frame_buffers;
 mod grids;
 mod launch_sizes;
 mod sorting;
 mod strips;
 
 pub use crate::tuning::SortMethod;
+pub(crate) use frame_buffers::sorted_side;
+pub use frame_buffers::{CAMERA_BLOCK_BYTES, FrameBuffers, Splats, frame_bytes, frame_requests};
 pub use grids::check_grids;
 pub use launch_sizes::LaunchSizes;
 pub use strips::{STRIP_ROWS, Strips};
@@ -18,10 +21,9 @@ use launch_sizes::ELEMENTWISE_WORKGROUP;
 
 use crate::error::{Error, Result};
 use crate::kernels::constants::{
-    ARGUMENTS_COUNT, GRADIENT_PLANES, PLANE_ROW, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2,
-    SH_PLANES_3, SPLAT_PLANES, STATE_WORDS, TILE_SIZE,
+    GRADIENT_PLANES, PLANE_ROW, PLANE_SH, SH_PLANES_0, SH_PLANES_1, SH_PLANES_2, SH_PLANES_3, TILE_SIZE,
 };
-use crate::vk::{Buffer, Limits, pack};
+use crate::vk::Limits;
 use std::ops::Range;
 
 /// `ceil(n / d)`.
@@ -149,6 +151,8 @@ pub struct FrameCapacity {
     pub gaussians: u32,
     /// (tile, Gaussian) instances.
     pub instances: u32,
+    /// Scenes.
+    pub scenes: u32,
     /// Width of the largest image, pixels.
     pub width: u32,
     /// Height of the largest image, pixels.
@@ -188,230 +192,10 @@ pub fn max_trained_instances(limits: &Limits) -> u32 {
     most.clamp(1, u32::MAX.into()) as u32
 }
 
-macro_rules! frame_requests {
-    ($($(#[$doc:meta])* $name:ident: $bytes:expr;)*) => {
-        /// Buffers of a frame, one field each.
-        #[derive(Clone)]
-        pub struct FrameBuffers { $($(#[$doc])* pub $name: Buffer,)* }
-
-        /// Names and bytes of [`FrameBuffers`], in order.
-        pub fn frame_requests(capacity: &FrameCapacity, block: &LaunchSizes) -> Vec<(&'static str, u64)> {
-            let sizes = FrameSizes::new(capacity, block);
-            vec![$((stringify!($name), { let f: fn(&FrameSizes) -> u64 = $bytes; f(&sizes) }),)*]
-        }
-
-        impl FrameBuffers {
-            /// Assigns the buffers that were allocated for [`frame_requests`], in the same order.
-            pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
-                let mut buffers = buffers.into_iter();
-                let mut next = || match buffers.next() {
-                    Some(buffer) => buffer,
-                    None => unreachable!("one buffer per request"),
-                };
-                Self { $($name: next(),)* }
-            }
-        }
-    };
-}
-
-struct FrameSizes {
-    gaussians: u64,
-    gaussian_blocks: u64,
-    scan_blocks: u64,
-    instances: u64,
-    histogram: u64,
-    digits: u64,
-    tiles: u64,
-    /// vec4 from the attributes of one visible Gaussian to those of the next.
-    splat_stride: u64,
-    /// 1 if each attribute has a buffer of its own, otherwise 0.
-    apart: u64,
-    /// Capacity in instances of the buffers for the backward pass; 0 without it.
-    slots: u64,
-    pixels: u64,
-    /// Values of one plane in strips, for any image with this number of tiles; 0 without strips.
-    strips: u64,
-    /// 1 with backward, 0 without.
-    backward: u64,
-    /// 1 when very long tiles need several passes backward.
-    passes: u64,
-}
-
-impl FrameSizes {
-    fn new(capacity: &FrameCapacity, block: &LaunchSizes) -> Self {
-        let gaussians = u64::from(capacity.gaussians);
-        let instances = u64::from(capacity.instances);
-        let (columns, rows) = tile_grid(capacity.width, capacity.height);
-        let backward = u64::from(capacity.backward);
-        let tile_bits = tile_bits(columns.saturating_mul(rows));
-        let depth_sort = block.sort_histogram_words(gaussians, u32::BITS);
-        // A smaller image may use longer digits in fewer passes.
-        let tile_sort = (1..=tile_bits).map(|bits| block.sort_histogram_words(instances, bits)).max();
-        let record = 16 * u64::from(SPLAT_PLANES);
-        let together = gaussians * record <= block.max_binding_bytes;
-        Self {
-            gaussians,
-            gaussian_blocks: blocks(gaussians, block.elementwise_workgroup.into()),
-            scan_blocks: blocks(gaussians, block.scan.into()),
-            instances,
-            histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)),
-            digits: 1 << block.sort_digit_bits(),
-            tiles: u64::from(columns) * u64::from(rows),
-            splat_stride: if together { SPLAT_PLANES.into() } else { 1 },
-            apart: u64::from(!together),
-            slots: backward * instances,
-            pixels: u64::from(capacity.width) * u64::from(capacity.height),
-            strips: backward
-                * u64::from(block.strips)
-                * Strips { width: columns.saturating_mul(TILE_SIZE), height: rows.saturating_mul(TILE_SIZE) }
-                    .values(),
-            backward,
-            passes: backward * u64::from(capacity.blend_passes > 1),
-        }
-    }
-}
-
-frame_requests! {
-    /// Words named STATE_* in constants.glsl.
-    state: |_| u64::from(STATE_WORDS) * 4;
-    /// Indirect arguments, named ARGUMENTS_*.
-    arguments: |_| u64::from(ARGUMENTS_COUNT) * 16;
-    /// Per range of parameters: indirect arguments, and its range of visible Gaussians. There are fewer
-    /// ranges than blocks.
-    visible_ranges: |s| s.gaussian_blocks.max(1) * 32;
-    /// Per Gaussian: 1 if visible.
-    visible_flags: |s| s.gaussians * 4;
-    /// Visible Gaussians per block, then the offsets of the blocks.
-    visible_blocks: |s| s.gaussian_blocks * 4;
-    /// Per visible Gaussian: its Gaussian.
-    visible_list: |s| s.gaussians * 4;
-    /// Per Gaussian: its index among the visible ones.
-    visible_index: |s| s.gaussians * 4;
-    /// Per visible Gaussian: mean and half extents, px; or records of all four attributes, see
-    /// [`FrameBuffers::splats`].
-    splats: |s| s.gaussians * 16 * s.splat_stride;
-    /// Per visible Gaussian: conic and opacity.
-    conic_opacity: |s| s.apart * s.gaussians * 16;
-    /// Per visible Gaussian: colour and 1/z.
-    color_inverse_depth: |s| s.apart * s.gaussians * 16;
-    /// Per visible Gaussian: shape of its rows of tiles, number of tiles (tile_span.glsl).
-    footprints: |s| s.apart * s.gaussians * 16;
-    /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl).
-    tile_lists: |s| s.gaussians * 8;
-    /// Per visible Gaussian: bits of its depth; sorting scratch; then per rank: first word of its list of
-    /// tiles.
-    depth_keys_a: |s| s.gaussians * 4;
-    /// Sorting scratch; then per rank: second word of its list of tiles.
-    depth_keys_b: |s| s.gaussians * 4;
-    /// Per depth rank: the visible Gaussian (after an even number of sorting passes).
-    order_a: |s| s.gaussians * 4;
-    /// Sorting scratch.
-    order_b: |s| s.gaussians * 4;
-    /// Per rank: number of tiles touched.
-    tiles_touched: |s| s.gaussians * 4;
-    /// Per rank: first instance.
-    instance_offsets: |s| s.gaussians * 4;
-    /// Sums and offsets of the scan's blocks.
-    scan_blocks: |s| s.scan_blocks * 4;
-    /// Sorting scratch: counts per digit and block, and per digit and run.
-    histogram: |s| s.histogram * 4;
-    /// Sorting scratch: keys per digit.
-    digit_totals: |s| s.digits * 4;
-    /// Per instance: its tile; sorting scratch.
-    tiles_a: |s| s.instances * 4;
-    /// Sorting scratch.
-    tiles_b: |s| s.instances * 4;
-    /// Per sorted instance: its index before the tile sort, or without backward the visible Gaussian; sorting
-    /// scratch.
-    sorted_a: |s| s.instances * 4;
-    /// Sorting scratch.
-    sorted_b: |s| s.instances * 4;
-    /// Per instance before the tile sort: the visible Gaussian.
-    instance_visible: |s| s.slots * 4;
-    /// Per sorted instance: the visible Gaussian.
-    sorted_visible: |s| s.slots * 4;
-    /// Per visible Gaussian: its first instance.
-    first_instances: |s| s.backward * s.gaussians * 4;
-    /// Per tile: begin and end in the sorted instances.
-    tile_ranges: |s| s.tiles * 8;
-    /// Per pixel: premultiplied colour without background, transmittance. In a frame with backward in strips
-    /// it only carries the state between passes.
-    accumulated: |s| s.pixels * 16;
-    /// The composited picture as three planes in strips, if the backward pass reads strips.
-    composited: |s| 3 * s.strips * 4;
-    /// Per pixel: sum of weights / z.
-    inverse_depth: |s| s.pixels * 4;
-    /// Per pixel: 1 + list index of the last blended entry of its tile.
-    last_entries: |s| s.pixels * 4;
-    /// Gradient of the loss. Per pixel: dL/d(r, g, b, inverse depth); with strips, three planes of dL/d(r, g,
-    /// b).
-    image_gradient: |s| if s.strips > 0 { 3 * s.strips * 4 } else { s.backward * s.pixels * 16 };
-    /// Per pixel: state between passes of the backward blending.
-    backward_state: |s| s.passes * s.pixels * 8;
-    /// Per instance before the tile sort: moments 1, dx, dy, dx dx.
-    instance_gradients_a: |s| s.slots * 16;
-    /// Per instance before the tile sort: moments dx dy, dy dy; d red, d green.
-    instance_gradients_b: |s| s.slots * 16;
-    /// Per instance before the tile sort: d blue, d inverse depth.
-    instance_gradients_c: |s| s.slots * 8;
-    /// Per visible Gaussian: planes named GRADIENT_*.
-    gradients: |s| s.backward * s.gaussians * 16 * u64::from(GRADIENT_PLANES);
-}
-
 /// Most Gaussians that can be trained on a device: their gradients lie in one buffer.
 pub fn max_trained_gaussians(limits: &Limits) -> u32 {
     let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
     (bytes / (16 * u64::from(GRADIENT_PLANES))).min(u32::MAX.into()) as u32
-}
-
-/// Bytes of all buffers of a frame, including the padding between them.
-pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
-    let sizes: Vec<u64> = frame_requests(capacity, block).iter().map(|(_, bytes)| *bytes).collect();
-    pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
-}
-
-/// Bindings of the attributes of the visible Gaussians: see splat_record.glsl.
-#[derive(Clone, Copy)]
-pub struct Splats<'a> {
-    /// Mean and half extents, px.
-    pub mean2d_extent: &'a Buffer,
-    /// Conic and opacity.
-    pub conic_opacity: &'a Buffer,
-    /// Colour and 1/z.
-    pub color_inverse_depth: &'a Buffer,
-    /// Shape of the rows of tiles, number of tiles.
-    pub footprints: &'a Buffer,
-    /// vec4 from one visible Gaussian to the next. With [`SPLAT_PLANES`] all four are the same buffer.
-    pub stride: u32,
-}
-
-impl FrameBuffers {
-    /// The blended picture that the loss and the backward pass read: [`Self::composited`] with strips,
-    /// otherwise [`Self::accumulated`].
-    pub fn rendered(&self, block: &LaunchSizes) -> &Buffer {
-        if block.strips { &self.composited } else { &self.accumulated }
-    }
-
-    /// The attributes of the visible Gaussians.
-    pub fn splats(&self) -> Splats<'_> {
-        let records = &self.splats;
-        if records.bytes() > self.conic_opacity.bytes() {
-            return Splats {
-                mean2d_extent: records,
-                conic_opacity: records,
-                color_inverse_depth: records,
-                footprints: records,
-                stride: SPLAT_PLANES,
-            };
-        }
-        Splats {
-            mean2d_extent: records,
-            conic_opacity: &self.conic_opacity,
-            color_inverse_depth: &self.color_inverse_depth,
-            footprints: &self.footprints,
-            stride: 1,
-        }
-    }
 }
 
 /// `n` as u32.

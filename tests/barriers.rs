@@ -60,6 +60,7 @@ impl Training {
         let capacity = FrameCapacity {
             gaussians: 1200,
             instances: 6000,
+            scenes: 1,
             width: SIZE[0],
             height: SIZE[1],
             blend_passes: 2,

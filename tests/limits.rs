@@ -119,6 +119,7 @@ fn limits_of_images_are_those_of_the_picture_in_training_too() {
         let capacity = FrameCapacity {
             gaussians: 1000,
             instances: 5000,
+            scenes: 1,
             width,
             height,
             blend_passes: 1,
@@ -420,6 +421,7 @@ fn limits_of_a_chunk_hold_every_plane_once() {
         let mut owners = vec![0; 768 * planes as usize];
         for (plane, index) in (0..planes).flat_map(|plane| (0..768).map(move |index| (plane, index))) {
             let place = plan.place(plane, index);
+            assert_eq!(place, crate::common::layout::place(plane, index, 768), "{plane}, {index}");
             owners[place] += 1;
             assert_eq!(place - plan.place(plane, index - index % 8), index % 8);
         }

@@ -7,3 +7,4 @@ mod memory;
 mod overrides;
 mod profile;
 mod recorder;
+mod uniform;

@@ -1,7 +1,7 @@
 //! Blending, in two forms.
 
+use super::FrameInputs;
 use super::blend_forms::Blending;
-use super::{Forward, FrameInputs};
 use crate::error::Result;
 use crate::kernels::forward::{blend, blend_shared};
 use crate::plan::{LaunchSizes, tile_grid};
@@ -47,7 +47,7 @@ macro_rules! blend_bind {
         let splats = frame.splats();
         $kernel::Bind {
             tile_ranges: &frame.tile_ranges,
-            sorted_visible: Forward::sorted_visible($sizes, frame, $inputs.capacity, $inputs.camera),
+            sorted_visible: frame.sorted_visible($sizes, $inputs.capacity.backward, $inputs.camera),
             mean2d_extent: splats.mean2d_extent,
             conic_opacity: splats.conic_opacity,
             color_inverse_depth: splats.color_inverse_depth,

@@ -1,9 +1,27 @@
 //! The inputs of a frame: scenes with their transforms, a camera, settings.
 
-use super::{BlendVariant, RenderSettings, SceneBuffers};
-use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange};
+use super::{BlendVariant, RenderSettings};
+use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange, ScenePlan};
 use crate::scene::Camera;
 use crate::vk::Buffer;
+
+/// The parameters of a scene on the device: planes split into chunks.
+#[derive(Clone)]
+pub struct SceneBuffers {
+    /// One buffer per chunk of Gaussians.
+    pub chunks: Vec<Buffer>,
+    /// The layout of the planes.
+    pub plan: ScenePlan,
+    /// Number of Gaussians.
+    pub count: u32,
+}
+
+impl SceneBuffers {
+    /// The evaluated SH degree: the settings' degree, at most the stored one.
+    pub fn active_degree(&self, settings: &RenderSettings) -> u32 {
+        settings.sh_degree.unwrap_or(self.plan.sh_degree).min(self.plan.sh_degree)
+    }
+}
 
 /// One frame to record.
 #[derive(Clone, Copy)]
@@ -67,14 +85,11 @@ pub struct PlacedScene<'a> {
 #[derive(Clone, Copy)]
 pub(super) struct Part<'a> {
     pub(super) scene: &'a SceneBuffers,
-    pub(super) frame: &'a FrameBuffers,
-    pub(super) camera: Camera,
-    pub(super) scale: f32,
-    pub(super) settings: &'a RenderSettings,
+    /// The scene's place in the frame.
+    pub(super) place: usize,
     pub(super) sh_degree: u32,
+    /// Of the frame: its first Gaussian counts among those of all scenes.
     pub(super) range: GaussianRange,
-    /// Index of the range's first Gaussian among all of the frame.
-    pub(super) first: u32,
 }
 
 impl<'a> FrameInputs<'a> {
@@ -87,13 +102,12 @@ impl<'a> FrameInputs<'a> {
 
     /// The dispatches over parameters: chunk by chunk, scene by scene.
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
-        let (frame, settings) = (self.frame, self.settings);
-        self.placed().flat_map(move |placed| {
-            let PlacedScene { scene, camera, scale, sh_degree, first } = placed;
+        self.placed().enumerate().flat_map(|(place, placed)| {
+            let PlacedScene { scene, sh_degree, first, .. } = placed;
             let ranges = scene.plan.ranges(scene.count);
             ranges.map(move |range| {
-                let first = first + range.first;
-                Part { scene, frame, camera, scale, settings, sh_degree, range, first }
+                let range = GaussianRange { first: first + range.first, ..range };
+                Part { scene, place, sh_degree, range }
             })
         })
     }

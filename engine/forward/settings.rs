@@ -1,4 +1,4 @@
-//! How a frame is rendered, and the push constants for it.
+//! How a frame is rendered.
 
 use super::shape::Shape;
 use crate::error::{Error, Result};
@@ -85,7 +85,12 @@ impl RenderSettings {
         self.shape == Shape::Gaussian && self.scale_modifier == 1.0
     }
 
-    pub(crate) fn extent_word(&self) -> u32 {
+    /// What culling and projection branch on: extent and antialias.
+    pub(super) fn modes(&self) -> [u32; 2] {
+        [self.extent_word(), self.antialias.into()]
+    }
+
+    pub(super) fn extent_word(&self) -> u32 {
         match self.extent {
             Extent::Exact => c::EXTENT_EXACT,
             Extent::Reference => c::EXTENT_REFERENCE,
@@ -109,32 +114,3 @@ pub(crate) fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4]
     let [y_low, y_high] = axis(camera.fy, camera.cy, camera.height);
     [x_low, x_high, y_low, y_high]
 }
-
-/// Fills the push constants of camera_push.glsl, which several kernels share.
-macro_rules! camera_push {
-    ($push:path, $inputs:expr, $range:expr $(, $extra:ident: $value:expr)*) => {{
-        let camera = &$inputs.camera;
-        let rows = camera.camera_from_world.transpose() * $inputs.scale;
-        $push {
-            camera_row_x: rows.x_axis.to_array(),
-            camera_row_y: rows.y_axis.to_array(),
-            camera_row_z: rows.z_axis.to_array(),
-            camera_translation: camera.translation.to_array(),
-            focal_px: [camera.fx, camera.fy],
-            // COLMAP puts the centre of the first pixel at 0.5, the shaders at 0.
-            center_px: [camera.cx - 0.5, camera.cy - 0.5],
-            jacobian_limits: crate::forward::jacobian_limits(camera, $inputs.settings.jacobian_limit),
-            image_width: camera.width,
-            image_height: camera.height,
-            first: $range.first,
-            count: $range.count,
-            chunk_gaussians: $inputs.scene.plan.chunk_gaussians,
-            extent: $inputs.settings.extent_word(),
-            antialias: $inputs.settings.antialias.into(),
-            splat_stride: $inputs.frame.splats().stride,
-            inverse_scale_squared: ($inputs.scale * $inputs.scale).recip(),
-            $($extra: $value,)*
-        }
-    }};
-}
-pub(crate) use camera_push;

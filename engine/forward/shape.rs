@@ -1,4 +1,4 @@
-//! How each Gaussian is drawn, and the push constants for it.
+//! How each Gaussian is drawn, and the scalars for it.
 
 use super::RenderSettings;
 use crate::kernels::constants as c;
@@ -30,53 +30,40 @@ const STEEPNESS: f32 = 40.0;
 /// The same for points, whose rim is one pixel wide.
 const POINT_STEEPNESS: f32 = 3.75;
 
-/// The push constants of CAMERA_PUSH_SHAPE.
-pub(crate) struct ShapePush {
-    pub scale_modifier: f32,
+/// How the kernels draw a shape: the members of camera_block.glsl.
+pub(super) struct DrawnShape {
+    /// Factor of the scales.
+    pub scale: f32,
+    /// Term added to both screen variances.
     pub dilation_px2: f32,
-    pub opacity_drawn: f32,
+    /// Opacity override; 0 for none.
+    pub opacity: f32,
 }
 
-impl ShapePush {
+impl DrawnShape {
     pub fn of(settings: &RenderSettings) -> Self {
         let scale_modifier = settings.scale_modifier;
         match settings.shape {
-            Shape::Gaussian => Self { scale_modifier, dilation_px2: c::DILATION_PX2, opacity_drawn: 0.0 },
+            Shape::Gaussian => Self { scale: scale_modifier, dilation_px2: c::DILATION_PX2, opacity: 0.0 },
             Shape::Ellipsoid => {
                 // Standard deviations at which alpha is about one half.
                 let reach = (2.0 * (STEEPNESS + 0.5f32.recip().ln())).sqrt();
                 let shrink = ELLIPSOID_SIGMAS / reach;
                 Self {
-                    scale_modifier: scale_modifier * shrink,
+                    scale: scale_modifier * shrink,
                     dilation_px2: c::DILATION_PX2 * shrink * shrink,
                     // Negative: excludes Gaussians of low opacity.
-                    opacity_drawn: -STEEPNESS.exp(),
+                    opacity: -STEEPNESS.exp(),
                 }
             }
             Shape::Point => {
                 let reach2 = 2.0 * (POINT_STEEPNESS + 0.5f32.recip().ln());
                 Self {
-                    scale_modifier: 0.0,
+                    scale: 0.0,
                     dilation_px2: POINT_RADIUS_PX * POINT_RADIUS_PX / reach2,
-                    opacity_drawn: POINT_STEEPNESS.exp(),
+                    opacity: POINT_STEEPNESS.exp(),
                 }
             }
         }
     }
 }
-
-/// Like `camera_push`, for the kernels with CAMERA_PUSH_SHAPE.
-macro_rules! shape_push {
-    ($push:path, $inputs:expr, $range:expr) => {{
-        let shape = crate::forward::ShapePush::of($inputs.settings);
-        crate::forward::camera_push!(
-            $push,
-            $inputs,
-            $range,
-            scale_modifier: shape.scale_modifier,
-            dilation_px2: shape.dilation_px2,
-            opacity_drawn: shape.opacity_drawn
-        )
-    }};
-}
-pub(crate) use shape_push;

@@ -1,6 +1,6 @@
 //! Writes the Rust side of each shader from what [`super::reflect`] found. Used by build.rs.
 
-use super::reflect::Shader;
+use super::reflect::{BindingKind, Block, Field, Shader};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
@@ -53,7 +53,65 @@ pub fn kernels(kernels: &[Kernel], constants: &str) -> Result<String, String> {
         "/// Shows every kernel to a visitor, by name in alphabetical order of the folders.\n\
          pub fn visit_all(visitor: &mut impl crate::vk::KernelVisitor) {{\n{visits}let _ = visitor;\n}}"
     );
+    match blocks(kernels) {
+        Ok(text) => out.push_str(&text),
+        Err(error) => errors.push(error),
+    }
     if errors.is_empty() { Ok(out) } else { Err(errors.join("\n")) }
+}
+
+/// The uniform blocks of all kernels, one struct each.
+fn blocks(kernels: &[Kernel]) -> Result<String, String> {
+    let mut all: BTreeMap<&str, (&Block, &Kernel)> = BTreeMap::new();
+    let mut out = String::from(
+        "/// Uniform blocks, which several kernels may share.\n#[allow(clippy::all)]\npub mod blocks {\n",
+    );
+    for kernel in kernels {
+        for binding in &kernel.shader.bindings {
+            let BindingKind::Uniform(block) = &binding.kind else { continue };
+            let (first, other) = *all.entry(&block.name).or_insert((block, kernel));
+            if first != block {
+                return Err(format!(
+                    "uniform block '{}' has other members in glsl/{}.comp than in glsl/{}.comp",
+                    block.name, kernel.name, other.name
+                ));
+            }
+        }
+    }
+    for (name, (block, kernel)) in all {
+        check_identifier(name)?;
+        let about = format!("A uniform block, as in `glsl/{}.comp`.", kernel.name);
+        let _ = writeln!(out, "#[doc = {about:?}]");
+        out.push_str(&host_struct(name, &block.members, &kernel.source)?);
+    }
+    out.push_str("}\n");
+    Ok(out)
+}
+
+/// The end of the last member of a block.
+fn end_of(members: &[Field]) -> u32 {
+    members.last().map_or(0, |m| m.offset + m.bytes)
+}
+
+/// A struct of a block's layout, with asserted offsets.
+fn host_struct(name: &str, members: &[Field], source: &str) -> Result<String, String> {
+    let mut out = format!(
+        "#[repr(C)]\n#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]\npub struct {name} {{\n"
+    );
+    for member in members {
+        check_identifier(&member.name)?;
+        let about = format!("At byte {}.{}", member.offset, comment_of(source, &member.name));
+        let _ = writeln!(out, "#[doc = {about:?}]\npub {}: {},", member.name, member.rust_type);
+    }
+    let _ = writeln!(
+        out,
+        "}}\nimpl Default for {name} {{ fn default() -> Self {{ bytemuck::Zeroable::zeroed() }} }}\nconst _: () = {{"
+    );
+    for Field { name: field, offset, .. } in members {
+        let _ = writeln!(out, "assert!(std::mem::offset_of!({name}, {field}) == {offset});");
+    }
+    let _ = writeln!(out, "assert!(std::mem::size_of::<{name}>() == {});\n}};", end_of(members));
+    Ok(out)
 }
 
 /// Mirrors `const uint NAME = 16;` lines (and float, int, bool) with their comments.
@@ -119,7 +177,7 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     );
     let _ = writeln!(
         out,
-        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, Buffer, ConstantInfo, ConstantKind, Form, Image, ImageInfo, ImageUse, KernelInterface, Limits, TexelFormat}};"
+        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, BindingKind, Buffer, ConstantInfo, ConstantKind, Form, Image, ImageInfo, ImageUse, KernelInterface, Limits, TexelFormat}};"
     );
     out.push_str(&bind(kernel)?);
     out.push_str(&push(kernel)?);
@@ -137,7 +195,10 @@ fn bind(kernel: &Kernel) -> Result<String, String> {
     for b in &shader.bindings {
         check_identifier(&b.name)?;
         if !names.insert(&b.name) {
-            return Err(format!("two buffers begin with a member named '{}': rename one", b.name));
+            return Err(format!(
+                "two buffers are named '{}', by a first member or a block: rename one",
+                b.name
+            ));
         }
         if !numbers.insert(b.binding) {
             return Err(format!("two buffers have binding {}", b.binding));
@@ -147,7 +208,11 @@ fn bind(kernel: &Kernel) -> Result<String, String> {
             (false, true) => "written",
             _ => "read and written",
         };
-        let access = b.texels.map_or(access, |_| "read as texels");
+        let access = match b.kind {
+            BindingKind::Storage => access,
+            BindingKind::Texels(_) => "read as texels",
+            BindingKind::Uniform(_) => "a uniform block",
+        };
         let about = format!("Binding {}, {access}.{}", b.binding, comment_of(&kernel.source, &b.name));
         let _ = writeln!(fields, "#[doc = {about:?}]\npub {}: &'a Buffer,", b.name);
     }
@@ -166,27 +231,12 @@ fn bind(kernel: &Kernel) -> Result<String, String> {
 }
 
 fn push(kernel: &Kernel) -> Result<String, String> {
-    let shader = &kernel.shader;
-    let mut out = String::from("/// The push constants of one dispatch.\n#[repr(C)]\n");
-    if shader.push.is_empty() {
-        out.push_str("#[derive(Clone, Copy, Debug, Default, PartialEq)]\npub struct Push {}\n");
-        return Ok(out);
+    let about = "/// The push constants of one dispatch.\n";
+    if kernel.shader.push.is_empty() {
+        let derives = "#[derive(Clone, Copy, Debug, Default, PartialEq)]";
+        return Ok(format!("{about}#[repr(C)]\n{derives}\npub struct Push {{}}\n"));
     }
-    out.push_str(
-        "#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]\npub struct Push {\n",
-    );
-    for field in &shader.push {
-        check_identifier(&field.name)?;
-        let about = format!("At byte {}.{}", field.offset, comment_of(&kernel.source, &field.name));
-        let _ = writeln!(out, "#[doc = {about:?}]\npub {}: {},", field.name, field.rust_type);
-    }
-    out.push_str("}\nimpl Default for Push { fn default() -> Self { bytemuck::Zeroable::zeroed() } }\nconst _: () = {\n");
-    for field in &shader.push {
-        let _ = writeln!(out, "assert!(std::mem::offset_of!(Push, {}) == {});", field.name, field.offset);
-    }
-    let end = shader.push.last().map_or(0, |f| f.offset + f.bytes);
-    let _ = writeln!(out, "assert!(std::mem::size_of::<Push>() == {end});\n}};");
-    Ok(out)
+    Ok(format!("{about}{}", host_struct("Push", &kernel.shader.push, &kernel.source)?))
 }
 
 fn spec(kernel: &Kernel) -> Result<String, String> {
@@ -313,7 +363,7 @@ fn interface(kernel: &Kernel) -> String {
          fn shared_bytes(spec: &Spec) -> u32 {{ {shared} }}\n}}\n",
         name = kernel.name,
         spirv = included(&kernel.spirv_file),
-        push_size = shader.push.last().map_or(0, |f| f.offset + f.bytes),
+        push_size = end_of(&shader.push),
         count = shader.bindings.len(),
         image_count = shader.images.len(),
         shared = shader.shared_bytes,
@@ -328,13 +378,16 @@ fn included(file: &str) -> String {
 fn binding_infos(shader: &Shader) -> String {
     let mut infos = String::new();
     for b in &shader.bindings {
+        let kind = match &b.kind {
+            BindingKind::Storage => "Storage".to_owned(),
+            BindingKind::Texels(format) => format!("Texels(TexelFormat::{format})"),
+            BindingKind::Uniform(block) => format!("Uniform {{ bytes: {} }}", end_of(&block.members)),
+        };
+        let access = access_of(b.reads, b.writes);
         let _ = writeln!(
             infos,
-            "BindingInfo {{ name: {:?}, binding: {}, access: Access::{}, texels: {} }},",
-            b.name,
-            b.binding,
-            access_of(b.reads, b.writes),
-            b.texels.map_or("None".to_owned(), |format| format!("Some(TexelFormat::{format})"))
+            "BindingInfo {{ name: {:?}, binding: {}, access: Access::{access}, kind: BindingKind::{kind} }},",
+            b.name, b.binding
         );
     }
     infos

@@ -4,12 +4,15 @@
 //! build.rs uses it to generate the typed interface of each kernel. It supports what the compute shaders of
 //! this crate use; anything more is an error that names it.
 
+#[path = "../vk/binding_numbers.rs"]
+mod binding_numbers;
 #[path = "shader.rs"]
 mod shader;
 #[path = "spirv.rs"]
 mod spirv;
 
-pub use shader::{Binding, ImageBinding, PushField, Shader, SpecConstant};
+use binding_numbers::{BUFFERS, SAMPLED_IMAGE, STORAGE_IMAGE, UNIFORM_BLOCK};
+pub use shader::{Binding, BindingKind, Block, Field, ImageBinding, Shader, SpecConstant};
 use spirv::{operation, text};
 use std::collections::BTreeMap;
 
@@ -67,11 +70,6 @@ const BINDING: u32 = 33;
 const DESCRIPTOR_SET: u32 = 34;
 const OFFSET: u32 = 35;
 
-/// First binding of images, after all buffers. One layout then fits every kernel on devices without push
-/// descriptors.
-const STORAGE_IMAGE_BINDING: u32 = 16;
-const SAMPLED_IMAGE_BINDING: u32 = 17;
-
 #[derive(Default)]
 struct Module {
     names: BTreeMap<u32, String>,
@@ -102,7 +100,8 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
         let Some(Type::Pointer { of }) = module.types.get(&pointer) else { continue };
         match storage_class {
             12 => shader.bindings.push(module.storage_buffer(id, *of)?),
-            9 => shader.push = module.push_block(*of)?,
+            9 => shader.push = module.members(*of, "push constant")?,
+            2 => shader.bindings.push(module.uniform_block(id, *of)?),
             4 => shared.push(module.size_expression(*of, &shader.spec)?),
             0 if matches!(module.types.get(of), Some(Type::TexelBuffer { .. })) => {
                 shader.bindings.push(module.texel_buffer(id, *of)?);
@@ -110,11 +109,8 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
             0 if matches!(module.types.get(of), Some(Type::Image { .. })) => {
                 shader.images.push(module.image(id, *of)?);
             }
-            0 | 2 => {
-                return Err(format!(
-                    "'{}': only storage buffers and plain 2D images can be bound",
-                    module.name(id)
-                ));
+            0 => {
+                return Err(format!("'{}': only buffers and plain 2D images can be bound", module.name(id)));
             }
             _ => {}
         }
@@ -124,6 +120,18 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
     shader.shared_bytes = if shared.is_empty() { "0".into() } else { shared.join(" + ") };
     shader.workgroup_size = module.workgroup_size(&shader.spec)?;
     Ok(shader)
+}
+
+/// `CameraBlock` as `camera_block`.
+fn with_underscores(name: &str) -> String {
+    let mut words = String::new();
+    for (place, letter) in name.char_indices() {
+        if letter.is_ascii_uppercase() && place > 0 {
+            words.push('_');
+        }
+        words.push(letter.to_ascii_lowercase());
+    }
+    words
 }
 
 impl Module {
@@ -217,11 +225,11 @@ impl Module {
                 || (0..members.len() as u32)
                     .all(|m| self.member_decorations.contains_key(&(block, m, decoration)))
         };
-        if binding >= STORAGE_IMAGE_BINDING {
-            return Err(format!("buffer '{block_name}': its binding is not below {STORAGE_IMAGE_BINDING}"));
+        if binding >= BUFFERS {
+            return Err(format!("buffer '{block_name}': its binding is not below {BUFFERS}"));
         }
         let (reads, writes) = (!everywhere(NON_READABLE), !everywhere(NON_WRITABLE));
-        Ok(Binding { name: self.member_name(block, 0)?, binding, reads, writes, texels: None })
+        Ok(Binding { name: self.member_name(block, 0)?, binding, reads, writes, kind: BindingKind::Storage })
     }
 
     fn texel_buffer(&self, variable: u32, ty: u32) -> Result<Binding, String> {
@@ -231,29 +239,49 @@ impl Module {
             Some(Type::TexelBuffer { of }) => self.types.get(of),
             _ => None,
         };
-        let texels = match component {
+        let format = match component {
             Some(Type::Float { bits: 32 }) => "Rgba32Float",
             Some(Type::Int { bits: 32, signed: false }) => "R32Uint",
             _ => return Err(format!("texels '{name}': neither textureBuffer nor utextureBuffer")),
         };
-        Ok(Binding { name, binding, reads: true, writes: false, texels: Some(texels) })
+        Ok(Binding { name, binding, reads: true, writes: false, kind: BindingKind::Texels(format) })
     }
 
     fn image(&self, variable: u32, ty: u32) -> Result<ImageBinding, String> {
         let name = self.name(variable).to_owned();
         let storage = matches!(self.types.get(&ty), Some(Type::Image { storage: true }));
-        let wanted = if storage { STORAGE_IMAGE_BINDING } else { SAMPLED_IMAGE_BINDING };
+        let wanted = if storage { STORAGE_IMAGE } else { SAMPLED_IMAGE };
         let at = |decoration| self.decorations.get(&(variable, decoration)).copied();
         if at(DESCRIPTOR_SET) != Some(0) || at(BINDING) != Some(wanted) {
             return Err(format!("image '{name}': write set = 0, binding = {wanted}"));
         }
         let (reads, writes) = (at(NON_READABLE).is_none(), storage && at(NON_WRITABLE).is_none());
-        Ok(ImageBinding { binding: Binding { name, binding: wanted, reads, writes, texels: None }, storage })
+        let kind = BindingKind::Storage;
+        Ok(ImageBinding { binding: Binding { name, binding: wanted, reads, writes, kind }, storage })
     }
 
-    fn push_block(&self, block: u32) -> Result<Vec<PushField>, String> {
+    fn uniform_block(&self, variable: u32, block: u32) -> Result<Binding, String> {
+        let name = self.name(block).to_owned();
+        if !self.decorations.contains_key(&(block, BLOCK)) {
+            return Err(format!("'{name}' is not a uniform block"));
+        }
+        if self.binding(variable, &name)? != UNIFORM_BLOCK {
+            return Err(format!("uniform block '{name}': write set = 0, binding = {UNIFORM_BLOCK}"));
+        }
+        let members = self.members(block, "member of a uniform block")?;
+        Ok(Binding {
+            name: with_underscores(&name),
+            binding: UNIFORM_BLOCK,
+            reads: true,
+            writes: false,
+            kind: BindingKind::Uniform(Block { name, members }),
+        })
+    }
+
+    /// The members of a block, for a host struct without padding. `what` is their name in errors.
+    fn members(&self, block: u32, what: &str) -> Result<Vec<Field>, String> {
         let Some(Type::Struct(members)) = self.types.get(&block) else {
-            return Err("the push constants are not a block".into());
+            return Err(format!("'{}' is not a block", self.name(block)));
         };
         let mut end = 0;
         let mut fields = Vec::new();
@@ -263,16 +291,15 @@ impl Module {
             let offset = *self.member_decorations.get(&(block, index, OFFSET)).unwrap_or(&0);
             let matrix_stride = self.member_decorations.get(&(block, index, MATRIX_STRIDE)).copied();
             let (rust_type, bytes) =
-                self.host_type(ty, matrix_stride).map_err(|e| format!("push constant '{name}': {e}"))?;
+                self.host_type(ty, matrix_stride).map_err(|e| format!("{what} '{name}': {e}"))?;
             if offset != end {
                 return Err(format!(
-                    "push constant '{name}' lies at {offset}, {} bytes after the one before it: declare the block \
-                     layout(push_constant, scalar)",
+                    "{what} '{name}' lies at {offset}, {} bytes after the one before it: declare the block scalar",
                     offset - end
                 ));
             }
             end = offset + bytes;
-            fields.push(PushField { name, offset, rust_type, bytes });
+            fields.push(Field { name, offset, rust_type, bytes });
         }
         Ok(fields)
     }

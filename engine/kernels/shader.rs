@@ -3,12 +3,12 @@
 /// What a shader declares.
 #[derive(Debug, Default, PartialEq)]
 pub struct Shader {
-    /// Storage buffers by binding.
+    /// Buffers by binding.
     pub bindings: Vec<Binding>,
     /// Images by binding.
     pub images: Vec<ImageBinding>,
     /// Members of the push constant block, in order.
-    pub push: Vec<PushField>,
+    pub push: Vec<Field>,
     /// Specialization constants by id.
     pub spec: Vec<SpecConstant>,
     /// Workgroup size: a Rust expression of type u32 over `spec` for each axis.
@@ -23,7 +23,7 @@ impl Shader {
     pub fn difference(&self, other: &Self, forms: bool) -> Option<&'static str> {
         let same = |(a, b): (&Binding, &Binding)| {
             (&a.name, a.binding, a.reads, a.writes) == (&b.name, b.binding, b.reads, b.writes)
-                && (forms || a.texels == b.texels)
+                && (a.kind == b.kind || forms && !a.is_uniform() && !b.is_uniform())
         };
         let buffers = self.bindings.len() == other.bindings.len()
             && self.bindings.iter().zip(&other.bindings).all(same);
@@ -39,10 +39,11 @@ impl Shader {
     }
 }
 
-/// A storage buffer.
+/// A buffer, or the common part of an image.
 #[derive(Debug, PartialEq)]
 pub struct Binding {
-    /// Name of the block's first member, or of the image.
+    /// Name of a storage buffer's first member, of a texel buffer or image, or of a uniform block with
+    /// underscores.
     pub name: String,
     /// Number of the binding in set 0.
     pub binding: u32,
@@ -50,8 +51,34 @@ pub struct Binding {
     pub reads: bool,
     /// Whether the shader may write it.
     pub writes: bool,
-    /// The variant of `TexelFormat` through which it is read; None for a storage buffer.
-    pub texels: Option<&'static str>,
+    /// How it is bound.
+    pub kind: BindingKind,
+}
+
+impl Binding {
+    fn is_uniform(&self) -> bool {
+        matches!(self.kind, BindingKind::Uniform(_))
+    }
+}
+
+/// How a buffer is bound.
+#[derive(Debug, PartialEq)]
+pub enum BindingKind {
+    /// As a storage buffer.
+    Storage,
+    /// As texels, through this variant of `TexelFormat`.
+    Texels(&'static str),
+    /// As a uniform block.
+    Uniform(Block),
+}
+
+/// A uniform block.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Block {
+    /// Its name in the shader.
+    pub name: String,
+    /// Its members, in order.
+    pub members: Vec<Field>,
 }
 
 /// A storage image or a sampled image without sampler.
@@ -63,9 +90,9 @@ pub struct ImageBinding {
     pub storage: bool,
 }
 
-/// A member of the push constant block.
-#[derive(Debug, PartialEq)]
-pub struct PushField {
+/// A member of the push constant block or of a uniform block.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Field {
     /// Its name.
     pub name: String,
     /// Bytes from the start of the block.

@@ -1,10 +1,8 @@
-//! Planes of one value per pixel in strips of eight rows: the layout in which blending, the loss and the
+//! Planes of one value per pixel in strips of [`STRIP_ROWS`] rows: the layout in which blending, the loss and the
 //! backward pass exchange data on processors (glsl/include/strips.glsl).
 
+pub use crate::kernels::constants::STRIP_ROWS;
 use crate::vk::Limits;
-
-/// Rows of a strip.
-pub const STRIP_ROWS: u32 = 8;
 
 /// Layout of an image's planes: the values of a strip's column are contiguous; columns, strips and planes
 /// follow in this order.

@@ -55,8 +55,15 @@ impl State {
 }
 
 /// Capacity before the first frame.
-const NOTHING: FrameCapacity =
-    FrameCapacity { gaussians: 0, instances: 0, width: 0, height: 0, blend_passes: 1, backward: false };
+const NOTHING: FrameCapacity = FrameCapacity {
+    gaussians: 0,
+    instances: 0,
+    scenes: 1,
+    width: 0,
+    height: 0,
+    blend_passes: 1,
+    backward: false,
+};
 
 impl FrameStore {
     /// The buffer through which the counts are read back.
@@ -100,6 +107,7 @@ impl FrameStore {
         let capacity = FrameCapacity {
             gaussians: gaussians.max(old.gaussians),
             instances: guess,
+            scenes: old.scenes,
             width: camera.width.max(old.width),
             height: camera.height.max(old.height),
             blend_passes: old.blend_passes,

@@ -2,7 +2,7 @@
 
 use super::{FrameRunner, Renderer, no_scene};
 use crate::error::{Error, Result};
-use crate::forward::{Forward, RenderSettings, SceneBuffers};
+use crate::forward::{RenderSettings, SceneBuffers};
 use crate::kernels::constants as c;
 use crate::plan::tile_grid;
 use crate::scene::Camera;
@@ -75,7 +75,7 @@ impl FrameRunner {
         let (columns, _) = tile_grid(camera.width, camera.height);
         let tile = u64::from(y / c::TILE_SIZE * columns + x / c::TILE_SIZE);
         let range: Vec<u32> = self.read(&f.tile_ranges, tile * 8, 8)?;
-        let sorted_visible = Forward::sorted_visible(&self.forward.sizes, f, &self.capacity(), camera);
+        let sorted_visible = f.sorted_visible(&self.forward.sizes, self.capacity().backward, camera);
         let entries: Vec<u32> =
             self.read(sorted_visible, u64::from(range[0]) * 4, u64::from(range[1] - range[0]) * 4)?;
         let splats = f.splats();

@@ -219,6 +219,7 @@ impl Slot {
         let capacity = FrameCapacity {
             gaussians,
             instances,
+            scenes: wanted.scenes,
             width,
             height,
             blend_passes: wanted.blend_passes,

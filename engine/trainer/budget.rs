@@ -46,7 +46,7 @@ impl Before<'_> {
     fn first_frame(&self, context: &Context, gaussians: u32) -> FrameCapacity {
         let (width, height) = largest_sides(self.cameras);
         let instances = initial_instances(context.limits(), gaussians, width, height);
-        FrameCapacity { gaussians, instances, width, height, blend_passes: 1, backward: true }
+        FrameCapacity { gaussians, instances, scenes: 1, width, height, blend_passes: 1, backward: true }
     }
 
     /// The initial capacity in Gaussians: with a reserve of half, or what the memory holds.

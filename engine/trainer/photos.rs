@@ -24,7 +24,7 @@ pub(super) enum Photos {
 /// How much of the photographs is on the device at a time.
 enum Residence {
     All,
-    Slots { count: usize, bytes: u64 },
+    Places { count: usize, bytes: u64 },
 }
 
 impl Residence {
@@ -47,7 +47,7 @@ impl Residence {
             });
         }
         let count = usize::try_from(held - ON_HOST).unwrap_or(usize::MAX).min(views.len());
-        Ok(Self::Slots { count, bytes })
+        Ok(Self::Places { count, bytes })
     }
 }
 
@@ -71,7 +71,7 @@ pub(super) fn device_bytes(context: &Context, views: &[TrainView]) -> Result<Pho
     let all = context.allocation_bytes(&requests(context, views));
     Ok(match Residence::of(windowing_of(context), views)? {
         Residence::All => PhotoBytes { held: all, staging: 0, all, budget: None },
-        Residence::Slots { count, bytes } => PhotoBytes {
+        Residence::Places { count, bytes } => PhotoBytes {
             held: context.allocation_bytes(&vec![("photo", bytes); count]),
             staging: context.staging_bytes(bytes),
             all: all.max(context.allocation_bytes(&vec![("photo", bytes); views.len()])),
@@ -113,12 +113,12 @@ fn check(views: &[TrainView]) -> Result<()> {
 }
 
 impl Photos {
-    /// Uploads the views' photographs, or allocates slots for some of them. The seed determines the order of
+    /// Uploads the views' photographs, or allocates places for some of them. The seed determines the order of
     /// their use.
     pub fn new(context: &Context, views: &[TrainView], seed: u32) -> Result<Self> {
         check(views)?;
         let (count, bytes) = match Residence::of(windowing_of(context), views)? {
-            Residence::Slots { count, bytes } => (count, bytes),
+            Residence::Places { count, bytes } => (count, bytes),
             Residence::All => {
                 let texels = context.allocate("photos", &requests(context, views), MemoryKind::Device)?;
                 for (buffer, view) in texels.iter().zip(views) {
@@ -128,9 +128,9 @@ impl Photos {
                 return Ok(Self::Resident { texels, masked });
             }
         };
-        let slots = context.allocate("photos", &vec![("photo", bytes); count], MemoryKind::Device)?;
+        let places = context.allocate("photos", &vec![("photo", bytes); count], MemoryKind::Device)?;
         let photos = views.iter().map(|view| view.photo.clone()).collect();
-        Ok(Self::Streamed(Stream { photos, slots, seed, running: None }))
+        Ok(Self::Streamed(Stream { photos, places, seed, running: None }))
     }
 
     /// Whether all photographs stay on the device.
@@ -152,7 +152,7 @@ impl Photos {
         match self {
             Self::Resident { texels, .. } => &texels[view],
             Self::Streamed(stream) => match &stream.running {
-                Some(running) if running.at.view == view => &stream.slots[running.at.slot],
+                Some(running) if running.at.view == view => &stream.places[running.at.place],
                 _ => panic!("view {view} is not the one that was prepared"),
             },
         }
@@ -171,7 +171,7 @@ impl Photos {
 /// be loaded. Both threads compute this order on their own.
 pub(super) struct Stream {
     photos: Vec<StoredPhoto>,
-    slots: Vec<Buffer>,
+    places: Vec<Buffer>,
     seed: u32,
     running: Option<Running>,
 }
@@ -204,7 +204,7 @@ impl Stream {
                     "the thread that reads them has ended; go on from a checkpoint",
                 )
             })??;
-            context.upload(&self.slots[running.at.slot].range(0, texels.len() as u64), &texels)?;
+            context.upload(&self.places[running.at.place].range(0, texels.len() as u64), &texels)?;
         }
         self.running = Some(running);
         Ok(())
@@ -212,11 +212,11 @@ impl Stream {
 
     fn start(&self, windowing: Windowing, iteration: u32) -> Result<Running> {
         let order = ViewOrder::new(self.seed, self.photos.len());
-        let schedule = Residency::new(order, self.slots.len(), iteration);
+        let schedule = Residency::new(order, self.places.len(), iteration);
         let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
         let (sender, texels) = sync_channel(AHEAD as usize);
         // If all photographs fit, each is read once.
-        let mut left = if self.slots.len() < photos.len() { usize::MAX } else { photos.len() };
+        let mut left = if self.places.len() < photos.len() { usize::MAX } else { photos.len() };
         let read = move || {
             while left > 0 {
                 let next = ahead.advance();
@@ -233,6 +233,6 @@ impl Stream {
             .name("photographs".into())
             .spawn(read)
             .map_err(|e| Error::argument("photographs", format!("no thread to read them: {e}")))?;
-        Ok(Running { schedule, iteration, at: Use { view: 0, slot: 0, load: false }, texels })
+        Ok(Running { schedule, iteration, at: Use { view: 0, place: 0, load: false }, texels })
     }
 }

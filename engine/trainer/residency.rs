@@ -6,9 +6,9 @@ use super::random::ViewOrder;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Use {
     pub view: usize,
-    /// Its slot.
-    pub slot: usize,
-    /// Whether it must be loaded into the slot.
+    /// Its place.
+    pub place: usize,
+    /// Whether it must be loaded into the place.
     pub load: bool,
 }
 
@@ -18,8 +18,8 @@ pub(super) struct Residency {
     order: ViewOrder,
     /// The next iteration, from 1.
     iteration: u32,
-    /// View in each slot.
-    slots: Vec<Option<usize>>,
+    /// View in each place.
+    places: Vec<Option<usize>>,
     /// Iterations at which each view is next needed: in this epoch and in the next.
     uses: Vec<[u32; 2]>,
     /// The iteration from which on `uses` must be recomputed.
@@ -27,10 +27,10 @@ pub(super) struct Residency {
 }
 
 impl Residency {
-    /// Starts at an iteration, with empty slots.
-    pub fn new(order: ViewOrder, slots: usize, iteration: u32) -> Self {
+    /// Starts at an iteration, with empty places.
+    pub fn new(order: ViewOrder, places: usize, iteration: u32) -> Self {
         let uses = vec![[0; 2]; order.views()];
-        Self { order, iteration, slots: vec![None; slots], uses, epoch_end: 0 }
+        Self { order, iteration, places: vec![None; places], uses, epoch_end: 0 }
     }
 
     /// The next iteration's photograph.
@@ -41,14 +41,14 @@ impl Residency {
             self.look_ahead(iteration);
         }
         let view = self.order.view(iteration);
-        if let Some(slot) = self.slots.iter().position(|&held| held == Some(view)) {
-            return Use { view, slot, load: false };
+        if let Some(place) = self.places.iter().position(|&held| held == Some(view)) {
+            return Use { view, place, load: false };
         }
         let farthest =
-            |&slot: &usize| self.slots[slot].map_or(u32::MAX, |held| self.next_use(held, iteration));
-        let slot = (0..self.slots.len()).max_by_key(farthest).unwrap_or(0);
-        self.slots[slot] = Some(view);
-        Use { view, slot, load: true }
+            |&place: &usize| self.places[place].map_or(u32::MAX, |held| self.next_use(held, iteration));
+        let place = (0..self.places.len()).max_by_key(farthest).unwrap_or(0);
+        self.places[place] = Some(view);
+        Use { view, place, load: true }
     }
 
     /// Notes when each view comes in the epoch of an iteration and in the next one.
@@ -74,20 +74,20 @@ mod tests {
     use super::*;
 
     /// Loads in `epochs` epochs.
-    fn loads(views: usize, slots: usize, epochs: u32) -> u32 {
-        let mut schedule = Residency::new(ViewOrder::new(3, views), slots, 1);
+    fn loads(views: usize, places: usize, epochs: u32) -> u32 {
+        let mut schedule = Residency::new(ViewOrder::new(3, views), places, 1);
         let mut order = ViewOrder::new(3, views);
-        let mut held = vec![None; slots];
+        let mut held = vec![None; places];
         let mut loads = 0;
         for iteration in 1..=epochs * views as u32 {
             let at = schedule.advance();
             assert_eq!(at.view, order.view(iteration));
             if at.load {
                 assert!(!held.contains(&Some(at.view)), "it was there");
-                held[at.slot] = Some(at.view);
+                held[at.place] = Some(at.view);
                 loads += 1;
             }
-            assert_eq!(held[at.slot], Some(at.view));
+            assert_eq!(held[at.place], Some(at.view));
         }
         loads
     }

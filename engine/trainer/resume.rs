@@ -171,6 +171,7 @@ impl Room {
         (self.frame_width > 0).then_some(FrameCapacity {
             gaussians: self.frame_gaussians,
             instances: self.frame_instances,
+            scenes: 1,
             width: self.frame_width,
             height: self.frame_height,
             blend_passes: self.blend_passes.max(1),

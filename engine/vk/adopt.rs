@@ -17,7 +17,8 @@ impl Buffer {
     ///
     /// # Safety
     /// - `raw` is of the context's device, bound to memory, has at least `offset + bytes` bytes and the
-    ///   usages   STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST;
+    ///   usages STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, and UNIFORM_BUFFER if a kernel reads it as a
+    ///   uniform block;
     /// - it lives until the last recording that uses it has finished and the buffer and its clones are
     ///   dropped;
     /// - no two adopted buffers overlap.

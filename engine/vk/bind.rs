@@ -1,7 +1,8 @@
 //! Binds the resources of a dispatch: by push descriptors, or by a preallocated set.
 
+use super::binding::{BindingInfo, BindingKind};
+use super::binding_numbers::BUFFERS;
 use super::buffer::Buffer;
-use super::descriptors::{self, BUFFERS};
 use super::image::Image;
 use super::kernel::{MAX_BINDINGS, Pipeline};
 use super::recorder::Recorder;
@@ -29,49 +30,55 @@ impl Recorder {
         assert!(pipeline.is_of(&self.inner), "kernel {} is of another context", pipeline.name);
         let mut buffers = [vk::DescriptorBufferInfo::default(); MAX_BINDINGS];
         let mut views = [vk::BufferView::null(); MAX_BINDINGS];
-        let slots = buffers.iter_mut().zip(&mut views).zip(pipeline.bindings);
-        for (((slot, view), info), buffer) in slots.zip(bound.buffers) {
-            self.check_binding(pipeline, info.name, buffer);
-            if let Some(format) = info.texels {
+        let descriptors = buffers.iter_mut().zip(&mut views).zip(pipeline.bindings);
+        for (((descriptor, view), info), buffer) in descriptors.zip(bound.buffers) {
+            self.check_binding(pipeline, info, buffer);
+            if let BindingKind::Texels(format) = info.kind {
                 *view = self.texel_view(pipeline, info.name, buffer, format)?;
             }
             self.keep(buffer);
-            let (offset, bytes) = (buffer.offset(), bound_bytes(buffer));
-            *slot = vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(offset).range(bytes);
+            let bytes = match info.kind {
+                BindingKind::Uniform { bytes } => bytes.into(),
+                _ => bound_bytes(buffer),
+            };
+            let offset = buffer.offset();
+            *descriptor =
+                vk::DescriptorBufferInfo::default().buffer(buffer.raw()).offset(offset).range(bytes);
         }
         let mut images = [vk::DescriptorImageInfo::default(); MAX_IMAGES];
-        for ((slot, info), image) in images.iter_mut().zip(pipeline.images).zip(bound.images) {
+        for ((descriptor, info), image) in images.iter_mut().zip(pipeline.images).zip(bound.images) {
             let (kernel, name) = (pipeline.name, image.name());
             assert!(image.purpose() == info.purpose, "{kernel}: image '{name}' is no {:?}", info.purpose);
             self.keep_image(image);
-            *slot = image.descriptor();
+            *descriptor = image.descriptor();
         }
         let mut writes = [vk::WriteDescriptorSet::default(); MAX_BINDINGS + MAX_IMAGES];
         let (first, rest) = writes.split_at_mut(bound.buffers.len());
-        let slots = pipeline.bindings.iter().zip(&buffers).zip(&views);
-        for (write, ((info, slot), view)) in first.iter_mut().zip(slots) {
+        let descriptors = pipeline.bindings.iter().zip(&buffers).zip(&views);
+        for (write, ((info, descriptor), view)) in first.iter_mut().zip(descriptors) {
             let empty = vk::WriteDescriptorSet::default().dst_binding(info.binding);
-            let empty = empty.descriptor_type(info.descriptor_type());
-            *write = match info.texels {
-                None => empty.buffer_info(std::slice::from_ref(slot)),
-                Some(_) => empty.texel_buffer_view(std::slice::from_ref(view)),
+            let empty = empty.descriptor_type(info.kind.descriptor_type());
+            *write = match info.kind {
+                BindingKind::Texels(_) => empty.texel_buffer_view(std::slice::from_ref(view)),
+                _ => empty.buffer_info(std::slice::from_ref(descriptor)),
             };
         }
-        for ((write, info), slot) in rest.iter_mut().zip(pipeline.images).zip(&images) {
+        for ((write, info), descriptor) in rest.iter_mut().zip(pipeline.images).zip(&images) {
             *write = vk::WriteDescriptorSet::default()
                 .dst_binding(info.binding)
                 .descriptor_type(info.purpose.descriptor_type())
-                .image_info(std::slice::from_ref(slot));
+                .image_info(std::slice::from_ref(descriptor));
         }
         let mut count = bound.buffers.len() + bound.images.len();
-        if self.inner.shared_layouts.is_some() && !bound.buffers.is_empty() {
+        let storage = pipeline.bindings.iter().position(|info| info.kind == BindingKind::Storage);
+        if let (Some(_), Some(any)) = (&self.inner.shared_layouts, storage) {
             // No descriptor of an earlier use may remain in the set: see the module `descriptors`.
             let missing = |binding: &u32| pipeline.bindings.iter().all(|info| info.binding != *binding);
             for binding in (0..BUFFERS).filter(missing) {
                 writes[count] = vk::WriteDescriptorSet::default()
                     .dst_binding(binding)
                     .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
-                    .buffer_info(&buffers[..1]);
+                    .buffer_info(&buffers[any..=any]);
                 count += 1;
             }
         }
@@ -93,19 +100,21 @@ impl Recorder {
     }
 
     /// Fails for a buffer that cannot be bound.
-    fn check_binding(&self, pipeline: &Pipeline, role: &str, buffer: &Buffer) {
+    fn check_binding(&self, pipeline: &Pipeline, info: &BindingInfo, buffer: &Buffer) {
         let limits = &self.inner.limits;
-        let (kernel, name, bytes) = (pipeline.name, buffer.name(), buffer.bytes());
+        let (kernel, role, name, bytes) = (pipeline.name, info.name, buffer.name(), buffer.bytes());
+        let (least, most, alignment) = match info.kind {
+            BindingKind::Uniform { bytes } => (u64::from(bytes), u64::MAX, limits.uniform_alignment),
+            _ => (1, limits.max_storage_buffer_range, limits.storage_alignment),
+        };
         assert!(
-            bytes <= limits.max_storage_buffer_range && bytes > 0,
-            "{kernel}: '{name}' bound as '{role}' has {bytes} bytes, the limit is {}",
-            limits.max_storage_buffer_range
+            (least..=most).contains(&bytes),
+            "{kernel}: '{name}' bound as '{role}' has {bytes} bytes, the limits are {least} and {most}"
         );
         assert!(
-            buffer.offset().is_multiple_of(limits.storage_alignment),
-            "{kernel}: '{name}' bound as '{role}' begins at {}, no multiple of {}",
-            buffer.offset(),
-            limits.storage_alignment
+            buffer.offset().is_multiple_of(alignment),
+            "{kernel}: '{name}' bound as '{role}' begins at {}, no multiple of {alignment}",
+            buffer.offset()
         );
     }
 
@@ -137,11 +146,7 @@ impl Recorder {
         push: &[u8],
     ) -> Result<()> {
         let set = match self.commands.descriptors() {
-            Some(sets) if !writes.is_empty() => {
-                let kind = descriptors::kind_of(pipeline.images.iter().map(|image| image.purpose))
-                    .unwrap_or_default();
-                Some(sets.next(&self.inner, kind)?)
-            }
+            Some(sets) if !writes.is_empty() => Some(sets.next(&self.inner, pipeline.set_kind)?),
             _ => None,
         };
         let (raw, device, point) = (self.raw(), &self.inner.device, vk::PipelineBindPoint::COMPUTE);

@@ -5,26 +5,21 @@
 //! of an earlier use may no longer exist, and drivers access descriptors that no shader uses (lavapipe counts
 //! references to the buffers of the whole set).
 
+use super::binding_numbers::{BUFFERS, SAMPLED_IMAGE, STORAGE_IMAGE, UNIFORM_BLOCK};
 use super::error::vk_error;
-use super::format::ImageUse;
 use super::open_device::Device;
-use super::requirements::STORAGE_BUFFERS;
 use crate::Result;
 use ash::vk;
 use std::sync::Arc;
 
-/// Most storage buffers of a kernel: bindings 0 to 15.
-pub(super) const BUFFERS: u32 = STORAGE_BUFFERS;
-/// The binding of a kernel's storage image.
-pub(super) const STORAGE_IMAGE: u32 = 16;
-/// The binding of a kernel's sampled image.
-pub(super) const SAMPLED_IMAGE: u32 = 17;
-
-/// Sets per pool: for kernels with buffers only, and for kernels with an image.
+/// Sets per pool: for kernels with storage buffers only, and for the others.
 const POOL_SETS: [u32; 2] = [128, 16];
 
 /// One resource of a kernel in the layout of its set.
-pub(super) fn slot(binding: u32, kind: vk::DescriptorType) -> vk::DescriptorSetLayoutBinding<'static> {
+pub(super) fn layout_binding(
+    binding: u32,
+    kind: vk::DescriptorType,
+) -> vk::DescriptorSetLayoutBinding<'static> {
     vk::DescriptorSetLayoutBinding::default()
         .binding(binding)
         .descriptor_type(kind)
@@ -32,28 +27,35 @@ pub(super) fn slot(binding: u32, kind: vk::DescriptorType) -> vk::DescriptorSetL
         .stage_flags(vk::ShaderStageFlags::COMPUTE)
 }
 
-/// The kinds of sets: buffers only, and buffers with one image.
-const KINDS: [Option<ImageUse>; 3] = [None, Some(ImageUse::Storage), Some(ImageUse::Sampled)];
+/// The kinds of sets: what they have beside [`BUFFERS`] storage buffers, with its binding.
+const KINDS: [Option<(u32, vk::DescriptorType)>; 4] = [
+    None,
+    Some((UNIFORM_BLOCK, vk::DescriptorType::UNIFORM_BUFFER)),
+    Some((STORAGE_IMAGE, vk::DescriptorType::STORAGE_IMAGE)),
+    Some((SAMPLED_IMAGE, vk::DescriptorType::SAMPLED_IMAGE)),
+];
+/// The kinds that most dispatches of a recording may use.
+const FREQUENT_KINDS: usize = 2;
 
-/// The kind of set for a kernel with images of these uses; None if there is none.
-pub(super) fn kind_of(mut images: impl Iterator<Item = ImageUse>) -> Option<usize> {
-    let image = images.next();
-    if images.next().is_some() {
-        return None;
+/// The kind of set for a kernel with these resources; None if there is none.
+pub(super) fn kind_of(bindings: &[vk::DescriptorSetLayoutBinding<'_>]) -> Option<usize> {
+    let storage = vk::DescriptorType::STORAGE_BUFFER;
+    let mut others = bindings.iter().filter(|binding| binding.descriptor_type != storage);
+    let other = others.next().map(|binding| (binding.binding, binding.descriptor_type));
+    match others.next() {
+        None => KINDS.iter().position(|kind| *kind == other),
+        Some(_) => None,
     }
-    KINDS.iter().position(|kind| *kind == image)
 }
 
 /// Makes the layouts that kernels share, for a device without push descriptors.
 pub(super) fn add_shared_layouts(open: &mut Device) -> Result<()> {
     let layouts = open.shared_layouts.insert(Vec::with_capacity(KINDS.len()));
-    for image in KINDS {
-        let mut slots: Vec<_> = (0..BUFFERS).map(|b| slot(b, vk::DescriptorType::STORAGE_BUFFER)).collect();
-        slots.extend(image.map(|purpose| {
-            let binding = if purpose == ImageUse::Storage { STORAGE_IMAGE } else { SAMPLED_IMAGE };
-            slot(binding, purpose.descriptor_type())
-        }));
-        let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&slots);
+    for other in KINDS {
+        let storage = vk::DescriptorType::STORAGE_BUFFER;
+        let mut bindings: Vec<_> = (0..BUFFERS).map(|b| layout_binding(b, storage)).collect();
+        bindings.extend(other.map(|(binding, kind)| layout_binding(binding, kind)));
+        let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
         // SAFETY: a valid create info.
         let created = unsafe { open.device.create_descriptor_set_layout(&info, None) };
         layouts.push(created.map_err(vk_error("vkCreateDescriptorSetLayout"))?);
@@ -81,10 +83,11 @@ impl DescriptorSets {
         self.used = Default::default();
     }
 
-    /// Allocates at least this number of sets for one recording, and some with images.
+    /// Allocates at least this number of sets of each frequent kind for one recording, and some with images.
     pub(super) fn reserve(&mut self, inner: &Device, count: usize) -> Result<()> {
         for kind in 0..KINDS.len() {
-            self.reserve_kind(inner, kind, if kind == 0 { count } else { POOL_SETS[1] as usize })?;
+            let count = if kind < FREQUENT_KINDS { count } else { POOL_SETS[1] as usize };
+            self.reserve_kind(inner, kind, count)?;
         }
         Ok(())
     }
@@ -107,7 +110,7 @@ impl DescriptorSets {
         let count = POOL_SETS[usize::from(kind > 0)];
         let size = |kind, count| vk::DescriptorPoolSize::default().ty(kind).descriptor_count(count);
         let mut sizes = vec![size(vk::DescriptorType::STORAGE_BUFFER, count * BUFFERS)];
-        sizes.extend(KINDS[kind].map(|purpose| size(purpose.descriptor_type(), count)));
+        sizes.extend(KINDS[kind].map(|(_, other)| size(other, count)));
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(count).pool_sizes(&sizes);
         let layouts: Vec<_> = inner.shared_layouts.iter().flatten().copied().collect();
         let layouts = vec![layouts[kind]; count as usize];

@@ -277,6 +277,8 @@ fn limits(
         max_texels: l.max_texel_buffer_elements.into(),
         texel_alignment: l.min_texel_buffer_offset_alignment.max(16),
         storage_alignment: l.min_storage_buffer_offset_alignment.max(4),
+        max_uniform_range: l.max_uniform_buffer_range,
+        uniform_alignment: l.min_uniform_buffer_offset_alignment.max(4),
         push_constant_bytes: l.max_push_constants_size,
         max_push_descriptors: push.max_push_descriptors,
         timestamp_period_ns: if timestamps { f64::from(l.timestamp_period) } else { 0.0 },

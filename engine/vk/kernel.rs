@@ -1,54 +1,17 @@
 //! A compute pipeline with a typed interface.
 
-use super::access::Access;
+use super::binding::{BindingInfo, BindingKind, ImageInfo};
 use super::buffer::Buffer;
 use super::context::Context;
-use super::descriptors;
+use super::descriptors::{kind_of, layout_binding};
 use super::error::vk_error;
-use super::format::ImageUse;
 use super::image::Image;
 use super::limits::{CHOSEN_BY_HOST, Limits};
 use super::open_device::Device;
-use super::texels::TexelFormat;
 use crate::{Error, Result};
 use ash::vk;
 use std::marker::PhantomData;
 use std::sync::Arc;
-
-/// A buffer of a shader.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BindingInfo {
-    /// Its name, also that of the field in `Bind`.
-    pub name: &'static str,
-    /// Its number in set 0.
-    pub binding: u32,
-    /// How the shader accesses it.
-    pub access: Access,
-    /// Its texel format; None: a storage buffer.
-    pub texels: Option<TexelFormat>,
-}
-
-impl BindingInfo {
-    pub(super) fn descriptor_type(&self) -> vk::DescriptorType {
-        match self.texels {
-            None => vk::DescriptorType::STORAGE_BUFFER,
-            Some(_) => vk::DescriptorType::UNIFORM_TEXEL_BUFFER,
-        }
-    }
-}
-
-/// An image of a shader.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ImageInfo {
-    /// Its name, also that of the field in `Bind`.
-    pub name: &'static str,
-    /// Its number in set 0.
-    pub binding: u32,
-    /// How the shader accesses it.
-    pub access: Access,
-    /// How it is bound.
-    pub purpose: ImageUse,
-}
 
 /// A specialization constant of a shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -156,8 +119,7 @@ struct Demands {
     workgroup_size: [u32; 3],
     shared_bytes: u32,
     push_bytes: u32,
-    bindings: u32,
-    texels: bool,
+    bindings: &'static [BindingInfo],
     images: &'static [ImageInfo],
 }
 
@@ -177,15 +139,14 @@ impl<K: KernelInterface> Kernel<K> {
             workgroup_size: K::workgroup_size(spec),
             shared_bytes: K::shared_bytes(spec),
             push_bytes: K::PUSH_BYTES,
-            bindings: form.bindings.len() as u32,
-            texels: form.bindings.iter().any(|b| b.texels.is_some()),
+            bindings: form.bindings,
             images: K::IMAGES,
         };
         check(&demands, context.limits())?;
         let constants = overridden::<K>(context.limits(), K::spec_entries(spec));
         let replaced = context.replaced_shader(K::NAME);
         let spirv = replaced.as_deref().map_or(form.spirv, Vec::as_slice);
-        let pipeline = Pipeline::new(&context.device, &demands, form.bindings, spirv, &constants)?;
+        let pipeline = Pipeline::new(&context.device, &demands, spirv, &constants)?;
         Ok(Self { pipeline: Arc::new(pipeline), interface: PhantomData })
     }
 
@@ -230,7 +191,7 @@ fn check(d: &Demands, limits: &Limits) -> Result<()> {
     if invocations == 0 {
         return argument("a workgroup of no invocations".to_owned());
     }
-    if d.texels && limits.max_texels == 0 {
+    if d.bindings.iter().any(|b| matches!(b.kind, BindingKind::Texels(_))) && limits.max_texels == 0 {
         return argument("reads texels, which takes VK_KHR_push_descriptor and shaderInt64".to_owned());
     }
     if let Some(size) = d.subgroup_size {
@@ -245,6 +206,8 @@ fn check(d: &Demands, limits: &Limits) -> Result<()> {
             return argument(format!("workgroup size {x} is no multiple of subgroup size {size}"));
         }
     }
+    let bindings = d.bindings.len() as u64;
+    let uniform_bytes = d.bindings.iter().map(|b| b.kind.uniform_bytes()).max().unwrap_or(0);
     let subgroups = d.subgroup_size.map_or(0, |size| invocations / u64::from(size));
     let bounds = [
         (
@@ -266,8 +229,9 @@ fn check(d: &Demands, limits: &Limits) -> Result<()> {
             "maxComputeSharedMemorySize",
         ),
         ("push constants", d.push_bytes.into(), "bytes", limits.push_constant_bytes, "maxPushConstantsSize"),
-        ("bindings", d.bindings.into(), "buffers", limits.max_push_descriptors, "maxPushDescriptors"),
-        ("bindings", d.bindings.into(), "buffers", MAX_BINDINGS as u32, "of this crate"),
+        ("uniform block", uniform_bytes, "bytes", limits.max_uniform_range, "maxUniformBufferRange"),
+        ("bindings", bindings, "buffers", limits.max_push_descriptors, "maxPushDescriptors"),
+        ("bindings", bindings, "buffers", MAX_BINDINGS as u32, "of this crate"),
     ];
     for (what, needed, unit, limit, limit_name) in bounds {
         if needed > u64::from(limit) {
@@ -289,26 +253,23 @@ pub(super) struct Pipeline {
     pub(super) images: &'static [ImageInfo],
     pub(super) raw: vk::Pipeline,
     pub(super) layout: vk::PipelineLayout,
+    /// The kind of its sets without push descriptors.
+    pub(super) set_kind: usize,
     /// Null if all kernels share a layout.
     set_layout: vk::DescriptorSetLayout,
     workgroup_size: [u32; 3],
 }
 
 impl Pipeline {
-    fn new(
-        inner: &Arc<Device>,
-        demands: &Demands,
-        bindings: &'static [BindingInfo],
-        spirv: &[u32],
-        constants: &[(u32, u32)],
-    ) -> Result<Self> {
+    fn new(inner: &Arc<Device>, demands: &Demands, spirv: &[u32], constants: &[(u32, u32)]) -> Result<Self> {
         let mut pipeline = Self {
             inner: inner.clone(),
             name: demands.name,
-            bindings,
+            bindings: demands.bindings,
             images: demands.images,
             raw: vk::Pipeline::null(),
             layout: vk::PipelineLayout::null(),
+            set_kind: 0,
             set_layout: vk::DescriptorSetLayout::null(),
             workgroup_size: demands.workgroup_size,
         };
@@ -328,21 +289,22 @@ impl Pipeline {
 
     fn create_layout(&mut self, push_bytes: u32) -> Result<()> {
         let device = &self.inner.device;
-        let buffers = self.bindings.iter().map(|b| descriptors::slot(b.binding, b.descriptor_type()));
-        let images = self.images.iter().map(|i| descriptors::slot(i.binding, i.purpose.descriptor_type()));
-        let slots: Vec<_> = buffers.chain(images).collect();
+        let buffers = self.bindings.iter().map(|b| (b.binding, b.kind.descriptor_type()));
+        let images = self.images.iter().map(|i| (i.binding, i.purpose.descriptor_type()));
+        let all = buffers.chain(images);
+        let bindings: Vec<_> = all.map(|(binding, kind)| layout_binding(binding, kind)).collect();
         let set = vk::DescriptorSetLayoutCreateInfo::default()
             .flags(vk::DescriptorSetLayoutCreateFlags::PUSH_DESCRIPTOR_KHR)
-            .bindings(&slots);
+            .bindings(&bindings);
         // SAFETY: valid create infos; the number of bindings and push bytes was checked against the limits.
         unsafe {
-            let sets = match (
-                &self.inner.shared_layouts,
-                descriptors::kind_of(self.images.iter().map(|image| image.purpose)),
-            ) {
-                (Some(layouts), Some(kind)) => [layouts[kind]],
+            let sets = match (&self.inner.shared_layouts, kind_of(&bindings)) {
+                (Some(layouts), Some(kind)) => {
+                    self.set_kind = kind;
+                    [layouts[kind]]
+                }
                 (Some(_), None) => {
-                    let problem = "has several images, which takes VK_KHR_push_descriptor";
+                    let problem = "has several images or uniform blocks, which takes VK_KHR_push_descriptor";
                     return Err(Error::argument(format!("kernel {}", self.name), problem));
                 }
                 (None, _) => {

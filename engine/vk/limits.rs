@@ -38,6 +38,10 @@ pub struct Limits {
     pub texel_alignment: u64,
     /// minStorageBufferOffsetAlignment.
     pub storage_alignment: u64,
+    /// maxUniformBufferRange.
+    pub max_uniform_range: u32,
+    /// minUniformBufferOffsetAlignment.
+    pub uniform_alignment: u64,
     /// maxPushConstantsSize.
     pub push_constant_bytes: u32,
     /// maxPushDescriptors; without VK_KHR_push_descriptor, the descriptors of one of our sets.

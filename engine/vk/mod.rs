@@ -55,6 +55,8 @@ mod allocator;
 mod arenas;
 mod audit;
 mod bind;
+mod binding;
+mod binding_numbers;
 mod budget;
 mod buffer;
 mod clock;
@@ -106,6 +108,7 @@ pub use access::Access;
 pub use allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 pub use arenas::ArenaMemory;
 pub use audit::{Audit, AuditRecord};
+pub use binding::{BindingInfo, BindingKind, ImageInfo};
 pub use buffer::Buffer;
 pub use context::Context;
 pub use device::{DeviceDescription, devices};
@@ -115,9 +118,7 @@ pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
 pub use format::ImageUse;
 pub use image::{ForeignImage, Image, ImageState};
 pub use instance::validation_available;
-pub use kernel::{
-    BindingInfo, ConstantInfo, ConstantKind, Form, ImageInfo, Kernel, KernelInterface, KernelVisitor,
-};
+pub use kernel::{ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelVisitor};
 pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 #[cfg(feature = "testing")]
 pub use limits_override::LimitsOverride;

@@ -2,6 +2,7 @@
 
 use super::allocator::HostAllocator;
 use super::arenas::Registry;
+use super::binding_numbers::BUFFERS;
 use super::clock::Clock;
 use super::context::Context;
 use super::create_device;
@@ -190,7 +191,7 @@ impl Context {
             limits.max_texels = 0;
         }
         if !push {
-            limits.max_push_descriptors = descriptors::BUFFERS;
+            limits.max_push_descriptors = BUFFERS;
         }
         let unified_memory = candidate.has_unified_memory();
         #[cfg(feature = "testing")]

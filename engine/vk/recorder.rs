@@ -395,7 +395,8 @@ impl Recorder {
         // All stages on both sides: a write must also wait for reads before it.
         let stages = Stage::COMPUTE_SHADER | Stage::ALL_TRANSFER | Stage::DRAW_INDIRECT;
         let writes = Flags::SHADER_WRITE | Flags::TRANSFER_WRITE;
-        let reads = Flags::SHADER_READ | Flags::TRANSFER_READ | Flags::INDIRECT_COMMAND_READ;
+        let shader_reads = Flags::SHADER_READ | Flags::UNIFORM_READ;
+        let reads = shader_reads | Flags::TRANSFER_READ | Flags::INDIRECT_COMMAND_READ;
         let barriers = [vk::MemoryBarrier2::default()
             .src_stage_mask(stages)
             .src_access_mask(writes)

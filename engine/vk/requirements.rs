@@ -1,6 +1,7 @@
 //! Required device properties and features as values: the one list for choosing and opening a device of our
 //! own, and for checking a host's device.
 
+use super::binding_numbers::BUFFERS;
 use ash::vk;
 use std::ffi::CStr;
 use std::fmt;
@@ -88,15 +89,12 @@ pub(super) const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
     (vk::SubgroupFeatureFlags::SHUFFLE_RELATIVE, "shuffle relative"),
 ];
 
-/// Storage buffers that a kernel may have on every device.
-pub(super) const STORAGE_BUFFERS: u32 = 16;
-
 /// Least values of limits.
 pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
     ("maxComputeWorkGroupInvocations", 128),
     ("maxComputeSharedMemorySize", 16_384),
     ("maxPushConstantsSize", 128),
-    ("maxPerStageDescriptorStorageBuffers", STORAGE_BUFFERS as u64),
+    ("maxPerStageDescriptorStorageBuffers", BUFFERS as u64),
 ];
 
 /// The first of [`LEAST_LIMITS`] that a device does not reach.

@@ -150,16 +150,16 @@ void main() {
         }
         barrier();
         [[unroll]] for (uint round = 0; round < BATCH; round += WORKGROUP_SIZE) {
-            uint slot = round + gl_LocalInvocationID.x;
-            uint entry = batch + slot;
-            if (slot < BATCH && entry < end) {
+            uint member = round + gl_LocalInvocationID.x;
+            uint entry = batch + member;
+            if (member < BATCH && entry < end) {
                 float sums[INSTANCE_SUMS];
                 [[unroll]] for (uint k = 0; k < INSTANCE_SUMS; ++k) {
                     sums[k] = 0.0;
                 }
                 [[unroll]] for (uint region = 0; region < REGIONS; ++region) {
-                    bool hit = (touched[region * MASK_WORDS + slot / 32] >> (slot % 32) & 1) != 0;
-                    uint base = (slot * REGIONS + region) * INSTANCE_SUMS;
+                    bool hit = (touched[region * MASK_WORDS + member / 32] >> (member % 32) & 1) != 0;
+                    uint base = (member * REGIONS + region) * INSTANCE_SUMS;
                     [[unroll]] for (uint k = 0; k < INSTANCE_SUMS; ++k) {
                         float value = partial[base + k];
                         sums[k] += hit ? value : 0.0;

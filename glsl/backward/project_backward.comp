@@ -41,15 +41,23 @@ layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
 
-// Stride of the gradient planes, and whether to update the statistics.
-#define CAMERA_PUSH_EXTRA uint gradient_stride; uint accumulate;
+layout(push_constant, scalar) uniform Push {
+    // First Gaussian of the bound parameter range, and capacity of the range.
+    uint first;
+    uint chunk_gaussians;
+    // As in project.comp.
+    uint antialias;
+    uint splat_stride;
+    // Stride of the gradient planes, and whether to update the statistics.
+    uint gradient_stride;
+    uint accumulate;
+};
 
-#include "camera_push.glsl"
+#include "camera_block.glsl"
 #include "dispatch.glsl"
 #include "planes.glsl"
 #include "splat_record.glsl"
 #include "subgroup.glsl"
-#include "tile_span.glsl"
 #include "projection.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
@@ -64,24 +72,24 @@ Sums subgroup_sum(Sums sums) {
     return Sums(subgroupAdd(sums.a), subgroupAdd(sums.b), subgroupAdd(sums.c));
 }
 
-Sums sum_slots(uint begin, uint slots, bool exists) {
+Sums sum_instances(uint begin, uint count, bool exists) {
     Sums sums = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
-    uint alone = slots <= LANE_INSTANCES ? slots : 0;
+    uint alone = count <= LANE_INSTANCES ? count : 0;
     for (uint k = 0; k < alone; ++k) {
         sums.a += VEC4_AT(instance_gradients_a, begin + k);
         sums.b += VEC4_AT(instance_gradients_b, begin + k);
         sums.c += VEC2_AT(instance_gradients_c, begin + k);
     }
-    uvec4 large = subgroupBallot(exists && slots > LANE_INSTANCES);
+    uvec4 large = subgroupBallot(exists && count > LANE_INSTANCES);
     for (uint word = 0; word < BALLOT_WORDS; ++word) {
         uint bits = large[word];
         while (bits != 0) {
             uint lane = findLSB(bits) + 32 * word;
             bits &= bits - 1;
             uint their_begin = subgroupShuffle(begin, lane);
-            uint their_slots = subgroupShuffle(slots, lane);
+            uint their_count = subgroupShuffle(count, lane);
             Sums share = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
-            for (uint k = gl_SubgroupInvocationID; k < their_slots; k += SUBGROUP_SIZE) {
+            for (uint k = gl_SubgroupInvocationID; k < their_count; k += SUBGROUP_SIZE) {
                 share.a += VEC4_AT(instance_gradients_a, their_begin + k);
                 share.b += VEC4_AT(instance_gradients_b, their_begin + k);
                 share.c += VEC2_AT(instance_gradients_c, their_begin + k);
@@ -136,19 +144,19 @@ void main() {
     uvec4 visible_range = UVEC4_AT(visible_ranges, 2 * (first / WORKGROUP_SIZE) + 1);
     uint visible = visible_range.x + linear_invocation();
     bool exists = visible < visible_range.y;
-    uint slot_visible = exists ? visible : visible_range.x;
-    uint gaussian = UINT_AT(visible_list, slot_visible);
+    uint clamped_visible = exists ? visible : visible_range.x;
+    uint gaussian = UINT_AT(visible_list, clamped_visible);
     uint index = exists ? gaussian - first : 0;
-    uint slots = exists ? UVEC4_AT(footprints, splat_at(slot_visible, SPLAT_FOOTPRINT)).w : 0;
+    uint instances = exists ? UVEC4_AT(footprints, splat_at(clamped_visible, SPLAT_FOOTPRINT)).w : 0;
     // Instances beyond the capacity do not exist. The frame has overflowed then and is run again anyway.
-    uint begin = slots == 0 ? 0 : UINT_AT(first_instances, slot_visible);
-    slots = state[STATE_OVERFLOW] != 0 ? 0 : slots;
-    Sums sums = sum_slots(begin, slots, exists);
+    uint begin = instances == 0 ? 0 : UINT_AT(first_instances, clamped_visible);
+    instances = state[STATE_OVERFLOW] != 0 ? 0 : instances;
+    Sums sums = sum_instances(begin, instances, exists);
 
     vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
     vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
     vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
-    vec4 conic = VEC4_AT(conic_opacity, splat_at(slot_visible, SPLAT_CONIC_OPACITY));
+    vec4 conic = VEC4_AT(conic_opacity, splat_at(clamped_visible, SPLAT_CONIC_OPACITY));
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
 
     // Moments to gradients of mean, conic and opacity.

@@ -54,7 +54,7 @@ void main() {
     bool clones = grows && !splits;
     bool faint = opacity < min_opacity;
     bool too_large = max_scale > 0.0 && largest > max_scale;
-    bool child_too_large = max_scale > 0.0 && largest / 1.6 > max_scale;
+    bool child_too_large = max_scale > 0.0 && largest / SPLIT_FACTOR > max_scale;
     uint stays = exists && !splits && !faint && !too_large ? 1 : 0;
     uint cloned = clones ? stays : 0;
     uint split = exists && splits && !faint && !child_too_large ? 1 : 0;

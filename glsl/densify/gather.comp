@@ -1,5 +1,5 @@
 // Copies each row of the new set from its source in the old set. The halves of a split Gaussian get means drawn from it and
-// scales divided by 1.6. Clones and halves start with zero moments (paper, section 5.2; reference densify_and_split).
+// scales divided by SPLIT_FACTOR. Clones and halves start with zero moments (paper, section 5.2; reference densify_and_split).
 //
 // invocation: one row of the new set; it returns at once if the row's source lies outside the bound range
 // in: sources[row], from (PerGaussian planes, or moments); out: to (PerGaussian planes)
@@ -39,8 +39,7 @@ layout(push_constant, scalar) uniform Push {
 #include "planes.glsl"
 #include "random.glsl"
 
-// log 1.6: the halves of a split Gaussian are smaller by this factor.
-const float LOG_SPLIT = 0.47000362924573563;
+const float LOG_SPLIT_FACTOR = log(SPLIT_FACTOR);
 
 vec3 rotate(vec4 quat, vec3 v) {
     float norm = length(quat);
@@ -75,7 +74,7 @@ void main() {
                                      : random_normal(uvec4(seed, iteration, gaussian, child));
         if (split) {
             mean_opacity.xyz += rotate(quat, normal * exp(log_scale.xyz));
-            log_scale.xyz -= LOG_SPLIT;
+            log_scale.xyz -= LOG_SPLIT_FACTOR;
         }
         to[plane_at(PLANE_MEAN_OPACITY, row, to_chunk_gaussians)] = mean_opacity;
         to[plane_at(PLANE_QUAT, row, to_chunk_gaussians)] = quat;

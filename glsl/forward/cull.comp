@@ -22,8 +22,19 @@ VEC4_READS(0, Parameters, parameters);
 layout(set = 0, binding = 1, scalar) writeonly buffer VisibleFlags { uint visible_flags[]; };
 layout(set = 0, binding = 2, scalar) writeonly buffer BlockCounts { uint block_counts[]; };
 
-#define CAMERA_PUSH_SHAPE
-#include "camera_push.glsl"
+layout(push_constant, scalar) uniform Push {
+    // First Gaussian of the bound parameter range, number of Gaussians, and capacity of the range.
+    uint first;
+    uint count;
+    uint chunk_gaussians;
+    // `extent` is EXTENT_EXACT or EXTENT_REFERENCE. `antialias` != 0 turns on the opacity compensation of Mip-Splatting's 2D
+    // filter.
+    uint extent;
+    uint antialias;
+};
+
+#define DRAWS_SHAPES
+#include "camera_block.glsl"
 #include "dispatch.glsl"
 #include "planes.glsl"
 #include "workgroup_scan.glsl"

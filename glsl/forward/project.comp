@@ -27,8 +27,19 @@ layout(set = 0, binding = 6, scalar) writeonly buffer DepthKeys { uint depth_key
 layout(set = 0, binding = 7, scalar) writeonly buffer Footprints { uvec4 footprints[]; };
 layout(set = 0, binding = 8, scalar) writeonly buffer TileLists { uvec2 tile_lists[]; };
 
-#define CAMERA_PUSH_SHAPE
-#include "camera_push.glsl"
+layout(push_constant, scalar) uniform Push {
+    // First Gaussian of the bound parameter range, and capacity of the range.
+    uint first;
+    uint chunk_gaussians;
+    // `extent` is EXTENT_EXACT or EXTENT_REFERENCE. `antialias` != 0 turns on the opacity compensation of Mip-Splatting's 2D
+    // filter.
+    uint extent;
+    uint antialias;
+    uint splat_stride;
+};
+
+#define DRAWS_SHAPES
+#include "camera_block.glsl"
 #include "dispatch.glsl"
 #include "planes.glsl"
 #include "splat_record.glsl"

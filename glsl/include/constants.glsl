@@ -78,6 +78,8 @@ const uint NOT_VISIBLE = 0xFFFFFFFF;
 // Bits of a position on the Z-order curve by which densification orders Gaussians: ten per axis.
 const uint ZORDER_BITS = 30;
 
+// Densification divides the scales of a split Gaussian's halves by this.
+const float SPLIT_FACTOR = 1.6;
 // Kind of a row of the new set at densification.
 const uint KIND_KEPT = 0;
 const uint KIND_CLONE = 1;
@@ -85,6 +87,9 @@ const uint KIND_SPLIT_0 = 2;
 const uint KIND_SPLIT_1 = 3;
 // Source of a row: Gaussian | kind << KIND_SHIFT.
 const uint KIND_SHIFT = 30;
+
+// Rows of a strip: see strips.glsl.
+const uint STRIP_ROWS = 8;
 
 // Sums of one (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth.
 const uint INSTANCE_SUMS = 10;

@@ -1,5 +1,5 @@
 // Addresses of a Gaussian's parameter planes: see PLANE_ROW in constants.glsl. ScenePlan::place is the same formula on the
-// host.
+// host. The tests compare both with a third one, place in tests/common/layout.rs.
 
 // Index of `plane` of Gaussian `index` in a chunk with capacity `gaussians`.
 uint plane_at(uint plane, uint index, uint gaussians) {

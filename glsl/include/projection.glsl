@@ -1,11 +1,15 @@
 // EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and the backward
-// pass. Kernels that can draw ellipsoids or points instead define CAMERA_PUSH_SHAPE.
-// Needs constants.glsl, camera_push.glsl, tile_span.glsl and `parameters`.
+// pass. Needs constants.glsl, camera_block.glsl and `parameters`.
+// Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES, need tile_span.glsl and the push
+// constants `extent` and `antialias`, and have footprint_of.
 
-#ifndef CAMERA_PUSH_SHAPE
-const float scale_modifier = 1.0;
-const float dilation_px2 = DILATION_PX2;
-const float opacity_drawn = 0.0;
+#ifdef DRAWS_SHAPES
+#define SCALE_MODIFIER shape_scale
+#define SCREEN_DILATION_PX2 shape_dilation_px2
+#else
+// Only Gaussians themselves are differentiated, so these are constants there.
+#define SCALE_MODIFIER 1.0
+#define SCREEN_DILATION_PX2 DILATION_PX2
 #endif
 
 struct Projection {
@@ -51,7 +55,7 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     float norm = length(quat);
     p.inverse_norm = norm > QUAT_NORM_MIN ? 1.0 / norm : 0.0;
     p.quat = quat * p.inverse_norm;
-    p.scale = exp(log_scale) * scale_modifier;
+    p.scale = exp(log_scale) * SCALE_MODIFIER;
     mat3 axes = rotation_of(p.quat);
     p.axes_camera = mat3(to_camera(axes[0]), to_camera(axes[1]), to_camera(axes[2]));
 
@@ -73,8 +77,8 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     float yy = dot(p.row_y, p.row_y);
     vec3 minors = cross(p.row_x, p.row_y);
     p.det_raw = dot(minors, minors);
-    p.cov2d = vec3(xx + dilation_px2, dot(p.row_x, p.row_y), yy + dilation_px2);
-    p.det = p.det_raw + dilation_px2 * (xx + yy + dilation_px2);
+    p.cov2d = vec3(xx + SCREEN_DILATION_PX2, dot(p.row_x, p.row_y), yy + SCREEN_DILATION_PX2);
+    p.det = p.det_raw + SCREEN_DILATION_PX2 * (xx + yy + SCREEN_DILATION_PX2);
     return p;
 }
 
@@ -82,6 +86,11 @@ float sigmoid(float logit) {
     return 1.0 / (1.0 + exp(-logit));
 }
 
+bool is_finite(float x) {
+    return (floatBitsToUint(x) & 0x7F800000u) != 0x7F800000u;
+}
+
+#ifdef DRAWS_SHAPES
 // The screen area that a Gaussian covers.
 struct Footprint {
     bool visible;
@@ -92,19 +101,16 @@ struct Footprint {
     uvec4 tiles;           // first and one past the last tile, x then y: (x0, x1, y0, y1)
 };
 
-bool is_finite(float x) {
-    return (floatBitsToUint(x) & 0x7F800000u) != 0x7F800000u;
-}
-
 Footprint footprint_of(Projection p, float opacity_logit) {
     Footprint f;
     float ratio = p.det_raw / p.det;
-    f.opacity = sigmoid(opacity_logit);
-    if (opacity_drawn != 0.0) {
-        f.opacity = f.opacity >= (opacity_drawn > 0.0 ? 0.0 : ELLIPSOID_LEAST_OPACITY) ? abs(opacity_drawn) : 0.0;
-    } else {
-        f.opacity *= antialias != 0 ? sqrt(max(ANTIALIAS_MIN_RATIO, ratio)) : 1.0;
-    }
+    float opacity = sigmoid(opacity_logit);
+    f.opacity = opacity * (antialias != 0 ? sqrt(max(ANTIALIAS_MIN_RATIO, ratio)) : 1.0);
+    // Of the members of the camera block, values to select from: see there.
+    float least_opacity = shape_opacity > 0.0 ? 0.0 : ELLIPSOID_LEAST_OPACITY;
+    float drawn_opacity = abs(shape_opacity);
+    drawn_opacity = opacity >= least_opacity ? drawn_opacity : 0.0;
+    f.opacity = shape_opacity != 0.0 ? drawn_opacity : f.opacity;
     f.mean2d_px = focal_px * p.mean_camera.xy / p.mean_camera.z + center_px;
     bool valid = p.mean_camera.z > NEAR_PLANE && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
         && is_finite(p.cov2d.z) && is_finite(f.mean2d_px.x) && is_finite(f.mean2d_px.y) && is_finite(f.opacity);
@@ -134,3 +140,4 @@ Footprint footprint_of(Projection p, float opacity_logit) {
     f.tiles = f.visible ? f.tiles : uvec4(0);
     return f;
 }
+#endif

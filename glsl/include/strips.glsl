@@ -2,9 +2,7 @@
 // exchange data in this layout. The values of a strip's column are contiguous; columns, strips and planes follow in this
 // order. An invocation that owns a column of pixels reads or writes it with one access, and a sweep along a strip reads
 // consecutive memory (engine/plan/strips.rs).
-// Needs image_width, image_height.
-
-const uint STRIP_ROWS = 8;
+// Needs constants.glsl, image_width, image_height.
 
 uint strips_of_image() {
     return (image_height + STRIP_ROWS - 1) / STRIP_ROWS;

@@ -40,6 +40,7 @@ layout(push_constant, scalar) uniform Push {
 #define SWEPT vec4
 
 #include "ssim.glsl"
+#include "constants.glsl"
 #include "strips.glsl"
 #include "column_writes.glsl"
 #include "dispatch.glsl"

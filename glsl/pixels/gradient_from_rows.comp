@@ -23,6 +23,7 @@ layout(push_constant, scalar) uniform Push {
     uint planes;
 };
 
+#include "constants.glsl"
 #include "dispatch.glsl"
 #include "strips.glsl"
 

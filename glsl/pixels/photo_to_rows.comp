@@ -20,6 +20,7 @@ layout(push_constant, scalar) uniform Push {
     uint image_height;
 };
 
+#include "constants.glsl"
 #include "dispatch.glsl"
 #include "strips.glsl"
 

@@ -22,6 +22,7 @@ layout(push_constant, scalar) uniform Push {
     vec3 background;
 };
 
+#include "constants.glsl"
 #include "dispatch.glsl"
 #include "strips.glsl"
 

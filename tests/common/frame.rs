@@ -5,7 +5,7 @@ use ashsplat::kernels::forward::project;
 use ashsplat::vk::Buffer;
 
 use super::gpu::{Gpu, UNTOUCHED};
-use super::layout::{SplatPlanes, pack, pack_splats, room, rounded, shape_push};
+use super::layout::{SplatPlanes, camera_block, extent_word, pack, pack_splats, room, rounded};
 use super::scenes::{Random, mixed_scene};
 use crate::reference::project as twin;
 use crate::reference::tiles::{touched, touches_by_pixels};
@@ -73,8 +73,15 @@ impl Projected {
             depth_keys: &depth_keys,
             footprints: &footprints,
             tile_lists: &tile_lists,
+            camera_block: &gpu.buffer("camera_block", &[camera_block(view)]),
         };
-        let push = shape_push!(project::Push, view, gaussians.len(), room);
+        let push = project::Push {
+            first: 0,
+            chunk_gaussians: room as u32,
+            extent: extent_word(view),
+            antialias: view.antialias.into(),
+            splat_stride: 1,
+        };
         let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
         let behind = |buffer: Buffer, bytes: u64| {

@@ -1,5 +1,6 @@
 //! How the kernels see Gaussians, cameras and splats (documented in the shaders and `constants.glsl`).
 
+use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{PLANE_LOG_SCALE, PLANE_MEAN_OPACITY, PLANE_QUAT, PLANE_SH};
 
 use crate::reference::project::slope_limits;
@@ -17,7 +18,8 @@ pub fn room(count: usize) -> usize {
 }
 
 /// Where plane `plane` of the `index`-th Gaussian lies: geometry and each SH degree for itself, in rows of eight Gaussians.
-fn place(plane: u32, index: usize, room: usize) -> usize {
+/// `ScenePlan::place` is compared with it, and what the kernels read of what is packed with it.
+pub fn place(plane: u32, index: usize, room: usize) -> usize {
     let (first, planes) = match plane {
         0..3 => (0, 3),
         3 => (3, 1),
@@ -68,79 +70,30 @@ pub fn unpack(packed: &[[f32; 4]], room: usize, count: usize, coefficients: usiz
         .collect()
 }
 
-/// A camera's values as the kernels take them.
-pub struct CameraValues {
-    pub rows: [[f32; 3]; 3],
-    pub translation: [f32; 3],
-    pub focal_px: [f32; 2],
-    /// Pixel centres at the integers.
-    pub center_px: [f32; 2],
-    pub limits: [f32; 4],
-    pub position: [f32; 3],
-}
-
-impl CameraValues {
-    pub fn of(view: &View) -> CameraValues {
-        let [[x0, x1], [y0, y1]] = slope_limits(view);
-        CameraValues {
-            rows: view.camera_from_world.map(|row| row.map(|x| x as f32)),
-            translation: view.translation.map(|x| x as f32),
-            focal_px: view.focal_px.map(|x| x as f32),
-            center_px: view.center_px.map(|x| (x - 0.5) as f32),
-            limits: [x0 as f32, x1 as f32, y0 as f32, y1 as f32],
-            position: crate::reference::project::camera_position(view).map(|x| x as f32),
-        }
+/// The uniform block of the kernels that project.
+// Views know no members that are added to the block, which are 0 then.
+#[allow(clippy::needless_update)]
+pub fn camera_block(view: &View) -> CameraBlock {
+    let [[x0, x1], [y0, y1]] = slope_limits(view);
+    let [camera_row_x, camera_row_y, camera_row_z] = view.camera_from_world.map(|row| row.map(|x| x as f32));
+    CameraBlock {
+        camera_row_x,
+        camera_row_y,
+        camera_row_z,
+        camera_translation: view.translation.map(|x| x as f32),
+        focal_px: view.focal_px.map(|x| x as f32),
+        // Pixel centres at the integers.
+        center_px: view.center_px.map(|x| (x - 0.5) as f32),
+        jacobian_limits: [x0 as f32, x1 as f32, y0 as f32, y1 as f32],
+        image_width: view.size_px[0],
+        image_height: view.size_px[1],
+        inverse_scale_squared: 1.0,
+        shape_scale: view.drawn.scale_modifier as f32,
+        shape_dilation_px2: view.drawn.dilation_px2 as f32,
+        shape_opacity: view.drawn.opacity as f32,
+        ..CameraBlock::default()
     }
 }
-
-/// The push constants of a kernel that projects; further fields behind the count and the room.
-// Each test binary uses a part of what they share.
-#[allow(unused_macros)]
-macro_rules! camera_push {
-    ($push:path, $view:expr, $count:expr, $room:expr $(, $field:ident: $value:expr)*) => {{
-        let view: &$crate::reference::types::View = $view;
-        let camera = $crate::common::layout::CameraValues::of(view);
-        $push {
-            camera_row_x: camera.rows[0],
-            camera_row_y: camera.rows[1],
-            camera_row_z: camera.rows[2],
-            camera_translation: camera.translation,
-            focal_px: camera.focal_px,
-            center_px: camera.center_px,
-            jacobian_limits: camera.limits,
-            image_width: view.size_px[0],
-            image_height: view.size_px[1],
-            first: 0,
-            count: $count as u32,
-            chunk_gaussians: $room as u32,
-            extent: $crate::common::layout::extent_word(view),
-            antialias: u32::from(view.antialias),
-            splat_stride: 1,
-            inverse_scale_squared: 1.0,
-            $($field: $value,)*
-        }
-    }};
-}
-#[allow(unused_imports)]
-pub(crate) use camera_push;
-
-/// The push constants of a kernel of the forward pass that projects: with what is drawn of the Gaussians.
-#[allow(unused_macros)]
-macro_rules! shape_push {
-    ($push:path, $view:expr, $count:expr, $room:expr) => {
-        $crate::common::layout::camera_push!(
-            $push,
-            $view,
-            $count,
-            $room,
-            scale_modifier: $view.drawn.scale_modifier as f32,
-            dilation_px2: $view.drawn.dilation_px2 as f32,
-            opacity_drawn: $view.drawn.opacity as f32
-        )
-    };
-}
-#[allow(unused_imports)]
-pub(crate) use shape_push;
 
 /// EXTENT_EXACT or EXTENT_REFERENCE.
 pub fn extent_word(view: &View) -> u32 {

@@ -3,7 +3,7 @@
 use ashsplat::kernels::forward::cull::{Bind, Interface, Push, Spec};
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{pack, room, shape_push};
+use crate::common::layout::{camera_block, extent_word, pack, room};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::cull::cull;
 use crate::reference::project::project;
@@ -23,6 +23,16 @@ fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
     nudged[0] != nudged[1]
 }
 
+fn push(view: &View, count: usize) -> Push {
+    Push {
+        first: 0,
+        count: count as u32,
+        chunk_gaussians: room(count) as u32,
+        extent: extent_word(view),
+        antialias: view.antialias.into(),
+    }
+}
+
 #[test]
 fn cull_equals_its_twin() {
     let gpu = Gpu::new();
@@ -38,8 +48,13 @@ fn cull_equals_its_twin() {
         let blocks = size.div_ceil(block);
         let flags = gpu.untouched::<u32>("visible_flags", size + 2);
         let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
-        let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-        let push = shape_push!(Push, &view, size, room(size));
+        let bind = Bind {
+            parameters: &parameters,
+            visible_flags: &flags,
+            block_counts: &counts,
+            camera_block: &gpu.buffer("camera_block", &[camera_block(&view)]),
+        };
+        let push = push(&view, size);
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
 
         let flags = gpu.read::<u32>(&flags, size + 2);
@@ -74,8 +89,13 @@ fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
         let view = View { drawn, ..small_view([53, 37]) };
         let flags = gpu.untouched::<u32>("visible_flags", size);
         let counts = gpu.untouched::<u32>("block_counts", blocks);
-        let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-        let push = shape_push!(Push, &view, size, room(size));
+        let bind = Bind {
+            parameters: &parameters,
+            visible_flags: &flags,
+            block_counts: &counts,
+            camera_block: &gpu.buffer("camera_block", &[camera_block(&view)]),
+        };
+        let push = push(&view, size);
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64));
         let flags = gpu.read::<u32>(&flags, size);
         let expected = cull(&gaussians, &view);
@@ -120,8 +140,13 @@ fn cull_of_non_finite_parameters() {
     let parameters = gpu.buffer("parameters", &pack(&gaussians, room(cases.len())));
     let flags = gpu.untouched::<u32>("visible_flags", cases.len());
     let counts = gpu.untouched::<u32>("block_counts", 1);
-    let bind = Bind { parameters: &parameters, visible_flags: &flags, block_counts: &counts };
-    let push = shape_push!(Push, &view, cases.len(), room(cases.len()));
+    let bind = Bind {
+        parameters: &parameters,
+        visible_flags: &flags,
+        block_counts: &counts,
+        camera_block: &gpu.buffer("camera_block", &[camera_block(&view)]),
+    };
+    let push = push(&view, cases.len());
     gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
     assert_eq!(gpu.read::<u32>(&flags, cases.len()), expected);
 }

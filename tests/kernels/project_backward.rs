@@ -6,7 +6,7 @@ use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBL
 use super::blend_backward::from_moments;
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{camera_push, pack, room};
+use crate::common::layout::{camera_block, pack, room};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::project::{color, project};
 use crate::reference::project_backward::{mean2d_statistic, project_backward};
@@ -21,12 +21,12 @@ struct Scene {
     gaussians: Vec<Gaussian>,
     visible: Vec<u32>,
     splats: Vec<Splat>,
-    /// Per visible Gaussian, its slots' sums.
+    /// Per visible Gaussian, its instances' sums.
     sums: Vec<Vec<[f64; 10]>>,
 }
 
 impl Scene {
-    /// Every `many`-th Gaussian has more slots than one lane adds alone.
+    /// Every `many`-th Gaussian has more instances than one lane adds alone.
     fn random(size: usize, view: View, many: usize) -> Scene {
         let mut random = Random::new(size as u64);
         let mut gaussians = mixed_scene(&mut random, size, 16);
@@ -42,8 +42,8 @@ impl Scene {
             .iter()
             .enumerate()
             .map(|(place, splat)| {
-                let slots = if place % many == many - 1 { 64 + place % 200 } else { place % 5 };
-                (0..slots).map(|_| random_sums(&mut random, splat)).collect()
+                let instances = if place % many == many - 1 { 64 + place % 200 } else { place % 5 };
+                (0..instances).map(|_| random_sums(&mut random, splat)).collect()
             })
             .collect();
         Scene { view, gaussians, visible, splats, sums }
@@ -55,9 +55,9 @@ impl Scene {
             .enumerate()
             .map(|(place, &gaussian)| {
                 let mut sum = [0.0; 10];
-                for slot in &self.sums[place] {
+                for instance in &self.sums[place] {
                     for k in 0..10 {
-                        sum[k] += slot[k];
+                        sum[k] += instance[k];
                     }
                 }
                 let d = from_moments(&self.splats[place], sum);
@@ -131,11 +131,16 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
         instance_gradients_c: &instance_gradients_c,
         gradients: &gradients,
         statistics: &statistics,
+        camera_block: &gpu.buffer("camera_block", &[camera_block(&scene.view)]),
     };
-    let push = camera_push!(
-        Push, &scene.view, size, room,
-        gradient_stride: gradient_stride as u32, accumulate: u32::from(accumulate)
-    );
+    let push = Push {
+        first: 0,
+        chunk_gaussians: room as u32,
+        antialias: scene.view.antialias.into(),
+        splat_stride: 1,
+        gradient_stride: gradient_stride as u32,
+        accumulate: accumulate.into(),
+    };
     gpu.run(|recorder| {
         recorder.dispatch(&kernel, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1)
     });

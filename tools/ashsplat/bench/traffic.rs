@@ -63,6 +63,7 @@ impl Traffic {
             let capacity = FrameCapacity {
                 gaussians,
                 instances,
+                scenes: 1,
                 width: counts.width,
                 height: counts.height,
                 blend_passes: 1,

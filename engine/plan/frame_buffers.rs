@@ -1,0 +1,323 @@
+//! The buffers of a frame: what each is, its bytes, and what some become in the middle of a frame.
+
+use super::{FrameCapacity, LaunchSizes, Strips, blocks, tile_bits, tile_grid};
+use crate::kernels::blocks::CameraBlock;
+use crate::kernels::constants::{ARGUMENTS_COUNT, GRADIENT_PLANES, SPLAT_PLANES, STATE_WORDS, TILE_SIZE};
+use crate::scene::Camera;
+use crate::vk::{Buffer, PLACEMENT_ALIGNMENT, pack};
+
+/// Bytes from one scene's camera block to the next, with room for more members: a multiple of what devices
+/// require of the offset of a uniform block, and far below what they allow as its size.
+pub const CAMERA_BLOCK_BYTES: u64 = 512;
+const _: () = assert!(
+    size_of::<CameraBlock>() as u64 <= CAMERA_BLOCK_BYTES
+        && CAMERA_BLOCK_BYTES.is_multiple_of(PLACEMENT_ALIGNMENT)
+);
+
+macro_rules! frame_requests {
+    ($($(#[$doc:meta])* $vis:vis $name:ident: $bytes:expr;)*) => {
+        /// Buffers of a frame. A buffer that keeps its meaning is a field. A buffer that changes it in the middle
+        /// of the frame has a method for each meaning, which says when it holds.
+        #[derive(Clone)]
+        pub struct FrameBuffers { $($(#[$doc])* $vis $name: Buffer,)* }
+
+        /// Names and bytes of [`FrameBuffers`], in order.
+        pub fn frame_requests(capacity: &FrameCapacity, block: &LaunchSizes) -> Vec<(&'static str, u64)> {
+            let sizes = FrameSizes::new(capacity, block);
+            vec![$((stringify!($name), { let f: fn(&FrameSizes) -> u64 = $bytes; f(&sizes) }),)*]
+        }
+
+        impl FrameBuffers {
+            /// Assigns the buffers that were allocated for [`frame_requests`], in the same order.
+            pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+                let mut buffers = buffers.into_iter();
+                let mut next = || match buffers.next() {
+                    Some(buffer) => buffer,
+                    None => unreachable!("one buffer per request"),
+                };
+                Self { $($name: next(),)* }
+            }
+        }
+    };
+}
+
+struct FrameSizes {
+    scenes: u64,
+    gaussians: u64,
+    gaussian_blocks: u64,
+    scan_blocks: u64,
+    instances: u64,
+    histogram: u64,
+    digits: u64,
+    tiles: u64,
+    /// vec4 from the attributes of one visible Gaussian to those of the next.
+    splat_stride: u64,
+    /// 1 if each attribute has a buffer of its own, otherwise 0.
+    apart: u64,
+    /// Capacity in instances of the buffers for the backward pass; 0 without it.
+    backward_instances: u64,
+    pixels: u64,
+    /// Values of one plane in strips, for any image with this number of tiles; 0 without strips.
+    strips: u64,
+    /// 1 with backward, 0 without.
+    backward: u64,
+    /// 1 when very long tiles need several passes backward.
+    passes: u64,
+}
+
+impl FrameSizes {
+    fn new(capacity: &FrameCapacity, block: &LaunchSizes) -> Self {
+        let gaussians = u64::from(capacity.gaussians);
+        let instances = u64::from(capacity.instances);
+        let (columns, rows) = tile_grid(capacity.width, capacity.height);
+        let backward = u64::from(capacity.backward);
+        let tile_bits = tile_bits(columns.saturating_mul(rows));
+        let depth_sort = block.sort_histogram_words(gaussians, u32::BITS);
+        // A smaller image may use longer digits in fewer passes.
+        let tile_sort = (1..=tile_bits).map(|bits| block.sort_histogram_words(instances, bits)).max();
+        let record = 16 * u64::from(SPLAT_PLANES);
+        let together = gaussians * record <= block.max_binding_bytes;
+        Self {
+            scenes: capacity.scenes.into(),
+            gaussians,
+            gaussian_blocks: blocks(gaussians, block.elementwise_workgroup.into()),
+            scan_blocks: blocks(gaussians, block.scan.into()),
+            instances,
+            histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)),
+            digits: 1 << block.sort_digit_bits(),
+            tiles: u64::from(columns) * u64::from(rows),
+            splat_stride: if together { SPLAT_PLANES.into() } else { 1 },
+            apart: u64::from(!together),
+            backward_instances: backward * instances,
+            pixels: u64::from(capacity.width) * u64::from(capacity.height),
+            strips: backward
+                * u64::from(block.strips)
+                * Strips { width: columns.saturating_mul(TILE_SIZE), height: rows.saturating_mul(TILE_SIZE) }
+                    .values(),
+            backward,
+            passes: backward * u64::from(capacity.blend_passes > 1),
+        }
+    }
+}
+
+frame_requests! {
+    /// Words named STATE_* in constants.glsl.
+    pub state: |_| u64::from(STATE_WORDS) * 4;
+    /// Indirect arguments, named ARGUMENTS_*.
+    pub arguments: |_| u64::from(ARGUMENTS_COUNT) * 16;
+    /// Per scene: its camera and how it is drawn, see camera_block.glsl.
+    pub camera_blocks: |s| s.scenes * CAMERA_BLOCK_BYTES;
+    /// Per range of parameters: indirect arguments, and its range of visible Gaussians. There are fewer
+    /// ranges than blocks.
+    pub visible_ranges: |s| s.gaussian_blocks.max(1) * 32;
+    /// Per Gaussian: 1 if visible.
+    pub visible_flags: |s| s.gaussians * 4;
+    /// [`Self::visible_counts`], then [`Self::visible_offsets`].
+    visible_blocks: |s| s.gaussian_blocks * 4;
+    /// Per visible Gaussian: its Gaussian.
+    pub visible_list: |s| s.gaussians * 4;
+    /// Per Gaussian: its index among the visible ones.
+    pub visible_index: |s| s.gaussians * 4;
+    /// Per visible Gaussian: mean and half extents, px; or records of all four attributes, see
+    /// [`FrameBuffers::splats`].
+    splats: |s| s.gaussians * 16 * s.splat_stride;
+    /// Per visible Gaussian: conic and opacity.
+    conic_opacity: |s| s.apart * s.gaussians * 16;
+    /// Per visible Gaussian: colour and 1/z.
+    color_inverse_depth: |s| s.apart * s.gaussians * 16;
+    /// Per visible Gaussian: shape of its rows of tiles, number of tiles (tile_span.glsl).
+    footprints: |s| s.apart * s.gaussians * 16;
+    /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl).
+    pub tile_lists: |s| s.gaussians * 8;
+    /// [`Self::depth_keys`], [`Self::depth_sort_keys`], then [`Self::list_heads`].
+    depth_keys_a: |s| s.gaussians * 4;
+    /// [`Self::depth_sort_keys`], then [`Self::list_rows`].
+    depth_keys_b: |s| s.gaussians * 4;
+    /// [`Self::depth_sort_values`], then [`Self::depth_order`].
+    order_a: |s| s.gaussians * 4;
+    /// [`Self::depth_sort_values`].
+    order_b: |s| s.gaussians * 4;
+    /// Per rank: number of tiles touched.
+    pub tiles_touched: |s| s.gaussians * 4;
+    /// Per rank: first instance.
+    pub instance_offsets: |s| s.gaussians * 4;
+    /// Sums and offsets of the scan's blocks.
+    pub scan_blocks: |s| s.scan_blocks * 4;
+    /// Sorting scratch: counts per digit and block, and per digit and run.
+    pub histogram: |s| s.histogram * 4;
+    /// Sorting scratch: keys per digit.
+    pub digit_totals: |s| s.digits * 4;
+    /// [`Self::instance_tiles`], [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
+    tiles_a: |s| s.instances * 4;
+    /// [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
+    tiles_b: |s| s.instances * 4;
+    /// Without backward [`Self::instance_visible`]; [`Self::tile_sort_values`], then perhaps
+    /// [`Self::sorted_instances`].
+    sorted_a: |s| s.instances * 4;
+    /// [`Self::tile_sort_values`], then perhaps [`Self::sorted_instances`].
+    sorted_b: |s| s.instances * 4;
+    /// [`Self::instance_visible`] with backward.
+    instance_visible: |s| s.backward_instances * 4;
+    /// [`Self::sorted_visible`] with backward, as the ranges' kernel gathers it.
+    pub gathered_visible: |s| s.backward_instances * 4;
+    /// Per visible Gaussian: its first instance.
+    pub first_instances: |s| s.backward * s.gaussians * 4;
+    /// Per tile: begin and end in the sorted instances.
+    pub tile_ranges: |s| s.tiles * 8;
+    /// Per pixel: premultiplied colour without background, transmittance. In a frame with backward in strips
+    /// it only carries the state between passes.
+    pub accumulated: |s| s.pixels * 16;
+    /// The composited picture as three planes in strips, if the backward pass reads strips.
+    pub composited: |s| 3 * s.strips * 4;
+    /// Per pixel: sum of weights / z.
+    pub inverse_depth: |s| s.pixels * 4;
+    /// Per pixel: 1 + list index of the last blended entry of its tile.
+    pub last_entries: |s| s.pixels * 4;
+    /// Gradient of the loss. Per pixel: dL/d(r, g, b, inverse depth); with strips, three planes of dL/d(r, g,
+    /// b).
+    pub image_gradient: |s| if s.strips > 0 { 3 * s.strips * 4 } else { s.backward * s.pixels * 16 };
+    /// Per pixel: state between passes of the backward blending.
+    pub backward_state: |s| s.passes * s.pixels * 8;
+    /// Per instance before the tile sort: moments 1, dx, dy, dx dx.
+    pub instance_gradients_a: |s| s.backward_instances * 16;
+    /// Per instance before the tile sort: moments dx dy, dy dy; d red, d green.
+    pub instance_gradients_b: |s| s.backward_instances * 16;
+    /// Per instance before the tile sort: d blue, d inverse depth.
+    pub instance_gradients_c: |s| s.backward_instances * 8;
+    /// Per visible Gaussian: planes named GRADIENT_*.
+    pub gradients: |s| s.backward * s.gaussians * 16 * u64::from(GRADIENT_PLANES);
+}
+
+/// Bytes of all buffers of a frame, including the padding between them.
+pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
+    let sizes: Vec<u64> = frame_requests(capacity, block).iter().map(|(_, bytes)| *bytes).collect();
+    pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
+}
+
+/// Bindings of the attributes of the visible Gaussians: see splat_record.glsl.
+#[derive(Clone, Copy)]
+pub struct Splats<'a> {
+    /// Mean and half extents, px.
+    pub mean2d_extent: &'a Buffer,
+    /// Conic and opacity.
+    pub conic_opacity: &'a Buffer,
+    /// Colour and 1/z.
+    pub color_inverse_depth: &'a Buffer,
+    /// Shape of the rows of tiles, number of tiles.
+    pub footprints: &'a Buffer,
+    /// vec4 from one visible Gaussian to the next. With [`SPLAT_PLANES`] all four are the same buffer.
+    pub stride: u32,
+}
+
+impl FrameBuffers {
+    /// Per culling block: its number of visible Gaussians. From culling to the scan of these numbers.
+    pub fn visible_counts(&self) -> &Buffer {
+        &self.visible_blocks
+    }
+
+    /// Per culling block: the index of its first visible Gaussian. From the scan on.
+    pub fn visible_offsets(&self) -> &Buffer {
+        &self.visible_blocks
+    }
+
+    /// Per visible Gaussian: the bits of its depth. From projection to the depth sort.
+    pub fn depth_keys(&self) -> &Buffer {
+        &self.depth_keys_a
+    }
+
+    /// Keys of the depth sort, in turn read and written. Until its end.
+    pub fn depth_sort_keys(&self) -> [&Buffer; 2] {
+        [&self.depth_keys_a, &self.depth_keys_b]
+    }
+
+    /// Values of the depth sort, in turn read and written. Until its end.
+    pub fn depth_sort_values(&self) -> [&Buffer; 2] {
+        [&self.order_a, &self.order_b]
+    }
+
+    /// Per depth rank: the visible Gaussian. From the depth sort on, which has an even number of passes.
+    pub fn depth_order(&self) -> &Buffer {
+        &self.order_a
+    }
+
+    /// Per depth rank: the first word of the Gaussian's list of tiles. From counting to duplication, when the
+    /// sorted depths are not needed any more.
+    pub fn list_heads(&self) -> &Buffer {
+        &self.depth_keys_a
+    }
+
+    /// Per depth rank: the second word of the list. As [`Self::list_heads`].
+    pub fn list_rows(&self) -> &Buffer {
+        &self.depth_keys_b
+    }
+
+    /// Per instance: its tile. From duplication to the tile sort.
+    pub fn instance_tiles(&self) -> &Buffer {
+        &self.tiles_a
+    }
+
+    /// Per instance before the tile sort: the visible Gaussian. From duplication to the tile sort, which then
+    /// carries them along; in a frame with backward, from duplication on.
+    pub fn instance_visible(&self, backward: bool) -> &Buffer {
+        if backward { &self.instance_visible } else { &self.sorted_a }
+    }
+
+    /// Keys of the tile sort, in turn read and written. Until its end.
+    pub fn tile_sort_keys(&self) -> [&Buffer; 2] {
+        [&self.tiles_a, &self.tiles_b]
+    }
+
+    /// Values of the tile sort, in turn read and written. Until its end.
+    pub fn tile_sort_values(&self) -> [&Buffer; 2] {
+        [&self.sorted_a, &self.sorted_b]
+    }
+
+    /// Per sorted instance: its tile. From the tile sort on.
+    pub fn sorted_tiles(&self, block: &LaunchSizes, camera: &Camera) -> &Buffer {
+        self.tile_sort_keys()[sorted_side(block, camera)]
+    }
+
+    /// Per sorted instance: its index before the tile sort; without backward, the visible Gaussian. From the
+    /// tile sort on.
+    pub fn sorted_instances(&self, block: &LaunchSizes, camera: &Camera) -> &Buffer {
+        self.tile_sort_values()[sorted_side(block, camera)]
+    }
+
+    /// Per sorted instance: the visible Gaussian. From the ranges on; without backward, from the tile sort on.
+    pub fn sorted_visible(&self, block: &LaunchSizes, backward: bool, camera: &Camera) -> &Buffer {
+        if backward { &self.gathered_visible } else { self.sorted_instances(block, camera) }
+    }
+
+    /// The blended picture that the loss and the backward pass read: [`Self::composited`] with strips,
+    /// otherwise [`Self::accumulated`].
+    pub fn rendered(&self, block: &LaunchSizes) -> &Buffer {
+        if block.strips { &self.composited } else { &self.accumulated }
+    }
+
+    /// The attributes of the visible Gaussians.
+    pub fn splats(&self) -> Splats<'_> {
+        let records = &self.splats;
+        if records.bytes() > self.conic_opacity.bytes() {
+            return Splats {
+                mean2d_extent: records,
+                conic_opacity: records,
+                color_inverse_depth: records,
+                footprints: records,
+                stride: SPLAT_PLANES,
+            };
+        }
+        Splats {
+            mean2d_extent: records,
+            conic_opacity: &self.conic_opacity,
+            color_inverse_depth: &self.color_inverse_depth,
+            footprints: &self.footprints,
+            stride: 1,
+        }
+    }
+}
+
+/// Which of the tile sort's two buffers holds its result, for an image of this size.
+pub(crate) fn sorted_side(block: &LaunchSizes, camera: &Camera) -> usize {
+    let (columns, rows) = tile_grid(camera.width, camera.height);
+    (block.sort_passes(tile_bits(columns * rows)) % 2) as usize
+}

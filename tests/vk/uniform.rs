@@ -1,0 +1,117 @@
+//! Uniform blocks: their layout on both sides, their buffers, and the barrier behind their writes.
+
+use crate::common;
+use ashsplat::kernels::blocks::CameraBlock;
+use ashsplat::kernels::forward::cull;
+use ashsplat::plan::CAMERA_BLOCK_BYTES;
+use ashsplat::vk::{
+    Access, BindingKind, Buffer, Context, ContextOptions, Kernel, KernelInterface, MemoryKind, Recorder,
+};
+
+/// What culling no Gaussians takes.
+struct Culling {
+    buffers: Vec<Buffer>,
+    kernel: Kernel<cull::Interface>,
+}
+
+impl Culling {
+    fn new(context: &Context) -> Self {
+        let requests =
+            [("parameters", 4096), ("flags", 256), ("counts", 256), ("blocks", 2 * CAMERA_BLOCK_BYTES)];
+        Self {
+            buffers: context.allocate("culling", &requests, MemoryKind::Device).expect("memory"),
+            kernel: Kernel::new(context, &cull::Spec::for_device(context.limits())).expect("a kernel"),
+        }
+    }
+
+    /// Writes a block and culls with it.
+    fn record(&self, r: &mut Recorder, camera_block: &Buffer) {
+        let [parameters, visible_flags, block_counts, blocks] = &self.buffers[..] else { unreachable!() };
+        r.update(blocks, &vec![0; blocks.bytes() as usize]);
+        r.barrier();
+        let bind = cull::Bind { parameters, visible_flags, block_counts, camera_block };
+        r.dispatch(&self.kernel, &bind, &cull::Push::default(), 1);
+    }
+
+    fn blocks(&self) -> &Buffer {
+        &self.buffers[3]
+    }
+}
+
+#[test]
+fn uniform_blocks_are_mirrored_and_have_room_for_more() {
+    let block = cull::Interface::BINDINGS.last().expect("buffers");
+    assert_eq!((block.name, block.access), ("camera_block", Access::Read));
+    let bytes = size_of::<CameraBlock>();
+    assert_eq!(block.kind, BindingKind::Uniform { bytes: bytes as u32 });
+    assert!(bytes + 256 <= CAMERA_BLOCK_BYTES as usize, "{bytes} of {CAMERA_BLOCK_BYTES} bytes are taken");
+    let limits = common::context().limits();
+    assert!(CAMERA_BLOCK_BYTES.is_multiple_of(limits.uniform_alignment));
+    assert!(CAMERA_BLOCK_BYTES <= limits.max_uniform_range.into());
+}
+
+#[test]
+fn uniform_blocks_are_bound_with_and_without_push_descriptors() {
+    for push_descriptors in [true, false] {
+        let options = ContextOptions { push_descriptors, ..common::options() };
+        let context = Context::new(&options).expect("a context");
+        let culling = Culling::new(&context);
+        let run = context.run("cull", |r| {
+            culling.record(r, &culling.blocks().range(CAMERA_BLOCK_BYTES, CAMERA_BLOCK_BYTES));
+            Ok(())
+        });
+        run.expect("a run");
+        common::assert_silent(&context);
+    }
+}
+
+#[test]
+fn uniform_blocks_are_read_behind_a_barrier() {
+    let context = common::context();
+    let culling = Culling::new(context);
+    let mut recorder = context.begin("never submitted").expect("a recorder");
+    recorder.collect_hazards();
+    recorder.omit_barrier(0);
+    culling.record(&mut recorder, culling.blocks());
+    let hazards = recorder.hazards();
+    assert!(hazards[0].contains("read after write") && hazards[0].contains("'camera_block'"), "{hazards:?}");
+}
+
+#[test]
+fn uniform_blocks_behind_no_barrier_are_seen_by_the_validation_layer() {
+    if !common::options().validation {
+        eprintln!("SKIPPED: no validation layer");
+        return;
+    }
+    let context =
+        Context::new(&ContextOptions { hazard_check: false, ..common::options() }).expect("a context");
+    let culling = Culling::new(&context);
+    let run = context.run("cull", |r| {
+        r.omit_barrier(0);
+        culling.record(r, culling.blocks());
+        Ok(())
+    });
+    run.expect("a run");
+    let messages = context.validation_messages();
+    assert!(messages.iter().any(|m| m.contains("SYNC-HAZARD")), "{messages:?}");
+}
+
+#[test]
+#[should_panic(expected = "'blocks' bound as 'camera_block' has 64 bytes, the limits are")]
+fn uniform_blocks_larger_than_their_buffer_are_refused() {
+    let context = common::context();
+    let culling = Culling::new(context);
+    let mut recorder = context.begin("never submitted").expect("a recorder");
+    culling.record(&mut recorder, &culling.blocks().range(0, 64));
+}
+
+#[test]
+#[should_panic(expected = "'blocks' bound as 'camera_block' begins at")]
+fn uniform_blocks_at_a_misaligned_offset_are_refused() {
+    let context = common::context();
+    let culling = Culling::new(context);
+    let mut recorder = context.begin("never submitted").expect("a recorder");
+    // No device allows less than 4.
+    let alignment = context.limits().uniform_alignment;
+    culling.record(&mut recorder, &culling.blocks().range(alignment / 2, CAMERA_BLOCK_BYTES));
+}
