@@ -124,7 +124,7 @@ pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 pub use limits_override::LimitsOverride;
 pub use memory::{PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use open::ContextOptions;
-pub use pipeline_cache::{PipelineCacheData, PipelineCacheSink};
+pub use pipeline_cache::{PipelineCacheKey, PipelineCacheStore};
 pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, OptionalExtension, Requirements};

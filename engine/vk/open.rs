@@ -16,7 +16,7 @@ use super::limits::{Limits, SpecOverride};
 #[cfg(feature = "testing")]
 use super::limits_override::LimitsOverride;
 use super::open_device::{Device, Owner};
-use super::pipeline_cache::{PipelineCache, PipelineCacheData};
+use super::pipeline_cache::{PipelineCache, PipelineCacheStore};
 use super::raw_device::RawDevice;
 use crate::{Error, Result};
 use ash::vk;
@@ -74,7 +74,7 @@ pub struct ContextOptions {
     pub texels: bool,
     /// Build kernels with a VkPipelineCache that is kept between runs. Default: none; on a host's device see
     /// [`ForeignDevice::pipeline_cache`](super::ForeignDevice::pipeline_cache).
-    pub pipeline_cache: Option<PipelineCacheData>,
+    pub pipeline_cache: Option<Arc<dyn PipelineCacheStore>>,
 }
 
 impl ContextOptions {
@@ -230,8 +230,8 @@ impl Context {
         if !push {
             descriptors::add_shared_layouts(&mut open)?;
         }
-        if let (Some(own), false) = (&options.pipeline_cache, foreign) {
-            open.pipeline_cache = PipelineCache::of_data(&open.device, &properties, own.clone())?;
+        if let (Some(store), false) = (&options.pipeline_cache, foreign) {
+            open.pipeline_cache = PipelineCache::of_store(&open.device, &properties, store.clone())?;
         }
         Ok(Self::on(Arc::new(open)))
     }

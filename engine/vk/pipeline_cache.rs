@@ -6,29 +6,61 @@ use ash::vk;
 use std::fmt;
 use std::sync::Arc;
 
-/// Gets the data of a pipeline cache.
-pub type PipelineCacheSink = Arc<dyn Fn(&[u8]) + Send + Sync>;
+/// Bytes of the header of version one: its length, its version, vendor, device, UUID of the cache.
+const HEADER_BYTES: usize = 32;
 
-/// A cache of our own: what it begins with, and who gets its data at the end.
-#[derive(Clone)]
-pub struct PipelineCacheData {
-    /// The data of a run before; empty or of another device: the cache begins empty.
-    pub data: Vec<u8>,
-    /// Called with the data when the context ends, if they have changed.
-    pub on_close: PipelineCacheSink,
+/// Identifies the device and driver version that the data of a pipeline cache belong to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PipelineCacheKey {
+    header: [u8; HEADER_BYTES],
 }
 
-impl fmt::Debug for PipelineCacheData {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("PipelineCacheData").field("bytes", &self.data.len()).finish_non_exhaustive()
+impl PipelineCacheKey {
+    fn of(properties: &vk::PhysicalDeviceProperties) -> Self {
+        let version = vk::PipelineCacheHeaderVersion::ONE.as_raw() as u32;
+        let words = [HEADER_BYTES as u32, version, properties.vendor_id, properties.device_id];
+        let mut header = [0; HEADER_BYTES];
+        let bytes = words.into_iter().flat_map(u32::to_le_bytes).chain(properties.pipeline_cache_uuid);
+        header.iter_mut().zip(bytes).for_each(|(to, byte)| *to = byte);
+        Self { header }
     }
+
+    /// Whether data belong to this device. Not every driver checks.
+    fn fits(&self, data: &[u8]) -> bool {
+        data.starts_with(&self.header)
+    }
+}
+
+/// Hexadecimal digits, fit for a file's name.
+impl fmt::Display for PipelineCacheKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // The first words are the same on all devices.
+        self.header[8..].iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+/// Keeps the data of pipeline caches between runs.
+pub trait PipelineCacheStore: fmt::Debug + Send + Sync {
+    /// The data of an earlier run; empty if there are none. Data of another device are not used.
+    fn load(&self, key: &PipelineCacheKey) -> Vec<u8>;
+
+    /// Called when the context ends, if the data have changed.
+    fn save(&self, key: &PipelineCacheKey, data: &[u8]);
 }
 
 /// The cache of an open device.
 #[derive(Default)]
 pub(super) struct PipelineCache {
     pub(super) raw: vk::PipelineCache,
-    own: Option<PipelineCacheData>,
+    own: Option<Own>,
+}
+
+/// A cache of our own.
+struct Own {
+    store: Arc<dyn PipelineCacheStore>,
+    key: PipelineCacheKey,
+    /// The data that it began with.
+    data: Vec<u8>,
 }
 
 impl PipelineCache {
@@ -37,17 +69,21 @@ impl PipelineCache {
         Self { raw, own: None }
     }
 
-    /// Our own, from the data of a run before, where these are of the same device and driver.
-    pub(super) fn of_data(
+    /// Our own, from the data of an earlier run with the same device and driver.
+    pub(super) fn of_store(
         device: &ash::Device,
         properties: &vk::PhysicalDeviceProperties,
-        own: PipelineCacheData,
+        store: Arc<dyn PipelineCacheStore>,
     ) -> Result<Self> {
-        let data = if fits(&own.data, properties) { own.data.as_slice() } else { &[] };
-        let info = vk::PipelineCacheCreateInfo::default().initial_data(data);
+        let key = PipelineCacheKey::of(properties);
+        let mut data = store.load(&key);
+        if !key.fits(&data) {
+            data.clear();
+        }
+        let info = vk::PipelineCacheCreateInfo::default().initial_data(&data);
         // SAFETY: the data are empty, or have the header of this device.
         let raw = unsafe { device.create_pipeline_cache(&info, None) };
-        Ok(Self { raw: raw.map_err(vk_error("vkCreatePipelineCache"))?, own: Some(own) })
+        Ok(Self { raw: raw.map_err(vk_error("vkCreatePipelineCache"))?, own: Some(Own { store, key, data }) })
     }
 
     /// Hands out the data and destroys the cache, if it is ours.
@@ -64,28 +100,14 @@ impl PipelineCache {
         if let Ok(data) = data
             && data != own.data
         {
-            (own.on_close)(&data);
+            own.store.save(&own.key, &data);
         }
     }
 }
 
-/// Bytes of the header of version one: its length, its version, vendor, device, UUID of the cache.
-const HEADER_BYTES: usize = 32;
-
-/// Whether data have the header that a device's own have. Not every driver checks.
-fn fits(data: &[u8], properties: &vk::PhysicalDeviceProperties) -> bool {
-    let mut header = Vec::with_capacity(HEADER_BYTES);
-    let version = vk::PipelineCacheHeaderVersion::ONE.as_raw() as u32;
-    for word in [HEADER_BYTES as u32, version, properties.vendor_id, properties.device_id] {
-        header.extend(word.to_le_bytes());
-    }
-    header.extend(properties.pipeline_cache_uuid);
-    data.starts_with(&header)
-}
-
 #[cfg(test)]
 mod tests {
-    use super::fits;
+    use super::PipelineCacheKey;
     use ash::vk;
 
     #[test]
@@ -93,12 +115,14 @@ mod tests {
         let device = vk::PhysicalDeviceProperties { vendor_id: 7, device_id: 9, ..Default::default() };
         let mut data = [32_u32, 1, 7, 9].map(u32::to_le_bytes).concat();
         data.extend([0; 16]);
-        assert!(fits(&data, &device));
-        assert!(!fits(&data[..31], &device) && !fits(&[], &device));
+        let key = PipelineCacheKey::of(&device);
+        assert!(key.fits(&data));
+        assert!(!key.fits(&data[..31]) && !key.fits(&[]));
+        assert_eq!(key.to_string(), format!("0700000009000000{}", "00".repeat(16)));
         for byte in 0..32 {
             let mut other = data.clone();
             other[byte] ^= 1;
-            assert!(!fits(&other, &device), "byte {byte}");
+            assert!(!key.fits(&other), "byte {byte}");
         }
     }
 }

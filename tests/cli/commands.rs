@@ -177,7 +177,7 @@ fn compiled_kernels_are_kept_between_runs() {
         &ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians"),
     )
     .expect("written");
-    let cache = folder.path().join("caches/pipelines");
+    let caches = folder.path().join("caches/pipelines");
     let arguments = [
         "inspect",
         text(&scene),
@@ -192,12 +192,16 @@ fn compiled_kernels_are_kept_between_runs() {
         "--json",
     ];
     let run = || {
-        let finished = finish(program().args(arguments).env("ASHSPLAT_PIPELINE_CACHE", &cache));
+        let finished = finish(program().args(arguments).env("ASHSPLAT_PIPELINE_CACHE", &caches));
         assert_eq!(finished.code, Some(0), "{}", finished.stderr);
         finished.stdout
     };
     let first = run();
-    // The header of version one: 32 bytes, then what the driver keeps.
+    // One file, for the device: the header of version one, 32 bytes, then what the driver keeps.
+    let files: Vec<_> =
+        std::fs::read_dir(&caches).expect("a folder").map(|entry| entry.expect("a file")).collect();
+    assert_eq!(files.len(), 1);
+    let cache = files[0].path();
     let kept = std::fs::read(&cache).expect("a cache");
     assert!(kept.len() >= 32 && kept.starts_with(&[32, 0, 0, 0, 1, 0, 0, 0]), "{} bytes", kept.len());
     assert_eq!(run(), first);
