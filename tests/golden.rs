@@ -83,6 +83,7 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     let mut sets = list(&own());
     assert!(!sets.is_empty(), "no golden vectors in {}", own().display());
     let mut further = list(&shared.join("golden"));
+    further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
     further.extend(features.into_iter().filter(|set| set.kind == Kind::Regularizers));

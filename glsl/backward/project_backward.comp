@@ -104,17 +104,16 @@ Sums sum_instances(uint begin, uint count, bool exists) {
 }
 
 // Gradient of the rows of M, from that of the dilated covariance.
-void covariance_backward(Projection p, vec3 conic, vec3 d_conic, float d_opacity, float opacity_raw, out vec3 d_row_x,
+void covariance_backward(Projection p, vec3 d_conic, float d_opacity, float opacity_raw, out vec3 d_row_x,
     out vec3 d_row_y) {
-    // conic = cov^-1: d cov = -conic d_conic conic. Both off-diagonal entries share the gradient of the conic's single one.
-    float gx = d_conic.x, gy = 0.5 * d_conic.y, gz = d_conic.z;
-    float t00 = conic.x * gx + conic.y * gy;
-    float t01 = conic.x * gy + conic.y * gz;
-    float t10 = conic.y * gx + conic.z * gy;
-    float t11 = conic.y * gy + conic.z * gz;
-    float d_xx = -(t00 * conic.x + t01 * conic.y);
-    float d_xy = -(t00 * conic.y + t01 * conic.z);
-    float d_yy = -(t10 * conic.y + t11 * conic.z);
+    // The conic is (c, -b, a) / det for the covariance (a, b, c). Through the determinant nothing cancels along the major
+    // axis of an elongated Gaussian, as it does in the equal form -conic d_conic conic.
+    vec3 cov = p.cov2d;
+    // Divided twice: the square of the determinant may overflow.
+    float s = (cov.z * d_conic.x - cov.y * d_conic.y + cov.x * d_conic.z) / p.det / p.det;
+    float d_xx = d_conic.z / p.det - s * cov.z;
+    float d_xy = s * cov.y - 0.5 * d_conic.y / p.det;
+    float d_yy = d_conic.x / p.det - s * cov.x;
     float ratio = p.det_raw / p.det;
     if (antialias != 0 && ratio > ANTIALIAS_MIN_RATIO) {
         // opacity = raw sqrt(det_raw / det).
@@ -173,7 +172,7 @@ void main() {
 
     vec3 d_row_x;
     vec3 d_row_y;
-    covariance_backward(p, conic.xyz, d_conic, d_opacity, opacity_raw, d_row_x, d_row_y);
+    covariance_backward(p, d_conic, d_opacity, opacity_raw, d_row_x, d_row_y);
     vec3 d_log_scale = d_row_x * p.row_x + d_row_y * p.row_y;
 
     // The rows of M are J times the scaled axes.
