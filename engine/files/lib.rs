@@ -8,6 +8,7 @@ pub mod atomic;
 pub mod cameras_json;
 pub mod checkpoint;
 pub mod colmap;
+mod cost;
 pub mod dataset;
 pub mod decimate;
 pub mod images;
@@ -25,3 +26,7 @@ pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;
 pub use progress::Progress;
+
+#[cfg(test)]
+#[path = "../../tests/growth/mod.rs"]
+mod growth;

@@ -96,11 +96,13 @@ fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
 /// `NAME.png` or, as COLMAP names them, `NAME.jpg.png` in `masks`, or in the masks' folder that belongs to
 /// the photos': `masks_4` with `images_4`.
 pub(super) fn mask_of(dataset: &Path, images: &str, name: &str, finder: &mut Finder) -> Option<PathBuf> {
-    let mut in_folder = |folder: PathBuf| {
-        let whole = folder.join(plain(&format!("{name}.png")));
-        finder.photo(&whole).or_else(|| finder.photo(&folder.join(plain(name)).with_extension("png")))
+    let name = plain(name);
+    let other = Path::new(&name).with_extension("png");
+    let mut in_folder = |folder: &str| {
+        let whole = finder.photo(dataset, &format!("{folder}/{name}.png"));
+        whole.or_else(|| finder.photo(dataset, &format!("{folder}/{}", other.to_str()?)))
     };
-    in_folder(dataset.join(beside(images))).or_else(|| in_folder(dataset.join("masks")))
+    in_folder(&beside(images)).or_else(|| in_folder("masks"))
 }
 
 /// The mask that a `transforms.json` names, or the one in the masks' folder that belongs to the photos'.

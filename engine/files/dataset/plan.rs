@@ -10,7 +10,7 @@ use super::mask::{Mask, mask_in_folder, mask_of};
 use super::{DatasetOptions, View};
 use crate::colmap::{self, ColmapCamera, ColmapImage, Model};
 use crate::images::{Photo, PhotoFileFormat, StoredPhoto, header, read_as, undistort};
-use crate::names::{Finder, count_photos};
+use crate::names::{Finder, count_photos, plain};
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
@@ -18,6 +18,9 @@ use ashsplat::{Error, Result};
 
 /// A camera is a stray if its distance from the middle is this many times the median.
 const STRAY: f32 = 1000.0;
+
+/// Lenses and the pinholes in their place, by what is printed of them: every number differently if it differs.
+type Lenses = BTreeMap<String, (Lens, Option<Intrinsics>)>;
 
 /// Views, points, and warnings.
 pub(super) struct Plan {
@@ -121,7 +124,7 @@ impl Plan {
         let mut finder = Finder::default();
         let paths = images.iter().map(|image| {
             let path = image.photo_path(&folder, &plan.list)?;
-            Ok(finder.photo(&path).unwrap_or(path))
+            Ok(finder.photo(&folder, &plain(&image.name)).unwrap_or(path))
         });
         let paths: Vec<Result<PathBuf>> = paths.collect();
         let asked = images.iter().zip(&paths).map(|(image, path)| {
@@ -207,7 +210,7 @@ impl Plan {
         let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
         let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
         plan.warnings.extend(turned.warning(&plan.list));
-        let mut lenses: Vec<(Lens, Option<Intrinsics>)> = Vec::new();
+        let mut lenses = Lenses::new();
         for (index, ((frame, photo_path), turned)) in frames.iter().zip(paths).zip(turned.photos).enumerate()
         {
             let view = plan.frame(frame, photo_path, turned, &mut lenses).map(|view| PlannedView {
@@ -231,7 +234,7 @@ impl Plan {
                 plan.list.display()
             ));
         }
-        if lenses.iter().any(|(lens, _)| lens.is_distorted()) {
+        if lenses.values().any(|(lens, _)| lens.is_distorted()) {
             plan.warnings.push(format!(
                 "{}: the lens has distortion: the photos are undistorted",
                 plan.list.display()
@@ -245,7 +248,7 @@ impl Plan {
         frame: &Frame,
         photo_path: PathBuf,
         turned: bool,
-        lenses: &mut Vec<(Lens, Option<Intrinsics>)>,
+        lenses: &mut Lenses,
     ) -> Result<PlannedView> {
         if !photo_path.is_file() {
             let problem = format!("the photo of frame {} is missing", frame.name);
@@ -267,13 +270,8 @@ impl Plan {
             return Err(problem(what));
         }
         // Frames share a few lenses, and fitting a distorted one is expensive.
-        let pinhole = match lenses.iter().find(|(known, _)| *known == lens) {
-            Some((_, pinhole)) => *pinhole,
-            None => {
-                lenses.push((lens, lens.inscribed_pinhole()));
-                lenses.last().and_then(|(_, pinhole)| *pinhole)
-            }
-        };
+        let known = lenses.entry(format!("{lens:?}"));
+        let pinhole = known.or_insert_with(|| (lens, lens.inscribed_pinhole())).1;
         let kind = if lens.is_distorted() { "distorted" } else { "PINHOLE" };
         *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
         let pinhole = pinhole.ok_or_else(|| problem("the lens sees too much for a pinhole".into()))?;
@@ -323,8 +321,8 @@ pub(super) fn check_split(list: &Path, held_out: &[bool]) -> Result<()> {
 fn photo_in_folder(path: &Path, frame: &Frame, images: &str, finder: &mut Finder) -> PathBuf {
     match frame.name.strip_prefix("images/") {
         Some(rest) if images != "images" => {
-            let there = path.join(images).join(rest);
-            finder.photo(&there).unwrap_or(there)
+            let folder = path.join(images);
+            finder.photo(&folder, rest).unwrap_or_else(|| folder.join(rest))
         }
         _ => frame.photo_path.clone(),
     }

@@ -7,7 +7,7 @@ use std::path::{Component, Path, PathBuf};
 use zip::result::ZipError;
 
 use crate::progress::Progress;
-use crate::{colmap, transforms};
+use crate::{colmap, cost, transforms};
 use ashsplat::{Error, Result};
 
 /// No honest archive of photos unpacks to more than this many times its size.
@@ -101,6 +101,7 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
     let mut piece = vec![0; PIECE_BYTES];
     for index in 0..archive.len() {
         progress.check()?;
+        cost::step();
         let mut entry = archive.by_index(index).map_err(|e| damaged(format!("entry {index}"), e))?;
         let name = entry.name().map_err(|e| damaged(format!("entry {index}"), e))?.into_owned();
         let inside = path_of(&name).ok_or_else(|| refused(format!("{name:?} leads out of the archive")))?;
