@@ -11,6 +11,7 @@ pub mod colmap;
 mod cost;
 pub mod dataset;
 pub mod decimate;
+pub mod host_memory;
 pub mod images;
 pub mod init;
 pub mod metrics;
@@ -23,6 +24,7 @@ pub mod transforms;
 
 pub use checkpoint::CheckpointFile;
 pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
+pub use host_memory::HostMemory;
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;
 pub use progress::Progress;

@@ -16,7 +16,7 @@ const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
 pub(super) const MAX_PATH_BYTES: usize = 4096;
 
 /// Most folders within each other that a differently written name is looked for in.
-const MAX_DEPTH: usize = 64;
+pub(super) const MAX_DEPTH: usize = 64;
 
 /// A name with `/` for `\`, and without `./` in front.
 pub(super) fn plain(name: &str) -> String {

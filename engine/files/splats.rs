@@ -17,7 +17,7 @@ mod validation;
 
 use std::path::{Path, PathBuf};
 
-use super::ply;
+use super::{host_memory, ply};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
@@ -53,6 +53,8 @@ pub struct Header {
 pub struct ReadOptions {
     /// Drop Gaussians with unusable parameters instead of refusing the file.
     pub drop_invalid: bool,
+    /// Bytes of memory that reading may take at most; none: three quarters of what the machine has left.
+    pub max_host_memory: Option<u64>,
 }
 
 /// Gaussians from a file, and the number of dropped ones.
@@ -73,7 +75,7 @@ pub struct Scene {
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is no file of Gaussians, is cut short
 /// or damaged, or has unusable parameters (see [`super::ply::read`]) and [`ReadOptions::drop_invalid`] is not
-/// set.
+/// set; [`Error::TooLarge`] when it needs more memory than [`ReadOptions::max_host_memory`].
 pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
     collect_from(Reader::open(path.as_ref(), options)?)
 }
@@ -88,6 +90,9 @@ fn collect_from(mut reader: Reader<'_>) -> Result<Scene> {
     // The header's count was checked against the file's size. Rows still take more memory than packed ones,
     // and glTF may repeat the same ones a limited number of times.
     let capacity = usize::try_from(header.count).unwrap_or(0);
+    let row = size_of::<f32>() * (11 + 3 * sh_coefficients(header.sh_degree));
+    let needed = header.count.saturating_mul(row as u64).saturating_add(reader.source.held_bytes());
+    host_memory::check(&reader.path, needed, reader.options.max_host_memory)?;
     let mut gaussians = Gaussians::with_capacity(header.sh_degree, capacity);
     let dropped = reader.blocks(&mut |block| {
         gaussians.append(&block);
@@ -172,6 +177,11 @@ pub(super) trait Source {
     /// Passes all Gaussians to the sink, usable or not. Called once.
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()>;
 
+    /// Bytes that it holds in memory.
+    fn held_bytes(&self) -> u64 {
+        0
+    }
+
     /// Name of one Gaussian in messages about the file.
     fn row_name(&self) -> &'static str {
         "Gaussian"
@@ -193,7 +203,7 @@ impl<'a> Reader<'a> {
             Format::Ply => Box::new(ply::GaussianRows::open(path)?),
             Format::CompressedPly => Box::new(ply::CompressedPly::open(path)?),
             Format::Splat => Box::new(dot_splat::DotSplat::open(path)?),
-            Format::Spz => Box::new(spz::Spz::open(path)?),
+            Format::Spz => Box::new(spz::Spz::open(path, options.max_host_memory)?),
             format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format)?),
         };
         Ok(Self { path: path.to_owned(), source, options: *options, warning: None })

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::host_memory::HostMemory;
 use crate::images::{Photo, header, read_as, undistort};
 use crate::names::{Finder, plain};
 use ashsplat::scene::camera::Intrinsics;
@@ -26,14 +27,19 @@ impl Mask {
     }
 
     /// Reads the mask of a photo of this size. The mask of a larger version of the photo is scaled down.
-    pub(super) fn read(path: &Path, turned: bool, width: u32, height: u32) -> Result<Self> {
+    pub(super) fn read(
+        path: &Path,
+        turned: bool,
+        (width, height): (u32, u32),
+        memory: &HostMemory,
+    ) -> Result<Self> {
         let size = header(path)?.size(turned);
         if !is_enlarged(size, (width, height)) {
             let problem = format!("is {}x{} pixels, its photo {width}x{height}", size.0, size.1);
             let remedy = "masks must have their photo's size, or be larger with the same proportions";
             return Err(Error::input(path, problem, remedy));
         }
-        let (grey, _) = read_as(path, [0.0; 3], turned, size)?;
+        let (grey, _) = read_as(path, [0.0; 3], turned, size, memory)?;
         Ok(Self::of_grey(grey).scaled_to(width, height))
     }
 

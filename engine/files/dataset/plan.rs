@@ -22,6 +22,12 @@ const STRAY: f32 = 1000.0;
 /// Lenses and the pinholes in their place, by what is printed of them: every number differently if it differs.
 type Lenses = BTreeMap<String, (Lens, Option<Intrinsics>)>;
 
+/// What is said of a lens without a pinhole in its place.
+const NO_PINHOLE: &str =
+    "sees too much for a pinhole, or its distortion folds the photo over, so that one place appears twice";
+const NO_PINHOLE_REMEDY: &str =
+    "crop the photos, or compute the camera again with fewer coefficients of distortion";
+
 /// Views, points, and warnings.
 pub(super) struct Plan {
     /// The folder of the model, or the file with the cameras.
@@ -136,8 +142,8 @@ impl Plan {
         let mut view = |((image, photo_path), turned): ((&ColmapImage, Result<PathBuf>), bool)| {
             let camera = model.camera_of(image)?;
             let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
-                let problem = format!("camera {}: sees too much for a pinhole", image.camera_id);
-                return Err(Error::input(model.file("cameras"), problem, "crop the photos"));
+                let problem = format!("camera {}: {NO_PINHOLE}", image.camera_id);
+                return Err(Error::input(model.file("cameras"), problem, NO_PINHOLE_REMEDY));
             };
             let photo_path = photo_path?;
             if !photo_path.is_file() {
@@ -274,7 +280,7 @@ impl Plan {
         let pinhole = known.or_insert_with(|| (lens, lens.inscribed_pinhole())).1;
         let kind = if lens.is_distorted() { "distorted" } else { "PINHOLE" };
         *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
-        let pinhole = pinhole.ok_or_else(|| problem("the lens sees too much for a pinhole".into()))?;
+        let pinhole = pinhole.ok_or_else(|| problem(format!("the camera {NO_PINHOLE}")))?;
         let camera = Camera::with_pose(frame.camera_from_world, frame.translation, pinhole);
         if let Some(what) = camera.problem().or_else(|| camera.absurdity()) {
             return Err(problem(what));
@@ -337,14 +343,17 @@ impl PlannedView {
     /// The undistorted photo, its mask, and its camera.
     pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Option<Mask>, Camera)> {
         let (lens, pinhole) = self.optics_of_file(options.divisor())?;
+        let memory = &options.host_memory;
         let (width, height) = (lens.width, lens.height);
         let (mut photo, alpha) =
-            read_as(&self.photo_path, options.background(), self.turned, (width, height))?;
+            read_as(&self.photo_path, options.background(), self.turned, (width, height), memory)?;
         let alpha = alpha.filter(|_| self.alpha_is_mask).map(|alpha| Mask::of_alpha(width, height, alpha));
         let mut mask = match (&self.mask_path, alpha) {
             (None, alpha) => alpha,
-            (Some(path), None) => Some(Mask::read(path, self.turned, width, height)?),
-            (Some(path), Some(alpha)) => Some(Mask::read(path, self.turned, width, height)?.and(&alpha)),
+            (Some(path), None) => Some(Mask::read(path, self.turned, (width, height), memory)?),
+            (Some(path), Some(alpha)) => {
+                Some(Mask::read(path, self.turned, (width, height), memory)?.and(&alpha))
+            }
         };
         if lens.is_distorted() {
             mask = mask.map(|mask| mask.undistorted(&lens, &pinhole));

@@ -41,7 +41,7 @@ pub struct PlyScene {
 pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
     let path = path.as_ref();
     let source = Box::new(GaussianRows::open(path)?);
-    let options = splats::ReadOptions { drop_invalid: options.drop_invalid };
+    let options = splats::ReadOptions { drop_invalid: options.drop_invalid, ..Default::default() };
     let scene = splats::collect(path, source, &options)?;
     Ok(PlyScene {
         gaussians: scene.gaussians,

@@ -229,9 +229,8 @@ impl Reader<'_> {
         if value.is_null() {
             return Err(self.error("has no transform_matrix"));
         }
-        let rows = matrix(value).filter(|_| value.as_array().is_some_and(|rows| rows.len() == 4));
-        let Some(rows) = rows else {
-            return Err(self.error("transform_matrix is not of 4 rows of 4 finite numbers"));
+        let Some(rows) = matrix(value) else {
+            return Err(self.error("transform_matrix is not of 3 or 4 rows of 4 finite numbers"));
         };
         let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
         let axes = DMat3::from_cols(column(0), column(1), column(2));
