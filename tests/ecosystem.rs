@@ -30,7 +30,7 @@ const PACKAGES: [&str; 4] = [
     "playwright-core@1.56.1",
 ];
 
-const KEEP: ReadOptions = ReadOptions { drop_invalid: false };
+const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: None };
 
 /// A comparison: of the packages in a folder, and a format.
 type Check = fn(&Path, Format);

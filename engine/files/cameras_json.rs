@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use glam::{Mat3, Vec3};
+use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::atomic;
@@ -26,8 +26,8 @@ struct Entry {
     img_name: String,
     width: u32,
     height: u32,
-    position: [f32; 3],
-    rotation: [[f32; 3]; 3],
+    position: [f64; 3],
+    rotation: [[f64; 3]; 3],
     fy: f32,
     fx: f32,
     /// Missing in the reference implementation's file, which supports centred cameras only.
@@ -45,8 +45,8 @@ impl Entry {
             img_name: name.to_owned(),
             width: camera.width,
             height: camera.height,
-            position: camera.position().to_array(),
-            rotation: [0, 1, 2].map(|row| world_from_camera.row(row).to_array()),
+            position: camera.exact_position().to_array(),
+            rotation: [0, 1, 2].map(|row| world_from_camera.row(row).as_dvec3().to_array()),
             fy: camera.fy,
             fx: camera.fx,
             cx: Some(camera.cx),
@@ -55,7 +55,7 @@ impl Entry {
     }
 
     fn camera(&self) -> Camera {
-        let camera_from_world = Mat3::from_cols_array_2d(&self.rotation);
+        let camera_from_world = DMat3::from_cols_array_2d(&self.rotation);
         let intrinsics = Intrinsics {
             fx: self.fx,
             fy: self.fy,
@@ -64,8 +64,7 @@ impl Entry {
             width: self.width,
             height: self.height,
         };
-        let translation = -(camera_from_world * Vec3::from_array(self.position));
-        Camera::with_pose(camera_from_world, translation, intrinsics)
+        Camera::at(DVec3::from_array(self.position), camera_from_world, intrinsics)
     }
 }
 

@@ -14,6 +14,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::cameras_json::{self, NamedCamera};
+use super::host_memory::HostMemory;
 use super::images::{PhotoFile, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 use super::progress::Progress;
 use crate::init::{RANDOM_POINTS, points_in_view, random_points, seen_box};
@@ -43,6 +44,8 @@ pub struct DatasetOptions {
     pub white_background: bool,
     /// Bound of the photos' memory. The photos beyond it stay in a file. None: all photos are held in memory.
     pub photo_memory: Option<PhotoMemory>,
+    /// Bound of the memory that photos take while they are decoded, all at a time.
+    pub host_memory: HostMemory,
 }
 
 impl Default for DatasetOptions {
@@ -55,6 +58,7 @@ impl Default for DatasetOptions {
             test_every: 8,
             white_background: false,
             photo_memory: None,
+            host_memory: HostMemory::default(),
         }
     }
 }

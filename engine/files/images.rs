@@ -1,6 +1,7 @@
 //! Photographs: decoding, checking, scaling.
 
 mod decode;
+mod jpeg;
 mod undistort;
 
 use std::path::{Path, PathBuf};
@@ -11,6 +12,7 @@ use image::RgbImage;
 use image::imageops::{self, FilterType};
 
 use super::atomic;
+use super::host_memory::HostMemory;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
@@ -33,7 +35,8 @@ pub trait PhotoFileFormat: Sized {
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a picture, is cut short
-    /// or damaged, or claims a size that the file cannot hold.
+    /// or damaged, or claims a size that the file cannot hold; [`Error::TooLarge`] when the machine has too little
+    /// memory for it.
     fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self>;
 
     /// Like [`PhotoFileFormat::read`], and refuses a picture of another size before decoding it.
@@ -59,11 +62,11 @@ pub trait PhotoFileFormat: Sized {
 
 impl PhotoFileFormat for Photo {
     fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self> {
-        Ok(decode::read(path.as_ref(), background, false, None)?.0)
+        Ok(decode::read(path.as_ref(), background, false, None, &HostMemory::default())?.0)
     }
 
     fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self> {
-        Ok(decode::read(path.as_ref(), background, false, Some((width, height)))?.0)
+        Ok(decode::read(path.as_ref(), background, false, Some((width, height)), &HostMemory::default())?.0)
     }
 
     fn write_png(&self, path: impl AsRef<Path>) -> Result<()> {
@@ -101,8 +104,9 @@ pub(crate) fn read_as(
     background: [f32; 3],
     turned: bool,
     size: (u32, u32),
+    memory: &HostMemory,
 ) -> Result<(Photo, Option<Vec<u8>>)> {
-    decode::read(path, background, turned, Some(size))
+    decode::read(path, background, turned, Some(size), memory)
 }
 
 /// How much memory photos may take, and where they lie while they do not fit.

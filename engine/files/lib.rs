@@ -8,8 +8,10 @@ pub mod atomic;
 pub mod cameras_json;
 pub mod checkpoint;
 pub mod colmap;
+mod cost;
 pub mod dataset;
 pub mod decimate;
+pub mod host_memory;
 pub mod images;
 pub mod init;
 pub mod metrics;
@@ -22,6 +24,11 @@ pub mod transforms;
 
 pub use checkpoint::CheckpointFile;
 pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
+pub use host_memory::HostMemory;
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;
 pub use progress::Progress;
+
+#[cfg(test)]
+#[path = "../../tests/growth/mod.rs"]
+mod growth;

@@ -1,12 +1,22 @@
 //! Files as other people's programs name them: with the separators of another system, in another case, with another
 //! ending or none.
 
-use std::collections::HashMap;
-use std::ffi::OsString;
+use std::collections::{HashMap, HashSet};
+use std::ffi::{OsStr, OsString};
 use std::path::{Component, Path, PathBuf};
+
+use unicode_normalization::UnicodeNormalization;
+
+use crate::cost;
 
 /// Endings of photos, the likelier one first.
 const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// Longest path that systems have, bytes. A longer one names nothing.
+pub(super) const MAX_PATH_BYTES: usize = 4096;
+
+/// Most folders within each other that a differently written name is looked for in.
+pub(super) const MAX_DEPTH: usize = 64;
 
 /// A name with `/` for `\`, and without `./` in front.
 pub(super) fn plain(name: &str) -> String {
@@ -25,6 +35,14 @@ pub(super) fn stays_inside(name: &str) -> bool {
     Path::new(name).components().all(below) && !drive && !name.is_empty() && !name.contains('\0')
 }
 
+/// The end of a path of unknown length, for a message.
+pub(super) fn ending(name: &str) -> String {
+    const SHOWN: usize = 120;
+    let start = name.len().saturating_sub(SHOWN);
+    let start = (start..=name.len()).find(|&at| name.is_char_boundary(at)).unwrap_or(0);
+    format!("{}{}", if start > 0 { "…" } else { "" }, &name[start..])
+}
+
 /// Whether a name ends as photos do.
 pub(super) fn has_photo_ending(name: &Path) -> bool {
     name.extension().is_some_and(|ending| ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
@@ -32,15 +50,23 @@ pub(super) fn has_photo_ending(name: &Path) -> bool {
 
 /// How many photos lie in a folder and those below it.
 pub(super) fn count_photos(folder: &Path) -> usize {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let count =
-        |path: PathBuf| match path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.')) {
-            true => 0,
+    let mut open = vec![folder.to_owned()];
+    let mut photos = 0;
+    while let Some(folder) = open.pop() {
+        for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+            cost::step();
+            let path = entry.path();
+            if entry.file_name().to_string_lossy().starts_with('.') {
+                continue;
+            }
             // A link may lead back.
-            false if path.is_dir() && !path.is_symlink() => count_photos(&path),
-            false => usize::from(has_photo_ending(&path)),
-        };
-    entries.map(|entry| count(entry.path())).sum()
+            match path.is_dir() && !path.is_symlink() {
+                true => open.push(path),
+                false => photos += usize::from(has_photo_ending(&path)),
+            }
+        }
+    }
+    photos
 }
 
 /// Looks files up, and keeps what lies in the folders that it had to look through.
@@ -51,48 +77,104 @@ pub(super) struct Finder {
 
 /// What lies in a folder.
 struct Listing {
-    /// By name in lower case.
+    /// As they are written.
+    exact: HashSet<OsString>,
+    /// By [`key`].
     names: HashMap<String, OsString>,
-    /// Photos by name in lower case, without ending; the likeliest.
+    /// Photos by [`key`], without ending; the likeliest.
     photos: HashMap<String, OsString>,
 }
 
 impl Finder {
-    /// The photo that a path means: itself, or one whose name differs in case, lacks an ending, or has another one.
-    pub(super) fn photo(&mut self, path: &Path) -> Option<PathBuf> {
-        self.file(path).or_else(|| {
-            let (folder, listing) = self.folder_of(path)?;
-            let name = path.file_name()?.to_string_lossy().to_lowercase();
-            let stem = Path::new(&name).file_stem()?.to_string_lossy().into_owned();
-            let other = listing.photos.get(&name);
-            let other = other.or_else(|| listing.photos.get(&stem).filter(|_| has_photo_ending(path)));
+    /// The photo that a path below `folder` means: itself, or one whose name differs in case or in the form of its
+    /// accents, lacks an ending, or has another one.
+    pub(super) fn photo(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
+        self.file(folder, name).or_else(|| {
+            let (folder, name) = self.parent(folder, name)?;
+            let listing = self.listing(&folder);
+            let key = key(name);
+            let stem = Path::new(&key).file_stem()?.to_str()?;
+            let other = listing.photos.get(&key);
+            let other =
+                other.or_else(|| listing.photos.get(stem).filter(|_| has_photo_ending(Path::new(name))));
             other.map(|name| folder.join(name))
         })
     }
 
-    /// The file that a path means: itself, or one whose name differs in case.
-    pub(super) fn file(&mut self, path: &Path) -> Option<PathBuf> {
+    /// The file that a path below `folder` means: itself, or one whose name differs in case or in the form of its
+    /// accents.
+    pub(super) fn file(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
+        cost::step();
+        if name.len() > MAX_PATH_BYTES {
+            return None;
+        }
+        let path = folder.join(name);
         if path.is_file() {
-            return Some(path.to_owned());
+            return Some(path);
         }
-        self.entry(path).filter(|found| found.is_file())
+        let (folder, name) = self.parent(folder, name)?;
+        self.within(&folder, name).filter(|found| found.is_file())
     }
 
-    fn entry(&mut self, path: &Path) -> Option<PathBuf> {
-        if path.exists() {
-            return Some(path.to_owned());
-        }
-        let (folder, listing) = self.folder_of(path)?;
-        let name = path.file_name()?.to_string_lossy().to_lowercase();
-        listing.names.get(&name).map(|name| folder.join(name))
+    /// The longest end of a path that means a photo below `folder`, and that photo. The whole path is not tried.
+    pub(super) fn photo_by_end<'n>(&mut self, folder: &Path, name: &'n str) -> Option<(&'n str, PathBuf)> {
+        let starts: Vec<usize> = name.rmatch_indices('/').take(MAX_DEPTH).map(|(at, _)| at + 1).collect();
+        starts.into_iter().rev().find_map(|start| {
+            cost::step();
+            let end = &name[start..];
+            // Most ends begin with a folder of another machine. Only those that begin with one of these are looked at.
+            let begins_here = match end.split_once('/') {
+                Some((first, _)) => stays_inside(first) && self.within(folder, first).is_some(),
+                None => true,
+            };
+            let possible = begins_here && end.len() <= MAX_PATH_BYTES && stays_inside(end);
+            possible.then(|| self.photo(folder, end)).flatten().map(|photo| (end, photo))
+        })
     }
 
-    /// The folder of a path as it is written on this disk, and what lies there.
-    fn folder_of(&mut self, path: &Path) -> Option<(PathBuf, &Listing)> {
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty())?;
-        let folder = self.entry(folder)?;
-        let listing = self.folders.entry(folder.clone()).or_insert_with(|| Listing::of(&folder));
-        Some((folder, listing))
+    /// The folder in which the last part of a path lies, as it is written on this disk, and that part.
+    fn parent<'n>(&mut self, folder: &Path, name: &'n str) -> Option<(PathBuf, &'n str)> {
+        let mut parts = Vec::new();
+        for part in Path::new(name).components() {
+            match part {
+                Component::Normal(part) if parts.len() < MAX_DEPTH => parts.push(part.to_str()?),
+                Component::CurDir => {}
+                _ => return None,
+            }
+        }
+        let (last, parents) = parts.split_last()?;
+        let mut place = folder.to_owned();
+        for part in parents {
+            place = self.within(&place, part)?;
+        }
+        Some((place, last))
+    }
+
+    /// What one name means in a folder.
+    fn within(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
+        cost::step();
+        let listing = self.listing(folder);
+        if listing.exact.contains(OsStr::new(name)) {
+            return Some(folder.join(name));
+        }
+        if let Some(name) = listing.names.get(&key(name)) {
+            return Some(folder.join(name));
+        }
+        // A folder may be entered without the right to list it.
+        Some(folder.join(name)).filter(|path| listing.exact.is_empty() && path.exists())
+    }
+
+    fn listing(&mut self, folder: &Path) -> &Listing {
+        self.folders.entry(folder.to_owned()).or_insert_with(|| Listing::of(folder))
+    }
+}
+
+/// What names have in common that mean the same file: without case, accents as one character with their letter. Linux
+/// and Windows write them so, macOS apart.
+fn key(name: &str) -> String {
+    match name.is_ascii() {
+        true => name.to_ascii_lowercase(),
+        false => name.nfc().collect::<String>().to_lowercase().nfc().collect(),
     }
 }
 
@@ -106,14 +188,14 @@ impl Listing {
         };
         all.sort_by_cached_key(|name| (rank(name), name.clone()));
         let (mut names, mut photos) = (HashMap::new(), HashMap::new());
-        for name in all {
-            let lower = name.to_string_lossy().to_lowercase();
-            if let Some(stem) = Path::new(&lower).file_stem().filter(|_| has_photo_ending(Path::new(&lower)))
-            {
+        for name in &all {
+            cost::step();
+            let key = key(&name.to_string_lossy());
+            if let Some(stem) = Path::new(&key).file_stem().filter(|_| has_photo_ending(Path::new(&key))) {
                 photos.entry(stem.to_string_lossy().into_owned()).or_insert_with(|| name.clone());
             }
-            names.entry(lower).or_insert(name);
+            names.entry(key).or_insert_with(|| name.clone());
         }
-        Self { names, photos }
+        Self { exact: all.into_iter().collect(), names, photos }
     }
 }

@@ -33,7 +33,7 @@ pub use stream::{Header, ReadOptions, Scene};
 /// # Errors
 /// [`ashsplat::Error::Io`] when the file cannot be read; [`ashsplat::Error::Input`] when it is no file of Gaussians, is cut short
 /// or damaged, or has unusable parameters (see [`super::ply::read`]) and [`ReadOptions::drop_invalid`] is not
-/// set.
+/// set; [`ashsplat::Error::TooLarge`] when it needs more memory than [`ReadOptions::max_host_memory`].
 pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
     open(path.as_ref(), options)?.collect()
 }
@@ -80,7 +80,7 @@ fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
         Format::Ply => Box::new(ply::GaussianRows::open(path)?),
         Format::CompressedPly => Box::new(ply::CompressedPly::open(path)?),
         Format::Splat => Box::new(dot_splat::DotSplat::open(path)?),
-        Format::Spz => Box::new(spz::Spz::open(path)?),
+        Format::Spz => Box::new(spz::Spz::open(path, options.max_host_memory)?),
         format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format)?),
     };
     Ok(Reader::new(path, source, options))

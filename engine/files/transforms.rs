@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use glam::{Affine3A, Mat3, Vec3};
 use serde_json::Value;
 
-use super::names::{plain, stays_inside};
+use super::names::{ending, plain, stays_inside};
 use super::ply;
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
@@ -145,12 +145,10 @@ fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<Affine
     };
     let named = match &document["ply_file_path"] {
         Value::String(name) => {
-            let file = inside(path, name).ok_or_else(|| {
-                Error::input(
-                    path,
-                    format!("ply_file_path {name:?} leads out of the folder"),
-                    "copy the file into it",
-                )
+            let file = below(name).map(|name| path.parent().unwrap_or(Path::new("")).join(name));
+            let file = file.ok_or_else(|| {
+                let problem = format!("ply_file_path {:?} leads out of the folder", ending(name));
+                Error::input(path, problem, "copy the file into it")
             })?;
             if !file.is_file() {
                 let remedy =
@@ -165,10 +163,9 @@ fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<Affine
     Ok(named.map(|file| (file, applied)))
 }
 
-/// A path below the folder of `file`; None if it leads out of the folder.
-fn inside(file: &Path, name: &str) -> Option<PathBuf> {
-    let name = plain(name);
-    stays_inside(&name).then(|| file.parent().unwrap_or(Path::new("")).join(name))
+/// A plain path below a folder; None if it leads out of the folder.
+fn below(name: &str) -> Option<String> {
+    Some(plain(name)).filter(|name| stays_inside(name))
 }
 
 impl Frame {

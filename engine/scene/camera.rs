@@ -108,11 +108,25 @@ impl Camera {
     ///
     /// Looking straight along `up` is allowed: some other direction is up then.
     pub fn look_at(eye: Vec3, target: Vec3, up: Vec3, intrinsics: Intrinsics) -> Self {
-        let forward = (target - eye).try_normalize().unwrap_or(Vec3::Z);
+        Self::look_from(eye.as_dvec3(), target.as_dvec3(), up.as_dvec3(), intrinsics)
+    }
+
+    /// As [`Camera::look_at`], from numbers of double precision.
+    pub fn look_from(eye: DVec3, target: DVec3, up: DVec3, intrinsics: Intrinsics) -> Self {
+        let forward = (target - eye).try_normalize().unwrap_or(DVec3::Z);
         let right = forward.cross(up).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
         let down = forward.cross(right);
-        let camera_from_world = Mat3::from_cols(right, down, forward).transpose();
-        Self::with_pose(camera_from_world, -(camera_from_world * eye), intrinsics)
+        Self::at(eye, DMat3::from_cols(right, down, forward).transpose(), intrinsics)
+    }
+
+    /// A camera at `position` in the world, with a rotation from world to camera.
+    ///
+    /// The translation is that of the rotation in single precision, and is rounded once: far from the origin, its
+    /// error would be one of the camera's place otherwise.
+    pub fn at(position: DVec3, camera_from_world: DMat3, intrinsics: Intrinsics) -> Self {
+        let camera_from_world = camera_from_world.as_mat3();
+        let translation = -(camera_from_world.as_dmat3() * position);
+        Self::with_pose(camera_from_world, translation.as_vec3(), intrinsics)
     }
 
     /// A camera from its world-to-camera pose.
@@ -130,6 +144,11 @@ impl Camera {
     /// The camera's centre in world coordinates: `-Rᵀ t`.
     pub fn position(&self) -> Vec3 {
         -(self.camera_from_world.transpose() * self.translation)
+    }
+
+    /// The camera's centre from which [`Camera::at`] makes the same translation again, world coordinates.
+    pub fn exact_position(&self) -> DVec3 {
+        -(self.camera_from_world.as_dmat3().inverse() * self.translation.as_dvec3())
     }
 
     /// The viewing direction (+z of the camera) in world coordinates.

@@ -88,6 +88,16 @@ impl Distortion {
         (self.apply(point).distance(distorted) < 1e-6).then_some(point)
     }
 
+    /// Whether the picture turns back on itself between its middle and a point of the image plane: what lies there
+    /// appears twice, and the photo does not tell which one it shows.
+    pub fn folds_before(&self, point: DVec2) -> bool {
+        const STEPS: u32 = 64;
+        let at = |step: u32| point * (f64::from(step) / f64::from(STEPS));
+        // False for NaN as well.
+        let whole = |at: DVec2| self.apply(at).is_finite() && self.jacobian(at).determinant() > 0.0;
+        !(0..=STEPS).all(|step| whole(at(step)))
+    }
+
     /// Derivatives of [`Distortion::apply`], by finite differences.
     fn jacobian(&self, point: DVec2) -> DMat2 {
         let h = 1e-6 * point.length().max(1.0);
@@ -165,7 +175,7 @@ impl Lens {
 
     /// The largest pinhole camera whose image has no blank pixels: the same focal lengths, a smaller or
     /// larger image around the same direction. Equals `UndistortCamera` of COLMAP with its default. `None` if
-    /// the lens sees too much for a plane.
+    /// the lens sees too much for a plane, or folds the picture over within the photo or the pinhole's image.
     pub fn inscribed_pinhole(&self) -> Option<Intrinsics> {
         if !self.is_distorted() {
             return Some(self.intrinsics());
@@ -201,6 +211,18 @@ impl Lens {
             distortion: Distortion::None,
             ..*self
         };
+        let corners = |lens: &Self| {
+            let (w, h) = (f64::from(lens.width), f64::from(lens.height));
+            [[0.5, 0.5], [w - 0.5, 0.5], [0.5, h - 0.5], [w - 0.5, h - 0.5]].map(DVec2::from_array)
+        };
+        let seen = corners(self).map(|at| (ideal(at.x, at.y), self));
+        let shown = corners(&pinhole).map(|at| (Some(at), &pinhole));
+        for (place, camera) in seen.into_iter().chain(shown) {
+            let point = (place? - camera.center_px) / camera.focal_px;
+            if self.distortion.folds_before(point) {
+                return None;
+            }
+        }
         Some(pinhole.intrinsics())
     }
 }

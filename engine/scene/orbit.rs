@@ -1,6 +1,6 @@
 //! A circle of cameras around a point.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use super::camera::{Camera, Intrinsics};
 
@@ -24,15 +24,17 @@ pub struct Orbit {
 impl Orbit {
     /// The cameras, in order; the last is one step before the first again.
     pub fn cameras(&self) -> Vec<Camera> {
-        let up = self.up.try_normalize().unwrap_or(Vec3::NEG_Y);
+        let up = self.up.as_dvec3().try_normalize().unwrap_or(DVec3::NEG_Y);
         let side = up.any_orthonormal_vector();
         let front = up.cross(side);
+        let (center, elevation) = (self.center.as_dvec3(), f64::from(self.elevation));
         (0..self.count)
             .map(|i| {
-                let azimuth = std::f32::consts::TAU * i as f32 / self.count as f32;
+                let azimuth = std::f64::consts::TAU * f64::from(i) / f64::from(self.count);
                 let outward = side * azimuth.cos() + front * azimuth.sin();
-                let direction = outward * self.elevation.cos() + up * self.elevation.sin();
-                Camera::look_at(self.center + direction * self.radius, self.center, up, self.intrinsics)
+                let direction = outward * elevation.cos() + up * elevation.sin();
+                let eye = center + direction * f64::from(self.radius);
+                Camera::look_from(eye, center, up, self.intrinsics)
             })
             .collect()
     }
@@ -74,7 +76,7 @@ impl Orbit {
 
 /// The point with the least sum of squared distances to the cameras' optical axes.
 fn nearest_to_axes(cameras: &[Camera]) -> Option<Vec3> {
-    use glam::{DMat3, DVec3};
+    use glam::DMat3;
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for camera in cameras {
         let d = camera.forward().as_dvec3();

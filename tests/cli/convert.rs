@@ -77,3 +77,21 @@ fn convert_refuses_in_one_line() {
     succeed(&run);
     succeed(&run);
 }
+
+/// Limits of the system and of the command line are errors like others, and the file is named.
+#[cfg(unix)]
+#[test]
+fn limits_of_files_and_memory_are_told() {
+    let folder = tempdir().expect("a temporary folder");
+    let place = |name: &str| folder.path().join(name);
+    let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 3).expect("Gaussians");
+    ashsplat_files::ply::write(place("in.ply"), &gaussians).expect("written");
+    // At most eight blocks of 512 or 1024 bytes.
+    let mut shell = Command::new("sh");
+    shell.args(["-c", "ulimit -f 8; exec \"$0\" \"$@\""]).arg(program().get_program());
+    shell.args(["convert", text(&place("in.ply")), text(&place("out.ply"))]);
+    assert_refused(&finish(&mut shell), &["out.ply: cannot write: File too large"]);
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1);
+    let words = ["in.ply: reading it needs 94400 bytes of host memory, more than 1024 (--max-host-memory)"];
+    refuse(&["info", text(&place("in.ply")), "--max-host-memory", "1K"], &words);
+}

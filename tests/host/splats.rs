@@ -11,8 +11,8 @@ use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, toleran
 
 use super::files::{for_each_mutation, for_each_truncation, names};
 
-const KEEP: ReadOptions = ReadOptions { drop_invalid: false };
-const DROP: ReadOptions = ReadOptions { drop_invalid: true };
+const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: None };
+const DROP: ReadOptions = ReadOptions { drop_invalid: true, max_host_memory: None };
 
 #[test]
 fn every_format_reads_what_it_writes() {

@@ -3,6 +3,8 @@
 use crate::pipeline_cache;
 use ashsplat::Result;
 use ashsplat::vk::{Context, ContextOptions};
+use ashsplat_files::HostMemory;
+use ashsplat_files::splats::ReadOptions;
 use clap::Args;
 
 /// Which device, and how closely it is watched.
@@ -17,6 +19,29 @@ pub struct DeviceArguments {
     /// Most device memory to use, with a unit: 800M, 6G; densification stops growing there [default: what the device has]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub max_memory: Option<u64>,
+    #[command(flatten)]
+    pub host: HostArguments,
+}
+
+/// How much memory of the machine itself is used.
+#[derive(Args, Clone, Copy, Default)]
+pub struct HostArguments {
+    /// Most memory of the machine for reading a scene or decoding photos, with a unit: 800M, 6G; what needs more is refused
+    /// before it is read [default: three quarters of what is free]
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    pub max_host_memory: Option<u64>,
+}
+
+impl HostArguments {
+    /// How a scene is read.
+    pub fn reading(&self, drop_invalid: bool) -> ReadOptions {
+        ReadOptions { drop_invalid, max_host_memory: self.max_host_memory }
+    }
+
+    /// The bound for photos.
+    pub fn memory(&self) -> HostMemory {
+        self.max_host_memory.map(HostMemory::new).unwrap_or_default()
+    }
 }
 
 /// Bytes of a number with a unit: K, M or G, powers of 1024.

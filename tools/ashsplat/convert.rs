@@ -1,10 +1,11 @@
 //! `ashsplat convert`.
 
+use crate::args::HostArguments;
 use crate::progress::thousands;
 use crate::render::parse_vector;
 use ashsplat::scene::{Bounds, Similarity};
 use ashsplat::{Error, Result};
-use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, Target};
+use ashsplat_files::splats::{self, ConvertOptions, Format, Target};
 use clap::Args;
 use glam::{DQuat, EulerRot, Vec3};
 use std::path::PathBuf;
@@ -46,6 +47,8 @@ pub struct Arguments {
     /// Drop the Gaussians whose parameters are not finite, instead of refusing the file
     #[arg(long)]
     drop_invalid: bool,
+    #[command(flatten)]
+    host: HostArguments,
     /// Print only errors
     #[arg(long)]
     quiet: bool,
@@ -116,7 +119,7 @@ impl Arguments {
         let [x, y, z] =
             self.rotate.unwrap_or_default().to_array().map(|degrees| f64::from(degrees).to_radians());
         Ok(ConvertOptions {
-            read: ReadOptions { drop_invalid: self.drop_invalid },
+            read: self.host.reading(self.drop_invalid),
             sh_degree: self.sh_degree,
             min_opacity: self.min_opacity,
             crop_box: self.crop_box,

@@ -172,11 +172,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut data = arguments.data.applied_to(&model.settings.data)?;
     // A bare PLY does not record its split: use the default one.
     data.eval |= model.folder.is_none();
-    let scene = arguments.look.load(&model.ply)?;
+    let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let white = model.settings.train.white_background;
     let context = arguments.device.context()?;
     let stop = session::stop_on_ctrl_c()?;
-    let gallery = session::open(&data, &session::options(&data, white)?, &stop)?;
+    let mut options = session::options(&data, white)?;
+    options.host_memory = arguments.device.host.memory();
+    let gallery = session::open(&data, &options, &stop)?;
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
     let mut renderer = Renderer::new(&context)?;

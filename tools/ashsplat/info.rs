@@ -1,5 +1,6 @@
 //! `ashsplat info`.
 
+use crate::args::HostArguments;
 use crate::config::DataSettings;
 use crate::model::Model;
 use crate::progress::{counting, thousands};
@@ -32,6 +33,8 @@ pub struct Arguments {
     /// Drop the Gaussians whose parameters are not finite, instead of refusing it
     #[arg(long)]
     drop_invalid: bool,
+    #[command(flatten)]
+    host: HostArguments,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -52,7 +55,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return dataset(arguments);
     }
     let model = Model::locate(path, None)?;
-    let scene = splats::read(&model.ply, &splats::ReadOptions { drop_invalid: arguments.drop_invalid })?;
+    let scene = splats::read(&model.ply, &arguments.host.reading(arguments.drop_invalid))?;
     let summary = Summary::of(&scene.gaussians);
     if arguments.json {
         say!("{:#}", summary.json(&model.ply, &scene));
@@ -78,7 +81,8 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         eval: arguments.eval,
         ..Default::default()
     };
-    let options = session::options(&data, false)?;
+    let mut options = session::options(&data, false)?;
+    options.host_memory = arguments.host.memory();
     let bar = counting("checking photos", 0, arguments.quiet);
     let report = |done: usize, total: usize| {
         bar.set_length(total as u64);

@@ -70,7 +70,7 @@ fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let model = Model::locate(&arguments.model, None)?;
-    let scene = arguments.look.load(&model.ply)?;
+    let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let camera = arguments.camera(&model)?;
     let [x, y] = arguments.pixel;
     if x >= camera.width || y >= camera.height {

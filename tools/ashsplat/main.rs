@@ -46,6 +46,7 @@ const FAILURE: u8 = 2;
 const INTERRUPTED: u8 = 130;
 
 fn main() -> ExitCode {
+    survive_file_limits();
     let command = match command_line::parse(std::env::args_os()) {
         Ok(command) => command,
         Err(stop) => return stop,
@@ -57,6 +58,18 @@ fn main() -> ExitCode {
         Err(error) => {
             tell!("error: {}", one_line(&error.to_string()));
             ExitCode::from(FAILURE)
+        }
+    }
+}
+
+/// A file beyond `ulimit -f` is an error of writing like a full disk, and does not end the program.
+fn survive_file_limits() {
+    #[cfg(unix)]
+    {
+        // That it came is all that the handler notes; the system call says the rest.
+        let came = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+        if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, came) {
+            tell!("warning: {error}: a file beyond `ulimit -f` will end the program");
         }
     }
 }

@@ -22,7 +22,7 @@ use std::path::PathBuf;
 use subject::Subject;
 
 /// Nothing is run for a dump.
-const NOT_WITH_DUMP: [&str; 24] = [
+const NOT_WITH_DUMP: [&str; 25] = [
     "what",
     "html",
     "trace",
@@ -47,6 +47,7 @@ const NOT_WITH_DUMP: [&str; 24] = [
     "device",
     "validation",
     "max_memory",
+    "max_host_memory",
 ];
 
 /// Profile one frame or one training step, kernel by kernel.

@@ -1,6 +1,6 @@
 //! `ashsplat render`, and how pictures are asked for on the command line.
 
-use crate::args::DeviceArguments;
+use crate::args::{DeviceArguments, HostArguments};
 use crate::config::{CAMERAS_FILE, Settings};
 use crate::model::Model;
 use crate::{output, session};
@@ -115,8 +115,8 @@ enum ExtentName {
 
 impl LookArguments {
     /// Reads the Gaussians; tells on stderr what was dropped or is odd.
-    pub fn load(&self, path: &Path) -> Result<splats::Scene> {
-        let scene = splats::read(path, &splats::ReadOptions { drop_invalid: self.drop_invalid })?;
+    pub fn load(&self, path: &Path, host: &HostArguments) -> Result<splats::Scene> {
+        let scene = splats::read(path, &host.reading(self.drop_invalid))?;
         if scene.dropped > 0 {
             tell!("{}: dropped {} Gaussians that are not finite", path.display(), scene.dropped);
         }
@@ -162,7 +162,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
     let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
     let model = Model::locate(path, arguments.iteration)?;
-    let scene = arguments.look.load(&model.ply)?;
+    let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let gaussians = &scene.gaussians;
     let cameras = arguments.cameras(&model, gaussians)?;
     let with_depth = arguments.format != Format::Png;

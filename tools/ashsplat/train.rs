@@ -92,6 +92,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let start = arguments.start_checkpoint.as_ref();
     let start = start.map(|asked| Start::read(asked, &settings.data.model_path)).transpose()?;
     let mut options = session::options(&settings.data, settings.train.white_background)?;
+    options.host_memory = arguments.device.host.memory();
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let gallery = session::open(&settings.data, &options, &stop)?;
     let dataset = session::load(&gallery, arguments.quiet, &stop)?;

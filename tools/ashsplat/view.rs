@@ -68,7 +68,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let subject = match &arguments.path {
         Some(path) => {
             let source = arguments.source_path.as_deref();
-            Subject::load(path, source, arguments.iteration, &arguments.look, &stop)?
+            Subject::load(path, source, arguments.iteration, &arguments.look, &arguments.device.host, &stop)?
         }
         None => Subject::nothing(),
     };

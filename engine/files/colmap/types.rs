@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::names::{plain, stays_inside};
+use crate::names::{MAX_PATH_BYTES, ending, plain, stays_inside};
 use ashsplat::{Error, Result};
 
 /// COLMAP's camera models by number: name and number of parameters.
@@ -95,13 +95,19 @@ impl ColmapImage {
     /// The photo's path below the images folder.
     ///
     /// # Errors
-    /// [`Error::Input`] naming `model_file` when the name is absolute or leads out of the folder.
+    /// [`Error::Input`] naming `model_file` when the name is absolute or leads out of the folder, or is longer than
+    /// paths can be.
     pub fn photo_path(&self, images_folder: &Path, model_file: &Path) -> Result<PathBuf> {
+        if self.name.len() > MAX_PATH_BYTES {
+            let problem = format!("image {}: the name has {} bytes", self.id, self.name.len());
+            return Err(Error::input(model_file, problem, format!("{MAX_PATH_BYTES} are possible")));
+        }
         let name = plain(&self.name);
         if stays_inside(&name) {
             return Ok(images_folder.join(name));
         }
-        let problem = format!("image {}: the name {:?} leads out of the images folder", self.id, self.name);
+        let (id, name) = (self.id, ending(&self.name));
+        let problem = format!("image {id}: the name {name:?} leads out of the images folder");
         Err(Error::input(model_file, problem, "names must be paths below the images folder"))
     }
 }

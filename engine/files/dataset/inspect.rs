@@ -1,6 +1,6 @@
 //! Reports all problems of a data set at once.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -10,8 +10,8 @@ use rayon::prelude::*;
 use super::plan::{Plan, PlannedView, check_split};
 use super::unpacked::Unpacked;
 use super::{DatasetOptions, may_lack_points, random_points_instead};
-use crate::colmap;
 use crate::progress::Progress;
+use crate::{colmap, cost};
 use ashsplat::scene::{Bounds, scene_extent};
 use ashsplat::{Error, Result};
 
@@ -42,6 +42,8 @@ pub struct DatasetReport {
     pub problems: Vec<String>,
     /// Warnings that do not prevent training.
     pub warnings: Vec<String>,
+    /// The problems again, to find one among many.
+    known: HashSet<String>,
 }
 
 impl DatasetReport {
@@ -94,7 +96,8 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
 impl DatasetReport {
     /// Notes a problem once: many images share a camera.
     fn problem(&mut self, problem: String) {
-        if !self.problems.contains(&problem) {
+        cost::step();
+        if self.known.insert(problem.clone()) {
             self.problems.push(problem);
         }
     }

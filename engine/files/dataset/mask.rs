@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::host_memory::HostMemory;
 use crate::images::{Photo, header, read_as, undistort};
 use crate::names::{Finder, plain};
 use ashsplat::scene::camera::Intrinsics;
@@ -26,14 +27,19 @@ impl Mask {
     }
 
     /// Reads the mask of a photo of this size. The mask of a larger version of the photo is scaled down.
-    pub(super) fn read(path: &Path, turned: bool, width: u32, height: u32) -> Result<Self> {
+    pub(super) fn read(
+        path: &Path,
+        turned: bool,
+        (width, height): (u32, u32),
+        memory: &HostMemory,
+    ) -> Result<Self> {
         let size = header(path)?.size(turned);
         if !is_enlarged(size, (width, height)) {
             let problem = format!("is {}x{} pixels, its photo {width}x{height}", size.0, size.1);
             let remedy = "masks must have their photo's size, or be larger with the same proportions";
             return Err(Error::input(path, problem, remedy));
         }
-        let (grey, _) = read_as(path, [0.0; 3], turned, size)?;
+        let (grey, _) = read_as(path, [0.0; 3], turned, size, memory)?;
         Ok(Self::of_grey(grey).scaled_to(width, height))
     }
 
@@ -96,11 +102,13 @@ fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
 /// `NAME.png` or, as COLMAP names them, `NAME.jpg.png` in `masks`, or in the masks' folder that belongs to
 /// the photos': `masks_4` with `images_4`.
 pub(super) fn mask_of(dataset: &Path, images: &str, name: &str, finder: &mut Finder) -> Option<PathBuf> {
-    let mut in_folder = |folder: PathBuf| {
-        let whole = folder.join(plain(&format!("{name}.png")));
-        finder.photo(&whole).or_else(|| finder.photo(&folder.join(plain(name)).with_extension("png")))
+    let name = plain(name);
+    let other = Path::new(&name).with_extension("png");
+    let mut in_folder = |folder: &str| {
+        let whole = finder.photo(dataset, &format!("{folder}/{name}.png"));
+        whole.or_else(|| finder.photo(dataset, &format!("{folder}/{}", other.to_str()?)))
     };
-    in_folder(dataset.join(beside(images))).or_else(|| in_folder(dataset.join("masks")))
+    in_folder(&beside(images)).or_else(|| in_folder("masks"))
 }
 
 /// The mask that a `transforms.json` names, or the one in the masks' folder that belongs to the photos'.

@@ -10,7 +10,7 @@ use super::mask::{Mask, mask_in_folder, mask_of};
 use super::{DatasetOptions, View};
 use crate::colmap::{self, ColmapCamera, ColmapImage, Model};
 use crate::images::{Photo, PhotoFileFormat, StoredPhoto, header, read_as, undistort};
-use crate::names::{Finder, count_photos};
+use crate::names::{Finder, count_photos, plain};
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
@@ -18,6 +18,15 @@ use ashsplat::{Error, Result};
 
 /// A camera is a stray if its distance from the middle is this many times the median.
 const STRAY: f32 = 1000.0;
+
+/// Lenses and the pinholes in their place, by what is printed of them: every number differently if it differs.
+type Lenses = BTreeMap<String, (Lens, Option<Intrinsics>)>;
+
+/// What is said of a lens without a pinhole in its place.
+const NO_PINHOLE: &str =
+    "sees too much for a pinhole, or its distortion folds the photo over, so that one place appears twice";
+const NO_PINHOLE_REMEDY: &str =
+    "crop the photos, or compute the camera again with fewer coefficients of distortion";
 
 /// Views, points, and warnings.
 pub(super) struct Plan {
@@ -121,7 +130,7 @@ impl Plan {
         let mut finder = Finder::default();
         let paths = images.iter().map(|image| {
             let path = image.photo_path(&folder, &plan.list)?;
-            Ok(finder.photo(&path).unwrap_or(path))
+            Ok(finder.photo(&folder, &plain(&image.name)).unwrap_or(path))
         });
         let paths: Vec<Result<PathBuf>> = paths.collect();
         let asked = images.iter().zip(&paths).map(|(image, path)| {
@@ -133,8 +142,8 @@ impl Plan {
         let mut view = |((image, photo_path), turned): ((&ColmapImage, Result<PathBuf>), bool)| {
             let camera = model.camera_of(image)?;
             let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
-                let problem = format!("camera {}: sees too much for a pinhole", image.camera_id);
-                return Err(Error::input(model.file("cameras"), problem, "crop the photos"));
+                let problem = format!("camera {}: {NO_PINHOLE}", image.camera_id);
+                return Err(Error::input(model.file("cameras"), problem, NO_PINHOLE_REMEDY));
             };
             let photo_path = photo_path?;
             if !photo_path.is_file() {
@@ -207,7 +216,7 @@ impl Plan {
         let asked = frames.iter().zip(&paths).map(|(frame, path)| (Some(&**path), frame.optics.sides()));
         let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
         plan.warnings.extend(turned.warning(&plan.list));
-        let mut lenses: Vec<(Lens, Option<Intrinsics>)> = Vec::new();
+        let mut lenses = Lenses::new();
         for (index, ((frame, photo_path), turned)) in frames.iter().zip(paths).zip(turned.photos).enumerate()
         {
             let view = plan.frame(frame, photo_path, turned, &mut lenses).map(|view| PlannedView {
@@ -231,7 +240,7 @@ impl Plan {
                 plan.list.display()
             ));
         }
-        if lenses.iter().any(|(lens, _)| lens.is_distorted()) {
+        if lenses.values().any(|(lens, _)| lens.is_distorted()) {
             plan.warnings.push(format!(
                 "{}: the lens has distortion: the photos are undistorted",
                 plan.list.display()
@@ -245,7 +254,7 @@ impl Plan {
         frame: &Frame,
         photo_path: PathBuf,
         turned: bool,
-        lenses: &mut Vec<(Lens, Option<Intrinsics>)>,
+        lenses: &mut Lenses,
     ) -> Result<PlannedView> {
         if !photo_path.is_file() {
             let problem = format!("the photo of frame {} is missing", frame.name);
@@ -267,16 +276,11 @@ impl Plan {
             return Err(problem(what));
         }
         // Frames share a few lenses, and fitting a distorted one is expensive.
-        let pinhole = match lenses.iter().find(|(known, _)| *known == lens) {
-            Some((_, pinhole)) => *pinhole,
-            None => {
-                lenses.push((lens, lens.inscribed_pinhole()));
-                lenses.last().and_then(|(_, pinhole)| *pinhole)
-            }
-        };
+        let known = lenses.entry(format!("{lens:?}"));
+        let pinhole = known.or_insert_with(|| (lens, lens.inscribed_pinhole())).1;
         let kind = if lens.is_distorted() { "distorted" } else { "PINHOLE" };
         *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
-        let pinhole = pinhole.ok_or_else(|| problem("the lens sees too much for a pinhole".into()))?;
+        let pinhole = pinhole.ok_or_else(|| problem(format!("the camera {NO_PINHOLE}")))?;
         let camera = Camera::with_pose(frame.camera_from_world, frame.translation, pinhole);
         if let Some(what) = camera.problem().or_else(|| camera.absurdity()) {
             return Err(problem(what));
@@ -323,8 +327,8 @@ pub(super) fn check_split(list: &Path, held_out: &[bool]) -> Result<()> {
 fn photo_in_folder(path: &Path, frame: &Frame, images: &str, finder: &mut Finder) -> PathBuf {
     match frame.name.strip_prefix("images/") {
         Some(rest) if images != "images" => {
-            let there = path.join(images).join(rest);
-            finder.photo(&there).unwrap_or(there)
+            let folder = path.join(images);
+            finder.photo(&folder, rest).unwrap_or_else(|| folder.join(rest))
         }
         _ => frame.photo_path.clone(),
     }
@@ -339,14 +343,17 @@ impl PlannedView {
     /// The undistorted photo, its mask, and its camera.
     pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Option<Mask>, Camera)> {
         let (lens, pinhole) = self.optics_of_file(options.divisor())?;
+        let memory = &options.host_memory;
         let (width, height) = (lens.width, lens.height);
         let (mut photo, alpha) =
-            read_as(&self.photo_path, options.background(), self.turned, (width, height))?;
+            read_as(&self.photo_path, options.background(), self.turned, (width, height), memory)?;
         let alpha = alpha.filter(|_| self.alpha_is_mask).map(|alpha| Mask::of_alpha(width, height, alpha));
         let mut mask = match (&self.mask_path, alpha) {
             (None, alpha) => alpha,
-            (Some(path), None) => Some(Mask::read(path, self.turned, width, height)?),
-            (Some(path), Some(alpha)) => Some(Mask::read(path, self.turned, width, height)?.and(&alpha)),
+            (Some(path), None) => Some(Mask::read(path, self.turned, (width, height), memory)?),
+            (Some(path), Some(alpha)) => {
+                Some(Mask::read(path, self.turned, (width, height), memory)?.and(&alpha))
+            }
         };
         if lens.is_distorted() {
             mask = mask.map(|mask| mask.undistorted(&lens, &pinhole));

@@ -6,8 +6,9 @@ use std::path::{Component, Path, PathBuf};
 
 use zip::result::ZipError;
 
+use crate::names::{MAX_DEPTH, MAX_PATH_BYTES, ending};
 use crate::progress::Progress;
-use crate::{colmap, transforms};
+use crate::{colmap, cost, transforms};
 use ashsplat::{Error, Result};
 
 /// No honest archive of photos unpacks to more than this many times its size.
@@ -49,6 +50,9 @@ impl Unpacked {
                 remedy: self.name_in(&remedy),
             },
             Error::Io { path, action, source } => Error::Io { path: self.named(&path), action, source },
+            Error::TooLarge { what, needed, unit, limit, limit_name } => {
+                Error::TooLarge { what: self.name_in(&what), needed, unit, limit, limit_name }
+            }
             other => other,
         }
     }
@@ -101,9 +105,12 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
     let mut piece = vec![0; PIECE_BYTES];
     for index in 0..archive.len() {
         progress.check()?;
+        cost::step();
         let mut entry = archive.by_index(index).map_err(|e| damaged(format!("entry {index}"), e))?;
         let name = entry.name().map_err(|e| damaged(format!("entry {index}"), e))?.into_owned();
-        let inside = path_of(&name).ok_or_else(|| refused(format!("{name:?} leads out of the archive")))?;
+        let inside = path_of(&name).ok_or_else(|| {
+            refused(format!("{:?} leads out of the archive, or is of too many folders", ending(&name)))
+        })?;
         if is_clutter(&inside) {
             continue;
         }
@@ -140,6 +147,9 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
 /// The path that an entry's name means; Windows' own separators are among those in use. None where it leads out.
 fn path_of(name: &str) -> Option<PathBuf> {
     let path = PathBuf::from(name.replace('\\', "/"));
+    if name.len() > MAX_PATH_BYTES || path.components().count() > MAX_DEPTH {
+        return None;
+    }
     let inside = |part: Component<'_>| matches!(part, Component::Normal(_) | Component::CurDir);
     (path.components().all(inside) && !name.contains('\0')).then_some(path)
 }

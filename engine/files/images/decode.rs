@@ -5,15 +5,13 @@ use std::io::{Cursor, Read};
 use std::path::Path;
 
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use image::{ColorType, DynamicImage, GrayImage, ImageDecoder, ImageFormat, ImageReader, Limits, RgbImage};
 
-use super::Photo;
+use super::{Photo, jpeg};
+use crate::host_memory::HostMemory;
 use crate::sniff;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
-
-/// Most memory that decoding one picture may take.
-const MAX_DECODE_BYTES: u64 = 2 << 30;
 
 /// Deflate cannot compress further. A PNG with less data per decoded byte is cut short or has a wrong size in
 /// its header.
@@ -86,8 +84,13 @@ pub(super) fn read(
     background: [f32; 3],
     turned: bool,
     expected: Option<(u32, u32)>,
+    memory: &HostMemory,
 ) -> Result<(Photo, Option<Vec<u8>>)> {
+    let io = |source| Error::io(path, "read", source);
+    let file_bytes = fs::metadata(path).map_err(io)?.len();
+    let lease = memory.take(path, file_bytes)?;
     let bytes = read_bytes(path)?;
+    drop(lease);
     let (mut decoder, stored) = decoder(path, &bytes)?;
     let header = Header { stored, orientation: orientation(&mut decoder) };
     let (width, height) = header.size(turned);
@@ -100,26 +103,49 @@ pub(super) fn read(
     let damaged = |e: &dyn std::fmt::Display| {
         Error::input(path, format!("cannot be decoded: {}", one_line(e)), "copy or export the picture again")
     };
+    let (pixels, decoded) = (u64::from(width) * u64::from(height), decoder.total_bytes());
+    let color = decoder.color_type();
+    let png = is_png(&bytes);
+    let outline = if png { jpeg::Outline::default() } else { jpeg::Outline::of(&bytes) };
+    if png && decoded / MAX_DEFLATE_RATIO > file_bytes || !png && !outline.can_hold_its_size() {
+        return Err(damaged(&format!("claims {width}x{height} pixels in {file_bytes} bytes")));
+    }
+    if !png && !outline.complete {
+        return Err(damaged(&"the data end before the picture does"));
+    }
+    // What is decoded, what a decoder holds beside it, and what becomes of it here.
+    let coefficients = if outline.progressive { 2 * decoded } else { 0 };
+    let converted = match color {
+        ColorType::Rgb8 => 0,
+        color if color.has_alpha() => 8 * pixels,
+        _ => 3 * pixels,
+    };
+    let turned_copy = if turned && header.has_orientation() { decoded } else { 0 };
+    let lease = memory.take(path, 2 * file_bytes + decoded + coefficients + converted.max(turned_copy))?;
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_IMAGE_SIDE);
     limits.max_image_height = Some(MAX_IMAGE_SIDE);
-    limits.max_alloc = Some(MAX_DECODE_BYTES);
+    limits.max_alloc = Some(memory.limit());
     decoder.set_limits(limits).map_err(|e| damaged(&e))?;
-    if decoder.total_bytes() > MAX_DECODE_BYTES {
-        return Err(damaged(&format!("{width}x{height} pixels need more than 2 GiB")));
-    }
-    if is_png(&bytes) && decoder.total_bytes() / MAX_DEFLATE_RATIO > bytes.len() as u64 {
-        return Err(damaged(&format!("claims {width}x{height} pixels in {} bytes", bytes.len())));
-    }
-    if !is_png(&bytes) && !jpeg_is_complete(&bytes) {
-        return Err(damaged(&"the data end before the picture does"));
-    }
-    let mut image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(&e))?;
+    let mut image = if png {
+        DynamicImage::from_decoder(decoder).map_err(|e| damaged(&e))?
+    } else {
+        drop(decoder);
+        let grey = color == ColorType::L8;
+        let mut data = vec![0; decoded as usize];
+        jpeg::decode(&bytes, grey, &mut data).map_err(|e| damaged(&e))?;
+        let image = match grey {
+            true => GrayImage::from_raw(width, height, data).map(DynamicImage::from),
+            false => RgbImage::from_raw(width, height, data).map(DynamicImage::from),
+        };
+        image.ok_or_else(|| damaged(&"its colours are of a kind that is not read"))?
+    };
     if turned {
         image.apply_orientation(header.orientation);
     }
     let (width, height) = (image.width(), image.height());
     let (rgb, alpha) = composite(image, background);
+    drop(lease);
     Ok((Photo { width, height, rgb }, alpha))
 }
 
@@ -165,42 +191,6 @@ fn composite(image: DynamicImage, background: [f32; 3]) -> (Vec<u8>, Option<Vec<
         }
     }
     (rgb, Some(alphas))
-}
-
-/// Whether a JPEG reaches its end-of-image marker. Decoders fill a truncated one with grey without an error.
-fn jpeg_is_complete(bytes: &[u8]) -> bool {
-    const START_OF_SCAN: u8 = 0xda;
-    const END_OF_IMAGE: u8 = 0xd9;
-    let mut at = 2;
-    while let Some(&[0xff, marker]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
-        match marker {
-            END_OF_IMAGE => return true,
-            // Fill bytes, and markers without a length.
-            0xff => at += 1,
-            0x01 | 0xd0..=0xd8 => at += 2,
-            _ => {
-                let Some(&length) = bytes.get(at + 2..).and_then(|rest| rest.first_chunk()) else {
-                    return false;
-                };
-                at += 2 + usize::from(u16::from_be_bytes(length)).max(2);
-                if marker == START_OF_SCAN {
-                    at = end_of_scan(bytes, at);
-                }
-            }
-        }
-    }
-    false
-}
-
-/// End of the entropy-coded data from `at`: the next marker that is neither stuffing nor a restart.
-fn end_of_scan(bytes: &[u8], mut at: usize) -> usize {
-    while let Some(&[first, second]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
-        if first == 0xff && !matches!(second, 0x00 | 0xd0..=0xd7 | 0xff) {
-            return at;
-        }
-        at += 1;
-    }
-    bytes.len()
 }
 
 fn one_line(e: &dyn std::fmt::Display) -> String {

@@ -1,10 +1,11 @@
 //! The header of a PLY file: encoding, elements and their properties.
 
+use std::collections::HashSet;
 use std::fmt::Display;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
-use crate::sniff;
+use crate::{cost, sniff};
 use ashsplat::{Error, Result};
 
 /// Limits above any valid header. They bound the memory of parsing.
@@ -122,6 +123,8 @@ pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
         lines: 0,
         text: Vec::new(),
         antialiased: false,
+        element_names: HashSet::new(),
+        property_names: HashSet::new(),
     };
     while !parser.line(reader)? {}
     let encoding = parser.encoding.ok_or_else(|| parser.error("the header has no format line"))?;
@@ -148,6 +151,9 @@ struct Parser<'a> {
     lines: usize,
     text: Vec<u8>,
     antialiased: bool,
+    /// Names of the elements, and of the last one's properties.
+    element_names: HashSet<String>,
+    property_names: HashSet<String>,
 }
 
 impl Parser<'_> {
@@ -215,7 +221,9 @@ impl Parser<'_> {
     }
 
     fn element(&mut self, name: &str, count: &str) -> Result<()> {
-        if self.elements.iter().any(|e| e.name == name) {
+        cost::step();
+        self.property_names.clear();
+        if !self.element_names.insert(name.to_owned()) {
             return Err(self.error(format!("element {name} appears twice")));
         }
         let count = count
@@ -226,9 +234,11 @@ impl Parser<'_> {
     }
 
     fn property(&mut self, kind: Kind, name: &str) -> Result<()> {
+        cost::step();
+        let new = self.property_names.insert(name.to_owned());
         match self.elements.last_mut() {
             None => Err(self.error(format!("property {name} stands before any element"))),
-            Some(element) if element.has(name) => {
+            Some(element) if !new => {
                 let problem = format!("property {name} appears twice in element {}", element.name);
                 Err(self.error(problem))
             }

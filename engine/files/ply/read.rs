@@ -1,5 +1,6 @@
 //! Reading Gaussians and points from PLY files.
 
+use std::collections::HashSet;
 use std::path::Path;
 
 use super::header::Element;
@@ -40,7 +41,7 @@ pub struct PlyScene {
 pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
     let path = path.as_ref();
     let source = Box::new(GaussianRows::open(path)?);
-    let options = ReadOptions { drop_invalid: options.drop_invalid };
+    let options = ReadOptions { drop_invalid: options.drop_invalid, ..ReadOptions::default() };
     let scene = Reader::new(path, source, &options).collect()?;
     Ok(PlyScene {
         gaussians: scene.gaussians,
@@ -158,8 +159,10 @@ impl Layout {
         if let Some(missing) = REQUIRED.iter().find(|name| !element.has(name)) {
             return Err(missing_property(path, element, missing));
         }
-        let rest = element.properties.iter().filter(|p| p.name.starts_with("f_rest_")).count();
-        let gap = (0..rest).find(|i| !element.has(&format!("f_rest_{i}")));
+        let names = element.properties.iter().map(|p| p.name.as_str());
+        let rest: HashSet<&str> = names.filter(|name| name.starts_with("f_rest_")).collect();
+        let gap = (0..rest.len()).find(|i| !rest.contains(format!("f_rest_{i}").as_str()));
+        let rest = rest.len();
         let degree = (0..=MAX_SH_DEGREE).find(|&d| rest == 3 * (sh_coefficients(d) - 1));
         match (gap, degree) {
             (None, Some(sh_degree)) => {

@@ -12,6 +12,7 @@ use accessor::{Accessor, Buffers};
 use document::Document;
 
 use super::{BLOCK, Format, Header, Sink, Source};
+use crate::cost;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::{Gaussians, Similarity};
 use ashsplat::{Error, Result};
@@ -56,14 +57,15 @@ impl Gltf {
         let mut header = Header { format, count: 0, sh_degree: 0, antialiased: false, warnings: Vec::new() };
         let mut parts = Vec::new();
         let (held, mut used) = (buffers.bytes(), 0_u64);
+        let splats: Vec<Vec<Splats<'_>>> = document.meshes.iter().map(Splats::of).collect();
         for (mesh_index, placement) in document.placed_meshes(path)? {
-            let Some(mesh) = document.meshes.get(mesh_index) else {
+            let Some(mesh) = splats.get(mesh_index) else {
                 let problem = format!("a node has mesh {mesh_index}, there are {}", document.meshes.len());
                 return Err(damaged(path, problem));
             };
-            for (index, primitive) in mesh.primitives.iter().enumerate() {
+            for &Splats { index, primitive, extension } in mesh {
+                cost::step();
                 let place = format!("mesh {mesh_index}, primitive {index}");
-                let Some(extension) = primitive.extensions.get(EXTENSION) else { continue };
                 if extension["colorSpace"] == "lin_rec709_display" {
                     let warning =
                         format!("{}: {place}: colours are linear; they are used as they are", path.display());
@@ -108,6 +110,23 @@ impl Gltf {
 
 fn damaged(path: &Path, problem: impl Into<String>) -> Error {
     Error::input(path, problem, "the file is damaged or cut short: write or download it again")
+}
+
+/// A primitive of Gaussians, by its number in its mesh. Many nodes may have the same mesh, with many other primitives.
+struct Splats<'a> {
+    index: usize,
+    primitive: &'a document::Primitive,
+    extension: &'a serde_json::Value,
+}
+
+impl<'a> Splats<'a> {
+    fn of(mesh: &'a document::Mesh) -> Vec<Self> {
+        let own = |(index, primitive): (usize, &'a document::Primitive)| {
+            cost::step();
+            Some(Self { index, primitive, extension: primitive.extensions.get(EXTENSION)? })
+        };
+        mesh.primitives.iter().enumerate().filter_map(own).collect()
+    }
 }
 
 /// The attributes of one primitive.

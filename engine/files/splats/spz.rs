@@ -8,6 +8,7 @@ use flate2::bufread::GzDecoder;
 
 use super::spz_pack::{MIRRORED, PLANES, Packing};
 use super::{BLOCK, Format, Header, Sink, Source};
+use crate::host_memory;
 use ashsplat::{Error, Result};
 
 /// "NGSP" as a little-endian number.
@@ -44,11 +45,11 @@ struct Head {
 }
 
 impl Spz {
-    pub(super) fn open(path: &Path) -> Result<Self> {
+    pub(super) fn open(path: &Path, max_host_memory: Option<u64>) -> Result<Self> {
         let io = |source| Error::io(path, "read", source);
         let file = File::open(path).map_err(io)?;
         let bytes = file.metadata().map_err(io)?.len();
-        let mut open = Open { path: path.to_owned(), bytes, reader: BufReader::new(file) };
+        let mut open = Open { path: path.to_owned(), bytes, reader: BufReader::new(file), max_host_memory };
         let mut start = Vec::new();
         open.reader.by_ref().take(4).read_to_end(&mut start).map_err(io)?;
         open.reader.rewind().map_err(io)?;
@@ -75,12 +76,17 @@ impl Source for Spz {
         }
         Ok(())
     }
+
+    fn held_bytes(&self) -> u64 {
+        self.planes.iter().map(|plane| plane.len() as u64).sum()
+    }
 }
 
 struct Open {
     path: PathBuf,
     bytes: u64,
     reader: BufReader<File>,
+    max_host_memory: Option<u64>,
 }
 
 impl Open {
@@ -117,6 +123,7 @@ impl Open {
                 format!("the header says {count} Gaussians, which {} bytes cannot hold", self.bytes);
             return Err(self.damaged(problem));
         }
+        host_memory::check(&self.path, needed, self.max_host_memory)?;
         Ok(Head { packing, count, flags: bytes[14] })
     }
 

@@ -1,6 +1,7 @@
 //! Writing SPZ, version 4.
 
-use std::io::Write;
+use std::fs::File;
+use std::io::{self, BufWriter, Seek, Write};
 use std::path::Path;
 
 use super::spz::{FLAG_ANTIALIASED, HEADER_BYTES, MAGIC};
@@ -38,22 +39,31 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
         sh_degree: outline.sh_degree,
         fractional_bits: fractional_bits(path, outline)?,
     };
-    let encoder = || zstd::stream::write::Encoder::new(Vec::new(), LEVEL).map_err(io);
-    let mut encoders = (0..PLANES).map(|_| encoder()).collect::<Result<Vec<_>>>()?;
+    // An encoder takes far more memory than what it writes: one at a time. Until its turn comes, a plane lies in a file.
+    let room = std::env::temp_dir();
+    let temporary = |source| Error::io(&room, "write a temporary file", source);
+    let files = (0..PLANES).map(|_| tempfile::tempfile().map_err(temporary));
+    let mut files: Vec<BufWriter<File>> =
+        files.map(|file| file.map(BufWriter::new)).collect::<Result<_>>()?;
     let mut planes: [Vec<u8>; PLANES] = Default::default();
     produce(&mut |mut block| {
         block.mirror(MIRRORED);
         planes.iter_mut().for_each(Vec::clear);
         packing.pack(&block, &mut planes);
-        encoders.iter_mut().zip(&planes).try_for_each(|(encoder, plane)| encoder.write_all(plane).map_err(io))
+        files.iter_mut().zip(&planes).try_for_each(|(file, plane)| file.write_all(plane).map_err(temporary))
     })?;
+    drop(planes);
     let mut streams = Vec::new();
-    for (encoder, row_bytes) in encoders.into_iter().zip(packing.row_bytes()) {
-        let packed = encoder.finish().map_err(io)?;
+    for (file, row_bytes) in files.into_iter().zip(packing.row_bytes()) {
         // Planes without data have no stream.
-        if outline.count * row_bytes as u64 > 0 {
-            streams.push((packed, outline.count * row_bytes as u64));
+        if outline.count * row_bytes as u64 == 0 {
+            continue;
         }
+        let mut file = file.into_inner().map_err(|e| temporary(e.into_error()))?;
+        file.rewind().map_err(temporary)?;
+        let mut encoder = zstd::stream::write::Encoder::new(Vec::new(), LEVEL).map_err(io)?;
+        io::copy(&mut file, &mut encoder).map_err(temporary)?;
+        streams.push((encoder.finish().map_err(io)?, outline.count * row_bytes as u64));
     }
     atomic::write(path, |writer| {
         writer.write_all(&MAGIC.to_le_bytes())?;

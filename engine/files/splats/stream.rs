@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::format::Format;
 use super::validation::Unusable;
+use crate::host_memory;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
@@ -35,6 +36,8 @@ pub struct Header {
 pub struct ReadOptions {
     /// Drop Gaussians with unusable parameters instead of refusing the file.
     pub drop_invalid: bool,
+    /// Bytes of memory that reading may take at most; none: three quarters of what the machine has left.
+    pub max_host_memory: Option<u64>,
 }
 
 /// Gaussians from a file, and the number of dropped ones.
@@ -98,6 +101,11 @@ pub(crate) trait Source {
     /// Passes all Gaussians to the sink, usable or not. Called once.
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()>;
 
+    /// Bytes that it holds in memory.
+    fn held_bytes(&self) -> u64 {
+        0
+    }
+
     /// Name of one Gaussian in messages about the file.
     fn row_name(&self) -> &'static str {
         "Gaussian"
@@ -147,6 +155,9 @@ impl<'a> Reader<'a> {
         // The header's count was checked against the file's size. Rows still take more memory than packed ones,
         // and glTF may repeat the same ones a limited number of times.
         let capacity = usize::try_from(header.count).unwrap_or(0);
+        let row = size_of::<f32>() * (11 + 3 * sh_coefficients(header.sh_degree));
+        let needed = header.count.saturating_mul(row as u64).saturating_add(self.source.held_bytes());
+        host_memory::check(&self.path, needed, self.options.max_host_memory)?;
         let mut gaussians = Gaussians::with_capacity(header.sh_degree, capacity);
         let dropped = self.blocks(&mut |block| {
             gaussians.append(&block);

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec3, Mat3, Vec3, dvec2};
 use serde_json::Value;
 
-use super::inside;
+use super::below;
 use super::split::{Part, Split};
-use crate::names::{Finder, has_photo_ending, plain};
+use crate::names::{Finder, MAX_PATH_BYTES, ending, has_photo_ending, plain, stays_inside};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::lens::{Distortion, Lens};
 use ashsplat::{Error, Result};
@@ -163,8 +163,10 @@ impl Reader<'_> {
         let (name, photo_path, led_out) = self.photo(file_path)?;
         let mask_path = match self.frame["mask_path"].as_str() {
             Some(name) => {
-                let path = inside(self.path, name).ok_or_else(|| self.leaves(name))?;
-                Some(self.finder.borrow_mut().file(&path).unwrap_or(path))
+                self.check_length("mask_path", name)?;
+                let name = below(name).ok_or_else(|| self.leaves(name))?;
+                let found = self.finder.borrow_mut().file(self.folder(), &name);
+                Some(found.unwrap_or_else(|| self.folder().join(name)))
             }
             None => None,
         };
@@ -175,29 +177,39 @@ impl Reader<'_> {
         Ok((frame, led_out))
     }
 
+    fn folder(&self) -> &Path {
+        self.path.parent().unwrap_or(Path::new(""))
+    }
+
+    fn check_length(&self, key: &str, name: &str) -> Result<()> {
+        match name.len() > MAX_PATH_BYTES {
+            true => {
+                Err(self
+                    .error(format!("{key} is a path of {} bytes; {MAX_PATH_BYTES} are possible", name.len())))
+            }
+            false => Ok(()),
+        }
+    }
+
     fn leaves(&self, name: &str) -> Error {
+        let name = ending(name);
         self.error(format!("the path {name:?} leads out of the folder, and nothing in it has that name"))
     }
 
     /// The photo's name and path, and whether the name led out of the folder. A missing file without an
     /// extension is assumed to be a PNG.
     fn photo(&self, named: &str) -> Result<(String, PathBuf, bool)> {
+        self.check_length("file_path", named)?;
         let mut finder = self.finder.borrow_mut();
         let mut name = plain(named);
-        let within = inside(self.path, &name);
-        let led_out = within.is_none();
-        let found = match within {
-            Some(path) => finder.photo(&path).unwrap_or(path),
-            None => {
+        let led_out = !stays_inside(&name);
+        let found = match led_out {
+            false => finder.photo(self.folder(), &name).unwrap_or_else(|| self.folder().join(&name)),
+            true => {
                 // A path from another machine or folder: the photos have the same names here.
-                let parts: Vec<&str> = name.split('/').collect();
-                let tails = (1..parts.len()).map(|first| parts[first..].join("/"));
-                let found = tails.into_iter().find_map(|tail| {
-                    let path = finder.photo(&inside(self.path, &tail)?)?;
-                    Some((tail, path))
-                });
-                let (tail, path) = found.ok_or_else(|| self.leaves(named))?;
-                name = tail;
+                let found = finder.photo_by_end(self.folder(), &name);
+                let (end, path) = found.ok_or_else(|| self.leaves(named))?;
+                name = end.to_owned();
                 path
             }
         };
@@ -217,9 +229,8 @@ impl Reader<'_> {
         if value.is_null() {
             return Err(self.error("has no transform_matrix"));
         }
-        let rows = matrix(value).filter(|_| value.as_array().is_some_and(|rows| rows.len() == 4));
-        let Some(rows) = rows else {
-            return Err(self.error("transform_matrix is not of 4 rows of 4 finite numbers"));
+        let Some(rows) = matrix(value) else {
+            return Err(self.error("transform_matrix is not of 3 or 4 rows of 4 finite numbers"));
         };
         let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
         let axes = DMat3::from_cols(column(0), column(1), column(2));

@@ -50,7 +50,7 @@ fuzz_target!(init: seeds(), |data: &[u8]| {
         std::fs::write(&path, bytes).expect("written");
     }
     for drop_invalid in [false, true] {
-        match splats::read(&path, &ReadOptions { drop_invalid }) {
+        match splats::read(&path, &ReadOptions { drop_invalid, ..Default::default() }) {
             Ok(scene) => scene.gaussians.check_shapes().expect("shapes that fit together"),
             Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
         }

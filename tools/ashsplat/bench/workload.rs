@@ -127,7 +127,9 @@ impl SceneArguments {
         let mut scene = match (&self.dataset, &self.scene) {
             (Some(dataset), trained) => self.of_dataset(dataset, trained.as_deref(), training)?,
             (None, Some(trained)) => {
-                let gaussians = splats::read(trained, &splats::ReadOptions { drop_invalid: true })?.gaussians;
+                let gaussians =
+                    splats::read(trained, &splats::ReadOptions { drop_invalid: true, ..Default::default() })?
+                        .gaussians;
                 let camera = match &self.camera {
                     Some(place) => named_camera(place)?,
                     None => overview(&gaussians),
@@ -192,7 +194,8 @@ impl SceneArguments {
         let gaussians = match (trained, points) {
             (Some(trained), _) => {
                 source = format!("{} in {source}", trained.display());
-                splats::read(trained, &splats::ReadOptions { drop_invalid: true })?.gaussians
+                splats::read(trained, &splats::ReadOptions { drop_invalid: true, ..Default::default() })?
+                    .gaussians
             }
             (None, points) => {
                 ashsplat_files::initial_gaussians(&points.unwrap_or_default(), self.synthetic.sh_degree())?

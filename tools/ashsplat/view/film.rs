@@ -102,9 +102,8 @@ fn cameras(request: &FilmRequest) -> Result<Vec<Camera>> {
     let frames = frames as u32;
     let rotations = keys.iter().map(|key| {
         let rotation = Mat3::from_cols_array_2d(&key.rotation).transpose();
-        let position = Vec3::from_array(key.position);
-        let intrinsics = from_fov_y(key.fov_y, *width, *height);
-        let camera = Camera::with_pose(rotation, -(rotation * position), intrinsics);
+        let position = Vec3::from_array(key.position).as_dvec3();
+        let camera = Camera::at(position, rotation.as_dmat3(), from_fov_y(key.fov_y, *width, *height));
         CameraMessage::of(&camera).camera()?;
         Ok(Quat::from_mat3(&rotation))
     });
@@ -117,8 +116,8 @@ fn cameras(request: &FilmRequest) -> Result<Vec<Camera>> {
         let span = (at as usize).min(spans - 1);
         let key = interpolate(keys, &rotations, span, at - span as f32, *closed);
         let rotation = Mat3::from_cols_array_2d(&key.rotation).transpose();
-        let position = Vec3::from_array(key.position);
-        Camera::with_pose(rotation, -(rotation * position), from_fov_y(key.fov_y, *width, *height))
+        let position = Vec3::from_array(key.position).as_dvec3();
+        Camera::at(position, rotation.as_dmat3(), from_fov_y(key.fov_y, *width, *height))
     };
     Ok((0..frames).map(camera).collect())
 }

@@ -2,6 +2,7 @@
 
 use super::photos::Photos;
 use super::protocol::CameraMessage;
+use crate::args::HostArguments;
 use crate::config::{CAMERAS_FILE, DataSettings};
 use crate::model::Model;
 use crate::render::{self, LookArguments};
@@ -56,13 +57,14 @@ impl Subject {
         source: Option<&Path>,
         iteration: Option<u32>,
         look: &LookArguments,
+        host: &HostArguments,
         stop: &AtomicBool,
     ) -> Result<Subject> {
         if session::is_dataset(path) {
             return Subject::of_dataset(path, stop);
         }
         let model = Model::locate(path, iteration)?;
-        let scene = look.load(&model.ply)?;
+        let scene = look.load(&model.ply, host)?;
         let mut data = model.settings.data.clone();
         if let Some(source) = source {
             data.source_path = source.to_owned();

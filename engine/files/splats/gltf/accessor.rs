@@ -9,6 +9,9 @@ use std::path::PathBuf;
 use super::document::Document;
 use ashsplat::{Error, Result};
 
+/// Largest stride that glTF has, bytes.
+const MAX_STRIDE: u64 = 252;
+
 /// The open buffers.
 pub(super) struct Buffers(pub(super) Vec<Buffer>);
 
@@ -120,6 +123,10 @@ impl Accessor {
             buffers.0.get(view.buffer).ok_or_else(|| format!("buffer {} is missing", view.buffer))?;
         let row = components as u64 * size;
         let stride = view.byte_stride.unwrap_or(row);
+        // Rows that lie far apart would let many primitives read the whole file for little.
+        if stride > MAX_STRIDE {
+            return Err(format!("its buffer view has a stride of {stride} bytes; {MAX_STRIDE} are possible"));
+        }
         let needed = match accessor.count {
             0 => Some(accessor.byte_offset),
             count => (count - 1)

@@ -13,6 +13,7 @@ use serde_json::Value;
 
 use super::accessor::{Buffer, Buffers};
 use super::{Format, damaged};
+use crate::cost;
 use ashsplat::scene::Similarity;
 use ashsplat::{Error, Result};
 
@@ -135,16 +136,21 @@ impl Document {
         if self.nodes.is_empty() {
             return Ok((0..self.meshes.len()).map(|mesh| (mesh, Similarity::default())).collect());
         }
-        let is_child = |index: usize| self.nodes.iter().any(|node| node.children.contains(&index));
+        let mut is_child = vec![false; self.nodes.len()];
+        for &child in self.nodes.iter().flat_map(|node| &node.children) {
+            cost::step();
+            is_child.get_mut(child).into_iter().for_each(|known| *known = true);
+        }
         let roots = match self.scenes.get(self.scene.unwrap_or(0)) {
             Some(scene) => scene.nodes.clone(),
-            None => (0..self.nodes.len()).filter(|&index| !is_child(index)).collect(),
+            None => (0..self.nodes.len()).filter(|&index| !is_child[index]).collect(),
         };
         let mut placed = Vec::new();
         let mut open: Vec<(usize, Similarity)> =
             roots.iter().rev().map(|&root| (root, Similarity::default())).collect();
         let mut seen = vec![false; self.nodes.len()];
         while let Some((index, parent)) = open.pop() {
+            cost::step();
             let node =
                 self.nodes.get(index).ok_or_else(|| damaged(path, format!("node {index} is missing")))?;
             if std::mem::replace(&mut seen[index], true) {

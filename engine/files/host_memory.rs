@@ -1,0 +1,184 @@
+//! How much host memory reading may take at a time, and what the machine has.
+
+use std::path::Path;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+
+use ashsplat::{Error, Result};
+
+/// The bound where the system does not tell what it has.
+const UNKNOWN: u64 = 4 << 30;
+
+/// Share of the machine's free memory that reading may take: other programs, and what is kept, need some too.
+const SHARE: (u64, u64) = (3, 4);
+
+/// A bound of the host memory that files take while they are decoded. Clones share it: what one thread uses, the others
+/// cannot.
+#[derive(Clone, Debug)]
+pub struct HostMemory(Arc<State>);
+
+#[derive(Debug)]
+struct State {
+    limit: u64,
+    used: Mutex<u64>,
+    freed: Condvar,
+}
+
+impl PartialEq for HostMemory {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.limit == other.0.limit
+    }
+}
+
+impl Default for HostMemory {
+    /// Three quarters of what the machine has left.
+    fn default() -> Self {
+        Self::new(available())
+    }
+}
+
+impl HostMemory {
+    /// A bound of so many bytes.
+    pub fn new(limit: u64) -> Self {
+        Self(Arc::new(State { limit, used: Mutex::new(0), freed: Condvar::new() }))
+    }
+
+    /// The bound, bytes.
+    pub fn limit(&self) -> u64 {
+        self.0.limit
+    }
+
+    /// Reserves memory for reading a file; waits while others have it. The holder must not wait for other threads.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] when it exceeds the bound, or the system does not give as much.
+    pub(crate) fn take(&self, path: &Path, bytes: u64) -> Result<Lease> {
+        let Self(state) = self;
+        if bytes > state.limit {
+            return Err(too_large(path, bytes, state.limit, "--max-host-memory"));
+        }
+        let used = state.used.lock().unwrap_or_else(PoisonError::into_inner);
+        let enough = |used: &mut u64| bytes > state.limit - (*used).min(state.limit);
+        let mut used = state.freed.wait_while(used, enough).unwrap_or_else(PoisonError::into_inner);
+        // Decoders end the program when they get no memory. Asked here, the system can say no.
+        let mut trial: Vec<u8> = Vec::new();
+        if usize::try_from(bytes).map_or(true, |bytes| trial.try_reserve_exact(bytes).is_err()) {
+            return Err(too_large(path, bytes, available(), "what the system has left"));
+        }
+        *used += bytes;
+        Ok(Lease { state: state.clone(), bytes })
+    }
+}
+
+/// Refuses a file that needs more than a bound, before memory is reserved for it.
+pub(crate) fn check(path: &Path, bytes: u64, limit: Option<u64>) -> Result<()> {
+    HostMemory::new(limit.unwrap_or_else(available)).take(path, bytes).map(drop)
+}
+
+fn too_large(path: &Path, needed: u64, limit: u64, limit_name: &'static str) -> Error {
+    let what = format!("{}: reading it", path.display());
+    Error::TooLarge { what, needed, unit: "bytes of host memory", limit, limit_name }
+}
+
+/// Memory that is in use as long as the value lives.
+#[derive(Debug)]
+pub(crate) struct Lease {
+    state: Arc<State>,
+    bytes: u64,
+}
+
+impl Drop for Lease {
+    fn drop(&mut self) {
+        *self.state.used.lock().unwrap_or_else(PoisonError::into_inner) -= self.bytes;
+        self.state.freed.notify_all();
+    }
+}
+
+/// Three quarters of the least that the machine, the groups of this process and its own limit leave, bytes.
+fn available() -> u64 {
+    let text = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
+    let machine = kib_of(&text("/proc/meminfo"), "MemAvailable:");
+    let own = address_space(&text("/proc/self/limits"))
+        .map(|most| most.saturating_sub(kib_of(&text("/proc/self/status"), "VmSize:").unwrap_or(0)));
+    let groups = group_folders(&text("/proc/self/cgroup"));
+    let left = |(folder, names): &(String, [&str; 2])| {
+        let [most, used] = names.map(|name| text(&format!("{folder}/{name}")).trim().parse::<u64>().ok());
+        Some(most?.saturating_sub(used?))
+    };
+    let least = groups.iter().filter_map(left).chain(machine).chain(own).min().unwrap_or(UNKNOWN);
+    least / SHARE.1 * SHARE.0
+}
+
+/// A number in a file with one `name: number kB` in each line, bytes.
+fn kib_of(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find(|line| line.starts_with(name))?;
+    line.split_ascii_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1 << 10)
+}
+
+/// What `ulimit -v` allows, bytes; none if it is unlimited.
+fn address_space(limits: &str) -> Option<u64> {
+    let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
+    line.split_ascii_whitespace().next()?.parse().ok()
+}
+
+/// The control groups of this process and those above them, with the names of their files for limit and use. Version 2
+/// has one hierarchy (`0::/path`), version 1 one for memory. Within a container the path may not be there, only its
+/// root.
+fn group_folders(cgroup: &str) -> Vec<(String, [&'static str; 2])> {
+    let mut folders = Vec::new();
+    for line in cgroup.lines() {
+        let mut fields = line.splitn(3, ':').skip(1);
+        let (Some(kinds), Some(path)) = (fields.next(), fields.next()) else { continue };
+        let (root, names) = match kinds {
+            "" => ("/sys/fs/cgroup", ["memory.max", "memory.current"]),
+            kinds if kinds.split(',').any(|kind| kind == "memory") => {
+                ("/sys/fs/cgroup/memory", ["memory.limit_in_bytes", "memory.usage_in_bytes"])
+            }
+            _ => continue,
+        };
+        let above = Path::new(path).ancestors().map(|path| path.to_string_lossy().into_owned());
+        folders.extend(above.map(|path| (format!("{root}{}", path.trim_end_matches('/')), names)));
+    }
+    folders
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_system_tells_is_understood() {
+        assert_eq!(kib_of("MemTotal: 9 kB\nMemAvailable:   12 kB\n", "MemAvailable:"), Some(12 << 10));
+        let limits =
+            |value: &str| address_space(&format!("Limit\nMax address space   {value}   {value}   bytes\n"));
+        assert_eq!((limits("4096"), limits("unlimited")), (Some(4096), None));
+        let version2 = ["memory.max", "memory.current"];
+        let version1 = ["memory.limit_in_bytes", "memory.usage_in_bytes"];
+        let folders = group_folders("5:cpu:/a\n4:memory:/b\n0::/c/d\n");
+        let expected = [
+            ("/sys/fs/cgroup/memory/b", version1),
+            ("/sys/fs/cgroup/memory", version1),
+            ("/sys/fs/cgroup/c/d", version2),
+            ("/sys/fs/cgroup/c", version2),
+            ("/sys/fs/cgroup", version2),
+        ];
+        assert_eq!(folders, expected.map(|(path, names)| (path.to_owned(), names)));
+    }
+
+    #[test]
+    fn a_bound_is_shared_and_given_back() {
+        let memory = HostMemory::new(100);
+        let path = Path::new("a.png");
+        let message = memory.take(path, 101).expect_err("too much").to_string();
+        assert_eq!(
+            message,
+            "a.png: reading it needs 101 bytes of host memory, more than 100 (--max-host-memory)"
+        );
+        let lease = memory.take(path, 60).expect("fits");
+        let other = memory.clone();
+        let thread = std::thread::spawn(move || other.take(Path::new("b.png"), 50).map(drop));
+        drop(lease);
+        thread.join().expect("ends").expect("fits");
+        let all = HostMemory::new(u64::MAX).take(path, u64::MAX >> 1).expect_err("more than there is");
+        assert!(all.to_string().contains("what the system has left"), "{all}");
+    }
+}

@@ -1,0 +1,137 @@
+//! Files of Gaussians, points, cameras; archives.
+
+use std::io::Write;
+use std::path::Path;
+
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud};
+use glam::Vec3;
+use serde_json::{Value, json};
+
+use super::assert_linear;
+use crate::colmap::{self, ColmapCamera, ColmapImage, Model};
+use crate::splats::{self, ReadOptions, WriteOptions};
+use crate::{cameras_json, cost, ply};
+
+fn gaussians(count: usize) -> Gaussians {
+    let place = |index: usize| [index as f32 * 0.01, (index % 7) as f32, 1.0];
+    Gaussians {
+        sh_degree: 1,
+        means: (0..count).map(place).collect(),
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
+        log_scales: vec![[-3.0; 3]; count],
+        opacity_logits: vec![0.5; count],
+        sh: vec![[0.1; 3]; 4 * count],
+    }
+}
+
+/// A reader that has no steps of its own to count: its bytes.
+fn read(path: &Path) -> Result<splats::Scene, String> {
+    cost::step();
+    splats::read(path, &ReadOptions::default()).map_err(|error| error.to_string())
+}
+
+#[test]
+fn gaussians_of_every_format() {
+    for name in ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf"] {
+        let write = |folder: &Path, size: usize| {
+            splats::write(folder.join(name), &gaussians(size), &WriteOptions::default()).unwrap();
+        };
+        assert_linear(40_000, write, |folder| {
+            read(&folder.join(name)).unwrap();
+        });
+    }
+}
+
+fn glb(path: &Path, document: &Value) {
+    let mut json = document.to_string().into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let mut bytes = b"glTF".to_vec();
+    for word in [2, 20 + json.len() as u32, json.len() as u32, 0x4e4f_534a] {
+        bytes.extend(word.to_le_bytes());
+    }
+    bytes.extend(json);
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// Each node is the child of the one before; no scene says where to begin.
+#[test]
+fn chains_of_nodes() {
+    let write = |folder: &Path, size: usize| {
+        let nodes: Vec<Value> =
+            (1..=size).map(|next| json!({ "children": [next] })).chain([json!({})]).collect();
+        glb(&folder.join("a.glb"), &json!({ "nodes": nodes }));
+    };
+    assert_linear(15_000, write, |folder| {
+        assert!(read(&folder.join("a.glb")).unwrap_err().contains("has no Gaussians"));
+    });
+}
+
+#[test]
+fn many_nodes_with_one_mesh_of_many_primitives() {
+    let write = |folder: &Path, size: usize| {
+        let nodes = vec![json!({ "mesh": 0 }); size];
+        let primitives = vec![json!({ "attributes": {} }); size];
+        let document = json!({ "nodes": nodes, "meshes": [{ "primitives": primitives }] });
+        glb(&folder.join("a.glb"), &document);
+    };
+    assert_linear(2000, write, |folder| {
+        assert!(read(&folder.join("a.glb")).unwrap_err().contains("has no Gaussians"));
+    });
+}
+
+#[test]
+fn many_properties_and_elements() {
+    let header = |lines: String| format!("ply\nformat ascii 1.0\n{lines}end_header\n");
+    let property = |index: usize| format!("property float f_rest_{index}\n");
+    let properties =
+        |size: usize| header("element vertex 0\n".to_owned() + &(0..size).map(property).collect::<String>());
+    let elements = |size: usize| header((0..size).map(|index| format!("element e{index} 0\n")).collect());
+    for text in [&properties as &dyn Fn(usize) -> String, &elements] {
+        let write = |folder: &Path, size: usize| std::fs::write(folder.join("a.ply"), text(size)).unwrap();
+        assert_linear(4000, write, |folder| {
+            read(&folder.join("a.ply")).unwrap_err();
+        });
+    }
+}
+
+fn camera() -> Camera {
+    let intrinsics = Intrinsics { fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.0, width: 4, height: 2 };
+    Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, intrinsics)
+}
+
+#[test]
+fn models_and_lists_of_cameras() {
+    let camera = camera();
+    let write = |folder: &Path, size: usize| {
+        let images: Vec<_> =
+            (0..size as u32).map(|id| ColmapImage::posed(id, id, format!("{id}.png"), &camera)).collect();
+        let cameras: Vec<_> = (0..size as u32).map(|id| ColmapCamera::pinhole(id, &camera)).collect();
+        let points = PointCloud { positions: vec![[0.5; 3]; size], colors: vec![[9; 3]; size] };
+        colmap::write(folder.join("sparse/0"), &cameras, &images, &points).unwrap();
+        ply::write_points(folder.join("a.ply"), &points).unwrap();
+        cameras_json::write(folder.join("cameras.json"), images.iter().map(|i| (i.name.as_str(), &camera)))
+            .unwrap();
+    };
+    assert_linear(2000, write, |folder| {
+        cost::step();
+        let model = Model::of_dataset(folder).unwrap();
+        assert!(model.images.iter().all(|image| model.camera_of(image).is_ok()));
+        cameras_json::read(folder.join("cameras.json")).unwrap();
+        ply::read_points(folder.join("a.ply")).unwrap();
+    });
+}
+
+#[test]
+fn archives_of_many_files() {
+    let write = |folder: &Path, size: usize| {
+        let mut archive = zip::ZipWriter::new(std::fs::File::create(folder.join("a.zip")).unwrap());
+        for index in 0..size {
+            archive.start_file(format!("a/{index}.txt"), zip::write::SimpleFileOptions::default()).unwrap();
+            archive.write_all(b"text").unwrap();
+        }
+        archive.finish().unwrap();
+    };
+    assert_linear(300, write, |folder| {
+        assert!(!super::inspect(&folder.join("a.zip")).is_sound());
+    });
+}
