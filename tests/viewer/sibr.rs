@@ -64,8 +64,10 @@ fn viewer_keeps_no_sibr_waiting_for_silent_clients() {
 
 #[test]
 fn viewer_speaks_sibrs_protocol() {
-    let training =
-        Training::start(&["1000000", "--view=0", "--ip", "127.0.0.1", "--port", "0"], "network viewer");
+    // Without an address it is for this machine alone.
+    let training = Training::start(&["1000000", "--view=0", "--ip", "--port", "0"], "network viewer");
+    let said = training.server.said.last().expect("its address");
+    assert!(said.starts_with("network viewer at 127.0.0.1:"), "{said}");
     let mut remote = Remote::connect(&training);
     // Without a size, only the path.
     let mut nothing = of_camera(&camera(0.0), true);

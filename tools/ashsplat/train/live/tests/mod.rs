@@ -1,48 +1,11 @@
 //! A viewer's failures are its own.
 
 use super::*;
-use crate::config::Settings;
-use crate::train::tests::dataset;
-use crate::view::protocol::{CameraMessage, Look, ViewRequest};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
 use ashsplat::trainer::{TrainSettings, TrainView};
-use ashsplat::vk::{ContextOptions, Fault, Faults};
+use ashsplat::vk::ContextOptions;
 use ashsplat_files::Photo;
 use glam::Vec3;
-
-fn any_port() -> LiveArguments {
-    let view_host = "127.0.0.1".into();
-    LiveArguments { view: Some(0), view_host, view_token: None, view_share: 0.2, ip: None, port: 0 }
-}
-
-/// A picture for a page that takes too long is the viewer's end, and not the training's.
-#[test]
-fn a_viewer_that_fails_ends_alone() {
-    let faults = Faults::new();
-    let options = ContextOptions { faults: Some(faults.clone()), ..Default::default() };
-    let context = Context::new(&options).expect("a device");
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut settings = Settings::default();
-    settings.data.model_path = folder.path().to_owned();
-    let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
-    run.look_on(&any_port(), &context, None).expect("a port");
-    let report = run.trainer.step().expect("a step");
-    let lens = Intrinsics::from_fov_x(0.8, 16, 16);
-    let camera = Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, lens);
-    let hub = run.live.as_ref().expect("a viewer").hub.clone();
-    let (page, _outbox) = hub.join().expect("room");
-    let view =
-        ViewRequest { seq: 1, camera: CameraMessage::of(&camera), look: Look::default(), follow: false };
-    hub.set_view(page, view);
-    let (stop, mut watch) = (AtomicBool::new(false), Stopwatch::start());
-    faults.arm(Fault::Timeout, 0);
-    run.show(&report, &stop, &mut watch);
-    faults.disarm();
-    assert!(run.live.is_none() && !stop.load(Ordering::Relaxed));
-    run.trainer.step().expect("training goes on");
-    run.show(&report, &stop, &mut watch);
-    run.end_show(&stop);
-}
 
 /// A view that cannot be measured costs a curve its point, not the training its life.
 #[test]
@@ -57,6 +20,14 @@ fn a_view_that_cannot_be_measured_is_told() {
     let settings = TrainSettings { sh_degree: 0, ..Default::default() };
     let mut trainer = Trainer::new(&context, views, &initial, 1.0, settings).expect("a trainer");
     let folder = tempfile::tempdir().expect("a temporary folder");
+    let arguments = LiveArguments {
+        view: Some(0),
+        view_host: "127.0.0.1".into(),
+        view_token: None,
+        view_share: 0.2,
+        ip: None,
+        port: 0,
+    };
     let subject = Subject {
         name: "test".into(),
         gaussians: initial,
@@ -67,7 +38,7 @@ fn a_view_that_cannot_be_measured_is_told() {
     };
     let (model, source) = (folder.path(), folder.path());
     let about = About { subject, device: "test", iterations: 9, model, source };
-    let mut live = Live::start(&any_port(), about).expect("a port");
+    let mut live = Live::start(&arguments, about).expect("a port");
     let view = |size: u32| View {
         name: "a.png".into(),
         image_id: 1,
