@@ -5,6 +5,7 @@ mod frames;
 mod http;
 mod shapes;
 mod sibr;
+mod siege;
 mod training;
 
 use std::io::{Read, Write};

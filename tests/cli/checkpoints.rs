@@ -223,15 +223,84 @@ fn a_full_disk_leaves_the_older_checkpoint_and_no_empty_folder() {
     };
     let resumed = ["--start_checkpoint", "latest", "--checkpoint_iterations", "5", "7", "--save_iterations"];
     let run = full(&[resumed.as_slice(), &["40", "--iterations", "30"]].concat());
-    assert_refused_with_warnings(&run, &["chkpnt7.safetensors", "cannot write"]);
+    // Training goes on, to the end.
+    assert_refused_with_warnings(&run, &["chkpnt30.safetensors", "cannot write"]);
+    assert!(run.stderr.contains("chkpnt7.safetensors: cannot write"), "{}", run.stderr);
     let run = full(&[resumed.as_slice(), &["6", "--iterations", "30"]].concat());
-    assert_refused_with_warnings(&run, &["iteration_6/point_cloud.ply", "cannot write"]);
+    assert_refused_with_warnings(&run, &["chkpnt30.safetensors", "cannot write"]);
+    assert!(run.stderr.contains("iteration_6/point_cloud.ply: cannot write"), "{}", run.stderr);
     assert_eq!(std::fs::read(&checkpoint).expect("the checkpoint"), before);
     assert_eq!(files_below(&place.model("model")), files, "nothing new, nothing lost");
     let left = place.model("model").join("point_cloud/iteration_6");
     assert!(!left.exists(), "an empty folder is left");
     // And with room again it goes on.
     assert_trained(&place.train("model", &["--iterations", "12", "--start_checkpoint", "latest"]));
+}
+
+/// What the disk refuses for a while is saved later, and training goes on meanwhile.
+#[cfg(unix)]
+#[test]
+fn what_cannot_be_saved_is_tried_again() {
+    use std::io::{BufRead, BufReader};
+    let place = Place::new();
+    let model = place.model("model");
+    // Where the scene and the checkpoint would be.
+    std::fs::create_dir_all(model.join("chkpnt5.safetensors")).expect("created");
+    std::fs::write(model.join("point_cloud"), "in the way").expect("written");
+    let asked = ["--iterations", "1000000", "--save_iterations", "5", "--checkpoint_iterations", "5"];
+    let mut command = place.command("model", &asked);
+    let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
+    let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
+    for what in ["point_cloud", "chkpnt5"] {
+        let line = lines.next().expect("a warning");
+        assert!(line.starts_with("warning: ") && line.contains(what) && line.contains("goes on"), "{line}");
+    }
+    std::fs::remove_file(model.join("point_cloud")).expect("removed");
+    let start = std::time::Instant::now();
+    let saved = || {
+        let files = files_below(&model);
+        let has = |ending: &str| files.iter().any(|file| file.to_string_lossy().ends_with(ending));
+        has("point_cloud.ply") && has(".safetensors")
+    };
+    while !saved() {
+        assert!(start.elapsed() < Duration::from_secs(120), "{:?}", files_below(&model));
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    child.interrupt();
+    let rest: Vec<String> = lines.collect();
+    assert_eq!(child.wait().expect("it ends").code(), Some(130), "{rest:?}");
+}
+
+/// Ctrl-C with --quiet says how to go on, from wherever that is typed.
+#[cfg(unix)]
+#[test]
+fn a_quiet_training_says_how_to_go_on() {
+    let place = Place::new();
+    let train = ["train", "-s", "data", "-m", "model", "--quiet", "--iterations", "1000000"];
+    let mut command = program();
+    command.current_dir(place.folder.path()).args(train).args(SCHEDULE);
+    let child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
+    let log = place.model("model").join("train_log.csv");
+    let start = std::time::Instant::now();
+    while std::fs::read_to_string(&log).map_or(0, |text| text.lines().count()) < 100 {
+        assert!(start.elapsed() < Duration::from_secs(120), "no iterations");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    child.interrupt();
+    let output = child.finish();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{stderr}");
+    let advice = stderr.lines().find_map(|line| line.strip_prefix("interrupted: to go on, ashsplat "));
+    let typed: Vec<&str> = advice.expect("how to go on").split(' ').collect();
+    let text = std::fs::read_to_string(&log).expect("the log");
+    let last: u32 =
+        text.lines().last().and_then(|line| line.split(',').next()?.parse().ok()).expect("a line");
+    let next = (last + 2).to_string();
+    let elsewhere = tempdir().expect("a temporary folder");
+    let mut again = program();
+    again.current_dir(elsewhere.path()).args(typed).args(["--quiet", "--iterations", &next]);
+    assert_trained(&finish(&mut again));
+    assert!(!place.ply("model", last + 2).is_empty());
 }
 
 /// A model folder that may not be written, and one that cannot be made.

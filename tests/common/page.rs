@@ -34,7 +34,19 @@ impl Server {
 
     /// As [`Server::start`], until it has said something else.
     pub fn start_until(arguments: &[&str], last: &str) -> Server {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
+        Server::run(Command::new(env!("CARGO_BIN_EXE_ashsplat")), arguments, last)
+    }
+
+    /// The same, where the program may have so many descriptors.
+    #[cfg(unix)]
+    pub fn start_within(descriptors: u32, arguments: &[&str], last: &str) -> Server {
+        let mut command = Command::new("sh");
+        command.args(["-c", &format!("ulimit -n {descriptors}; exec \"$0\" \"$@\"")]);
+        command.arg(env!("CARGO_BIN_EXE_ashsplat"));
+        Server::run(command, arguments, last)
+    }
+
+    fn run(mut command: Command, arguments: &[&str], last: &str) -> Server {
         command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
         let mut child = Running::start(command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()));
         let mut lines =
@@ -75,6 +87,15 @@ impl Server {
         let mut stderr = String::new();
         self.child.stderr.take().expect("its stderr").read_to_string(&mut stderr).ok();
         (self.child.wait().expect("it ends").code(), stderr)
+    }
+
+    /// The most memory that it has had, MiB.
+    #[cfg(target_os = "linux")]
+    pub fn peak_memory(&self) -> u64 {
+        let status =
+            std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("its status");
+        let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("its peak");
+        peak.trim().trim_end_matches(" kB").parse::<u64>().expect("a number") >> 10
     }
 
     /// Status line, headers and body of an answer.

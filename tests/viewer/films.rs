@@ -14,6 +14,14 @@ fn viewer_makes_films() {
     let gif = format!("/film/{}", files["gif"].as_str().expect("a GIF"));
     let (code, head, gif) = cinema.server.get(&gif, &[]);
     assert!(code == 200 && head.contains("image/gif"), "{head}");
+    // What else lies in the folder is none of the page's.
+    for other in ["film_900.gif", "secret.json"] {
+        std::fs::write(cinema.films().join(other), "older").expect("written");
+        assert_eq!(cinema.server.get(&format!("/film/{other}"), &[]).0, 404, "{other}");
+        std::fs::remove_file(cinema.films().join(other)).expect("removed");
+    }
+    let path = format!("/film/{}", files["path"].as_str().expect("a path"));
+    assert_eq!(cinema.server.get(&path, &[]).0, 200);
     let decoder = image::codecs::gif::GifDecoder::new(std::io::Cursor::new(gif)).expect("a GIF");
     let frames = image::AnimationDecoder::into_frames(decoder).collect_frames().expect("frames");
     assert_eq!((frames.len(), frames[5].buffer().dimensions()), (6, (64, 48)));

@@ -88,6 +88,23 @@ fn viewer_refuses_foreign_pages() {
     let folder = tempdir().expect("a temporary folder");
     let server = Server::view(&write_ball(folder.path(), 50), &[]);
     assert_eq!(server.get("/", &[("Host", "rebound.example:80")]).0, 403);
+    // Of a foreign page, whatever it asks for: photos cost memory, and need no script to be asked for.
+    for path in ["/", "/main.js", "/photo/0", "/thumbnail/0", "/film/film_001.gif", "/nothing"] {
+        for foreign in [
+            ("Sec-Fetch-Site", "cross-site"),
+            ("Sec-Fetch-Site", "same-site"),
+            ("Origin", "http://elsewhere.example"),
+            ("Origin", ""),
+            ("Origin", "http://\u{e4}.example"),
+        ] {
+            assert_eq!(server.get(path, &[foreign]).0, 403, "{path} {foreign:?}");
+        }
+        assert_ne!(server.get(path, &[("Sec-Fetch-Site", "same-origin")]).0, 403, "{path}");
+    }
+    // A link may open the page.
+    let link =
+        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "navigate"), ("Sec-Fetch-Dest", "document")];
+    assert_eq!((server.get("/", &link).0, server.get("/photo/0", &link).0), (200, 403));
     // The same handshake but for the page that opens it.
     let own = format!("http://{}", server.host);
     for (origin, expected) in [("http://elsewhere.example", 403), ("null", 403), (&own, 101)] {

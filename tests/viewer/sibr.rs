@@ -44,10 +44,30 @@ fn of_camera(camera: &Camera, train: bool) -> Value {
     })
 }
 
+/// However many have come before and say nothing.
+#[test]
+fn viewer_keeps_no_sibr_waiting_for_silent_clients() {
+    let training =
+        Training::start(&["1000000", "--view=0", "--ip", "0.0.0.0", "--port", "0"], "network viewer");
+    let silent: Vec<Remote> = (0..20).map(|_| Remote::connect(&training)).collect();
+    let start = Instant::now();
+    let (rgb, _) = Remote::connect(&training).ask(&of_camera(&camera(0.2), true));
+    assert!(!rgb.is_empty() && start.elapsed() < Duration::from_secs(8), "{:?}", start.elapsed());
+    drop(silent);
+    #[cfg(unix)]
+    {
+        // What listens to others says what that means.
+        let (_, stderr) = training.server.end();
+        assert!(stderr.contains("warning: the network viewer's protocol has no password"), "{stderr}");
+    }
+}
+
 #[test]
 fn viewer_speaks_sibrs_protocol() {
-    let training =
-        Training::start(&["1000000", "--view=0", "--ip", "127.0.0.1", "--port", "0"], "network viewer");
+    // Without an address it is for this machine alone.
+    let training = Training::start(&["1000000", "--view=0", "--ip", "--port", "0"], "network viewer");
+    let said = training.server.said.last().expect("its address");
+    assert!(said.starts_with("network viewer at 127.0.0.1:"), "{said}");
     let mut remote = Remote::connect(&training);
     // Without a size, only the path.
     let mut nothing = of_camera(&camera(0.0), true);

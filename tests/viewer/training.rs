@@ -21,6 +21,17 @@ impl Training {
         Training { folder, server }
     }
 
+    /// With few descriptors.
+    #[cfg(unix)]
+    pub fn start_within(descriptors: u32, more: &[&str]) -> Training {
+        let folder = tempdir().expect("a temporary folder");
+        let (data, model) = (folder.path().join("data"), folder.path().join("model"));
+        write_dataset(&data);
+        let train = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--quiet", "--iterations"];
+        let server = Server::start_within(descriptors, &[&train[..], more].concat(), "viewer at ");
+        Training { folder, server }
+    }
+
     pub fn model(&self) -> PathBuf {
         self.folder.path().join("model")
     }
@@ -32,7 +43,7 @@ impl Page {
         self.wait_for("status")
     }
 
-    fn act(&mut self, action: &str) {
+    pub fn act(&mut self, action: &str) {
         self.send(&json!({ "type": "train", "action": action }));
     }
 

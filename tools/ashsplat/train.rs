@@ -6,6 +6,7 @@ mod live;
 mod log;
 mod prepared;
 mod report;
+mod saving;
 #[cfg(test)]
 mod tests;
 mod verify;
@@ -14,19 +15,19 @@ use crate::args::{DeviceArguments, bytes};
 use crate::config::{Overrides, Settings};
 use crate::eval::{self, Evaluation};
 use crate::measure::{Cost, Stopwatch};
-use crate::model;
 use crate::progress::{State, TrainProgress, thousands};
-use crate::{output, render, session};
+use crate::{render, session};
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
-use ashsplat_files::{Dataset, View, splats};
+use ashsplat_files::{Dataset, View};
 use checkpoints::{LATEST, Start};
 use clap::Args;
 use live::{Live, LiveArguments};
 use log::TrainLog;
 use prepared::{Prepared, photo_memory};
 use report::KernelTimes;
+use saving::Unsaved;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -161,6 +162,8 @@ pub struct Run {
     saved: Option<u32>,
     /// Iteration of the checkpoint that was written last.
     checkpointed: Option<u32>,
+    /// What could not be saved yet.
+    unsaved: Unsaved,
     kernels: KernelTimes,
     /// What else to type to go on with the same bits.
     repeated: String,
@@ -222,6 +225,7 @@ impl Run {
             skipped: 0,
             saved: None,
             checkpointed: None,
+            unsaved: Unsaved::default(),
             kernels: KernelTimes::new(context),
             repeated: String::new(),
             live: None,
@@ -233,7 +237,9 @@ impl Run {
     pub fn train(&mut self, stop: &AtomicBool) -> Result<bool> {
         let mut watch = Stopwatch::start();
         let result = self.iterate(stop, &mut watch);
-        let result = result.and_then(|interrupted| self.end_show(stop).map(|()| interrupted));
+        if result.is_ok() {
+            self.end_show(stop);
+        }
         let total = watch.cost(self.trainer.iteration() - self.started);
         self.total = Some(total);
         self.first.get_or_insert(total);
@@ -265,7 +271,7 @@ impl Run {
     fn iterate(&mut self, stop: &AtomicBool, watch: &mut Stopwatch) -> Result<bool> {
         for _ in self.started..self.settings.train.iterations {
             let report = self.timed_step()?;
-            self.show(&report, stop, watch)?;
+            self.show(&report, stop, watch);
             let stopping = stop.load(Ordering::Relaxed);
             self.account(&report);
             if report.iteration - self.started == FIRST_ITERATIONS {
@@ -274,8 +280,8 @@ impl Run {
             let kept = self.check(&report).and_then(|()| self.keep(report.iteration, stopping, watch));
             self.log.add(&report, *kept.as_ref().unwrap_or(&None), &self.trainer.memory());
             // Even if saving or testing fails, the checkpoint holds the complete training.
-            if stopping || self.settings.data.checkpoint_iterations.contains(&report.iteration) {
-                let written = watch.paused(|| self.write_checkpoint());
+            if self.checkpoint_is_due(report.iteration, stopping) {
+                let written = watch.paused(|| self.keep_checkpoint(stopping));
                 if let (Err(error), Err(_)) = (&kept, &written) {
                     self.progress.warn(&format!("warning: {error}"));
                 }
@@ -337,44 +343,6 @@ impl Run {
             gaussians: report.gaussians,
             memory_bytes: self.trainer.memory_bytes(),
         });
-    }
-
-    /// Tests and saves where it is time to, off the clock; the PSNR where it was tested.
-    fn keep(&mut self, iteration: u32, stopping: bool, watch: &mut Stopwatch) -> Result<Option<f64>> {
-        let last = iteration == self.settings.train.iterations;
-        let data = &self.settings.data;
-        let saves = last || stopping || data.save_iterations.contains(&iteration);
-        let tests = last || data.test_iterations.contains(&iteration);
-        if !saves && !tests {
-            return Ok(None);
-        }
-        watch.paused(|| {
-            if saves {
-                self.save(iteration, if stopping && !last { "interrupted: " } else { "" })?;
-            }
-            match tests.then(|| self.test(iteration)).transpose() {
-                // A frame of a test view that is too large: training goes on.
-                Err(error @ Error::TooLarge { .. }) if !last && !stopping => {
-                    self.progress.warn(&format!("warning: iteration {iteration} is not tested: {error}"));
-                    Ok(None)
-                }
-                tested => tested,
-            }
-        })
-    }
-
-    /// Saves the scene as it stands after an iteration, and notes that it is the newest.
-    fn save(&mut self, iteration: u32, reason: &str) -> Result<()> {
-        let folder = &self.settings.data.model_path;
-        let path = model::point_cloud_path(folder, iteration);
-        let gaussians = self.trainer.gaussians()?;
-        let antialiased = self.settings.train.antialiasing;
-        let options = splats::WriteOptions { antialiased, ..Default::default() };
-        output::in_folder(&path, |path| splats::write(path, &gaussians, &options))?;
-        model::note_saved(folder, iteration)?;
-        self.saved = Some(iteration);
-        self.progress.note(&format!("{reason}saved {}", path.display()));
-        Ok(())
     }
 
     /// Measures the test views; those that were held out are also saved.

@@ -4,6 +4,7 @@ mod assets;
 mod draw;
 mod film;
 pub mod hub;
+mod pace;
 mod photos;
 pub mod protocol;
 pub mod server;

@@ -96,11 +96,22 @@ impl Run {
     }
 
     pub(super) fn say_how_to_go_on(&self, iteration: u32) {
-        let settings = self.settings.data.model_path.join(SETTINGS_FILE);
-        let settings = args::quoted(&settings.to_string_lossy());
-        let command =
-            format!("ashsplat train --config {settings} --start-checkpoint {LATEST}{}", self.repeated);
-        self.progress.note(&match iteration == self.settings.train.iterations {
+        let data = &self.settings.data;
+        // It is to work wherever it is typed, and the settings have the paths as they were typed.
+        let absolute = |path: &Path| {
+            let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+            args::quoted(&path.to_string_lossy())
+        };
+        let relative = [("-s", &data.source_path), ("-m", &data.model_path)];
+        let relative = relative.iter().filter(|(_, path)| path.is_relative());
+        let places: String = relative.map(|(option, path)| format!(" {option} {}", absolute(path))).collect();
+        let settings = absolute(&data.model_path.join(SETTINGS_FILE));
+        let command = format!(
+            "ashsplat train --config {settings}{places} --start-checkpoint {LATEST}{}",
+            self.repeated
+        );
+        // Also with --quiet: who stops a training wants to know.
+        self.progress.warn(&match iteration == self.settings.train.iterations {
             true => {
                 format!("interrupted after the last iteration: to train longer, {command} --iterations N")
             }

@@ -24,6 +24,7 @@ pub struct TrainLog {
 impl TrainLog {
     /// Starts the log; one of an earlier run is replaced.
     pub fn create(path: &Path) -> Result<TrainLog> {
+        check(path)?;
         let file = File::create(path).map_err(|e| Error::io(path, "create", e))?;
         let mut log = TrainLog { path: path.to_owned(), file: BufWriter::new(file), failure: None };
         log.attempt(|file| {
@@ -37,7 +38,8 @@ impl TrainLog {
 
     /// Goes on with the log of a run from a checkpoint: the lines after its iteration go.
     pub fn go_on(path: &Path, iteration: u32) -> Result<TrainLog> {
-        let Ok(text) = std::fs::read_to_string(path) else { return TrainLog::create(path) };
+        check(path)?;
+        let Ok(text) = read(path) else { return TrainLog::create(path) };
         let mut lines = text.split_inclusive('\n');
         let Some(header) = lines.next() else { return TrainLog::create(path) };
         let done = |line: &&str| {
@@ -86,6 +88,31 @@ impl TrainLog {
     }
 }
 
+/// Refuses a pipe and the like in the log's place: opening it would wait for its other end, for ever perhaps.
+fn check(path: &Path) -> Result<()> {
+    let Ok(found) = std::fs::metadata(path) else { return Ok(()) };
+    #[cfg(unix)]
+    let waits = {
+        use std::os::unix::fs::FileTypeExt;
+        let kind = found.file_type();
+        kind.is_fifo() || kind.is_socket()
+    };
+    #[cfg(not(unix))]
+    let waits = false;
+    match waits || found.is_dir() {
+        true => Err(Error::input(path, "is no regular file", "the training's log goes there: remove it")),
+        false => Ok(()),
+    }
+}
+
+/// The text of a regular file.
+fn read(path: &Path) -> Result<String> {
+    match std::fs::metadata(path) {
+        Ok(found) if !found.is_file() => Err(Error::input(path, "is no regular file", "")),
+        _ => std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e)),
+    }
+}
+
 /// The log as columns; where there is no number, NaN.
 #[derive(Default)]
 pub struct Rows {
@@ -100,7 +127,7 @@ pub struct Rows {
 impl Rows {
     /// Reads what is on disk, also of the runs before a checkpoint.
     pub fn read(path: &Path) -> Result<Rows> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let text = read(path)?;
         let mut lines = text.lines();
         let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
         let column = |wanted: &str| names.iter().position(|name| *name == wanted).unwrap_or(usize::MAX);
@@ -173,6 +200,20 @@ mod tests {
         let rows = Rows::read(&path).expect("the log");
         assert_eq!((rows.iterations.len(), rows.gaussians[7], rows.milliseconds[0]), (8, 7.0, 1.25));
         assert!(rows.psnr.iter().all(|psnr| psnr.is_nan()));
+    }
+
+    /// Neither a new log nor one to go on with waits for a pipe, and the report does not either.
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_is_refused() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("log.csv");
+        nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).expect("a pipe");
+        for refused in
+            [TrainLog::create(&path).err(), TrainLog::go_on(&path, 3).err(), Rows::read(&path).err()]
+        {
+            assert!(refused.expect("refused").to_string().contains("log.csv: is no regular file"));
+        }
     }
 
     /// The device that is always full.

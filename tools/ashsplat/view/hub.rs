@@ -4,15 +4,20 @@
 //! has said that the last has come. So a slow page gets fewer frames, and never old ones. Pages, the film that is being made
 //! and the program that speaks the reference's protocol take turns.
 
+mod outbox;
 mod turns;
 
 use super::protocol::{CameraMessage, FilmRequest, Look, ToPage, TrainAction, ViewRequest};
+use outbox::Outbox;
 use std::collections::VecDeque;
-use std::sync::{Condvar, Mutex, MutexGuard};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc::UnboundedSender;
 use turns::{Client, State};
 
+/// Pages that may look on; more are refused.
+const MOST_PAGES: usize = 24;
+/// Pictures for programs of the reference's protocol that may wait; more are refused.
+const MOST_REMOTE: usize = 8;
 /// Picks of one page that may wait; more are refused.
 const MOST_PICKS: usize = 4;
 /// Actions that may wait for training to take them; more are refused.
@@ -32,7 +37,8 @@ pub struct Pick {
 pub struct RemoteRequest {
     pub camera: ashsplat::Camera,
     pub scale: f32,
-    pub answer: std::sync::mpsc::Sender<Vec<u8>>,
+    /// Has room for one.
+    pub answer: std::sync::mpsc::SyncSender<Vec<u8>>,
 }
 
 /// What the rendering thread is to do next.
@@ -80,21 +86,30 @@ impl Hub {
         self.change(|state| state.status = Some(Box::new(status)));
     }
 
-    /// A page has come.
-    pub fn join(&self, out: UnboundedSender<ToPage>) -> u64 {
+    /// Whether another page may come.
+    pub fn has_room(&self) -> bool {
+        self.pages() < MOST_PAGES
+    }
+
+    /// A page has come: its number and what waits for it, if there is room.
+    pub fn join(&self) -> Option<(u64, Arc<Outbox>)> {
         self.change(|state| {
+            if state.clients.len() >= MOST_PAGES {
+                return None;
+            }
             state.next_client += 1;
-            out.send(ToPage::Text(state.greeting.clone())).ok();
+            let outbox = Arc::new(Outbox::default());
+            outbox.put(ToPage::Text(state.greeting.clone()));
             let client = Client {
-                out,
+                out: outbox.clone(),
                 view: None,
                 stale: false,
                 on_the_way: false,
                 picks: VecDeque::new(),
-                served: 0,
+                served: state.turn,
             };
             state.clients.insert(state.next_client, client);
-            state.next_client
+            Some((state.next_client, outbox))
         })
     }
 
@@ -141,9 +156,15 @@ impl Hub {
         })
     }
 
-    /// Another program asks for a picture.
-    pub fn ask_remotely(&self, request: RemoteRequest) {
-        self.change(|state| state.remote.push_back(request));
+    /// Another program asks for a picture; false when too many wait.
+    pub fn ask_remotely(&self, request: RemoteRequest) -> bool {
+        self.change(|state| {
+            let taken = state.remote.len() < MOST_REMOTE;
+            if taken {
+                state.remote.push_back(request);
+            }
+            taken
+        })
     }
 
     /// The scene has changed: pages that follow it need a new frame.
@@ -208,6 +229,16 @@ impl Hub {
         self.change(|state| (state.filming, state.called_off) = (None, false));
     }
 
+    /// Files of a film are there: from now on pages may fetch them.
+    pub fn publish_film(&self, files: impl IntoIterator<Item = String>) {
+        self.change(|state| state.film_files.extend(files));
+    }
+
+    /// Whether a file is one of a film of this run.
+    pub fn has_film_file(&self, name: &str) -> bool {
+        self.lock().film_files.contains(name)
+    }
+
     /// Whether a film is being made or waits.
     pub fn has_films(&self) -> bool {
         self.lock().has_films()
@@ -216,14 +247,14 @@ impl Hub {
     /// Sends to one page.
     pub fn send(&self, client: u64, message: ToPage) {
         if let Some(client) = self.lock().clients.get(&client) {
-            client.out.send(message).ok();
+            client.out.put(message);
         }
     }
 
     /// Sends to all pages.
     pub fn broadcast(&self, message: &ToPage) {
         for client in self.lock().clients.values() {
-            client.out.send(message.clone()).ok();
+            client.out.put(message.clone());
         }
     }
 
@@ -261,7 +292,6 @@ impl Hub {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tokio::sync::mpsc::unbounded_channel;
 
     pub(super) fn view(seq: u64) -> ViewRequest {
         let camera = CameraMessage {
@@ -277,6 +307,10 @@ mod tests {
         ViewRequest { seq, camera, look: Look::default(), follow: seq == 100 }
     }
 
+    pub(super) fn join(hub: &Hub) -> u64 {
+        hub.join().expect("room").0
+    }
+
     fn next(hub: &Hub) -> Option<(u64, u64)> {
         match hub.next(Duration::ZERO) {
             Some(Task::Frame { client, request }) => Some((client, request.seq)),
@@ -287,8 +321,7 @@ mod tests {
     #[test]
     fn the_newest_camera_wins_and_nothing_waits_behind_a_frame() {
         let hub = Hub::default();
-        let (out, _page) = unbounded_channel();
-        let client = hub.join(out);
+        let client = join(&hub);
         assert_eq!(next(&hub), None);
         (1..=5).for_each(|seq| hub.set_view(client, view(seq)));
         assert_eq!(next(&hub), Some((client, 5)));
@@ -311,8 +344,7 @@ mod tests {
     #[test]
     fn pages_take_turns() {
         let hub = Hub::default();
-        let (out, _page) = unbounded_channel();
-        let [a, b, c] = [(); 3].map(|()| hub.join(out.clone()));
+        let [a, b, c] = [(); 3].map(|()| join(&hub));
         let mut served = Vec::new();
         // The first is quick and asks for ten frames while the others ask for two.
         for round in 0..10 {
@@ -333,8 +365,7 @@ mod tests {
     #[test]
     fn picks_are_bounded() {
         let hub = Hub::default();
-        let (out, _page) = unbounded_channel();
-        let client = hub.join(out);
+        let client = join(&hub);
         let pick = Pick { id: 1, camera: view(1).camera, look: Look::default(), pixel: [0, 0] };
         let taken = (0..10).filter(|_| hub.pick(client, pick)).count();
         assert_eq!(taken, MOST_PICKS);
@@ -356,8 +387,7 @@ mod tests {
     #[test]
     fn films_wait_for_their_turn_and_pages_call_off_their_own_only() {
         let hub = Hub::default();
-        let (out, _page) = unbounded_channel();
-        let [a, b, c] = [(); 3].map(|()| hub.join(out.clone()));
+        let [a, b, c] = [(); 3].map(|()| join(&hub));
         assert_eq!((hub.film(a, film()), hub.film(b, film())), (Some(0), Some(1)));
         assert_eq!(hub.film(a, film()), None, "one of each page");
         assert_eq!(hub.take_film().map(|(owner, _)| owner), Some(a));
@@ -379,6 +409,19 @@ mod tests {
         hub.film_ended();
         assert!(hub.take_film().is_none() && !hub.has_films());
         assert_eq!(hub.film(c, film()), None, "no page is connected");
+    }
+
+    #[test]
+    fn pages_and_other_programs_are_bounded() {
+        let hub = Hub::default();
+        let pages: Vec<u64> = (0..100).filter_map(|_| hub.join()).map(|(client, _)| client).collect();
+        assert!(pages.len() == MOST_PAGES && !hub.has_room());
+        hub.leave(pages[0]);
+        assert!(hub.has_room() && hub.join().is_some());
+        let (answer, _answers) = std::sync::mpsc::sync_channel(1);
+        let camera = view(0).camera.camera().expect("a camera");
+        let ask = || hub.ask_remotely(RemoteRequest { camera, scale: 1.0, answer: answer.clone() });
+        assert_eq!((0..100).filter(|_| ask()).count(), MOST_REMOTE);
     }
 
     #[test]

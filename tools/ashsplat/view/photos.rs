@@ -1,17 +1,34 @@
-//! The photos of the data set as the page gets them.
+//! The photos of the data set as the page gets them: however many are asked for, they take a bounded memory.
 
 use super::draw;
 use ashsplat::Result;
 use ashsplat_files::{Gallery, Photo, PhotoFileFormat};
+use axum::body::Bytes;
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// Bytes of encoded photos that are kept.
+/// Bytes of encoded photos that are kept, and of thumbnails.
 const KEPT_BYTES: usize = 64 << 20;
+const KEPT_THUMBNAIL_BYTES: usize = 16 << 20;
 const QUALITY: u8 = 92;
 const THUMBNAIL_QUALITY: u8 = 75;
 /// Width of a thumbnail, pixels.
 const THUMBNAIL_WIDTH: u32 = 140;
+/// Memory that photos may take while they are decoded, MiB. One that takes more is decoded alone.
+const DECODING_MIB: u32 = 512;
+/// Photos that are decoded at once, at most.
+const DECODERS: u32 = 2;
+/// Bytes that a pixel takes while it is decoded, scaled and encoded.
+const BYTES_PER_PIXEL: u64 = 8;
+/// Memory of photos that are being sent, MiB: a page that does not read holds its own.
+const SENDING_MIB: u32 = 128;
+/// Requests that may wait for a decoder; more are refused.
+const MOST_WAITING: usize = 24;
+/// Longest that a request waits.
+const PATIENCE: Duration = Duration::from_secs(20);
 
 /// How large a photo is wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,35 +38,157 @@ pub enum Size {
     Thumbnail,
 }
 
-type Kept = VecDeque<(usize, Size, Arc<Vec<u8>>)>;
+/// Why there is no photo.
+#[derive(Debug)]
+pub enum Refusal {
+    /// There is none of this number.
+    Unknown,
+    /// Too many are asked for.
+    Busy,
+    /// It cannot be read.
+    Problem(String),
+}
+
+/// What was encoded last, newest at the end.
+struct Kept {
+    most_bytes: usize,
+    photos: VecDeque<(usize, Arc<Vec<u8>>)>,
+}
+
+impl Kept {
+    fn new(most_bytes: usize) -> Mutex<Kept> {
+        Mutex::new(Kept { most_bytes, photos: VecDeque::new() })
+    }
+
+    fn find(&self, index: usize) -> Option<Arc<Vec<u8>>> {
+        self.photos.iter().find(|(i, _)| *i == index).map(|(_, bytes)| bytes.clone())
+    }
+
+    fn add(&mut self, index: usize, bytes: Arc<Vec<u8>>) {
+        self.photos.push_back((index, bytes));
+        let total = |photos: &VecDeque<(usize, Arc<Vec<u8>>)>| -> usize {
+            photos.iter().map(|(_, bytes)| bytes.len()).sum()
+        };
+        while self.photos.len() > 1 && total(&self.photos) > self.most_bytes {
+            self.photos.pop_front();
+        }
+    }
+}
 
 /// Photos as JPEG, the newest kept.
 pub struct Photos {
     gallery: Gallery,
-    kept: Mutex<Kept>,
+    /// What decoding each takes, MiB.
+    costs: Vec<u32>,
+    full: Mutex<Kept>,
+    thumbnails: Mutex<Kept>,
+    decoding: Arc<Semaphore>,
+    sending: Arc<Semaphore>,
+    waiting: AtomicUsize,
 }
 
 impl Photos {
     pub fn new(gallery: Gallery) -> Photos {
-        Photos { gallery, kept: Mutex::new(VecDeque::new()) }
+        let cost = |width: u32, height: u32| {
+            let bytes = u64::from(width) * u64::from(height) * BYTES_PER_PIXEL;
+            let mib = u32::try_from(bytes >> 20).unwrap_or(u32::MAX);
+            mib.clamp(DECODING_MIB / DECODERS, DECODING_MIB)
+        };
+        let cameras = gallery.cameras();
+        Photos {
+            costs: cameras.iter().map(|named| cost(named.camera.width, named.camera.height)).collect(),
+            gallery,
+            full: Kept::new(KEPT_BYTES),
+            thumbnails: Kept::new(KEPT_THUMBNAIL_BYTES),
+            decoding: Arc::new(Semaphore::new(DECODING_MIB as usize)),
+            sending: Arc::new(Semaphore::new(SENDING_MIB as usize)),
+            waiting: AtomicUsize::new(0),
+        }
     }
 
-    /// A photo, or in words why not; none beyond the last.
-    pub fn jpeg(&self, index: usize, size: Size) -> Option<Result<Arc<Vec<u8>>, String>> {
-        let kept = || self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((.., bytes)) = kept().iter().find(|(i, s, _)| (*i, *s) == (index, size)) {
-            return Some(Ok(bytes.clone()));
-        }
-        let encoded = self.gallery.view(index)?.and_then(|view| encode(&*view.photo.photo()?, size));
-        Some(encoded.map_err(|error| error.to_string()).map(|bytes| {
-            let bytes = Arc::new(bytes);
-            let mut kept = kept();
-            kept.push_back((index, size, bytes.clone()));
-            while kept.len() > 1 && kept.iter().map(|(.., bytes)| bytes.len()).sum::<usize>() > KEPT_BYTES {
-                kept.pop_front();
+    /// A photo, when its turn has come.
+    pub async fn jpeg(self: &Arc<Photos>, index: usize, size: Size) -> Result<Bytes, Refusal> {
+        let cost = *self.costs.get(index).ok_or(Refusal::Unknown)?;
+        let bytes = match self.kept(index, size) {
+            Some(bytes) => bytes,
+            None => {
+                let _waits = Waits::begin(&self.waiting).ok_or(Refusal::Busy)?;
+                let turn = turn(&self.decoding, cost).await?;
+                // Another request may have been for the same.
+                match self.kept(index, size) {
+                    Some(bytes) => bytes,
+                    None => self.decoded(index, size, turn).await?,
+                }
             }
-            bytes
-        }))
+        };
+        let mib = u32::try_from(bytes.len().div_ceil(1 << 20)).unwrap_or(SENDING_MIB);
+        let sent = turn(&self.sending, mib.min(SENDING_MIB)).await?;
+        Ok(Bytes::from_owner(Lent { bytes, _sent: sent }))
+    }
+
+    fn kept(&self, index: usize, size: Size) -> Option<Arc<Vec<u8>>> {
+        self.shelf(size).lock().unwrap_or_else(PoisonError::into_inner).find(index)
+    }
+
+    fn shelf(&self, size: Size) -> &Mutex<Kept> {
+        match size {
+            Size::Full => &self.full,
+            Size::Thumbnail => &self.thumbnails,
+        }
+    }
+
+    async fn decoded(
+        self: &Arc<Photos>,
+        index: usize,
+        size: Size,
+        turn: OwnedSemaphorePermit,
+    ) -> Result<Arc<Vec<u8>>, Refusal> {
+        let photos = self.clone();
+        let work = move || {
+            // It counts to the end, also when the page that asked has gone.
+            let _turn = turn;
+            let view = photos.gallery.view(index).ok_or(Refusal::Unknown)?;
+            let encoded = view.and_then(|view| encode(&*view.photo.photo()?, size));
+            let bytes = Arc::new(encoded.map_err(|error| Refusal::Problem(error.to_string()))?);
+            photos.shelf(size).lock().unwrap_or_else(PoisonError::into_inner).add(index, bytes.clone());
+            Ok(bytes)
+        };
+        tokio::task::spawn_blocking(work).await.unwrap_or(Err(Refusal::Unknown))
+    }
+}
+
+/// A share of a budget, when it is free.
+async fn turn(budget: &Arc<Semaphore>, share: u32) -> Result<OwnedSemaphorePermit, Refusal> {
+    let turn = tokio::time::timeout(PATIENCE, budget.clone().acquire_many_owned(share)).await;
+    turn.ok().and_then(Result::ok).ok_or(Refusal::Busy)
+}
+
+/// A request that waits for a decoder.
+struct Waits<'a>(&'a AtomicUsize);
+
+impl<'a> Waits<'a> {
+    fn begin(waiting: &'a AtomicUsize) -> Option<Waits<'a>> {
+        let before = waiting.fetch_add(1, Ordering::Relaxed);
+        // Dropped at once, it is counted no more.
+        Some(Waits(waiting)).filter(|_| before < MOST_WAITING)
+    }
+}
+
+impl Drop for Waits<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// A photo that is being sent.
+struct Lent {
+    bytes: Arc<Vec<u8>>,
+    _sent: OwnedSemaphorePermit,
+}
+
+impl AsRef<[u8]> for Lent {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
     }
 }
 
@@ -61,5 +200,31 @@ fn encode(photo: &Photo, size: Size) -> Result<Vec<u8>> {
             let height = (photo.height * width / photo.width).max(1);
             draw::encode(&photo.clone().scaled_to(width, height)?, THUMBNAIL_QUALITY)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_kept_is_bounded() {
+        let kept = Kept::new(1000);
+        let mut kept = kept.lock().expect("sound");
+        (0..50).for_each(|index| kept.add(index, Arc::new(vec![0; 300])));
+        assert_eq!(kept.photos.iter().map(|(index, _)| *index).collect::<Vec<_>>(), [47, 48, 49]);
+        assert!(kept.find(49).is_some() && kept.find(0).is_none());
+        // One that is larger than all is kept alone.
+        kept.add(50, Arc::new(vec![0; 5000]));
+        assert!(kept.find(50).is_some() && kept.photos.len() == 1);
+    }
+
+    #[test]
+    fn few_may_wait() {
+        let waiting = AtomicUsize::new(0);
+        let all: Vec<Waits> = (0..100).filter_map(|_| Waits::begin(&waiting)).collect();
+        assert_eq!((all.len(), waiting.load(Ordering::Relaxed)), (MOST_WAITING, MOST_WAITING));
+        drop(all);
+        assert_eq!(waiting.load(Ordering::Relaxed), 0);
     }
 }

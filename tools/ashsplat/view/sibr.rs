@@ -5,45 +5,33 @@
 //! vectors, y up, z backward), the size of the picture, whether training is to go on. It gets the picture's RGB bytes, if
 //! the size is not 0, then a length and so many bytes with the data set's path.
 
+mod viewers;
+
 use super::hub::{Hub, RemoteRequest};
+use super::pace::Pace;
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::{Error, Result};
 use glam::{Mat3, Vec3};
 use serde::Deserialize;
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
-use std::time::Duration;
+use std::time::{Duration, Instant};
+use viewers::Viewer;
+
+pub use viewers::Wishes;
 
 /// Longest message that is taken for one.
 const LONGEST_MESSAGE: u32 = 1 << 20;
-/// A viewer that says nothing for so long is gone: SIBR's asks for the next picture as soon as it has one. Only one is served
-/// at a time, and one that is not there could hold the training for ever.
-const SILENCE: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(60) };
+/// A viewer that says nothing for so long is gone: SIBR's asks for the next picture as soon as it has one, and it comes
+/// again.
+const SILENCE: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(10) };
+/// Longest that a viewer waits for a picture.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Pause when no connection can be accepted, for want of descriptors say.
+const PAUSE: Duration = Duration::from_millis(100);
 /// Most pixels of a picture.
 const MOST_PIXELS: u64 = 3840 * 2400;
-
-/// What the viewer wants of the training.
-#[derive(Debug)]
-pub struct Wishes {
-    /// Whether it is there.
-    connected: AtomicBool,
-    train: AtomicBool,
-    keep_alive: AtomicBool,
-}
-
-impl Wishes {
-    /// Whether training may go on.
-    pub fn may_train(&self) -> bool {
-        !self.connected.load(Ordering::Relaxed) || self.train.load(Ordering::Relaxed)
-    }
-
-    /// Whether it wants to look on when training is over.
-    pub fn wants_to_stay(&self) -> bool {
-        self.connected.load(Ordering::Relaxed) && self.keep_alive.load(Ordering::Relaxed)
-    }
-}
 
 /// The viewer's message.
 #[derive(Debug, Deserialize)]
@@ -116,8 +104,8 @@ fn bad(problem: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, problem)
 }
 
-/// Listens; pictures are asked of the hub, and what else the viewer wants is in the answer. `source` is the data set's
-/// path as the viewer is told it.
+/// Listens; pictures are asked of the hub, and what else the viewers want is in the answer. `source` is the data set's
+/// path as they are told it.
 pub fn listen(ip: &str, port: u16, hub: Arc<Hub>, source: String) -> Result<(SocketAddr, Arc<Wishes>)> {
     let failed = |e: io::Error| {
         let busy = e.kind() == io::ErrorKind::AddrInUse;
@@ -129,56 +117,94 @@ pub fn listen(ip: &str, port: u16, hub: Arc<Hub>, source: String) -> Result<(Soc
     };
     let listener = TcpListener::bind((ip, port)).map_err(failed)?;
     let address = listener.local_addr().map_err(failed)?;
-    let wishes = Arc::new(Wishes {
-        connected: AtomicBool::new(false),
-        train: AtomicBool::new(true),
-        keep_alive: AtomicBool::new(false),
-    });
+    if !address.ip().is_loopback() {
+        tell!(
+            "warning: the network viewer's protocol has no password: whatever reaches {address} can look at the \
+             training and hold it"
+        );
+    }
+    let wishes = Arc::new(Wishes::default());
     let shared = wishes.clone();
     let serve = move || {
-        // One viewer at a time, as the reference has it.
-        for stream in listener.incoming().flatten() {
-            shared.train.store(true, Ordering::Relaxed);
-            shared.connected.store(true, Ordering::Relaxed);
-            // Its going, and nonsense, end the connection and nothing else.
-            converse(stream, &hub, &source, &shared).ok();
-            shared.connected.store(false, Ordering::Relaxed);
+        for stream in listener.incoming() {
+            let admitted = stream.and_then(|stream| admit(stream, &hub, &source, &shared));
+            // The viewer that came is lost, and nothing else.
+            if admitted.is_err() {
+                std::thread::sleep(PAUSE);
+            }
         }
     };
     std::thread::Builder::new().name("network viewer".into()).spawn(serve).map_err(failed)?;
     Ok((address, wishes))
 }
 
-fn converse(mut stream: TcpStream, hub: &Hub, source: &str, wishes: &Wishes) -> io::Result<()> {
+/// Serves a viewer on a thread of its own, so that it waits for no other.
+fn admit(stream: TcpStream, hub: &Arc<Hub>, source: &str, wishes: &Arc<Wishes>) -> io::Result<()> {
+    let Some(viewer) = wishes.admit(stream) else { return Ok(()) };
+    let (hub, source, shared, own) = (hub.clone(), source.to_owned(), wishes.clone(), viewer.clone());
+    let serve = move || {
+        // Its going, and nonsense, end the connection and nothing else.
+        converse(&own, &hub, &source).ok();
+        shared.leave(&own);
+    };
+    let started = std::thread::Builder::new().name("network viewer".into()).spawn(serve);
+    started.map(drop).inspect_err(|_| wishes.leave(&viewer))
+}
+
+fn converse(viewer: &Viewer, hub: &Hub, source: &str) -> io::Result<()> {
+    let mut stream = viewer.stream();
     stream.set_nodelay(true)?;
-    stream.set_read_timeout(Some(SILENCE))?;
     stream.set_write_timeout(Some(SILENCE))?;
+    let mut pace = Pace::new();
     loop {
-        let message = read_message(&mut stream)?;
-        wishes.train.store(message.train, Ordering::Relaxed);
-        wishes.keep_alive.store(message.keep_alive, Ordering::Relaxed);
+        let message = read_message(stream)?;
+        viewer.speaks(message.train, message.keep_alive);
         if let Some(camera) = message.camera()? {
-            let (answer, picture) = mpsc::channel();
-            hub.ask_remotely(RemoteRequest { camera, scale: message.scaling_modifier.max(0.0), answer });
-            let rgb = picture.recv().map_err(|_| bad("no picture"))?;
+            let (answer, picture) = mpsc::sync_channel(1);
+            let scale = message.scaling_modifier.max(0.0);
+            if !hub.ask_remotely(RemoteRequest { camera, scale, answer }) {
+                return Err(bad("too many ask for pictures"));
+            }
+            let rgb = picture.recv_timeout(PATIENCE).map_err(|_| bad("no picture"))?;
             stream.write_all(&rgb)?;
         }
         let length = u32::try_from(source.len()).map_err(|_| bad("a path too long"))?;
         stream.write_all(&length.to_le_bytes())?;
         stream.write_all(source.as_bytes())?;
+        viewer.is_answered();
+        pace.spend(source.len());
+        std::thread::sleep(pace.wait());
     }
 }
 
-fn read_message(stream: &mut TcpStream) -> io::Result<Message> {
+/// A message, which must be whole before it is too late.
+fn read_message(stream: &TcpStream) -> io::Result<Message> {
+    let end = Instant::now() + SILENCE;
     let mut length = [0; 4];
-    stream.read_exact(&mut length)?;
+    read_until(stream, &mut length, end)?;
     let length = u32::from_le_bytes(length);
     if length > LONGEST_MESSAGE {
         return Err(bad("a message too long"));
     }
     let mut text = vec![0; length as usize];
-    stream.read_exact(&mut text)?;
+    read_until(stream, &mut text, end)?;
     serde_json::from_slice(&text).map_err(io::Error::from)
+}
+
+/// Fills a buffer; a peer that sends byte by byte has no more time than others.
+fn read_until(mut stream: &TcpStream, mut buffer: &mut [u8], end: Instant) -> io::Result<()> {
+    while !buffer.is_empty() {
+        let left = end.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        stream.set_read_timeout(Some(left))?;
+        match stream.read(buffer)? {
+            0 => return Err(io::ErrorKind::UnexpectedEof.into()),
+            read => buffer = &mut buffer[read..],
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -229,9 +255,26 @@ mod tests {
             assert_eq!(&answer[4..], b"data");
             stream
         };
+        // Those that have said nothing hold none up, however many there are.
+        let mute: Vec<TcpStream> = (0..50).map(|_| TcpStream::connect(address).expect("connected")).collect();
+        assert!(wishes.may_train());
         let asleep = connect();
         assert!(!wishes.may_train());
         wait_for(&|| wishes.may_train());
-        drop((connect(), asleep));
+        drop((connect(), asleep, mute));
+    }
+
+    /// One that sends its message byte by byte has no more time than others.
+    #[test]
+    fn slow_viewers_are_given_up() {
+        let (address, _wishes) =
+            listen("127.0.0.1", 0, Arc::new(Hub::default()), "data".into()).expect("a port");
+        let mut slow = TcpStream::connect(address).expect("connected");
+        slow.write_all(&1000_u32.to_le_bytes()).expect("sent");
+        let start = Instant::now();
+        while slow.write_all(b" ").is_ok() {
+            assert!(start.elapsed() < Duration::from_secs(60), "it is still heard");
+            std::thread::sleep(SILENCE / 10);
+        }
     }
 }

@@ -13,6 +13,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+/// Films that are put together at once: each takes a processor, descriptors and a frame's memory.
+const MOST_ASSEMBLED: usize = 2;
+
 /// Serves pages with pictures of any subject.
 pub struct Studio {
     hub: Arc<Hub>,
@@ -87,7 +90,7 @@ impl Studio {
         let frame = painter.render(&request.camera, &settings).and_then(|frame| output::to_photo(&frame));
         match frame {
             Ok(photo) => {
-                request.answer.send(photo.rgb).ok();
+                request.answer.try_send(photo.rgb).ok();
                 Ok(())
             }
             // Without an answer the connection is closed.
@@ -126,7 +129,12 @@ impl Studio {
 
     fn begin_film(&mut self) -> bool {
         let Some((client, request)) = self.hub.take_film() else { return false };
-        match Film::begin(client, request, &self.films) {
+        self.assembling.retain(|thread| !thread.is_finished());
+        let begun = match self.assembling.len() < MOST_ASSEMBLED {
+            true => Film::begin(client, request, &self.films),
+            false => Err(Error::argument("film", "others are being put together: ask again in a while")),
+        };
+        match begun {
             Ok(film) => self.film = Some(film),
             Err(error) => {
                 self.end_film(client, json!({ "type": "film", "cancelled": true }));
@@ -148,6 +156,8 @@ impl Studio {
         let work = move || {
             let message = match film.run(&abandoned) {
                 Ok(files) => {
+                    let names = ["gif", "mp4", "path"].iter().filter_map(|kind| files[kind].as_str());
+                    hub.publish_film(names.map(str::to_owned));
                     progress["files"] = files;
                     progress
                 }
@@ -158,7 +168,6 @@ impl Studio {
             };
             hub.send(client, ToPage::json(&message));
         };
-        self.assembling.retain(|thread| !thread.is_finished());
         match std::thread::Builder::new().name("film".into()).spawn(work) {
             Ok(thread) => self.assembling.push(thread),
             Err(error) => self.hub.send(client, ToPage::problem(&format!("no film: {error}"))),

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
+use crate::model;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
 use ashsplat::trainer::{Actions, Checkpoint};
 use ashsplat::vk::{ContextOptions, Fault, Faults};

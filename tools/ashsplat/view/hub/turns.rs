@@ -1,13 +1,13 @@
 //! Who waits for the thread that renders, and whose turn it is.
 
-use super::{Pick, RemoteRequest, Task};
-use crate::view::protocol::{FilmRequest, ToPage, TrainAction, ViewRequest};
-use std::collections::{BTreeMap, VecDeque};
-use tokio::sync::mpsc::UnboundedSender;
+use super::{Outbox, Pick, RemoteRequest, Task};
+use crate::view::protocol::{FilmRequest, TrainAction, ViewRequest};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
 
 /// One page.
 pub(super) struct Client {
-    pub(super) out: UnboundedSender<ToPage>,
+    pub(super) out: Arc<Outbox>,
     /// The newest camera.
     pub(super) view: Option<ViewRequest>,
     /// Whether it has not been rendered since it, or the scene, changed.
@@ -35,6 +35,8 @@ pub(super) struct State {
     pub(super) filming: Option<u64>,
     /// Whether that one is to end.
     pub(super) called_off: bool,
+    /// Names of the files of the films that were made.
+    pub(super) film_files: BTreeSet<String>,
     /// The message that every page gets first.
     pub(super) greeting: String,
     /// How training goes; see [`super::Hub::set_status`].
@@ -92,16 +94,14 @@ impl State {
 mod tests {
     use super::*;
     use crate::view::hub::Hub;
-    use crate::view::hub::tests::{film, view};
+    use crate::view::hub::tests::{film, join, view};
     use std::time::Duration;
-    use tokio::sync::mpsc::unbounded_channel;
 
     #[test]
     fn another_program_and_films_take_turns_with_pages() {
         let hub = Hub::default();
-        let (out, _page) = unbounded_channel();
-        let [a, b] = [(); 2].map(|()| hub.join(out.clone()));
-        let (answer, _answers) = std::sync::mpsc::channel();
+        let [a, b] = [(); 2].map(|()| join(&hub));
+        let (answer, _answers) = std::sync::mpsc::sync_channel(1);
         let served: String = (0..12)
             .map(|round| {
                 // All of them always want something.

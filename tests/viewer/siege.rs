@@ -1,0 +1,151 @@
+//! What others do to the viewer, by mistake or not: it costs them, and neither the program nor other pages.
+
+use super::training::Training;
+use super::*;
+use ashsplat_files::{Photo, PhotoFileFormat};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use tempfile::tempdir;
+
+fn silent(server: &Server, count: usize) -> Vec<TcpStream> {
+    (0..count).filter_map(|_| TcpStream::connect(server.host.as_str()).ok()).collect()
+}
+
+/// Connections that say nothing, many more than the program may have descriptors.
+#[cfg(unix)]
+#[test]
+fn viewer_leaves_descriptors_to_a_training() {
+    let training = Training::start_within(150, &["1000000", "--view=0"]);
+    let mut page = training.server.page();
+    let _silent = silent(&training.server, 600);
+    page.act("pause");
+    let at = page.rest();
+    page.act("save");
+    let note = page.wait_for("note");
+    assert_eq!(note["message"], format!("saved iteration {at}"));
+    // Others come in all the same.
+    assert_eq!(training.server.get("/main.js", &[]).0, 200);
+    let mut other = training.server.page();
+    assert_eq!(other.status(0)["iteration"].as_u64(), Some(at));
+    let model = training.model();
+    let (code, stderr) = training.server.end();
+    assert!(code == Some(130) && !stderr.contains("Too many open files"), "{code:?} {stderr}");
+    assert!(model.join(format!("chkpnt{at}.safetensors")).is_file());
+}
+
+/// A data set of large photos.
+fn write_large(folder: &Path, count: usize, size: u32) {
+    let images = folder.join("images");
+    std::fs::create_dir_all(&images).expect("created");
+    let rgb = vec![99; (3 * size * size) as usize];
+    let first = images.join("00.png");
+    Photo { width: size, height: size, rgb }.write_png(&first).expect("a PNG");
+    let frame = |index: usize| {
+        let name = format!("images/{index:02}.png");
+        if index > 0 {
+            std::fs::hard_link(&first, folder.join(&name)).expect("a link");
+        }
+        let matrix = [[1.0, 0.0, 0.0, 0.1 * index as f64], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0]];
+        let rows = [matrix.as_slice(), &[[0.0, 0.0, 0.0, 1.0]]].concat();
+        json!({ "file_path": name, "transform_matrix": rows })
+    };
+    let frames: Vec<Value> = (0..count).map(frame).collect();
+    let focal = f64::from(size);
+    let lens = json!({
+        "w": size, "h": size, "fl_x": focal, "fl_y": focal, "cx": focal / 2.0, "cy": focal / 2.0, "frames": frames,
+    });
+    std::fs::write(folder.join("transforms.json"), lens.to_string()).expect("written");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn viewer_decodes_few_photos_at_once() {
+    let folder = tempdir().expect("a temporary folder");
+    write_large(folder.path(), 20, 4000);
+    let server = Server::view(folder.path(), &[]);
+    let (before, shown) = (server.peak_memory(), AtomicU32::new(0));
+    std::thread::scope(|scope| {
+        for index in 0..40 {
+            let (server, shown) = (&server, &shown);
+            let path = format!("/{}/{}", ["photo", "thumbnail"][index % 2], index / 2);
+            scope.spawn(move || {
+                let (code, head, _) = server.get(&path, &[]);
+                assert!([200, 503].contains(&code), "{head}");
+                shown.fetch_add(u32::from(code == 200), Ordering::Relaxed);
+            });
+        }
+    });
+    let (shown, more) = (shown.into_inner(), server.peak_memory() - before);
+    assert!(shown >= 20 && more < 600, "{shown} photos, {more} MiB");
+    assert_eq!(server.get("/photo/0", &[]).0, 200);
+}
+
+/// Sends as fast as it can and reads nothing, until it is told to stop.
+fn flood(page: &mut Page, over: &AtomicBool, message: &str) {
+    page.socket.get_ref().set_write_timeout(Some(Duration::from_millis(50))).expect("a timeout");
+    let mut sent = true;
+    while !over.load(Ordering::Relaxed) {
+        let result = if sent { page.socket.send(Message::text(message)) } else { page.socket.flush() };
+        sent = result.is_ok();
+        match result {
+            Err(tungstenite::Error::Io(e)) if e.kind() == std::io::ErrorKind::WouldBlock => {}
+            Err(_) => return,
+            Ok(()) => {}
+        }
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn viewer_pages_that_flood_starve_none() {
+    let folder = tempdir().expect("a temporary folder");
+    let server = Server::view(&super::write_ball(folder.path(), 200), &[]);
+    let mut page = server.page();
+    page.look(&camera(0.0), &json!({}));
+    let (before, over) = (server.peak_memory(), AtomicBool::new(false));
+    let view = view(1, &camera(0.3), &json!({})).to_string();
+    std::thread::scope(|scope| {
+        for message in [view.as_str(), r#"{"type":"nonsense"}"#, r#"{"type":"ack"}"#] {
+            let (server, over) = (&server, &over);
+            scope.spawn(move || flood(&mut server.page(), over, message));
+        }
+        let start = Instant::now();
+        let mut longest = Duration::ZERO;
+        for turn in 0..20 {
+            std::thread::sleep(Duration::from_millis(200));
+            let asked = Instant::now();
+            page.look(&camera(0.1 * turn as f32), &json!({}));
+            longest = longest.max(asked.elapsed());
+        }
+        let seconds = start.elapsed().as_secs_f64();
+        over.store(true, Ordering::Relaxed);
+        let more = server.peak_memory() - before;
+        assert!(longest < Duration::from_secs(3), "{longest:?}");
+        assert!(more < 80, "{more} MiB in {seconds:.1} s");
+    });
+}
+
+/// Who talks without pause is answered meanwhile.
+#[test]
+fn viewer_answers_while_messages_come() {
+    let folder = tempdir().expect("a temporary folder");
+    let server = Server::view(&super::write_ball(folder.path(), 50), &[]);
+    let page = server.page();
+    let stream = page.socket.get_ref().try_clone().expect("a stream");
+    let role = tungstenite::protocol::Role::Client;
+    let mut reader = tungstenite::WebSocket::from_raw_socket(stream, role, None);
+    let over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let over = &over;
+        scope.spawn(move || {
+            let mut page = page;
+            flood(&mut page, over, r#"{"type":"nonsense"}"#);
+        });
+        let start = Instant::now();
+        for _ in 0..1000 {
+            let answer = reader.read().expect("an answer");
+            assert!(answer.to_text().is_ok_and(|text| text.contains("not understood")), "{answer}");
+        }
+        over.store(true, Ordering::Relaxed);
+        assert!(start.elapsed() < Duration::from_secs(30), "{:?}", start.elapsed());
+    });
+}

@@ -1,0 +1,135 @@
+//! Saving while training runs. What the disk refuses is tried again, and training goes on: its hours are worth more than
+//! one file.
+
+use super::Run;
+use crate::measure::Stopwatch;
+use crate::{model, output};
+use ashsplat::{Error, Result};
+use ashsplat_files::splats;
+use std::time::{Duration, Instant};
+
+/// Until what could not be saved is tried again, while training goes on.
+const AGAIN: Duration = Duration::from_secs(5);
+/// Attempts when training ends, and the pause between two.
+const ATTEMPTS: u32 = 3;
+const PAUSE: Duration = Duration::from_millis(300);
+
+/// What a run saves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Scene,
+    Checkpoint,
+}
+
+/// What could not be saved, and when it is tried again.
+#[derive(Default)]
+pub struct Unsaved {
+    scene: Option<Instant>,
+    checkpoint: Option<Instant>,
+}
+
+impl Unsaved {
+    fn when(&mut self, kind: Kind) -> &mut Option<Instant> {
+        match kind {
+            Kind::Scene => &mut self.scene,
+            Kind::Checkpoint => &mut self.checkpoint,
+        }
+    }
+
+    /// The scene that a page wanted could not be saved.
+    pub fn wants_scene(&mut self) {
+        self.scene = Some(Instant::now() + AGAIN);
+    }
+
+    fn is_due(&mut self, kind: Kind) -> bool {
+        self.when(kind).is_some_and(|when| when <= Instant::now())
+    }
+}
+
+impl Run {
+    /// Tests and saves where it is time to, off the clock; the PSNR where it was tested.
+    pub(super) fn keep(
+        &mut self,
+        iteration: u32,
+        stopping: bool,
+        watch: &mut Stopwatch,
+    ) -> Result<Option<f64>> {
+        let last = iteration == self.settings.train.iterations;
+        let data = &self.settings.data;
+        let asked = data.save_iterations.contains(&iteration);
+        let tests = last || data.test_iterations.contains(&iteration);
+        let saves = last || stopping || asked || self.unsaved.is_due(Kind::Scene);
+        if !saves && !tests {
+            return Ok(None);
+        }
+        watch.paused(|| {
+            if saves {
+                let reason = if stopping && !last { "interrupted: " } else { "" };
+                self.persist(Kind::Scene, last || stopping, |run| run.save(iteration, reason))?;
+            }
+            match tests.then(|| self.test(iteration)).transpose() {
+                // A frame of a test view that is too large: training goes on.
+                Err(error @ Error::TooLarge { .. }) if !last && !stopping => {
+                    self.progress.warn(&format!("warning: iteration {iteration} is not tested: {error}"));
+                    Ok(None)
+                }
+                tested => tested,
+            }
+        })
+    }
+
+    /// Whether a checkpoint is to be written after an iteration: also one that could not be written before.
+    pub(super) fn checkpoint_is_due(&mut self, iteration: u32, stopping: bool) -> bool {
+        let last = iteration == self.settings.train.iterations;
+        let asked = self.settings.data.checkpoint_iterations.contains(&iteration);
+        let late = last && self.unsaved.checkpoint.is_some();
+        stopping || asked || late || self.unsaved.is_due(Kind::Checkpoint)
+    }
+
+    /// Writes a checkpoint now, or notes that it is to be written.
+    pub(super) fn keep_checkpoint(&mut self, stopping: bool) -> Result<()> {
+        let ends = stopping || self.trainer.iteration() == self.settings.train.iterations;
+        self.persist(Kind::Checkpoint, ends, Run::write_checkpoint)
+    }
+
+    /// Writes something. When the disk refuses it, it waits for later; where training ends, there is no later.
+    fn persist(&mut self, kind: Kind, ends: bool, write: impl Fn(&mut Run) -> Result<()>) -> Result<()> {
+        let mut written = write(self);
+        for _ in 1..if ends { ATTEMPTS } else { 1 } {
+            if !matches!(written, Err(Error::Io { .. })) {
+                break;
+            }
+            std::thread::sleep(PAUSE);
+            written = write(self);
+        }
+        match written {
+            Err(error @ Error::Io { .. }) if !ends => {
+                if self.unsaved.when(kind).replace(Instant::now() + AGAIN).is_none() {
+                    let warning = format!("warning: {error}; training goes on, and it is tried again");
+                    self.progress.warn(&warning);
+                }
+                Ok(())
+            }
+            written => {
+                if written.is_ok() {
+                    *self.unsaved.when(kind) = None;
+                }
+                written
+            }
+        }
+    }
+
+    /// Saves the scene as it stands after an iteration, and notes that it is the newest.
+    pub(super) fn save(&mut self, iteration: u32, reason: &str) -> Result<()> {
+        let folder = &self.settings.data.model_path;
+        let path = model::point_cloud_path(folder, iteration);
+        let gaussians = self.trainer.gaussians()?;
+        let antialiased = self.settings.train.antialiasing;
+        let options = splats::WriteOptions { antialiased, ..Default::default() };
+        output::in_folder(&path, |path| splats::write(path, &gaussians, &options))?;
+        model::note_saved(folder, iteration)?;
+        self.saved = Some(iteration);
+        self.progress.note(&format!("{reason}saved {}", path.display()));
+        Ok(())
+    }
+}

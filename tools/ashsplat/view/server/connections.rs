@@ -1,0 +1,200 @@
+//! Connections, from their coming to their going: each within its limits, whatever it does or does not do.
+
+use super::seats::{Limits, Seat, Seats};
+use axum::Router;
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use std::io::{IoSlice, Result};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::{TcpListener, TcpStream};
+
+/// Pause when no connection can be accepted, for want of descriptors say.
+const PAUSE: Duration = Duration::from_millis(100);
+/// Bytes of a request's headers.
+const MOST_HEADERS: usize = 64 << 10;
+
+/// Serves for ever.
+pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
+    let seats = Arc::new(Seats::new(limits));
+    loop {
+        match listener.accept().await {
+            Ok((stream, peer)) => {
+                if let Some(seat) = seats.take(peer.ip()) {
+                    let stream = Watched { stream, seat, seats: seats.clone() };
+                    tokio::spawn(attend(stream, router.clone()));
+                }
+            }
+            Err(_) => tokio::time::sleep(PAUSE).await,
+        }
+        // Who has to make way for this one goes before the next comes.
+        tokio::task::yield_now().await;
+    }
+}
+
+/// One connection.
+async fn attend(stream: Watched, router: Router) {
+    let (seat, limits) = (stream.seat.clone(), *stream.seats.limits());
+    let answering = seat.clone();
+    let router = TowerToHyperService::new(router);
+    let service = service_fn(move |mut request: hyper::Request<Incoming>| {
+        let begun = answering.begin();
+        request.extensions_mut().insert(answering.clone());
+        let answer = router.call(request);
+        async move {
+            let answer = answer.await;
+            drop(begun);
+            answer
+        }
+    });
+    let mut http = http1::Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(limits.headers).max_buf_size(MOST_HEADERS);
+    let connection = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
+    tokio::select! {
+        // A peer that goes, and nonsense, end the connection and nothing else.
+        ended = connection => drop(ended),
+        () = seat.must_go(limits.stall) => {}
+    }
+}
+
+/// A stream whose seat knows when something moves, and is free when it is closed.
+struct Watched {
+    stream: TcpStream,
+    seat: Arc<Seat>,
+    seats: Arc<Seats>,
+}
+
+impl Drop for Watched {
+    fn drop(&mut self) {
+        self.seats.leave(&self.seat);
+    }
+}
+
+impl Watched {
+    fn noted(&self, written: Poll<Result<usize>>) -> Poll<Result<usize>> {
+        if matches!(written, Poll::Ready(Ok(bytes)) if bytes > 0) {
+            self.seat.has_moved();
+        }
+        written
+    }
+}
+
+impl AsyncRead for Watched {
+    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<Result<()>> {
+        let before = buf.filled().len();
+        let read = Pin::new(&mut self.stream).poll_read(cx, buf);
+        if buf.filled().len() > before {
+            self.seat.has_moved();
+        }
+        read
+    }
+}
+
+impl AsyncWrite for Watched {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<Result<usize>> {
+        let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
+        self.noted(written)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(cx)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        parts: &[IoSlice<'_>],
+    ) -> Poll<Result<usize>> {
+        let written = Pin::new(&mut self.stream).poll_write_vectored(cx, parts);
+        self.noted(written)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::routing::get;
+    use std::io::{Read, Write};
+    use std::net::TcpStream as Client;
+    use std::time::Instant;
+
+    /// A server with small limits, which ends with the program.
+    fn server(limits: Limits) -> std::net::SocketAddr {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let listener = runtime.block_on(TcpListener::bind("127.0.0.1:0")).expect("a port");
+        let address = listener.local_addr().expect("its address");
+        let large = || async { vec![7_u8; 64 << 20] };
+        let router = Router::new().route("/", get(|| async { "here" })).route("/large", get(large));
+        std::thread::spawn(move || runtime.block_on(serve(listener, router, limits)));
+        address
+    }
+
+    fn limits(headers: u64, stall: u64) -> Limits {
+        let [headers, stall] = [headers, stall].map(Duration::from_millis);
+        Limits { total: 16, per_peer: 8, headers, stall }
+    }
+
+    fn connect(address: std::net::SocketAddr) -> Client {
+        let client = Client::connect(address).expect("connected");
+        client.set_read_timeout(Some(Duration::from_secs(60))).expect("a timeout");
+        client
+    }
+
+    fn ask(address: std::net::SocketAddr) -> String {
+        let mut client = connect(address);
+        client.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").expect("sent");
+        let mut answer = String::new();
+        client.read_to_string(&mut answer).expect("an answer");
+        answer
+    }
+
+    #[test]
+    fn silent_connections_keep_none_away() {
+        let address = server(limits(60_000, 60_000));
+        let silent: Vec<Client> = (0..200).map(|_| connect(address)).collect();
+        assert!(ask(address).ends_with("here"));
+        // The first ones have been closed to make way.
+        assert!(matches!((&silent[0]).read(&mut [0]), Ok(0) | Err(_)));
+        silent[199].set_read_timeout(Some(Duration::from_millis(100))).expect("a timeout");
+        assert!((&silent[199]).read(&mut [0]).is_err_and(|e| e.kind() == std::io::ErrorKind::WouldBlock));
+    }
+
+    #[test]
+    fn headers_must_come_in_time() {
+        let address = server(limits(200, 60_000));
+        for begun in ["", "GET / HTTP/1.1\r\nHost: loc", "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"] {
+            let start = Instant::now();
+            let mut client = connect(address);
+            client.write_all(begun.as_bytes()).expect("sent");
+            let mut answer = Vec::new();
+            client.read_to_end(&mut answer).ok();
+            assert_eq!(answer.ends_with(b"here"), begun.ends_with("\r\n\r\n"), "{begun}");
+            assert!(start.elapsed() < Duration::from_secs(30), "{begun}");
+        }
+    }
+
+    #[test]
+    fn who_does_not_read_an_answer_goes() {
+        let address = server(limits(60_000, 300));
+        let mut client = connect(address);
+        client.write_all(b"GET /large HTTP/1.1\r\nHost: localhost\r\n\r\n").expect("sent");
+        std::thread::sleep(Duration::from_millis(1500));
+        let mut answer = Vec::new();
+        client.read_to_end(&mut answer).ok();
+        assert!(!answer.is_empty() && answer.len() < 64 << 20, "{}", answer.len());
+    }
+}

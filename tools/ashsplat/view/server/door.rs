@@ -1,0 +1,188 @@
+//! Who is let in: who knows the token, and pages of this server, no others.
+
+use super::Site;
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use std::net::IpAddr;
+use std::sync::Arc;
+
+/// Lets in who knows the token; without one, only pages that were opened under a name of this machine itself, so that
+/// no foreign page can have its name point here.
+pub async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
+    let headers = request.headers();
+    if let Some(token) = &site.token {
+        let given = query_value(request.uri(), "token").or_else(|| cookie(headers, &cookie_name(headers)));
+        if !given.is_some_and(|given| equal(given.as_bytes(), token.as_bytes())) {
+            let text = "401: this viewer wants a token: open http://HOST:PORT/?token=WORD with the word that was given to --token\n";
+            return (StatusCode::UNAUTHORIZED, text).into_response();
+        }
+    } else if !header_text(headers, header::HOST).is_some_and(is_own_name) {
+        let text = "403: open this page as http://localhost:PORT/\n";
+        return (StatusCode::FORBIDDEN, text).into_response();
+    }
+    if !is_own_page(request.headers()) && !is_visit(&request) {
+        return (StatusCode::FORBIDDEN, "403: a page of another site\n").into_response();
+    }
+    let name = cookie_name(headers);
+    let from_query = query_value(request.uri(), "token").filter(|_| site.token.is_some());
+    let mut response = next.run(request).await;
+    let headers = response.headers_mut();
+    let mut set = |name, value: &str| {
+        if let Ok(value) = value.parse() {
+            headers.insert(name, value);
+        }
+    };
+    set(header::X_CONTENT_TYPE_OPTIONS, "nosniff");
+    set(header::REFERRER_POLICY, "no-referrer");
+    set(
+        header::CONTENT_SECURITY_POLICY,
+        "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'",
+    );
+    if let Some(token) = from_query {
+        set(header::SET_COOKIE, &format!("{name}={token}; HttpOnly; SameSite=Strict; Path=/"));
+    }
+    response
+}
+
+/// Whether no page of another site asks: browsers say whose page it is, and other programs say nothing. What is no name of
+/// a page is foreign, an empty one too.
+fn is_own_page(headers: &HeaderMap) -> bool {
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+    let own_origin = headers.get_all(header::ORIGIN).iter().all(|origin| {
+        let name = origin.to_str().ok().and_then(|origin| Some(origin.split_once("://")?.1));
+        name.is_some_and(|name| !name.is_empty() && Some(name) == host)
+    });
+    let own_site =
+        headers.get_all("sec-fetch-site").iter().all(|site| site == "same-origin" || site == "none");
+    own_origin && own_site
+}
+
+/// Whether a person follows a link to the page: what links to it learns nothing of it.
+fn is_visit(request: &Request) -> bool {
+    let headers = request.headers();
+    let says = |name: &str, value: &str| headers.get(name).is_some_and(|said| said == value);
+    let navigates = says("sec-fetch-mode", "navigate") && says("sec-fetch-dest", "document");
+    request.uri().path() == "/" && navigates && !headers.contains_key(header::ORIGIN)
+}
+
+/// Whether a Host header names this machine from within.
+fn is_own_name(host: &str) -> bool {
+    let name = match host.rsplit_once(':') {
+        Some((name, port)) if port.chars().all(|c| c.is_ascii_digit()) => name,
+        _ => host,
+    };
+    let bare = name.trim_start_matches('[').trim_end_matches(']');
+    name == "localhost" || bare.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
+}
+
+fn header_text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
+    headers.get(name)?.to_str().ok()
+}
+
+/// Browsers send a host's cookies to all its ports: those of several viewers must have several names. The port is the one
+/// that the browser sees, which another may forward.
+fn cookie_name(headers: &HeaderMap) -> String {
+    let port =
+        header_text(headers, header::HOST).and_then(|host| host.rsplit_once(':')?.1.parse::<u16>().ok());
+    format!("ashsplat_token_{}", port.unwrap_or(80))
+}
+
+fn cookie(headers: &HeaderMap, name: &str) -> Option<String> {
+    let all = header_text(headers, header::COOKIE)?;
+    let find = |part: &str| Some(part.trim().strip_prefix(name)?.strip_prefix('=')?.to_owned());
+    all.split(';').find_map(find)
+}
+
+fn query_value(uri: &Uri, name: &str) -> Option<String> {
+    let find = |part: &str| Some(part.strip_prefix(name)?.strip_prefix('=')?.to_owned());
+    uri.query()?.split('&').find_map(find)
+}
+
+/// Takes as long for a wrong word as for the right one.
+fn equal(a: &[u8], b: &[u8]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).fold(0, |differs, (a, b)| differs | (a ^ b)) == 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_this_machine() {
+        for own in ["localhost", "localhost:8090", "127.0.0.1:1", "[::1]:8090", "[::1]"] {
+            assert!(is_own_name(own), "{own}");
+        }
+        for foreign in ["example.org", "evil.localhost.example:80", "10.0.0.7:8090", ""] {
+            assert!(!is_own_name(foreign), "{foreign}");
+        }
+    }
+
+    #[test]
+    fn cookies_are_of_the_port_that_the_browser_sees() {
+        let headers = |host: &str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, host.parse().expect("a header"));
+            headers.insert(
+                header::COOKIE,
+                "ashsplat_token_9000=a; ashsplat_token_9001=b".parse().expect("a header"),
+            );
+            headers
+        };
+        for (host, expected) in
+            [("localhost:9000", Some("a")), ("[::1]:9001", Some("b")), ("example.org", None)]
+        {
+            let headers = headers(host);
+            assert_eq!(cookie(&headers, &cookie_name(&headers)).as_deref(), expected, "{host}");
+        }
+    }
+
+    #[test]
+    fn values_are_found() {
+        let uri: Uri = "/a?x=1&token=secret&tokens=2".parse().expect("a URI");
+        assert_eq!(query_value(&uri, "token").as_deref(), Some("secret"));
+        assert!(equal(b"secret", b"secret") && !equal(b"secret", b"secre") && !equal(b"secret", b"sEcret"));
+    }
+
+    #[test]
+    fn pages_of_other_sites_are_foreign() {
+        let own = |headers: &[(&'static str, &[u8])]| {
+            let mut all = HeaderMap::new();
+            all.insert(header::HOST, "localhost:8090".parse().expect("a header"));
+            for (name, value) in headers {
+                all.append(*name, header::HeaderValue::from_bytes(value).expect("a header"));
+            }
+            is_own_page(&all)
+        };
+        let origin = "origin";
+        for (headers, expected) in [
+            (&[][..], true),
+            (&[(origin, &b"http://localhost:8090"[..])], true),
+            (&[(origin, b"")], false),
+            (&[(origin, b"null")], false),
+            (&[(origin, b"http://")], false),
+            (&[(origin, b"http://localhost:9000")], false),
+            (&[(origin, "http://localhost:8090\u{e4}".as_bytes())], false),
+            (&[(origin, "\u{e4}".as_bytes())], false),
+            (&[(origin, b"http://localhost:8090"), (origin, b"http://elsewhere.example")], false),
+            (&[("sec-fetch-site", b"same-origin")], true),
+            (&[("sec-fetch-site", b"none")], true),
+            (&[("sec-fetch-site", b"same-site")], false),
+            (&[("sec-fetch-site", b"cross-site")], false),
+        ] {
+            assert_eq!(own(headers), expected, "{headers:?}");
+        }
+    }
+
+    #[test]
+    fn a_link_opens_the_page_and_nothing_else() {
+        let visit = |path: &str, dest: &str| {
+            let request = axum::http::Request::get(path);
+            let request = request.header("sec-fetch-mode", "navigate").header("sec-fetch-dest", dest);
+            is_visit(&request.body(axum::body::Body::empty()).expect("a request"))
+        };
+        assert!(visit("/", "document") && visit("/?token=word", "document"));
+        assert!(!visit("/", "iframe") && !visit("/photo/0", "document"));
+    }
+}

@@ -1,0 +1,129 @@
+//! A page's WebSocket, from its coming to its going. Replies leave before more is heard, and what is heard has its pace: a
+//! page that floods waits for itself, and takes neither memory nor time from the others.
+
+use super::Site;
+use super::seats::Seat;
+use crate::view::hub::{Hub, Pick};
+use crate::view::pace::Pace;
+use crate::view::protocol::{FromPage, ToPage};
+use axum::Extension;
+use axum::extract::State;
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use serde_json::json;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// A page that does not take a message within this time is given up.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// So often a page is asked whether it is still there,
+const PING: Duration = if cfg!(test) { Duration::from_millis(100) } else { Duration::from_secs(15) };
+/// and it is given up when nothing has come of it for so long: a laptop asleep never says that it goes.
+pub(super) const SILENCE: Duration = PING.saturating_mul(3);
+/// Longest message of a page.
+const LONGEST_MESSAGE: usize = 256 * 1024;
+/// While so many replies wait, nothing more is heard.
+const MOST_REPLIES: usize = 16;
+
+/// Lets a page in.
+pub async fn socket(
+    State(site): State<Arc<Site>>,
+    Extension(seat): Extension<Arc<Seat>>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    if !site.hub.has_room() {
+        let text = "503: too many pages look on already\n";
+        return (StatusCode::SERVICE_UNAVAILABLE, text).into_response();
+    }
+    let upgrade = upgrade.max_message_size(LONGEST_MESSAGE).max_frame_size(LONGEST_MESSAGE);
+    upgrade.on_upgrade(move |socket| {
+        seat.becomes_page();
+        converse(socket, site.hub.clone())
+    })
+}
+
+/// One page, from its coming to its going.
+async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
+    let Some((client, outbox)) = hub.join() else { return };
+    let mut clock = tokio::time::interval(PING);
+    let mut heard = Instant::now();
+    let mut pace = Pace::new();
+    loop {
+        let wait = pace.wait();
+        let listens = wait.is_zero() && outbox.words() < MOST_REPLIES;
+        let message = tokio::select! {
+            // Replies first; what has come counts before the clock.
+            biased;
+            message = outbox.take() => match message {
+                Some(ToPage::Text(text)) => {
+                    pace.spend(text.len());
+                    Message::Text(text.into())
+                }
+                Some(ToPage::Binary(bytes)) => Message::Binary(bytes.into()),
+                None => break,
+            },
+            message = socket.recv(), if listens => {
+                heard = Instant::now();
+                match message {
+                    Some(Ok(Message::Text(text))) => {
+                        pace.spend(text.len());
+                        heed(&hub, client, text.as_str());
+                    }
+                    Some(Ok(Message::Close(_)) | Err(_)) | None => break,
+                    Some(Ok(other)) => pace.spend(other.into_data().len()),
+                }
+                continue;
+            },
+            _ = clock.tick() => {
+                if heard.elapsed() > SILENCE {
+                    break;
+                }
+                Message::Ping(Default::default())
+            }
+            () = tokio::time::sleep(wait), if !wait.is_zero() => {
+                // It was not listened to.
+                heard = Instant::now();
+                continue;
+            }
+        };
+        if !matches!(tokio::time::timeout(PATIENCE, socket.send(message)).await, Ok(Ok(()))) {
+            break;
+        }
+    }
+    hub.leave(client);
+}
+
+/// Does what a page says, or notes it for the thread that renders.
+fn heed(hub: &Hub, client: u64, text: &str) {
+    let refuse = |message: &str| hub.send(client, ToPage::problem(message));
+    match serde_json::from_str(text) {
+        Ok(FromPage::View(view)) => hub.set_view(client, view),
+        Ok(FromPage::Ack {}) => hub.acknowledge(client),
+        Ok(FromPage::Pick { id, camera, look, pixel }) => {
+            if !hub.pick(client, Pick { id, camera, look, pixel }) {
+                refuse("too many pixels asked for at once");
+            }
+        }
+        Ok(FromPage::Status { since }) => {
+            if let Some(status) = hub.status(since) {
+                hub.send(client, ToPage::Text(status));
+            }
+        }
+        Ok(FromPage::Train { action }) => {
+            if !hub.act(action) {
+                refuse("nothing is trained here, or it has been told too much at once");
+            }
+        }
+        Ok(FromPage::Film(request)) => match hub.film(client, request) {
+            Some(before) => hub.send(client, ToPage::json(&json!({ "type": "film", "waiting": before }))),
+            None => refuse("this page's film is being made: cancel it first"),
+        },
+        Ok(FromPage::Cancel) => {
+            if hub.cancel_film(client) {
+                hub.send(client, ToPage::json(&json!({ "type": "film", "cancelled": true })));
+            }
+        }
+        Err(error) => refuse(&format!("not understood: {error}")),
+    }
+}

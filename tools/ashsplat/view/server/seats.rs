@@ -1,0 +1,226 @@
+//! Connections: how many there may be, in all and from one place, and who makes way for a new one.
+//!
+//! A connection costs a descriptor of the program, which saving needs too: so there are few, and what does nothing goes
+//! first.
+
+use std::net::IpAddr;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::sync::Notify;
+
+/// Most connections in all; a page has one for good, and a browser opens six more.
+const MOST: usize = 96;
+/// Descriptors that are left to the rest of the program, for saving say.
+const RESERVE: usize = 64;
+/// What a small table of descriptors leaves the viewer nevertheless.
+const LEAST: usize = 8;
+
+/// How many connections there may be, and how long they may take.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    pub total: usize,
+    /// From one address.
+    pub per_peer: usize,
+    /// For the headers of a request, also of the first.
+    pub headers: Duration,
+    /// For anything else to move on.
+    pub stall: Duration,
+}
+
+impl Limits {
+    /// As the descriptors that this process may have allow.
+    pub fn of_process() -> Limits {
+        Limits::within(free_descriptors())
+    }
+
+    fn within(descriptors: usize) -> Limits {
+        let total = descriptors.saturating_sub(RESERVE).clamp(LEAST, MOST);
+        let (headers, stall) = (Duration::from_secs(10), Duration::from_secs(60));
+        Limits { total, per_peer: total / 2, headers, stall }
+    }
+}
+
+/// Descriptors that the process may still open.
+fn free_descriptors() -> usize {
+    #[cfg(unix)]
+    {
+        let most = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+        let most = most.map_or(usize::MAX, |most| usize::try_from(most).unwrap_or(usize::MAX));
+        let open = std::fs::read_dir("/dev/fd").map_or(0, Iterator::count);
+        most.saturating_sub(open)
+    }
+    #[cfg(not(unix))]
+    usize::MAX
+}
+
+/// The connections that there are.
+pub struct Seats {
+    limits: Limits,
+    taken: Mutex<Vec<Arc<Seat>>>,
+    start: Instant,
+}
+
+/// One connection.
+pub struct Seat {
+    peer: IpAddr,
+    start: Instant,
+    /// When something moved last, milliseconds since the start.
+    moved: AtomicU64,
+    /// Requests that are being answered.
+    requests: AtomicUsize,
+    /// Whether it is a page's WebSocket, which has a watch of its own.
+    page: AtomicBool,
+    /// Whether it is to make way.
+    goes: AtomicBool,
+    signal: Notify,
+}
+
+impl Seats {
+    pub fn new(limits: Limits) -> Seats {
+        Seats { limits, taken: Mutex::default(), start: Instant::now() }
+    }
+
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<Seat>>> {
+        // A panic of another thread leaves nothing half-done here.
+        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A seat for a newcomer. Where all are taken, the one that has been idle for longest makes way; where none is idle,
+    /// there is none.
+    pub fn take(&self, peer: IpAddr) -> Option<Arc<Seat>> {
+        let mut taken = self.lock();
+        let staying = |seat: &&Arc<Seat>| !seat.goes.load(Ordering::Relaxed);
+        let of_peer = taken.iter().filter(staying).filter(|seat| seat.peer == peer).count();
+        let full = taken.iter().filter(staying).count() >= self.limits.total;
+        if of_peer >= self.limits.per_peer || full {
+            let idle = taken.iter().filter(staying).filter(|seat| seat.is_idle());
+            // A place that has its share makes way for itself.
+            let idle = idle.filter(|seat| of_peer < self.limits.per_peer || seat.peer == peer);
+            idle.min_by_key(|seat| seat.moved.load(Ordering::Relaxed))?.dismiss();
+        }
+        let seat = Arc::new(Seat {
+            peer,
+            start: self.start,
+            moved: AtomicU64::new(0),
+            requests: AtomicUsize::new(0),
+            page: AtomicBool::new(false),
+            goes: AtomicBool::new(false),
+            signal: Notify::new(),
+        });
+        seat.has_moved();
+        taken.push(seat.clone());
+        Some(seat)
+    }
+
+    /// Its connection is closed.
+    pub fn leave(&self, seat: &Arc<Seat>) {
+        self.lock().retain(|taken| !Arc::ptr_eq(taken, seat));
+    }
+
+    #[cfg(test)]
+    pub fn taken(&self) -> usize {
+        self.lock().len()
+    }
+}
+
+impl Seat {
+    /// Something came or went.
+    pub fn has_moved(&self) {
+        let now = u64::try_from(self.start.elapsed().as_millis()).unwrap_or(u64::MAX);
+        self.moved.store(now, Ordering::Relaxed);
+    }
+
+    fn still_for(&self) -> Duration {
+        self.start.elapsed().saturating_sub(Duration::from_millis(self.moved.load(Ordering::Relaxed)))
+    }
+
+    /// A request has come; it is being answered as long as the value lives.
+    pub fn begin(self: &Arc<Seat>) -> Answering {
+        self.requests.fetch_add(1, Ordering::Relaxed);
+        Answering(self.clone())
+    }
+
+    /// From now on it is a page's WebSocket.
+    pub fn becomes_page(&self) {
+        self.page.store(true, Ordering::Relaxed);
+    }
+
+    fn is_idle(&self) -> bool {
+        !self.page.load(Ordering::Relaxed) && self.requests.load(Ordering::Relaxed) == 0
+    }
+
+    fn dismiss(&self) {
+        self.goes.store(true, Ordering::Relaxed);
+        self.signal.notify_one();
+    }
+
+    /// Waits until it has to make way, or has stood still for too long.
+    pub async fn must_go(&self, stall: Duration) {
+        loop {
+            if self.goes.load(Ordering::Relaxed) {
+                return;
+            }
+            let page = self.page.load(Ordering::Relaxed);
+            if !page && self.still_for() >= stall {
+                return;
+            }
+            tokio::time::timeout(stall / 8, self.signal.notified()).await.ok();
+        }
+    }
+}
+
+/// A request that is being answered.
+pub struct Answering(Arc<Seat>);
+
+impl Drop for Answering {
+    fn drop(&mut self) {
+        self.0.requests.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn descriptors_are_kept_in_reserve() {
+        assert_eq!(Limits::within(usize::MAX).total, MOST);
+        assert_eq!(Limits::within(RESERVE + 20).total, 20);
+        assert_eq!(Limits::within(3).total, LEAST);
+        assert!(free_descriptors() > 0);
+    }
+
+    #[test]
+    fn the_longest_idle_makes_way_and_no_place_takes_all() {
+        let limits = Limits { total: 5, per_peer: 3, ..Limits::within(usize::MAX) };
+        let seats = Seats::new(limits);
+        let [here, there] = ["127.0.0.1", "10.0.0.7"].map(|ip| ip.parse().expect("an address"));
+        let goes = |seat: &Seat| seat.goes.load(Ordering::Relaxed);
+        let all: Vec<Arc<Seat>> = (0..3).map(|_| seats.take(here).expect("a seat")).collect();
+        let answering = all[0].begin();
+        all[1].moved.store(7, Ordering::Relaxed);
+        all[2].moved.store(3, Ordering::Relaxed);
+        let other = seats.take(there).expect("a seat");
+        other.moved.store(0, Ordering::Relaxed);
+        // Its own share is used up: its own idle connection goes, not another place's.
+        let next = seats.take(here).expect("a seat");
+        assert!(goes(&all[2]) && !goes(&all[1]) && !goes(&other));
+        seats.leave(&all[2]);
+        next.becomes_page();
+        all[1].becomes_page();
+        assert!(seats.take(here).is_none(), "none of them is idle");
+        let last = seats.take(there).expect("a seat");
+        last.becomes_page();
+        // All are taken: one of the other place makes way for it, and so in turn.
+        assert!(seats.take(there).is_some() && goes(&other));
+        seats.leave(&other);
+        drop(answering);
+        assert!(seats.take(here).is_some() && goes(&all[0]));
+        assert_eq!(seats.taken(), 6);
+    }
+}
