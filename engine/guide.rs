@@ -1,6 +1,10 @@
 //! The guide: one chapter per subject, each with examples that compile.
 //!
-//! - [`first_frame`]: a picture of a scene, and how a frame is made
+//! - [`program`]: the program's commands, result folders, errors
+//! - [`data_sets`]: from photographs to a data set; what is read of it
+//! - [`formats`]: formats of Gaussians
+//! - [`viewer`]: the page in a browser
+//! - [`first_frame`]: a picture of a scene
 //! - [`first_training`]: from photographs to Gaussians
 //! - [`parts`]: other strategies of density control, other terms of the loss
 //! - [`masks_and_memory`]: pixels that do not count, bounds for memory
@@ -9,7 +13,24 @@
 //! - [`profiling`]: one frame or step, command by command
 //! - [`determinism`]: what is the same to the bit, and how to check it
 //! - [`faults`]: limits of devices, and errors
+//! - [`how_it_works`]: the stages of frames and training steps, and where the code is
 //! - [`embedding`]: frames and training steps in a host engine's command buffers
+
+pub mod program {
+    #![doc = include_str!("guide/program.md")]
+}
+
+pub mod data_sets {
+    #![doc = include_str!("guide/data_sets.md")]
+}
+
+pub mod formats {
+    #![doc = include_str!("guide/formats.md")]
+}
+
+pub mod viewer {
+    #![doc = include_str!("guide/viewer.md")]
+}
 
 pub mod first_frame {
     #![doc = include_str!("guide/first_frame.md")]
@@ -45,6 +66,10 @@ pub mod determinism {
 
 pub mod faults {
     #![doc = include_str!("guide/faults.md")]
+}
+
+pub mod how_it_works {
+    #![doc = include_str!("guide/how_it_works.md")]
 }
 
 pub mod embedding {

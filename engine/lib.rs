@@ -2,11 +2,12 @@
 //!
 //! The [`guide`] has a chapter for each subject, with examples that compile:
 //!
-//! - [first frame](guide::first_frame), [first training](guide::first_training)
+//! - [program](guide::program), [data sets](guide::data_sets), [formats](guide::formats), [viewer](guide::viewer)
+//! - [first frame](guide::first_frame), [first training](guide::first_training), [parts](guide::parts)
 //! - [masks and memory](guide::masks_and_memory), [checkpoints](guide::checkpoints)
 //! - [measuring](guide::measuring), [profiling](guide::profiling)
 //! - [determinism](guide::determinism), [faults](guide::faults)
-//! - [embedding](guide::embedding)
+//! - [how it works](guide::how_it_works), [embedding](guide::embedding)
 //!
 //! Files, photographs and data sets are the crate `ashsplat-files`. The program is the crate `ashsplat-cli`, the C
 //! interface `ashsplat-capi`.

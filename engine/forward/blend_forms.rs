@@ -31,8 +31,8 @@ impl Blending {
     pub const ALL: [Self; 2] = [Self::Regions, Self::SharedMemory];
 
     /// The measurements, each by `ashsplat bench blending` with its default scene (300,000 Gaussians at
-    /// 1920×1080). README, "Two forms of blending", names the machines. Add a row for each device that is
-    /// measured.
+    /// 1920×1080). The guide's chapter `measuring`, "Two forms of blending", names the machines. Add a row for each
+    /// device that is measured.
     pub const MEASURED: &[BlendMeasurement] = &[
         BlendMeasurement { backend: Backend::Processor, subgroup_size: 4, shared_over_regions: 2.54 },
         BlendMeasurement { backend: Backend::Processor, subgroup_size: 8, shared_over_regions: 3.91 },
@@ -98,12 +98,12 @@ mod tests {
         assert_eq!(Blending::by(&[row(Gpu, 32, f32::NAN)], Gpu, 32), Blending::Regions);
     }
 
-    /// "| processor ... | 8 | 3.91 (...) |": a row of README's table for each row here, in the same order.
+    /// "| processor ... | 8 | 3.91 (...) |": a row of the guide's table for each row here, in the same order.
     #[test]
-    fn blending_measurements_are_those_of_the_readme() {
-        let readme = include_str!("../../README.md");
-        let section = readme.split("### Two forms of blending").nth(1).expect("its section");
-        let section = section.split("\n### ").next().expect("its end");
+    fn blending_measurements_are_those_of_the_guide() {
+        let chapter = include_str!("../guide/measuring.md");
+        let section = chapter.split("# Two forms of blending").nth(1).expect("its section");
+        let section = section.split("\n# ").next().expect("its end");
         let rows = section.lines().filter(|line| line.starts_with('|')).skip(2);
         let mut backend = Gpu;
         let rows = rows.filter_map(|row| {

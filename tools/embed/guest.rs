@@ -1,4 +1,4 @@
-//! What a host engine writes to have splats in its picture. The steps are numbered as in the README.
+//! What a host engine writes to have splats in its picture. The steps are numbered as in the guide's chapter `embedding`.
 
 use super::cube::{COLOR_WRITTEN, Cube, CubePass, DEPTH_WRITTEN, UNUSED};
 use super::host::{Host, HostOptions, InFlight, Result};
