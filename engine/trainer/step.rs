@@ -174,7 +174,7 @@ impl LossAndUpdate<'_> {
                 photo: self.photo,
                 scratch: &scratch.loss,
                 losses: &scratch.losses,
-                slot: 0,
+                row: 0,
                 image_gradient: &f.image_gradient,
                 width: inputs.camera.width,
                 height: inputs.camera.height,
