@@ -91,10 +91,10 @@ pub struct LossInputs<'a> {
     pub photo: &'a Buffer,
     /// The buffers of [`Loss::scratch_requests`], in its order.
     pub scratch: &'a [Buffer],
-    /// Out: vec4 (loss, L1, SSIM, 0) per slot.
+    /// Out: vec4 (loss, L1, SSIM, 0) per row.
     pub losses: &'a Buffer,
-    /// Index of the slot in `losses`.
-    pub slot: u32,
+    /// The row of `losses` that is written.
+    pub row: u32,
     /// Out: dL/d(r, g, b). [`Windowing::Blocks`]: per pixel, with a fourth component that is not written.
     /// [`Windowing::Sweeps`]: three planes in [`Strips`].
     pub image_gradient: &'a Buffer,
@@ -263,7 +263,7 @@ impl Loss {
     ) {
         let push = loss_reduce::Push {
             partials: ScratchBytes::of(self, i.width, i.height).partials(),
-            slot: i.slot,
+            loss_row: i.row,
             scale: 1.0 / (3.0 * i.width as f32 * i.height as f32),
             lambda_dssim: i.lambda_dssim,
         };
@@ -325,7 +325,7 @@ impl Loss {
             columns,
             lambda_dssim: i.lambda_dssim,
             partials: if adds { 3 * per_channel } else { 0 },
-            slot: i.slot,
+            loss_row: i.row,
         };
         let sweeps = blocks(invocations.into(), self.sizes.loss_sweep.into());
         r.dispatch(kernel, &bind, &push, sweeps + u64::from(adds));

@@ -136,7 +136,7 @@ impl Training {
             photo,
             scratch,
             losses,
-            slot: 0,
+            row: 0,
             image_gradient,
             width: SIZE[0],
             height: SIZE[1],

@@ -202,7 +202,7 @@ fn by_form(options: &ContextOptions) -> Vec<(Vec<[f32; 3]>, ashsplat::Gradients)
     for (sh, extent) in [(1, Extent::Exact), (4, Extent::Reference), (9, Extent::Exact), (16, Extent::Exact)]
     {
         let mut scene = gaussians(&small_scene(&mut Random::new(14), 1501, sh));
-        // Some that cover the picture, whose slots are added by a whole subgroup.
+        // Some that cover the picture, whose instances are added by a whole subgroup.
         scene.log_scales[..5].fill([0.5; 3]);
         renderer.upload(&scene).expect("upload");
         let degree = sh.isqrt() as u32 - 1;

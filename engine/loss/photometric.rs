@@ -46,7 +46,7 @@ impl LossTerm for Photometric {
                 photo: inputs.photo,
                 scratch: inputs.scratch,
                 losses: inputs.losses,
-                slot: inputs.row,
+                row: inputs.row,
                 image_gradient: inputs.image_gradient,
                 width: camera.width,
                 height: camera.height,

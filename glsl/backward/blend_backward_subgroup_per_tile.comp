@@ -83,6 +83,14 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
     }
 }
 
+#define DECLARE(K) \
+    uvec2 origin_##K = region_origin(tile_xy, K); \
+    GradientPixel pixels_##K[MAX_PIXELS]; \
+    uint last_##K = 0;
+#define LOAD(K) last_##K = subgroupMax(load_pixels(origin_##K + lane_offset(), true, pixels_##K));
+#define BLEND(K) blend_region(own, mean2d, exists && entry < last_##K, origin_##K, batch, pixels_##K, sums);
+#define STORE(K) store_pixels(origin_##K + lane_offset(), true, pixels_##K);
+
 void main() {
     uint tile = tile_of(linear_workgroup());
     if (tile >= tile_count) {
@@ -96,20 +104,8 @@ void main() {
     uint begin = min(first_entry, entries);
     uint end = begin + min(entries - begin, max_entries);
     uvec2 tile_xy = uvec2(tile % tiles_per_row, tile / tiles_per_row);
-    uvec2 origin_0 = region_origin(tile_xy, 0);
-    uvec2 origin_1 = region_origin(tile_xy, 1);
-    uvec2 origin_2 = region_origin(tile_xy, 2);
-    uvec2 origin_3 = region_origin(tile_xy, 3);
-    GradientPixel pixels_0[MAX_PIXELS];
-    GradientPixel pixels_1[MAX_PIXELS];
-    GradientPixel pixels_2[MAX_PIXELS];
-    GradientPixel pixels_3[MAX_PIXELS];
-    uint last_0 = subgroupMax(load_pixels(origin_0 + lane_offset(), true, pixels_0));
-    uint last_1 = subgroupMax(load_pixels(origin_1 + lane_offset(), true, pixels_1));
-    uint last_2 = 0;
-    uint last_3 = 0;
-    if (REGIONS > 2) last_2 = subgroupMax(load_pixels(origin_2 + lane_offset(), true, pixels_2));
-    if (REGIONS > 2) last_3 = subgroupMax(load_pixels(origin_3 + lane_offset(), true, pixels_3));
+    FOUR_REGIONS(DECLARE)
+    EACH_REGION(REGIONS, LOAD)
     uint work_end = min(end, max(max(last_0, last_1), max(last_2, last_3)));
 
     uint batch = begin;
@@ -122,10 +118,7 @@ void main() {
         vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
         Splat own = splat_of(mean2d.xy, conic, shade);
         Sums sums = no_sums();
-        blend_region(own, mean2d, exists && entry < last_0, origin_0, batch, pixels_0, sums);
-        blend_region(own, mean2d, exists && entry < last_1, origin_1, batch, pixels_1, sums);
-        if (REGIONS > 2) blend_region(own, mean2d, exists && entry < last_2, origin_2, batch, pixels_2, sums);
-        if (REGIONS > 2) blend_region(own, mean2d, exists && entry < last_3, origin_3, batch, pixels_3, sums);
+        EACH_REGION(REGIONS, BLEND)
         if (exists) {
             store_instance(range.x + entry, sums);
         }
@@ -142,10 +135,7 @@ void main() {
     }
 
     if (entries > end) {
-        store_pixels(origin_0 + lane_offset(), true, pixels_0);
-        store_pixels(origin_1 + lane_offset(), true, pixels_1);
-        if (REGIONS > 2) store_pixels(origin_2 + lane_offset(), true, pixels_2);
-        if (REGIONS > 2) store_pixels(origin_3 + lane_offset(), true, pixels_3);
+        EACH_REGION(REGIONS, STORE)
     }
     note_hits();
 }

@@ -105,6 +105,14 @@ void store_region(uvec2 corner, Pixel pixels[MAX_PIXELS], bool more) {
     }
 }
 
+#define DECLARE(K) \
+    uvec2 origin_##K = region_origin(tile_xy, region + K); \
+    Pixel pixels_##K[MAX_PIXELS]; \
+    bool alive_##K = REGIONS_PER_SUBGROUP > K;
+#define LOAD(K) load_region(origin_##K + lane_offset(), pixels_##K);
+#define BLEND(K) blend_region(own, mean2d, exists, origin_##K, batch, pixels_##K, alive_##K);
+#define STORE(K) store_region(origin_##K + lane_offset(), pixels_##K, entries > end);
+
 void main() {
     uint tile = tile_of(linear_workgroup());
     if (tile >= tile_count) {
@@ -121,22 +129,8 @@ void main() {
     }
     uvec2 tile_xy = uvec2(tile % tiles_per_row, tile / tiles_per_row);
     uint region = gl_SubgroupID * REGIONS_PER_SUBGROUP;
-    uvec2 origin_0 = region_origin(tile_xy, region);
-    uvec2 origin_1 = region_origin(tile_xy, region + 1);
-    uvec2 origin_2 = region_origin(tile_xy, region + 2);
-    uvec2 origin_3 = region_origin(tile_xy, region + 3);
-    Pixel pixels_0[MAX_PIXELS];
-    Pixel pixels_1[MAX_PIXELS];
-    Pixel pixels_2[MAX_PIXELS];
-    Pixel pixels_3[MAX_PIXELS];
-    bool alive_0 = true;
-    bool alive_1 = REGIONS_PER_SUBGROUP > 1;
-    bool alive_2 = REGIONS_PER_SUBGROUP > 2;
-    bool alive_3 = REGIONS_PER_SUBGROUP > 2;
-    load_region(origin_0 + lane_offset(), pixels_0);
-    if (REGIONS_PER_SUBGROUP > 1) load_region(origin_1 + lane_offset(), pixels_1);
-    if (REGIONS_PER_SUBGROUP > 2) load_region(origin_2 + lane_offset(), pixels_2);
-    if (REGIONS_PER_SUBGROUP > 2) load_region(origin_3 + lane_offset(), pixels_3);
+    FOUR_REGIONS(DECLARE)
+    EACH_REGION(REGIONS_PER_SUBGROUP, LOAD)
 
     // Both loops test at their end: with a test at the start, a driver without branches runs one more masked iteration.
     uint batch = first_entry;
@@ -148,20 +142,14 @@ void main() {
         vec4 conic = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
         vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
         Splat own = splat_of(mean2d.xy, conic, shade);
-        blend_region(own, mean2d, exists, origin_0, batch, pixels_0, alive_0);
-        if (REGIONS_PER_SUBGROUP > 1) blend_region(own, mean2d, exists, origin_1, batch, pixels_1, alive_1);
-        if (REGIONS_PER_SUBGROUP > 2) blend_region(own, mean2d, exists, origin_2, batch, pixels_2, alive_2);
-        if (REGIONS_PER_SUBGROUP > 2) blend_region(own, mean2d, exists, origin_3, batch, pixels_3, alive_3);
+        EACH_REGION(REGIONS_PER_SUBGROUP, BLEND)
         batch += SUBGROUP_SIZE;
         if (batch >= end || !(alive_0 || alive_1 || alive_2 || alive_3)) {
             break;
         }
     }
 
-    store_region(origin_0 + lane_offset(), pixels_0, entries > end);
-    if (REGIONS_PER_SUBGROUP > 1) store_region(origin_1 + lane_offset(), pixels_1, entries > end);
-    if (REGIONS_PER_SUBGROUP > 2) store_region(origin_2 + lane_offset(), pixels_2, entries > end);
-    if (REGIONS_PER_SUBGROUP > 2) store_region(origin_3 + lane_offset(), pixels_3, entries > end);
+    EACH_REGION(REGIONS_PER_SUBGROUP, STORE)
     if (COUNT_HITS && gl_SubgroupInvocationID == 0) {
         atomicAdd(state[STATE_BLEND_HITS], hit_count * (REGION_HEIGHT / 8));
     }

@@ -23,6 +23,12 @@ uvec2 pixel_step(uint k) {
     return uvec2(k / ROWS * LANES_X, k % ROWS);
 }
 
+// Code for each region of a subgroup that owns several: EACH_REGION(n, DO) is DO(k) for the regions k below n, which is 1, 2
+// or 4. What a region needs are variables of its own, name_0 to name_3, which FOUR_REGIONS declares: an array of arrays would
+// lie in memory where the driver does not unroll the loop over it.
+#define FOUR_REGIONS(DO) DO(0) DO(1) DO(2) DO(3)
+#define EACH_REGION(N, DO) DO(0) if (N > 1) { DO(1) } if (N > 2) { DO(2) DO(3) }
+
 // Whether a Gaussian reaches alpha >= 1/255 anywhere in the rectangle of the region's pixel centres. `form` is (a, b, c) of
 // log2 exp(power) = a dx^2 + b dx dy + c dy^2. If the mean lies outside, the form is largest on an edge that faces the mean.
 // The test is conservative by more than the float32 error: a false hit only costs time.

@@ -1,7 +1,7 @@
 // Adds the workgroups' sums in one fixed order: the loss of the iteration.
 //
 // invocation: every WORKGROUP_SIZE-th partial sum; one workgroup in all
-// in: loss_partials[partials]; out: losses[4 * slot ..] = (L, mean |x - y|, mean SSIM, unused)
+// in: loss_partials[partials]; out: losses[loss_row] = (L, mean |x - y|, mean SSIM, unused)
 // shared: one vec2 per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -18,7 +18,7 @@ layout(set = 0, binding = 1, scalar) writeonly buffer Losses { vec4 losses[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint partials;
-    uint slot;
+    uint loss_row;
     // 1 / (3 W H).
     float scale;
     float lambda_dssim;
@@ -44,6 +44,6 @@ void main() {
             total += subgroup_sums[k];
         }
         total *= scale;
-        losses[slot] = vec4(total_loss(total, lambda_dssim), total, 0.0);
+        losses[loss_row] = vec4(total_loss(total, lambda_dssim), total, 0.0);
     }
 }

@@ -42,7 +42,7 @@ layout(push_constant, scalar) uniform Push {
     float lambda_dssim;
     // Partial sums of all channels; 0 if another dispatch adds them.
     uint partials;
-    uint slot;
+    uint loss_row;
 };
 
 #define SWEPT vec3
@@ -76,7 +76,7 @@ void add_partials(float scale) {
     }
     sum = subgroupAdd(sum) * scale;
     if (gl_LocalInvocationID.x == 0) {
-        losses[slot] = vec4(total_loss(sum, lambda_dssim), sum, 0.0);
+        losses[loss_row] = vec4(total_loss(sum, lambda_dssim), sum, 0.0);
     }
 }
 

@@ -284,7 +284,7 @@ pub fn backward(
                 columns,
                 lambda_dssim,
                 partials: 0,
-                slot: 0,
+                loss_row: 0,
             };
             let workgroups = u64::from(invocations.div_ceil(workgroup_size));
             gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));

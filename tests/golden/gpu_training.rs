@@ -63,7 +63,7 @@ fn device_loss(
                 photo: &photo,
                 scratch: &scratch,
                 losses: &losses,
-                slot: 1,
+                row: 1,
                 image_gradient: &image_gradient,
                 width,
                 height,

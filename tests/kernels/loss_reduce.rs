@@ -8,14 +8,14 @@ use crate::common::loss::{BACKGROUND, Pictures, Window, forward};
 use crate::common::scenes::Random;
 use crate::reference::loss_reduce::{LAMBDA_DSSIM, loss};
 
-/// Reduces partial sums into slot 1 of 3.
+/// Reduces partial sums into row 1 of 3.
 fn reduced(gpu: &Gpu, partials: &ashsplat::vk::Buffer, count: usize, scale: f64) -> [f64; 3] {
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
     let kernel = gpu.kernel::<Interface>(&spec);
     let losses = gpu.untouched::<[f32; 4]>("losses", 3);
     let bind = Bind { loss_partials: partials, losses: &losses };
     let push =
-        Push { partials: count as u32, slot: 1, scale: scale as f32, lambda_dssim: LAMBDA_DSSIM as f32 };
+        Push { partials: count as u32, loss_row: 1, scale: scale as f32, lambda_dssim: LAMBDA_DSSIM as f32 };
     gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
     let all = gpu.read::<[f32; 4]>(&losses, 3);
     assert!([all[0], all[2]].as_flattened().iter().all(|x| x.to_bits() == UNTOUCHED));

@@ -49,7 +49,7 @@ fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) 
         photo,
         scratch,
         losses,
-        slot: 0,
+        row: 0,
         image_gradient,
         width,
         height,
