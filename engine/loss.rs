@@ -3,7 +3,6 @@
 
 mod photo;
 mod photometric;
-mod regularizers;
 mod scratch;
 mod term;
 
@@ -17,7 +16,6 @@ use scratch::{ScratchBytes, Sweeps};
 
 pub use photo::{photo_bytes, photo_on_device};
 pub use photometric::Photometric;
-pub use regularizers::Regularizers;
 pub use term::{LossTerm, PixelLayout, Targets, TermInputs};
 
 /// How SSIM's window is evaluated. The results agree except for rounding; the cost depends on the device.

@@ -4,7 +4,9 @@ use ashsplat::densify::Densify;
 use ashsplat::loss::{LossTerm, PixelLayout, Targets, TermInputs};
 use ashsplat::scene::StoredPhoto;
 use ashsplat::trainer::strategy::{Changes, Hooks, Statistic, StepInputs, Work};
-use ashsplat::trainer::{Actions, Checkpoint, Densified, Population, Strategy, TrainParts, Trainer};
+use ashsplat::trainer::{
+    Actions, Checkpoint, Densified, Population, Regularizers, Strategy, TrainParts, Trainer,
+};
 use ashsplat::vk::{Buffer, Context, ContextOptions, MemoryKind, Recorder};
 use ashsplat::{Gaussians, Result, TrainSettings, TrainView};
 use ashsplat_files::{CheckpointFile, Photo};
@@ -125,7 +127,14 @@ fn a_strategy_of_a_host_prunes_and_resumes_to_the_bit() {
     // The library's own strategy has no such state.
     let refused =
         Trainer::resume(gpu.context, views(3, 9), EXTENT, settings(), &read).err().expect("refused");
-    assert!(refused.to_string().contains("'pruned'"), "{refused}");
+    assert!(refused.to_string().contains("strategy 'random_prune'"), "{refused}");
+    // Nor are other terms of the loss taken for the same run.
+    let terms: Vec<Box<dyn LossTerm>> =
+        vec![Box::new(Regularizers::new(gpu.context, 1.0, 0.0).expect("kernels"))];
+    let other = TrainParts { terms, ..parts() };
+    let refused = Trainer::resume_with_parts(gpu.context, views(3, 9), given(), other, &read).err();
+    let refused = refused.expect("refused").to_string();
+    assert!(refused.contains("regularizers"), "{refused}");
 }
 
 /// Keeping what does not exist, or nothing, is refused, and the set stays.
@@ -144,8 +153,10 @@ impl Strategy for Wrong {
 
     fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {
         let beyond = population.count();
-        for (kept, problem) in [(vec![0, beyond], "there are"), (vec![], "must be 1 to")] {
-            let refused = population.keep(&kept, &self.kernels).err().expect("refused");
+        for (kept, problem) in
+            [(vec![0, beyond], "there are"), (vec![], "must be 1 to"), (vec![2, 2], "twice")]
+        {
+            let refused = population.keep(&kept, &self.kernels).expect_err("refused");
             assert!(refused.to_string().contains(problem), "{refused}");
         }
         assert_eq!(population.count(), beyond);
@@ -206,7 +217,7 @@ fn regularizers_lower_opacities_and_scales() {
     let gpu = Gpu::new();
     let mut initial = start();
     // Behind the only camera.
-    initial.means[3] = [0.0, 0.0, -500.0].into();
+    initial.means[3] = [0.0, 0.0, -500.0];
     let train = |settings: TrainSettings| {
         let mut trainer =
             Trainer::new(gpu.context, views(1, 9), &initial, EXTENT, settings).expect("a trainer");
@@ -348,16 +359,9 @@ fn a_term_by_rows_sees_the_picture_and_the_photograph() {
         let context = Context::new(&ContextOptions { push_descriptors, ..options() }).expect("a device");
         let photo = Photo { width: 67, height: 41, rgb: rgb.clone() };
         let stored = StoredPhoto::new(photo, masked.then(|| mask.clone()));
-        let [picture, photo]: [Buffer; 2] = context
-            .allocate(
-                "test",
-                &[("picture", 16 * pixels as u64), ("photo", 4 * pixels as u64)],
-                MemoryKind::Device,
-            )
-            .expect("memory")
-            .try_into()
-            .ok()
-            .expect("two");
+        let requests = [("picture", 16 * pixels as u64), ("photo", 4 * pixels as u64)];
+        let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
+        let (picture, photo) = (&buffers[0], &buffers[1]);
         let settings = TrainSettings { white_background: true, ..settings() };
         let train = |terms: Vec<Box<dyn LossTerm>>| {
             let parts = TrainParts { terms, ..TrainParts::of_settings(&context, &settings).expect("parts") };
@@ -371,12 +375,12 @@ fn a_term_by_rows_sees_the_picture_and_the_photograph() {
         };
         let probe = Probe { picture: picture.clone(), photo: photo.clone() };
         let (expected, fingerprint) = train(vec![Box::new(probe)]);
-        let bytes = context.download(&picture).expect("downloaded");
+        let bytes = context.download(picture).expect("downloaded");
         for (actual, expected) in bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes).iter().zip(&expected) {
             let off = (0..3).map(|k| (actual[k] - expected[k]).abs()).fold(0.0, f32::max);
             assert!(off < 1e-6, "{actual:?}, expected {expected:?}");
         }
-        let texels = context.download(&photo).expect("downloaded");
+        let texels = context.download(photo).expect("downloaded");
         for (pixel, actual) in texels.as_chunks::<4>().0.iter().enumerate() {
             let expected = [rgb[3 * pixel], rgb[3 * pixel + 1], rgb[3 * pixel + 2]];
             match masked {

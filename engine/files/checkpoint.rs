@@ -26,6 +26,10 @@ const DUE: [(&str, Actions); 2] =
     [("densification_due", Actions::DENSIFY), ("opacity_reset_due", Actions::RESET_OPACITY)];
 /// All other actions, as bits. Present only if there are any.
 const OTHERS_DUE: &str = "strategy_due";
+/// The strategy's name, and the names of the loss's terms, with commas between them. Older files lack both.
+const STRATEGY_NAME: &str = "strategy";
+/// See [`STRATEGY_NAME`].
+const TERMS: &str = "loss_terms";
 /// The data begin at a multiple of this.
 const ALIGNMENT: usize = 8;
 
@@ -98,6 +102,8 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         ("iteration", checkpoint.iteration.to_string()),
         ("optimizer_steps", checkpoint.optimizer_steps.to_string()),
         ("opacity_steps", checkpoint.opacity_steps.to_string()),
+        (STRATEGY_NAME, checkpoint.strategy.name.clone()),
+        (TERMS, checkpoint.strategy.terms.join(",")),
         (SKIPPED, checkpoint.skipped.to_string()),
         ("room_gaussians", gaussians.to_string()),
         ("room_frame_gaussians", frame_gaussians.to_string()),
@@ -166,6 +172,8 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         second_moments: gaussians(&tensors, Checkpoint::SETS[2])?,
         statistics: values(&tensors, "statistics", &[2])?,
         strategy: StrategyState {
+            name: metadata.optional(STRATEGY_NAME)?.unwrap_or_default(),
+            terms: metadata.terms(),
             statistics: strategy_statistics(&header, &tensors)?,
             values: metadata.strategy(),
         },
@@ -212,6 +220,11 @@ impl Metadata {
             due = due.and(action.when(self.parsed(name)?));
         }
         Ok(due)
+    }
+
+    fn terms(&self) -> Vec<String> {
+        let all = self.0.get(TERMS).map_or("", String::as_str);
+        all.split(',').filter(|term| !term.is_empty()).map(str::to_owned).collect()
     }
 
     /// The strategy's own values.

@@ -18,6 +18,9 @@ pub struct BlendVariant {
     pub depth_limit: bool,
     /// The picture is stored in the layout of the backward pass.
     pub backward: bool,
+    /// Splats may be steeper than [`DILATION_PX2`](crate::kernels::constants::DILATION_PX2) leaves them, as
+    /// ellipsoids are. The products of INCREMENTAL_EXP would underflow (glsl/include/blending.glsl).
+    pub steep: bool,
 }
 
 impl BlendVariant {
@@ -30,14 +33,15 @@ impl BlendVariant {
             | usize::from(self.linear_depth) << 1
             | usize::from(self.depth_limit) << 2
             | usize::from(self.strips(sizes)) << 3
+            | usize::from(self.steep && sizes.incremental_exp) << 4
     }
 }
 
 /// The blending kernels by variant, built on first use.
 pub(super) struct Blend {
     blending: Blending,
-    regions: [Option<Kernel<blend::Interface>>; 16],
-    shared: [Option<Kernel<blend_shared::Interface>>; 16],
+    regions: [Option<Kernel<blend::Interface>>; 32],
+    shared: [Option<Kernel<blend_shared::Interface>>; 32],
 }
 
 /// The buffers of blend_io.glsl, for both forms of the kernel.
@@ -80,10 +84,11 @@ impl Blend {
     }
 
     pub fn prepare(&mut self, context: &Context, sizes: &LaunchSizes, wanted: BlendVariant) -> Result<()> {
-        let BlendVariant { inverse_depth, linear_depth, depth_limit, .. } = wanted;
+        let BlendVariant { inverse_depth, linear_depth, depth_limit, steep, .. } = wanted;
         let (variant, strips) = (wanted.index(sizes), wanted.strips(sizes));
         let subgroup_size = context.limits().subgroup_size;
         let LaunchSizes { tile, tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
+        let incremental_exp = incremental_exp && !steep;
         match self.blending {
             Blending::Regions if self.regions[variant].is_none() => {
                 let spec = blend::Spec {

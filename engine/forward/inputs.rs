@@ -60,6 +60,7 @@ impl FrameInputs<'_> {
             linear_depth: self.linear_depth,
             depth_limit: self.depth_limits.is_some(),
             backward: self.backward,
+            steep: self.settings.is_steep(),
         }
     }
 }

@@ -1,7 +1,8 @@
 //! How a frame is rendered.
 
-use super::shape::Shape;
+use super::shape::{DrawnShape, Shape};
 use crate::error::{Error, Result};
+use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants as c;
 use crate::scene::Camera;
 
@@ -85,6 +86,11 @@ impl RenderSettings {
         self.shape == Shape::Gaussian && self.scale_modifier == 1.0
     }
 
+    /// Whether splats may be steeper than the low-pass filter leaves them.
+    pub(crate) fn is_steep(&self) -> bool {
+        self.shape == Shape::Ellipsoid
+    }
+
     /// What culling and projection branch on: extent and antialias.
     pub(super) fn modes(&self) -> [u32; 2] {
         [self.extent_word(), self.antialias.into()]
@@ -98,8 +104,30 @@ impl RenderSettings {
     }
 }
 
+/// The camera block of a scene, seen by a camera in its axes, with `scale` world units per unit of the scene.
+pub(super) fn camera_block(camera: &Camera, scale: f32, settings: &RenderSettings) -> CameraBlock {
+    let rows = camera.camera_from_world.transpose() * scale;
+    let shape = DrawnShape::of(settings);
+    CameraBlock {
+        camera_row_x: rows.x_axis.to_array(),
+        camera_row_y: rows.y_axis.to_array(),
+        camera_row_z: rows.z_axis.to_array(),
+        camera_translation: camera.translation.to_array(),
+        focal_px: [camera.fx, camera.fy],
+        // COLMAP puts the centre of the first pixel at 0.5, the shaders at 0.
+        center_px: [camera.cx - 0.5, camera.cy - 0.5],
+        jacobian_limits: jacobian_limits(camera, settings.jacobian_limit),
+        image_width: camera.width,
+        image_height: camera.height,
+        inverse_scale_squared: (scale * scale).recip(),
+        shape_scale: shape.scale,
+        shape_dilation_px2: shape.dilation_px2,
+        shape_opacity: shape.opacity,
+    }
+}
+
 /// Limits of x/z and y/z (low, high, low, high) within which the projection is linearised.
-pub(crate) fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4] {
+fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4] {
     let axis = |focal: f32, center: f32, size: u32| {
         let size = size as f32;
         let half_tan = size / (2.0 * focal);

@@ -43,9 +43,11 @@ pub enum PixelLayout {
 /// What a term reads and adds to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Targets {
-    /// The picture, the photograph and the picture's gradient in this layout; none of them if None.
+    /// The picture, the photograph and the picture's gradient, in this layout. None for a term that uses none
+    /// of them; if it has a gradient of the inverse depth, that is by rows.
     pub picture: Option<PixelLayout>,
-    /// The fourth component of the picture's gradient: dL/d(inverse depth). `frame.frame.inverse_depth` is the
+    /// The fourth component of the picture's gradient: dL/d(inverse depth). In the native layout of
+    /// processors it is a fourth plane. `frame.frame.inverse_depth` is the
     /// sum of weights / z per pixel, row by row.
     pub inverse_depth: bool,
     /// [`TermInputs::parameter_gradients`].
@@ -57,7 +59,10 @@ impl Targets {
     #[must_use]
     pub fn and(self, other: Self) -> Self {
         Self {
-            picture: if other.rows() { other.picture } else { self.picture.or(other.picture) },
+            picture: match self.rows() || other.rows() {
+                true => Some(PixelLayout::Rows),
+                false => self.picture.or(other.picture),
+            },
             inverse_depth: self.inverse_depth || other.inverse_depth,
             parameters: self.parameters || other.parameters,
         }
@@ -65,14 +70,15 @@ impl Targets {
 
     /// Whether pictures are converted for a term.
     pub fn rows(self) -> bool {
-        self.picture == Some(PixelLayout::Rows)
+        self.picture == Some(PixelLayout::Rows) || (self.picture.is_none() && self.inverse_depth)
     }
 }
 
 /// A term of the training loss.
 ///
-/// The first term of a loss writes the native gradient of the picture, all others add to theirs. Gradients by
-/// rows, of inverse depth and of parameters are zero before the first term.
+/// The first term of a loss writes the native gradient of the picture; later ones add to it. A gradient by rows
+/// is the term's own: zero before the term, and added to those of all others after it. Gradients of parameters
+/// are zero before the first term, and all terms add to them.
 pub trait LossTerm: Send {
     /// Its name in reports and profiles.
     fn name(&self) -> &'static str;

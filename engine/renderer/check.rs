@@ -42,6 +42,7 @@ impl Renderer {
             linear_depth: frame.depth.is_some(),
             depth_limit: frame.occluder.is_some(),
             backward: false,
+            steep: frame.settings.is_steep(),
         };
         if !reserved.variants().contains(&variant) {
             let problem = format!("{variant:?} was not reserved: see Reservation");

@@ -105,7 +105,7 @@ impl FrameRunner {
         let inverse_depth = settings.inverse_depth;
         self.forward.prepare_variant(
             sh_degree,
-            BlendVariant { inverse_depth, backward, ..BlendVariant::default() },
+            BlendVariant { inverse_depth, backward, steep: settings.is_steep(), ..BlendVariant::default() },
         )?;
         let mut retries = 0;
         loop {

@@ -116,6 +116,9 @@ impl Reservation {
             let hidden = variants.clone().into_iter();
             variants.extend(hidden.map(|v| BlendVariant { depth_limit: true, ..v }));
         }
+        // Any frame may draw ellipsoids.
+        let steep = variants.clone().into_iter();
+        variants.extend(steep.map(|v| BlendVariant { steep: true, ..v }));
         variants
     }
 

@@ -52,9 +52,13 @@ pub struct Checkpoint {
     pub room: Room,
 }
 
-/// The state of a strategy: see [`Strategy`](super::Strategy).
+/// The parts of a run, and the state of its strategy: see [`Strategy`](super::Strategy).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StrategyState {
+    /// Its name; empty in checkpoints of older versions.
+    pub name: String,
+    /// The names of the loss's terms; none in checkpoints of older versions.
+    pub terms: Vec<String>,
     /// Its own statistics.
     pub statistics: Vec<StrategyStatistic>,
     /// Names and values of its state on the host.

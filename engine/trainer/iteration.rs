@@ -1,5 +1,5 @@
-//! The schedule of a run: what each iteration does. All of it depends on the settings, the seed and the
-//! iteration alone.
+//! The schedule of a run: what each iteration does. It depends on the settings, the seed, the iteration and
+//! the progress before it.
 
 use super::random::{self, ViewOrder};
 use super::run::Run;
@@ -13,7 +13,8 @@ use crate::optimizer::{Rates, Step};
 pub(super) struct Progress {
     /// Iterations done.
     pub iteration: u32,
-    /// Steps of the optimiser: fewer than iterations, as those that densify have none.
+    /// Steps of the optimiser. Iterations that were skipped have none, nor have those where the strategy says
+    /// so.
     pub steps: u64,
     pub opacity_steps: u64,
     /// Work before the next iteration.
@@ -45,7 +46,7 @@ pub(super) struct IterationPlan {
 }
 
 impl IterationPlan {
-    /// A plan with all work that any iteration does, for some view: for a recording that is never executed.
+    /// A plan with the optimiser's step, for some view: for a recording that is never executed.
     pub fn rehearsal(self, view: usize) -> Self {
         Self { view, work: Work { optimizes: true, ..self.work }, ..self }
     }

@@ -23,6 +23,7 @@ mod step;
 mod step_recorder;
 mod strategies;
 pub mod strategy;
+mod terms;
 pub mod verify;
 mod work;
 
@@ -33,11 +34,12 @@ pub use report::{Maintenance, StepOutcome, StepReport};
 pub use settings::{OptimizerType, StrategyType, TrainSettings};
 pub use strategies::{Fixed, Reference};
 pub use strategy::Strategy;
+pub use terms::Regularizers;
 pub use work::{Actions, Densified};
 
 use crate::error::{Error, Result};
 use crate::forward::{Blending, RenderSettings, SceneBuffers};
-use crate::loss::{LossTerm, Photometric, Regularizers};
+use crate::loss::{LossTerm, Photometric};
 use crate::planes;
 use crate::renderer::{Frame, FrameRunner, FrameStore, PixelReport, TileReport};
 use crate::scene::StoredPhoto;
@@ -80,10 +82,7 @@ impl TrainParts {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
-        let mut terms: Vec<Box<dyn LossTerm>> = Vec::new();
-        if settings.opacity_reg > 0.0 || settings.scale_reg > 0.0 {
-            terms.push(Box::new(Regularizers::new(context, settings.opacity_reg, settings.scale_reg)?));
-        }
+        let terms = terms::of_settings(context, settings)?;
         Ok(Self { strategy: strategies::of_settings(context, settings)?, terms })
     }
 }

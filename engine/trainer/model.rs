@@ -43,13 +43,14 @@ impl RowMemory {
         vec![("parameter_gradients", bytes); chunks]
     }
 
-    /// Bytes of the buffers with the capacity of a plan.
+    /// Bytes of the buffers with the capacity of a plan, without the padding of their allocation: what one
+    /// capacity needs beside another.
     pub fn bytes(&self, plan: &ScenePlan) -> u64 {
         let others = self.statistics_requests(plan.capacity).into_iter().chain(self.gradient_requests(plan));
         PLANE_SETS * plan.chunk_bytes() * u64::from(plan.chunks) + others.map(|(_, bytes)| bytes).sum::<u64>()
     }
 
-    /// Bytes that their allocation takes.
+    /// Bytes of device memory that the buffers take, with padding: what a run needs before it starts.
     pub fn allocation_bytes(&self, context: &Context, plan: &ScenePlan) -> u64 {
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
         let planes = bytes(&vec![("planes", plan.chunk_bytes()); plan.chunks as usize]);

@@ -12,9 +12,9 @@ pub enum Bounds {
     AtLeast(u32),
     /// A whole number up to this one.
     AtMost(u32),
-    /// A number above 0.
+    /// A number above 0, up to a million.
     Positive,
-    /// A number from 0 on.
+    /// A number from 0 to a million.
     NotNegative,
     /// A number from 0 to 1.
     Share,
@@ -85,13 +85,15 @@ impl TrainOption {
             (Bounds::AtLeast(low), OptionValue::Integer(x)) => (x >= low, format!("at least {low}")),
             (Bounds::AtMost(high), OptionValue::Integer(x)) => (x <= high, format!("0 to {high}")),
             (Bounds::Positive, OptionValue::Number(x)) => {
-                ((f64::MIN_POSITIVE..=LARGEST).contains(&x), "a finite number above 0".into())
+                ((f64::MIN_POSITIVE..=LARGEST).contains(&x), format!("above 0, at most {LARGEST}"))
             }
             (Bounds::NotNegative, OptionValue::Number(x)) => {
-                ((0.0..=LARGEST).contains(&x), "a finite number, 0 or more".into())
+                ((0.0..=LARGEST).contains(&x), format!("0 to {LARGEST}"))
             }
             (Bounds::Share, OptionValue::Number(x)) => ((0.0..=1.0).contains(&x), "between 0 and 1".into()),
-            _ => (true, String::new()),
+            (Bounds::None, _) => (true, String::new()),
+            // A declaration whose bounds are of another type than its values.
+            _ => (false, "of the type of its bounds".into()),
         };
         match fits {
             true => Ok(()),

@@ -7,7 +7,6 @@ use super::settings::TrainSettings;
 use crate::densify::{Curve, Densify, Gather, RandomKey};
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
-use crate::kernels::constants::KIND_SHIFT;
 use crate::optimizer::Moments;
 use crate::plan::{FrameCapacity, ScenePlan};
 use crate::planes;
@@ -101,9 +100,9 @@ impl Population<'_> {
         self.present().most_rows_by_instances(self.count(), *self.most_instances)
     }
 
-    /// Planes and a frame for `rows` rows, if they exceed the capacity: with a reserve of half, without a
-    /// reserve, or with the largest capacity that the memory holds, if the gain is worth the copy. If the
-    /// capacity cannot grow, the growth is none: see [`Population::capacity_with`].
+    /// Planes and a frame for `rows` rows, if they exceed the capacity. Tries a reserve of half, then no
+    /// reserve, then the largest capacity that the memory holds; that last one only if it is a sixteenth
+    /// larger than the present one. The growth may fall short of `rows`: see [`Population::capacity_with`].
     ///
     /// # Errors
     /// When the device is lost.
@@ -132,11 +131,11 @@ impl Population<'_> {
 
     /// Replaces the set by `rows` rows, in one submission: either all of it is executed or the old set stays.
     /// `record_sources` records, and returns, the source of each row: its Gaussian, and its kind in the bits
-    /// from `KIND_SHIFT` on (kept, clone, first or second half of a split Gaussian). Kept Gaussians keep
-    /// their moments; those of new ones are zero, and so are all statistics.
+    /// from `KIND_SHIFT` on (kept, clone, first or second half of a split Gaussian). It ends with a barrier.
+    /// Statistics are cleared after it. Kept Gaussians keep their moments; those of new ones are zero.
     ///
     /// # Errors
-    /// When the device is lost.
+    /// [`Error::Argument`] for more rows than the capacity; when the device is lost.
     pub fn rebuild<'b>(
         &mut self,
         rows: u32,
@@ -145,6 +144,11 @@ impl Population<'_> {
         key: &RandomKey,
         record_sources: impl FnOnce(&mut Recorder, &SceneBuffers) -> &'b Buffer,
     ) -> Result<()> {
+        let capacity = self.capacity_with(&growth);
+        if rows > capacity {
+            let problem = format!("are {rows}, the capacity is {capacity}");
+            return Err(Error::argument("rows", problem));
+        }
         let (old, fresh, before) = (&*self.model, growth.0, self.count());
         let plan = fresh.as_ref().map_or(old.scene.plan, |fresh| fresh.plan);
         // Without growth the four sets of planes rotate: each is gathered into the set that the previous
@@ -159,8 +163,8 @@ impl Population<'_> {
             None => (&old.moments.second, &old.statistics, &old.parameter_gradients),
         };
         self.context.run("densify: gather", |r| {
-            statistics.iter().for_each(|statistic| r.fill(statistic, 0));
             let sources = record_sources(r, &old.scene);
+            statistics.iter().for_each(|statistic| r.fill(statistic, 0));
             for (set, (from, to)) in sets.iter().zip(targets).enumerate() {
                 let from = SceneBuffers { chunks: from.to_vec(), ..old.scene.clone() };
                 let to = SceneBuffers { chunks: to.clone(), plan, count: rows };
@@ -186,10 +190,10 @@ impl Population<'_> {
         Ok(())
     }
 
-    /// Keeps these Gaussians, in this order, and removes all others.
+    /// Keeps these Gaussians, in this order, each once, and removes all others.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an index that does not exist, and for none at all; when the memory does not
+    /// [`Error::Argument`] for an index that does not exist or comes twice, and for none at all; when the memory does not
     /// suffice or the device is lost.
     pub fn keep(&mut self, kept: &[u32], kernels: &Densify) -> Result<()> {
         let count = self.count();
@@ -197,8 +201,18 @@ impl Population<'_> {
             let problem = format!("are {}, must be 1 to {count}", kept.len());
             return Err(Error::argument("Gaussians to keep", problem));
         }
-        if let Some(beyond) = kept.iter().find(|&&index| index >= count.min(1 << KIND_SHIFT)) {
-            return Err(Error::argument("Gaussians to keep", format!("have {beyond}, there are {count}")));
+        let mut seen = vec![false; count as usize];
+        for &index in kept {
+            match seen.get_mut(index as usize) {
+                None => {
+                    let problem = format!("have {index}, there are {count}");
+                    return Err(Error::argument("Gaussians to keep", problem));
+                }
+                Some(true) => {
+                    return Err(Error::argument("Gaussians to keep", format!("have {index} twice")));
+                }
+                Some(seen) => *seen = true,
+            }
         }
         let requests = [("sources", kept.len() as u64 * 4)];
         let buffers = self.context.allocate("densify", &requests, MemoryKind::Device)?;

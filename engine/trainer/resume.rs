@@ -58,7 +58,12 @@ impl Trainer {
             first_moments: planes_of(&model.moments.first)?,
             second_moments: planes_of(&model.moments.second)?,
             statistics: bytemuck::cast_slice(&gradient).to_vec(),
-            strategy: StrategyState { statistics, values: self.strategy.state() },
+            strategy: StrategyState {
+                name: self.strategy.name().to_owned(),
+                terms: self.recorder.terms().map(str::to_owned).collect(),
+                statistics,
+                values: self.strategy.state(),
+            },
             skipped: self.state.skipped,
             room: self.room(),
         })
@@ -100,10 +105,23 @@ impl Trainer {
             views_fingerprint: fingerprint_of(&views),
             scene_extent,
         })?;
+        let (there, here) = (from.strategy.name.as_str(), parts.strategy.name());
+        if !there.is_empty() && there != here {
+            let problem = format!("was made with the strategy '{there}', here it is '{here}'");
+            return Err(Error::argument("checkpoint", problem));
+        }
         parts.strategy.restore(&from.strategy.values)?;
         let room = Some(&from.room);
         let given = (settings, scene_extent);
         let mut trainer = Trainer::build(context, views, &from.gaussians, given, parts, room)?;
+        let here: Vec<&str> = trainer.recorder.terms().collect();
+        if !from.strategy.terms.is_empty() && from.strategy.terms != here {
+            let problem = format!(
+                "was made with the terms {:?} of the loss, here they are {here:?}",
+                from.strategy.terms
+            );
+            return Err(Error::argument("checkpoint", problem));
+        }
         trainer.restore_statistics(from)?;
         let state = &mut trainer.state;
         state.progress = Progress {

@@ -35,8 +35,8 @@ options! {
     /// implementation (gaussian-splatting, `arguments/__init__.py`) under their own names and with their
     /// defaults, three that it hard-codes, and later work's under the names of their papers' code.
     ///
-    /// Iterations are counted from 1. With the feature `serde` they read from and write to any of its formats; missing fields take
-    /// their defaults, unknown ones are refused.
+    /// Iterations are counted from 1. With the feature `serde` the settings can be read from and written to
+    /// any of its formats. Missing fields take their defaults, unknown ones are refused.
     pub struct TrainSettings {
         /// Number of iterations, one view each
         iterations: u32 = 30_000, Bounds::AtLeast(1);

@@ -2,7 +2,7 @@
 
 use super::iteration::{IterationPlan, Progress};
 use super::population::Population;
-use super::step_recorder::{LossValues, StepParts};
+use super::step_recorder::StepParts;
 use super::work::{Changes, Work};
 use super::{StepReport, Trainer};
 use crate::error::{Error, Result};
@@ -63,7 +63,7 @@ impl Trainer {
             Err(Failed::TooLittleRoom(why)) => {
                 let (state, error) = *why;
                 self.skip(&plan, &state, error)?;
-                let skipped = LossValues { total: f32::NAN, terms: vec![("photometric", [f32::NAN; 4])] };
+                let skipped = self.recorder.no_losses();
                 return Ok(StepReport {
                     skipped: true,
                     milliseconds: start.elapsed().as_secs_f64() * 1e3,

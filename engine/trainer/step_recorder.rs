@@ -10,7 +10,7 @@ use super::strategy::{StepInputs, Strategy};
 use crate::backward::{Backward, Statistics};
 use crate::error::Result;
 use crate::forward::FrameInputs;
-use crate::loss::{LossTerm, PixelLayout, Targets, TermInputs};
+use crate::loss::{LossTerm, Targets, TermInputs};
 use crate::optimizer::Optimizer;
 use crate::pixels::PixelBorder;
 use crate::plan::LaunchSizes;
@@ -109,6 +109,16 @@ impl StepRecorder {
             targets,
             optimizer,
         })
+    }
+
+    /// The names of the terms.
+    pub fn terms(&self) -> impl Iterator<Item = &'static str> {
+        self.terms.iter().map(|term| term.name())
+    }
+
+    /// The losses of a step that was skipped.
+    pub fn no_losses(&self) -> LossValues {
+        LossValues { total: f32::NAN, terms: self.terms().map(|name| (name, [f32::NAN; 4])).collect() }
     }
 
     /// The gradients that the terms add to.
@@ -222,12 +232,11 @@ impl StepRecorder {
         }
         model.parameter_gradients.iter().for_each(|gradients| clear(r, gradients));
         if let Some((border, rows)) = rows {
-            clear(r, &rows.gradient);
             border.record_picture(r, inputs, &rows.picture);
             let size = (inputs.camera.width, inputs.camera.height);
             border.record_photo(r, size, photo_is_masked, photo, &rows.photo);
         }
-        if cleared {
+        if cleared || rows.is_some() {
             r.barrier();
         }
         let native = (inputs.frame.rendered(&self.sizes), photo, gradient);
@@ -235,9 +244,14 @@ impl StepRecorder {
             if row > 0 {
                 r.barrier();
             }
-            let (picture, photo, image_gradient) = match (term.targets().picture, rows) {
-                (Some(PixelLayout::Rows), Some((_, rows))) => (&rows.picture, &rows.photo, &rows.gradient),
-                _ => native,
+            let by_rows = rows.filter(|_| term.targets().rows());
+            if let Some((_, rows)) = by_rows {
+                r.fill(&rows.gradient, 0);
+                r.barrier();
+            }
+            let (picture, photo, image_gradient) = match by_rows {
+                Some((_, rows)) => (&rows.picture, &rows.photo, &rows.gradient),
+                None => native,
             };
             let inputs = TermInputs {
                 frame: inputs,
@@ -251,10 +265,10 @@ impl StepRecorder {
                 row: row as u32,
             };
             term.record(r, &inputs);
-        }
-        if let Some((border, rows)) = rows {
-            r.barrier();
-            border.record_gradient(r, inputs, &rows.gradient, gradient, true);
+            if let Some((border, rows)) = by_rows {
+                r.barrier();
+                border.record_gradient(r, inputs.frame, &rows.gradient, gradient, true);
+            }
         }
     }
 
@@ -263,7 +277,7 @@ impl StepRecorder {
         let mut bytes = vec![0u8; self.losses_bytes() as usize];
         readback.read(0, &mut bytes)?;
         let rows: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
-        let terms: Vec<_> = self.terms.iter().map(|term| term.name()).zip(rows).collect();
+        let terms: Vec<_> = self.terms().zip(rows).collect();
         Ok(LossValues { total: terms.iter().map(|(_, row)| row[0]).sum(), terms })
     }
 }

@@ -67,7 +67,7 @@ pub trait Strategy: Send {
         Vec::new()
     }
 
-    /// Which of the two hooks below it uses: the others cost no barrier.
+    /// Which of `record_statistics` and `record_update` it uses. Unused ones are not called.
     fn records(&self) -> Hooks {
         Hooks::default()
     }

@@ -1,6 +1,7 @@
 //! What a strategy asks of training, and what it reports.
 
-/// Work between two steps: a set of up to 32 actions, which only the strategy interprets.
+/// Work between two steps: a set of up to 32 actions. The strategy interprets them; the two named ones also
+/// tell the program whether the scene is complete, so a strategy uses them in their sense.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Actions(pub u32);
 

@@ -12,7 +12,8 @@ impl Workarounds {
     /// (LP_MAX_TGSI_LOOP_ITERATIONS in gallivm's lp_bld_limits.h). Blending hands fewer entries of a tile to a dispatch.
     pub const LOOPS_STOP_AT_65535: Self = Self(1 << 0);
 
-    /// Of a driver, by its id and its version as Vulkan encodes it.
+    /// Of a driver, by its id and its `driverVersion`. Each vendor encodes that in its own way: Mesa's drivers as
+    /// Vulkan versions, NVIDIA's in 10, 8, 8 and 6 bits.
     pub fn of_driver(id: vk::DriverId, _version: u32) -> Self {
         let mut all = Self::default();
         // Versions from 25 on have no such limit. They keep the flag until the kernels were measured there.

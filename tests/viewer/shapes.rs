@@ -105,3 +105,29 @@ fn shapes_that_make_no_sense_are_refused() {
     let error = renderer.gradients(&camera, &settings, &gradient, None).expect_err("refused");
     assert!(error.to_string().contains("as they are"), "{error}");
 }
+
+/// Small ellipsoids are whole wherever they lie: their edges are steeper than any Gaussian's.
+#[test]
+fn small_ellipsoids_have_no_holes() {
+    let settings = RenderSettings { shape: Shape::Ellipsoid, ..RenderSettings::default() };
+    for (k, scale) in [0.0002, 0.005, 0.02, 0.05].into_iter().cycle().take(32).enumerate() {
+        let mut ellipsoid = one([scale; 3], 0.9);
+        // Anywhere within tiles, and between pixels.
+        let [x, y] = [0.013 * k as f32 - 0.2, 0.3 - 0.017 * k as f32];
+        ellipsoid.means[0] = [x, y, 4.0];
+        let frame = render(&ellipsoid, &settings);
+        let camera = camera();
+        let middle = [camera.fx * x / 4.0 + camera.cx - 0.5, camera.fy * y / 4.0 + camera.cy - 0.5];
+        let sigma = (camera.fx * scale / 4.0).hypot(0.3f32.sqrt());
+        // A tenth less, for the rim.
+        let radius = 0.9 * ELLIPSOID_SIGMAS * sigma;
+        for (index, transmittance) in frame.transmittance.iter().enumerate() {
+            let [column, row] = [index as u32 % frame.width, index as u32 / frame.width];
+            let distance = (column as f32 - middle[0]).hypot(row as f32 - middle[1]);
+            assert!(
+                distance > radius || *transmittance < 0.5,
+                "{k}: {scale}, pixel {column}, {row}: {transmittance}"
+            );
+        }
+    }
+}

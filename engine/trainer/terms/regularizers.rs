@@ -1,14 +1,14 @@
 //! Opacity and scale regularisers (3DGS-MCMC, Kheradmand et al. 2024, section 4).
 
-use super::{LossTerm, Targets, TermInputs};
 use crate::error::Result;
 use crate::kernels::constants::REGULARIZE_PARTIALS;
 use crate::kernels::loss::{regularize, regularize_reduce};
+use crate::loss::{LossTerm, Targets, TermInputs};
 use crate::plan::LaunchSizes;
 use crate::vk::{Context, Kernel, Recorder};
 
 /// `opacity` times the mean opacity plus `scale` times the mean scale (world units), over all Gaussians, also
-/// those outside the view. Its numbers are both means.
+/// those outside the view. Sparse Adam moves only those in the view. Its numbers are both means.
 pub struct Regularizers {
     regularize: Kernel<regularize::Interface>,
     reduce: Kernel<regularize_reduce::Interface>,
