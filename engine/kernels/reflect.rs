@@ -4,6 +4,8 @@
 //! build.rs uses it to generate the typed interface of each kernel. It supports what the compute shaders of
 //! this crate use; anything more is an error that names it.
 
+// A module of `vk` as well, which build.rs does not have.
+#[allow(clippy::duplicate_mod)]
 #[path = "../vk/binding_numbers.rs"]
 mod binding_numbers;
 #[path = "shader.rs"]
