@@ -60,12 +60,12 @@ fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &InFli
 }
 
 /// As many steps in flight as there are slots, and maintenance whenever it is due.
-fn train_recorded(host: &Host) {
+fn train_recorded(host: &Host, settings: &TrainSettings) {
     const SLOTS: usize = 3;
     let context = guest(host);
-    let mut owned = trainer(&context, settings());
+    let mut owned = trainer(&context, settings.clone());
     let expected: Vec<StepReport> = (0..200).map(|_| owned.step().expect("a step")).collect();
-    let mut recorded = trainer(&context, settings());
+    let mut recorded = trainer(&context, settings.clone());
     recorded.reserve_steps(&StepReservation { slots: SLOTS as u32, instances: 0 }).expect("memory");
     let frames = [0; SLOTS].map(|_| InFlight::new(host).expect("a command buffer"));
     let (mut pending, mut densifications) = (Vec::<(usize, u32)>::new(), 0);
@@ -108,8 +108,10 @@ fn train_recorded(host: &Host) {
 
 #[test]
 fn recorded_training_is_the_owned_paths_to_the_bit() {
-    for push_descriptors in [true, false] {
-        with_host(&HostOptions { push_descriptors, ..options() }, train_recorded);
+    // Once with terms of the loss that depend on the parameters directly.
+    for (push_descriptors, weight) in [(true, 0.0), (false, 0.01)] {
+        let settings = TrainSettings { opacity_reg: weight, scale_reg: weight, ..settings() };
+        with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }
 
