@@ -3,6 +3,7 @@
 mod checkpoints;
 mod folder;
 mod live;
+mod lock;
 mod log;
 mod prepared;
 mod report;
@@ -24,6 +25,7 @@ use ashsplat_files::{Dataset, View};
 use checkpoints::{LATEST, Start};
 use clap::Args;
 use live::{Live, LiveArguments};
+use lock::FolderLock;
 use log::TrainLog;
 use prepared::{Prepared, photo_memory};
 use report::KernelTimes;
@@ -169,6 +171,8 @@ pub struct Run {
     repeated: String,
     /// Who looks on.
     live: Option<Live>,
+    /// Last, because it is given up last.
+    _lock: FolderLock,
 }
 
 impl Run {
@@ -180,9 +184,9 @@ impl Run {
         let data = Prepared::new(dataset);
         let (views, extent) = (data.train, data.scene_extent);
         let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
-        folder::begin(&settings, &data.cameras, Some(&points))?;
+        let lock = folder::begin(&settings, &data.cameras, Some(&points))?;
         let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
-        Ok(Run::new(context, settings, trainer, log, (data.test, data.held_out), quiet))
+        Ok(Run::new(context, settings, trainer, (log, lock), (data.test, data.held_out), quiet))
     }
 
     /// As [`Run::prepare`], from a checkpoint.
@@ -195,16 +199,16 @@ impl Run {
     ) -> Result<Run> {
         let data = Prepared::new(dataset);
         let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
-        folder::begin(&settings, &data.cameras, None)?;
+        let lock = folder::begin(&settings, &data.cameras, None)?;
         let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
-        Ok(Run::new(context, settings, trainer, log, (data.test, data.held_out), quiet))
+        Ok(Run::new(context, settings, trainer, (log, lock), (data.test, data.held_out), quiet))
     }
 
     fn new(
         context: &Context,
         settings: Settings,
         trainer: Trainer,
-        log: TrainLog,
+        (log, lock): (TrainLog, FolderLock),
         (test, held_out): (Vec<View>, bool),
         quiet: bool,
     ) -> Run {
@@ -229,6 +233,7 @@ impl Run {
             kernels: KernelTimes::new(context),
             repeated: String::new(),
             live: None,
+            _lock: lock,
         }
     }
 

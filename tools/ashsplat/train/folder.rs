@@ -1,6 +1,7 @@
 //! What a run leaves in its model folder before the first iteration.
 
 use super::checkpoints;
+use super::lock::FolderLock;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
 use crate::{eval, model, output};
 use ashsplat::Result;
@@ -10,9 +11,18 @@ use std::path::Path;
 
 /// Creates the model folder and writes what is known before training; without points, what was written before a
 /// checkpoint stays.
-pub fn begin(settings: &Settings, cameras: &[(String, Camera)], points: Option<&PointCloud>) -> Result<()> {
+///
+/// # Errors
+/// Where another training writes into the folder; a full disk and the like.
+pub fn begin(
+    settings: &Settings,
+    cameras: &[(String, Camera)],
+    points: Option<&PointCloud>,
+) -> Result<FolderLock> {
     let folder = &settings.data.model_path;
     atomic::create_folder(folder)?;
+    // Before anything is removed: it may be another training's.
+    let lock = FolderLock::take(folder)?;
     remove_leftovers(folder);
     if points.is_some() {
         clear_up_after_others(folder)?;
@@ -21,7 +31,8 @@ pub fn begin(settings: &Settings, cameras: &[(String, Camera)], points: Option<&
     output::write_text(&folder.join(CFG_ARGS_FILE), &settings.to_cfg_args())?;
     let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
     cameras_json::write(folder.join(CAMERAS_FILE), named)?;
-    points.map_or(Ok(()), |points| ply::write_points(folder.join("input.ply"), points))
+    points.map_or(Ok(()), |points| ply::write_points(folder.join("input.ply"), points))?;
+    Ok(lock)
 }
 
 /// Of a run that was killed.

@@ -1,0 +1,124 @@
+//! One training at a time writes into a model folder.
+//!
+//! The lock is the operating system's (`flock`): it ends with the process, however that ends, so none is left behind.
+//! Where there is no such lock (other systems than Unix, some network file systems) nothing is locked.
+
+use ashsplat::{Error, Result};
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+const LOCK_FILE: &str = ".training.lock";
+
+/// Holds a model folder until it is dropped.
+pub struct FolderLock {
+    path: PathBuf,
+    /// None where files cannot be locked.
+    held: Option<File>,
+}
+
+impl FolderLock {
+    /// Locks a folder, which exists.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming the process that holds it; [`Error::Io`].
+    pub fn take(folder: &Path) -> Result<Self> {
+        let path = folder.join(LOCK_FILE);
+        loop {
+            let mut file = File::options()
+                .read(true)
+                .write(true)
+                .create(true)
+                .truncate(false)
+                .open(&path)
+                .map_err(|e| Error::io(&path, "open", e))?;
+            match try_lock(&file) {
+                Locked::Yes => {}
+                Locked::Unknown => return Ok(Self { path, held: None }),
+                Locked::No => {
+                    let mut holder = String::new();
+                    // Its name only makes the message better.
+                    file.read_to_string(&mut holder).ok();
+                    let holder = holder.trim();
+                    let by = if holder.is_empty() { String::new() } else { format!(" ({holder})") };
+                    let problem = format!("another training{by} is writing into this folder");
+                    return Err(Error::input(folder, problem, "wait for its end, or choose another -m"));
+                }
+            }
+            // The last holder may have removed the file between our opening and our locking it.
+            if !is_at(&file, &path) {
+                continue;
+            }
+            let written = file.set_len(0).and_then(|()| write!(file, "process {}", std::process::id()));
+            written.map_err(|e| Error::io(&path, "write", e))?;
+            return Ok(Self { path, held: Some(file) });
+        }
+    }
+}
+
+impl Drop for FolderLock {
+    fn drop(&mut self) {
+        if self.held.is_some() {
+            fs::remove_file(&self.path).ok();
+        }
+    }
+}
+
+#[cfg_attr(not(unix), allow(dead_code))]
+enum Locked {
+    Yes,
+    No,
+    Unknown,
+}
+
+#[cfg(unix)]
+fn try_lock(file: &File) -> Locked {
+    use rustix::fs::{FlockOperation, flock};
+    match flock(file, FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => Locked::Yes,
+        Err(rustix::io::Errno::WOULDBLOCK) => Locked::No,
+        Err(_) => Locked::Unknown,
+    }
+}
+
+#[cfg(not(unix))]
+fn try_lock(_: &File) -> Locked {
+    Locked::Unknown
+}
+
+/// Whether a path still names this file.
+#[cfg(unix)]
+fn is_at(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let of = |metadata: fs::Metadata| (metadata.dev(), metadata.ino());
+    match (file.metadata(), fs::metadata(path)) {
+        (Ok(own), Ok(there)) => of(own) == of(there),
+        _ => false,
+    }
+}
+
+#[cfg(not(unix))]
+fn is_at(_: &File, _: &Path) -> bool {
+    true
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_holds_a_folder_until_the_end() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let first = FolderLock::take(folder.path()).expect("free");
+        let refused = FolderLock::take(folder.path()).err().map(|error| error.to_string());
+        let refused = refused.expect("refused");
+        let holder = format!("another training (process {})", std::process::id());
+        assert!(refused.contains(&holder) && refused.contains("choose another -m"), "{refused}");
+        drop(first);
+        assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left");
+        // A file that a killed process left has no holder.
+        fs::write(folder.path().join(LOCK_FILE), "process 1").expect("written");
+        drop(FolderLock::take(folder.path()).expect("free"));
+        assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0);
+    }
+}
