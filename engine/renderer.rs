@@ -26,6 +26,7 @@ use crate::backward::Backward;
 use crate::compose::Compose;
 use crate::error::{Error, Result};
 use crate::forward::{Blending, RenderSettings, SceneBuffers};
+use crate::pixels::PixelBorder;
 use crate::planes;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{Context, ScopeTime};
@@ -53,6 +54,8 @@ pub struct Renderer {
     scene: Option<SceneBuffers>,
     /// Built with the first reservation.
     compose: Option<Compose>,
+    /// Built with the first gradients.
+    border: Option<PixelBorder>,
     slots: slots::Slots,
 }
 
@@ -114,6 +117,7 @@ impl Renderer {
             backward: Backward::new(context),
             scene: None,
             compose: None,
+            border: None,
             slots: slots::Slots::default(),
         })
     }

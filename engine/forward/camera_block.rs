@@ -2,8 +2,9 @@
 //! settings, in one uniform block per scene.
 //!
 //! A new scalar of the projection takes three files: a member in `glsl/include/camera_block.glsl`, a field of
-//! `RenderSettings` and a line of [`camera_block`] beside it, and its use in a shader. The blocks are written by commands of the frame's own recording, so a recording
-//! needs no host memory, and frames in flight do not share a block.
+//! `RenderSettings` and a line of [`camera_block`] beside it, and its use in a shader. The blocks are written
+//! by commands of the frame's own recording, so a recording needs no host memory, and frames in flight do not
+//! share a block.
 
 use super::inputs::FrameInputs;
 use super::settings::camera_block;

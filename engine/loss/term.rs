@@ -47,8 +47,8 @@ pub struct Targets {
     /// of them; if it has a gradient of the inverse depth, that is by rows.
     pub picture: Option<PixelLayout>,
     /// The fourth component of the picture's gradient: dL/d(inverse depth). In the native layout of
-    /// processors it is a fourth plane. `frame.frame.inverse_depth` is the
-    /// sum of weights / z per pixel, row by row.
+    /// processors it is a fourth plane. `frame.frame.inverse_depth` is the sum of weights / z per pixel, row by
+    /// row.
     pub inverse_depth: bool,
     /// [`TermInputs::parameter_gradients`].
     pub parameters: bool,

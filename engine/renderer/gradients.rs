@@ -51,6 +51,10 @@ impl Renderer {
         let sh_degree = scene.active_degree(settings);
         self.backward.prepare(sh_degree, settings.inverse_depth)?;
         self.backward.prepare_expand(sh_degree)?;
+        let border = match &mut self.border {
+            Some(border) => border,
+            none => none.insert(PixelBorder::new(&self.context)?),
+        };
         let count = u64::from(scene.count);
         let planes = planes::allocate(&self.context, "gradients", &scene.plan)?;
         let target = (0..pixels).map(|i| {
@@ -68,7 +72,6 @@ impl Renderer {
         ];
         let extra = self.context.allocate("gradients", &requests, MemoryKind::Device)?;
         self.context.upload(&extra[2], target)?;
-        let border = PixelBorder::new(&self.context)?;
 
         let request = Request { scene: &scene, camera, settings, sh_degree, backward: true };
         let backward = &self.backward;

@@ -181,7 +181,7 @@ impl Trainer {
         [state, losses]: [&Buffer; 2],
     ) -> Result<()> {
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
-        let parts = StepParts::new(run, model, &self.photos, &self.losses, strategy, plan);
+        let parts = StepParts { run, model, photos: &self.photos, memory: &self.losses, strategy, plan };
         self.runner.record(r, &parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, losses);
             r.barrier();

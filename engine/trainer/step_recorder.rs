@@ -57,26 +57,15 @@ pub(super) struct LossValues {
 
 /// One iteration to record.
 pub(super) struct StepParts<'a> {
-    run: &'a Run,
-    model: &'a Model,
-    photos: &'a Photos,
-    memory: &'a LossMemory,
-    strategy: &'a dyn Strategy,
-    plan: &'a IterationPlan,
+    pub run: &'a Run,
+    pub model: &'a Model,
+    pub photos: &'a Photos,
+    pub memory: &'a LossMemory,
+    pub strategy: &'a dyn Strategy,
+    pub plan: &'a IterationPlan,
 }
 
 impl<'a> StepParts<'a> {
-    pub fn new(
-        run: &'a Run,
-        model: &'a Model,
-        photos: &'a Photos,
-        memory: &'a LossMemory,
-        strategy: &'a dyn Strategy,
-        plan: &'a IterationPlan,
-    ) -> Self {
-        Self { run, model, photos, memory, strategy, plan }
-    }
-
     /// The iteration's frame.
     pub fn frame(&self) -> Request<'a> {
         Request {
@@ -222,21 +211,17 @@ impl StepRecorder {
         let StepParts { model, photos, memory, plan, .. } = *parts;
         let (photo, photo_is_masked) = (photos.of(plan.view), photos.is_masked(plan.view));
         let rows = self.border.as_ref().zip(memory.rows.as_ref());
-        let mut cleared = false;
-        let mut clear = |r: &mut Recorder, buffer: &Buffer| {
-            r.fill(buffer, 0);
-            cleared = true;
-        };
         if self.targets.inverse_depth {
-            clear(r, gradient);
+            r.fill(gradient, 0);
         }
-        model.parameter_gradients.iter().for_each(|gradients| clear(r, gradients));
+        model.parameter_gradients.iter().for_each(|gradients| r.fill(gradients, 0));
         if let Some((border, rows)) = rows {
             border.record_picture(r, inputs, &rows.picture);
             let size = (inputs.camera.width, inputs.camera.height);
             border.record_photo(r, size, photo_is_masked, photo, &rows.photo);
         }
-        if cleared || rows.is_some() {
+        // A gradient of the inverse depth may be native, without rows.
+        if self.targets.inverse_depth || self.targets.parameters || rows.is_some() {
             r.barrier();
         }
         let native = (inputs.frame.rendered(&self.sizes), photo, gradient);

@@ -1,6 +1,7 @@
 //! `forward/cull` against its twin.
 
 use ashsplat::kernels::forward::cull::{Bind, Interface, Push, Spec};
+use ashsplat::vk::Buffer;
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
 use crate::common::layout::{camera_block, extent_word, pack, room};
@@ -23,6 +24,29 @@ fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
     nudged[0] != nudged[1]
 }
 
+/// Culls `size` Gaussians. Returns flags and counts of blocks, each with two words more that must stay untouched.
+fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>; 2] {
+    let spec = spec(gpu);
+    let blocks = size.div_ceil(spec.workgroup_size as usize);
+    let flags = gpu.untouched::<u32>("visible_flags", size + 2);
+    let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
+    let bind = Bind {
+        parameters,
+        visible_flags: &flags,
+        block_counts: &counts,
+        camera_block: &gpu.buffer("camera_block", &[camera_block(view)]),
+    };
+    let (kernel, push) = (gpu.kernel::<Interface>(&spec), push(view, size));
+    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
+    let flags = gpu.read::<u32>(&flags, size + 2);
+    assert_eq!(flags[size..], [UNTOUCHED; 2]);
+    [flags, gpu.read::<u32>(&counts, blocks + 2)]
+}
+
+fn spec(gpu: &Gpu) -> Spec {
+    Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() }
+}
+
 fn push(view: &View, count: usize) -> Push {
     Push {
         first: 0,
@@ -36,28 +60,14 @@ fn push(view: &View, count: usize) -> Push {
 #[test]
 fn cull_equals_its_twin() {
     let gpu = Gpu::new();
-    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
-    let kernel = gpu.kernel::<Interface>(&spec);
-    let block = spec.workgroup_size as usize;
+    let block = spec(&gpu).workgroup_size as usize;
     for (size, extent, antialias) in
         sizes(block).into_iter().flat_map(|n| [(n, Extent::Exact, false), (n, Extent::Reference, true)])
     {
         let gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
         let view = View { extent, antialias, ..small_view([53, 37]) };
         let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
-        let blocks = size.div_ceil(block);
-        let flags = gpu.untouched::<u32>("visible_flags", size + 2);
-        let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
-        let bind = Bind {
-            parameters: &parameters,
-            visible_flags: &flags,
-            block_counts: &counts,
-            camera_block: &gpu.buffer("camera_block", &[camera_block(&view)]),
-        };
-        let push = push(&view, size);
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
-
-        let flags = gpu.read::<u32>(&flags, size + 2);
+        let [flags, counts] = culled(&gpu, &view, &parameters, size);
         let expected = cull(&gaussians, &view);
         let mut borderline = 0;
         for (i, gaussian) in gaussians.iter().enumerate() {
@@ -67,10 +77,9 @@ fn cull_equals_its_twin() {
             }
         }
         assert!(borderline <= 1 + size / 50, "{borderline} of {size} differ");
-        assert_eq!(flags[size..], [UNTOUCHED; 2]);
         let mut counted: Vec<u32> = flags[..size].chunks(block).map(|flags| flags.iter().sum()).collect();
         counted.extend([UNTOUCHED; 2]);
-        assert_eq!(gpu.read::<u32>(&counts, blocks + 2), counted, "{extent:?} {size}");
+        assert_eq!(counts, counted, "{extent:?} {size}");
     }
 }
 
@@ -78,26 +87,13 @@ fn cull_equals_its_twin() {
 #[test]
 fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
     let gpu = Gpu::new();
-    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let size = 700;
     let gaussians = mixed_scene(&mut Random::new(11), size, 1);
     let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
-    let blocks = size.div_ceil(spec.workgroup_size as usize);
     let mut seen = Vec::new();
     for drawn in drawn_shapes() {
         let view = View { drawn, ..small_view([53, 37]) };
-        let flags = gpu.untouched::<u32>("visible_flags", size);
-        let counts = gpu.untouched::<u32>("block_counts", blocks);
-        let bind = Bind {
-            parameters: &parameters,
-            visible_flags: &flags,
-            block_counts: &counts,
-            camera_block: &gpu.buffer("camera_block", &[camera_block(&view)]),
-        };
-        let push = push(&view, size);
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64));
-        let flags = gpu.read::<u32>(&flags, size);
+        let [flags, _] = culled(&gpu, &view, &parameters, size);
         let expected = cull(&gaussians, &view);
         let differ = |&i: &usize| flags[i] != u32::from(expected[i]) && !may_differ(&gaussians[i], &view);
         assert_eq!((0..size).find(differ), None, "{drawn:?}");
@@ -111,8 +107,6 @@ fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
 #[test]
 fn cull_of_non_finite_parameters() {
     let gpu = Gpu::new();
-    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let plain = Gaussian {
         mean: [0.0; 3],
         quat: [1.0, 0.0, 0.0, 0.0],
@@ -138,15 +132,6 @@ fn cull_of_non_finite_parameters() {
     let expected: Vec<u32> = cases.iter().map(|(_, visible)| *visible).collect();
     let view = small_view([53, 37]);
     let parameters = gpu.buffer("parameters", &pack(&gaussians, room(cases.len())));
-    let flags = gpu.untouched::<u32>("visible_flags", cases.len());
-    let counts = gpu.untouched::<u32>("block_counts", 1);
-    let bind = Bind {
-        parameters: &parameters,
-        visible_flags: &flags,
-        block_counts: &counts,
-        camera_block: &gpu.buffer("camera_block", &[camera_block(&view)]),
-    };
-    let push = push(&view, cases.len());
-    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
-    assert_eq!(gpu.read::<u32>(&flags, cases.len()), expected);
+    let [flags, _] = culled(&gpu, &view, &parameters, cases.len());
+    assert_eq!(flags[..cases.len()], expected);
 }
