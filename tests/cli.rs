@@ -8,6 +8,7 @@ mod convert;
 mod inspect;
 mod layouts;
 mod report;
+mod run;
 mod training;
 
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
@@ -17,33 +18,12 @@ use glam::{Vec3, vec3};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+pub(crate) use run::{Finished, finish, program, text};
+
 /// Size of the photos of [`write_dataset`], pixels.
 const SIZE: [u32; 2] = [48, 32];
 /// Number of views of [`write_dataset`]; with `--eval` the first and the last are held out.
 const VIEWS: u32 = 9;
-
-/// A finished run of the program.
-pub(crate) struct Finished {
-    pub(crate) code: Option<i32>,
-    pub(crate) stdout: String,
-    pub(crate) stderr: String,
-}
-
-/// The program, not yet started, in a clean environment apart from what chooses the driver.
-pub(crate) fn program() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
-    command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
-    command
-}
-
-pub(crate) fn finish(command: &mut Command) -> Finished {
-    let output = command.output().expect("the program starts");
-    Finished {
-        code: output.status.code(),
-        stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
-        stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
-    }
-}
 
 /// Runs the program, which must succeed; returns its stdout.
 pub(crate) fn succeed(arguments: &[&str]) -> String {
@@ -66,11 +46,6 @@ pub(crate) fn assert_refused(run: &Finished, words: &[&str]) {
 /// Runs the program, which must refuse.
 pub(crate) fn refuse(arguments: &[&str], words: &[&str]) {
     assert_refused(&finish(program().args(arguments)), words);
-}
-
-/// A path as an argument.
-pub(crate) fn text(path: &Path) -> &str {
-    path.to_str().expect("temporary paths are UTF-8")
 }
 
 /// All files below a folder, sorted, relative to it.
