@@ -78,6 +78,47 @@ pub enum PhotoFormat {
 
 /// Inputs and outputs of the loss, in the device's native layout. [`PixelBorder`](crate::pixels::PixelBorder)
 /// converts them to rows and back.
+///
+/// # Examples
+/// A picture and a photograph by rows: the loss and its gradient with [`Windowing::Blocks`].
+/// ```no_run
+/// use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
+/// use ashsplat::vk::{Context, MemoryKind};
+///
+/// fn loss(context: &Context, picture: &[u8], photo: &[u8], (width, height): (u32, u32)) -> ashsplat::Result<[f32; 4]> {
+///     let windowing = Windowing::Blocks;
+///     let loss = Loss::with_windowing(context, PhotoFormat::Rgba8, windowing)?;
+///     let texels = 16 * u64::from(width) * u64::from(height);
+///     let mut requests = vec![
+///         ("picture", texels),
+///         ("photograph", photo_bytes(windowing, width, height, false)),
+///         ("losses", 16),
+///         ("gradient", texels),
+///     ];
+///     requests.extend(loss.scratch_requests([(width, height)]));
+///     let buffers = context.allocate("loss", &requests, MemoryKind::Device)?;
+///     let [rendered, target, losses, image_gradient, scratch @ ..] = &buffers[..] else { unreachable!() };
+///     context.upload(rendered, picture)?;
+///     context.upload(target, photo)?;
+///     let inputs = LossInputs {
+///         rendered,
+///         photo: target,
+///         scratch,
+///         losses,
+///         row: 0,
+///         image_gradient,
+///         width,
+///         height,
+///         background: [0.0; 3],
+///         lambda_dssim: 0.2,
+///     };
+///     context.run("loss", |recorder| {
+///         loss.record(recorder, &inputs);
+///         Ok(())
+///     })?;
+///     Ok(bytemuck::pod_read_unaligned(&context.download(losses)?))
+/// }
+/// ```
 #[derive(Clone, Copy)]
 pub struct LossInputs<'a> {
     /// The blended picture, as a frame with backward stores it. [`Windowing::Blocks`]: per pixel,

@@ -18,7 +18,7 @@ pub struct Blended {
     pub last_entries: Buffer,
 }
 
-/// Sums of each slot.
+/// Sums of each instance.
 pub struct SlotSums {
     /// 1, dx, dy, dx², dx·dy, dy², r, g, b, inverse depth.
     pub sums: Vec<[f64; 10]>,
@@ -191,7 +191,7 @@ macro_rules! backward_of_lists {
             strips,
         };
         let kernel = gpu.kernel::<$kernel::Interface>(&spec);
-        let (pixels, slots) = (lists.view.pixels(), lists.slots.len());
+        let (pixels, instances) = (lists.view.pixels(), lists.instances.len());
         let image_gradient = match $gradient {
             Some(gradient) if strips => {
                 gpu.buffer("image_gradient", &strips_of(lists).planes(gradient.iter().copied()))
@@ -201,8 +201,8 @@ macro_rules! backward_of_lists {
         };
         let backward_state = gpu.untouched::<[f32; 2]>("backward_state", pixels);
         let [instance_gradients_a, instance_gradients_b] = ["instance_gradients_a", "instance_gradients_b"]
-            .map(|name| gpu.untouched::<[f32; 4]>(name, slots));
-        let instance_gradients_c = gpu.untouched::<[f32; 2]>("instance_gradients_c", slots);
+            .map(|name| gpu.untouched::<[f32; 4]>(name, instances));
+        let instance_gradients_c = gpu.untouched::<[f32; 2]>("instance_gradients_c", instances);
         let bind = $kernel::Bind {
             tile_ranges: &lists.tile_ranges,
             sorted_visible: &lists.sorted_visible,
@@ -241,13 +241,13 @@ macro_rules! backward_of_lists {
             }
         });
         let (a, b) = (
-            gpu.read::<[f32; 4]>(&instance_gradients_a, slots),
-            gpu.read::<[f32; 4]>(&instance_gradients_b, slots),
+            gpu.read::<[f32; 4]>(&instance_gradients_a, instances),
+            gpu.read::<[f32; 4]>(&instance_gradients_b, instances),
         );
-        let c = gpu.read::<[f32; 2]>(&instance_gradients_c, slots);
-        let sums = (0..slots)
-            .map(|slot| {
-                let all = [a[slot].as_slice(), &b[slot], &c[slot]].concat();
+        let c = gpu.read::<[f32; 2]>(&instance_gradients_c, instances);
+        let sums = (0..instances)
+            .map(|instance| {
+                let all = [a[instance].as_slice(), &b[instance], &c[instance]].concat();
                 std::array::from_fn(|k| f64::from(all[k]))
             })
             .collect();
@@ -255,7 +255,7 @@ macro_rules! backward_of_lists {
     }};
 }
 
-/// The sums of each slot for a gradient per pixel (r, g, b, inverse depth), by `backward/blend_backward`.
+/// The sums of each instance for a gradient per pixel (r, g, b, inverse depth), by `backward/blend_backward`.
 pub fn backward(
     gpu: &Gpu,
     lists: &Lists,
@@ -287,7 +287,7 @@ fn passes(lists: &Lists, entries_per_pass: u32) -> u32 {
 
 /// Passes, each over the tiles that begin in the first half of the instances and over the others.
 fn dispatches(lists: &Lists, entries_per_pass: u32) -> impl Iterator<Item = (u32, [u32; 2])> {
-    let half = lists.slots.len() as u32 / 2;
+    let half = lists.instances.len() as u32 / 2;
     let parts = [[0, half], [half, u32::MAX - half]];
     (0..passes(lists, entries_per_pass)).flat_map(move |pass| parts.map(|part| (pass, part)))
 }

@@ -20,13 +20,13 @@ pub struct Lists {
     pub tile_ranges: Buffer,
     pub sorted_visible: Buffer,
     /// Place before the tile sort of each sorted instance.
-    pub slots: Vec<u32>,
+    pub instances: Vec<u32>,
     pub sorted_instances: Buffer,
     pub state: Buffer,
 }
 
 impl Lists {
-    /// Uploads lists; the slots are a permutation.
+    /// Uploads lists; the instances are a permutation.
     pub fn new(gpu: &Gpu, splats: Vec<Splat>, lists: Vec<Vec<u32>>, view: &View) -> Lists {
         let mut ranges = Vec::new();
         let mut sorted: Vec<u32> = Vec::new();
@@ -35,15 +35,15 @@ impl Lists {
             sorted.extend(list);
             ranges.push(if list.is_empty() { [0, 0] } else { [begin, sorted.len() as u32] });
         }
-        let slots = super::frame::shuffled(sorted.len());
+        let instances = super::frame::shuffled(sorted.len());
         Lists {
             view: view.clone(),
             frame: Splats::new(gpu, splats),
             lists,
             tile_ranges: gpu.buffer("tile_ranges", &ranges),
             sorted_visible: gpu.buffer("sorted_visible", &sorted),
-            sorted_instances: gpu.buffer("sorted_instances", &slots),
-            slots,
+            sorted_instances: gpu.buffer("sorted_instances", &instances),
+            instances,
             state: gpu.zeros::<u32>("state", STATE_WORDS as usize),
         }
     }

@@ -52,7 +52,10 @@ pub fn from_moments(splat: &Splat, sums: [f64; 10]) -> SplatGradient {
 /// The device's gradient of each sorted instance.
 fn actual(lists: &Lists, sums: &SlotSums) -> Vec<SplatGradient> {
     let splats = lists.lists.iter().flatten().map(|&visible| &lists.frame.splats[visible as usize]);
-    splats.zip(&lists.slots).map(|(splat, &slot)| from_moments(splat, sums.sums[slot as usize])).collect()
+    splats
+        .zip(&lists.instances)
+        .map(|(splat, &instance)| from_moments(splat, sums.sums[instance as usize]))
+        .collect()
 }
 
 /// Name, values.
@@ -118,7 +121,7 @@ pub fn in_passes(kernel: Kernel) {
     }
 }
 
-/// Every slot is written, also where no pixel has a gradient.
+/// Every instance is written, also where no pixel has a gradient.
 pub fn of_nothing(kernel: Kernel) {
     let gpu = Gpu::new();
     let lists = Lists::long(&gpu, 70, [0.5, 1.0], &small_view([37, 21]));

@@ -69,13 +69,13 @@ fn check(gpu: &Gpu, gaussians: &[Gaussian], view: &View) {
     let columns = view.tiles()[0];
     let mut begin = 0;
     for (&gaussian, &count) in order.iter().zip(&counts) {
-        let slots = begin..begin + count as usize;
+        let run = begin..begin + count as usize;
         let splat = &splats[gaussian as usize];
-        assert!(visible[slots.clone()].iter().all(|&v| v == gaussian), "instances of {gaussian}");
+        assert!(visible[run.clone()].iter().all(|&v| v == gaussian), "instances of {gaussian}");
         if count > 0 {
             assert_eq!(first_instances[gaussian as usize], begin as u32);
         }
-        let listed = &tiles[slots];
+        let listed = &tiles[run];
         assert!(listed.is_sorted_by(|a, b| a < b), "row by row, none twice: {listed:?}");
         let allowed = match view.extent {
             Extent::Exact => touched_at_most(splat, view),

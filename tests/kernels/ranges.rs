@@ -19,11 +19,11 @@ fn ranges_equal_their_twin() {
         let mut random = Random::new(size as u64);
         let mut tiles: Vec<u32> = (0..size).map(|_| random.below(tile_count)).collect();
         tiles.sort_unstable();
-        let slots = shuffled(size);
+        let instances = shuffled(size);
         let visible: Vec<u32> = (0..size).map(|_| random.bits() as u32).collect();
         let state = state(&gpu, 0, size);
         let sorted_tiles = gpu.buffer("sorted_tiles", &tiles);
-        let sorted_instances = gpu.buffer("sorted_instances", &slots);
+        let sorted_instances = gpu.buffer("sorted_instances", &instances);
         let instance_visible = gpu.buffer("instance_visible", &visible);
         let tile_ranges = gpu.zeros::<[u32; 2]>("tile_ranges", tile_count as usize);
         let sorted_visible = gpu.untouched::<u32>("sorted_visible", size + 2);
@@ -43,7 +43,7 @@ fn ranges_equal_their_twin() {
         let bind = Bind { tile_ranges: &tile_ranges, instance_visible: others, ..bind };
         gpu.run(|recorder| recorder.dispatch(&alone, &bind, &Push::default(), (size / block) as u64 + 1));
         assert_eq!(gpu.read::<[u32; 2]>(&tile_ranges, tile_count as usize), expected, "size {size}");
-        let mut expected: Vec<u32> = slots.iter().map(|&slot| visible[slot as usize]).collect();
+        let mut expected: Vec<u32> = instances.iter().map(|&instance| visible[instance as usize]).collect();
         expected.extend([UNTOUCHED; 2]);
         assert_eq!(gpu.read::<u32>(&sorted_visible, size + 2), expected, "size {size}");
     }
