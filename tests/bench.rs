@@ -89,7 +89,7 @@ fn bench_all_follows_its_schema() {
     let kernels: usize = runs(&report).iter().map(|run| run["kernels"].as_array().map_or(0, Vec::len)).sum();
     assert_eq!(lines, 1 + kernels);
     let sorts = runs(&report)[1]["cpu"].as_array().expect("sorts of the processor");
-    assert_eq!(sorts.len(), if cfg!(feature = "cpu-sorts") { 6 } else { 2 });
+    assert_eq!(sorts.len(), if cfg!(feature = "cpu-sorts") { 4 } else { 2 });
 }
 
 /// The parts add up, dispatches have grids, and the counts are those of a frame.

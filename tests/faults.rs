@@ -13,7 +13,7 @@ use crate::common::options;
 use crate::common::scenes::{Random, small_scene, small_view};
 
 /// Of the calls of a long list, each so many-th fails; `ASHSPLAT_ALL_FAULTS=1` lets each of them.
-const STRIDE: u64 = 11;
+const STRIDE: u64 = 17;
 
 fn stride(usual: u64) -> usize {
     if std::env::var_os("ASHSPLAT_ALL_FAULTS").is_some() { 1 } else { usual as usize }
@@ -291,7 +291,7 @@ fn faults_leave_renderer_and_trainer_usable() {
         insist(|| if first.step()?.iteration == STEPS { Ok(()) } else { Err(Error::Interrupted) });
         let mut matrix = Matrix { calls: faults.calls(fault), ..Matrix::default() };
         drop(first);
-        for index in (0..matrix.calls).step_by(stride(5)) {
+        for index in (0..matrix.calls).step_by(stride(9)) {
             faults.disarm();
             let mut trainer = trainer(&context).expect("a trainer");
             faults.arm(fault, index);

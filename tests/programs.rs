@@ -12,9 +12,14 @@ use ashsplat_files::{Dataset, DatasetOptions, Progress};
 use libtest_mimic::Trial;
 use serde_json::json;
 
+#[path = "cli/run.rs"]
+#[allow(dead_code)]
+mod run;
+
 use crate::absent;
 use crate::common::cinema::{Cinema, film, pixels};
 use crate::common::lenses::{cameras, write};
+use run::{finish, program};
 
 /// One trial per program.
 pub fn trials() -> Vec<Trial> {
@@ -31,6 +36,7 @@ pub fn trials() -> Vec<Trial> {
     vec![
         trial("programs_colmap_undistorts_the_same", "colmap", "help", colmap_undistorts_the_same),
         trial("programs_ffmpeg_makes_films", "ffmpeg", "-version", ffmpeg_makes_films),
+        trial("programs_ffmpeg_makes_rendered_films", "ffmpeg", "-version", ffmpeg_makes_rendered_films),
     ]
 }
 
@@ -97,4 +103,44 @@ fn ffmpeg_makes_films() {
     }
     // Nothing half-done beside it.
     assert_eq!(cinema.files(), ["film_001", "film_001.gif", "film_001.json", "film_001.mp4"]);
+}
+
+/// `render --out film.mp4`, and WebM.
+fn ffmpeg_makes_rendered_films() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let ply = folder.path().join("scene.ply");
+    let points = ashsplat::scene::PointCloud {
+        positions: (0..50)
+            .map(|i| [(0.3 * i as f32).sin(), 0.02 * i as f32, (0.7 * i as f32).cos()])
+            .collect(),
+        colors: vec![[230, 77, 26]; 50],
+    };
+    let gaussians = ashsplat_files::initial_gaussians(&points, 0).expect("Gaussians");
+    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
+    let render = |out: &Path, more: &[&str]| {
+        let paths = ["render", ply.to_str().expect("a path"), "-o", out.to_str().expect("a path")];
+        let arguments =
+            [paths.as_slice(), &["--orbit", "7", "--width", "97", "--height", "53"], more].concat();
+        let run = finish(program().args(arguments));
+        assert_eq!(run.code, Some(0), "{}", run.stderr);
+    };
+    render(&folder.path().join("frames"), &[]);
+    for (name, format) in [("film.mp4", "mov,mp4"), ("film.webm", "matroska,webm")] {
+        let path = folder.path().join("films").join(name);
+        render(&path, &["--fps", "12"]);
+        let probe = Command::new("ffmpeg").args(["-hide_banner", "-i"]).arg(&path).output().expect("ffmpeg");
+        let said = String::from_utf8_lossy(&probe.stderr).into_owned();
+        assert!(said.contains(format) && said.contains("98x54") && said.contains("12 fps"), "{said}");
+        let decode = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"];
+        let decoded = Command::new("ffmpeg").args(["-v", "error", "-i"]).arg(&path).args(decode).output();
+        let decoded = decoded.expect("ffmpeg").stdout;
+        assert_eq!(decoded.len(), 7 * 98 * 54 * 3, "{name}");
+        for (index, shown) in (0..).zip(decoded.chunks_exact(98 * 54 * 3)) {
+            let frame = pixels(&folder.path().join("frames"), index);
+            let mean = |bytes: &[u8]| bytes.iter().map(|&b| f64::from(b)).sum::<f64>() / (97.0 * 53.0 * 3.0);
+            assert!((mean(&frame) - mean(shown)).abs() < 4.0, "{name}, frame {index}");
+        }
+        assert_eq!(std::fs::read_dir(path.parent().expect("a folder")).expect("films").count(), 1);
+        std::fs::remove_file(path).expect("removed");
+    }
 }

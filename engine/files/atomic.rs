@@ -50,6 +50,53 @@ pub fn create_folder(path: impl AsRef<Path>) -> Result<()> {
     fs::create_dir_all(path).map_err(|source| Error::io(path, "create", source))
 }
 
+/// A file under another name in the same folder, for another program to write: see [`unfinished`].
+#[derive(Debug)]
+pub struct Unfinished {
+    file: tempfile::NamedTempFile,
+    target: PathBuf,
+}
+
+impl Unfinished {
+    /// Where it is to be written.
+    pub fn path(&self) -> &Path {
+        self.file.path()
+    }
+
+    /// Gives it its name.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
+    pub fn persist(self) -> Result<()> {
+        let Self { file, target } = self;
+        let io = |source| Error::io(&target, "write", source);
+        file.as_file().sync_all().map_err(io)?;
+        file.persist(&target).map_err(|e| io(e.error))?;
+        Ok(())
+    }
+}
+
+/// An empty file beside `path` that gets its name when it is whole, and is removed if it never is. A symbolic
+/// link is followed.
+///
+/// # Errors
+/// [`Error::Io`] naming the file.
+pub fn unfinished(path: impl AsRef<Path>) -> Result<Unfinished> {
+    let path = path.as_ref();
+    let io = |source| Error::io(path, "write", source);
+    let target = destination(path).map_err(io)?;
+    let file = temporary_file(&target, folder_of(&target)).map_err(io)?;
+    Ok(Unfinished { file, target })
+}
+
+/// The folder that a file lies in.
+fn folder_of(target: &Path) -> &Path {
+    match target.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
 fn write_inner(path: &Path, fill: impl FnOnce(&mut dyn Output) -> Result<()>) -> Result<()> {
     let io = |source| Error::io(path, "write", source);
     if fs::metadata(path).is_ok_and(|m| !m.is_file() && !m.is_dir()) {
@@ -59,10 +106,7 @@ fn write_inner(path: &Path, fill: impl FnOnce(&mut dyn Output) -> Result<()>) ->
         return writer.flush().map_err(io);
     }
     let target = destination(path).map_err(io)?;
-    let folder = match target.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let folder = folder_of(&target);
     // An error here names the folder; the creation of the file below would name the temporary one.
     fs::metadata(folder).map_err(io)?;
     let file = temporary_file(&target, folder).map_err(io)?;

@@ -9,6 +9,7 @@ pub mod points;
 pub mod sh;
 pub mod sh_rotation;
 pub mod stored_photo;
+pub mod tour;
 pub mod transform;
 pub mod view;
 
@@ -18,5 +19,6 @@ pub use orbit::Orbit;
 pub use photo::Photo;
 pub use points::{Bounds, PointCloud};
 pub use stored_photo::{PhotoFile, StoredPhoto};
+pub use tour::Motion;
 pub use transform::Similarity;
 pub use view::{ClipY, DepthMapping, HostView, Pose};

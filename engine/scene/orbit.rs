@@ -75,7 +75,7 @@ impl Orbit {
 }
 
 /// The point with the least sum of squared distances to the cameras' optical axes.
-fn nearest_to_axes(cameras: &[Camera]) -> Option<Vec3> {
+pub(super) fn nearest_to_axes(cameras: &[Camera]) -> Option<Vec3> {
     use glam::DMat3;
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for camera in cameras {

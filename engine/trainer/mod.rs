@@ -34,7 +34,7 @@ pub use report::{Maintenance, StepOutcome, StepReport};
 pub use settings::{OptimizerType, StrategyType, TrainSettings};
 pub use strategies::{Fixed, Reference};
 pub use strategy::Strategy;
-pub use terms::Regularizers;
+pub use terms::*;
 pub use work::{Actions, Densified};
 
 use crate::error::{Error, Result};

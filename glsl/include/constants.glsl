@@ -94,8 +94,8 @@ const uint STRIP_ROWS = 8;
 // Sums of one (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth.
 const uint INSTANCE_SUMS = 10;
 
-// Workgroups, and so partial sums, of the opacity and scale regularisers.
-const uint REGULARIZE_PARTIALS = 256;
+// Workgroups, and so partial sums, of a term of the loss that is a mean over Gaussians.
+const uint TERM_PARTIALS = 256;
 
 // Arithmetic benchmark: independent chains per invocation, and steps of each chain per round.
 const uint MULTIPLY_ADD_CHAINS = 8;

@@ -1,7 +1,7 @@
 // Opacity and scale regularisers (3DGS-MCMC, Kheradmand et al. 2024, section 4): weighted means of the opacities and of
 // the scales of all Gaussians, visible or not. Adds their gradient to that of the parameters.
 //
-// invocation: every (number of invocations)-th Gaussian of a chunk; the number of workgroups is REGULARIZE_PARTIALS
+// invocation: every (number of invocations)-th Gaussian of a chunk; the number of workgroups is TERM_PARTIALS
 // in: parameters (PerGaussian planes)
 // in/out: parameter_gradients (PerGaussian geometry planes: of opacity logit and log-scale);
 //     partials[workgroup] = sums of (opacity, scale) over all chunks so far
@@ -37,7 +37,7 @@ shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
 
 void main() {
     vec2 sum = vec2(0.0);
-    uint stride = REGULARIZE_PARTIALS * WORKGROUP_SIZE;
+    uint stride = TERM_PARTIALS * WORKGROUP_SIZE;
     for (uint index = gl_WorkGroupID.x * WORKGROUP_SIZE + gl_LocalInvocationID.x; index < count; index += stride) {
         uint opacity_at = geometry_at(PLANE_MEAN_OPACITY, index);
         uint scale_at = geometry_at(PLANE_LOG_SCALE, index);

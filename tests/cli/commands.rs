@@ -2,6 +2,8 @@
 
 use super::*;
 use serde_json::Value;
+use std::fs::File;
+use std::io::BufReader;
 use tempfile::tempdir;
 
 #[test]
@@ -121,6 +123,35 @@ fn orbit_of_a_bare_ply_shows_the_scene() {
         image::open(path).expect("a PNG").to_luma8().pixels().map(|pixel| pixel[0]).max()
     };
     assert!((0..4).all(|index| brightest(index) > Some(60)));
+}
+
+#[test]
+fn films_are_files_and_never_folders() {
+    let folder = tempdir().expect("a temporary folder");
+    let ply = folder.path().join("scene.ply");
+    let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
+    let film = |name: &str| folder.path().join("films").join(name);
+    let small = ["--width", "40", "--orbit", "3", "--out"];
+    let gif = film("film.gif");
+    succeed(&[["render", text(&ply)].as_slice(), &small, &[text(&gif)]].concat());
+    let decoder = image::codecs::gif::GifDecoder::new(BufReader::new(File::open(&gif).expect("a film")));
+    let frames =
+        image::AnimationDecoder::into_frames(decoder.expect("a GIF")).collect_frames().expect("frames");
+    let sizes: Vec<(u32, u32)> = frames.iter().map(|frame| frame.buffer().dimensions()).collect();
+    assert_eq!(sizes, [(40, 22); 3]);
+    assert_eq!(files_below(&film("")), [PathBuf::from("film.gif")]);
+    for (name, words) in
+        [("a.mov", [".mp4", "a.mov"]), ("b.mp4", ["ffmpeg", ".gif"]), ("c.webm", ["ffmpeg", ".gif"])]
+    {
+        let path = film(name);
+        let arguments = [["render", text(&ply)].as_slice(), &small, &[text(&path)]].concat();
+        // Without ffmpeg, wherever it may be.
+        assert_refused(&finish(program().args(arguments).env("PATH", "")), &words);
+        assert!(!path.exists(), "{name}");
+    }
+    let exr = [["render", text(&ply), "--format", "exr"].as_slice(), &small, &[text(&gif)]].concat();
+    refuse(&exr, &["--format", "8 bits"]);
 }
 
 /// However small a scene is, an orbit does not come so near that all of it is culled.

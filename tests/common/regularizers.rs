@@ -1,7 +1,7 @@
 //! The opacity and scale regularisers' kernels.
 
-use ashsplat::kernels::constants::{PLANE_SH, REGULARIZE_PARTIALS};
-use ashsplat::kernels::loss::{regularize as sums, regularize_reduce as reduce};
+use ashsplat::kernels::constants::{PLANE_SH, TERM_PARTIALS};
+use ashsplat::kernels::loss::{regularize as sums, term_reduce as reduce};
 
 use super::gpu::Gpu;
 use super::layout::{pack, room, unpack};
@@ -15,7 +15,7 @@ const ROW: usize = 1;
 pub fn regularize(gpu: &Gpu, gaussians: &[Gaussian], weights: [f64; 2]) -> ([f64; 3], Vec<Gaussian>) {
     let spec = sums::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
     let kernel = gpu.kernel::<sums::Interface>(&spec);
-    let partials = gpu.untouched::<[f32; 2]>("partials", REGULARIZE_PARTIALS as usize);
+    let partials = gpu.untouched::<[f32; 2]>("partials", TERM_PARTIALS as usize);
     let count = gaussians.len();
     let mut gradients = Vec::new();
     for (chunk, part) in [&gaussians[..count / 3], &gaussians[count / 3..]].into_iter().enumerate() {
@@ -30,7 +30,7 @@ pub fn regularize(gpu: &Gpu, gaussians: &[Gaussian], weights: [f64; 2]) -> ([f64
             opacity_weight: (weights[0] / count as f64) as f32,
             scale_weight: (weights[1] / (3 * count) as f64) as f32,
         };
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, REGULARIZE_PARTIALS.into()));
+        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, TERM_PARTIALS.into()));
         // No SH, so one plane more.
         let mut planes = gpu.read::<[f32; 4]>(&d, planes);
         planes.resize(planes.len() + room, [0.0; 4]);
@@ -41,9 +41,8 @@ pub fn regularize(gpu: &Gpu, gaussians: &[Gaussian], weights: [f64; 2]) -> ([f64
     let losses = gpu.untouched::<[f32; 4]>("losses", 3);
     let push = reduce::Push {
         row: ROW as u32,
-        count: count as u32,
-        opacity_weight: weights[0] as f32,
-        scale_weight: weights[1] as f32,
+        values: [count as f32, 3.0 * count as f32],
+        weights: weights.map(|weight| weight as f32),
     };
     let bind = reduce::Bind { partials: &partials, losses: &losses };
     gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));

@@ -15,8 +15,8 @@ use crate::reference::scatter_sources::{Densify, place};
 use crate::reference::tiles::alpha_unclamped;
 use crate::reference::types::{ALPHA_MAX, Gaussian, Gradient, View};
 use crate::reference::{
-    loss_reduce, regularize as regularize_twin, regularize_reduce as regularize_reduce_twin,
-    reset_opacity as reset_twin, schedule,
+    loss_reduce, regularize as regularize_twin, reset_opacity as reset_twin, schedule,
+    term_reduce as term_reduce_twin,
 };
 
 /// The rounding of stored float32.
@@ -286,7 +286,7 @@ impl RegularizerSet {
 pub fn regularizers(path: &Path) -> Result<(), String> {
     let (set, npz) = (RegularizerSet::read(path), Npz::read(path));
     let sums = regularize_twin::regularize(&set.gaussians, REGULARIZER_WEIGHTS);
-    let [loss, ..] = regularize_reduce_twin::losses(&sums, set.gaussians.len(), REGULARIZER_WEIGHTS);
+    let [loss, ..] = term_reduce_twin::losses(&sums, set.gaussians.len(), REGULARIZER_WEIGHTS);
     elementwise("loss", &[loss], npz.values("reg_loss"), 0.0, 2e-7)?;
     set.check_gradients(&npz, &sums.gradients, 2e-7)
 }

@@ -19,6 +19,7 @@ mod ply;
 mod sh;
 mod sh_rotation;
 mod splats;
+mod tour;
 mod transform;
 mod transforms;
 mod view;

@@ -82,10 +82,25 @@ fn summary(error: &clap::Error) -> String {
         (ErrorKind::UnknownArgument, Some(ContextValue::String(option))) => owners(option),
         _ => Vec::new(),
     };
+    let suggestion = suggestion(error).map(|word| format!("; did you mean '{word}'?")).unwrap_or_default();
     if owners.is_empty() {
-        return format!("{first}; see --help");
+        let end = if suggestion.is_empty() { ";" } else { "" };
+        return format!("{first}{suggestion}{end} see --help");
     }
-    format!("{first}: it is an option of `{}`; leave it out here, see --help", owners.join("`, `"))
+    format!(
+        "{first}{suggestion}: it is an option of `{}`; leave it out here, see --help",
+        owners.join("`, `")
+    )
+}
+
+/// The option, command or value that is written nearly so.
+fn suggestion(error: &clap::Error) -> Option<String> {
+    let kinds = [ContextKind::SuggestedArg, ContextKind::SuggestedSubcommand, ContextKind::SuggestedValue];
+    kinds.into_iter().find_map(|kind| match error.get(kind)? {
+        ContextValue::String(word) => Some(word.clone()),
+        ContextValue::Strings(words) => words.first().cloned(),
+        _ => None,
+    })
 }
 
 /// The commands that know an option ("--windows").
@@ -128,6 +143,17 @@ mod tests {
         assert_eq!(owners("--windows"), ["bench train", "bench all"]);
         assert_eq!(owners("--windows=3"), owners("--windows"));
         assert!(owners("--no-such-option").is_empty() && owners("-x").is_empty());
+    }
+
+    #[test]
+    fn slips_are_told_what_was_meant() {
+        let said = |arguments: &[&str]| {
+            let words = std::iter::once(&"ashsplat").chain(arguments);
+            summary(&CommandLine::try_parse_from(words).err().expect("a slip"))
+        };
+        assert!(said(&["train", "--iteration", "100"]).contains("did you mean '--iterations'?"));
+        assert!(said(&["trian"]).ends_with("did you mean 'train'? see --help"), "{}", said(&["trian"]));
+        assert!(said(&["bench", "sort", "--xyzzy"]).ends_with("found; see --help"));
     }
 
     #[test]

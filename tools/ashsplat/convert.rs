@@ -1,6 +1,7 @@
 //! `ashsplat convert`.
 
 use crate::args::HostArguments;
+use crate::model::Model;
 use crate::progress::thousands;
 use crate::render::parse_vector;
 use ashsplat::scene::{Bounds, Similarity};
@@ -17,12 +18,15 @@ use std::path::PathBuf;
 /// --sh-degree, --min-opacity, --crop-box, --rotate, --scale, --translate, --decimate.
 #[derive(Args)]
 pub struct Arguments {
-    /// A file of Gaussians
+    /// A file of Gaussians, or a model folder
     #[arg(value_name = "IN")]
     input: PathBuf,
     /// The new file; its extension says the format
     #[arg(value_name = "OUT")]
     output: PathBuf,
+    /// Iteration of the model folder's PLY [default: what was saved last]
+    #[arg(long, value_name = "N")]
+    iteration: Option<u32>,
     /// Highest degree of the spherical harmonics that is kept, 0 to 3
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=3))]
     sh_degree: Option<u32>,
@@ -81,17 +85,18 @@ fn parse_target(text: &str) -> Result<Target, String> {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let options = arguments.options()?;
+    let input = Model::locate(&arguments.input, arguments.iteration)?.ply;
     let same = |input: PathBuf| arguments.output.canonicalize().is_ok_and(|output| input == output);
-    if arguments.input.canonicalize().is_ok_and(same) {
+    if input.canonicalize().is_ok_and(same) {
         let problem = format!("{} is the input itself; give another file", arguments.output.display());
         return Err(Error::argument("OUT", problem));
     }
-    let done = splats::convert(&arguments.input, &arguments.output, &options)?;
+    let done = splats::convert(&input, &arguments.output, &options)?;
     for warning in &done.warnings {
         tell!("warning: {warning}");
     }
     if !arguments.quiet {
-        let (from, to) = (arguments.input.display(), arguments.output.display());
+        let (from, to) = (input.display(), arguments.output.display());
         let input = &done.input;
         say!(
             "{from} ({}, {} Gaussians, SH degree {}) -> {to} ({}, {} Gaussians, SH degree {}){}",

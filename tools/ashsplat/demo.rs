@@ -8,7 +8,7 @@ mod sheet;
 use crate::args::DeviceArguments;
 use crate::config::{DataSettings, Settings};
 use crate::model::point_cloud_path;
-use crate::train::Run;
+use crate::train::{Run, say_what_next};
 use crate::{output, render, session};
 use ashsplat::trainer::TrainSettings;
 use ashsplat::{Error, Result};
@@ -82,6 +82,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         say!("PLY             {}", point_cloud_path(&model, arguments.iterations).display());
         say!("metrics         {}", folder.join("metrics.json").display());
         say!("contact sheet   {}", folder.join("contact_sheet.png").display());
+        say_what_next(&model);
         say!("total           {:.1} s", start.elapsed().as_secs_f64());
     }
     arguments.device.report_validation(&context);

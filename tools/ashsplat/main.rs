@@ -23,6 +23,7 @@ mod cpu_time;
 mod demo;
 mod devices;
 mod eval;
+mod film_file;
 mod html;
 mod info;
 mod inspect;

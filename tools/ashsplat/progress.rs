@@ -143,7 +143,8 @@ impl TrainProgress {
 
 /// Progress of something that is counted: photos decoded, frames rendered.
 pub fn counting(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
-    if quiet || !std::io::stderr().is_terminal() {
+    // A bar of nothing would be full.
+    if quiet || total == 0 || !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
     let bar = bar(total, "{msg} {wide_bar} {pos}/{len}");

@@ -1,20 +1,27 @@
 //! `ashsplat render`, and how pictures are asked for on the command line.
 
 use crate::args::{DeviceArguments, HostArguments};
-use crate::config::{CAMERAS_FILE, Settings};
+use crate::config::Settings;
+use crate::film_file::{self, Container, Frames};
 use crate::model::Model;
-use crate::{output, session};
-use ashsplat::kernels::constants::NEAR_PLANE;
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
+use crate::output;
 use ashsplat::{Error, Extent, Frame, RenderSettings, Renderer, Result};
-use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::splats;
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-/// Render a trained scene: by default the views of its training, else a data set's, an orbit or a camera path.
+pub mod views;
+
+pub use views::orbit_around;
+
+/// Render a trained scene: by default the views of its training, else a data set's, an orbit or a camera path; as pictures
+/// or as a film.
+///
+/// An orbit stays in what the cameras of the training saw: a circle where they surround the scene, an arc where they look
+/// at it from one side, else a path along them (--motion).
 ///
 /// EXR files hold linear light (R G B: the sRGB curve of the photographs undone), A = 1 - transmittance, and
 /// Z = expected depth = (1 - transmittance) / sum(alpha T / z), infinite where nothing was blended.
@@ -33,26 +40,17 @@ pub struct Arguments {
     /// Iteration of the model folder's PLY [default: what was saved last]
     #[arg(long, value_name = "N")]
     iteration: Option<u32>,
-    /// Render all views of this data set
-    #[arg(short, long, value_name = "DATASET", conflicts_with_all = ["orbit", "path"])]
-    source_path: Option<PathBuf>,
-    /// Render N views in a circle around the scene
-    #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..))]
-    orbit: Option<u32>,
-    /// Render the views of a camera path (JSON)
-    #[arg(long, value_name = "FILE")]
-    path: Option<PathBuf>,
-    /// Up in an orbit's pictures, for a PLY without cameras
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_vector, default_value = "0,-1,0")]
-    up: Vec3,
-    /// Folder for the pictures
-    #[arg(short, long, value_name = "DIR", default_value = "out/render")]
+    #[command(flatten)]
+    views: views::Arguments,
+    /// Folder for the pictures, or a film: FILE.mp4, FILE.webm (both by ffmpeg) or FILE.gif
+    #[arg(short, long, value_name = "DIR|FILM", default_value = "out/render")]
     out: PathBuf,
+    /// Frames per second of a film
+    #[arg(long, value_name = "N", default_value = "30", value_parser = clap::value_parser!(u32).range(1..=120))]
+    fps: u32,
     /// Which files to write
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
-    #[command(flatten)]
-    size: SizeArguments,
     #[command(flatten)]
     look: LookArguments,
     #[command(flatten)]
@@ -71,20 +69,6 @@ enum Format {
     Exr,
     /// PNG and EXR
     Both,
-}
-
-/// Size and field of view, where they differ from the cameras' own.
-#[derive(Args)]
-pub struct SizeArguments {
-    /// Width of the pictures, pixels [default: the cameras'; 1280 for an orbit]
-    #[arg(long, value_name = "PIXELS")]
-    width: Option<u32>,
-    /// Height of the pictures, pixels [default: the cameras'; 720 for an orbit]
-    #[arg(long, value_name = "PIXELS")]
-    height: Option<u32>,
-    /// Horizontal field of view, degrees [default: the cameras'; 60 for an orbit]
-    #[arg(long, value_name = "DEGREES")]
-    fov: Option<f32>,
 }
 
 /// How a scene is drawn.
@@ -161,10 +145,11 @@ pub fn parse_vector(text: &str) -> Result<Vec3, String> {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
     let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
+    let film = arguments.film()?;
     let model = Model::locate(path, arguments.iteration)?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let gaussians = &scene.gaussians;
-    let cameras = arguments.cameras(&model, gaussians)?;
+    let views = arguments.views.choose(&model, gaussians, film)?;
     let with_depth = arguments.format != Format::Png;
     let settings = RenderSettings {
         inverse_depth: with_depth,
@@ -173,24 +158,46 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(gaussians)?;
-    output::remove_leftovers(&arguments.out, 0);
+    if let (Some(note), false) = (&views.note, arguments.quiet) {
+        say!("{note}");
+    }
     let mut total = 0.0;
-    for (index, named) in cameras.iter().enumerate() {
+    let mut render = |index: usize| {
         let start = Instant::now();
+        let named = &views.cameras[index];
         let frame = renderer.render(&named.camera, &settings)?;
         let milliseconds = start.elapsed().as_secs_f64() * 1e3;
         total += milliseconds;
-        arguments.save(index, &frame)?;
         if !arguments.quiet {
             say!("{}", describe(index, &named.name, milliseconds, &frame));
         }
+        Ok(frame)
+    };
+    let count = views.cameras.len();
+    match film {
+        None => {
+            output::remove_leftovers(&arguments.out, 0);
+            (0..count).try_for_each(|index| arguments.save(index, &render(index)?))?;
+        }
+        Some(container) => {
+            output::remove_leftovers(folder_of(&arguments.out), 0);
+            let mut frame = |index| output::to_photo(&render(index)?);
+            let never = AtomicBool::new(false);
+            let frames = Frames { count, per_second: arguments.fps, frame: &mut frame, abandoned: &never };
+            film_file::write(&arguments.out, container, frames)?;
+        }
     }
     if !arguments.quiet {
-        let (count, mean) = (cameras.len(), total / cameras.len() as f64);
+        let mean = total / count as f64;
         say!("{count} frames in {}, {mean:.1} ms each on {}", arguments.out.display(), context.device_name());
     }
     arguments.device.report_validation(&context);
     Ok(())
+}
+
+/// The folder that a file lies in.
+fn folder_of(file: &Path) -> &Path {
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> String {
@@ -202,6 +209,20 @@ fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> Strin
 }
 
 impl Arguments {
+    /// The film that is asked for, if one is; refused where it cannot be made.
+    fn film(&self) -> Result<Option<Container>> {
+        let Some(container) = Container::of(&self.out)? else { return Ok(None) };
+        if self.format != Format::Png {
+            return Err(Error::argument(
+                "--format",
+                "films have 8 bits per channel; name a folder for EXR files",
+            ));
+        }
+        output::check(&[("--out", Some(&self.out))])?;
+        container.check(&self.out)?;
+        Ok(Some(container))
+    }
+
     fn save(&self, index: usize, frame: &Frame) -> Result<()> {
         if self.format != Format::Exr {
             output::write_png(&output::numbered(&self.out, index, "png"), &output::to_photo(frame)?)?;
@@ -210,98 +231,5 @@ impl Arguments {
             output::write_exr(&output::numbered(&self.out, index, "exr"), frame)?;
         }
         Ok(())
-    }
-
-    /// The views to render.
-    fn cameras(&self, model: &Model, gaussians: &Gaussians) -> Result<Vec<NamedCamera>> {
-        let own =
-            model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE)).filter(|path| path.is_file());
-        if let Some(count) = self.orbit {
-            return self.orbit_cameras(count, own.as_deref(), gaussians);
-        }
-        let mut cameras = match (&self.source_path, &self.path, own) {
-            (Some(dataset), _, _) => session::cameras(dataset)?,
-            (None, Some(path), _) => cameras_json::read(path)?,
-            (None, None, Some(path)) => cameras_json::read(path)?,
-            (None, None, None) => {
-                return Err(Error::input(
-                    &model.ply,
-                    "has no cameras beside it",
-                    "give -s DATASET, --orbit N or --path FILE",
-                ));
-            }
-        };
-        for named in &mut cameras {
-            named.camera = self.size.applied_to(&named.camera)?;
-        }
-        Ok(cameras)
-    }
-
-    /// A circle like that of the training's cameras, or around the Gaussians where there are none.
-    fn orbit_cameras(
-        &self,
-        count: u32,
-        own: Option<&Path>,
-        gaussians: &Gaussians,
-    ) -> Result<Vec<NamedCamera>> {
-        let fov = self.size.fov.unwrap_or(60.0).to_radians();
-        let intrinsics =
-            Intrinsics::from_fov_x(fov, self.size.width.unwrap_or(1280), self.size.height.unwrap_or(720));
-        let trained = match own {
-            Some(path) => cameras_json::read(path)?.iter().map(|named| named.camera).collect(),
-            None => Vec::new(),
-        };
-        let scene_center = gaussians.statistics().central_bounds.map(|bounds| bounds.center());
-        let orbit = Orbit::around_scene(&trained, scene_center, count, intrinsics);
-        let orbit = orbit.unwrap_or_else(|| orbit_around(gaussians, self.up, count, intrinsics));
-        let named = |(index, camera): (usize, Camera)| {
-            camera.check()?;
-            Ok(NamedCamera { name: format!("orbit_{index:03}"), camera })
-        };
-        orbit.cameras().into_iter().enumerate().map(named).collect()
-    }
-}
-
-/// How much of the middle part's diagonal an orbit shows: corners may be cut.
-const ORBIT_SHARE: f32 = 0.75;
-/// Standard deviations that a Gaussian reaches beyond its mean, in an orbit's sense.
-const ORBIT_REACH: f32 = 2.0;
-
-/// A circle around the middle nine tenths of the Gaussians, far enough to see nearly all of them, and none so near
-/// that it would be culled.
-pub fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Intrinsics) -> Orbit {
-    let statistics = gaussians.statistics();
-    let bounds = statistics.central_bounds;
-    let center = bounds.map_or(Vec3::ZERO, |b| b.center());
-    let median_scale = statistics.scale_percentiles.map_or(0.0, |percentiles| percentiles[3]);
-    let half_diagonal = bounds.map_or(1.0, |b| 0.5 * b.size().length()) + ORBIT_REACH * median_scale;
-    let ball = half_diagonal.max(1e-3) * ORBIT_SHARE;
-    let narrow = intrinsics.width.min(intrinsics.height) as f32;
-    // sin of half the narrower field of view: the ball just fits.
-    let sine = (0.5 * narrow / intrinsics.fx).atan().sin();
-    let radius = (ball / sine).max(NEAR_PLANE + ball);
-    Orbit { center, up, radius, elevation: 20f32.to_radians(), count, intrinsics }
-}
-
-impl SizeArguments {
-    /// The camera at the size and field of view asked for; one of width and height alone keeps the aspect.
-    fn applied_to(&self, camera: &Camera) -> Result<Camera> {
-        let scaled = |size: u32, by: u32, of: u32| {
-            ((f64::from(size) * f64::from(by) / f64::from(of)).round() as u32).max(1)
-        };
-        let (width, height) = match (self.width, self.height) {
-            (Some(width), Some(height)) => (width, height),
-            (Some(width), None) => (width, scaled(camera.height, width, camera.width)),
-            (None, Some(height)) => (scaled(camera.width, height, camera.height), height),
-            (None, None) => (camera.width, camera.height),
-        };
-        let mut camera = camera.scaled_to(width, height);
-        if let Some(fov) = self.fov {
-            let focal = Intrinsics::from_fov_x(fov.to_radians(), width, height).fx;
-            camera.fy *= focal / camera.fx;
-            camera.fx = focal;
-        }
-        camera.check()?;
-        Ok(camera)
     }
 }

@@ -12,7 +12,7 @@ mod saving;
 mod tests;
 mod verify;
 
-use crate::args::{DeviceArguments, bytes};
+use crate::args::{DeviceArguments, bytes, quoted};
 use crate::config::{Overrides, Settings};
 use crate::eval::{self, Evaluation};
 use crate::measure::{Cost, Stopwatch};
@@ -30,7 +30,7 @@ use log::TrainLog;
 use prepared::{Prepared, photo_memory};
 use report::KernelTimes;
 use saving::Unsaved;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
@@ -128,8 +128,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let interrupted = run.train(&stop)?;
     run.report();
     say!("written to {}", folder.display());
+    if !interrupted {
+        say_what_next(&folder);
+    }
     arguments.device.report_validation(&context);
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }
+}
+
+/// What people do with a trained scene.
+pub fn say_what_next(model: &Path) {
+    let name = quoted(&model.to_string_lossy());
+    say!("look at it      ashsplat view {name}");
+    say!("make a film     ashsplat render {name} -o film.gif");
+    say!("the report      {}", model.join(report::REPORT_FILE).display());
 }
 
 /// The test after an iteration.

@@ -1,8 +1,8 @@
 //! Opacity and scale regularisers (3DGS-MCMC, Kheradmand et al. 2024, section 4).
 
 use crate::error::Result;
-use crate::kernels::constants::REGULARIZE_PARTIALS;
-use crate::kernels::loss::{regularize, regularize_reduce};
+use crate::kernels::constants::TERM_PARTIALS;
+use crate::kernels::loss::{regularize, term_reduce};
 use crate::loss::{LossTerm, Targets, TermInputs};
 use crate::plan::LaunchSizes;
 use crate::vk::{Context, Kernel, Recorder};
@@ -11,7 +11,7 @@ use crate::vk::{Context, Kernel, Recorder};
 /// those outside the view. Sparse Adam moves only those in the view. Its numbers are both means.
 pub struct Regularizers {
     regularize: Kernel<regularize::Interface>,
-    reduce: Kernel<regularize_reduce::Interface>,
+    reduce: Kernel<term_reduce::Interface>,
     opacity: f64,
     scale: f64,
 }
@@ -26,7 +26,7 @@ impl Regularizers {
         let workgroup_size = LaunchSizes::new(context.limits()).elementwise_workgroup;
         Ok(Self {
             regularize: Kernel::new(context, &regularize::Spec { workgroup_size, subgroup_size })?,
-            reduce: Kernel::new(context, &regularize_reduce::Spec { workgroup_size, subgroup_size })?,
+            reduce: Kernel::new(context, &term_reduce::Spec { workgroup_size, subgroup_size })?,
             opacity,
             scale,
         })
@@ -43,7 +43,7 @@ impl LossTerm for Regularizers {
     }
 
     fn scratch_requests(&self, _: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
-        vec![("regularizer_partials", u64::from(REGULARIZE_PARTIALS) * 8)]
+        vec![("regularizer_partials", u64::from(TERM_PARTIALS) * 8)]
     }
 
     fn record(&self, r: &mut Recorder, inputs: &TermInputs) {
@@ -67,16 +67,15 @@ impl LossTerm for Regularizers {
                     opacity_weight: (self.opacity / count) as f32,
                     scale_weight: (self.scale / (3.0 * count)) as f32,
                 };
-                r.dispatch(&self.regularize, &bind, &push, REGULARIZE_PARTIALS.into());
+                r.dispatch(&self.regularize, &bind, &push, TERM_PARTIALS.into());
             }
             r.barrier();
-            let push = regularize_reduce::Push {
+            let push = term_reduce::Push {
                 row: inputs.row,
-                count: scene.count,
-                opacity_weight: self.opacity as f32,
-                scale_weight: self.scale as f32,
+                values: [scene.count as f32, 3.0 * scene.count as f32],
+                weights: [self.opacity as f32, self.scale as f32],
             };
-            let bind = regularize_reduce::Bind { partials, losses: inputs.losses };
+            let bind = term_reduce::Bind { partials, losses: inputs.losses };
             r.dispatch(&self.reduce, &bind, &push, 1);
         });
     }

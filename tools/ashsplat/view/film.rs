@@ -3,13 +3,13 @@
 pub mod assembly;
 
 use super::draw::{self, Painter};
-use super::protocol::{CameraMessage, FilmRequest, PathKey};
+use super::protocol::{CameraMessage, FilmRequest};
 use crate::output;
-use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::scene::{Camera, Intrinsics, tour};
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::cameras_json;
 use assembly::Assembly;
-use glam::{Mat3, Quat, Vec3};
+use glam::{Mat3, Vec3};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -99,27 +99,14 @@ fn cameras(request: &FilmRequest) -> Result<Vec<Camera>> {
     if frames > MOST_FRAMES as f32 {
         return bad(&format!("would have {frames} frames; {MOST_FRAMES} are the most"));
     }
-    let frames = frames as u32;
-    let rotations = keys.iter().map(|key| {
+    let keys = keys.iter().map(|key| {
         let rotation = Mat3::from_cols_array_2d(&key.rotation).transpose();
         let position = Vec3::from_array(key.position).as_dvec3();
         let camera = Camera::at(position, rotation.as_dmat3(), from_fov_y(key.fov_y, *width, *height));
         CameraMessage::of(&camera).camera()?;
-        Ok(Quat::from_mat3(&rotation))
+        Ok(camera)
     });
-    let rotations = rotations.collect::<Result<Vec<Quat>>>()?;
-    let spans = if *closed { keys.len() } else { keys.len() - 1 };
-    // An open path ends at its last key; a closed one a step before its first.
-    let steps = if *closed { frames } else { frames.max(2) - 1 };
-    let camera = |frame: u32| {
-        let at = spans as f32 * frame as f32 / steps as f32;
-        let span = (at as usize).min(spans - 1);
-        let key = interpolate(keys, &rotations, span, at - span as f32, *closed);
-        let rotation = Mat3::from_cols_array_2d(&key.rotation).transpose();
-        let position = Vec3::from_array(key.position).as_dvec3();
-        Camera::at(position, rotation.as_dmat3(), from_fov_y(key.fov_y, *width, *height))
-    };
-    Ok((0..frames).map(camera).collect())
+    Ok(tour::through_keys(&keys.collect::<Result<Vec<_>>>()?, frames as u32, *closed))
 }
 
 fn from_fov_y(fov_y: f32, width: u32, height: u32) -> Intrinsics {
@@ -127,32 +114,10 @@ fn from_fov_y(fov_y: f32, width: u32, height: u32) -> Intrinsics {
     Intrinsics { fx: focal, fy: focal, cx: 0.5 * width as f32, cy: 0.5 * height as f32, width, height }
 }
 
-/// Between two keys: positions on a Catmull-Rom curve, rotations the shortest way, both eased by nothing.
-fn interpolate(keys: &[PathKey], rotations: &[Quat], span: usize, t: f32, closed: bool) -> PathKey {
-    let count = keys.len() as i64;
-    let index = |offset: i64| {
-        let wanted = span as i64 + offset;
-        if closed { wanted.rem_euclid(count) as usize } else { wanted.clamp(0, count - 1) as usize }
-    };
-    let p = [-1, 0, 1, 2].map(|offset| Vec3::from_array(keys[index(offset)].position));
-    let position = 0.5
-        * (2.0 * p[1]
-            + (p[2] - p[0]) * t
-            + (2.0 * p[0] - 5.0 * p[1] + 4.0 * p[2] - p[3]) * t * t
-            + (3.0 * p[1] - p[0] - 3.0 * p[2] + p[3]) * t * t * t);
-    let rotation = Mat3::from_quat(rotations[index(0)].slerp(rotations[index(1)], t));
-    let (from, to) = (keys[index(0)].fov_y, keys[index(1)].fov_y);
-    PathKey {
-        position: position.to_array(),
-        rotation: rotation.transpose().to_cols_array_2d(),
-        fov_y: from + t * (to - from),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::protocol::Look;
+    use crate::view::protocol::{Look, PathKey};
 
     fn key(x: f32, angle: f32) -> PathKey {
         let rotation = Mat3::from_rotation_y(angle);

@@ -1,7 +1,7 @@
-// Adds the sums of regularize.comp in one fixed order: the regularisers' part of the loss.
+// Adds the partial sums of a term of the loss in one fixed order: two weighted means, such as those of regularize.comp.
 //
 // invocation: every WORKGROUP_SIZE-th partial sum; one workgroup in all
-// in: partials[REGULARIZE_PARTIALS]; out: losses[row] = (weighted sum, mean opacity, mean scale, 0)
+// in: partials[TERM_PARTIALS]; out: losses[row] = (weighted sum of the means, both means, 0)
 // shared: one vec2 per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -20,18 +20,16 @@ layout(set = 0, binding = 1, scalar) writeonly buffer Losses { vec4 losses[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint row;
-    // Gaussians.
-    uint count;
-    // Weights of the mean opacity and of the mean scale.
-    float opacity_weight;
-    float scale_weight;
+    // Number of values that each mean is of.
+    vec2 values;
+    vec2 weights;
 };
 
 shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
 
 void main() {
     vec2 sum = vec2(0.0);
-    for (uint index = gl_LocalInvocationID.x; index < REGULARIZE_PARTIALS; index += WORKGROUP_SIZE) {
+    for (uint index = gl_LocalInvocationID.x; index < TERM_PARTIALS; index += WORKGROUP_SIZE) {
         sum += partials[index];
     }
     sum = subgroupAdd(sum);
@@ -44,7 +42,7 @@ void main() {
         for (uint k = 0; k < WORKGROUP_SIZE / SUBGROUP_SIZE; ++k) {
             total += subgroup_sums[k];
         }
-        vec2 mean = total / vec2(count, 3.0 * count);
-        losses[row] = vec4(opacity_weight * mean.x + scale_weight * mean.y, mean, 0.0);
+        vec2 mean = total / values;
+        losses[row] = vec4(weights.x * mean.x + weights.y * mean.y, mean, 0.0);
     }
 }

@@ -1,4 +1,4 @@
-//! The regularisers' part of the loss, the twin of `loss/regularize_reduce`.
+//! The value of a term of the loss that is a mean over Gaussians, for the regularisers: the twin of `loss/term_reduce`.
 
 use super::regularize::Sums;
 

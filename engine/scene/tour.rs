@@ -1,0 +1,248 @@
+//! Ways of a camera that stay in what other cameras saw.
+
+use super::camera::{Camera, Intrinsics};
+use super::orbit::{Orbit, nearest_to_axes};
+use glam::{DMat3, DQuat, DVec3, Vec3};
+use std::f64::consts::{PI, TAU};
+
+/// Cameras on a ring look at its middle to within this angle, radians.
+const INWARD: f64 = 60.0 / 180.0 * PI;
+/// Share of the cameras that must do so for an orbit or an arc.
+const INWARD_SHARE: f64 = 0.8;
+/// The widest part of the ring without a camera over which an orbit still passes, radians.
+const WIDEST_GAP: f64 = 100.0 / 180.0 * PI;
+/// Width of the kernel that smooths a way, in mean distances between cameras, and at least as a share of the way.
+const SMOOTHING: (f64, f64) = (1.5, 1.0 / 40.0);
+/// How much longer than from neighbour to neighbour the way in the given order may be.
+const LONGEST_DETOUR: f64 = 2.0;
+
+/// How a camera moves through a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Motion {
+    /// A full circle around the point that the cameras look at.
+    Orbit,
+    /// The part of that circle in which there are cameras.
+    Arc,
+    /// A smooth curve along the cameras.
+    Path,
+}
+
+impl Motion {
+    /// The motion that suits these cameras: an orbit if they surround one place, an arc if they look at it from
+    /// one side, else a path.
+    pub fn of(cameras: &[Camera]) -> Self {
+        match Ring::of(cameras) {
+            Some(ring) if ring.inward >= INWARD_SHARE && ring.span >= TAU - WIDEST_GAP => Self::Orbit,
+            Some(ring) if ring.inward >= INWARD_SHARE => Self::Arc,
+            _ => Self::Path,
+        }
+    }
+
+    /// `count` cameras that move so, in order. `looped`: the first follows the last, so an arc is walked there
+    /// and back; a path is always walked once. Empty without cameras.
+    pub fn cameras(self, seen: &[Camera], count: u32, looped: bool, intrinsics: Intrinsics) -> Vec<Camera> {
+        let along = (0..count).map(|i| match (looped && self == Self::Arc, count) {
+            (true, _) => 0.5 - 0.5 * (TAU * f64::from(i) / f64::from(count)).cos(),
+            (false, 1) => 0.5,
+            (false, _) => f64::from(i) / f64::from(count - 1),
+        });
+        let ring = || Ring::of(seen).filter(|_| self == Self::Arc);
+        match (self, ring()) {
+            (Self::Orbit, _) => Orbit::around(seen, count, intrinsics).map_or_else(Vec::new, |o| o.cameras()),
+            (_, Some(ring)) => along.map(|share| ring.camera(share, intrinsics)).collect(),
+            _ if seen.is_empty() => Vec::new(),
+            _ => {
+                let way = Way::along(seen);
+                along.map(|share| way.camera(share, intrinsics)).collect()
+            }
+        }
+    }
+}
+
+/// `count` cameras on a smooth curve through some keys: positions on a Catmull-Rom spline, rotations the shortest
+/// way, intrinsics in proportion, the size of the first key. An open curve begins and ends at a key; a closed
+/// one ends a step before its first key. Empty without keys.
+pub fn through_keys(keys: &[Camera], count: u32, closed: bool) -> Vec<Camera> {
+    let Some(first) = keys.first() else { return Vec::new() };
+    let keys: Vec<Camera> = keys.iter().map(|key| key.scaled_to(first.width, first.height)).collect();
+    let spans = if closed { keys.len() } else { keys.len() - 1 };
+    let steps = if closed { count.max(1) } else { count.max(2) - 1 };
+    let frame = |frame: u32| {
+        if spans == 0 {
+            return keys[0];
+        }
+        // By integers, so that a frame at a key is that key.
+        let at = spans as u64 * u64::from(frame);
+        let span = (at / u64::from(steps)).min(spans as u64 - 1);
+        let t = (at - span * u64::from(steps)) as f64 / f64::from(steps);
+        between(&keys, span as usize, t, closed)
+    };
+    (0..count).map(frame).collect()
+}
+
+/// The camera at `t` from 0 to 1 between a key and the next.
+fn between(keys: &[Camera], span: usize, t: f64, closed: bool) -> Camera {
+    let count = keys.len() as i64;
+    let key = |offset: i64| {
+        let wanted = span as i64 + offset;
+        &keys[if closed { wanted.rem_euclid(count) } else { wanted.clamp(0, count - 1) } as usize]
+    };
+    if t == 0.0 || t == 1.0 {
+        return *key(t as i64);
+    }
+    let p = [-1, 0, 1, 2].map(|offset| key(offset).exact_position());
+    let position = 0.5
+        * (2.0 * p[1]
+            + (p[2] - p[0]) * t
+            + (2.0 * p[0] - 5.0 * p[1] + 4.0 * p[2] - p[3]) * t * t
+            + (3.0 * p[1] - p[0] - 3.0 * p[2] + p[3]) * t * t * t);
+    let turned = rotation(key(0)).slerp(rotation(key(1)), t);
+    let (from, to) = (key(0).intrinsics(), key(1).intrinsics());
+    let mix = |a: f32, b: f32| a + t as f32 * (b - a);
+    let intrinsics = Intrinsics {
+        fx: mix(from.fx, to.fx),
+        fy: mix(from.fy, to.fy),
+        cx: mix(from.cx, to.cx),
+        cy: mix(from.cy, to.cy),
+        ..from
+    };
+    Camera::at(position, DMat3::from_quat(turned), intrinsics)
+}
+
+fn rotation(camera: &Camera) -> DQuat {
+    DQuat::from_mat3(&camera.camera_from_world.as_dmat3()).normalize()
+}
+
+/// The mean of some values at a place, each weighted by a Gaussian of its distance there.
+fn smoothed<T>(
+    values: &[(f64, T)],
+    place: f64,
+    width: f64,
+    zero: T,
+    add: impl Fn(T, &T, f64) -> T,
+) -> (T, f64) {
+    let nearest = values.iter().map(|(at, _)| (at - place).abs()).fold(f64::INFINITY, f64::min);
+    values.iter().fold((zero, 0.0), |(sum, weights), (at, value)| {
+        // Of the nearest 1, so that never all of them vanish.
+        let [distance, least] = [*at - place, nearest].map(|d| (d / width).powi(2));
+        let weight = (0.5 * (least - distance)).exp();
+        (add(sum, value, weight), weights + weight)
+    })
+}
+
+/// Cameras around the point that they look at.
+struct Ring {
+    center: DVec3,
+    /// Up, and two directions across it, from the first of which azimuths are measured.
+    axes: [DVec3; 3],
+    /// Azimuth at which the widest gap ends, radians.
+    begin: f64,
+    /// From there to the last camera, radians.
+    span: f64,
+    /// Share of the cameras that look at the centre.
+    inward: f64,
+    /// Of each camera: azimuth from `begin`, (distance to the axis, height above the centre).
+    places: Vec<(f64, [f64; 2])>,
+}
+
+impl Ring {
+    /// None for fewer than three cameras, and where they do not look at one place.
+    fn of(cameras: &[Camera]) -> Option<Self> {
+        if cameras.len() < 3 {
+            return None;
+        }
+        let center = nearest_to_axes(cameras)?.as_dvec3();
+        let up: Vec3 = cameras.iter().map(|c| -c.camera_from_world.row(1)).sum();
+        let up = up.as_dvec3().try_normalize()?;
+        let side = up.any_orthonormal_vector();
+        let axes = [up, side, up.cross(side)];
+        let inward = cameras.iter().filter(|camera| {
+            let towards = center - camera.exact_position();
+            towards.angle_between(camera.forward().as_dvec3()) < INWARD
+        });
+        let inward = inward.count() as f64 / cameras.len() as f64;
+        let place = |camera: &Camera| {
+            let [y, x, z] = axes.map(|axis| axis.dot(camera.exact_position() - center));
+            (z.atan2(x), [x.hypot(z), y])
+        };
+        let mut places: Vec<(f64, [f64; 2])> = cameras.iter().map(place).collect();
+        places.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (first, last) = (places.first()?.0, places.last()?.0);
+        let around = (first + TAU - last, first);
+        let gaps = places.windows(2).map(|pair| (pair[1].0 - pair[0].0, pair[1].0));
+        let (gap, begin) = gaps.chain([around]).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        for (azimuth, _) in &mut places {
+            *azimuth = (*azimuth - begin).rem_euclid(TAU);
+        }
+        Some(Self { center, axes, begin, span: TAU - gap, inward, places })
+    }
+
+    /// A camera at a share of the arc.
+    fn camera(&self, share: f64, intrinsics: Intrinsics) -> Camera {
+        let [up, side, front] = self.axes;
+        let place = share * self.span;
+        let spacing = self.span / (self.places.len() - 1) as f64;
+        let width = (SMOOTHING.0 * spacing).max(SMOOTHING.1 * self.span).max(1e-6);
+        let ([distance, height], weights) =
+            smoothed(&self.places, place, width, [0.0; 2], |sum, value, weight| {
+                [sum[0] + weight * value[0], sum[1] + weight * value[1]]
+            });
+        let (sine, cosine) = (self.begin + place).sin_cos();
+        let outward = side * cosine + front * sine;
+        let eye = self.center + (outward * distance + up * height) / weights;
+        Camera::look_from(eye, self.center, up, intrinsics)
+    }
+}
+
+/// Cameras one behind the other.
+struct Way {
+    /// Of each camera: its place on the way, position, rotation (signs so that neighbours are near).
+    places: Vec<(f64, (DVec3, DQuat))>,
+}
+
+impl Way {
+    /// In the given order, or from neighbour to neighbour if that way is much shorter.
+    fn along(cameras: &[Camera]) -> Self {
+        let poses: Vec<(DVec3, DQuat)> =
+            cameras.iter().map(|camera| (camera.exact_position(), rotation(camera))).collect();
+        let middle = poses.iter().map(|pose| pose.0).sum::<DVec3>() / poses.len() as f64;
+        let spread = poses.iter().map(|pose| pose.0.distance_squared(middle)).sum::<f64>();
+        let size = (spread / poses.len() as f64).sqrt().max(f64::MIN_POSITIVE);
+        // A half turn counts as much as the spread of the positions.
+        let step = |a: &(DVec3, DQuat), b: &(DVec3, DQuat)| {
+            a.0.distance(b.0) / size + 2.0 * a.1.dot(b.1).abs().min(1.0).acos() / PI
+        };
+        let length = |poses: &[(DVec3, DQuat)]| poses.windows(2).map(|w| step(&w[0], &w[1])).sum::<f64>();
+        let mut ordered = poses.clone();
+        for next in 1..ordered.len() {
+            let last = ordered[next - 1];
+            let rest = ordered[next..].iter().map(|pose| step(&last, pose)).enumerate();
+            let nearest = rest.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index);
+            ordered.swap(next, next + nearest);
+        }
+        let poses = if length(&poses) > LONGEST_DETOUR * length(&ordered) { ordered } else { poses };
+        let mut places: Vec<(f64, (DVec3, DQuat))> = Vec::with_capacity(poses.len());
+        for pose in poses {
+            let Some(&(at, last)) = places.last() else {
+                places.push((0.0, pose));
+                continue;
+            };
+            let turned = if last.1.dot(pose.1) < 0.0 { -pose.1 } else { pose.1 };
+            places.push((at + step(&last, &pose), (pose.0, turned)));
+        }
+        Self { places }
+    }
+
+    /// A camera at a share of the way.
+    fn camera(&self, share: f64, intrinsics: Intrinsics) -> Camera {
+        let end = self.places.last().map_or(0.0, |(at, _)| *at);
+        let spacing = end / (self.places.len().max(2) - 1) as f64;
+        let width = (SMOOTHING.0 * spacing).max(SMOOTHING.1 * end).max(1e-6);
+        let zero = (DVec3::ZERO, DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0));
+        let ((position, turned), weights) =
+            smoothed(&self.places, share * end, width, zero, |sum, value, weight| {
+                (sum.0 + weight * value.0, sum.1 + value.1 * weight)
+            });
+        Camera::at(position / weights, DMat3::from_quat(turned.normalize()), intrinsics)
+    }
+}

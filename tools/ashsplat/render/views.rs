@@ -1,0 +1,239 @@
+//! Which views `ashsplat render` renders.
+
+use super::parse_vector;
+use crate::config::CAMERAS_FILE;
+use crate::film_file::Container;
+use crate::model::Model;
+use crate::session;
+use ashsplat::kernels::constants::NEAR_PLANE;
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, Motion, Orbit, tour};
+use ashsplat::{Error, Result};
+use ashsplat_files::cameras_json::{self, NamedCamera};
+use clap::{Args, ValueEnum};
+use glam::Vec3;
+use std::path::{Path, PathBuf};
+
+/// Frames of a film where nothing says how many.
+const FILM_FRAMES: u32 = 240;
+
+/// The views.
+#[derive(Args)]
+pub struct Arguments {
+    /// Render all views of this data set
+    #[arg(short, long, value_name = "DATASET", conflicts_with_all = ["orbit", "path", "motion"])]
+    source_path: Option<PathBuf>,
+    /// Render N views around the scene, where the cameras of the training saw it [default for films: 240]
+    #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..))]
+    orbit: Option<u32>,
+    /// How an orbit moves [default: as suits the training's cameras]
+    #[arg(long, value_enum, conflicts_with = "path")]
+    motion: Option<MotionName>,
+    /// Render the views of a camera path (JSON)
+    #[arg(long, value_name = "FILE")]
+    path: Option<PathBuf>,
+    /// Render N views on a smooth curve through those of --path
+    #[arg(long, value_name = "N", requires = "path", value_parser = clap::value_parser!(u32).range(1..))]
+    frames: Option<u32>,
+    /// Up in an orbit's pictures, for a PLY without cameras
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_vector, default_value = "0,-1,0")]
+    up: Vec3,
+    #[command(flatten)]
+    size: SizeArguments,
+}
+
+/// [`Motion`] on the command line.
+#[derive(Clone, Copy, ValueEnum)]
+enum MotionName {
+    /// A full circle
+    Orbit,
+    /// The part of the circle in which there are cameras
+    Arc,
+    /// A smooth curve along the cameras
+    Path,
+}
+
+impl From<MotionName> for Motion {
+    fn from(name: MotionName) -> Self {
+        match name {
+            MotionName::Orbit => Self::Orbit,
+            MotionName::Arc => Self::Arc,
+            MotionName::Path => Self::Path,
+        }
+    }
+}
+
+/// Size and field of view, where they differ from the cameras' own.
+#[derive(Args)]
+pub struct SizeArguments {
+    /// Width of the pictures, pixels [default: the cameras'; 1280 for an orbit, 640 as a GIF]
+    #[arg(long, value_name = "PIXELS")]
+    width: Option<u32>,
+    /// Height of the pictures, pixels [default: the cameras'; 9/16 of the width for an orbit]
+    #[arg(long, value_name = "PIXELS")]
+    height: Option<u32>,
+    /// Horizontal field of view, degrees [default: the cameras'; for an orbit too, but at most 60]
+    #[arg(long, value_name = "DEGREES")]
+    fov: Option<f32>,
+}
+
+/// The views to render.
+pub struct Views {
+    pub cameras: Vec<NamedCamera>,
+    /// What was chosen, for people.
+    pub note: Option<String>,
+}
+
+impl Arguments {
+    /// The views that are asked for.
+    pub fn choose(&self, model: &Model, gaussians: &Gaussians, film: Option<Container>) -> Result<Views> {
+        let own =
+            model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE)).filter(|path| path.is_file());
+        let unsaid = film.is_some() && self.source_path.is_none() && self.path.is_none();
+        if let Some(count) = self.orbit.or_else(|| (unsaid || self.motion.is_some()).then_some(FILM_FRAMES)) {
+            return self.around(count, own.as_deref(), gaussians, film);
+        }
+        let mut cameras = match (&self.source_path, &self.path, own) {
+            (Some(dataset), _, _) => session::cameras(dataset)?,
+            (None, Some(path), _) => self.along(path)?,
+            (None, None, Some(path)) => cameras_json::read(path)?,
+            (None, None, None) => {
+                return Err(Error::input(
+                    &model.ply,
+                    "has no cameras beside it",
+                    "give -s DATASET, --orbit N or --path FILE",
+                ));
+            }
+        };
+        for named in &mut cameras {
+            named.camera = self.size.applied_to(&named.camera)?;
+        }
+        let size = |named: &NamedCamera| (named.camera.width, named.camera.height);
+        if let Some(other) = cameras.iter().find(|named| film.is_some() && size(named) != size(&cameras[0])) {
+            let [(w, h), (x, y)] = [size(&cameras[0]), size(other)];
+            let problem = format!("the views of a film have one size: {w}x{h} and {x}x{y} ({})", other.name);
+            return Err(Error::argument("--out", format!("{problem}; give --width and --height")));
+        }
+        Ok(Views { cameras, note: None })
+    }
+
+    /// The views of a file, or those between them.
+    fn along(&self, path: &Path) -> Result<Vec<NamedCamera>> {
+        let keys = cameras_json::read(path)?;
+        let Some(count) = self.frames else { return Ok(keys) };
+        let keys: Vec<Camera> = keys.iter().map(|named| named.camera).collect();
+        named(tour::through_keys(&keys, count, false), "path")
+    }
+
+    /// Views that stay in what the training's cameras saw, or a circle around the Gaussians where there are none.
+    fn around(
+        &self,
+        count: u32,
+        own: Option<&Path>,
+        gaussians: &Gaussians,
+        film: Option<Container>,
+    ) -> Result<Views> {
+        let seen: Vec<Camera> = match own {
+            Some(path) => cameras_json::read(path)?.iter().map(|named| named.camera).collect(),
+            None => Vec::new(),
+        };
+        let intrinsics = self.size.of_orbit(&seen, film);
+        if seen.is_empty() && self.motion.is_some_and(|motion| Motion::from(motion) != Motion::Orbit) {
+            return Err(Error::argument(
+                "--motion",
+                "needs the training's cameras: a model folder with cameras.json",
+            ));
+        }
+        let motion = self.motion.map_or_else(|| Motion::of(&seen), Motion::from);
+        let cameras = match motion {
+            Motion::Arc | Motion::Path if !seen.is_empty() => {
+                motion.cameras(&seen, count, film.is_some(), intrinsics)
+            }
+            _ => {
+                let scene_center = gaussians.statistics().central_bounds.map(|bounds| bounds.center());
+                let orbit = Orbit::around_scene(&seen, scene_center, count, intrinsics);
+                orbit.unwrap_or_else(|| orbit_around(gaussians, self.up, count, intrinsics)).cameras()
+            }
+        };
+        let note = match motion {
+            _ if seen.is_empty() => None,
+            Motion::Orbit => Some("--motion orbit: a circle around what the cameras look at"),
+            Motion::Arc => Some("--motion arc: the cameras look at the scene from one side"),
+            Motion::Path => Some("--motion path: along the cameras, which do not look at one place"),
+        };
+        // Asked for, it needs no reason.
+        let note = note.filter(|_| self.motion.is_none()).map(str::to_owned);
+        Ok(Views { cameras: named(cameras, "orbit")?, note })
+    }
+}
+
+/// Sound cameras, numbered.
+fn named(cameras: Vec<Camera>, word: &str) -> Result<Vec<NamedCamera>> {
+    let named = |(index, camera): (usize, Camera)| {
+        camera.check()?;
+        Ok(NamedCamera { name: format!("{word}_{index:03}"), camera })
+    };
+    cameras.into_iter().enumerate().map(named).collect()
+}
+
+/// How much of the middle part's diagonal an orbit shows: corners may be cut.
+const ORBIT_SHARE: f32 = 0.75;
+/// Standard deviations that a Gaussian reaches beyond its mean, in an orbit's sense.
+const ORBIT_REACH: f32 = 2.0;
+
+/// A circle around the middle nine tenths of the Gaussians, far enough to see nearly all of them, and none so near
+/// that it would be culled.
+pub fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Intrinsics) -> Orbit {
+    let statistics = gaussians.statistics();
+    let bounds = statistics.central_bounds;
+    let center = bounds.map_or(Vec3::ZERO, |b| b.center());
+    let median_scale = statistics.scale_percentiles.map_or(0.0, |percentiles| percentiles[3]);
+    let half_diagonal = bounds.map_or(1.0, |b| 0.5 * b.size().length()) + ORBIT_REACH * median_scale;
+    let ball = half_diagonal.max(1e-3) * ORBIT_SHARE;
+    let narrow = intrinsics.width.min(intrinsics.height) as f32;
+    // sin of half the narrower field of view: the ball just fits.
+    let sine = (0.5 * narrow / intrinsics.fx).atan().sin();
+    let radius = (ball / sine).max(NEAR_PLANE + ball);
+    Orbit { center, up, radius, elevation: 20f32.to_radians(), count, intrinsics }
+}
+
+/// Widest field of view of an orbit that is not asked for, degrees.
+const WIDEST_ORBIT: f32 = 60.0;
+
+impl SizeArguments {
+    /// Size and field of view of an orbit. Not wider than the training's cameras: they saw no more.
+    fn of_orbit(&self, seen: &[Camera], film: Option<Container>) -> Intrinsics {
+        let width = match (self.width, self.height) {
+            (Some(width), _) => width,
+            (None, Some(height)) => (height.saturating_mul(16) / 9).max(1),
+            (None, None) if film == Some(Container::Gif) => 640,
+            (None, None) => 1280,
+        };
+        let height = self.height.unwrap_or((u64::from(width) * 9 / 16).max(1) as u32);
+        let mut angles: Vec<f32> =
+            seen.iter().map(|c| 2.0 * (0.5 * c.width as f32 / c.fx).atan().to_degrees()).collect();
+        angles.sort_by(f32::total_cmp);
+        let usual = angles.get(angles.len() / 2).map_or(WIDEST_ORBIT, |angle| angle.min(WIDEST_ORBIT));
+        Intrinsics::from_fov_x(self.fov.unwrap_or(usual).to_radians(), width, height)
+    }
+
+    /// The camera at the size and field of view asked for; one of width and height alone keeps the aspect.
+    fn applied_to(&self, camera: &Camera) -> Result<Camera> {
+        let scaled = |size: u32, by: u32, of: u32| {
+            ((f64::from(size) * f64::from(by) / f64::from(of)).round() as u32).max(1)
+        };
+        let (width, height) = match (self.width, self.height) {
+            (Some(width), Some(height)) => (width, height),
+            (Some(width), None) => (width, scaled(camera.height, width, camera.width)),
+            (None, Some(height)) => (scaled(camera.width, height, camera.height), height),
+            (None, None) => (camera.width, camera.height),
+        };
+        let mut camera = camera.scaled_to(width, height);
+        if let Some(fov) = self.fov {
+            let focal = Intrinsics::from_fov_x(fov.to_radians(), width, height).fx;
+            camera.fy *= focal / camera.fx;
+            camera.fx = focal;
+        }
+        camera.check()?;
+        Ok(camera)
+    }
+}
