@@ -15,6 +15,9 @@ use std::collections::HashMap;
 /// Name and bytes of a buffer.
 type Request = (&'static str, u64);
 type Requests = Vec<Request>;
+/// Width and height, pixels.
+type Size = (u32, u32);
+type LossRequests<'a> = dyn Fn(&[Size]) -> Requests + 'a;
 
 /// Sizes of a training run before its allocation.
 pub(super) struct Before<'a> {
@@ -22,8 +25,10 @@ pub(super) struct Before<'a> {
     pub photos: &'a [PhotoSize],
     pub photo_bytes: PhotoBytes,
     pub rows: &'a RowMemory,
-    /// The loss's buffers on the device for views of given sizes, and the losses' copy that the host reads.
-    pub loss: (&'a dyn Fn(&[(u32, u32)]) -> Requests, Request),
+    /// The loss's buffers on the device, for views of given sizes.
+    pub loss: &'a LossRequests<'a>,
+    /// The losses' copy that the host reads.
+    pub losses: Request,
     /// Initial number of Gaussians.
     pub count: u32,
     pub sh_degree: u32,
@@ -34,9 +39,9 @@ impl Before<'_> {
     fn buffer_bytes(&self, context: &Context, plan: &ScenePlan, frame: Option<FrameCapacity>) -> u64 {
         let limits = context.limits();
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
-        let (scratch, losses) = ((self.loss.0)(&self.sizes()), self.loss.1);
+        let scratch = (self.loss)(&self.sizes());
         // The counts of training's frames and of drawn frames.
-        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[losses]);
+        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.losses]);
         let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
         self.rows.allocation_bytes(context, plan) + bytes(&scratch) + readback + frame
     }
@@ -108,7 +113,7 @@ impl Before<'_> {
             requests.into_iter().map(move |(name, bytes)| (arena, name, bytes))
         };
         let requests =
-            named("frame", frame_requests(&frame, &launches)).chain(named("loss", (self.loss.0)(&[size])));
+            named("frame", frame_requests(&frame, &launches)).chain(named("loss", (self.loss)(&[size])));
         let most = [
             (limits.max_storage_buffer_range, "maxStorageBufferRange"),
             (limits.max_allocation_bytes, "maxMemoryAllocationSize"),

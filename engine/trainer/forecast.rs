@@ -88,7 +88,8 @@ impl Kit {
             photos,
             photo_bytes: photos::device_bytes(context, photos, photo_memory)?,
             rows: &self.rows,
-            loss: (&|sizes| self.recorder.device_requests(sizes), self.recorder.readback_request()),
+            loss: &|sizes| self.recorder.device_requests(sizes),
+            losses: self.recorder.readback_request(),
             count,
             sh_degree: settings.sh_degree,
         };
