@@ -7,6 +7,7 @@
 mod frame_buffers;
 mod grids;
 mod launch_sizes;
+mod pictures;
 mod sorting;
 mod strips;
 
@@ -15,6 +16,7 @@ pub(crate) use frame_buffers::sorted_side;
 pub use frame_buffers::{CAMERA_BLOCK_BYTES, FrameBuffers, Splats, frame_bytes, frame_requests};
 pub use grids::check_grids;
 pub use launch_sizes::LaunchSizes;
+pub use pictures::PictureCapacity;
 pub use strips::{STRIP_ROWS, Strips};
 
 use launch_sizes::ELEMENTWISE_WORKGROUP;
@@ -153,10 +155,8 @@ pub struct FrameCapacity {
     pub instances: u32,
     /// Scenes.
     pub scenes: u32,
-    /// Width of the largest image, pixels.
-    pub width: u32,
-    /// Height of the largest image, pixels.
-    pub height: u32,
+    /// Pictures.
+    pub pictures: PictureCapacity,
     /// Passes of blending. Each handles [`LaunchSizes::entries_per_pass`] entries of a tile.
     pub blend_passes: u32,
     /// Whether the frame has the buffers of the backward pass.
@@ -178,9 +178,8 @@ const INSTANCE_BYTES: u64 = 16;
 
 /// First estimate of a frame's instances, at most what a binding and a grid can hold. A frame that needs more
 /// overflows and is run again.
-pub fn initial_instances(limits: &Limits, gaussians: u32, width: u32, height: u32) -> u32 {
-    let (columns, rows) = tile_grid(width, height);
-    let guess = u64::from(gaussians) * 6 + u64::from(columns) * u64::from(rows) * 16;
+pub fn initial_instances(limits: &Limits, gaussians: u32, pictures: &PictureCapacity) -> u32 {
+    let guess = u64::from(gaussians) * 6 + pictures.tiles * 16;
     guess.max(1 << 12).min(max_trained_instances(limits).into()) as u32
 }
 

@@ -144,6 +144,19 @@ impl Renderer {
         self.runner.store.set_instances(instances);
     }
 
+    /// Frees the buffers of frames. They grow to what the largest frame has needed, and stay; after this, the next
+    /// frame allocates what it needs itself, and a capacity of [`Renderer::set_instance_capacity`] is forgotten. A
+    /// frame for which there is no memory beside what earlier ones needed does the same. The slots of
+    /// [`Renderer::reserve`] and the scene stay.
+    pub fn shrink(&mut self) {
+        self.runner.store.forget();
+    }
+
+    /// Bytes that the buffers of frames take, without the slots of [`Renderer::reserve`].
+    pub fn frame_bytes(&self) -> u64 {
+        self.runner.frame_bytes()
+    }
+
     /// The form of blending.
     pub fn blending(&self) -> Blending {
         self.runner.blending()

@@ -4,7 +4,7 @@ use ashsplat::backward::{Backward, Statistics};
 use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers};
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
-use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, Strips, frame_requests};
+use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, Strips, frame_requests};
 use ashsplat::planes;
 use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind, Recorder};
 use ashsplat::{Camera, RenderSettings};
@@ -61,8 +61,7 @@ impl Training {
             gaussians: 1200,
             instances: 6000,
             scenes: 1,
-            width: SIZE[0],
-            height: SIZE[1],
+            pictures: PictureCapacity::of(SIZE[0], SIZE[1]),
             blend_passes: 2,
             backward: true,
         };

@@ -1,6 +1,6 @@
 //! Lowered limits and little memory: the same picture and the same training, or an error that names the numbers.
 
-use ashsplat::plan::{FrameCapacity, LaunchSizes, ScenePlan, frame_requests};
+use ashsplat::plan::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, frame_requests};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::trainer::{Checkpoint, TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
@@ -120,8 +120,7 @@ fn limits_of_images_are_those_of_the_picture_in_training_too() {
             gaussians: 1000,
             instances: 5000,
             scenes: 1,
-            width,
-            height,
+            pictures: PictureCapacity::of(width, height),
             blend_passes: 1,
             backward: true,
         };

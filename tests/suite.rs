@@ -18,6 +18,7 @@ mod host;
 mod invariants;
 mod kernels;
 mod limits;
+mod orientations;
 mod parts;
 mod photos;
 mod profile;

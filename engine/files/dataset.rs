@@ -250,17 +250,23 @@ fn photo_file(
     options: &DatasetOptions,
     warnings: &mut Vec<String>,
 ) -> Result<Option<Arc<PhotoFile>>> {
-    let Some(memory) = &options.photo_memory else { return Ok(None) };
-    let needed: u64 = planned.iter().map(|view| view.texel_bytes(options)).sum();
-    if needed <= memory.bytes {
-        return Ok(None);
-    }
+    let Some((needed, memory)) = needed_beyond_memory(planned, options) else { return Ok(None) };
     let (mib, allowed) = (needed.div_ceil(1 << 20), memory.bytes >> 20);
     warnings.push(format!(
         "the photos need {mib} MiB and may have {allowed}: they are kept in a file in {} and read when needed",
         memory.folder.display()
     ));
     memory.create_file().map(Some)
+}
+
+/// The bytes of the photos, and their memory bound if they exceed it.
+fn needed_beyond_memory<'a>(
+    planned: &[PlannedView],
+    options: &'a DatasetOptions,
+) -> Option<(u64, &'a PhotoMemory)> {
+    let memory = options.photo_memory.as_ref()?;
+    let needed: u64 = planned.iter().map(|view| view.texel_bytes(options)).sum();
+    (needed > memory.bytes).then_some((needed, memory))
 }
 
 /// Whether the data read from a model folder or a file with cameras may have no points.

@@ -1,8 +1,8 @@
 //! The buffers of a frame: what each is, its bytes, and what some become in the middle of a frame.
 
-use super::{FrameCapacity, LaunchSizes, Strips, blocks, tile_bits, tile_grid};
+use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks, tile_bits, tile_grid};
 use crate::kernels::blocks::CameraBlock;
-use crate::kernels::constants::{ARGUMENTS_COUNT, GRADIENT_PLANES, SPLAT_PLANES, STATE_WORDS, TILE_SIZE};
+use crate::kernels::constants::{ARGUMENTS_COUNT, GRADIENT_PLANES, SPLAT_PLANES, STATE_WORDS};
 use crate::scene::Camera;
 use crate::vk::{Buffer, PLACEMENT_ALIGNMENT, pack};
 
@@ -57,7 +57,7 @@ struct FrameSizes {
     /// Capacity in instances of the buffers for the backward pass; 0 without it.
     backward_instances: u64,
     pixels: u64,
-    /// Values of one plane in strips, for any image with this number of tiles; 0 without strips.
+    /// Values of one plane in strips; 0 without strips.
     strips: u64,
     /// 1 with backward, 0 without.
     backward: u64,
@@ -69,9 +69,9 @@ impl FrameSizes {
     fn new(capacity: &FrameCapacity, block: &LaunchSizes) -> Self {
         let gaussians = u64::from(capacity.gaussians);
         let instances = u64::from(capacity.instances);
-        let (columns, rows) = tile_grid(capacity.width, capacity.height);
+        let PictureCapacity { pixels, tiles, strip_values, .. } = capacity.pictures;
         let backward = u64::from(capacity.backward);
-        let tile_bits = tile_bits(columns.saturating_mul(rows));
+        let tile_bits = tile_bits(tiles.min(u32::MAX.into()) as u32);
         let depth_sort = block.sort_histogram_words(gaussians, u32::BITS);
         // A smaller image may use longer digits in fewer passes.
         let tile_sort = (1..=tile_bits).map(|bits| block.sort_histogram_words(instances, bits)).max();
@@ -85,15 +85,12 @@ impl FrameSizes {
             instances,
             histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)),
             digits: 1 << block.sort_digit_bits(),
-            tiles: u64::from(columns) * u64::from(rows),
+            tiles,
             splat_stride: if together { SPLAT_PLANES.into() } else { 1 },
             apart: u64::from(!together),
             backward_instances: backward * instances,
-            pixels: u64::from(capacity.width) * u64::from(capacity.height),
-            strips: backward
-                * u64::from(block.strips)
-                * Strips { width: columns.saturating_mul(TILE_SIZE), height: rows.saturating_mul(TILE_SIZE) }
-                    .values(),
+            pixels,
+            strips: backward * u64::from(block.strips) * strip_values,
             backward,
             passes: backward * u64::from(capacity.blend_passes > 1),
         }

@@ -7,8 +7,8 @@ use super::updates::Update;
 use crate::compose::{Background, Compose};
 use crate::error::{Error, Result};
 use crate::forward::BlendVariant;
-use crate::plan::{FrameCapacity, tile_grid};
-use crate::scene::{Camera, DepthMapping};
+use crate::plan::{FrameCapacity, PictureCapacity};
+use crate::scene::DepthMapping;
 use crate::vk::{Context, ImageUse};
 use ash::vk;
 
@@ -159,16 +159,13 @@ pub(super) fn check_capacity(
     capacity: &FrameCapacity,
     alignment: u32,
 ) -> Result<()> {
-    let Camera { width, height, .. } = *frame.camera;
-    let (columns, rows) = tile_grid(width, height);
-    let (most_columns, most_rows) = tile_grid(capacity.width, capacity.height);
-    let area = |w: u32, h: u32| u64::from(w) * u64::from(h);
+    let (needed, reserved) = (PictureCapacity::of_cameras([frame.camera]), capacity.pictures);
     let counts = frame.scenes.iter().map(|s| u64::from(s.scene.count().next_multiple_of(alignment)));
     let last = frame.scenes.last().map_or(0, |s| u64::from(s.scene.count()));
     let gaussians = counts.take(frame.scenes.len() - 1).sum::<u64>() + last;
     let bounds = [
-        ("picture", area(width, height), "pixels", area(capacity.width, capacity.height)),
-        ("picture", area(columns, rows), "tiles", area(most_columns, most_rows)),
+        ("picture", needed.pixels, "pixels", reserved.pixels),
+        ("picture", needed.tiles, "tiles", reserved.tiles),
         ("scenes", gaussians, "Gaussians", capacity.gaussians.into()),
     ];
     for (what, needed, unit, limit) in bounds {

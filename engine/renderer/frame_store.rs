@@ -4,7 +4,8 @@ use super::BlendSamples;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::plan::{
-    FrameBuffers, FrameCapacity, LaunchSizes, check_grids, frame_bytes, frame_requests, initial_instances,
+    FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, check_grids, frame_bytes, frame_requests,
+    initial_instances,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
@@ -14,6 +15,10 @@ pub struct FrameStore {
     context: Context,
     sizes: LaunchSizes,
     readback: Buffer,
+    /// Pictures that the buffers hold in any case.
+    expected: PictureCapacity,
+    /// What the last frame asked for. Earlier ones may have needed more.
+    asked: FrameCapacity,
     capacity: FrameCapacity,
     frame: Option<FrameBuffers>,
 }
@@ -59,8 +64,7 @@ const NOTHING: FrameCapacity = FrameCapacity {
     gaussians: 0,
     instances: 0,
     scenes: 1,
-    width: 0,
-    height: 0,
+    pictures: PictureCapacity::NONE,
     blend_passes: 1,
     backward: false,
 };
@@ -77,10 +81,24 @@ impl FrameStore {
         let mut readback = context.allocate("readback", &Self::READBACK, MemoryKind::HostVisible)?;
         let Some(readback) = readback.pop() else { unreachable!("one buffer per request") };
         let sizes = LaunchSizes::new(context.limits());
-        Ok(Self { context: context.clone(), sizes, readback, capacity: NOTHING, frame: None })
+        Ok(Self {
+            context: context.clone(),
+            sizes,
+            readback,
+            expected: PictureCapacity::NONE,
+            asked: NOTHING,
+            capacity: NOTHING,
+            frame: None,
+        })
     }
 
-    /// Buffers for a scene and a camera. Reallocates them if the current ones are too small.
+    /// From now on buffers are allocated for these pictures at once, and not only when their frames come.
+    pub fn expect_pictures(&mut self, pictures: PictureCapacity) {
+        self.expected = pictures;
+    }
+
+    /// Buffers for a scene and a camera. Reallocates them if the current ones are too small. If they then do not
+    /// fit the memory because of what earlier frames needed, that is given up.
     ///
     /// # Errors
     /// When the memory or a limit of the device does not suffice: before any work.
@@ -91,30 +109,28 @@ impl FrameStore {
         backward: bool,
     ) -> Result<(FrameBuffers, FrameCapacity)> {
         let old = self.capacity;
-        let pixels = u64::from(camera.width) * u64::from(camera.height);
-        let fits = gaussians <= old.gaussians
-            && camera.width.div_ceil(c::TILE_SIZE) <= old.width.div_ceil(c::TILE_SIZE)
-            && camera.height.div_ceil(c::TILE_SIZE) <= old.height.div_ceil(c::TILE_SIZE)
-            && pixels <= u64::from(old.width) * u64::from(old.height)
-            && backward <= old.backward;
+        let own = PictureCapacity::of_cameras([camera]);
+        let wanted = own.and(self.expected);
+        let pictures = if backward { wanted } else { wanted.without_backward() };
+        let instances = initial_instances(self.context.limits(), gaussians, &pictures);
+        self.asked = FrameCapacity { gaussians, instances, pictures, backward, ..NOTHING };
+        let fits = gaussians <= old.gaussians && old.pictures.holds(&pictures) && backward <= old.backward;
         if let (Some(frame), true) = (&self.frame, fits) {
             return Ok((frame.clone(), old));
         }
-        let guess = match old.instances {
-            0 => initial_instances(self.context.limits(), gaussians, camera.width, camera.height),
-            instances => instances,
-        };
         let capacity = FrameCapacity {
             gaussians: gaussians.max(old.gaussians),
-            instances: guess,
-            scenes: old.scenes,
-            width: camera.width.max(old.width),
-            height: camera.height.max(old.height),
-            blend_passes: old.blend_passes,
+            instances: if old.instances > 0 { old.instances } else { instances },
+            pictures: pictures.and(old.pictures),
             backward: backward || old.backward,
+            ..old
         };
-        let frame = self.allocate(capacity).map_err(|error| name_image(error, camera))?;
-        Ok((frame, capacity))
+        let frame = match self.allocate(capacity) {
+            Err(error) if is_memory(&error) && capacity != self.asked => self.allocate(self.asked),
+            allocated => allocated,
+        };
+        let frame = frame.map_err(|error| name_image(error, camera, wanted == own))?;
+        Ok((frame, self.capacity))
     }
 
     /// The capacities of the frame's buffers.
@@ -157,6 +173,7 @@ impl FrameStore {
     /// # Errors
     /// As [`FrameStore::ensure`].
     pub fn restore(&mut self, capacity: FrameCapacity) -> Result<()> {
+        self.asked = capacity;
         self.allocate(capacity).map(drop)
     }
 
@@ -165,7 +182,7 @@ impl FrameStore {
         self.frame = None;
     }
 
-    /// Frees the buffers and resets the capacity.
+    /// Frees the buffers and resets the capacity. The next frame allocates what it needs itself.
     pub fn forget(&mut self) {
         self.frame = None;
         self.capacity = NOTHING;
@@ -221,23 +238,40 @@ impl FrameStore {
         if capacity == self.capacity {
             return Ok(false);
         }
-        if let Err(error) = self.allocate(capacity) {
-            if state.instances <= self.capacity.instances {
-                return Err(error);
-            }
+        // What the frame itself needs, without what is left of earlier ones.
+        let own = FrameCapacity { instances: state.instances.max(1), blend_passes: passes, ..self.asked };
+        let Err(error) = self.allocate(capacity) else { return Ok(true) };
+        let more_instances = state.instances > self.capacity.instances;
+        if more_instances {
             // Retry without the reserve, which may be what did not fit.
             capacity.instances = state.instances;
-            self.allocate(capacity).map_err(|error| name_instances(error, state.instances))?;
         }
-        Ok(true)
+        let smaller = [more_instances.then_some(capacity), (own != capacity).then_some(own)];
+        let mut result = Err(error);
+        for capacity in smaller.into_iter().flatten() {
+            if result.is_err() {
+                result = self.allocate(capacity);
+            }
+        }
+        match result {
+            Ok(_) => Ok(true),
+            Err(error) if more_instances => Err(name_instances(error, state.instances)),
+            Err(error) => Err(error),
+        }
     }
 }
 
-/// Adds the image's size to an error.
-fn name_image(error: Error, camera: &Camera) -> Error {
+/// Whether an allocation failed for want of memory.
+fn is_memory(error: &Error) -> bool {
+    matches!(error, Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. })
+}
+
+/// Adds the image's size to an error; `alone`: the buffers are for this image, not for larger ones that will come.
+fn name_image(error: Error, camera: &Camera, alone: bool) -> Error {
     match error {
         Error::TooLarge { what, needed, unit, limit, limit_name } => {
-            let what = format!("an image of {}x{} pixels: {what}", camera.width, camera.height);
+            let others = if alone { "" } else { ", and those larger ones that will follow" };
+            let what = format!("an image of {}x{} pixels{others}: {what}", camera.width, camera.height);
             Error::TooLarge { what, needed, unit, limit, limit_name }
         }
         other => other,

@@ -4,7 +4,7 @@ use super::frame_store::{FrameStore, State};
 use super::{Frame, FrameStats};
 use crate::error::{Error, Result};
 use crate::forward::{BlendVariant, Blending, Forward, FrameInputs, RenderSettings, SceneBuffers};
-use crate::plan::{FrameBuffers, FrameCapacity};
+use crate::plan::{FrameBuffers, FrameCapacity, PictureCapacity};
 use crate::scene::Camera;
 use crate::vk::{Context, Recorder, RunReport};
 
@@ -136,12 +136,17 @@ impl FrameRunner {
         self.store.release();
     }
 
-    /// Allocates buffers with backward for these cameras, and builds the kernels up to an SH degree, with or
-    /// without inverse depth, for [`FrameRunner::record`].
+    /// See [`FrameStore::expect_pictures`].
+    pub fn expect_pictures(&mut self, pictures: PictureCapacity) {
+        self.store.expect_pictures(pictures);
+    }
+
+    /// Allocates buffers with backward for a camera and the expected pictures, and builds the kernels up to an SH
+    /// degree, with or without inverse depth, for [`FrameRunner::record`].
     pub fn reserve(
         &mut self,
         gaussians: u32,
-        cameras: &[Camera],
+        camera: &Camera,
         sh_degree: u32,
         inverse_depth: bool,
     ) -> Result<()> {
@@ -149,10 +154,7 @@ impl FrameRunner {
         for degree in 0..=sh_degree {
             self.forward.prepare_variant(degree, variant)?;
         }
-        for camera in cameras {
-            self.store.ensure(gaussians, camera, true)?;
-        }
-        Ok(())
+        self.store.ensure(gaussians, camera, true).map(drop)
     }
 
     /// Grows the capacity above that of all earlier frames.

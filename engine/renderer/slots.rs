@@ -5,7 +5,8 @@ use crate::error::{Error, Result};
 use crate::forward::BlendVariant;
 use crate::kernels::constants as c;
 use crate::plan::{
-    FrameBuffers, FrameCapacity, LaunchSizes, ScenePlan, check_grids, frame_requests, initial_instances,
+    FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, frame_requests,
+    initial_instances,
 };
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder, ScopeTime};
 
@@ -23,9 +24,10 @@ pub struct Reservation {
     /// (tile, Gaussian) instances of a frame; 0 for an estimate. [`SlotReport`] has the number that a frame
     /// needs.
     pub instances: u32,
-    /// Width of the largest picture, pixels.
+    /// Width of the largest picture, pixels. Pictures of any shape fit that need no more pixels and no more tiles
+    /// of 16×16 pixels, for example the same size turned by 90 degrees.
     pub width: u32,
-    /// Height of the largest picture, pixels.
+    /// Height of the largest picture, pixels: see [`Reservation::width`].
     pub height: u32,
     /// Passes of blending. More than one is only needed if a driver's limit on loops cuts off very long
     /// tiles.
@@ -214,24 +216,22 @@ impl Slot {
         // Gaps between scenes are smaller than a block.
         let gaussians =
             wanted.gaussians.saturating_add((wanted.scenes - 1).saturating_mul(sizes.elementwise_workgroup));
-        let Reservation { width, height, .. } = *wanted;
+        let pictures = PictureCapacity::of(wanted.width, wanted.height).without_backward();
         let instances = match wanted.instances {
-            0 => initial_instances(context.limits(), gaussians, width, height),
+            0 => initial_instances(context.limits(), gaussians, &pictures),
             instances => instances,
         };
         let capacity = FrameCapacity {
             gaussians,
             instances,
             scenes: wanted.scenes,
-            width,
-            height,
+            pictures,
             blend_passes: wanted.blend_passes,
             backward: false,
         };
         check_grids(context.limits(), &capacity, sizes)?;
         let frame = context.allocate("frame slot", &frame_requests(&capacity, sizes), MemoryKind::Device)?;
-        let pixels = u64::from(width) * u64::from(height);
-        let limits = wanted.occlusion.then_some(("depth_limits", pixels * 4));
+        let limits = wanted.occlusion.then_some(("depth_limits", pictures.pixels * 4));
         let limits: Vec<_> = limits.into_iter().collect();
         let mut host = vec![("state_readback", u64::from(c::STATE_WORDS) * 4)];
         host.extend((wanted.staging_bytes > 0).then_some(("scene_updates", wanted.staging_bytes)));

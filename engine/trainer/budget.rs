@@ -2,29 +2,33 @@
 
 use super::checkpoint::Room;
 use super::model::RowMemory;
-use super::photos::PhotoBytes;
+use super::photos::{PhotoBytes, PhotoSize};
 use crate::error::{Error, Result};
 use crate::plan::{
-    FrameCapacity, LaunchSizes, ScenePlan, check_grids, frame_bytes, frame_requests, initial_instances,
-    max_trained_gaussians, max_trained_instances,
+    FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, frame_bytes, frame_requests,
+    initial_instances, max_trained_gaussians, max_trained_instances,
 };
 use crate::renderer::FrameStore;
-use crate::scene::Camera;
 use crate::vk::Context;
+use std::collections::HashMap;
 
-/// Largest width and largest height of the views, px: a frame's buffers serve all of them.
-pub(super) fn largest_sides(cameras: &[Camera]) -> (u32, u32) {
-    let largest = |side: fn(&Camera) -> u32| cameras.iter().map(side).max().unwrap_or(0);
-    (largest(|camera| camera.width), largest(|camera| camera.height))
-}
+/// Name and bytes of a buffer.
+type Request = (&'static str, u64);
+type Requests = Vec<Request>;
+/// Width and height, pixels.
+type Size = (u32, u32);
+type LossRequests<'a> = dyn Fn(&[Size]) -> Requests + 'a;
 
 /// Sizes of a training run before its allocation.
 pub(super) struct Before<'a> {
-    pub cameras: &'a [Camera],
+    /// One per view.
+    pub photos: &'a [PhotoSize],
     pub photo_bytes: PhotoBytes,
     pub rows: &'a RowMemory,
-    /// The loss's buffers on the device, and the losses' copy that the host reads.
-    pub loss: (&'a [(&'static str, u64)], (&'static str, u64)),
+    /// The loss's buffers on the device, for views of given sizes.
+    pub loss: &'a LossRequests<'a>,
+    /// The losses' copy that the host reads.
+    pub losses: Request,
     /// Initial number of Gaussians.
     pub count: u32,
     pub sh_degree: u32,
@@ -35,18 +39,96 @@ impl Before<'_> {
     fn buffer_bytes(&self, context: &Context, plan: &ScenePlan, frame: Option<FrameCapacity>) -> u64 {
         let limits = context.limits();
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
-        let (scratch, losses) = self.loss;
+        let scratch = (self.loss)(&self.sizes());
         // The counts of training's frames and of drawn frames.
-        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[losses]);
+        let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.losses]);
         let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
-        self.rows.allocation_bytes(context, plan) + bytes(scratch) + readback + frame
+        self.rows.allocation_bytes(context, plan) + bytes(&scratch) + readback + frame
     }
 
-    /// The first frame with this number of Gaussians, large enough for all views.
-    fn first_frame(&self, context: &Context, gaussians: u32) -> FrameCapacity {
-        let (width, height) = largest_sides(self.cameras);
-        let instances = initial_instances(context.limits(), gaussians, width, height);
-        FrameCapacity { gaussians, instances, scenes: 1, width, height, blend_passes: 1, backward: true }
+    fn sizes(&self) -> Vec<(u32, u32)> {
+        self.photos.iter().map(|photo| (photo.width, photo.height)).collect()
+    }
+
+    /// Large enough for all views.
+    fn pictures(&self) -> PictureCapacity {
+        let each = self.photos.iter().map(|photo| PictureCapacity::of(photo.width, photo.height));
+        each.fold(PictureCapacity::NONE, PictureCapacity::and)
+    }
+
+    /// The first frame with this number of Gaussians, for these pictures.
+    fn first_frame(context: &Context, gaussians: u32, pictures: PictureCapacity) -> FrameCapacity {
+        let instances = initial_instances(context.limits(), gaussians, &pictures);
+        FrameCapacity { gaussians, instances, scenes: 1, pictures, blend_passes: 1, backward: true }
+    }
+
+    /// Refuses photographs whose frames exceed a limit of the device, whatever the memory.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] for the photograph that needs most, with the size of its largest buffer.
+    pub fn check_photos(&self, context: &Context) -> Result<()> {
+        let mut refused: HashMap<(u32, u32), (&PhotoSize, Error, usize)> = HashMap::new();
+        let mut checked = HashMap::new();
+        for photo in self.photos {
+            let size = (photo.width, photo.height);
+            let fits = *checked.entry(size).or_insert_with(|| match self.check_size(context, size) {
+                Ok(()) => true,
+                Err(error) => {
+                    refused.insert(size, (photo, error, 0));
+                    false
+                }
+            });
+            if let (false, Some((.., count))) = (fits, refused.get_mut(&size)) {
+                *count += 1;
+            }
+        }
+        let all: usize = refused.values().map(|(.., count)| count).sum();
+        let area = |photo: &PhotoSize| u64::from(photo.width) * u64::from(photo.height);
+        let most = refused.into_values().max_by_key(|(photo, ..)| (area(photo), photo.width));
+        match most {
+            None => Ok(()),
+            Some((photo, Error::TooLarge { what, needed, unit, limit, limit_name }, _)) => {
+                let others = match all - 1 {
+                    0 => String::new(),
+                    1 => " and 1 other".into(),
+                    more => format!(" and {more} others"),
+                };
+                let what = format!(
+                    "training on the photograph '{}' of {}x{} pixels{others} (-r scales photographs down): {what}",
+                    photo.name, photo.width, photo.height
+                );
+                Err(Error::TooLarge { what, needed, unit, limit, limit_name })
+            }
+            Some((_, error, _)) => Err(error),
+        }
+    }
+
+    /// Whether a device can have the buffers and grids of a frame of this size.
+    fn check_size(&self, context: &Context, size: (u32, u32)) -> Result<()> {
+        let limits = context.limits();
+        let count = self.count.min(max_trained_gaussians(limits));
+        let frame = Self::first_frame(context, count, PictureCapacity::of(size.0, size.1));
+        let launches = LaunchSizes::new(limits);
+        let named = |arena: &'static str, requests: Requests| {
+            requests.into_iter().map(move |(name, bytes)| (arena, name, bytes))
+        };
+        let requests =
+            named("frame", frame_requests(&frame, &launches)).chain(named("loss", (self.loss)(&[size])));
+        let most = [
+            (limits.max_storage_buffer_range, "maxStorageBufferRange"),
+            (limits.max_allocation_bytes, "maxMemoryAllocationSize"),
+        ];
+        let (limit, limit_name) = if most[1].0 < most[0].0 { most[1] } else { most[0] };
+        match requests.max_by_key(|(.., bytes)| *bytes) {
+            Some((arena, name, needed)) if needed > limit => Err(Error::TooLarge {
+                what: format!("buffer {arena}.{name}"),
+                needed,
+                unit: "bytes",
+                limit,
+                limit_name,
+            }),
+            _ => check_grids(limits, &frame, &launches),
+        }
     }
 
     /// The initial capacity in Gaussians: with a reserve of half, or what the memory holds.
@@ -54,7 +136,7 @@ impl Before<'_> {
     /// # Errors
     /// [`Error::TooLarge`] with the needed bytes, if even the initial Gaussians do not fit.
     pub fn initial_capacity(&self, context: &Context) -> Result<u32> {
-        let Self { cameras, ref photo_bytes, count, sh_degree, .. } = *self;
+        let Self { photos: all, ref photo_bytes, count, sh_degree, .. } = *self;
         let most = max_trained_gaussians(context.limits());
         if count > most {
             return Err(Error::TooLarge {
@@ -71,7 +153,7 @@ impl Before<'_> {
         let free = limit.saturating_sub(context.memory_total().bytes);
         let buffers = |capacity: u32| -> Result<u64> {
             let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
-            Ok(self.buffer_bytes(context, &plan, Some(self.first_frame(context, capacity))))
+            Ok(self.buffer_bytes(context, &plan, Some(Self::first_frame(context, capacity, self.pictures()))))
         };
         let photos = photo_bytes.held + photo_bytes.staging;
         if buffers(wanted)? + photos <= free {
@@ -85,9 +167,14 @@ impl Before<'_> {
         // requested.
         let follow = photo_bytes.budget == Some(limit / 2);
         let with_more = if follow { photo_bytes.all.min(least) + photo_bytes.staging } else { photos };
+        let largest = all.iter().max_by_key(|photo| u64::from(photo.width) * u64::from(photo.height));
+        let largest = largest.map_or_else(String::new, |photo| {
+            format!(", the largest '{}' of {}x{} pixels", photo.name, photo.width, photo.height)
+        });
         let what = format!(
-            "training {count} Gaussians of SH degree {sh_degree} on {} photographs (fewer or smaller ones need less, or --photo-memory)",
-            cameras.len()
+            "training {count} Gaussians of SH degree {sh_degree} on {} photographs{largest} (fewer or smaller ones (-r) \
+             need less, or --photo-memory)",
+            all.len()
         );
         Err(Error::TooLarge {
             what,
@@ -103,7 +190,7 @@ impl Before<'_> {
         let limits = context.limits();
         let Ok(plan) = ScenePlan::new(limits, room.gaussians, self.sh_degree) else { return false };
         let sizes = LaunchSizes::new(limits);
-        let frame = room.frame();
+        let frame = room.frame(self.pictures());
         let fits = frame.is_none_or(|frame| {
             let one = |(_, bytes): &(_, u64)| {
                 *bytes <= limits.max_storage_buffer_range.min(limits.max_allocation_bytes)

@@ -96,9 +96,10 @@ pub struct Room {
     pub frame_gaussians: u32,
     /// (tile, Gaussian) instances of a frame.
     pub frame_instances: u32,
-    /// Width of a frame, pixels; 0 without a frame.
+    /// Largest width of the views, pixels; 0 without a frame. Earlier versions sized frames by this times
+    /// [`Room::frame_height`]. Now only the 0 counts: a frame has room for each view's own size.
     pub frame_width: u32,
-    /// Height of a frame, pixels.
+    /// Largest height of the views, pixels; 0 without a frame.
     pub frame_height: u32,
     /// Passes of blending.
     pub blend_passes: u32,

@@ -7,6 +7,7 @@
 
 mod budget;
 pub mod checkpoint;
+mod forecast;
 mod iteration;
 mod model;
 pub mod options;
@@ -28,6 +29,8 @@ pub mod verify;
 mod work;
 
 pub use checkpoint::{Checkpoint, Room};
+pub use forecast::Forecast;
+pub use photos::PhotoSize;
 pub use population::{Growth, Population};
 pub use record::{RecordedStep, StepReservation};
 pub use report::{Maintenance, StepOutcome, StepReport};
@@ -39,12 +42,14 @@ pub use work::{Actions, Densified};
 
 use crate::error::{Error, Result};
 use crate::forward::{Blending, RenderSettings, SceneBuffers};
-use crate::loss::{LossTerm, Photometric};
+use crate::loss::LossTerm;
+use crate::plan::PictureCapacity;
 use crate::planes;
 use crate::renderer::{Frame, FrameRunner, FrameStore, PixelReport, TileReport};
 use crate::scene::StoredPhoto;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Context};
+use forecast::Kit;
 use model::{Model, RowMemory, State};
 use photos::Photos;
 use run::Run;
@@ -180,37 +185,23 @@ impl Trainer {
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         let sh_degree = settings.sh_degree;
         let count = crate::plan::to_u32(initial.len() as u64)?;
-        let photo_bytes = photos::device_bytes(context, &views)?;
-        let TrainParts { mut strategy, terms } = parts;
-        let any_masked = views.iter().any(|view| view.photo.is_masked());
-        let mut all: Vec<Box<dyn LossTerm>> =
-            vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
-        all.extend(terms);
-        all.extend(strategy.loss_terms(context, &settings)?);
-        let recorder = StepRecorder::new(context, all, settings.optimizer_type)?;
+        photos::check(&views)?;
+        let photo_sizes = forecast::sizes_of(&views);
+        let photo_memory = photos::memory_of_file(&views);
+        let kit = Kit::new(context, &settings, parts, &photo_sizes)?;
+        let (capacity, room) = kit.capacity(context, &settings, (&photo_sizes, photo_memory), count, room)?;
+        let Kit { strategy, recorder, rows } = kit;
         let targets = recorder.targets();
-        let rows = RowMemory::new(strategy.statistics(), targets.parameters);
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
-        let before = budget::Before {
-            cameras: &cameras,
-            photo_bytes,
-            rows: &rows,
-            loss: (&recorder.device_requests(&sizes), recorder.readback_request()),
-            count,
-            sh_degree,
-        };
-        let room = room.filter(|room| before.has_room(context, room));
-        let capacity = match room {
-            Some(room) => room.gaussians,
-            None => before.initial_capacity(context)?,
-        };
-        let photos = Photos::new(context, &views, settings.seed)?;
+        let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let views_fingerprint = resume::fingerprint_of(&views);
         drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, sh_degree)?;
         let state = State::new(Model::new(context, scene, &rows)?);
         let mut runner = FrameRunner::new(context)?;
-        if let Some(frame) = room.and_then(Room::frame) {
+        let pictures = PictureCapacity::of_cameras(&cameras);
+        runner.expect_pictures(pictures);
+        if let Some(frame) = room.and_then(|room| room.frame(pictures)) {
             runner.restore(frame)?;
         }
         let run = Run { settings, scene_extent, cameras, views_fingerprint };
@@ -335,6 +326,11 @@ impl Trainer {
             }
             drawn => drawn,
         }
+    }
+
+    /// Frees the buffers of frames that are drawn between steps: see [`crate::Renderer::shrink`].
+    pub fn shrink_pictures(&mut self) {
+        self.pictures.forget();
     }
 
     fn at_present_degree(&self, settings: &RenderSettings) -> RenderSettings {

@@ -14,6 +14,8 @@ use crate::vk::{Buffer, Context, MemoryKind};
 const AHEAD: u64 = 2;
 /// Most photographs on the host: the waiting ones, the one being read, and the one being uploaded.
 const ON_HOST: u64 = AHEAD + 2;
+/// As [`StoredPhoto::bytes`].
+const FILE_BYTES_PER_PIXEL: u64 = 4;
 
 /// The views' photographs in the layout of [`photo_on_device`].
 pub(super) enum Photos {
@@ -28,30 +30,53 @@ enum Residence {
 }
 
 impl Residence {
-    /// All of them, except for photographs in a file: then the number that fits the budget, less those that
+    /// All of them, except for photographs in a file: then the number that fits its budget, less those that
     /// wait on the host.
-    fn of(windowing: Windowing, views: &[TrainView]) -> Result<Self> {
-        let Some(file) = views.iter().find_map(|view| view.photo.file()) else { return Ok(Self::All) };
+    fn of(windowing: Windowing, photos: &[PhotoSize], file_memory: Option<u64>) -> Result<Self> {
+        let Some(memory) = file_memory else { return Ok(Self::All) };
         // Waiting photographs have the device's layout. The one that is being read has both layouts.
-        let bytes = views.iter().map(|view| bytes_of(windowing, &view.photo)).max().unwrap_or(0).max(4);
-        let read = views.iter().map(|view| view.photo.bytes()).max().unwrap_or(0);
+        let bytes = photos.iter().map(|photo| photo.device_bytes(windowing)).max().unwrap_or(0).max(4);
+        let read = photos.iter().map(PhotoSize::file_bytes).max().unwrap_or(0);
         let read = if windowing == Windowing::Sweeps { read } else { 0 };
-        let held = file.memory_bytes().saturating_sub(read) / bytes;
+        let held = memory.saturating_sub(read) / bytes;
         if held <= ON_HOST {
             return Err(Error::TooLarge {
                 what: format!("reading ahead ({} of the largest photograph at a time)", ON_HOST + 1),
                 needed: (ON_HOST + 1) * bytes + read,
                 unit: "bytes",
-                limit: file.memory_bytes(),
+                limit: memory,
                 limit_name: "the memory for photographs",
             });
         }
-        let count = usize::try_from(held - ON_HOST).unwrap_or(usize::MAX).min(views.len());
+        let count = usize::try_from(held - ON_HOST).unwrap_or(usize::MAX).min(photos.len());
         Ok(Self::Places { count, bytes })
     }
 }
 
-/// Bytes of device memory that the views' photographs take.
+/// A photograph as its header and its camera describe it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PhotoSize {
+    /// The name that errors give it.
+    pub name: String,
+    /// Width as it is trained on, pixels.
+    pub width: u32,
+    /// Height as it is trained on, pixels.
+    pub height: u32,
+    /// Whether it is known to have pixels that do not count.
+    pub masked: bool,
+}
+
+impl PhotoSize {
+    fn device_bytes(&self, windowing: Windowing) -> u64 {
+        photo_bytes(windowing, self.width, self.height, self.masked)
+    }
+
+    fn file_bytes(&self) -> u64 {
+        FILE_BYTES_PER_PIXEL * u64::from(self.width) * u64::from(self.height)
+    }
+}
+
+/// Bytes of device memory that the photographs take.
 pub(super) struct PhotoBytes {
     /// Bytes of those that stay on the device.
     pub held: u64,
@@ -63,25 +88,34 @@ pub(super) struct PhotoBytes {
     pub budget: Option<u64>,
 }
 
-/// The device memory of the views' photographs.
+/// The bound of the views' photographs in a file.
+pub(super) fn memory_of_file(views: &[TrainView]) -> Option<u64> {
+    views.iter().find_map(|view| view.photo.file()).map(|file| file.memory_bytes())
+}
+
+/// The device memory of the photographs. `file_memory`: the budget of photographs in a file.
 ///
 /// # Errors
 /// [`Error::TooLarge`] if the budget is too small to read ahead.
-pub(super) fn device_bytes(context: &Context, views: &[TrainView]) -> Result<PhotoBytes> {
-    let all = context.allocation_bytes(&requests(context, views));
-    Ok(match Residence::of(windowing_of(context), views)? {
+pub(super) fn device_bytes(
+    context: &Context,
+    photos: &[PhotoSize],
+    file_memory: Option<u64>,
+) -> Result<PhotoBytes> {
+    let all = context.allocation_bytes(&requests(context, photos));
+    Ok(match Residence::of(windowing_of(context), photos, file_memory)? {
         Residence::All => PhotoBytes { held: all, staging: 0, all, budget: None },
         Residence::Places { count, bytes } => PhotoBytes {
             held: context.allocation_bytes(&vec![("photo", bytes); count]),
             staging: context.staging_bytes(bytes),
-            all: all.max(context.allocation_bytes(&vec![("photo", bytes); views.len()])),
-            budget: views.iter().find_map(|view| view.photo.file()).map(|file| file.memory_bytes()),
+            all: all.max(context.allocation_bytes(&vec![("photo", bytes); photos.len()])),
+            budget: file_memory,
         },
     })
 }
 
-fn requests(context: &Context, views: &[TrainView]) -> Vec<(&'static str, u64)> {
-    views.iter().map(|view| ("photo", bytes_of(windowing_of(context), &view.photo))).collect()
+fn requests(context: &Context, photos: &[PhotoSize]) -> Vec<(&'static str, u64)> {
+    photos.iter().map(|photo| ("photo", photo.device_bytes(windowing_of(context)))).collect()
 }
 
 /// The same choice as [`Loss::new`](crate::loss::Loss::new).
@@ -89,15 +123,12 @@ fn windowing_of(context: &Context) -> Windowing {
     Windowing::for_device(context.limits())
 }
 
-fn bytes_of(windowing: Windowing, photo: &StoredPhoto) -> u64 {
-    photo_bytes(windowing, photo.width, photo.height, photo.is_masked())
-}
-
 fn on_device(windowing: Windowing, photo: &StoredPhoto) -> Result<Vec<u8>> {
     Ok(photo_on_device(windowing, photo.width, photo.height, photo.is_masked(), photo.texels()?))
 }
 
-fn check(views: &[TrainView]) -> Result<()> {
+/// Refuses views whose photographs do not have their cameras' sizes.
+pub(super) fn check(views: &[TrainView]) -> Result<()> {
     for (index, TrainView { camera, photo }) in views.iter().enumerate() {
         camera.check()?;
         if (photo.width, photo.height) != (camera.width, camera.height) {
@@ -113,14 +144,13 @@ fn check(views: &[TrainView]) -> Result<()> {
 }
 
 impl Photos {
-    /// Uploads the views' photographs, or allocates places for some of them. The seed determines the order of
-    /// their use.
-    pub fn new(context: &Context, views: &[TrainView], seed: u32) -> Result<Self> {
-        check(views)?;
-        let (count, bytes) = match Residence::of(windowing_of(context), views)? {
+    /// Uploads the views' photographs, which have these sizes, or allocates places for some of them. The seed
+    /// determines the order of their use.
+    pub fn new(context: &Context, views: &[TrainView], sizes: &[PhotoSize], seed: u32) -> Result<Self> {
+        let (count, bytes) = match Residence::of(windowing_of(context), sizes, memory_of_file(views))? {
             Residence::Places { count, bytes } => (count, bytes),
             Residence::All => {
-                let texels = context.allocate("photos", &requests(context, views), MemoryKind::Device)?;
+                let texels = context.allocate("photos", &requests(context, sizes), MemoryKind::Device)?;
                 for (buffer, view) in texels.iter().zip(views) {
                     context.upload(buffer, &on_device(windowing_of(context), &view.photo)?)?;
                 }

@@ -8,7 +8,7 @@ use crate::densify::{Curve, Densify, Gather, RandomKey};
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
 use crate::optimizer::Moments;
-use crate::plan::{FrameCapacity, ScenePlan};
+use crate::plan::{FrameCapacity, PictureCapacity, ScenePlan};
 use crate::planes;
 use crate::renderer::{FrameRunner, FrameStore};
 use crate::scene::Camera;
@@ -227,12 +227,12 @@ impl Population<'_> {
     fn present(&self) -> budget::Present<'_> {
         let frame = self.runner.capacity();
         // For all views, including those that have not been used yet.
-        let (width, height) = budget::largest_sides(&self.run.cameras);
+        let pictures = PictureCapacity::of_cameras(&self.run.cameras);
         budget::Present {
             context: self.context,
             rows: self.rows,
             plan: &self.model.scene.plan,
-            frame: FrameCapacity { width: frame.width.max(width), height: frame.height.max(height), ..frame },
+            frame: FrameCapacity { pictures: frame.pictures.and(pictures), ..frame },
             frame_bytes: self.runner.frame_bytes(),
         }
     }

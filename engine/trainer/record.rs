@@ -338,7 +338,7 @@ impl Trainer {
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
         let gaussians = self.state.model.scene.plan.capacity;
         let inverse_depth = self.recorder.targets().inverse_depth;
-        self.runner.reserve(gaussians, &self.run.cameras, self.run.settings.sh_degree, inverse_depth)?;
+        self.runner.reserve(gaussians, &self.run.cameras[0], self.run.settings.sh_degree, inverse_depth)?;
         let frame = self.runner.frame()?;
         self.context.run("clear state", |r| {
             r.fill(&frame.state, 0);

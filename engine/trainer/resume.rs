@@ -7,7 +7,7 @@ use super::{TrainParts, TrainView, Trainer};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
-use crate::plan::FrameCapacity;
+use crate::plan::{FrameCapacity, PictureCapacity};
 use crate::planes;
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context};
@@ -169,12 +169,16 @@ impl Trainer {
 impl Trainer {
     fn room(&self) -> Room {
         let frame = self.runner.capacity();
+        let largest = |side: fn(&Camera) -> u32| match frame.pictures {
+            PictureCapacity::NONE => 0,
+            _ => self.run.cameras.iter().map(side).max().unwrap_or(0),
+        };
         Room {
             gaussians: self.state.model.scene.plan.capacity,
             frame_gaussians: frame.gaussians,
             frame_instances: frame.instances,
-            frame_width: frame.width,
-            frame_height: frame.height,
+            frame_width: largest(|camera| camera.width),
+            frame_height: largest(|camera| camera.height),
             blend_passes: frame.blend_passes,
             backward: frame.backward.into(),
             most_instances: self.state.most_instances,
@@ -184,14 +188,13 @@ impl Trainer {
 }
 
 impl Room {
-    /// The capacity of a frame; None without a frame.
-    pub(super) fn frame(&self) -> Option<FrameCapacity> {
+    /// The capacity of a frame, for these pictures; None without a frame.
+    pub(super) fn frame(&self, pictures: PictureCapacity) -> Option<FrameCapacity> {
         (self.frame_width > 0).then_some(FrameCapacity {
             gaussians: self.frame_gaussians,
             instances: self.frame_instances,
             scenes: 1,
-            width: self.frame_width,
-            height: self.frame_height,
+            pictures,
             blend_passes: self.blend_passes.max(1),
             backward: self.backward != 0,
         })

@@ -71,6 +71,28 @@ fn photo_of_another_size() {
     place.training_refuses(&["05.png", "2x2", "48x32"]);
 }
 
+/// The cameras tell how large the photos are: these are not even opened, for their sizes are others.
+#[test]
+fn photos_that_cannot_be_trained_on_are_refused_before_they_are_read() {
+    let place = Place::new();
+    let lens = Intrinsics::from_fov_x(0.8, 60_000, 50_000);
+    let lenses = [view(0), Camera::look_at(vec3(0.0, 0.0, -2.5), Vec3::ZERO, Vec3::NEG_Y, lens)];
+    let lenses: Vec<_> = (1..).zip(&lenses).map(|(id, camera)| ColmapCamera::pinhole(id, camera)).collect();
+    let posed = |id: u32| {
+        let lens = if id == 4 || id == 7 { 2 } else { 1 };
+        ColmapImage::posed(id, lens, format!("{id:02}.png"), &view(id - 1))
+    };
+    let images: Vec<_> = (1..=VIEWS).map(posed).collect();
+    colmap::write(place.data().join("sparse/0"), &lenses, &images, &wall_points()).expect("a model");
+    let (data, out) = (place.data(), place.out());
+    let arguments = ["train", "-s", text(&data), "-m", text(&out), "--quiet", "-r"];
+    let words = ["'04.png' of 60000x50000 pixels and 1 other (", "-r ", "48000000000 bytes"];
+    refuse(&[&arguments[..], &["1"]].concat(), &words);
+    // Small enough for memory: now they are read.
+    refuse(&[&arguments[..], &["50"]].concat(), &["04.png", "48x32", "60000x50000"]);
+    assert!(!out.exists());
+}
+
 #[test]
 fn zero_points_are_refused_unless_random_ones_are_wanted() {
     let place = Place::new();

@@ -3,8 +3,10 @@
 use super::*;
 use crate::cli::succeed;
 use crate::common::engine::renderer;
+use ashsplat::scene::Intrinsics;
 use ashsplat::{RenderSettings, Shape};
 use ashsplat_files::Photo;
+use glam::Vec3;
 use tempfile::tempdir;
 
 /// The picture that the library renders.
@@ -38,6 +40,24 @@ fn viewer_shows_what_the_library_renders() {
     let (close, exact) = (jpeg.rgb(), expected(800, &camera, &plain));
     let error: f64 = close.iter().zip(&exact).map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
     assert!(error / (exact.len() as f64) < 3.0, "{error}");
+}
+
+/// After a line of many pixels, pictures of usual sizes are what they were.
+#[test]
+fn viewer_is_none_the_worse_for_odd_sizes() {
+    let folder = tempdir().expect("a temporary folder");
+    let server = Server::view(&write_ball(folder.path(), 300), &[]);
+    let mut page = server.page();
+    let of_size = |width, height| {
+        let lens = Intrinsics::from_fov_x(0.9, width, height);
+        Camera::look_at(Vec3::NEG_Z * 4.0, Vec3::ZERO, Vec3::NEG_Y, lens)
+    };
+    for (width, height) in [(65_535, 1), (320, 180), (1, 65_535), (320, 180)] {
+        let camera = of_size(width, height);
+        let shown = page.look(&camera, &json!({ "quality": 0 }));
+        assert_eq!((&shown.header["width"], &shown.header["height"]), (&json!(width), &json!(height)));
+        assert!(shown.rgb() == expected(300, &camera, &RenderSettings::default()), "{width}x{height}");
+    }
 }
 
 #[test]

@@ -27,7 +27,7 @@ use clap::Args;
 use live::{Live, LiveArguments};
 use lock::FolderLock;
 use log::TrainLog;
-use prepared::{Prepared, photo_memory};
+use prepared::{Prepared, check_fits, photo_memory};
 use report::KernelTimes;
 use saving::Unsaved;
 use std::path::{Path, PathBuf};
@@ -98,6 +98,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     options.host_memory = arguments.device.host.memory();
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let gallery = session::open(&settings.data, &options, &stop)?;
+    check_fits(&context, &gallery, &settings.train, start.as_ref().map(Start::checkpoint))?;
     let dataset = session::load(&gallery, arguments.quiet, &stop)?;
     let gallery = arguments.live.wants_photos().then_some(gallery);
     let may_be_random = arguments.random_points || dataset.may_lack_points() || start.is_some();

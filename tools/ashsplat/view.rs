@@ -9,6 +9,7 @@ mod photos;
 pub mod protocol;
 pub mod server;
 pub mod sibr;
+mod sizes;
 pub mod studio;
 mod subject;
 

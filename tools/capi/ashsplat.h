@@ -372,9 +372,10 @@ typedef struct AshsplatReservation {
   // (tile, Gaussian) instances of a frame; 0 for an estimate. AshsplatReport has the number that a frame
   // needs.
   uint32_t instances;
-  // Width of the largest picture, pixels.
+  // Width of the largest picture, pixels. Pictures of any shape fit that need no more pixels and no more tiles
+  // of 16x16 pixels, for example the same size turned by 90 degrees.
   uint32_t width;
-  // Height of the largest picture, pixels.
+  // Height of the largest picture, pixels: see `width`.
   uint32_t height;
   // Passes of blending, 0 for one. More are only needed if a driver's limit on loops cuts off very long
   // tiles. AshsplatReport has the number that a frame needs.
@@ -540,6 +541,13 @@ enum AshsplatStatus ashsplat_render(struct AshsplatRenderer *renderer,
                                     const struct AshsplatRenderSettings *settings,
                                     const float *background,
                                     float *rgb);
+
+// Frees the memory of pictures, which otherwise stays as large as the largest one needed. The next picture
+// takes what it needs. Reserved slots and scenes stay.
+//
+// # Safety
+// `renderer` is alive.
+enum AshsplatStatus ashsplat_shrink(struct AshsplatRenderer *renderer);
 
 // Writes a picture as PNG: 8 bits per channel, from `rgb` between 0 and 1.
 //

@@ -41,6 +41,8 @@ int main(int count, char **arguments) {
         return 2;
     }
     check(ashsplat_render(renderer, scene, &camera, NULL, background, rgb), "rendering");
+    /* No other picture of this size follows. */
+    check(ashsplat_shrink(renderer), "giving memory back");
     check(ashsplat_write_png(arguments[2], WIDTH, HEIGHT, rgb), "writing the picture");
     printf("ashsplat %s: %u Gaussians of degree %u -> %s\n", ashsplat_version(), gaussians, sh_degree, arguments[2]);
 

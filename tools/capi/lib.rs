@@ -323,6 +323,20 @@ pub unsafe extern "C" fn ashsplat_render(
     })
 }
 
+/// Frees the memory of pictures, which otherwise stays as large as the largest one needed. The next picture
+/// takes what it needs. Reserved slots and scenes stay.
+///
+/// # Safety
+/// `renderer` is alive.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_shrink(renderer: *mut AshsplatRenderer) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        borrowed_mut(renderer, "renderer")?.0.shrink();
+        Ok(())
+    })
+}
+
 /// Writes a picture as PNG: 8 bits per channel, from `rgb` between 0 and 1.
 ///
 /// # Safety

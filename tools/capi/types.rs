@@ -177,9 +177,10 @@ pub struct AshsplatReservation {
     /// (tile, Gaussian) instances of a frame; 0 for an estimate. AshsplatReport has the number that a frame
     /// needs.
     pub instances: u32,
-    /// Width of the largest picture, pixels.
+    /// Width of the largest picture, pixels. Pictures of any shape fit that need no more pixels and no more tiles
+    /// of 16x16 pixels, for example the same size turned by 90 degrees.
     pub width: u32,
-    /// Height of the largest picture, pixels.
+    /// Height of the largest picture, pixels: see `width`.
     pub height: u32,
     /// Passes of blending, 0 for one. More are only needed if a driver's limit on loops cuts off very long
     /// tiles. AshsplatReport has the number that a frame needs.

@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use super::plan::{Plan, PlannedView};
-use super::{Dataset, DatasetOptions, Unpacked, View};
+use super::{Dataset, DatasetOptions, Unpacked, View, needed_beyond_memory};
 use crate::cameras_json::NamedCamera;
 use crate::progress::Progress;
 use ashsplat::Result;
 use ashsplat::scene::PointCloud;
+use ashsplat::trainer::PhotoSize;
 
 /// The views of a data set. Their photos are read on request.
 pub struct Gallery {
@@ -54,6 +55,26 @@ impl Gallery {
     pub fn cameras(&self) -> Vec<NamedCamera> {
         let named = |view: &PlannedView| NamedCamera { name: view.name.clone(), camera: view.camera() };
         self.views.iter().map(named).collect()
+    }
+
+    /// The photos to train on, with the sizes that they will have when they are read. Whether transparency hides
+    /// pixels is not known before that.
+    ///
+    /// # Errors
+    /// As [`Gallery::open`], for a photo that has neither its camera's size nor the fraction of it that the folder's
+    /// name says.
+    pub fn train_photos(&self) -> Result<Vec<PhotoSize>> {
+        let train = self.views.iter().zip(&self.held_out).filter(|(_, held_out)| !*held_out);
+        let size = |(view, _): (&PlannedView, _)| {
+            let (width, height) = view.size(&self.options).map_err(|error| self.unpacked.name(error))?;
+            Ok(PhotoSize { name: view.name.clone(), width, height, masked: false })
+        };
+        train.map(size).collect()
+    }
+
+    /// The bound of the photos' memory, if they exceed it and will be kept in a file.
+    pub fn file_memory(&self) -> Option<u64> {
+        needed_beyond_memory(&self.views, &self.options).map(|(_, memory)| memory.bytes)
     }
 
     /// Whether each view, by name, is held out; none is without [`DatasetOptions::eval`].

@@ -384,6 +384,12 @@ impl PlannedView {
         Ok((lens, lens.inscribed_pinhole().unwrap_or(lens.intrinsics())))
     }
 
+    /// The size at which the photo is used, before it is read.
+    pub(super) fn size(&self, options: &DatasetOptions) -> Result<(u32, u32)> {
+        let (_, pinhole) = self.optics_of_file(options.divisor())?;
+        Ok(options.resolution.apply(pinhole.width, pinhole.height))
+    }
+
     /// Estimated bytes of the photo with its mask, before it is read. On a device it takes about the same.
     pub(super) fn texel_bytes(&self, options: &DatasetOptions) -> u64 {
         let divided = |side: u32| (side / options.divisor()).max(1);

@@ -5,7 +5,7 @@
 //! such as the blending, moves more than this through its caches; one at 100 % of the device's copy bandwidth cannot
 //! become faster but by moving less.
 
-use ashsplat::plan::{FrameCapacity, LaunchSizes, frame_requests, parameter_planes};
+use ashsplat::plan::{FrameCapacity, LaunchSizes, PictureCapacity, frame_requests, parameter_planes};
 use ashsplat::vk::{Access, BoundBuffer, CommandRecord, Limits, SMALLEST_BUFFER};
 use std::collections::HashMap;
 
@@ -64,8 +64,7 @@ impl Traffic {
                 gaussians,
                 instances,
                 scenes: 1,
-                width: counts.width,
-                height: counts.height,
+                pictures: PictureCapacity::of(counts.width, counts.height),
                 blend_passes: 1,
                 backward: true,
             };

@@ -31,6 +31,11 @@ impl Start {
         Ok(Start { path, checkpoint })
     }
 
+    /// What was read.
+    pub fn checkpoint(&self) -> &Checkpoint {
+        &self.checkpoint
+    }
+
     /// Its iteration.
     pub fn iteration(&self) -> u32 {
         self.checkpoint.iteration

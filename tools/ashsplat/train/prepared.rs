@@ -1,10 +1,13 @@
 //! A data set as a run uses it.
 
+use ashsplat::Result;
+use ashsplat::plan::to_u32;
 use ashsplat::scene::Camera;
-use ashsplat::trainer::TrainView;
+use ashsplat::trainer::{Checkpoint, Forecast, TrainSettings, TrainView};
 use ashsplat::vk::Context;
 use ashsplat_files::images::existing_folder;
-use ashsplat_files::{Dataset, PhotoMemory, View};
+use ashsplat_files::init::RANDOM_POINTS;
+use ashsplat_files::{Dataset, Gallery, PhotoMemory, View};
 use std::path::Path;
 
 /// Views of the training set that stand in for a test set where none is held out.
@@ -36,6 +39,28 @@ impl Prepared {
 fn sample(train: &[View]) -> Vec<View> {
     let step = train.len().div_ceil(STAND_IN_VIEWS).max(1);
     train.iter().step_by(step).cloned().collect()
+}
+
+/// Refuses what cannot be trained here, from the sizes of the photos: before they are read.
+pub fn check_fits(
+    context: &Context,
+    gallery: &Gallery,
+    settings: &TrainSettings,
+    start: Option<&Checkpoint>,
+) -> Result<()> {
+    let points = match gallery.points().len() {
+        0 => RANDOM_POINTS,
+        points => points,
+    };
+    let gaussians = start.map_or(points, |checkpoint| checkpoint.gaussians.len());
+    Forecast {
+        settings,
+        photos: &gallery.train_photos()?,
+        photo_memory: gallery.file_memory(),
+        gaussians: to_u32(gaussians as u64)?,
+        room: start.map(|checkpoint| &checkpoint.room),
+    }
+    .check(context)
 }
 
 /// What photos may take of the memory: what was asked for, or half of what there is, where that is known.

@@ -21,13 +21,15 @@ pub trait Painter {
     ) -> Result<(Frame, TileReport)>;
     fn inspect(&mut self, camera: &Camera, settings: &RenderSettings, pixel: [u32; 2])
     -> Result<PixelReport>;
+    /// Frees the memory of pictures. The next one takes what it needs.
+    fn shrink(&mut self);
     /// Iterations of training so far.
     fn iteration(&self) -> Option<u32>;
 }
 
 /// A painter whose methods of the same names draw.
 macro_rules! painter {
-    ($kind:ident, $iteration:expr) => {
+    ($kind:ident, $shrink:expr, $iteration:expr) => {
         impl Painter for $kind {
             fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
                 $kind::render(self, camera, settings)
@@ -47,6 +49,9 @@ macro_rules! painter {
             ) -> Result<PixelReport> {
                 $kind::inspect(self, camera, settings, pixel)
             }
+            fn shrink(&mut self) {
+                $shrink(self);
+            }
             fn iteration(&self) -> Option<u32> {
                 $iteration(self)
             }
@@ -54,8 +59,8 @@ macro_rules! painter {
     };
 }
 
-painter!(Renderer, |_: &Renderer| None);
-painter!(Trainer, |trainer: &Trainer| Some(trainer.iteration()));
+painter!(Renderer, Renderer::shrink, |_: &Renderer| None);
+painter!(Trainer, Trainer::shrink_pictures, |trainer: &Trainer| Some(trainer.iteration()));
 
 /// A picture, and what there is to say about it.
 pub struct Drawn {

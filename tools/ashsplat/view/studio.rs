@@ -4,6 +4,7 @@ use super::draw::{self, Painter};
 use super::film::{Film, assembly};
 use super::hub::{Hub, RemoteRequest, Task};
 use super::protocol::{self, ToPage};
+use super::sizes::{Sizes, Sparing};
 use crate::output;
 use ashsplat::{Error, RenderSettings, Result};
 use serde_json::{Value, json};
@@ -24,6 +25,7 @@ pub struct Studio {
     /// Where films are put.
     films: PathBuf,
     film: Option<Film>,
+    sizes: Sizes,
     /// Films whose frames are there, each on a thread of its own: neither frames nor training wait for them.
     assembling: Vec<JoinHandle<()>>,
     /// Whether no page needs these any more.
@@ -32,7 +34,15 @@ pub struct Studio {
 
 impl Studio {
     pub fn new(hub: Arc<Hub>, base: RenderSettings, films: PathBuf) -> Studio {
-        Studio { hub, base, films, film: None, assembling: Vec::new(), abandoned: Arc::default() }
+        Studio {
+            hub,
+            base,
+            films,
+            film: None,
+            sizes: Sizes::default(),
+            assembling: Vec::new(),
+            abandoned: Arc::default(),
+        }
     }
 
     /// Whether a film is being made or waits for its turn.
@@ -51,6 +61,13 @@ impl Studio {
     /// When the device is lost. Other errors are reported to the page that made the request.
     pub fn serve(&mut self, painter: &mut dyn Painter, longest: Duration) -> Result<bool> {
         let Some(task) = self.hub.next(longest) else { return Ok(false) };
+        let mut painter = Sparing { painter, sizes: self.sizes };
+        let done = self.serve_task(&mut painter, task);
+        self.sizes = painter.sizes;
+        done
+    }
+
+    fn serve_task(&mut self, painter: &mut dyn Painter, task: Task) -> Result<bool> {
         match task {
             Task::Frame { client, request } => {
                 let answer = draw::answer(painter, &self.base, &request);

@@ -1,0 +1,113 @@
+//! Whether a training fits the device and the memory, before its photographs are read.
+
+use super::budget::Before;
+use super::checkpoint::Room;
+use super::model::RowMemory;
+use super::photos::{self, PhotoSize};
+use super::settings::TrainSettings;
+use super::step_recorder::StepRecorder;
+use super::strategy::Strategy;
+use super::{TrainParts, TrainView};
+use crate::error::Result;
+use crate::loss::{LossTerm, Photometric};
+use crate::vk::Context;
+
+/// What is known of a training before its photographs are read.
+#[derive(Clone, Copy, Debug)]
+pub struct Forecast<'a> {
+    /// Its settings.
+    pub settings: &'a TrainSettings,
+    /// The photographs to train on.
+    pub photos: &'a [PhotoSize],
+    /// If the photographs will be in a file: the bound of the memory that they take, bytes
+    /// ([`PhotoFile::memory_bytes`](crate::scene::PhotoFile::memory_bytes)).
+    pub photo_memory: Option<u64>,
+    /// Initial number of Gaussians; that of the checkpoint if the training goes on from one.
+    pub gaussians: u32,
+    /// The checkpoint's capacities.
+    pub room: Option<&'a Room>,
+}
+
+impl Forecast<'_> {
+    /// Refuses what [`Trainer::new`](super::Trainer::new) or [`Trainer::resume`](super::Trainer::resume) would refuse
+    /// for want of memory or because of a limit of the device.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`](crate::Error::TooLarge) with the photograph and the needed bytes, of the device
+    /// ([`Error::Vulkan`](crate::Error::Vulkan)).
+    pub fn check(&self, context: &Context) -> Result<()> {
+        let Self { settings, photos, photo_memory, gaussians, room } = *self;
+        settings.check()?;
+        if photos.is_empty() {
+            return Ok(());
+        }
+        let parts = TrainParts::of_settings(context, settings)?;
+        let kit = Kit::new(context, settings, parts, photos)?;
+        kit.capacity(context, settings, (photos, photo_memory), gaussians, room).map(drop)
+    }
+}
+
+/// The kernels of a run, and what it keeps per Gaussian.
+pub(super) struct Kit {
+    pub strategy: Box<dyn Strategy>,
+    pub recorder: StepRecorder,
+    pub rows: RowMemory,
+}
+
+impl Kit {
+    pub fn new(
+        context: &Context,
+        settings: &TrainSettings,
+        parts: TrainParts,
+        photos: &[PhotoSize],
+    ) -> Result<Self> {
+        let TrainParts { mut strategy, terms } = parts;
+        let any_masked = photos.iter().any(|photo| photo.masked);
+        let mut all: Vec<Box<dyn LossTerm>> =
+            vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
+        all.extend(terms);
+        all.extend(strategy.loss_terms(context, settings)?);
+        let recorder = StepRecorder::new(context, all, settings.optimizer_type)?;
+        let rows = RowMemory::new(strategy.statistics(), recorder.targets().parameters);
+        Ok(Self { strategy, recorder, rows })
+    }
+
+    /// The initial capacity in Gaussians, and the given capacities of an earlier run if they fit.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`](crate::Error::TooLarge): before anything is allocated.
+    pub fn capacity<'a>(
+        &self,
+        context: &Context,
+        settings: &TrainSettings,
+        (photos, photo_memory): (&[PhotoSize], Option<u64>),
+        count: u32,
+        room: Option<&'a Room>,
+    ) -> Result<(u32, Option<&'a Room>)> {
+        let before = Before {
+            photos,
+            photo_bytes: photos::device_bytes(context, photos, photo_memory)?,
+            rows: &self.rows,
+            loss: &|sizes| self.recorder.device_requests(sizes),
+            losses: self.recorder.readback_request(),
+            count,
+            sh_degree: settings.sh_degree,
+        };
+        before.check_photos(context)?;
+        match room.filter(|room| before.has_room(context, room)) {
+            Some(room) => Ok((room.gaussians, Some(room))),
+            None => Ok((before.initial_capacity(context)?, None)),
+        }
+    }
+}
+
+/// The views' photographs, by the views' indices.
+pub(super) fn sizes_of(views: &[TrainView]) -> Vec<PhotoSize> {
+    let size = |(index, TrainView { photo, .. }): (usize, &TrainView)| PhotoSize {
+        name: format!("view {index}"),
+        width: photo.width,
+        height: photo.height,
+        masked: photo.is_masked(),
+    };
+    views.iter().enumerate().map(size).collect()
+}
