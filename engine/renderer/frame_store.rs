@@ -4,7 +4,8 @@ use super::BlendSamples;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::plan::{
-    FrameBuffers, FrameCapacity, LaunchSizes, check_grids, frame_bytes, frame_requests, initial_instances,
+    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LaunchSizes, check_grids, frame_bytes, frame_requests,
+    initial_instances,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
@@ -80,7 +81,8 @@ impl FrameStore {
         Ok(Self { context: context.clone(), sizes, readback, capacity: NOTHING, frame: None })
     }
 
-    /// Buffers for a scene and a camera. Reallocates them if the current ones are too small.
+    /// Buffers for a scene and a camera. Reallocates them if the current ones are too small. The first ones
+    /// have an estimated number of instances, or a part of it if the memory holds no more.
     ///
     /// # Errors
     /// When the memory or a limit of the device does not suffice: before any work.
@@ -104,7 +106,7 @@ impl FrameStore {
             0 => initial_instances(self.context.limits(), gaussians, camera.width, camera.height),
             instances => instances,
         };
-        let capacity = FrameCapacity {
+        let mut capacity = FrameCapacity {
             gaussians: gaussians.max(old.gaussians),
             instances: guess,
             scenes: old.scenes,
@@ -113,8 +115,18 @@ impl FrameStore {
             blend_passes: old.blend_passes,
             backward: backward || old.backward,
         };
-        let frame = self.allocate(capacity).map_err(|error| name_image(error, camera))?;
-        Ok((frame, capacity))
+        loop {
+            match self.allocate(capacity) {
+                Ok(frame) => return Ok((frame, capacity)),
+                // The estimate may be what does not fit, and the frame may need less. If not, it says so.
+                Err(Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. })
+                    if old.instances == 0 && capacity.instances > LEAST_INSTANCES =>
+                {
+                    capacity.instances = (capacity.instances / 4).max(LEAST_INSTANCES);
+                }
+                Err(error) => return Err(name_image(error, camera)),
+            }
+        }
     }
 
     /// The capacities of the frame's buffers.

@@ -136,6 +136,11 @@ impl FrameRunner {
         self.store.release();
     }
 
+    /// Frees the buffers and resets the capacity.
+    pub fn forget(&mut self) {
+        self.store.forget();
+    }
+
     /// Allocates buffers with backward for these cameras, and builds the kernels up to an SH degree, with or
     /// without inverse depth, for [`FrameRunner::record`].
     pub fn reserve(
