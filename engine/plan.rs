@@ -180,8 +180,11 @@ const INSTANCE_BYTES: u64 = 16;
 /// overflows and is run again.
 pub fn initial_instances(limits: &Limits, gaussians: u32, pictures: &PictureCapacity) -> u32 {
     let guess = u64::from(gaussians) * 6 + pictures.tiles * 16;
-    guess.max(1 << 12).min(max_trained_instances(limits).into()) as u32
+    guess.max(LEAST_INSTANCES.into()).min(max_trained_instances(limits).into()) as u32
 }
+
+/// No estimate of a frame's instances is smaller.
+pub const LEAST_INSTANCES: u32 = 1 << 12;
 
 /// Most instances that a training step's frame can have on a device, by the limits of a binding and a grid.
 pub fn max_trained_instances(limits: &Limits) -> u32 {

@@ -3,6 +3,7 @@
 
 mod check;
 mod device_scene;
+mod first_frame;
 mod frame_store;
 mod gradients;
 mod inspect;

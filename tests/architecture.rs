@@ -1,6 +1,7 @@
 //! The rules of the house that a machine can check. Each rule also has an example that it must reject.
 
 mod circles;
+mod dependencies;
 mod shaders;
 
 use std::collections::HashMap;

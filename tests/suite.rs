@@ -12,6 +12,7 @@ mod comparators;
 mod determinism;
 mod extremes;
 mod faults;
+mod first_frames;
 mod gradients;
 mod hard_cases;
 mod host;

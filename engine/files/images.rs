@@ -39,6 +39,12 @@ pub trait PhotoFileFormat: Sized {
     /// memory for it.
     fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self>;
 
+    /// Like [`PhotoFileFormat::read`], with a bound of the memory that decoding may take.
+    ///
+    /// # Errors
+    /// As [`PhotoFileFormat::read`].
+    fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self>;
+
     /// Like [`PhotoFileFormat::read`], and refuses a picture of another size before decoding it.
     ///
     /// # Errors
@@ -62,7 +68,11 @@ pub trait PhotoFileFormat: Sized {
 
 impl PhotoFileFormat for Photo {
     fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self> {
-        Ok(decode::read(path.as_ref(), background, false, None, &HostMemory::default())?.0)
+        Self::read_within(path, background, &HostMemory::default())
+    }
+
+    fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self> {
+        Ok(decode::read(path.as_ref(), background, false, None, memory)?.0)
     }
 
     fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self> {

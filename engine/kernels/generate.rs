@@ -177,7 +177,7 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     );
     let _ = writeln!(
         out,
-        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, BindingKind, Buffer, ConstantInfo, ConstantKind, Form, Image, ImageInfo, ImageUse, KernelInterface, Limits, TexelFormat}};"
+        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, BindingKind, Buffer, ConstantInfo, ConstantKind, Form, Generated, Image, ImageInfo, ImageUse, KernelInterface, Limits, TexelFormat}};"
     );
     out.push_str(&bind(kernel)?);
     out.push_str(&push(kernel)?);
@@ -344,6 +344,7 @@ fn interface(kernel: &Kernel) -> String {
     let [x, y, z] = &shader.workgroup_size;
     format!(
         "/// What the kernel is, for [`crate::vk::Kernel`].\npub struct Interface;\n\
+         impl Generated for Interface {{}}\n\
          impl KernelInterface for Interface {{\n\
          const NAME: &'static str = {name:?};\n\
          const SPIRV: &'static [u32] = &{spirv};\n\

@@ -4,8 +4,8 @@ use super::BlendSamples;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::plan::{
-    FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, check_grids, frame_bytes, frame_requests,
-    initial_instances,
+    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LaunchSizes, PictureCapacity, check_grids, frame_bytes,
+    frame_requests, initial_instances,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
@@ -98,7 +98,8 @@ impl FrameStore {
     }
 
     /// Buffers for a scene and a camera. Reallocates them if the current ones are too small. If they then do not
-    /// fit the memory because of what earlier frames needed, that is given up.
+    /// fit the memory because of what earlier frames needed, that is given up. The first ones have an estimated
+    /// number of instances, or a part of it if the memory holds no more.
     ///
     /// # Errors
     /// When the memory or a limit of the device does not suffice: before any work.
@@ -118,19 +119,27 @@ impl FrameStore {
         if let (Some(frame), true) = (&self.frame, fits) {
             return Ok((frame.clone(), old));
         }
-        let capacity = FrameCapacity {
+        let mut capacity = FrameCapacity {
             gaussians: gaussians.max(old.gaussians),
             instances: if old.instances > 0 { old.instances } else { instances },
             pictures: pictures.and(old.pictures),
             backward: backward || old.backward,
             ..old
         };
-        let frame = match self.allocate(capacity) {
-            Err(error) if is_memory(&error) && capacity != self.asked => self.allocate(self.asked),
-            allocated => allocated,
-        };
-        let frame = frame.map_err(|error| name_image(error, camera, wanted == own))?;
-        Ok((frame, self.capacity))
+        let (mut estimated, mut own_alone) = (old.instances == 0, capacity == self.asked);
+        loop {
+            match self.allocate(capacity) {
+                Ok(frame) => return Ok((frame, self.capacity)),
+                Err(error) if is_memory(&error) && !own_alone => {
+                    (capacity, estimated, own_alone) = (self.asked, true, true);
+                }
+                // The estimate may be what does not fit, and the frame may need less. If not, it says so.
+                Err(error) if is_memory(&error) && estimated && capacity.instances > LEAST_INSTANCES => {
+                    capacity.instances = (capacity.instances / 4).max(LEAST_INSTANCES);
+                }
+                Err(error) => return Err(name_image(error, camera, wanted == own)),
+            }
+        }
     }
 
     /// The capacities of the frame's buffers.

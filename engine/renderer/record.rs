@@ -9,7 +9,7 @@ use crate::compose::{Background, Compose, Region};
 use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, PlacedScene, RenderSettings};
 use crate::scene::{Camera, DepthMapping, Pose};
-use crate::vk::{Buffer, ForeignCommands, Image, ImageState, Recorder};
+use crate::vk::{Buffer, ForeignCommands, Image, ImageState, Recorder, SlotRecording};
 use ash::vk;
 
 /// A scene and its pose.
@@ -270,17 +270,17 @@ impl Renderer {
     }
 
     /// The slot's recording state, for a host that has discarded its command buffer or caught a panic: see
-    /// [`RecordSlot::discard`](crate::vk::RecordSlot::discard).
+    /// [`SlotRecording::discard`].
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
-    pub fn slot_recording(&mut self, slot: u32) -> Result<&mut crate::vk::RecordSlot> {
-        Ok(&mut self.slots.get(slot)?.record)
+    pub fn slot_recording(&mut self, slot: u32) -> Result<SlotRecording<'_>> {
+        Ok(SlotRecording::new(&mut self.slots.get(slot)?.record))
     }
 }
 
 /// The first scene, and the others after it in the frame's index space.
-fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32) -> [Vec<PlacedScene<'a>>; 2] {
+pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32) -> [Vec<PlacedScene<'a>>; 2] {
     let mut first = 0;
     let mut all = frame.scenes.iter().map(|placed| {
         let scene = &placed.scene.buffers;

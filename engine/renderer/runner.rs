@@ -136,6 +136,11 @@ impl FrameRunner {
         self.store.release();
     }
 
+    /// Frees the buffers and resets the capacity.
+    pub fn forget(&mut self) {
+        self.store.forget();
+    }
+
     /// See [`FrameStore::expect_pictures`].
     pub fn expect_pictures(&mut self, pictures: PictureCapacity) {
         self.store.expect_pictures(pictures);

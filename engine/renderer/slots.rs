@@ -252,7 +252,7 @@ impl Slot {
 
     /// Records the copy of the frame's counts to host-readable memory, and ends the recording.
     pub fn end(&mut self, mut recorder: Recorder) -> Result<()> {
-        recorder.copy(&self.frame.state, &self.readback);
+        self.record_counts(&mut recorder);
         self.record.end(recorder)
     }
 
@@ -264,10 +264,21 @@ impl Slot {
         if self.report.is_some() || !self.record.has_times()? {
             return Ok(self.report.clone());
         }
+        self.report = Some(SlotReport { scopes: self.record.times()?, ..self.counts(sizes)? });
+        Ok(self.report.clone())
+    }
+
+    /// Records the copy of the frame's counts to host-readable memory.
+    pub fn record_counts(&self, recorder: &mut Recorder) {
+        recorder.copy(&self.frame.state, &self.readback);
+    }
+
+    /// The counts of a frame that has finished.
+    pub fn counts(&self, sizes: &LaunchSizes) -> Result<SlotReport> {
         let mut bytes = [0u8; c::STATE_WORDS as usize * 4];
         self.readback.read(0, &mut bytes)?;
         let state = State::of(&bytes);
-        self.report = Some(SlotReport {
+        Ok(SlotReport {
             gaussians: self.gaussians,
             visible: state.visible,
             instances_needed: state.instances,
@@ -275,8 +286,7 @@ impl Slot {
             longest_tile: state.longest_tile,
             blend_passes_needed: state.longest_tile.div_ceil(sizes.entries_per_pass).max(1),
             overflow: state.overflow,
-            scopes: self.record.times()?,
-        });
-        Ok(self.report.clone())
+            scopes: Vec::new(),
+        })
     }
 }

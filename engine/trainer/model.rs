@@ -105,6 +105,21 @@ impl Model {
         })?;
         Ok(Self { scene, moments, spare, statistics, parameter_gradients })
     }
+
+    /// Lets go of all memory. The model is to be replaced.
+    pub fn release(&mut self) {
+        let Moments { first, second } = &mut self.moments;
+        for buffers in [
+            &mut self.scene.chunks,
+            first,
+            second,
+            &mut self.spare,
+            &mut self.statistics,
+            &mut self.parameter_gradients,
+        ] {
+            buffers.clear();
+        }
+    }
 }
 
 /// The state of a run between two steps.
@@ -142,7 +157,7 @@ impl State {
 
     /// A submission whose wait failed may or may not have been executed.
     pub fn note_failure<T>(&mut self, result: &Result<T>) {
-        self.broken = match result {
+        self.broken |= match result {
             Err(Error::DeviceLost { .. } | Error::Timeout { .. }) => true,
             Err(Error::Vulkan { call, .. }) => *call == "vkWaitForFences",
             _ => false,

@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::plan::LaunchSizes;
 use crate::renderer::{DeviceScene, Release, State};
-use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder};
+use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder, SlotRecording};
 use ash::vk;
 use std::collections::VecDeque;
 
@@ -381,14 +381,14 @@ impl Trainer {
         DeviceScene::of(&self.context, self.state.model.scene.clone())
     }
 
-    /// A slot's recording state, for a host that has discarded its command buffer ([`RecordSlot::discard`]).
+    /// A slot's recording state, for a host that has discarded its command buffer ([`SlotRecording::discard`]).
     /// The host must then discard those of all steps recorded after it as well.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
-    pub fn step_recording(&mut self, slot: u32) -> Result<&mut RecordSlot> {
+    pub fn step_recording(&mut self, slot: u32) -> Result<SlotRecording<'_>> {
         let index = self.slot_index(slot)?;
-        Ok(&mut self.recording.slots[index].record)
+        Ok(SlotRecording::new(&mut self.recording.slots[index].record))
     }
 
     /// Fails while recorded steps are in flight, or have finished without a call of [`Trainer::settle`].

@@ -1,11 +1,14 @@
 //! One iteration.
 
 use super::iteration::{IterationPlan, Progress};
+use super::model::Model;
 use super::population::Population;
 use super::step_recorder::StepParts;
 use super::work::{Changes, Work};
 use super::{StepReport, Trainer};
 use crate::error::{Error, Result};
+use crate::plan::ScenePlan;
+use crate::planes;
 use crate::renderer::{Failed, Ran, State};
 
 impl Trainer {
@@ -59,7 +62,11 @@ impl Trainer {
         let progress = self.state.progress;
         let plan = self.plan_after(&progress);
         self.photos.prepare(&self.context, plan.iteration)?;
-        let ran = match self.run_step(&plan) {
+        let mut ran = self.run_step(&plan);
+        if matches!(ran, Err(Failed::TooLittleRoom(_))) && self.give_up_reserve()? {
+            ran = self.run_step(&plan);
+        }
+        let ran = match ran {
             Err(Failed::TooLittleRoom(why)) => {
                 let (state, error) = *why;
                 self.skip(&plan, &state, error)?;
@@ -81,6 +88,27 @@ impl Trainer {
             scopes: ran.report.scopes,
             ..StepReport::new(&plan, self.state.model.scene.count, &losses, &ran.state)
         })
+    }
+
+    /// Frees the reserve of Gaussians of a run that has not begun: memory was planned with an estimate of the
+    /// first frame's instances, and it may need more of them. Returns whether there was a reserve.
+    fn give_up_reserve(&mut self) -> Result<bool> {
+        let scene = &self.state.model.scene;
+        let count = scene.count;
+        let plan = ScenePlan::new(self.context.limits(), count, scene.plan.sh_degree)?;
+        let smaller = (plan.chunks, plan.chunk_gaussians) != (scene.plan.chunks, scene.plan.chunk_gaussians);
+        if self.state.progress.iteration > 0 || !smaller {
+            return Ok(false);
+        }
+        let gaussians = planes::download(&self.context, scene)?;
+        // Until the Gaussians are there again.
+        self.state.broken = true;
+        self.state.model.release();
+        self.runner.forget();
+        let scene = planes::upload(&self.context, "scene", &gaussians, count, plan.sh_degree)?;
+        self.state.model = Model::new(&self.context, scene, &self.rows)?;
+        self.state.broken = false;
+        Ok(true)
     }
 
     /// The plan of the next iteration.

@@ -31,6 +31,9 @@ pub(super) fn create_device(
     if optional.memory_budget {
         extensions.push(ash::ext::memory_budget::NAME.as_ptr());
     }
+    if optional.robust_buffers2 {
+        extensions.push(ash::ext::robustness2::NAME.as_ptr());
+    }
     extensions.extend(optional.calibrated_timestamps.map(|kind| kind.extension().as_ptr()));
     let priorities = [1.0];
     let queues = [vk::DeviceQueueCreateInfo::default()
@@ -38,16 +41,22 @@ pub(super) fn create_device(
         .queue_priorities(&priorities)];
     // Without them the layer refuses to print.
     let printing = printf && optional.graphics_stores;
+    // Every device has it: what a kernel is told by its push constants is not checked here.
     let core = vk::PhysicalDeviceFeatures::default()
+        .robust_buffer_access(true)
         .shader_int64(optional.int64)
         .fragment_stores_and_atomics(printing)
         .vertex_pipeline_stores_and_atomics(printing);
-    let info = vk::DeviceCreateInfo::default()
+    let mut robustness2 = vk::PhysicalDeviceRobustness2FeaturesEXT::default().robust_buffer_access2(true);
+    let mut info = vk::DeviceCreateInfo::default()
         .enabled_features(&core)
         .queue_create_infos(&queues)
         .enabled_extension_names(&extensions)
         .push_next(&mut v12)
         .push_next(&mut v13);
+    if optional.robust_buffers2 {
+        info = info.push_next(&mut robustness2);
+    }
     // SAFETY: all features and extensions were found present; each struct is chained once and outlives the call.
     unsafe { instance.create_device(candidate.physical, &info, None) }.map_err(vk_error("vkCreateDevice"))
 }

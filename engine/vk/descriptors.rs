@@ -152,6 +152,11 @@ impl OwnedSets {
         }
     }
 
+    /// Whether a recording that was leaked has taken them along.
+    pub(super) fn are_lost(&self, inner: &Device) -> bool {
+        self.0.is_none() && inner.shared_layouts.is_some()
+    }
+
     /// The sets themselves.
     pub(super) fn sets(&mut self) -> Option<&mut DescriptorSets> {
         self.0.as_mut().map(|(_, sets)| sets)

@@ -73,6 +73,8 @@ pub(super) struct OptionalFeatures {
     pub(super) portability_subset: bool,
     pub(super) calibrated_timestamps: Option<Calibrated>,
     pub(super) memory_budget: bool,
+    /// robustBufferAccess2 of VK_EXT_robustness2.
+    pub(super) robust_buffers2: bool,
     /// fragmentStoresAndAtomics and vertexPipelineStoresAndAtomics, which the layer's debugPrintf asks for.
     pub(super) graphics_stores: bool,
 }
@@ -196,7 +198,7 @@ fn examine(
     let (limits, missing_operations) =
         limits(instance, physical, timed.is_some(), &mut candidate.description);
     candidate.description.limits = Some(limits);
-    let (optional, missing) = features(instance, physical);
+    let (optional, missing) = features(instance, physical, has(ash::ext::robustness2::NAME));
     candidate.features = optional;
     candidate.features.push_descriptor = has(ash::khr::push_descriptor::NAME);
     candidate.features.portability_subset = has(c"VK_KHR_portability_subset");
@@ -205,10 +207,18 @@ fn examine(
     Ok(missing.or(missing_operations))
 }
 
-fn features(instance: &ash::Instance, physical: vk::PhysicalDevice) -> (OptionalFeatures, Option<String>) {
+fn features(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+    has_robustness2: bool,
+) -> (OptionalFeatures, Option<String>) {
+    let mut robustness2 = vk::PhysicalDeviceRobustness2FeaturesEXT::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
     let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
     let mut all = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
+    if has_robustness2 {
+        all = all.push_next(&mut robustness2);
+    }
     // SAFETY: the device implements Vulkan 1.3, each struct is chained once.
     unsafe { instance.get_physical_device_features2(physical, &mut all) };
     let f = all.features;
@@ -224,6 +234,7 @@ fn features(instance: &ash::Instance, physical: vk::PhysicalDevice) -> (Optional
         portability_subset: false,
         calibrated_timestamps: None,
         memory_budget: false,
+        robust_buffers2: robustness2.robust_buffer_access2 != 0,
         graphics_stores: f.fragment_stores_and_atomics != 0 && f.vertex_pipeline_stores_and_atomics != 0,
     };
     (optional, missing)

@@ -68,6 +68,9 @@ impl Context {
     ///   set;
     /// - `queue`, if given, is one of `device` and of that family, and is not used elsewhere during a call
     ///   that submits;
+    /// - `device` was created with robustBufferAccess, or the push constants of all [`Recorder::dispatch`]es and
+    ///   the counts given to stages ([`crate::scan`], [`crate::sort`], …) fit their buffers. Renderer and trainer
+    ///   see to that themselves;
     /// - the memory from `allocator` is memory of `device`;
     /// - `pipeline_cache`, if it is not null, is of `device`, was created without EXTERNALLY_SYNCHRONIZED, and
     ///   outlives the context.
@@ -190,6 +193,10 @@ impl ForeignCommands {
 ///
 /// The device signals an event at the end of the recording, so that the host can query whether it has
 /// finished.
+///
+/// A slot that is leaked ([`std::mem::forget`]) keeps its context and the resources of its last recording for
+/// ever. Nothing waits for it. A recorder that is leaked leaves its slot in flight until
+/// [`RecordSlot::discard`]; the next recording makes the objects anew that it has taken along.
 pub struct RecordSlot {
     inner: Arc<Device>,
     event: vk::Event,
@@ -202,6 +209,8 @@ pub struct RecordSlot {
     recorded: bool,
     /// Whether the last discarded recording had been executed after all.
     discarded_late: bool,
+    /// That it was made for.
+    dispatches: usize,
 }
 
 impl RecordSlot {
@@ -219,6 +228,7 @@ impl RecordSlot {
             profiler: None,
             recorded: false,
             discarded_late: false,
+            dispatches,
             inner,
         };
         slot.create()?;
@@ -318,6 +328,10 @@ impl RecordSlot {
         }
         self.check_free()?;
         let inner = &self.inner;
+        let mut descriptors = PoolGuard::take_from(&self.descriptors);
+        if descriptors.are_lost(inner) {
+            *descriptors = OwnedSets::new(inner, self.dispatches)?;
+        }
         // SAFETY: the event is not used by any submission: the last one has signalled it.
         let reset = unsafe { inner.device.reset_event(self.event) };
         reset.map_err(vk_error("vkResetEvent"))?;
@@ -330,7 +344,6 @@ impl RecordSlot {
             // SAFETY: recording state outside of a render pass, as the adopter has promised; the pool is idle.
             unsafe { inner.device.cmd_reset_query_pool(commands.raw, queries, 0, 2 * MAX_SCOPES) }
         }
-        let mut descriptors = PoolGuard::take_from(&self.descriptors);
         if let Some(sets) = descriptors.sets() {
             sets.reset();
         }

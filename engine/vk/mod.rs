@@ -23,7 +23,7 @@
 //! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
 //! | `bind`, `record_image`, `record_audit` | further parts of the recorder |
 //! | `submit`, `transfer` | [`Context::submit`], [`Pending`], [`RunReport`]; [`Context::upload`], [`Context::download`] |
-//! | `foreign` | [`Context::from_foreign`], [`RecordSlot`] |
+//! | `foreign`, `slot_recording` | [`Context::from_foreign`], [`RecordSlot`], [`SlotRecording`] |
 //! | `faults`, `failing_calls`, `guard_bands`, `guards`, `limits_override`, `record_testing` | with the feature `testing` |
 //!
 //! # Ownership
@@ -99,6 +99,7 @@ mod record_testing;
 mod recorder;
 mod requirements;
 mod resources;
+mod slot_recording;
 mod submit;
 mod texels;
 mod transfer;
@@ -118,6 +119,7 @@ pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
 pub use format::ImageUse;
 pub use image::{ForeignImage, Image, ImageState};
 pub use instance::validation_available;
+pub(crate) use kernel::sealed::Generated;
 pub use kernel::{ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelVisitor};
 pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 #[cfg(feature = "testing")]
@@ -128,6 +130,7 @@ pub use pipeline_cache::{PipelineCacheKey, PipelineCacheStore};
 pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, OptionalExtension, Requirements};
+pub use slot_recording::SlotRecording;
 pub use submit::{Pending, RunReport};
 pub use texels::TexelFormat;
 pub use workarounds::Workarounds;

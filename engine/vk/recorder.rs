@@ -23,6 +23,11 @@ pub const MAX_UPDATE_BYTES: usize = 65_536;
 
 /// A recording in progress. Commands run in the order of recording; those between two barriers may overlap.
 ///
+/// Push constants say how much a kernel reads and writes, and nobody compares that with the sizes of its
+/// buffers. A device of our own has robustBufferAccess, and robustBufferAccess2 where there is such a thing: what
+/// lies outside of a buffer is not written, and reads give zero (with robustBufferAccess alone, other values
+/// of the same allocation). A host's device: see [`super::Context::from_foreign`].
+///
 /// Nothing is executed before [`super::Context::submit`]. In debug builds, and with
 /// [`super::ContextOptions::hazard_check`], a missing barrier panics with the names of both commands.
 pub struct Recorder {

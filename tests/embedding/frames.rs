@@ -218,3 +218,37 @@ fn a_recording_that_is_thrown_away_frees_its_slot() {
         assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
     });
 }
+
+/// More instances than a reservation without a number expects: the first frame is whole all the same.
+#[test]
+fn the_first_frame_that_is_reserved_for_is_whole() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (mut gaussians, camera) = (cloud(600, 9), camera(0.2, 96, 96));
+        gaussians.log_scales.iter_mut().flatten().for_each(|s| *s += 3.0);
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
+        let frame = RecordedFrame::new(&scenes, &camera, &settings);
+        let wanted = Reservation { slots: 2, ..Reservation::new(600, 1, 96, 96) };
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        // Without it, the frame is cut off.
+        renderer.reserve(&wanted).expect("memory");
+        rendered(host, &mut renderer, &frame);
+        assert!(renderer.slot_report(0).expect("a report").expect("finished").overflow);
+        let reserved = renderer.reserve_for(&wanted, &frame).expect("memory");
+        assert_eq!((reserved.slots, reserved.gaussians), (2, 600));
+        assert_eq!(renderer.slot_report(0).expect("none"), None);
+        let expected = owned(&gaussians, &camera, &settings);
+        assert!(reserved.instances >= expected.stats.instances && expected.stats.retries > 0);
+        assert_same(&rendered(host, &mut renderer, &frame), &expected, [0.0; 3]);
+        assert!(!renderer.slot_report(0).expect("a report").expect("finished").overflow);
+        // What fits is left as it is; what is not reserved is refused.
+        let few = cloud(20, 9);
+        let scene = DeviceScene::upload(&context, &few, 0).expect("a scene");
+        let scenes = [(&scene).into()];
+        let small = RecordedFrame::new(&scenes, &camera, &settings);
+        assert_eq!(renderer.reserve_for(&wanted, &small).expect("memory"), wanted);
+        let error = renderer.reserve_for(&Reservation::new(10, 1, 96, 96), &small).expect_err("too many");
+        assert!(error.to_string().contains("20 Gaussians"), "{error}");
+    });
+}

@@ -4,7 +4,11 @@ use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::{HostBuffer, HostTexture};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, owned, rendered, with_host};
 use ashsplat::ash::{vk, vk::Handle};
-use ashsplat::vk::{Buffer, Context, ContextOptions, Image, ImageState, ImageUse, MemoryKind, RecordSlot};
+use ashsplat::kernels::arithmetic::multiply_add;
+use ashsplat::vk::{
+    Buffer, Context, ContextOptions, Image, ImageState, ImageUse, Kernel, KernelInterface, MemoryKind,
+    RecordSlot,
+};
 use ashsplat::{
     Background, Camera, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
     Target,
@@ -188,6 +192,62 @@ fn unfinished(host: &Host) {
     frame.wait(host).expect("done");
     assert!(slot.finished().expect("a status"));
     frame.destroy(host);
+}
+
+/// A recorder that is leaked takes along what its slot had lent it: the slot is in flight until it is discarded, and
+/// then as good as before. A slot that is leaked stands in nobody's way.
+#[test]
+fn leaked_recorders_and_slots_block_nothing() {
+    for push_descriptors in [true, false] {
+        // What is leaked is never destroyed: validation would say so at the device's end.
+        let host =
+            Host::new(&HostOptions { push_descriptors, validation: false, ..options() }).expect("a host");
+        let context = guest(&host);
+        let (gaussians, view, settings) = (cloud(300, 1), camera(0.3, 64, 48), RenderSettings::default());
+        let expected = owned(&gaussians, &view, &settings);
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let kernel = Kernel::<multiply_add::Interface>::new(
+            &context,
+            &multiply_add::Interface::spec_for(context.limits()),
+        );
+        let kernel = kernel.expect("a kernel");
+        let request = [("results", 1024)];
+        let results = &context.allocate("test", &request, MemoryKind::Device).expect("memory")[0];
+        let frame = InFlight::new(&host).expect("a command buffer");
+        let record = |slot: &mut RecordSlot| {
+            frame.begin(&host).expect("recording");
+            let mut recorder = slot.begin(adopt(&context, &frame), "test").expect("a recorder");
+            let push = multiply_add::Push { count: 256, factor: 0.0, term: 1.0 };
+            for _ in 0..4 {
+                recorder.dispatch(&kernel, &multiply_add::Bind { results }, &push, 4);
+                recorder.barrier();
+            }
+            recorder
+        };
+        let mut slot = RecordSlot::new(&context, 4).expect("a slot");
+        std::mem::forget(record(&mut slot));
+        assert!(!slot.finished().expect("a status"));
+        // SAFETY: the command buffer was not submitted, and is begun anew below.
+        unsafe { slot.discard() };
+        let recorder = record(&mut slot);
+        slot.end(recorder).expect("recorded");
+        frame.submit(&host).expect("a submission");
+        frame.wait(&host).expect("done");
+        assert!(slot.finished().expect("a status"));
+        let sums: Vec<f32> = bytemuck::pod_collect_to_vec(&context.download(results).expect("bytes"));
+        assert!(sums.iter().all(|&sum| sum > 0.0), "{sums:?}");
+        // Once more, and the slot itself is gone.
+        let recorder = record(&mut slot);
+        slot.end(recorder).expect("recorded");
+        std::mem::forget(slot);
+        let mut renderer = renderer(&context, 1);
+        let placed = [(&scene).into()];
+        for _ in 0..2 {
+            let pixels = rendered(&host, &mut renderer, &RecordedFrame::new(&placed, &view, &settings));
+            assert_same(&pixels, &expected, [0.0; 3]);
+        }
+        frame.destroy(&host);
+    }
 }
 
 /// What a discarded recording would have been made of is not known, and what was before is not what is asked for.

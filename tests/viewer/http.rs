@@ -165,3 +165,35 @@ fn viewer_shows_a_data_set_and_its_photos() {
     assert!(code == 422 && String::from_utf8_lossy(&body).contains("03.png"), "{code}");
     assert_eq!(server.get("/photo/1", &[]).0, 200);
 }
+
+/// Smaller copies of the photos beside them, as the reference's data sets have them.
+#[test]
+fn viewer_takes_photos_from_the_folder_that_it_is_told() {
+    let folder = tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    write_dataset(&data);
+    let photos =
+        || std::fs::read_dir(data.join("images")).expect("a folder").map(|entry| entry.expect("a photo"));
+    let scaled = |side: u32, entry: std::fs::DirEntry, to: &Path| {
+        let photo = image::open(entry.path()).expect("a PNG").to_rgb8();
+        let [width, height] = [photo.width() / side, photo.height() / side];
+        let small = image::imageops::thumbnail(&photo, width, height);
+        std::fs::create_dir_all(to).expect("a folder");
+        small.save(to.join(entry.file_name())).expect("written");
+    };
+    photos().for_each(|entry| scaled(2, entry, &data.join("images_2")));
+    let size = |server: &Server| {
+        let (code, _, body) = server.get("/photo/1", &[]);
+        assert_eq!(code, 200);
+        image::load_from_memory(&body).expect("a JPEG").to_rgb8().dimensions()
+    };
+    assert_eq!(size(&Server::view(&data, &[])), (48, 32));
+    for option in [["--images", "images_2"], ["-i", "images_2"]] {
+        assert_eq!(size(&Server::view(&data, &option)), (24, 16));
+    }
+    // Of a scene's data set too; and nothing is passed over in silence.
+    let scene = write_ball(folder.path(), 20);
+    assert_eq!(size(&Server::view(&scene, &["-s", text(&data), "-i", "images_2"])), (24, 16));
+    refuse(&["view", text(&data), "--images", "images_9"], &["images_9"]);
+    refuse(&["view", text(&scene), "--images", "images_2"], &["data set", "-s DATASET"]);
+}

@@ -311,3 +311,31 @@ fn an_error_while_recording_submits_nothing() {
     assert!(matches!(result, Err(ashsplat::Error::Interrupted)));
     assert_eq!(context.download(&buffer).expect("download"), [1; 16]);
 }
+
+/// Push constants that promise a kernel more than its buffer holds: what lies beside it stays, and nothing falls.
+#[test]
+fn counts_beyond_a_buffer_touch_nothing_else() {
+    use ashsplat::kernels::arithmetic::multiply_add::{Bind, Interface, Push, Spec};
+    let context = common::context();
+    // The invocations of the largest grid here, each of which writes a float, end far behind the allocation.
+    let spec = Spec { workgroup_size: 64.min(context.limits().max_workgroup_invocations), rounds: 1 };
+    let kernel = Kernel::<Interface>::new(context, &spec).expect("a kernel");
+    let request = [("before", 4096), ("results", 64), ("after", 4096)];
+    let buffers = context.allocate("beside", &request, MemoryKind::Device).expect("memory");
+    for neighbour in [&buffers[0], &buffers[2]] {
+        context.upload(neighbour, &[0xA5; 4096]).expect("upload");
+    }
+    context.upload(&buffers[1], &[0; 64]).expect("upload");
+    let run = context.run("beyond", |r| {
+        let push = Push { count: u32::MAX, factor: 1.0, term: 1.0 };
+        r.dispatch(&kernel, &Bind { results: &buffers[1] }, &push, 1 << 16);
+        Ok(())
+    });
+    run.expect("a run");
+    for neighbour in [&buffers[0], &buffers[2]] {
+        assert_eq!(context.download(neighbour).expect("download"), [0xA5; 4096], "{}", neighbour.name());
+    }
+    let results: Vec<f32> = bytemuck::pod_collect_to_vec(&context.download(&buffers[1]).expect("download"));
+    assert!(results.iter().all(|&sum| sum > 0.0), "{results:?}");
+    common::assert_silent(context);
+}

@@ -30,6 +30,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 use studio::Studio;
+use subject::Wanted;
 
 /// Look at a scene, a trained model or a data set in a browser, also on a machine without a screen.
 ///
@@ -43,6 +44,9 @@ pub struct Arguments {
     /// Photos and cameras of this data set [default: that of the training]
     #[arg(short, long, value_name = "DATASET")]
     source_path: Option<PathBuf>,
+    /// Folder of the photos within the data set [default: as in training, else images]
+    #[arg(short, long, value_name = "NAME")]
+    images: Option<String>,
     /// Iteration of the model folder's PLY [default: what was saved last]
     #[arg(long, value_name = "N")]
     iteration: Option<u32>,
@@ -69,8 +73,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let stop = session::stop_on_ctrl_c()?;
     let subject = match &arguments.path {
         Some(path) => {
-            let source = arguments.source_path.as_deref();
-            Subject::load(path, source, arguments.iteration, &arguments.look, &arguments.device.host, &stop)?
+            let wanted = Wanted {
+                iteration: arguments.iteration,
+                source: arguments.source_path.as_deref(),
+                images: arguments.images.as_deref(),
+            };
+            Subject::load(path, &wanted, &arguments.look, &arguments.device.host, &stop)?
         }
         None => Subject::nothing(),
     };

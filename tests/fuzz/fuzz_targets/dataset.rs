@@ -2,8 +2,8 @@
 #![no_main]
 
 use ashsplat_files::transforms::{self, Transforms};
-use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress, cameras_json};
-use ashsplat_fuzz::{folder, leave_seed};
+use ashsplat_files::{Dataset, DatasetOptions, HostMemory, Photo, PhotoFileFormat, Progress, cameras_json};
+use ashsplat_fuzz::{folder, in_one_line, leave_seed, within};
 use libfuzzer_sys::fuzz_target;
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -32,23 +32,22 @@ fn seeds() {
     leave_seed("archive", &[&[2], &archive[..]].concat());
 }
 
-fn is_one_line<T>(result: Result<T, ashsplat_fuzz::Error>) -> Option<T> {
-    result.map_err(|error| assert!(!error.to_string().contains('\n'), "{error}")).ok()
-}
-
 fuzz_target!(init: seeds(), |data: &[u8]| {
     let [kind, bytes @ ..] = data else { return };
     let name = ["transforms.json", "cameras.json", "archive.zip"][usize::from(*kind) % 3];
     let path = FOLDER.join(name);
     std::fs::write(&path, bytes).expect("written");
-    match name {
-        "cameras.json" => drop(is_one_line(cameras_json::read(&path))),
-        "archive.zip" => drop(is_one_line(Dataset::cameras(&path, &DatasetOptions::default()))),
-        _ => {
-            let files = transforms::find(&FOLDER).expect("it is there");
-            if is_one_line(Transforms::read(&files)).is_some() {
-                is_one_line(Dataset::load(&*FOLDER, &DatasetOptions::default(), Progress::default()));
+    within(bytes.len(), |bound| {
+        let options = DatasetOptions { host_memory: HostMemory::new(bound), ..DatasetOptions::default() };
+        match name {
+            "cameras.json" => drop(in_one_line(cameras_json::read(&path))),
+            "archive.zip" => drop(in_one_line(Dataset::cameras(&path, &options))),
+            _ => {
+                let files = transforms::find(&FOLDER).expect("it is there");
+                if in_one_line(Transforms::read(&files)).is_some() {
+                    in_one_line(Dataset::load(&*FOLDER, &options, Progress::default()));
+                }
             }
         }
-    }
+    });
 });

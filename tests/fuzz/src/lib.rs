@@ -1,6 +1,36 @@
-//! Inputs as files for the fuzzed readers.
+//! Inputs as files for the fuzzed readers, and what an input may cost.
 
+pub mod hostile;
+
+use ashsplat::scene::{Gaussians, PointCloud};
+use cap::Cap;
+use std::alloc::System;
 use std::path::PathBuf;
+
+pub use ashsplat::Error;
+
+#[global_allocator]
+static MEMORY: Cap<System> = Cap::new(System, usize::MAX);
+
+/// Memory that reading an input of so many bytes may take, bytes.
+pub fn allowance(bytes: usize) -> usize {
+    64 * bytes + (64 << 20)
+}
+
+/// Runs a reader of so many bytes within their allowance. What is allocated beyond it ends the process, which is a
+/// finding. The reader is given a bound for `max_host_memory`, which it has to keep: the allowance less an eighth.
+pub fn within<T>(bytes: usize, read: impl FnOnce(u64) -> T) -> T {
+    let allowance = allowance(bytes);
+    MEMORY.set_limit(MEMORY.allocated() + allowance).expect("more than is in use");
+    let result = read((allowance - allowance / 8) as u64);
+    MEMORY.set_limit(usize::MAX).expect("no bound");
+    result
+}
+
+/// The value, or None for an error, which must be one line.
+pub fn in_one_line<T>(result: Result<T, Error>) -> Option<T> {
+    result.map_err(|error| assert!(!error.to_string().contains('\n'), "{error}")).ok()
+}
 
 /// A folder in memory, where there is such a thing, for this process' files.
 pub fn folder(name: &str) -> PathBuf {
@@ -16,4 +46,11 @@ pub fn leave_seed(name: &str, bytes: &[u8]) {
     if let Some(folder) = std::env::var_os("ASHSPLAT_FUZZ_SEEDS") {
         std::fs::write(PathBuf::from(folder).join(name), bytes).expect("a seed");
     }
+}
+
+/// Some Gaussians.
+pub fn gaussians(count: usize, sh_degree: u32) -> Gaussians {
+    let positions: Vec<[f32; 3]> = (0..count).map(|k| [k as f32, (k % 7) as f32, (k % 3) as f32]).collect();
+    let points = PointCloud { colors: vec![[1, 2, 3]; count], positions };
+    ashsplat_files::initial_gaussians(&points, sh_degree).expect("Gaussians")
 }

@@ -36,6 +36,16 @@ pub struct Subject {
     pub note: Option<String>,
 }
 
+/// What of a scene is wanted, other than by default.
+pub struct Wanted<'a> {
+    /// Of a model folder.
+    pub iteration: Option<u32>,
+    /// The data set.
+    pub source: Option<&'a Path>,
+    /// The folder of its photos.
+    pub images: Option<&'a str>,
+}
+
 impl Subject {
     /// Before anything is chosen.
     pub fn nothing() -> Subject {
@@ -54,26 +64,29 @@ impl Subject {
     /// A file of Gaussians, a model folder, or a data set, of which the points are shown.
     pub fn load(
         path: &Path,
-        source: Option<&Path>,
-        iteration: Option<u32>,
+        wanted: &Wanted<'_>,
         look: &LookArguments,
         host: &HostArguments,
         stop: &AtomicBool,
     ) -> Result<Subject> {
         if session::is_dataset(path) {
-            return Subject::of_dataset(path, stop);
+            return Subject::of_dataset(path, wanted.images, stop);
         }
-        let model = Model::locate(path, iteration)?;
+        let model = Model::locate(path, wanted.iteration)?;
         let scene = look.load(&model.ply, host)?;
         let mut data = model.settings.data.clone();
-        if let Some(source) = source {
+        if let Some(source) = wanted.source {
             data.source_path = source.to_owned();
         }
-        let gallery = match (source, photos_of(&data, model.settings.train.white_background, stop)) {
-            (Some(_), gallery) => Some(gallery?),
-            (None, Err(Error::Interrupted)) => return Err(Error::Interrupted),
+        if let Some(images) = wanted.images {
+            data.images = images.to_owned();
+        }
+        let asked = wanted.source.is_some() || wanted.images.is_some();
+        let gallery = match (asked, photos_of(&data, model.settings.train.white_background, stop)) {
+            (true, gallery) => Some(gallery?),
+            (false, Err(Error::Interrupted)) => return Err(Error::Interrupted),
             // What the training had may have gone.
-            (None, gallery) => gallery.ok(),
+            (false, gallery) => gallery.ok(),
         };
         let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
         let cameras = match (&gallery, own.filter(|own| own.is_file())) {
@@ -91,9 +104,13 @@ impl Subject {
         })
     }
 
-    fn of_dataset(path: &Path, stop: &AtomicBool) -> Result<Subject> {
+    fn of_dataset(path: &Path, images: Option<&str>, stop: &AtomicBool) -> Result<Subject> {
         let data = DataSettings { source_path: path.to_owned(), ..Default::default() };
-        let gallery = session::open(&data, &DatasetOptions::default(), stop)?;
+        let mut options = DatasetOptions::default();
+        if let Some(images) = images {
+            options.images = images.to_owned();
+        }
+        let gallery = session::open(&data, &options, stop)?;
         let points = gallery.points();
         let (gaussians, note) = if points.is_empty() {
             (Gaussians::default(), "This data set has no points to show; its photos are on the right.")
@@ -156,7 +173,7 @@ fn run_name() -> String {
 /// The photos of a training's data set, at the size at which it uses them.
 fn photos_of(data: &DataSettings, white_background: bool, stop: &AtomicBool) -> Result<Gallery> {
     if data.source_path.as_os_str().is_empty() {
-        return Err(Error::argument("data set", "is not known"));
+        return Err(Error::argument("data set", "is not known; name it with -s DATASET"));
     }
     session::open(data, &session::options(data, white_background)?, stop)
 }

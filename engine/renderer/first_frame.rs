@@ -1,0 +1,70 @@
+//! Frame slots that hold a host's first frame whole, before it is recorded.
+
+use super::Renderer;
+use super::check::check_capacity;
+use super::record::{RecordedFrame, place};
+use super::slots::{Reservation, SlotReport};
+use crate::error::{Error, Result};
+use crate::forward::{FrameInputs, RenderSettings};
+
+impl Renderer {
+    /// As [`Renderer::reserve`], with room for this frame: without
+    /// [`instances`](Reservation::instances) a reservation is an estimate, and a first frame that needs more
+    /// lacks what lies farthest back. Counts what the frame needs, without its targets, occluder and updates.
+    /// Submits to the context's queue, and waits. Returns what is reserved.
+    ///
+    /// # Errors
+    /// As [`Renderer::reserve`] and [`Renderer::record`]; on a host's device that was given without a queue.
+    pub fn reserve_for(&mut self, wanted: &Reservation, frame: &RecordedFrame<'_>) -> Result<Reservation> {
+        let mut reserved = *wanted;
+        self.reserve(&reserved)?;
+        loop {
+            let report = self.count(frame, &reserved)?;
+            let grown = reserved.grown(&report);
+            if grown == reserved {
+                return Ok(reserved);
+            }
+            // The reserve may be what does not fit.
+            let exact = Reservation { instances: grown.instances.min(report.instances_needed), ..grown };
+            reserved = match self.reserve(&grown) {
+                Err(Error::TooLarge { .. } | Error::Vulkan { .. }) if exact != grown => {
+                    self.reserve(&exact)?;
+                    exact
+                }
+                done => done.map(|()| grown)?,
+            };
+        }
+    }
+
+    /// Executes a frame in the first slot, which is free, up to its counts.
+    fn count(&mut self, frame: &RecordedFrame<'_>, reserved: &Reservation) -> Result<SlotReport> {
+        self.check_frame(frame, reserved)?;
+        let forward = &self.runner.forward;
+        let slot = self.slots.get(0)?;
+        check_capacity(frame, &slot.capacity, forward.sizes.elementwise_workgroup)?;
+        let [main, others] = place(frame, forward.sizes.elementwise_workgroup);
+        let Some(first) = main.first() else { unreachable!("checked") };
+        let settings = RenderSettings { inverse_depth: false, ..*frame.settings };
+        let inputs = FrameInputs {
+            scene: first.scene,
+            frame: &slot.frame,
+            capacity: &slot.capacity,
+            camera: &first.camera,
+            settings: &settings,
+            scale: first.scale,
+            sh_degree: first.sh_degree,
+            others: &others,
+            depth_limits: None,
+            linear_depth: false,
+            backward: false,
+            keeps_overflow: false,
+        };
+        self.context.run("count", |r| {
+            forward.record(r, &inputs);
+            r.barrier();
+            slot.record_counts(r);
+            Ok(())
+        })?;
+        slot.counts(&forward.sizes)
+    }
+}

@@ -1,0 +1,81 @@
+//! Checkpoints: a header whose shapes, offsets and settings do not fit the tensors.
+#![no_main]
+
+use arbitrary::Arbitrary;
+use ashsplat::trainer::checkpoint::{Checkpoint, Room};
+use ashsplat::trainer::settings::TrainSettings;
+use ashsplat_files::CheckpointFile;
+use ashsplat_fuzz::hostile::{Change, Filling, MOST_BYTES, Number, Patch, patch, spoil};
+use ashsplat_fuzz::{folder, gaussians, in_one_line, within};
+use libfuzzer_sys::fuzz_target;
+use serde_json::Value;
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+static FILE: LazyLock<PathBuf> = LazyLock::new(|| folder("tensors").join("input.safetensors"));
+
+#[derive(Arbitrary, Debug)]
+struct Tensors {
+    count: u16,
+    degree: u8,
+    changes: Vec<Change>,
+    /// Behind the tensors.
+    more: Option<Filling>,
+    cut: Option<u16>,
+    header: Number,
+    patches: Vec<Patch>,
+}
+
+impl Tensors {
+    fn file(&self) -> Vec<u8> {
+        let sh_degree = u32::from(self.degree % 4);
+        let gaussians = gaussians(usize::from(self.count % 1500) + 1, sh_degree);
+        let checkpoint = Checkpoint {
+            version: "0.1.0".into(),
+            device: "a device".into(),
+            driver: "a driver".into(),
+            settings: TrainSettings { sh_degree, ..TrainSettings::default() },
+            views: 3,
+            views_fingerprint: 7,
+            scene_extent: 2.0,
+            iteration: 5,
+            optimizer_steps: 5,
+            opacity_steps: 5,
+            due: Default::default(),
+            strategy: Default::default(),
+            first_moments: gaussians.clone(),
+            second_moments: gaussians.clone(),
+            statistics: vec![[0.0; 2]; gaussians.len()],
+            gaussians,
+            skipped: 1,
+            room: Room::default(),
+        };
+        checkpoint.write(&*FILE).expect("written");
+        let honest = std::fs::read(&*FILE).expect("there");
+        let length = u64::from_le_bytes(honest[..8].try_into().expect("eight")) as usize;
+        let mut header: Value = serde_json::from_slice(&honest[8..8 + length]).expect("JSON");
+        spoil(&mut header, &self.changes);
+        let mut header = header.to_string().into_bytes();
+        header.resize(header.len().next_multiple_of(8), b' ');
+        let mut file = self.header.of(header.len() as u64).to_le_bytes().to_vec();
+        file.extend(header);
+        file.extend(&honest[8 + length..]);
+        file.extend(self.more.map_or(Vec::new(), |filling| filling.bytes(MOST_BYTES)));
+        if let Some(cut) = self.cut {
+            file.truncate(file.len() - usize::from(cut) % file.len());
+        }
+        patch(&mut file, &self.patches);
+        file
+    }
+}
+
+fuzz_target!(|tensors: Tensors| {
+    let bytes = tensors.file();
+    std::fs::write(&*FILE, &bytes).expect("written");
+    within(bytes.len(), |_| {
+        if let Some(checkpoint) = in_one_line(Checkpoint::read(&*FILE)) {
+            checkpoint.write(&*FILE).expect("written");
+            assert_eq!(Checkpoint::read(&*FILE).expect("its own").fingerprint(), checkpoint.fingerprint());
+        }
+    });
+});
