@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 use ashsplat::trainer::{Densified, Trainer};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Gaussians, RenderSettings, Renderer, TrainSettings};
+use ashsplat_files::splats::{self, Format, ReadOptions, WriteOptions};
 use proptest::prelude::*;
 
 use crate::checkpoints::{start, views};
@@ -77,8 +78,8 @@ fn check(seed: u64, sound: usize, gradient: f64) -> Densified {
     for antialias in [false, true] {
         let settings = RenderSettings { antialias, ..settings };
         let frame = renderer.render(&camera(&small_view([70, 50])), &settings).expect("a frame");
-        let nan = frame.color.iter().flatten().chain(&frame.transmittance).filter(|x| x.is_nan()).count();
-        assert_eq!(nan, 0, "seed {seed}: NaN in the picture");
+        let bad = frame.color.iter().flatten().chain(&frame.transmittance).filter(|x| !x.is_finite()).count();
+        assert_eq!(bad, 0, "seed {seed}: not finite in the picture");
     }
     assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new(), "seed {seed}");
     let settings = TrainSettings {
@@ -154,6 +155,95 @@ fn extremes_of_more_instances_than_32_bits_are_refused() {
     assert!(error.to_string().contains("instances"), "{error}");
     assert_eq!(context.breached_guards().expect("guards"), Vec::<&str>::new());
     assert_silent(context);
+}
+
+/// What a number replaces of a Gaussian.
+type Replace = fn(&mut Gaussians, usize, f32);
+
+/// One parameter of a Gaussian, by its name.
+const PARAMETERS: [(&str, Replace); 6] = [
+    ("mean", |scene, i, value| scene.means[i][i % 3] = value),
+    ("quaternion", |scene, i, value| scene.quats[i][i % 4] = value),
+    ("log-scale", |scene, i, value| scene.log_scales[i][i % 3] = value),
+    ("opacity", |scene, i, value| scene.opacity_logits[i] = value),
+    ("colour", |scene, i, value| {
+        let coefficients = scene.sh.len() / scene.len();
+        scene.sh[i * coefficients][i % 3] = value;
+    }),
+    ("harmonics", |scene, i, value| {
+        let coefficients = scene.sh.len() / scene.len();
+        scene.sh[(i + 1) * coefficients - 1][i % 3] = value;
+    }),
+];
+
+/// Huge but finite numbers in a file of any format: it is refused with one line that names it, or its picture is finite.
+#[test]
+fn extremes_in_files_are_refused_or_give_finite_pictures() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut renderer = Renderer::new(guarded()).expect("a renderer");
+    let sound = start();
+    // A log-scale of 69 is a scale of 1e30 where the format has no logarithms.
+    let huge = [1e30, -1e30, f32::MAX, f32::MIN, 1e17, 69.0];
+    let (mut refused, mut brightest) = (Vec::new(), 0.0_f32);
+    for (format, (name, replace)) in Format::ALL.iter().flat_map(|f| PARAMETERS.map(|p| (f, p))) {
+        for value in huge {
+            let mut scene = sound.with_sh_degree(sound.sh_degree.min(format.max_sh_degree()));
+            (0..scene.len()).step_by(3).for_each(|i| replace(&mut scene, i, value));
+            let place = format!("{name} {value:e} in {format}");
+            let path = folder.path().join(format!("scene{}", format.extension()));
+            let written = splats::write(&path, &scene, &WriteOptions::default());
+            let read = written.and_then(|()| splats::read(&path, &ReadOptions::default()));
+            let scene = match read {
+                Ok(read) => read.gaussians,
+                Err(error) => {
+                    let message = error.to_string();
+                    let named = message.starts_with(path.to_str().expect("UTF-8"));
+                    assert!(named && !message.contains('\n'), "{place}: {message}");
+                    refused.push((*format, name, value));
+                    continue;
+                }
+            };
+            renderer.upload(&scene).expect("upload");
+            for antialias in [false, true] {
+                let settings = RenderSettings { antialias, inverse_depth: true, ..RenderSettings::default() };
+                let frame = renderer.render(&camera(&small_view([70, 50])), &settings).expect("a frame");
+                let depths = frame.inverse_depth.iter().flatten();
+                let values = frame.color.iter().flatten().chain(&frame.transmittance).chain(depths);
+                assert!(values.copied().all(f32::is_finite), "{place}: not finite");
+                brightest = frame.color.iter().flatten().copied().fold(brightest, f32::max);
+            }
+        }
+    }
+    let refuses = |case: (Format, &str, f32)| refused.contains(&case);
+    for format in [Format::Ply, Format::Splat, Format::Glb] {
+        assert!(refuses((format, "mean", 1e30)) && !refuses((format, "mean", 1e17)), "{format}");
+    }
+    for name in ["log-scale", "colour", "harmonics"] {
+        assert!(refuses((Format::Ply, name, f32::MAX)), "{name}");
+        assert_eq!(refuses((Format::Ply, name, 1e30)), name == "log-scale");
+    }
+    assert!(refuses((Format::Ply, "quaternion", 1e30)) && !refuses((Format::Ply, "log-scale", 69.0)));
+    // What is not refused is not left out either.
+    assert!(brightest > 1e25, "{brightest:e}");
+    assert_eq!(guarded().breached_guards().expect("read"), Vec::<&str>::new());
+}
+
+/// What a format's bytes cannot hold becomes their largest, not the other end.
+#[test]
+fn extremes_of_harmonics_are_packed_to_the_nearest() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for format in [Format::Spz, Format::CompressedPly] {
+        for (value, sign) in [(1e30, 1.0), (-1e30, -1.0), (5.0, 1.0)] {
+            let mut scene = start();
+            scene.sh.chunks_mut(9).flat_map(|sh| &mut sh[1..]).for_each(|c| *c = [value; 3]);
+            let path = folder.path().join(format!("scene{}", format.extension()));
+            splats::write(&path, &scene, &WriteOptions::default()).expect("written");
+            let read = splats::read(&path, &ReadOptions::default()).expect("read").gaussians;
+            let worst = read.sh.chunks(9).flat_map(|sh| &sh[1..]).flatten().map(|c| c * sign);
+            let worst = worst.fold(f32::INFINITY, f32::min);
+            assert!(worst > 0.9, "{value:e} in {format}: {worst}");
+        }
+    }
 }
 
 /// The bands would show a write outside: here one of the host's.

@@ -1,6 +1,6 @@
 //! The checkpoint's file: safetensors, written whole or not at all.
 
-use crate::atomic;
+use crate::{atomic, cost};
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
@@ -230,6 +230,7 @@ impl Metadata {
     /// The strategy's own values.
     fn strategy(&self) -> Vec<(String, String)> {
         let own = |(name, value): (&String, &String)| {
+            cost::step();
             Some((name.strip_prefix(Checkpoint::STRATEGY)?.to_owned(), value.clone()))
         };
         self.0.iter().filter_map(own).collect()
@@ -258,6 +259,7 @@ fn strategy_statistics(
 ) -> Result<Vec<StrategyStatistic>, String> {
     let mut all = Vec::new();
     for name in header.offset_keys() {
+        cost::step();
         let Some(own) = name.strip_prefix(Checkpoint::STRATEGY) else { continue };
         let tensor = tensors.tensor(&name).map_err(|e| e.to_string())?;
         let (Dtype::F32, &[_, floats]) = (tensor.dtype(), tensor.shape()) else {

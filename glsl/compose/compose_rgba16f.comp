@@ -12,4 +12,5 @@
 #include "constants.glsl"
 
 #define COMPOSE_FORMAT rgba16f
+#define COMPOSE_LARGEST 65504.0
 #include "compose.glsl"

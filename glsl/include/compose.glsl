@@ -1,5 +1,6 @@
 // Writes a blended picture into a host's storage image, either replacing the image or composited over it. Each format has
-// its own kernel because the format is part of the image's type. Needs constants.glsl and COMPOSE_FORMAT.
+// its own kernel because the format is part of the image's type. Needs constants.glsl and COMPOSE_FORMAT. COMPOSE_LARGEST is
+// the format's largest number, where it is below that of the colours.
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(local_size_x_id = 0) in;
@@ -34,5 +35,10 @@ void main() {
     } else if (mode == COMPOSE_OVER) {
         behind = imageLoad(target, at);
     }
-    imageStore(target, at, vec4(splats.xyz, 1.0 - transmittance) + transmittance * behind);
+    vec4 picture = vec4(splats.xyz, 1.0 - transmittance) + transmittance * behind;
+#ifdef COMPOSE_LARGEST
+    // The format rounds what is larger to infinity.
+    picture = min(picture, vec4(COMPOSE_LARGEST));
+#endif
+    imageStore(target, at, picture);
 }

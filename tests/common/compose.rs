@@ -33,10 +33,21 @@ pub fn pixels() -> Vec<[f32; 4]> {
 
 /// Composes [`pixels`] over an image of texels; returns what the image holds then.
 pub fn composed(gpu: &Gpu, format: vk::Format, texels: &[u8], behind: Background) -> Vec<u8> {
+    composed_of(gpu, &pixels(), format, texels, behind)
+}
+
+/// The same of other pixels.
+pub fn composed_of(
+    gpu: &Gpu,
+    pixels: &[[f32; 4]],
+    format: vk::Format,
+    texels: &[u8],
+    behind: Background,
+) -> Vec<u8> {
     let compose = Compose::new(gpu.context).expect("kernels");
     let image = Image::new(gpu.context, "target", format, IMAGE, ImageUse::Storage).expect("an image");
     Compose::check_color(&image).expect("a possible format");
-    let accumulated = gpu.buffer("accumulated", &pixels());
+    let accumulated = gpu.buffer("accumulated", pixels);
     let (from, to) = (gpu.buffer("texels", texels), gpu.untouched::<u8>("texels", texels.len()));
     gpu.run(|r| {
         r.copy_to_image(&from.range(0, texels.len() as u64), &image);

@@ -5,6 +5,8 @@
 #![allow(clippy::unwrap_used)]
 
 mod cameras;
+mod checkpoints;
+mod colmap;
 mod memory;
 mod names;
 mod scenes;

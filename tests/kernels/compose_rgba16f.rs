@@ -2,7 +2,7 @@
 
 use ashsplat::ash::vk;
 
-use crate::common::compose::{BEHIND, IMAGE, check, composed};
+use crate::common::compose::{BEHIND, IMAGE, SIZE, check, composed, composed_of};
 use crate::common::gpu::Gpu;
 use crate::reference::compose_rgba32f::compose;
 
@@ -29,5 +29,21 @@ fn compose_rgba16f_equals_its_twin() {
         let after: Vec<u16> = bytemuck::pod_collect_to_vec(&after);
         // Half a unit in the last place below 4.
         check(&wide(&texels), &wide(&after), behind, 1.1e-3, compose);
+    }
+}
+
+/// Colours beyond the format are its largest number, not infinite.
+#[test]
+fn compose_rgba16f_stays_finite() {
+    let gpu = Gpu::new();
+    let texels = vec![0x3800_u16; (IMAGE[0] * IMAGE[1] * 4) as usize];
+    let bright = vec![[1e30, 65504.0, 66000.0, 0.5]; (SIZE[0] * SIZE[1]) as usize];
+    for behind in BEHIND {
+        let format = vk::Format::R16G16B16A16_SFLOAT;
+        let after = composed_of(&gpu, &bright, format, bytemuck::cast_slice(&texels), behind);
+        let after: Vec<u16> = bytemuck::pod_collect_to_vec(&after);
+        let changed: Vec<_> = after.as_chunks::<4>().0.iter().filter(|t| t[0] != 0x3800).collect();
+        assert_eq!(changed.len(), bright.len());
+        assert!(changed.iter().all(|t| t[..3] == [0x7bff; 3]), "{behind:?}: {:x?}", changed[0]);
     }
 }

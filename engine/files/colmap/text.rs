@@ -6,6 +6,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::types::{CameraModel, ColmapCamera, ColmapImage};
+use crate::cost;
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
 
@@ -118,6 +119,7 @@ impl<'a> TextFile<'a> {
 
     /// Moves to the next line; false at the end.
     fn next_line(&mut self) -> Result<bool> {
+        cost::step();
         let mut bytes = std::mem::take(&mut self.text).into_bytes();
         bytes.clear();
         let read = self.reader.read_until(b'\n', &mut bytes);
@@ -162,6 +164,7 @@ impl<'a> Words<'a> {
     }
 
     fn word(&mut self, what: &str) -> Result<&'a str> {
+        cost::step();
         let (word, rest) = self.rest.split_once(|c: char| c.is_ascii_whitespace()).unwrap_or((self.rest, ""));
         if word.is_empty() {
             return Err(self.error(&format!("the {what} is missing")));

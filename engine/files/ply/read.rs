@@ -33,7 +33,8 @@ pub struct PlyScene {
 /// [`splats::read`](crate::splats::read) reads the other formats too.
 ///
 /// A parameter is unusable if it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), if a
-/// coordinate exceeds 1e18, or if a log-scale exceeds 88 (both overflow in the projection).
+/// coordinate (also of a quaternion) exceeds 1e18 or a log-scale 88 (both overflow in the projection), or if an
+/// SH coefficient exceeds 1e32.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is not a PLY file with Gaussians, is

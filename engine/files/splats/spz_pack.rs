@@ -131,6 +131,7 @@ fn pack_smallest_three([w, x, y, z]: [f32; 4]) -> u32 {
 
 /// Rounded to multiples of `step`, so that it compresses better; 0 stays 0.
 fn pack_sh(value: f32, step: i32) -> u8 {
-    let fine = (value * 128.0).round() as i32 + 128;
+    // What lies outside ends at the nearest byte; beyond it, whole numbers would overflow.
+    let fine = (value * 128.0).round().clamp(-256.0, 256.0) as i32 + 128;
     ((fine + step / 2).div_euclid(step) * step).clamp(0, 255) as u8
 }

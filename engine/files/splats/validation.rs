@@ -2,8 +2,11 @@
 
 use ashsplat::scene::Gaussians;
 
-/// Largest usable coordinate: the square of a larger one overflows.
+/// Largest usable coordinate, of places and of quaternions: the square of a larger one overflows.
 const MAX_COORDINATE: f32 = 1e18;
+
+/// Largest usable SH coefficient: no sum of terms, of splats or of their derivatives overflows with it.
+const MAX_SH: f32 = 1e32;
 
 /// Largest usable log-scale: the exponential of a larger one overflows.
 const MAX_LOG_SCALE: f32 = 88.0;
@@ -55,7 +58,7 @@ fn parameter(block: &Gaussians, index: usize) -> Option<(Box<dyn Fn() -> String>
     type Name = Box<dyn Fn() -> String>;
     let bad_coordinate = |v: f32| !v.is_finite() || v.abs() > MAX_COORDINATE;
     let bad_scale = |v: f32| !v.is_finite() || v > MAX_LOG_SCALE;
-    let not_finite = |v: f32| !v.is_finite();
+    let bad_sh = |v: f32| !v.is_finite() || v.abs() > MAX_SH;
     let find = |values: &[f32], bad: &dyn Fn(f32) -> bool, prefix: &'static str| {
         let at = values.iter().position(|&v| bad(v))?;
         Some((Box::new(move || format!("{prefix}{at}")) as Name, values[at]))
@@ -69,14 +72,12 @@ fn parameter(block: &Gaussians, index: usize) -> Option<(Box<dyn Fn() -> String>
         return Some((Box::new(|| "opacity".to_owned()), opacity));
     }
     find(&block.log_scales[index], &bad_scale, "scale_")
-        .or_else(|| find(&block.quats[index], &not_finite, "rot_"))
-        .or_else(|| find(&block.sh_of(index)[0], &not_finite, "f_dc_"))
+        .or_else(|| find(&block.quats[index], &bad_coordinate, "rot_"))
+        .or_else(|| find(&block.sh_of(index)[0], &bad_sh, "f_dc_"))
         .or_else(|| {
             let rest = &block.sh_of(index)[1..];
-            let (k, channel) = rest
-                .iter()
-                .enumerate()
-                .find_map(|(k, sh)| Some((k, sh.iter().position(|v| !v.is_finite())?)))?;
+            let (k, channel) =
+                rest.iter().enumerate().find_map(|(k, sh)| Some((k, sh.iter().position(|&v| bad_sh(v))?)))?;
             let (place, value) = (channel * rest.len() + k, rest[k][channel]);
             Some((Box::new(move || format!("f_rest_{place}")) as Name, value))
         })
