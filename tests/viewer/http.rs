@@ -131,6 +131,9 @@ fn viewer_names_a_busy_port() {
     let model = folder.path().join("model");
     let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "5", "--quiet"];
     refuse(&[&train[..], &[&format!("--view={port}")]].concat(), &[&port, "in use", "--view=PORT"]);
+    // Before anything was loaded or written.
+    refuse(&["view", "no.ply", "--port", &port], &[&port, "in use"]);
+    assert!(!model.exists());
     refuse(&[&train[..], &["--port", &port]].concat(), &["--ip"]);
     refuse(&[&train[..], &["--ip", "127.0.0.1", "--port", &port]].concat(), &[&port, "in use"]);
 }
