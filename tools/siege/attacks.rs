@@ -35,5 +35,5 @@ pub const ATTACKS: [Attack; 18] = [
     Attack { name: "a full disk, freed later", run: disk::full },
     Attack { name: "files of limited size", run: limits::file_size },
     Attack { name: "40 descriptors", run: limits::descriptors },
-    Attack { name: "little address space", run: limits::memory },
+    Attack { name: "a scene larger than the address space", run: limits::memory },
 ];

@@ -77,6 +77,19 @@ pub fn write_transforms(folder: &Path, size: u32, frames: &[Value]) -> Result<()
     Ok(())
 }
 
+/// Bytes of a Gaussian below [`ply_header`].
+pub const PLY_BYTES: u64 = 4 * PLY_NAMES.len() as u64;
+const PLY_NAMES: [&str; 14] = [
+    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0",
+    "rot_1", "rot_2", "rot_3",
+];
+
+/// The beginning of a PLY of so many Gaussians.
+pub fn ply_header(gaussians: u64) -> String {
+    let columns: String = PLY_NAMES.iter().map(|name| format!("property float {name}\n")).collect();
+    format!("ply\nformat binary_little_endian 1.0\nelement vertex {gaussians}\n{columns}end_header\n")
+}
+
 /// A PNG that claims to be of this size, and has next to nothing.
 pub fn png_bomb(size: u32) -> Vec<u8> {
     let mut png = b"\x89PNG\r\n\x1a\n".to_vec();

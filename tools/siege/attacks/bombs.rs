@@ -75,15 +75,9 @@ pub fn claims(siege: &Siege) -> Result<Outcome> {
     data::write_transforms(&folder, 60_000, &[json!({ "file_path": "images/0.png" })])?;
     refuse_to_train(siege, &folder)?;
     let ply = folder.join("claims.ply");
-    let names =
-        ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0"];
-    let names = names.iter().chain(&["rot_1", "rot_2", "rot_3"]);
-    let columns: String = names.map(|name| format!("property float {name}\n")).collect();
-    let header =
-        format!("ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\n{columns}end_header\n");
-    std::fs::write(&ply, header)?;
+    std::fs::write(&ply, data::ply_header(4_000_000_000))?;
     refuse(siege, &["info", text(&ply)?])?;
-    // Ten Gaussians, and then half a gigabyte of zeros that nobody has asked for.
+    // Ten Gaussians, and then zeros that nobody has asked for, packed to almost nothing.
     let spz = folder.join("bomb.spz");
     let header =
         [&0x5053_474e_u32.to_le_bytes()[..], &2_u32.to_le_bytes(), &10_u32.to_le_bytes(), &[0, 12, 0, 0]];

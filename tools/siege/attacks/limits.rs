@@ -1,6 +1,6 @@
 //! Too little of something from the beginning: a training reaches its end, or says in one line why not.
 
-use super::photos;
+use crate::data;
 use crate::program::{Limits, Program};
 use crate::siege::{Outcome, Result, Siege, ensure, text};
 use crate::training::{self, LONGEST, Training};
@@ -27,18 +27,18 @@ pub fn descriptors(siege: &Siege) -> Result<Outcome> {
     Ok(Outcome::Withstood("a page looks on; same bits at the end".into()))
 }
 
-/// Photos for which there is no room. The driver is in the same process and ends it where it has too little for itself, so
-/// there is enough for that.
+/// A scene of more bytes than there may be: all of them are zeros that take no disk.
 pub fn memory(siege: &Siege) -> Result<Outcome> {
-    let (folder, model) = (photos::data_of(siege)?, siege.place("refused"));
-    let arguments =
-        ["train", "-s", text(&folder)?, "-m", text(&model)?, "--iterations=1", "--random-points", "--quiet"];
-    for mib in siege.choose(&[3000][..], &[6000, 4000, 3000, 2500]) {
-        let limits = Limits { memory: Some(mib << 10), ..Limits::default() };
-        let mut program = Program::start(&siege.program, &limits, &siege.peak, &arguments)?;
-        let ending = program.end(LONGEST)?;
-        ending.check_refused().map_err(|error| format!("{mib} MiB: {error}"))?;
-        ensure!(!model.exists(), "the model folder was made all the same");
-    }
-    Ok(Outcome::Withstood("refused in one line".into()))
+    const GAUSSIANS: u64 = 10_000_000;
+    let path = siege.place("large.ply");
+    let header = data::ply_header(GAUSSIANS);
+    std::fs::write(&path, &header)?;
+    let bytes = header.len() as u64 + GAUSSIANS * data::PLY_BYTES;
+    std::fs::OpenOptions::new().write(true).open(&path)?.set_len(bytes)?;
+    let (bytes, limit) = (bytes >> 20, 400);
+    let limits = Limits { memory: Some(limit << 10), ..Limits::default() };
+    let arguments = ["info", text(&path)?];
+    let mut program = Program::start(&siege.program, &limits, &siege.peak, &arguments)?;
+    program.end(LONGEST)?.check_refused()?;
+    Ok(Outcome::Withstood(format!("a scene of {bytes} MiB with {limit}: refused in one line")))
 }
