@@ -1,6 +1,6 @@
 //! First frames: nothing is known of them but an estimate of their instances, and they come out whole.
 
-use ashsplat::plan::{LEAST_INSTANCES, initial_instances};
+use ashsplat::plan::{LEAST_INSTANCES, PictureCapacity, initial_instances};
 use ashsplat::trainer::Trainer;
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Error, Frame, Gaussians, RenderSettings, Renderer, Result, TrainSettings};

@@ -244,17 +244,25 @@ fn what_cannot_be_saved_is_tried_again() {
     use std::io::{BufRead, BufReader};
     let place = Place::new();
     let model = place.model("model");
-    // Where the scene and the checkpoint would be.
     std::fs::create_dir_all(model.join("chkpnt5.safetensors")).expect("created");
-    std::fs::write(model.join("point_cloud"), "in the way").expect("written");
-    let asked = ["--iterations", "1000000", "--save_iterations", "5", "--checkpoint_iterations", "5"];
+    // Where the scene, the test's pictures and the checkpoint would be.
+    for name in ["point_cloud", "test"] {
+        std::fs::write(model.join(name), "in the way").expect("written");
+    }
+    let mut asked = vec!["--eval", "--iterations", "1000000"];
+    asked.extend(
+        ["--save_iterations", "--test_iterations", "--checkpoint_iterations"].map(|o| [o, "5"]).concat(),
+    );
     let mut command = place.command("model", &asked);
     let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
     let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
-    for what in ["point_cloud", "chkpnt5"] {
+    for what in ["point_cloud", "test/ours_5", "chkpnt5"] {
         let line = lines.next().expect("a warning");
         assert!(line.starts_with("warning: ") && line.contains(what) && line.contains("goes on"), "{line}");
     }
+    // What was measured is there without its pictures.
+    let results = std::fs::read_to_string(model.join("results.json")).expect("the results");
+    assert!(results.contains("ours_5"), "{results}");
     std::fs::remove_file(model.join("point_cloud")).expect("removed");
     let start = std::time::Instant::now();
     let saved = || {

@@ -131,6 +131,9 @@ fn viewer_names_a_busy_port() {
     let model = folder.path().join("model");
     let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "5", "--quiet"];
     refuse(&[&train[..], &[&format!("--view={port}")]].concat(), &[&port, "in use", "--view=PORT"]);
+    // Before anything was loaded or written.
+    refuse(&["view", "no.ply", "--port", &port], &[&port, "in use"]);
+    assert!(!model.exists());
     refuse(&[&train[..], &["--port", &port]].concat(), &["--ip"]);
     refuse(&[&train[..], &["--ip", "127.0.0.1", "--port", &port]].concat(), &[&port, "in use"]);
 }
@@ -149,7 +152,7 @@ fn viewer_shows_a_data_set_and_its_photos() {
     let run = page.greeting["run"].as_str().expect("a word");
     assert_ne!(Server::view(&data, &[]).page().greeting["run"].as_str(), Some(run));
     let script = String::from_utf8(server.get("/photos.js", &[]).2).expect("text");
-    assert!(script.contains("/photo/${index}?run=$") && script.contains("/thumbnail/${index}?run=$"));
+    assert!(script.contains("?run=${this.run}&page=${this.page}"));
     assert_eq!(server.get(&format!("/thumbnail/0?run={run}"), &[]).0, 200);
     let (code, head, body) = server.get("/photo/1", &[]);
     assert!(code == 200 && head.contains("image/jpeg"), "{head}");

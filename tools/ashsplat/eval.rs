@@ -8,7 +8,7 @@ use crate::{output, render, session};
 use ashsplat::scene::Camera;
 use ashsplat::{Error, Frame, RenderSettings, Renderer, Result};
 use ashsplat_files::metrics;
-use ashsplat_files::{Gallery, View};
+use ashsplat_files::{Gallery, Photo, View};
 use clap::Args;
 use serde_json::{Map, Value, json};
 use std::borrow::Borrow;
@@ -103,11 +103,35 @@ impl Evaluation {
     }
 }
 
-/// Renders the views, measures them and, if asked, saves them as `renders/00000.png` and `gt/00000.png`. One view is held
-/// at a time.
+/// Where the pictures of a test are saved, as `renders/00000.png` and `gt/00000.png`. One that cannot be written ends the
+/// saving, and not the test.
+pub struct Pictures {
+    folder: PathBuf,
+    saved: Result<()>,
+}
+
+impl Pictures {
+    pub fn new(folder: PathBuf) -> Pictures {
+        Pictures { folder, saved: Ok(()) }
+    }
+
+    fn save(&mut self, kind: &str, index: usize, picture: &Photo) {
+        if self.saved.is_ok() {
+            let path = output::numbered(&self.folder.join(kind), index, "png");
+            self.saved = output::write_png(&path, picture);
+        }
+    }
+
+    /// Whether all were written.
+    pub fn saved(self) -> Result<()> {
+        self.saved
+    }
+}
+
+/// Renders the views, measures them and, if asked, saves them. One view is held at a time.
 pub fn evaluate<V: Borrow<View>>(
     views: impl Iterator<Item = Result<V>>,
-    save_to: Option<&Path>,
+    mut pictures: Option<&mut Pictures>,
     mut draw: impl FnMut(&Camera) -> Result<Frame>,
 ) -> Result<Evaluation> {
     let mut results = Vec::new();
@@ -121,13 +145,10 @@ pub fn evaluate<V: Borrow<View>>(
         let index = results.len();
         let frame = draw(&view.camera)?;
         results.push(measure(view, &frame)?);
-        if let Some(folder) = save_to {
-            output::write_png(
-                &output::numbered(&folder.join("renders"), index, "png"),
-                &output::to_photo(&frame)?,
-            )?;
+        if let Some(pictures) = &mut pictures {
+            pictures.save("renders", index, &output::to_photo(&frame)?);
             let photo = view.photo.photo()?;
-            output::write_png(&output::numbered(&folder.join("gt"), index, "png"), &photo)?;
+            pictures.save("gt", index, &photo);
         }
     }
     Ok(Evaluation { views: results })

@@ -8,16 +8,16 @@ mod log;
 mod prepared;
 mod report;
 mod saving;
+mod testing;
 #[cfg(test)]
 mod tests;
 mod verify;
 
 use crate::args::{DeviceArguments, bytes, quoted};
 use crate::config::{Overrides, Settings};
-use crate::eval::{self, Evaluation};
 use crate::measure::{Cost, Stopwatch};
 use crate::progress::{State, TrainProgress, thousands};
-use crate::{render, session};
+use crate::session;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -32,6 +32,7 @@ use report::KernelTimes;
 use saving::Unsaved;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use testing::Tested;
 
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
 ///
@@ -90,6 +91,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
+    let doors = match arguments.verify_determinism {
+        None => arguments.live.open()?,
+        Some(_) => None,
+    };
     // Open the device first, so that its absence is reported before the photos are loaded.
     let context = arguments.device.context()?;
     let start = arguments.start_checkpoint.as_ref();
@@ -123,7 +128,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Some(start) => Run::resume(&context, dataset, settings, &start, arguments.quiet)?,
     };
     run.repeat(&arguments.device, arguments.photo_memory);
-    run.look_on(&arguments.live, &context, gallery)?;
+    run.look_on(doors, &context, gallery)?;
     // Nothing is lost yet.
     session::check(&stop)?;
     let interrupted = run.train(&stop)?;
@@ -144,13 +149,6 @@ pub fn say_what_next(model: &Path) {
     say!("the report      {}", model.join(report::REPORT_FILE).display());
 }
 
-/// The test after an iteration.
-pub struct Tested {
-    iteration: u32,
-    gaussians: u32,
-    pub evaluation: Evaluation,
-}
-
 /// One training run: the trainer, and everything that is written beside it.
 pub struct Run {
     settings: Settings,
@@ -164,6 +162,8 @@ pub struct Run {
     total: Option<Cost>,
     /// The tests so far.
     pub evaluations: Vec<Tested>,
+    /// How many of them are in the results' files.
+    results: usize,
     gaussians: u32,
     non_finite: u64,
     /// Whether it was said that there is no more room.
@@ -235,6 +235,7 @@ impl Run {
             first: None,
             total: None,
             evaluations: Vec::new(),
+            results: 0,
             gaussians: 0,
             non_finite: 0,
             limited: false,
@@ -360,38 +361,6 @@ impl Run {
             gaussians: report.gaussians,
             memory_bytes: self.trainer.memory_bytes(),
         });
-    }
-
-    /// Measures the test views; those that were held out are also saved.
-    fn test(&mut self, iteration: u32) -> Result<f64> {
-        let folder = &self.settings.data.model_path;
-        let save_to = self.held_out.then(|| folder.join("test").join(format!("ours_{iteration}")));
-        let settings = render::settings_of(&self.settings);
-        let trainer = &mut self.trainer;
-        let evaluation = eval::evaluate(self.test.iter().map(Ok), save_to.as_deref(), |camera| {
-            trainer.render(camera, &settings)
-        })?;
-        if self.held_out {
-            eval::write_results(folder, iteration, &evaluation)?;
-        }
-        let psnr = evaluation.psnr();
-        self.progress.tested(psnr);
-        self.show_test(iteration, psnr);
-        let tested = Tested { iteration, gaussians: self.gaussians, evaluation };
-        self.progress.note(&self.describe(&tested));
-        self.evaluations.push(tested);
-        Ok(psnr)
-    }
-
-    fn describe(&self, tested: &Tested) -> String {
-        let Tested { iteration, gaussians, evaluation } = tested;
-        let kind = if self.held_out { "held-out" } else { "training" };
-        format!(
-            "iteration {iteration}: {} on {} {kind} views, {} Gaussians",
-            evaluation.describe(),
-            evaluation.views.len(),
-            thousands(u64::from(*gaussians)),
-        )
     }
 
     /// Results and costs, on stdout.

@@ -71,6 +71,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| "out/view".into());
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
+    // Before anything is loaded: a port in use costs no time.
+    let listener = server::open(&arguments.serve)?;
     let subject = match &arguments.path {
         Some(path) => {
             let wanted = Wanted {
@@ -96,7 +98,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         films: out.clone(),
         token: arguments.serve.token.clone(),
     };
-    let server = server::start(&arguments.serve, site)?;
+    let server = server::start(listener, site)?;
     announce(server.address, &arguments.serve);
     let mut studio = Studio::new(hub, base, out);
     while !stop.load(Ordering::Relaxed) {

@@ -100,7 +100,8 @@ impl Run {
         self.repeated = device.repeated() + &photos.unwrap_or_default();
     }
 
-    pub(super) fn say_how_to_go_on(&self, iteration: u32) {
+    /// What to type to go on from the newest checkpoint.
+    fn command_to_go_on(&self) -> String {
         let data = &self.settings.data;
         // It is to work wherever it is typed, and the settings have the paths as they were typed.
         let absolute = |path: &Path| {
@@ -111,10 +112,11 @@ impl Run {
         let relative = relative.iter().filter(|(_, path)| path.is_relative());
         let places: String = relative.map(|(option, path)| format!(" {option} {}", absolute(path))).collect();
         let settings = absolute(&data.model_path.join(SETTINGS_FILE));
-        let command = format!(
-            "ashsplat train --config {settings}{places} --start-checkpoint {LATEST}{}",
-            self.repeated
-        );
+        format!("ashsplat train --config {settings}{places} --start-checkpoint {LATEST}{}", self.repeated)
+    }
+
+    pub(super) fn say_how_to_go_on(&self, iteration: u32) {
+        let command = self.command_to_go_on();
         // Also with --quiet: who stops a training wants to know.
         self.progress.warn(&match iteration == self.settings.train.iterations {
             true => {
@@ -163,7 +165,10 @@ impl Run {
         if self.checkpointed != Some(iteration)
             && let Err(error) = checkpoint.and_then(|checkpoint| self.write_that(&checkpoint))
         {
-            tell!("warning: no checkpoint: {error}");
+            let older = self
+                .checkpointed
+                .map(|older| format!("; to go on from iteration {older}, {}", self.command_to_go_on()));
+            tell!("warning: no checkpoint: {error}{}", older.unwrap_or_default());
         }
     }
 }

@@ -2,6 +2,7 @@
 
 mod allowance;
 mod curves;
+mod doors;
 #[cfg(test)]
 mod tests;
 
@@ -9,7 +10,7 @@ use super::Run;
 use crate::measure::Stopwatch;
 use crate::view::hub::Hub;
 use crate::view::protocol::{ToPage, TrainAction};
-use crate::view::server::{self, ServeArguments, Server, Site};
+use crate::view::server::{self, Server, Site};
 use crate::view::sibr::{self, Wishes};
 use crate::view::studio::{self, Studio};
 use crate::view::{self, Painter, Photos, Subject};
@@ -21,6 +22,7 @@ use ashsplat_files::metrics;
 use ashsplat_files::{Gallery, View};
 use clap::Args;
 use curves::Curves;
+use doors::Doors;
 use serde_json::json;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -56,10 +58,6 @@ fn share(text: &str) -> Result<f64, String> {
 }
 
 impl LiveArguments {
-    fn is_wanted(&self) -> bool {
-        self.view.is_some() || self.ip.is_some()
-    }
-
     /// Whether the photos are shown as well.
     pub fn wants_photos(&self) -> bool {
         self.view.is_some()
@@ -111,8 +109,8 @@ pub struct Live {
 }
 
 impl Live {
-    /// Opens the ports.
-    fn start(arguments: &LiveArguments, about: About) -> Result<Live> {
+    /// Lets those in who wait at the ports.
+    fn start(doors: Doors, about: About) -> Result<Live> {
         let hub = Arc::new(Hub::default());
         let About { subject, device, iterations, model, source } = about;
         hub.greet_with(subject.greeting(device, Some(iterations)).to_string());
@@ -124,23 +122,17 @@ impl Live {
         let films = model.join("films");
         let base = subject.base;
         let mut server = None;
-        if let Some(port) = arguments.view {
-            let serve = ServeArguments {
-                host: arguments.view_host.clone(),
-                port,
-                token: arguments.view_token.clone(),
-                of_training: true,
-            };
+        if let Some((listener, serve)) = doors.page {
             let (photos, token) = (subject.photos, serve.token.clone());
             let site = Site { hub: hub.clone(), photos, films: films.clone(), token };
-            let started = server::start(&serve, site)?;
+            let started = server::start(listener, site)?;
             view::announce(started.address, &serve);
             server = Some(started);
         }
         let mut wishes = None;
-        if let Some(ip) = &arguments.ip {
+        if let Some(listener) = doors.network_viewer {
             let (address, shared) =
-                sibr::listen(ip, arguments.port, hub.clone(), source.to_string_lossy().into_owned())?;
+                sibr::serve(listener, hub.clone(), source.to_string_lossy().into_owned())?;
             say!("network viewer at {address}");
             wishes = Some(shared);
         }
@@ -150,7 +142,7 @@ impl Live {
             _server: server,
             wishes,
             curves,
-            allowance: Allowance::new(arguments.view_share),
+            allowance: Allowance::new(doors.share),
             trains_since: Instant::now(),
             renewed: Instant::now(),
             paused: false,
@@ -301,13 +293,11 @@ impl Run {
     /// Lets others look on, if that was asked for.
     pub fn look_on(
         &mut self,
-        arguments: &LiveArguments,
+        doors: Option<Doors>,
         context: &Context,
         gallery: Option<Gallery>,
     ) -> Result<()> {
-        if !arguments.is_wanted() {
-            return Ok(());
-        }
+        let Some(doors) = doors else { return Ok(()) };
         let (data, train) = (&self.settings.data, &self.settings.train);
         let subject = Subject {
             name: data.model_path.display().to_string(),
@@ -324,7 +314,7 @@ impl Run {
             model: &data.model_path,
             source: &data.source_path,
         };
-        self.live = Some(Live::start(arguments, about)?);
+        self.live = Some(Live::start(doors, about)?);
         Ok(())
     }
 

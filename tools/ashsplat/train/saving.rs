@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 /// Until what could not be saved is tried again, while training goes on.
 const AGAIN: Duration = Duration::from_secs(5);
 /// Attempts when training ends, and the pause between two.
-const ATTEMPTS: u32 = 3;
-const PAUSE: Duration = Duration::from_millis(300);
+pub(super) const ATTEMPTS: u32 = 3;
+pub(super) const PAUSE: Duration = Duration::from_millis(300);
 
 /// What a run saves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +67,7 @@ impl Run {
                 let reason = if stopping && !last { "interrupted: " } else { "" };
                 self.persist(Kind::Scene, last || stopping, |run| run.save(iteration, reason))?;
             }
-            match tests.then(|| self.test(iteration)).transpose() {
+            match tests.then(|| self.test(iteration, last || stopping)).transpose() {
                 // A frame of a test view that is too large: training goes on.
                 Err(error @ Error::TooLarge { .. }) if !last && !stopping => {
                     self.progress.warn(&format!("warning: iteration {iteration} is not tested: {error}"));

@@ -9,6 +9,7 @@ mod turns;
 
 use super::protocol::{CameraMessage, FilmRequest, Look, ToPage, TrainAction, ViewRequest};
 use outbox::Outbox;
+use serde_json::json;
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
@@ -99,6 +100,8 @@ impl Hub {
             }
             state.next_client += 1;
             let outbox = Arc::new(Outbox::default());
+            // It says so where it asks for photos.
+            outbox.put(ToPage::json(&json!({ "type": "page", "page": state.next_client })));
             outbox.put(ToPage::Text(state.greeting.clone()));
             let client = Client {
                 out: outbox.clone(),
@@ -124,6 +127,11 @@ impl Hub {
     /// Pages that are there.
     pub fn pages(&self) -> usize {
         self.lock().clients.len()
+    }
+
+    /// Whether a page of this number is there.
+    pub fn has_page(&self, client: u64) -> bool {
+        self.lock().clients.contains_key(&client)
     }
 
     /// The newest camera of a page.

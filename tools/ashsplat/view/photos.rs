@@ -1,14 +1,16 @@
 //! The photos of the data set as the page gets them: however many are asked for, they take a bounded memory.
 
+mod queue;
+
 use super::draw;
 use ashsplat::Result;
 use ashsplat_files::{Gallery, Photo, PhotoFileFormat};
 use axum::body::Bytes;
+use queue::{Busy, Queue, Turn};
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+pub use queue::Asker;
 
 /// Bytes of encoded photos that are kept, and of thumbnails.
 const KEPT_BYTES: usize = 64 << 20;
@@ -25,10 +27,6 @@ const DECODERS: u32 = 2;
 const BYTES_PER_PIXEL: u64 = 8;
 /// Memory of photos that are being sent, MiB: a page that does not read holds its own.
 const SENDING_MIB: u32 = 128;
-/// Requests that may wait for a decoder; more are refused.
-const MOST_WAITING: usize = 24;
-/// Longest that a request waits.
-const PATIENCE: Duration = Duration::from_secs(20);
 
 /// How large a photo is wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +45,12 @@ pub enum Refusal {
     Busy,
     /// It cannot be read.
     Problem(String),
+}
+
+impl From<Busy> for Refusal {
+    fn from(Busy: Busy) -> Refusal {
+        Refusal::Busy
+    }
 }
 
 /// What was encoded last, newest at the end.
@@ -82,9 +86,8 @@ pub struct Photos {
     costs: Vec<u32>,
     full: Mutex<Kept>,
     thumbnails: Mutex<Kept>,
-    decoding: Arc<Semaphore>,
-    sending: Arc<Semaphore>,
-    waiting: AtomicUsize,
+    decoding: Queue,
+    sending: Queue,
 }
 
 impl Photos {
@@ -100,20 +103,19 @@ impl Photos {
             gallery,
             full: Kept::new(KEPT_BYTES),
             thumbnails: Kept::new(KEPT_THUMBNAIL_BYTES),
-            decoding: Arc::new(Semaphore::new(DECODING_MIB as usize)),
-            sending: Arc::new(Semaphore::new(SENDING_MIB as usize)),
-            waiting: AtomicUsize::new(0),
+            decoding: Queue::new(DECODING_MIB, DECODING_MIB),
+            // Who does not read leaves room for the others.
+            sending: Queue::new(SENDING_MIB, SENDING_MIB / 2),
         }
     }
 
-    /// A photo, when its turn has come.
-    pub async fn jpeg(self: &Arc<Photos>, index: usize, size: Size) -> Result<Bytes, Refusal> {
+    /// A photo, when the turn of who asks has come.
+    pub async fn jpeg(self: &Arc<Photos>, index: usize, size: Size, asker: Asker) -> Result<Bytes, Refusal> {
         let cost = *self.costs.get(index).ok_or(Refusal::Unknown)?;
         let bytes = match self.kept(index, size) {
             Some(bytes) => bytes,
             None => {
-                let _waits = Waits::begin(&self.waiting).ok_or(Refusal::Busy)?;
-                let turn = turn(&self.decoding, cost).await?;
+                let turn = self.decoding.turn(asker, cost).await?;
                 // Another request may have been for the same.
                 match self.kept(index, size) {
                     Some(bytes) => bytes,
@@ -122,7 +124,7 @@ impl Photos {
             }
         };
         let mib = u32::try_from(bytes.len().div_ceil(1 << 20)).unwrap_or(SENDING_MIB);
-        let sent = turn(&self.sending, mib.min(SENDING_MIB)).await?;
+        let sent = self.sending.turn(asker, mib).await?;
         Ok(Bytes::from_owner(Lent { bytes, _sent: sent }))
     }
 
@@ -141,7 +143,7 @@ impl Photos {
         self: &Arc<Photos>,
         index: usize,
         size: Size,
-        turn: OwnedSemaphorePermit,
+        turn: Turn,
     ) -> Result<Arc<Vec<u8>>, Refusal> {
         let photos = self.clone();
         let work = move || {
@@ -157,33 +159,10 @@ impl Photos {
     }
 }
 
-/// A share of a budget, when it is free.
-async fn turn(budget: &Arc<Semaphore>, share: u32) -> Result<OwnedSemaphorePermit, Refusal> {
-    let turn = tokio::time::timeout(PATIENCE, budget.clone().acquire_many_owned(share)).await;
-    turn.ok().and_then(Result::ok).ok_or(Refusal::Busy)
-}
-
-/// A request that waits for a decoder.
-struct Waits<'a>(&'a AtomicUsize);
-
-impl<'a> Waits<'a> {
-    fn begin(waiting: &'a AtomicUsize) -> Option<Waits<'a>> {
-        let before = waiting.fetch_add(1, Ordering::Relaxed);
-        // Dropped at once, it is counted no more.
-        Some(Waits(waiting)).filter(|_| before < MOST_WAITING)
-    }
-}
-
-impl Drop for Waits<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
 /// A photo that is being sent.
 struct Lent {
     bytes: Arc<Vec<u8>>,
-    _sent: OwnedSemaphorePermit,
+    _sent: Turn,
 }
 
 impl AsRef<[u8]> for Lent {
@@ -217,14 +196,5 @@ mod tests {
         // One that is larger than all is kept alone.
         kept.add(50, Arc::new(vec![0; 5000]));
         assert!(kept.find(50).is_some() && kept.photos.len() == 1);
-    }
-
-    #[test]
-    fn few_may_wait() {
-        let waiting = AtomicUsize::new(0);
-        let all: Vec<Waits> = (0..100).filter_map(|_| Waits::begin(&waiting)).collect();
-        assert_eq!((all.len(), waiting.load(Ordering::Relaxed)), (MOST_WAITING, MOST_WAITING));
-        drop(all);
-        assert_eq!(waiting.load(Ordering::Relaxed), 0);
     }
 }

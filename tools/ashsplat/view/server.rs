@@ -8,16 +8,16 @@ mod seats;
 
 use super::assets;
 use super::hub::Hub;
-use super::photos::{Photos, Refusal, Size};
+use super::photos::{Asker, Photos, Refusal, Size};
 use ashsplat::{Error, Result};
-use axum::Router;
 use axum::extract::{Path as UrlPath, State};
 use axum::http::{StatusCode, Uri, header};
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use axum::{Extension, Router};
 use clap::Args;
-use seats::Limits;
+use seats::{Limits, Seat};
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -70,9 +70,8 @@ impl Drop for Server {
     }
 }
 
-/// Starts to serve.
-pub fn start(arguments: &ServeArguments, site: Site) -> Result<Server> {
-    let listener = bind(arguments)?;
+/// Starts to serve at an open port.
+pub fn start(listener: TcpListener, site: Site) -> Result<Server> {
     let failed = |e: std::io::Error| Error::argument("viewer", format!("cannot listen: {e}"));
     let address = listener.local_addr().map_err(failed)?;
     listener.set_nonblocking(true).map_err(failed)?;
@@ -101,7 +100,7 @@ pub fn start(arguments: &ServeArguments, site: Site) -> Result<Server> {
 }
 
 /// Opens the port; an address that others can reach wants a token.
-fn bind(arguments: &ServeArguments) -> Result<TcpListener> {
+pub fn open(arguments: &ServeArguments) -> Result<TcpListener> {
     let ServeArguments { host, port, token, of_training } = arguments;
     let [host_option, port_option, token_option, other_port] = match of_training {
         true => ["--view-host", "--view", "--view-token", "--view=PORT"],
@@ -116,8 +115,8 @@ fn bind(arguments: &ServeArguments) -> Result<TcpListener> {
     let addresses: Vec<SocketAddr> = addresses
         .map_err(|e| Error::argument(host_option, format!("'{host}' is no address of this machine: {e}")))?
         .collect();
-    let open = addresses.iter().any(|address| !address.ip().is_loopback());
-    if open && token.is_none() {
+    let to_others = addresses.iter().any(|address| !address.ip().is_loopback());
+    if to_others && token.is_none() {
         let problem =
             format!("'{host}' can be reached by others: give a secret word with {token_option} WORD");
         return Err(Error::argument(host_option, problem));
@@ -156,19 +155,37 @@ async fn asset(uri: Uri) -> Response {
 }
 
 /// A photo of the data set as JPEG.
-async fn photo(State(site): State<Arc<Site>>, UrlPath(index): UrlPath<usize>) -> Response {
-    send_photo(site, index, Size::Full).await
+async fn photo(
+    State(site): State<Arc<Site>>,
+    Extension(seat): Extension<Arc<Seat>>,
+    UrlPath(index): UrlPath<usize>,
+    uri: Uri,
+) -> Response {
+    let asker = asker(&site, &seat, &uri);
+    send_photo(site, index, Size::Full, asker).await
 }
 
 /// The same, small.
-async fn thumbnail(State(site): State<Arc<Site>>, UrlPath(index): UrlPath<usize>) -> Response {
-    send_photo(site, index, Size::Thumbnail).await
+async fn thumbnail(
+    State(site): State<Arc<Site>>,
+    Extension(seat): Extension<Arc<Seat>>,
+    UrlPath(index): UrlPath<usize>,
+    uri: Uri,
+) -> Response {
+    let asker = asker(&site, &seat, &uri);
+    send_photo(site, index, Size::Thumbnail, asker).await
 }
 
-async fn send_photo(site: Arc<Site>, index: usize, size: Size) -> Response {
+/// Who asks for a photo. Pages say which they are: one that asks for many does not delay the others.
+fn asker(site: &Site, seat: &Seat, uri: &Uri) -> Asker {
+    let page = door::query_value(uri, "page").and_then(|page| page.parse().ok());
+    Asker { peer: seat.peer(), page: page.filter(|page| site.hub.has_page(*page)) }
+}
+
+async fn send_photo(site: Arc<Site>, index: usize, size: Size, asker: Asker) -> Response {
     let Some(photos) = site.photos.clone() else { return StatusCode::NOT_FOUND.into_response() };
     // The page's addresses of photos carry the run's name: of another scene at this port they are others.
-    match photos.jpeg(index, size).await {
+    match photos.jpeg(index, size, asker).await {
         Ok(bytes) => {
             let kind = [(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, "max-age=3600")];
             (kind, bytes).into_response()
@@ -212,7 +229,7 @@ mod tests {
         hub.greet_with("{}".into());
         let site = Site { hub: hub.clone(), photos: None, films: PathBuf::new(), token: None };
         let serve = ServeArguments { host: "127.0.0.1".into(), port: 0, token: None, of_training: false };
-        let server = start(&serve, site).expect("a port");
+        let server = start(open(&serve).expect("a port"), site).expect("a server");
         let address = server.address;
         let page = || {
             let stream = std::net::TcpStream::connect(address).expect("connected");
@@ -248,7 +265,7 @@ mod tests {
     fn options_have_the_commands_names() {
         let serve =
             |of_training| ServeArguments { host: "0.0.0.0".into(), port: 0, token: None, of_training };
-        let said = |of_training| bind(&serve(of_training)).expect_err("open to others").to_string();
+        let said = |of_training| open(&serve(of_training)).expect_err("open to others").to_string();
         assert!(said(true).contains("--view-token WORD") && said(false).contains(" --token WORD"));
     }
 }

@@ -104,25 +104,34 @@ fn bad(problem: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, problem)
 }
 
-/// Listens; pictures are asked of the hub, and what else the viewers want is in the answer. `source` is the data set's
-/// path as they are told it.
-pub fn listen(ip: &str, port: u16, hub: Arc<Hub>, source: String) -> Result<(SocketAddr, Arc<Wishes>)> {
-    let failed = |e: io::Error| {
+/// What cannot be had of a port.
+fn refused(problem: impl std::fmt::Display) -> Error {
+    Error::argument("--port", problem.to_string())
+}
+
+/// Opens the port.
+pub fn open(ip: &str, port: u16) -> Result<TcpListener> {
+    let listener = TcpListener::bind((ip, port)).map_err(|e| {
         let busy = e.kind() == io::ErrorKind::AddrInUse;
-        let problem = match busy {
+        refused(match busy {
             true => format!("port {port} of {ip} is in use by another program; choose another with --port N"),
             false => format!("cannot listen at {ip}:{port}: {e}"),
-        };
-        Error::argument("--port", problem)
-    };
-    let listener = TcpListener::bind((ip, port)).map_err(failed)?;
-    let address = listener.local_addr().map_err(failed)?;
+        })
+    })?;
+    let address = listener.local_addr().map_err(refused)?;
     if !address.ip().is_loopback() {
         tell!(
             "warning: the network viewer's protocol has no password: whatever reaches {address} can look at the \
              training and hold it"
         );
     }
+    Ok(listener)
+}
+
+/// Serves at an open port; pictures are asked of the hub, and what else the viewers want is in the answer. `source` is the
+/// data set's path as they are told it.
+pub fn serve(listener: TcpListener, hub: Arc<Hub>, source: String) -> Result<(SocketAddr, Arc<Wishes>)> {
+    let address = listener.local_addr().map_err(refused)?;
     let wishes = Arc::new(Wishes::default());
     let shared = wishes.clone();
     let serve = move || {
@@ -134,7 +143,7 @@ pub fn listen(ip: &str, port: u16, hub: Arc<Hub>, source: String) -> Result<(Soc
             }
         }
     };
-    std::thread::Builder::new().name("network viewer".into()).spawn(serve).map_err(failed)?;
+    std::thread::Builder::new().name("network viewer".into()).spawn(serve).map_err(refused)?;
     Ok((address, wishes))
 }
 
@@ -237,7 +246,8 @@ mod tests {
     #[test]
     fn silent_viewers_are_given_up() {
         let (address, wishes) =
-            listen("127.0.0.1", 0, Arc::new(Hub::default()), "data".into()).expect("a port");
+            serve(open("127.0.0.1", 0).expect("a port"), Arc::new(Hub::default()), "data".into())
+                .expect("a server");
         let wait_for = |what: &dyn Fn() -> bool| {
             let start = std::time::Instant::now();
             while !what() {
@@ -268,7 +278,8 @@ mod tests {
     #[test]
     fn slow_viewers_are_given_up() {
         let (address, _wishes) =
-            listen("127.0.0.1", 0, Arc::new(Hub::default()), "data".into()).expect("a port");
+            serve(open("127.0.0.1", 0).expect("a port"), Arc::new(Hub::default()), "data".into())
+                .expect("a server");
         let mut slow = TcpStream::connect(address).expect("connected");
         slow.write_all(&1000_u32.to_le_bytes()).expect("sent");
         let start = Instant::now();

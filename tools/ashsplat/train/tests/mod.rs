@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
-use crate::model;
+use crate::{eval, model};
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
 use ashsplat::trainer::{Actions, Checkpoint};
 use ashsplat::vk::{ContextOptions, Fault, Faults};
@@ -10,7 +10,7 @@ use ashsplat_files::CheckpointFile;
 use ashsplat_files::Photo;
 use glam::Vec3;
 
-fn dataset(scene_extent: f32) -> Dataset {
+pub(super) fn dataset(scene_extent: f32) -> Dataset {
     let camera = Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.8, 16, 16));
     let photo = Photo { width: 16, height: 16, rgb: vec![0; 16 * 16 * 3] };
     let (name, original_camera) = ("a.png".into(), camera);

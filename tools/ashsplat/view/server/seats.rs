@@ -129,6 +129,11 @@ impl Seats {
 }
 
 impl Seat {
+    /// Where it comes from.
+    pub fn peer(&self) -> IpAddr {
+        self.peer
+    }
+
     /// Something came or went.
     pub fn has_moved(&self) {
         let now = u64::try_from(self.start.elapsed().as_millis()).unwrap_or(u64::MAX);

@@ -91,6 +91,7 @@ link.on('close', () => {
     find('connection').textContent = 'connection lost, trying again';
     find('connection').classList.add('bad');
 });
+link.on('page', ({ page }) => { photos.page = page; });
 link.on('scene', (message) => {
     const first = scene === null || scene.name !== message.name;
     scene = message;

@@ -4,7 +4,7 @@ const find = (id) => document.getElementById(id);
 
 export class Photos {
     constructor(camera, overlay, frames) {
-        Object.assign(this, { camera, overlay, frames, entries: [], hasPhotos: false, share: 0.5, current: -1 });
+        Object.assign(this, { camera, overlay, frames, entries: [], page: 0, hasPhotos: false, share: 0.5, current: -1 });
         const wipe = find('wipe');
         wipe.onpointerdown = (e) => { wipe.setPointerCapture(e.pointerId); this.dragging = true; };
         wipe.onpointermove = (e) => {
@@ -31,12 +31,15 @@ export class Photos {
             button.title = name;
             button.onclick = () => this.jumpTo(index);
             const label = Object.assign(document.createElement('span'), { textContent: name.split('/').at(-1) });
-            if (hasPhotos) button.append(Object.assign(new Image(), { loading: 'lazy', decoding: 'async', src: `/thumbnail/${index}?run=${run}`, alt: '' }));
+            if (hasPhotos) button.append(Object.assign(new Image(), { loading: 'lazy', decoding: 'async', src: this.address('thumbnail', index), alt: '' }));
             else button.classList.add('plain');
             button.append(label);
             return button;
         }));
     }
+
+    /** The run's name: of another scene they are others. The page's number: each page has its turn. */
+    address(kind, index) { return `/${kind}/${index}?run=${this.run}&page=${this.page}`; }
 
     step(by) {
         const { length } = this.entries;
@@ -52,7 +55,7 @@ export class Photos {
         [...find('photo-list').children].forEach((button, i) => button.classList.toggle('on', i === index));
         find('photo-list').children[index].scrollIntoView({ block: 'nearest' });
         if (this.hasPhotos) {
-            find('photo').src = `/photo/${index}?run=${this.run}`;
+            find('photo').src = this.address('photo', index);
             this.shown = true;
         }
         this.follow();

@@ -1,0 +1,10 @@
+//! The short form of `tools/siege` against the program that was built beside it.
+
+/// It attacks for half a minute: `.ci/run` has a step for it.
+#[cfg(target_os = "linux")]
+#[test]
+#[ignore = "half a minute"]
+fn short_siege_is_withstood() {
+    let siege = std::process::Command::new(env!("CARGO_BIN_EXE_siege")).arg("--short").status();
+    assert!(siege.expect("the siege begins").success(), "its table is above");
+}

@@ -1,0 +1,81 @@
+//! Tests while training runs. What they measure counts; pictures and results that the disk refuses end no training.
+
+use super::Run;
+use super::saving::{ATTEMPTS, PAUSE};
+use crate::eval::{self, Evaluation, Pictures};
+use crate::progress::thousands;
+use crate::render;
+use ashsplat::Result;
+
+/// The test after an iteration.
+pub struct Tested {
+    pub(super) iteration: u32,
+    pub(super) gaussians: u32,
+    pub evaluation: Evaluation,
+}
+
+impl Run {
+    /// Measures the test views; those that were held out are also saved. What cannot be saved is an error where training
+    /// ends, and else a warning: the last test is saved again.
+    pub(super) fn test(&mut self, iteration: u32, ends: bool) -> Result<f64> {
+        let (mut evaluation, mut saved) = self.evaluate(iteration)?;
+        for _ in 1..if ends { ATTEMPTS } else { 1 } {
+            if saved.is_ok() {
+                break;
+            }
+            std::thread::sleep(PAUSE);
+            (evaluation, saved) = self.evaluate(iteration)?;
+        }
+        let psnr = evaluation.psnr();
+        self.progress.tested(psnr);
+        self.show_test(iteration, psnr);
+        let tested = Tested { iteration, gaussians: self.gaussians, evaluation };
+        self.progress.note(&self.describe(&tested));
+        self.evaluations.push(tested);
+        let results = self.write_results();
+        match saved.and(results) {
+            Err(error) if !ends => {
+                let warning = format!(
+                    "warning: the test of iteration {iteration} is not saved: {error}; training goes on"
+                );
+                self.progress.warn(&warning);
+            }
+            saved => saved?,
+        }
+        Ok(psnr)
+    }
+
+    /// Measures, and whether the pictures were saved.
+    fn evaluate(&mut self, iteration: u32) -> Result<(Evaluation, Result<()>)> {
+        let folder = self.settings.data.model_path.join("test").join(format!("ours_{iteration}"));
+        let mut pictures = self.held_out.then(|| Pictures::new(folder));
+        let settings = render::settings_of(&self.settings);
+        let trainer = &mut self.trainer;
+        let evaluation = eval::evaluate(self.test.iter().map(Ok), pictures.as_mut(), |camera| {
+            trainer.render(camera, &settings)
+        })?;
+        Ok((evaluation, pictures.map_or(Ok(()), Pictures::saved)))
+    }
+
+    /// Writes the results that have not been written yet.
+    fn write_results(&mut self) -> Result<()> {
+        if self.held_out {
+            for tested in &self.evaluations[self.results..] {
+                eval::write_results(&self.settings.data.model_path, tested.iteration, &tested.evaluation)?;
+                self.results += 1;
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn describe(&self, tested: &Tested) -> String {
+        let Tested { iteration, gaussians, evaluation } = tested;
+        let kind = if self.held_out { "held-out" } else { "training" };
+        format!(
+            "iteration {iteration}: {} on {} {kind} views, {} Gaussians",
+            evaluation.describe(),
+            evaluation.views.len(),
+            thousands(u64::from(*gaussians)),
+        )
+    }
+}

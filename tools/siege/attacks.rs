@@ -1,0 +1,39 @@
+//! All attacks.
+
+mod bombs;
+mod connections;
+mod disk;
+mod floods;
+mod kills;
+mod limits;
+mod photos;
+
+use crate::siege::{Outcome, Result, Siege};
+
+/// An attack: an error is what should not have happened.
+pub struct Attack {
+    pub name: &'static str,
+    pub run: fn(&Siege) -> Result<Outcome>,
+}
+
+/// In the order in which they are made.
+pub const ATTACKS: [Attack; 18] = [
+    Attack { name: "connections that say nothing, to a training", run: connections::silent },
+    Attack { name: "WebSockets whose hand-shake never ends", run: connections::unfinished },
+    Attack { name: "SIBR clients that say nothing", run: connections::network_viewer },
+    Attack { name: "large photos asked for at once", run: photos::at_once },
+    Attack { name: "photos asked for by a foreign page", run: photos::foreign },
+    Attack { name: "pages that flood a training and read nothing", run: floods::pages },
+    Attack { name: "SIBR clients that flood a training", run: floods::network_viewer },
+    Attack { name: "file_path of 8,000 folders", run: bombs::photo_path },
+    Attack { name: "mask_path of 8,000 folders", run: bombs::mask_path },
+    Attack { name: "names of 8,000 folders in images.txt", run: bombs::colmap_names },
+    Attack { name: "JSON 100,000 levels deep", run: bombs::deep_json },
+    Attack { name: "photos, PLY and SPZ that claim to be huge", run: bombs::claims },
+    Attack { name: "killed while it saves", run: kills::killed },
+    Attack { name: "interrupted and resumed", run: kills::interrupted },
+    Attack { name: "a full disk, freed later", run: disk::full },
+    Attack { name: "files of limited size", run: limits::file_size },
+    Attack { name: "40 descriptors", run: limits::descriptors },
+    Attack { name: "a scene larger than the address space", run: limits::memory },
+];

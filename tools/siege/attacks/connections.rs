@@ -1,0 +1,97 @@
+//! Connections that cost a descriptor each and do nothing. None of them needs the viewer's word.
+
+use crate::page::{self, Page};
+use crate::program::Limits;
+use crate::siege::{Outcome, Result, Siege, ensure};
+use crate::training::Training;
+use std::io::Write;
+use std::net::TcpStream;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Who is visited.
+enum Door {
+    Page,
+    NetworkViewer,
+}
+
+pub fn silent(siege: &Siege) -> Result<Outcome> {
+    besiege(siege, Door::Page, b"", b"")
+}
+
+/// One header after the other, without an end.
+pub fn unfinished(siege: &Siege) -> Result<Outcome> {
+    let begin = b"GET /socket HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n";
+    besiege(siege, Door::Page, begin, b"X: y\r\n")
+}
+
+/// A message of a megabyte, byte by byte.
+pub fn network_viewer(siege: &Siege) -> Result<Outcome> {
+    besiege(siege, Door::NetworkViewer, &[0, 0, 16, 0], b"{")
+}
+
+/// A training with too few descriptors for all that come: it answers its page, saves and reaches its end meanwhile.
+fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<Outcome> {
+    let (descriptors, count) = siege.choose((150, 300), (1024, 1060));
+    let limits = Limits { descriptors: Some(descriptors), ..Limits::default() };
+    let mut training = Training::start(siege, &limits, &["--ip", "127.0.0.1", "--port", "0"])?;
+    let network_viewer = training.program.wait_for("network viewer at ")?;
+    let mut page = training.held()?;
+    let host = match door {
+        Door::Page => &training.host,
+        Door::NetworkViewer => &network_viewer,
+    };
+    let mut connections = Vec::new();
+    for _ in 0..count {
+        // The table of waiting connections may be full: then this one waits, and is no attack yet.
+        let Ok(mut stream) = TcpStream::connect(host.as_str()) else { continue };
+        stream.set_nonblocking(true)?;
+        stream.write_all(begin).ok();
+        connections.push(stream);
+    }
+    ensure!(connections.len() > count / 2, "only {} connections came about", connections.len());
+    let (stop, count) = (AtomicBool::new(false), connections.len());
+    let longest = std::thread::scope(|scope| {
+        let stop = &stop;
+        scope.spawn(move || {
+            while !stop.load(Ordering::Relaxed) {
+                connections.iter_mut().for_each(|stream| drop(stream.write_all(more)));
+                std::thread::sleep(Duration::from_millis(300));
+            }
+        });
+        let answered = visit(&training.host, &mut page);
+        let ended = training.explain(answered).and_then(|longest| {
+            page.act("resume")?;
+            training.check_end(siege).map(|()| longest)
+        });
+        stop.store(true, Ordering::Relaxed);
+        ended
+    })?;
+    let longest = longest.as_millis();
+    Ok(Outcome::Withstood(format!(
+        "{count} with {descriptors} descriptors: pages answered within {longest} ms, saved, same bits at the end"
+    )))
+}
+
+/// The page that is there already, another one and a request are answered; how long the longest took.
+fn visit(host: &str, page: &mut Page) -> Result<Duration> {
+    let mut longest = Duration::ZERO;
+    let mut timed = |visit: &mut dyn FnMut() -> Result<()>| -> Result<()> {
+        let start = Instant::now();
+        visit()?;
+        longest = longest.max(start.elapsed());
+        Ok(())
+    };
+    timed(&mut || page.look().map(drop))?;
+    timed(&mut || {
+        page.act("save")?;
+        page.wait_for("note").map(drop)
+    })?;
+    timed(&mut || Page::open(host)?.look().map(drop))?;
+    timed(&mut || {
+        let (code, _) = page::get(host, "/main.js", "", page::PATIENCE)?;
+        ensure!(code == 200, "a page's script is answered with {code}");
+        Ok(())
+    })?;
+    Ok(longest)
+}

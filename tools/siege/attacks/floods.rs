@@ -1,0 +1,151 @@
+//! Messages as fast as they go, and nobody who reads the answers.
+
+use crate::page::{self, PATIENCE, Page};
+use crate::program::Limits;
+use crate::siege::{Outcome, Result, Siege, ensure};
+use crate::training::Training;
+use serde_json::json;
+use std::io::{ErrorKind, Write};
+use std::net::TcpStream;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+/// Memory that a flood may take, MiB.
+const MOST_MEMORY: u64 = 200;
+
+/// Sends a message again and again, as fast as it goes, until it is told to stop or cut off.
+fn flood(mut stream: &TcpStream, message: &[u8], over: &AtomicBool, sent: &AtomicU64) {
+    // As much as goes into a socket at once.
+    let messages = message.repeat(1 + (64 << 10) / message.len());
+    if stream.set_write_timeout(Some(Duration::from_millis(50))).is_err() {
+        return;
+    }
+    let mut rest = messages.as_slice();
+    while !over.load(Ordering::Relaxed) {
+        match stream.write(rest) {
+            Ok(0) => return,
+            Ok(bytes) => {
+                sent.fetch_add(bytes as u64, Ordering::Relaxed);
+                rest = &rest[bytes..];
+                if rest.is_empty() {
+                    rest = &messages;
+                }
+            }
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+            Err(_) => return,
+        }
+    }
+}
+
+pub fn pages(siege: &Siege) -> Result<Outcome> {
+    let kinds = [
+        json!({ "type": "nonsense" }),
+        json!({ "type": "status", "since": 0 }),
+        json!({ "type": "ack" }),
+        page::view(),
+        json!({ "type": "train", "action": "pause" }),
+    ];
+    let kinds: Vec<Vec<u8>> = kinds.iter().map(|kind| page::frame(&kind.to_string())).collect();
+    besiege(siege, |training, over, sent| {
+        std::thread::scope(|scope| {
+            for message in &kinds {
+                let host = &training.host;
+                scope.spawn(move || {
+                    while !over.load(Ordering::Relaxed) {
+                        let Ok(stream) = Page::open(host).and_then(|page| page.stream()) else {
+                            std::thread::sleep(Duration::from_millis(50));
+                            continue;
+                        };
+                        flood(&stream, message, over, sent);
+                    }
+                });
+            }
+        });
+    })
+}
+
+pub fn network_viewer(siege: &Siege) -> Result<Outcome> {
+    let ask = json!({
+        "resolution_x": 320, "resolution_y": 200, "train": true, "fov_x": 1.0, "fov_y": 0.7, "z_far": 100.0,
+        "z_near": 0.01, "shs_python": false, "rot_scale_python": false, "keep_alive": false,
+        "scaling_modifier": 1.0, "view_matrix": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, -2.5, 1],
+        "view_projection_matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+    })
+    .to_string();
+    let message = [&(ask.len() as u32).to_le_bytes()[..], ask.as_bytes()].concat();
+    besiege(siege, |training, over, sent| {
+        std::thread::scope(|scope| {
+            for _ in 0..8 {
+                let (host, message) = (&training.network_viewer, &message);
+                scope.spawn(move || {
+                    while !over.load(Ordering::Relaxed) {
+                        if let Ok(stream) = page::connect(host, PATIENCE) {
+                            flood(&stream, message, over, sent);
+                        }
+                        std::thread::sleep(Duration::from_millis(10));
+                    }
+                });
+            }
+        });
+    })
+}
+
+/// What an attack needs: whom, until when, and where to count its bytes.
+type Flood<'a> = &'a (dyn Fn(&Besieged, &AtomicBool, &AtomicU64) + Sync);
+
+/// Where a training listens.
+struct Besieged {
+    host: String,
+    network_viewer: String,
+}
+
+/// While it lasts, another page gets its pictures; then training goes on to its end.
+fn besiege(siege: &Siege, attack: impl Fn(&Besieged, &AtomicBool, &AtomicU64) + Sync) -> Result<Outcome> {
+    let attack: Flood = &attack;
+    let seconds = Duration::from_secs(siege.choose(2, 30));
+    let mut training = Training::start(siege, &Limits::default(), &["--ip", "127.0.0.1", "--port", "0"])?;
+    let network_viewer = training.program.wait_for("network viewer at ")?;
+    let besieged = Besieged { host: training.host.clone(), network_viewer };
+    let mut page = training.held()?;
+    page.look()?;
+    let before = training.program.memory();
+    let (over, sent) = (AtomicBool::new(false), AtomicU64::new(0));
+    let (looked, more) = std::thread::scope(|scope| {
+        let (over, sent, besieged) = (&over, &sent, &besieged);
+        scope.spawn(move || attack(besieged, over, sent));
+        let looked = look_on(&mut page, seconds);
+        let more = training.program.memory().saturating_sub(before);
+        // Training goes on in the middle of it. Those who flood may hold it again: so it is told again.
+        let ended = training.explain(looked).and_then(|looked| {
+            let start = Instant::now();
+            while training.program.runs() && page.act("resume").is_ok() {
+                ensure!(start.elapsed() < 6 * PATIENCE, "training does not go on");
+                if start.elapsed() > PATIENCE / 5 {
+                    over.store(true, Ordering::Relaxed);
+                }
+                std::thread::sleep(Duration::from_millis(50));
+            }
+            training.check_end(siege).map(|()| looked)
+        });
+        over.store(true, Ordering::Relaxed);
+        ended.map(|looked| (looked, more))
+    })?;
+    let (frames, longest) = (looked.0, looked.1.as_millis());
+    ensure!(more <= MOST_MEMORY, "takes {more} MiB more, {MOST_MEMORY} would be enough");
+    let sent = sent.into_inner() >> 20;
+    Ok(Outcome::Withstood(format!(
+        "{seconds:?}, {sent} MiB heard, {more} MiB more; another page got {frames} pictures, each within {longest} ms; \
+         same bits at the end"
+    )))
+}
+
+/// Another page's pictures: how many, and how long the longest took.
+fn look_on(page: &mut Page, seconds: Duration) -> Result<(u32, Duration)> {
+    let (start, mut frames, mut longest) = (Instant::now(), 0, Duration::ZERO);
+    while start.elapsed() < seconds {
+        longest = longest.max(page.look()?);
+        frames += 1;
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    Ok((frames, longest))
+}

@@ -1,0 +1,91 @@
+//! Ended in the middle of its work, and resumed.
+
+use crate::page::Page;
+use crate::program::{Limits, Program};
+use crate::siege::{Outcome, Result, Siege, ensure, text};
+use crate::training::{self, LONGEST};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// Exit code after Ctrl-C.
+const INTERRUPTED: i32 = 130;
+/// Part of a run's time between two ends, so that they are spread over it: no two come at the same place.
+const GOLDEN: f64 = 0.618_033_988_75;
+
+pub fn killed(siege: &Siege) -> Result<Outcome> {
+    besiege(siege, true)
+}
+
+pub fn interrupted(siege: &Siege) -> Result<Outcome> {
+    besiege(siege, false)
+}
+
+/// Ends trainings at moments spread over their time. Each goes on from what the last left, to the same bits.
+fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
+    let wanted = siege.choose(3, 20);
+    let data = training::data_of(siege)?;
+    training::undisturbed(siege)?;
+    let model = siege.new_folder("attacked")?;
+    // A checkpoint after every iteration, so that there is always one being written.
+    let every: Vec<String> = (1..=training::ITERATIONS).map(|iteration| iteration.to_string()).collect();
+    let every: Vec<&str> = every.iter().map(String::as_str).collect();
+    let mut begin = training::arguments(text(&data)?, text(&model)?, &every);
+    begin.push("--view=0");
+    let go_on = [&begin[..], &["--start-checkpoint", "latest"]].concat();
+    // How long one takes from when it is ready: the first is left alone.
+    let mut whole = None;
+    let (mut ended, mut resumed, mut whole_runs) = (0, 0, 0);
+    for moment in 0..4 * wanted {
+        let enough = ended >= wanted && resumed > 0;
+        if enough && whole_runs > 1 {
+            break;
+        }
+        let goes_on = model.join("last_checkpoint").exists();
+        let arguments = if goes_on { &go_on } else { &begin };
+        let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, arguments)?;
+        let address = program.wait_for("viewer at http://")?;
+        let start = Instant::now();
+        let page = Page::open(address.split('/').next().unwrap_or_default());
+        if let Some(whole) = whole.filter(|_| !enough) {
+            std::thread::sleep(Duration::mul_f64(whole, (GOLDEN * f64::from(moment)) % 1.0));
+            if kills {
+                program.kill();
+            } else {
+                program.interrupt();
+            }
+        }
+        let ending = program.end(LONGEST)?;
+        drop(page);
+        match ending.code {
+            None if kills => ended += 1,
+            Some(INTERRUPTED) if !kills => ended += 1,
+            Some(0) => {
+                whole.get_or_insert(start.elapsed());
+                whole_runs += 1;
+                check(siege, &model)?;
+                std::fs::remove_dir_all(&model)?;
+                continue;
+            }
+            _ => return Err(format!("ends otherwise: {ending}").into()),
+        }
+        resumed += u32::from(goes_on);
+    }
+    ensure!(
+        ended >= wanted && resumed > 0 && whole_runs > 1,
+        "{ended} were ended, {resumed} of them had gone on, {whole_runs} came to their end"
+    );
+    let what = if kills { "killed" } else { "interrupted" };
+    Ok(Outcome::Withstood(format!(
+        "{ended} {what}, {resumed} of them had gone on from a checkpoint; same bits at each end"
+    )))
+}
+
+/// The result has the undisturbed one's bits, and nothing half-written lies about.
+fn check(siege: &Siege, model: &Path) -> Result<()> {
+    training::check_result(siege, model)?;
+    for entry in std::fs::read_dir(model)? {
+        let name = entry?.file_name().to_string_lossy().into_owned();
+        ensure!(!name.starts_with('.') && !name.ends_with(".tmp"), "{name} was left over");
+    }
+    Ok(())
+}

@@ -1,0 +1,114 @@
+//! Requests for photos, which cost memory to decode.
+
+use crate::data;
+use crate::page::{self, PATIENCE};
+use crate::program::{Limits, Program};
+use crate::siege::{Outcome, Result, Siege, ensure, text};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+/// Requests at the same time.
+const REQUESTS: u32 = 40;
+/// Memory that they may take beside what the program had, MiB.
+const MOST_MEMORY: u64 = 800;
+/// Memory that refusing may take, MiB.
+const LITTLE_MEMORY: u64 = 100;
+
+/// A viewer of large photos.
+struct Gallery {
+    program: Program,
+    host: String,
+    /// Its memory before, MiB.
+    before: u64,
+}
+
+/// Size of a photo, pixels.
+fn size(siege: &Siege) -> u32 {
+    siege.choose(2500, 5000)
+}
+
+/// The data set of large photos.
+pub fn data_of(siege: &Siege) -> Result<PathBuf> {
+    let folder = siege.place("large");
+    if !folder.exists() {
+        data::write_large(&folder, REQUESTS, size(siege))?;
+    }
+    Ok(folder)
+}
+
+impl Gallery {
+    fn open(siege: &Siege) -> Result<Gallery> {
+        let folder = data_of(siege)?;
+        let arguments = ["view", text(&folder)?, "--port", "0"];
+        let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, &arguments)?;
+        let address = program.wait_for("viewer at http://")?;
+        let host = address.split('/').next().unwrap_or_default().to_owned();
+        let before = program.memory();
+        Ok(Gallery { program, host, before })
+    }
+
+    /// Asks for all photos at the same time: how many were answered with each of two codes, and with none.
+    fn ask_for_all(&self, headers: &str, codes: [u16; 2]) -> Result<[u32; 2]> {
+        let answers = [const { AtomicU32::new(0) }; 2];
+        let others = AtomicU32::new(0);
+        let longest = std::thread::scope(|scope| {
+            for index in 0..REQUESTS {
+                let (host, answers, others) = (&self.host, &answers, &others);
+                scope.spawn(move || {
+                    let answer = page::get(host, &format!("/photo/{index}"), headers, 6 * PATIENCE);
+                    let code = answer.map(|(code, _)| code).ok();
+                    match codes.iter().position(|known| Some(*known) == code) {
+                        Some(place) => answers[place].fetch_add(1, Ordering::Relaxed),
+                        None => others.fetch_add(1, Ordering::Relaxed),
+                    };
+                });
+            }
+            // Another page meanwhile.
+            let mut longest = Duration::ZERO;
+            for _ in 0..5 {
+                let start = Instant::now();
+                let (code, _) = page::get(&self.host, "/main.js", "", PATIENCE)?;
+                ensure!(code == 200, "another page is answered with {code}");
+                longest = longest.max(start.elapsed());
+                std::thread::sleep(Duration::from_millis(100));
+            }
+            Ok::<_, Box<dyn std::error::Error + Send + Sync>>(longest)
+        })?;
+        ensure!(longest < PATIENCE, "another page waited for {longest:?}");
+        let others = others.into_inner();
+        ensure!(others == 0, "{others} of {REQUESTS} requests have neither of the answers {codes:?}");
+        Ok(answers.map(AtomicU32::into_inner))
+    }
+
+    /// It took no more memory than that, and shows a photo as before.
+    fn check(&self, most: u64) -> Result<u64> {
+        let (code, _) = page::get(&self.host, "/photo/0", "", 3 * PATIENCE)?;
+        ensure!(code == 200, "a photo is answered with {code} afterwards");
+        let more = self.program.memory().saturating_sub(self.before);
+        ensure!(more <= most, "takes {more} MiB more, {most} would be enough");
+        Ok(more)
+    }
+}
+
+pub fn at_once(siege: &Siege) -> Result<Outcome> {
+    let gallery = Gallery::open(siege)?;
+    let [shown, refused] = gallery.ask_for_all("", [200, 503])?;
+    ensure!(shown > 0, "none of the photos is shown");
+    let (more, size) = (gallery.check(MOST_MEMORY)?, size(siege));
+    Ok(Outcome::Withstood(format!(
+        "{REQUESTS} of {size}×{size}: {shown} shown, {refused} told to come again, {more} MiB more, another page answered"
+    )))
+}
+
+/// What any web page can have a browser ask for.
+pub fn foreign(siege: &Siege) -> Result<Outcome> {
+    let gallery = Gallery::open(siege)?;
+    let headers =
+        "Origin: http://elsewhere.example\r\nSec-Fetch-Site: cross-site\r\nSec-Fetch-Dest: image\r\n";
+    let [refused, _] = gallery.ask_for_all(headers, [403, 403])?;
+    let more = gallery.program.memory().saturating_sub(gallery.before);
+    ensure!(more <= LITTLE_MEMORY, "takes {more} MiB to refuse them");
+    gallery.check(MOST_MEMORY)?;
+    Ok(Outcome::Withstood(format!("{refused} refused, {more} MiB more")))
+}

@@ -1,0 +1,127 @@
+//! The data that is trained and shown, made here.
+
+use crate::siege::Result;
+use serde_json::{Value, json};
+use std::fmt::Write;
+use std::path::Path;
+
+/// Photos of the small data set, and their size in pixels.
+const VIEWS: u32 = 9;
+const SIZE: [u32; 2] = [48, 32];
+const FOCAL: f64 = 57.0;
+/// Distance of the wall.
+const DISTANCE: f64 = 2.5;
+
+/// A COLMAP model of a coloured wall, photographed from nine places: every pixel by a formula.
+pub fn write_small(folder: &Path) -> Result<()> {
+    let (images, model) = (folder.join("images"), folder.join("sparse/0"));
+    std::fs::create_dir_all(&images)?;
+    std::fs::create_dir_all(&model)?;
+    let [width, height] = SIZE;
+    let lens = format!("1 PINHOLE {width} {height} {FOCAL} {FOCAL} {} {}\n", width / 2, height / 2);
+    std::fs::write(model.join("cameras.txt"), lens)?;
+    let mut poses = String::new();
+    for view in 0..VIEWS {
+        let eye = [f64::from(view) / f64::from(VIEWS - 1) - 0.5, 0.2 * f64::from(view % 3)];
+        image::RgbImage::from_fn(width, height, |x, y| {
+            let along =
+                |pixel: u32, size: u32| (f64::from(pixel) + 0.5 - f64::from(size) / 2.0) * DISTANCE / FOCAL;
+            image::Rgb(color(eye[0] + along(x, width), eye[1] + along(y, height)))
+        })
+        .save(images.join(format!("{view}.png")))?;
+        writeln!(poses, "{} 1 0 0 0 {} {} {DISTANCE} 1 {view}.png\n", view + 1, -eye[0], -eye[1])?;
+    }
+    std::fs::write(model.join("images.txt"), poses)?;
+    let mut points = String::new();
+    for index in 0..400 {
+        let [x, y] = [index % 20, index / 20].map(|place| f64::from(place) / 9.5 - 1.0);
+        let [r, g, b] = color(x, y);
+        writeln!(points, "{} {x} {y} 0 {r} {g} {b} 0.5", index + 1)?;
+    }
+    std::fs::write(model.join("points3D.txt"), points)?;
+    Ok(())
+}
+
+fn color(x: f64, y: f64) -> [u8; 3] {
+    let wave = |phase: f64| (127.5 + 120.0 * phase.sin()) as u8;
+    [wave(5.0 * x), wave(4.0 * y + 1.0), wave(3.0 * (x + y))]
+}
+
+/// A data set of so many photos of that size, square; on the disk they are one.
+pub fn write_large(folder: &Path, count: u32, size: u32) -> Result<()> {
+    let images = folder.join("images");
+    std::fs::create_dir_all(&images)?;
+    let first = images.join("0.png");
+    image::RgbImage::from_pixel(size, size, image::Rgb([90, 120, 150])).save(&first)?;
+    let names: Vec<String> = (0..count).map(|index| format!("images/{index}.png")).collect();
+    for name in &names[1..] {
+        std::fs::hard_link(&first, folder.join(name))?;
+    }
+    write_transforms(folder, size, &names.iter().map(|name| json!({ "file_path": name })).collect::<Vec<_>>())
+}
+
+/// A transforms.json with these frames, each beside the last.
+pub fn write_transforms(folder: &Path, size: u32, frames: &[Value]) -> Result<()> {
+    let place = |(index, frame): (usize, &Value)| {
+        let mut frame = frame.clone();
+        let x = 0.1 * index as f64;
+        frame["transform_matrix"] = json!([[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]);
+        frame
+    };
+    let frames: Vec<Value> = frames.iter().enumerate().map(place).collect();
+    let [focal, middle] = [f64::from(size), f64::from(size) / 2.0];
+    let lens = json!({
+        "w": size, "h": size, "fl_x": focal, "fl_y": focal, "cx": middle, "cy": middle, "frames": frames,
+    });
+    std::fs::write(folder.join("transforms.json"), lens.to_string())?;
+    Ok(())
+}
+
+/// Bytes of a Gaussian below [`ply_header`].
+pub const PLY_BYTES: u64 = 4 * PLY_NAMES.len() as u64;
+const PLY_NAMES: [&str; 14] = [
+    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0",
+    "rot_1", "rot_2", "rot_3",
+];
+
+/// The beginning of a PLY of so many Gaussians.
+pub fn ply_header(gaussians: u64) -> String {
+    let columns: String = PLY_NAMES.iter().map(|name| format!("property float {name}\n")).collect();
+    format!("ply\nformat binary_little_endian 1.0\nelement vertex {gaussians}\n{columns}end_header\n")
+}
+
+/// A PNG that claims to be of this size, and has next to nothing.
+pub fn png_bomb(size: u32) -> Vec<u8> {
+    let mut png = b"\x89PNG\r\n\x1a\n".to_vec();
+    // 8 bits, RGB.
+    let header = [&size.to_be_bytes()[..], &size.to_be_bytes(), &[8, 2, 0, 0, 0]].concat();
+    let pixels = gzip_like_zlib(&[0; 1000]);
+    for (name, data) in [(b"IHDR", header.as_slice()), (b"IDAT", &pixels), (b"IEND", &[])] {
+        let length = data.len() as u32;
+        let mut sum = flate2::Crc::new();
+        sum.update(name);
+        sum.update(data);
+        png.extend([&length.to_be_bytes()[..], name, data, &sum.sum().to_be_bytes()].concat());
+    }
+    png
+}
+
+fn gzip_like_zlib(bytes: &[u8]) -> Vec<u8> {
+    use std::io::Read;
+    let mut packed = Vec::new();
+    // From memory: it cannot fail.
+    flate2::read::ZlibEncoder::new(bytes, flate2::Compression::fast()).read_to_end(&mut packed).ok();
+    packed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bombs_are_pngs() {
+        let bomb = std::io::Cursor::new(png_bomb(60_000));
+        let reader = image::ImageReader::with_format(bomb, image::ImageFormat::Png);
+        assert_eq!(reader.into_dimensions().expect("a header"), (60_000, 60_000));
+    }
+}

@@ -1,0 +1,161 @@
+//! What a page does, well-behaved or not, without the browser.
+
+use crate::siege::{Result, ensure};
+use serde_json::{Value, json};
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+use tungstenite::{Message, WebSocket};
+
+/// Longest that a page may wait for an answer, whatever others do.
+pub const PATIENCE: Duration = Duration::from_secs(10);
+
+/// A page's WebSocket.
+pub struct Page {
+    socket: WebSocket<TcpStream>,
+}
+
+/// A connection that is given up when nothing comes.
+pub fn connect(host: &str, longest: Duration) -> Result<TcpStream> {
+    let stream = TcpStream::connect(host)?;
+    stream.set_read_timeout(Some(longest))?;
+    stream.set_write_timeout(Some(longest))?;
+    Ok(stream)
+}
+
+/// Status and body of an answer.
+pub fn get(host: &str, path: &str, headers: &str, longest: Duration) -> Result<(u16, Vec<u8>)> {
+    let mut stream = connect(host, longest)?;
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}Connection: close\r\n\r\n")?;
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer)?;
+    let end = answer.windows(4).position(|four| four == b"\r\n\r\n").ok_or("the answer has no headers")?;
+    let head = String::from_utf8_lossy(&answer[..end]).into_owned();
+    let code = head.split(' ').nth(1).and_then(|code| code.parse().ok()).ok_or("the answer has no status")?;
+    Ok((code, answer.split_off(end + 4)))
+}
+
+impl Page {
+    pub fn open(host: &str) -> Result<Page> {
+        let (socket, _) = tungstenite::client(format!("ws://{host}/socket"), connect(host, PATIENCE)?)
+            .map_err(|error| format!("no page: {error}"))?;
+        let mut page = Page { socket };
+        page.wait_for("scene")?;
+        Ok(page)
+    }
+
+    /// Its connection, for what no page would say.
+    pub fn stream(&self) -> Result<TcpStream> {
+        Ok(self.socket.get_ref().try_clone()?)
+    }
+
+    pub fn send(&mut self, message: &Value) -> Result<()> {
+        self.socket
+            .send(Message::text(message.to_string()))
+            .map_err(|error| format!("a page is cut off: {error}"))?;
+        Ok(())
+    }
+
+    /// The next message that counts; pictures are null.
+    fn next(&mut self, wanted: &str, start: Instant) -> Result<Value> {
+        loop {
+            ensure!(start.elapsed() < PATIENCE, "a page got no '{wanted}' within {PATIENCE:?}");
+            let message = self.socket.read();
+            let message = message.map_err(|error| format!("a page got no '{wanted}': {error}"))?;
+            match message {
+                Message::Text(text) => return Ok(serde_json::from_str(text.as_str())?),
+                Message::Binary(_) => return Ok(Value::Null),
+                _ => {}
+            }
+        }
+    }
+
+    /// The next message of a type.
+    pub fn wait_for(&mut self, kind: &str) -> Result<Value> {
+        let start = Instant::now();
+        loop {
+            let message = self.next(kind, start)?;
+            if message["type"] == kind {
+                return Ok(message);
+            }
+        }
+    }
+
+    /// Asks for a frame; how long it took.
+    pub fn look(&mut self) -> Result<Duration> {
+        let start = Instant::now();
+        self.send(&view())?;
+        while !self.next("frame", start)?.is_null() {}
+        self.send(&json!({ "type": "ack" }))?;
+        Ok(start.elapsed())
+    }
+
+    pub fn act(&mut self, action: &str) -> Result<()> {
+        self.send(&json!({ "type": "train", "action": action }))
+    }
+
+    /// How training goes.
+    pub fn status(&mut self) -> Result<Value> {
+        self.send(&json!({ "type": "status", "since": 0 }))?;
+        self.wait_for("status")
+    }
+
+    /// Holds the training; the iteration at which it waits.
+    pub fn hold(&mut self) -> Result<u64> {
+        self.act("pause")?;
+        // The first iteration may take long.
+        self.until(|status| status["paused"] == true && status["iteration"] != 0)
+    }
+
+    /// Waits until training stands so; at which iteration.
+    pub fn until(&mut self, stands: impl Fn(&Value) -> bool) -> Result<u64> {
+        let start = Instant::now();
+        loop {
+            let status = self.status()?;
+            if stands(&status) {
+                return status["iteration"].as_u64().ok_or_else(|| "a status without an iteration".into());
+            }
+            ensure!(start.elapsed() < 6 * PATIENCE, "training stands still: {status:.200}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+}
+
+/// A page's wish for a picture.
+pub fn view() -> Value {
+    json!({ "type": "view", "seq": 1, "look": {}, "camera": {
+        "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0, 0, 2.5], "fx": 100, "fy": 100, "cx": 48,
+        "cy": 32, "width": 96, "height": 64,
+    } })
+}
+
+/// A message as a page would send it, masked with zeros.
+pub fn frame(text: &str) -> Vec<u8> {
+    let mut frame = vec![0x81];
+    match u8::try_from(text.len()) {
+        Ok(length) if length < 126 => frame.push(0x80 | length),
+        _ => {
+            frame.push(0x80 | 126);
+            // The attacks' messages are short.
+            frame.extend((text.len() as u16).to_be_bytes());
+        }
+    }
+    frame.extend([0; 4]);
+    frame.extend(text.as_bytes());
+    frame
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_are_as_the_protocol_has_them() {
+        for length in [0, 125, 126, 300] {
+            let text = "m".repeat(length);
+            let bytes = std::io::Cursor::new(frame(&text));
+            let mut socket = WebSocket::from_raw_socket(bytes, tungstenite::protocol::Role::Server, None);
+            assert_eq!(socket.read().expect("a message"), Message::text(text));
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! The attacked program as a child: within limits, watched, and never left behind.
+
+use crate::siege::{Peak, Result, ensure};
+use rustix::process::{Pid, Signal, kill_process};
+use std::fmt::Write;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Until the program has said that it is ready.
+const READY: Duration = Duration::from_secs(60);
+/// Between two looks at its memory.
+const WATCH: Duration = Duration::from_millis(5);
+
+/// What the program may have.
+#[derive(Clone, Default)]
+pub struct Limits {
+    pub descriptors: Option<u64>,
+    /// Of a file, KiB.
+    pub file: Option<u64>,
+    /// Of the address space, KiB.
+    pub memory: Option<u64>,
+    /// A folder that is a small disk of its own, and its KiB.
+    pub disk: Option<(PathBuf, u64)>,
+}
+
+/// Whether small disks can be had: it takes a mount namespace.
+pub fn can_mount() -> bool {
+    let mut command = unshare();
+    let ended =
+        command.args(["sh", "-c", "mount -t tmpfs -o size=1m siege /mnt"]).stderr(Stdio::null()).status();
+    ended.is_ok_and(|status| status.success())
+}
+
+fn unshare() -> Command {
+    let mut command = Command::new("unshare");
+    command.arg("--mount");
+    if !rustix::process::getuid().is_root() {
+        command.arg("--map-root-user");
+    }
+    command
+}
+
+/// How a program ended.
+#[derive(Debug)]
+pub struct Ending {
+    /// None after a signal.
+    pub code: Option<i32>,
+    /// Its stderr.
+    pub errors: String,
+}
+
+impl Ending {
+    /// Whether it refused as it should: one line `error: …` and exit code 2.
+    pub fn check_refused(&self) -> Result<()> {
+        let lines = self.errors.lines().filter(|line| !line.starts_with("warning: "));
+        let (errors, rest): (Vec<&str>, Vec<&str>) = lines.partition(|line| line.starts_with("error: "));
+        ensure!(self.code == Some(2) && errors.len() == 1 && rest.is_empty(), "no clear refusal: {self}");
+        Ok(())
+    }
+}
+
+impl std::fmt::Display for Ending {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.code {
+            Some(code) => write!(f, "exit code {code}")?,
+            None => write!(f, "killed by a signal")?,
+        }
+        let last = self.errors.lines().last().unwrap_or_default();
+        write!(f, ", {:?}", last.chars().take(200).collect::<String>())
+    }
+}
+
+/// A running program.
+pub struct Program {
+    child: Child,
+    said: Receiver<String>,
+    errors: Option<JoinHandle<String>>,
+}
+
+impl Program {
+    pub fn start(program: &Path, limits: &Limits, peak: &Peak, arguments: &[&str]) -> Result<Program> {
+        let mut script = String::new();
+        let mut command = match &limits.disk {
+            None => Command::new("sh"),
+            Some((folder, kib)) => {
+                write!(script, "mount -t tmpfs -o size={kib}k siege \"$DISK\" && ")?;
+                let mut command = unshare();
+                command.env("DISK", folder).arg("sh");
+                command
+            }
+        };
+        // dash and POSIX count files in blocks of 512 bytes.
+        let limits = [("n", limits.descriptors), ("f", limits.file.map(|kib| 2 * kib)), ("v", limits.memory)];
+        for (letter, most) in limits {
+            if let Some(most) = most {
+                write!(script, "ulimit -{letter} {most} && ")?;
+            }
+        }
+        command.args(["-c", &format!("{script}exec \"$0\" \"$@\"")]).arg(program).args(arguments);
+        command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
+        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
+        watch(child.id(), peak.clone());
+        let (sender, said) = channel();
+        let stdout = child.stdout.take().ok_or("no stdout")?;
+        std::thread::spawn(move || {
+            let lines = BufReader::new(stdout).lines().map_while(std::result::Result::ok);
+            lines.for_each(|line| drop(sender.send(line)));
+        });
+        let mut stderr = child.stderr.take().ok_or("no stderr")?;
+        let errors = std::thread::spawn(move || {
+            let mut bytes = Vec::new();
+            stderr.read_to_end(&mut bytes).ok();
+            String::from_utf8_lossy(&bytes).into_owned()
+        });
+        Ok(Program { child, said, errors: Some(errors) })
+    }
+
+    /// The rest of the next line on stdout that begins so.
+    pub fn wait_for(&mut self, beginning: &str) -> Result<String> {
+        let start = Instant::now();
+        loop {
+            let left = READY.saturating_sub(start.elapsed());
+            match self.said.recv_timeout(left) {
+                Ok(line) => {
+                    if let Some(rest) = line.strip_prefix(beginning) {
+                        return Ok(rest.to_owned());
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => {
+                    return Err(format!("'{beginning}' was not said within {READY:?}").into());
+                }
+                Err(RecvTimeoutError::Disconnected) => {
+                    let ending = self.end(READY)?;
+                    return Err(format!("ended before it said '{beginning}': {ending}").into());
+                }
+            }
+        }
+    }
+
+    /// Waits for its end; what takes longer is ended, and is an error.
+    pub fn end(&mut self, longest: Duration) -> Result<Ending> {
+        let start = Instant::now();
+        let mut late = false;
+        let status = loop {
+            if let Some(status) = self.child.try_wait()? {
+                break status;
+            }
+            if start.elapsed() > longest {
+                late = true;
+                self.kill();
+            }
+            std::thread::sleep(WATCH);
+        };
+        let errors = self.errors.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
+        ensure!(!late, "was not over after {longest:?}: {:?}", errors.lines().last().unwrap_or_default());
+        Ok(Ending { code: status.code(), errors })
+    }
+
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Whether it still runs.
+    pub fn runs(&mut self) -> bool {
+        matches!(self.child.try_wait(), Ok(None))
+    }
+
+    /// What nothing survives.
+    pub fn kill(&mut self) {
+        self.child.kill().ok();
+    }
+
+    /// What Ctrl-C does.
+    pub fn interrupt(&self) {
+        let id = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
+        if let Some(id) = id {
+            kill_process(id, Signal::INT).ok();
+        }
+    }
+
+    /// Its peak so far, MiB.
+    pub fn memory(&self) -> u64 {
+        peak_of(self.child.id()).unwrap_or(0) >> 10
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        self.kill();
+        self.child.wait().ok();
+    }
+}
+
+/// Notes the peak of a process as long as it lives.
+fn watch(id: u32, peak: Peak) {
+    std::thread::spawn(move || {
+        while let Some(kib) = peak_of(id) {
+            peak.note(kib);
+            std::thread::sleep(WATCH);
+        }
+    });
+}
+
+/// The most memory that a process has had, KiB; none when it is over.
+fn peak_of(id: u32) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{id}/status")).ok()?;
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    peak.trim().trim_end_matches(" kB").parse().ok()
+}

@@ -1,0 +1,89 @@
+//! Runs the attacks one after the other and prints a row for each.
+
+use crate::attacks::{ATTACKS, Attack};
+use crate::siege::{Outcome, Siege};
+use clap::Parser;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+/// Attack a running trainer and viewer: connections, floods, bombs, kills, full disks, limits.
+#[derive(Parser)]
+#[command(name = "siege", version)]
+struct Arguments {
+    /// The program that is attacked [default: the ashsplat beside this one]
+    #[arg(long, value_name = "PATH")]
+    program: Option<PathBuf>,
+    /// Fewer and shorter attacks, on smaller data: half a minute
+    #[arg(long)]
+    short: bool,
+    /// Only the attacks whose name contains this
+    #[arg(long, value_name = "WORDS")]
+    only: Option<String>,
+}
+
+/// No attack begins after this time.
+const LONGEST: Duration = Duration::from_secs(600);
+
+/// Exit code of a siege that could not begin.
+const FAILURE: u8 = 2;
+
+/// Runs the command.
+pub fn run() -> ExitCode {
+    let arguments = Arguments::parse();
+    let siege = match begin(&arguments) {
+        Ok(siege) => siege,
+        Err(error) => {
+            eprintln!("error: {error}");
+            return ExitCode::from(FAILURE);
+        }
+    };
+    let chosen = |attack: &&Attack| arguments.only.as_ref().is_none_or(|words| attack.name.contains(words));
+    let start = Instant::now();
+    println!("| attack | outcome | peak memory | time | |\n|---|---|---|---|---|");
+    let (mut passed, mut skipped, mut failed) = (0, 0, 0);
+    for attack in ATTACKS.iter().filter(chosen) {
+        siege.peak.reset();
+        let begun = Instant::now();
+        let outcome = match start.elapsed() < LONGEST {
+            true => (attack.run)(&siege),
+            false => Err("there was no time left for it".into()),
+        };
+        let (said, verdict) = match outcome {
+            Ok(Outcome::Withstood(said)) => {
+                passed += 1;
+                (said, "passed")
+            }
+            Ok(Outcome::Skipped(reason)) => {
+                skipped += 1;
+                (reason, "skipped")
+            }
+            Err(error) => {
+                failed += 1;
+                (error.to_string(), "**FAILED**")
+            }
+        };
+        let said = said.replace('|', "/").split_whitespace().collect::<Vec<_>>().join(" ");
+        let (name, peak, seconds) = (attack.name, siege.peak.mib(), begun.elapsed().as_secs_f64());
+        println!("| {name} | {said} | {peak} MiB | {seconds:.1} s | {verdict} |");
+    }
+    println!(
+        "\n{passed} passed, {failed} failed, {skipped} skipped in {:.0} s",
+        start.elapsed().as_secs_f64()
+    );
+    if failed == 0 && passed > 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn begin(arguments: &Arguments) -> crate::siege::Result<Siege> {
+    let program = match &arguments.program {
+        Some(program) => program.clone(),
+        None => std::env::current_exe()?.with_file_name("ashsplat"),
+    };
+    let program = program.canonicalize().map_err(|error| {
+        format!(
+            "{}: {error}; build it with cargo build --release, or name it with --program",
+            program.display()
+        )
+    })?;
+    Siege::new(program, arguments.short)
+}

@@ -1,0 +1,119 @@
+//! A training that is attacked, and what must come of it: the same bits as without the attack.
+
+use crate::data;
+use crate::page::Page;
+use crate::program::{Limits, Program};
+use crate::siege::{Result, Siege, ensure, text};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Iterations of every training.
+pub const ITERATIONS: u32 = 120;
+/// After these, checkpoints are written.
+pub const CHECKPOINTS: [&str; 4] = ["30", "60", "90", "120"];
+/// Longest that one may take, however it is attacked.
+pub const LONGEST: Duration = Duration::from_secs(60);
+
+/// What is done in these iterations: densification, an opacity reset, tests, checkpoints.
+const SCHEDULE: [&str; 14] = [
+    "--quiet",
+    "--eval",
+    "--sh_degree=1",
+    "--densify_from_iter=5",
+    "--densification_interval=20",
+    "--densify_until_iter=75",
+    "--opacity_reset_interval=62",
+    "--iterations=120",
+    "--test_iterations=40",
+    "--save_iterations=50",
+    "--checkpoint_iterations",
+    CHECKPOINTS[0],
+    CHECKPOINTS[1],
+    CHECKPOINTS[2],
+];
+
+/// A training with a page's server.
+pub struct Training {
+    pub program: Program,
+    pub host: String,
+    pub model: PathBuf,
+}
+
+/// The arguments of a training into a folder.
+pub fn arguments<'a>(data: &'a str, model: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    [&["train", "-s", data, "-m", model], &SCHEDULE[..], &[CHECKPOINTS[3]], more].concat()
+}
+
+/// The data set of all trainings.
+pub fn data_of(siege: &Siege) -> Result<PathBuf> {
+    let folder = siege.place("small");
+    if !folder.exists() {
+        data::write_small(&folder)?;
+    }
+    Ok(folder)
+}
+
+/// The scene at the end, as it is when nobody attacks.
+pub fn undisturbed(siege: &Siege) -> Result<Vec<u8>> {
+    let model = siege.place("undisturbed");
+    if !result_of(&model).exists() {
+        let data = data_of(siege)?;
+        let arguments = arguments(text(&data)?, text(&model)?, &[]);
+        let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, &arguments)?;
+        let ending = program.end(2 * LONGEST)?;
+        ensure!(ending.code == Some(0), "training fails without an attack: {ending}");
+    }
+    Ok(std::fs::read(result_of(&model))?)
+}
+
+/// The last scene of a model folder.
+pub fn result_of(model: &Path) -> PathBuf {
+    model.join(format!("point_cloud/iteration_{ITERATIONS}/point_cloud.ply"))
+}
+
+impl Training {
+    /// Begins one; `ready` is the beginning of the last line that it says before training.
+    pub fn start(siege: &Siege, limits: &Limits, more: &[&str]) -> Result<Training> {
+        // Before: what it needs is not the attacked one's.
+        undisturbed(siege)?;
+        let (data, model) = (data_of(siege)?, siege.new_folder("attacked")?);
+        let arguments = arguments(text(&data)?, text(&model)?, &[&["--view=0"], more].concat());
+        let mut program = Program::start(&siege.program, limits, &siege.peak, &arguments)?;
+        let address = program.wait_for("viewer at http://")?;
+        let host = address.split('/').next().unwrap_or_default().to_owned();
+        Ok(Training { program, host, model })
+    }
+
+    /// What a page could not do, by its cause: the training may have ended.
+    pub fn explain<T>(&mut self, done: Result<T>) -> Result<T> {
+        done.map_err(|error| match self.program.end(Duration::from_secs(2)) {
+            Ok(ending) => format!("training ended with {ending}").into(),
+            Err(_) => error,
+        })
+    }
+
+    /// A page that holds it.
+    pub fn held(&self) -> Result<Page> {
+        let mut page = Page::open(&self.host)?;
+        page.hold()?;
+        Ok(page)
+    }
+
+    /// Waits for its end, which must be as if nothing had happened.
+    pub fn check_end(&mut self, siege: &Siege) -> Result<()> {
+        let ending = self.program.end(LONGEST)?;
+        ensure!(ending.code == Some(0), "training ended with {ending}");
+        check_result(siege, &self.model)
+    }
+}
+
+/// Whether all is there, with the same bits as without an attack.
+pub fn check_result(siege: &Siege, model: &Path) -> Result<()> {
+    let result = std::fs::read(result_of(model)).map_err(|error| format!("the last scene: {error}"))?;
+    ensure!(result == undisturbed(siege)?, "the last scene has other bits than without the attack");
+    for iteration in CHECKPOINTS {
+        let file = model.join(format!("chkpnt{iteration}.safetensors"));
+        ensure!(file.is_file(), "there is no checkpoint of iteration {iteration}");
+    }
+    Ok(())
+}
