@@ -16,6 +16,9 @@ const SMOOTHING: (f64, f64) = (1.5, 1.0 / 40.0);
 /// How much longer than from neighbour to neighbour the way in the given order may be.
 const LONGEST_DETOUR: f64 = 2.0;
 
+/// Steps of the iteration for the vertical; each gains three digits and more unless axes are nearly parallel.
+const INVERSE_ITERATIONS: u32 = 8;
+
 /// How a camera moves through a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
@@ -130,6 +133,19 @@ fn smoothed<T>(
     })
 }
 
+/// The direction across the cameras' horizontal axes: cameras above a scene look down, and the mean of what is up in
+/// their pictures leans with them.
+fn level_up(cameras: &[Camera]) -> Option<DVec3> {
+    let mean: Vec3 = cameras.iter().map(|c| -c.camera_from_world.row(1)).sum();
+    let across = cameras.iter().fold(DMat3::ZERO, |sum, camera| {
+        let right = camera.camera_from_world.row(0).as_dvec3();
+        sum + DMat3::from_cols(right * right.x, right * right.y, right * right.z)
+    });
+    // Inverse iteration to the least eigenvector. Where axes are parallel, it is as near to the mean as can be.
+    let inverse = (across * (1.0 / cameras.len() as f64) + DMat3::from_diagonal(DVec3::splat(1e-4))).inverse();
+    (0..INVERSE_ITERATIONS).try_fold(mean.as_dvec3().try_normalize()?, |up, _| (inverse * up).try_normalize())
+}
+
 /// Cameras around the point that they look at.
 struct Ring {
     center: DVec3,
@@ -152,8 +168,7 @@ impl Ring {
             return None;
         }
         let center = nearest_to_axes(cameras)?.as_dvec3();
-        let up: Vec3 = cameras.iter().map(|c| -c.camera_from_world.row(1)).sum();
-        let up = up.as_dvec3().try_normalize()?;
+        let up = level_up(cameras)?;
         let side = up.any_orthonormal_vector();
         let axes = [up, side, up.cross(side)];
         let inward = cameras.iter().filter(|camera| {
