@@ -14,7 +14,7 @@ use std::sync::LazyLock;
 static FILE: LazyLock<PathBuf> = LazyLock::new(|| folder("spz").join("input.spz"));
 
 /// Most bytes that are packed.
-const MOST_UNPACKED: u64 = 32 << 20;
+const MOST_UNPACKED: u64 = 4 << 20;
 
 #[derive(Arbitrary, Debug)]
 enum Spz {
