@@ -58,7 +58,7 @@ fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
     assert!(frame.color == expected.color);
     // Where even the least is too much, the error says so.
     let least = context(Some(1 << 20));
-    let error = render(&least, &scene, None).err().expect("refused");
+    let error = render(&least, &scene, None).expect_err("refused");
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
     assert!(LEAST_INSTANCES < estimate);
     for context in [roomy, tight, least] {

@@ -106,8 +106,9 @@ impl Model {
         Ok(Self { scene, moments, spare, statistics, parameter_gradients })
     }
 
-    /// Lets go of all memory. The model is to be replaced.
+    /// Lets go of all memory, and is empty. The model is to be replaced.
     pub fn release(&mut self) {
+        self.scene.count = 0;
         let Moments { first, second } = &mut self.moments;
         for buffers in [
             &mut self.scene.chunks,

@@ -1,7 +1,7 @@
 //! Any bytes as a checkpoint. Fingerprints are not compared here: else nearly every change would end at them.
 #![no_main]
 
-use ashsplat::scene::{Gaussians, PointCloud};
+use ashsplat::scene::PointCloud;
 use ashsplat::trainer::checkpoint::{Checkpoint, Room};
 use ashsplat::trainer::settings::TrainSettings;
 use ashsplat_files::CheckpointFile;

@@ -1,7 +1,7 @@
 //! Any bytes as a file of Gaussians in any format.
 #![no_main]
 
-use ashsplat::scene::{Gaussians, PointCloud};
+use ashsplat::scene::PointCloud;
 use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
 use ashsplat_fuzz::{folder, in_one_line, leave_seed, within};
 use flate2::{Compression, write::GzEncoder};
