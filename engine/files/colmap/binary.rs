@@ -5,7 +5,7 @@ use std::io::{BufReader, Read};
 use std::path::Path;
 
 use super::types::{CameraModel, ColmapCamera, ColmapImage};
-use crate::sniff;
+use crate::{host_memory, sniff};
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
 
@@ -116,11 +116,15 @@ impl<'a> BinaryFile<'a> {
         Error::input(self.path, place, "the file is damaged or was cut short: copy the model again")
     }
 
-    /// The number of records. Refused if the file is too small for them.
+    /// The number of records. Refused if the file is too small for them, or the memory: what is kept of a record is less
+    /// than four times the smallest one.
     fn count(&mut self, what: &str, record_bytes: u64) -> Result<usize> {
         let count = u64::from_le_bytes(self.take()?);
         match usize::try_from(count) {
-            Ok(fits) if count <= self.remaining / record_bytes => Ok(fits),
+            Ok(fits) if count <= self.remaining / record_bytes => {
+                host_memory::check(self.path, 4 * count * record_bytes, None)?;
+                Ok(fits)
+            }
             _ => {
                 Err(self.error(&format!("says {count} {what}, {} bytes cannot hold as many", self.remaining)))
             }

@@ -61,7 +61,7 @@ impl Subject {
         stop: &AtomicBool,
     ) -> Result<Subject> {
         if session::is_dataset(path) {
-            return Subject::of_dataset(path, stop);
+            return Subject::of_dataset(path, host, stop);
         }
         let model = Model::locate(path, iteration)?;
         let scene = look.load(&model.ply, host)?;
@@ -69,7 +69,8 @@ impl Subject {
         if let Some(source) = source {
             data.source_path = source.to_owned();
         }
-        let gallery = match (source, photos_of(&data, model.settings.train.white_background, stop)) {
+        let white = model.settings.train.white_background;
+        let gallery = match (source, photos_of(&data, white, host, stop)) {
             (Some(_), gallery) => Some(gallery?),
             (None, Err(Error::Interrupted)) => return Err(Error::Interrupted),
             // What the training had may have gone.
@@ -91,9 +92,10 @@ impl Subject {
         })
     }
 
-    fn of_dataset(path: &Path, stop: &AtomicBool) -> Result<Subject> {
+    fn of_dataset(path: &Path, host: &HostArguments, stop: &AtomicBool) -> Result<Subject> {
         let data = DataSettings { source_path: path.to_owned(), ..Default::default() };
-        let gallery = session::open(&data, &DatasetOptions::default(), stop)?;
+        let options = DatasetOptions { host_memory: host.memory(), ..Default::default() };
+        let gallery = session::open(&data, &options, stop)?;
         let points = gallery.points();
         let (gaussians, note) = if points.is_empty() {
             (Gaussians::default(), "This data set has no points to show; its photos are on the right.")
@@ -154,9 +156,14 @@ fn run_name() -> String {
 }
 
 /// The photos of a training's data set, at the size at which it uses them.
-fn photos_of(data: &DataSettings, white_background: bool, stop: &AtomicBool) -> Result<Gallery> {
+fn photos_of(
+    data: &DataSettings,
+    white_background: bool,
+    host: &HostArguments,
+    stop: &AtomicBool,
+) -> Result<Gallery> {
     if data.source_path.as_os_str().is_empty() {
         return Err(Error::argument("data set", "is not known"));
     }
-    session::open(data, &session::options(data, white_background)?, stop)
+    session::open(data, &session::options(data, white_background, host)?, stop)
 }
