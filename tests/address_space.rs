@@ -83,7 +83,7 @@ fn readers_without_address_space() {
     dataset(&place("large"), 2, [4000, 3000]);
     dataset(&place("few"), 2, [80, 60]);
     File::create(place("large.safetensors")).and_then(|file| file.set_len(64 << 20)).expect("a file");
-    let many_points = [500_000_u64.to_le_bytes().as_slice(), &[0; 51 * 500_000]].concat();
+    let many_points = [2_000_000_u64.to_le_bytes().as_slice(), &vec![0; 51 * 2_000_000]].concat();
     dataset(&place("points"), 1, [8, 6]);
     fs::write(place("points/sparse/0/points3D.bin"), many_points).expect("a file");
     dataset(&place("text"), 1, [8, 6]);

@@ -34,7 +34,7 @@ impl PartialEq for HostMemory {
 impl Default for HostMemory {
     /// Three quarters of what the machine has left.
     fn default() -> Self {
-        Self::new(available())
+        Self::named(available(), "--max-host-memory, by default three quarters of what is free")
     }
 }
 
@@ -92,12 +92,18 @@ impl HostMemory {
 
 /// Refuses a file that needs more than a bound, before memory is reserved for it.
 pub(crate) fn check(path: &Path, bytes: u64, limit: Option<u64>) -> Result<()> {
-    HostMemory::new(limit.unwrap_or_else(available)).take(path, bytes).map(drop)
+    limit.map_or_else(HostMemory::default, HostMemory::new).take(path, bytes).map(drop)
+}
+
+/// Refuses a file that the machine has too little memory for, whatever the bound.
+pub(crate) fn check_free(path: &Path, bytes: u64) -> Result<()> {
+    HostMemory::named(available(), "three quarters of what is free").take(path, bytes).map(drop)
 }
 
 /// The same of something that is written from memory.
 pub(crate) fn check_writing(path: &Path, bytes: u64) -> Result<()> {
-    HostMemory::default().keep(&|| format!("{}: writing it", path.display()), bytes).map(drop)
+    let free = HostMemory::named(available(), "three quarters of what is free");
+    free.keep(&|| format!("{}: writing it", path.display()), bytes).map(drop)
 }
 
 /// Refuses a text (also JSON) of this size that the machine has too little memory for: for itself, and for what becomes of
@@ -105,7 +111,7 @@ pub(crate) fn check_writing(path: &Path, bytes: u64) -> Result<()> {
 pub(crate) fn check_text(path: &Path, bytes: u64) -> Result<()> {
     /// Bytes that one of a text becomes: words become strings, and numbers of two digits eight bytes.
     const GROWTH: u64 = 6;
-    check(path, bytes.saturating_mul(GROWTH), None)
+    check_free(path, bytes.saturating_mul(GROWTH))
 }
 
 /// As [`check_text`], of a file by its path.

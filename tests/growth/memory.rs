@@ -113,7 +113,7 @@ fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {
         loaded.train[0].photo.file().is_some()
             && loaded.warnings.iter().any(|w| w.contains("kept in a file"))
     );
-    assert!(!load(100 << 20, whole, None).unwrap().train[0].photo.file().is_some());
+    assert!(load(100 << 20, whole, None).unwrap().train[0].photo.file().is_none());
     // At a smaller size, rows are enough.
     assert_eq!(load(12 << 20, Resolution::Width(400), None).unwrap().train[0].photo.width, 400);
 }

@@ -111,7 +111,7 @@ impl<'a> TextFile<'a> {
         let file = File::open(path).map_err(|source| Error::io(path, "read", source))?;
         let bytes = file.metadata().map_err(|source| Error::io(path, "read", source))?.len();
         // Of long lines, those of observations and tracks, nothing is kept.
-        host_memory::check(path, bytes.saturating_mul(2), None)?;
+        host_memory::check_free(path, bytes.saturating_mul(2))?;
         let mut this = Self { path, reader: BufReader::new(file), text: String::new(), line: 0 };
         let start = this.reader.fill_buf().map_err(|source| Error::io(path, "read", source))?;
         match crate::sniff::recognise(&start[..start.len().min(512)]) {

@@ -27,7 +27,7 @@ pub(super) struct Outline {
     coded_bytes: u64,
     /// Places of entropy-coded data.
     scans: u32,
-    /// Where its parts lie, up to the end-of-image marker. There may be other bytes between them: cameras leave some.
+    /// Where its parts lie, between the markers at its beginning and its end. There may be other bytes between them: cameras leave some.
     parts: Vec<Range<usize>>,
 }
 
@@ -35,7 +35,7 @@ impl Outline {
     pub(super) fn of(bytes: &[u8]) -> Self {
         const START_OF_SCAN: u8 = 0xda;
         const END_OF_IMAGE: u8 = 0xd9;
-        let mut outline = Self { parts: vec![0..2.min(bytes.len())], ..Self::default() };
+        let mut outline = Self::default();
         let mut at = 2;
         while let Some(&[first, marker]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
             match marker {
@@ -103,7 +103,8 @@ fn end_of_scan(bytes: &[u8], mut at: usize) -> usize {
 
 /// The file without bytes between its parts and behind its end, and with [`NO_CODE`] at the end of its data.
 fn sealed(bytes: &[u8], outline: &Outline) -> Vec<u8> {
-    let mut sealed = Vec::with_capacity(bytes.len() + NO_CODE.len() + 2);
+    let mut sealed = Vec::with_capacity(bytes.len() + NO_CODE.len() + 4);
+    sealed.extend([0xff, 0xd8]);
     outline.parts.iter().for_each(|part| sealed.extend_from_slice(&bytes[part.clone()]));
     // The decoder wants a marker directly behind the first pass of several.
     if !outline.progressive || outline.scans > 1 {

@@ -61,7 +61,7 @@ pub(super) fn read(path: &Path, file: File, request: &Request<'_>) -> Result<Opt
 /// A row as a picture of its own.
 fn as_image(row: &[u8], color: ColorType, depth: BitDepth, width: u32) -> Option<DynamicImage> {
     fn bytes<P: Pixel<Subpixel = u8>>(row: &[u8], width: u32) -> Option<ImageBuffer<P, Vec<u8>>> {
-        ImageBuffer::from_raw(width, 1, row.to_vec())
+        ImageBuffer::from_raw(width, 1, Vec::from(row))
     }
     fn words<P: Pixel<Subpixel = u16>>(row: &[u8], width: u32) -> Option<ImageBuffer<P, Vec<u16>>> {
         let words = row.as_chunks::<2>().0.iter().map(|&word| u16::from_be_bytes(word));

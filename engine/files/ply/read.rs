@@ -115,7 +115,7 @@ pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
     let coloured = ["red", "green", "blue"].iter().all(|name| element.has(name));
     let names = if coloured { &["x", "y", "z", "red", "green", "blue"][..] } else { &["x", "y", "z"] };
     let names: Vec<String> = names.iter().map(|name| name.to_string()).collect();
-    host_memory::check(path, element.count.saturating_mul(15), None)?;
+    host_memory::check_free(path, element.count.saturating_mul(15))?;
     let mut points = PointCloud::default();
     points.positions.reserve(capacity(&element));
     points.colors.reserve(capacity(&element));
