@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::atomic;
+use super::{atomic, host_memory};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::{Error, Result};
 
@@ -89,6 +89,7 @@ pub fn write<'a>(
 /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or a camera is unusable.
 pub fn read(path: impl AsRef<Path>) -> Result<Vec<NamedCamera>> {
     let path = path.as_ref();
+    host_memory::check_text_file(path)?;
     let text = fs::read(path).map_err(|source| Error::io(path, "read", source))?;
     let entries: Vec<Entry> = serde_json::from_slice(&text).map_err(|e| {
         Error::input(

@@ -1,5 +1,6 @@
 //! The checkpoint's file: safetensors, written whole or not at all.
 
+use crate::host_memory::HostMemory;
 use crate::{atomic, cost};
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
@@ -44,8 +45,17 @@ pub trait CheckpointFile: Sized {
     /// Reads a checkpoint and checks that it is whole.
     ///
     /// # Errors
-    /// [`Error::Io`], or [`Error::Input`] with the problem of the file.
-    fn read(path: impl AsRef<Path>) -> Result<Self>;
+    /// [`Error::Io`], or [`Error::Input`] with the problem of the file; [`Error::TooLarge`] when the machine has too
+    /// little memory for it.
+    fn read(path: impl AsRef<Path>) -> Result<Self> {
+        Self::read_within(path, &HostMemory::default())
+    }
+
+    /// Like [`CheckpointFile::read`], with a bound of the memory that it takes.
+    ///
+    /// # Errors
+    /// As [`CheckpointFile::read`].
+    fn read_within(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self>;
 }
 
 impl CheckpointFile for Checkpoint {
@@ -71,8 +81,11 @@ impl CheckpointFile for Checkpoint {
         })
     }
 
-    fn read(path: impl AsRef<Path>) -> Result<Self> {
+    fn read_within(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self> {
         let path = path.as_ref();
+        let file_bytes = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?.len();
+        // The file, and what it becomes.
+        let _lease = memory.take(path, file_bytes.saturating_mul(2))?;
         let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
         parse(&bytes).map_err(|problem| {
             let remedy = "start from another checkpoint, or anew";

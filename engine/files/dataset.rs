@@ -23,7 +23,6 @@ use ashsplat::scene::{Camera, Gaussians, PointCloud, scene_extent};
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
-use plan::PlannedView;
 use unpacked::Unpacked;
 
 /// How to load a data set.
@@ -44,7 +43,9 @@ pub struct DatasetOptions {
     pub white_background: bool,
     /// Bound of the photos' memory. The photos beyond it stay in a file. None: all photos are held in memory.
     pub photo_memory: Option<PhotoMemory>,
-    /// Bound of the memory that photos take while they are decoded, all at a time.
+    /// Bound of the memory that photos take, while they are decoded and where they are kept. If they can be kept in a file
+    /// ([`DatasetOptions::photo_memory`]), those that do not fit are; if not, a data set that does not fit is refused
+    /// before its photos are read.
     pub host_memory: HostMemory,
 }
 
@@ -129,7 +130,8 @@ impl Dataset {
     /// [`ashsplat::Error::Io`] and [`ashsplat::Error::Input`] for the first problem of cameras or photos: see
     /// [`super::colmap::find`], [`super::colmap::Model::read`], [`super::colmap::Model::camera_of`],
     /// [`super::transforms::Transforms::read`] and [`super::PhotoFileFormat::read_sized`]; no registered images; no
-    /// training views left by the split. [`ashsplat::Error::Interrupted`] when `progress` requests the stop.
+    /// training views left by the split. [`ashsplat::Error::TooLarge`] when the photos do not fit into
+    /// [`DatasetOptions::host_memory`]. [`ashsplat::Error::Interrupted`] when `progress` requests the stop.
     pub fn load(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         Gallery::open(path, options, progress)?.load(progress)
     }
@@ -146,7 +148,20 @@ impl Dataset {
         let Gallery { options, views: planned, held_out, .. } = gallery;
         plan::check_split(&gallery.list, held_out)?;
         let mut warnings = gallery.warnings.clone();
-        let file = photo_file(planned, options, &mut warnings)?;
+        let needed = planned.iter().map(|view| view.texel_bytes(options)).sum();
+        let file = photo_file(needed, options, &mut warnings)?;
+        let kept = if file.is_some() { 0 } else { needed };
+        let what = || {
+            format!(
+                "{}: keeping its {} photos in memory (-r makes them smaller)",
+                gallery.list.display(),
+                planned.len()
+            )
+        };
+        let _kept = options.host_memory.keep(&what, kept)?;
+        // While others wait for memory, that of the photos is not given back.
+        let options =
+            &DatasetOptions { host_memory: options.host_memory.beside_photos(kept), ..options.clone() };
         let done = AtomicUsize::new(0);
         let total = planned.len();
         progress.step(0, total);
@@ -246,11 +261,11 @@ impl Dataset {
 
 /// The file for photos that exceed their memory bound.
 fn photo_file(
-    planned: &[PlannedView],
+    needed: u64,
     options: &DatasetOptions,
     warnings: &mut Vec<String>,
 ) -> Result<Option<Arc<PhotoFile>>> {
-    let Some((needed, memory)) = needed_beyond_memory(planned, options) else { return Ok(None) };
+    let Some(memory) = beyond_memory(needed, options) else { return Ok(None) };
     let (mib, allowed) = (needed.div_ceil(1 << 20), memory.bytes >> 20);
     warnings.push(format!(
         "the photos need {mib} MiB and may have {allowed}: they are kept in a file in {} and read when needed",
@@ -259,14 +274,12 @@ fn photo_file(
     memory.create_file().map(Some)
 }
 
-/// The bytes of the photos, and their memory bound if they exceed it.
-fn needed_beyond_memory<'a>(
-    planned: &[PlannedView],
-    options: &'a DatasetOptions,
-) -> Option<(u64, &'a PhotoMemory)> {
+/// The memory bound of photos that need so many bytes, if they exceed it.
+fn beyond_memory(needed: u64, options: &DatasetOptions) -> Option<PhotoMemory> {
     let memory = options.photo_memory.as_ref()?;
-    let needed: u64 = planned.iter().map(|view| view.texel_bytes(options)).sum();
-    (needed > memory.bytes).then_some((needed, memory))
+    // The other half is for decoding.
+    let bytes = memory.bytes.min(options.host_memory.limit() / 2);
+    (needed > bytes).then(|| PhotoMemory { bytes, ..memory.clone() })
 }
 
 /// Whether the data read from a model folder or a file with cameras may have no points.

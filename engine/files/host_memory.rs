@@ -19,6 +19,8 @@ pub struct HostMemory(Arc<State>);
 #[derive(Debug)]
 struct State {
     limit: u64,
+    /// What set it, in messages.
+    limit_name: &'static str,
     used: Mutex<u64>,
     freed: Condvar,
 }
@@ -32,14 +34,23 @@ impl PartialEq for HostMemory {
 impl Default for HostMemory {
     /// Three quarters of what the machine has left.
     fn default() -> Self {
-        Self::new(available())
+        Self::named(available(), "--max-host-memory, by default three quarters of what is free")
     }
 }
 
 impl HostMemory {
     /// A bound of so many bytes.
     pub fn new(limit: u64) -> Self {
-        Self(Arc::new(State { limit, used: Mutex::new(0), freed: Condvar::new() }))
+        Self::named(limit, "--max-host-memory")
+    }
+
+    fn named(limit: u64, limit_name: &'static str) -> Self {
+        Self(Arc::new(State { limit, limit_name, used: Mutex::new(0), freed: Condvar::new() }))
+    }
+
+    /// The bound of decoding while so many bytes of decoded photos are kept.
+    pub(crate) fn beside_photos(&self, kept: u64) -> Self {
+        Self::named(self.0.limit.saturating_sub(kept), "what --max-host-memory leaves beside the photos kept")
     }
 
     /// The bound, bytes.
@@ -47,23 +58,33 @@ impl HostMemory {
         self.0.limit
     }
 
+    /// Reserves memory for what is kept while files are read, beside which they have the rest: see
+    /// [`HostMemory::beside_photos`].
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] when it exceeds the bound, or the system does not give as much. `what` is kept, in words.
+    pub(crate) fn keep(&self, what: &dyn Fn() -> String, bytes: u64) -> Result<Lease> {
+        self.lease(what, bytes)
+    }
+
     /// Reserves memory for reading a file; waits while others have it. The holder must not wait for other threads.
     ///
     /// # Errors
     /// [`Error::TooLarge`] when it exceeds the bound, or the system does not give as much.
     pub(crate) fn take(&self, path: &Path, bytes: u64) -> Result<Lease> {
+        self.lease(&|| reading(path), bytes)
+    }
+
+    fn lease(&self, what: &dyn Fn() -> String, bytes: u64) -> Result<Lease> {
         let Self(state) = self;
         if bytes > state.limit {
-            return Err(too_large(path, bytes, state.limit, "--max-host-memory"));
+            return Err(too_large(what(), bytes, state.limit, state.limit_name));
         }
         let used = state.used.lock().unwrap_or_else(PoisonError::into_inner);
         let enough = |used: &mut u64| bytes > state.limit - (*used).min(state.limit);
         let mut used = state.freed.wait_while(used, enough).unwrap_or_else(PoisonError::into_inner);
         // Decoders end the program when they get no memory. Asked here, the system can say no.
-        let mut trial: Vec<u8> = Vec::new();
-        if usize::try_from(bytes).map_or(true, |bytes| trial.try_reserve_exact(bytes).is_err()) {
-            return Err(too_large(path, bytes, available(), "what the system has left"));
-        }
+        drop(reserved_for(what, bytes)?);
         *used += bytes;
         Ok(Lease { state: state.clone(), bytes })
     }
@@ -71,11 +92,55 @@ impl HostMemory {
 
 /// Refuses a file that needs more than a bound, before memory is reserved for it.
 pub(crate) fn check(path: &Path, bytes: u64, limit: Option<u64>) -> Result<()> {
-    HostMemory::new(limit.unwrap_or_else(available)).take(path, bytes).map(drop)
+    limit.map_or_else(HostMemory::default, HostMemory::new).take(path, bytes).map(drop)
 }
 
-fn too_large(path: &Path, needed: u64, limit: u64, limit_name: &'static str) -> Error {
-    let what = format!("{}: reading it", path.display());
+/// Refuses a file that the machine has too little memory for, whatever the bound.
+pub(crate) fn check_free(path: &Path, bytes: u64) -> Result<()> {
+    HostMemory::named(available(), "three quarters of what is free").take(path, bytes).map(drop)
+}
+
+/// The same of something that is written from memory.
+pub(crate) fn check_writing(path: &Path, bytes: u64) -> Result<()> {
+    let free = HostMemory::named(available(), "three quarters of what is free");
+    free.keep(&|| format!("{}: writing it", path.display()), bytes).map(drop)
+}
+
+/// Refuses a text (also JSON) of this size that the machine has too little memory for: for itself, and for what becomes of
+/// it.
+pub(crate) fn check_text(path: &Path, bytes: u64) -> Result<()> {
+    /// Bytes that one of a text becomes: words become strings, and numbers of two digits eight bytes.
+    const GROWTH: u64 = 6;
+    check_free(path, bytes.saturating_mul(GROWTH))
+}
+
+/// As [`check_text`], of a file by its path.
+pub(crate) fn check_text_file(path: &Path) -> Result<()> {
+    let metadata = std::fs::metadata(path).map_err(|source| Error::io(path, "read", source))?;
+    check_text(path, metadata.len())
+}
+
+/// An empty vector with room for so many bytes.
+///
+/// # Errors
+/// [`Error::TooLarge`] when the system does not give as much.
+pub(crate) fn reserved(path: &Path, bytes: u64) -> Result<Vec<u8>> {
+    reserved_for(&|| reading(path), bytes)
+}
+
+fn reserved_for(what: &dyn Fn() -> String, bytes: u64) -> Result<Vec<u8>> {
+    let mut room = Vec::new();
+    match usize::try_from(bytes).map(|bytes| room.try_reserve_exact(bytes)) {
+        Ok(Ok(())) => Ok(room),
+        _ => Err(too_large(what(), bytes, available(), "what the system has left")),
+    }
+}
+
+fn reading(path: &Path) -> String {
+    format!("{}: reading it", path.display())
+}
+
+fn too_large(what: String, needed: u64, limit: u64, limit_name: &'static str) -> Error {
     Error::TooLarge { what, needed, unit: "bytes of host memory", limit, limit_name }
 }
 

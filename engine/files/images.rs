@@ -2,14 +2,13 @@
 
 mod decode;
 mod jpeg;
+mod png_rows;
+mod scale;
 mod undistort;
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
-
-use image::RgbImage;
-use image::imageops::{self, FilterType};
 
 use super::atomic;
 use super::host_memory::HostMemory;
@@ -19,7 +18,8 @@ use ashsplat::{Error, Result};
 pub use ashsplat::scene::photo::Photo;
 pub use ashsplat::scene::stored_photo::{PhotoFile, StoredPhoto};
 pub use decode::photo_size;
-pub(crate) use decode::{Header, header};
+pub(crate) use decode::{Decoded, Header, Request, header};
+use scale::RowScaler;
 pub use undistort::undistort;
 
 /// Widest picture that [`Resolution::Auto`] leaves as it is, pixels.
@@ -62,7 +62,7 @@ pub trait PhotoFileFormat: Sized {
     /// implementation, which scales with Pillow's default).
     ///
     /// # Errors
-    /// [`Error::Argument`] when `rgb` has the wrong length or the new size is 0 or above 65,535.
+    /// [`Error::Argument`] when `rgb` has the wrong length, or one of the sizes is 0 or above 65,535.
     fn scaled_to(self, width: u32, height: u32) -> Result<Self>;
 }
 
@@ -72,11 +72,13 @@ impl PhotoFileFormat for Photo {
     }
 
     fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self> {
-        Ok(decode::read(path.as_ref(), background, false, None, memory)?.0)
+        Ok(decode::read(path.as_ref(), &Request::plain(background, memory))?.photo)
     }
 
     fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self> {
-        Ok(decode::read(path.as_ref(), background, false, Some((width, height)), &HostMemory::default())?.0)
+        let memory = HostMemory::default();
+        let request = Request { size: Some((width, height)), ..Request::plain(background, &memory) };
+        Ok(decode::read(path.as_ref(), &request)?.photo)
     }
 
     fn write_png(&self, path: impl AsRef<Path>) -> Result<()> {
@@ -94,29 +96,26 @@ impl PhotoFileFormat for Photo {
         if (width, height) == (self.width, self.height) {
             return Ok(self);
         }
-        let sides = 1..=MAX_IMAGE_SIDE;
-        if !sides.contains(&width) || !sides.contains(&height) {
-            let problem = format!("{width}x{height} is outside 1x1 to {MAX_IMAGE_SIDE} a side");
-            return Err(Error::argument("image size", problem));
+        for [width, height] in [[width, height], [self.width, self.height]] {
+            let sides = 1..=MAX_IMAGE_SIDE;
+            if !sides.contains(&width) || !sides.contains(&height) {
+                let problem = format!("{width}x{height} is outside 1x1 to {MAX_IMAGE_SIDE} a side");
+                return Err(Error::argument("image size", problem));
+            }
         }
-        let Some(image) = RgbImage::from_raw(self.width, self.height, self.rgb) else {
-            return Err(Error::argument("photo", "its size and its number of bytes differ"));
-        };
-        let scaled = imageops::resize(&image, width, height, FilterType::CatmullRom);
-        Ok(Self { width, height, rgb: scaled.into_raw() })
+        let rgb = Vec::with_capacity(3 * width as usize * height as usize);
+        let mut scaler = RowScaler::new([self.width, self.height], [width, height], rgb);
+        self.rgb.chunks_exact(3 * self.width as usize).for_each(|row| scaler.push(row));
+        Ok(Self { width, height, rgb: scaler.finish() })
     }
 }
 
-/// As [`PhotoFileFormat::read_sized`], turned as its metadata say or not, with the alpha channel, one byte per pixel, of a
-/// picture that has one.
-pub(crate) fn read_as(
-    path: &Path,
-    background: [f32; 3],
-    turned: bool,
-    size: (u32, u32),
-    memory: &HostMemory,
-) -> Result<(Photo, Option<Vec<u8>>)> {
-    decode::read(path, background, turned, Some(size), memory)
+/// Reads a picture as it is wanted.
+///
+/// # Errors
+/// As [`PhotoFileFormat::read_sized`].
+pub(crate) fn read_as(path: &Path, request: &Request<'_>) -> Result<Decoded> {
+    decode::read(path, request)
 }
 
 /// How much memory photos may take, and where they lie while they do not fit.

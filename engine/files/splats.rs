@@ -2,8 +2,7 @@
 //!
 //! All are converted to and from the frame and the raw parameters of the reference implementation's PLY.
 //! Reading and writing proceed block by block, so that a conversion needs little memory if the formats allow
-//! it. Compressed PLY is sorted, so it is written from memory. SPZ is held packed in memory, at a quarter of
-//! its size or less.
+//! it. Compressed PLY is sorted, so it is written from memory.
 
 mod convert;
 mod detect;
@@ -25,7 +24,7 @@ use ashsplat::scene::Gaussians;
 
 pub use convert::{ConvertOptions, Converted, Target, convert};
 pub use format::Format;
-pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks};
+pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, row_bytes};
 pub use stream::{Header, ReadOptions, Scene};
 
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
@@ -80,7 +79,7 @@ fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
         Format::Ply => Box::new(ply::GaussianRows::open(path)?),
         Format::CompressedPly => Box::new(ply::CompressedPly::open(path)?),
         Format::Splat => Box::new(dot_splat::DotSplat::open(path)?),
-        Format::Spz => Box::new(spz::Spz::open(path, options.max_host_memory)?),
+        Format::Spz => Box::new(spz::Spz::open(path)?),
         format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format)?),
     };
     Ok(Reader::new(path, source, options))

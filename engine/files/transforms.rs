@@ -13,7 +13,7 @@ use glam::{Affine3A, Mat3, Vec3};
 use serde_json::Value;
 
 use super::names::{ending, plain, stays_inside};
-use super::ply;
+use super::{host_memory, ply};
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
 
@@ -108,6 +108,7 @@ impl Transforms {
 
 /// The JSON of a file, without a byte order mark.
 fn parse(path: &Path) -> Result<Value> {
+    host_memory::check_text_file(path)?;
     let bytes = std::fs::read(path).map_err(|source| Error::io(path, "read", source))?;
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     if text.trim_ascii().is_empty() {

@@ -142,7 +142,8 @@ fn level_up(cameras: &[Camera]) -> Option<DVec3> {
         sum + DMat3::from_cols(right * right.x, right * right.y, right * right.z)
     });
     // Inverse iteration to the least eigenvector. Where axes are parallel, it is as near to the mean as can be.
-    let inverse = (across * (1.0 / cameras.len() as f64) + DMat3::from_diagonal(DVec3::splat(1e-4))).inverse();
+    let inverse =
+        (across * (1.0 / cameras.len() as f64) + DMat3::from_diagonal(DVec3::splat(1e-4))).inverse();
     (0..INVERSE_ITERATIONS).try_fold(mean.as_dvec3().try_normalize()?, |up, _| (inverse * up).try_normalize())
 }
 

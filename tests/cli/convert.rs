@@ -92,6 +92,31 @@ fn limits_of_files_and_memory_are_told() {
     shell.args(["convert", text(&place("in.ply")), text(&place("out.ply"))]);
     assert_refused(&finish(&mut shell), &["out.ply: cannot write: File too large"]);
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1);
-    let words = ["in.ply: reading it needs 94400 bytes of host memory, more than 1024 (--max-host-memory)"];
-    refuse(&["info", text(&place("in.ply")), "--max-host-memory", "1K"], &words);
+    let words = ["in.ply: reading it needs ", " bytes of host memory, more than 1024 (--max-host-memory)"];
+    refuse(&["info", text(&place("in.ply")), "--max-host-memory", "1K"], &["needs 94400 bytes"]);
+    let (ply, data) = (place("in.ply"), place("data"));
+    for command in [
+        &["info", text(&ply)][..],
+        &["render", text(&ply), "-o", text(&place("out"))],
+        &["inspect", text(&ply), "--pixel", "0,0"],
+        &["eval", text(&ply), "-s", text(&data)],
+        &["view", text(&ply)],
+        &["convert", text(&ply), text(&place("out.splat")), "--decimate", "50%"],
+        &["profile", "--scene", text(&ply)],
+        &["bench", "render", "--scene", text(&ply)],
+    ] {
+        refuse(&[command, &["--max-host-memory", "1K"]].concat(), &words);
+    }
+    super::write_dataset(&data);
+    let model = place("model");
+    for (command, word) in [
+        (&["info", text(&data)][..], "01.png: reading it"),
+        (&["train", "-s", text(&data), "-m", text(&model)], "keeping its 9 photos in memory"),
+        (&["bench", "train", "--dataset", text(&data)], "keeping its 9 photos in memory"),
+        (&["profile", "train-step", "--dataset", text(&data)], "keeping its 9 photos in memory"),
+    ] {
+        let run = [command, &["--max-host-memory", "1K"]].concat();
+        refuse(&run, &[word, "more than 1024 (--max-host-memory)"]);
+    }
+    assert!(!model.exists());
 }

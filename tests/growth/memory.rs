@@ -1,18 +1,21 @@
 //! Small files that claim much: what is refused, and that it is refused before memory is reserved.
 
+use std::io::Write;
 use std::path::Path;
 use std::sync::PoisonError;
 
 use ashsplat::Error;
 use ashsplat::scene::Gaussians;
 use image::codecs::jpeg::JpegEncoder;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 use super::{Cost, TURN};
 use crate::HostMemory;
 use crate::dataset::{Dataset, DatasetOptions};
-use crate::images::{Photo, PhotoFileFormat};
+use crate::images::{Photo, PhotoFileFormat, PhotoMemory, Resolution};
 use crate::progress::Progress;
-use crate::splats::{self, ReadOptions, WriteOptions};
+use crate::splats::{self, ConvertOptions, ReadOptions, WriteOptions};
 
 /// A picture with much detail, as a baseline JPEG.
 fn jpeg(width: u32, height: u32) -> Vec<u8> {
@@ -50,13 +53,17 @@ fn a_jpeg_of_a_few_bytes_is_no_large_picture() {
     assert!(cost.bytes < 4 << 20, "{cost:?}");
 }
 
-/// What cameras leave behind the end does no harm; what is in the middle of the data does.
+/// What cameras leave behind the end and between the parts does no harm; what is in the middle of the data does.
 #[test]
 fn damaged_jpegs_are_found() {
+    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.jpg");
     let whole = jpeg(160, 120);
     assert!(read(&path, &[&whole[..], b"\0\0\0 a preview"].concat()).is_ok());
+    let frame = whole.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
+    let between = [&whole[..frame], &[0; 9], &whole[frame..]].concat();
+    assert_eq!(read(&path, &between).unwrap(), read(&path, &whole).unwrap());
     let mut damaged = whole.clone();
     let middle = whole.len() / 2;
     // A table of the quantisation where pictures have none.
@@ -78,18 +85,37 @@ fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {
     let frames = format!("[{{\"file_path\": \"images/a.png\", \"transform_matrix\": {pose}}}]");
     let text = format!("{{\"fl_x\": 3000, \"frames\": {frames}}}");
     std::fs::write(folder.path().join("transforms.json"), text).unwrap();
-    let load = |bytes: u64| {
-        let options = DatasetOptions { host_memory: HostMemory::new(bytes), ..Default::default() };
+    let load = |bytes: u64, resolution: Resolution, photo_memory: Option<PhotoMemory>| {
+        let host_memory = HostMemory::new(bytes);
+        let options = DatasetOptions { host_memory, resolution, photo_memory, ..Default::default() };
         Dataset::load(folder.path(), &options, Progress::NONE)
     };
-    let (cost, refused) = Cost::of(|| load(30 << 20));
+    let whole = Resolution::Factor(1);
+    // Four bytes of each pixel are kept, or none where there is a file for them.
+    let (cost, refused) = Cost::of(|| load(30 << 20, whole, None));
+    let message = refused.unwrap_err().to_string();
+    let words =
+        "transforms.json: keeping its 1 photos in memory (-r makes them smaller) needs 48000000 bytes";
+    assert!(message.contains(words) && message.contains("--max-host-memory"), "{message}");
+    assert!(cost.bytes < 4 << 20, "{cost:?}");
+    let refused = load(60 << 20, whole, None).unwrap_err().to_string();
+    assert!(refused.contains("what --max-host-memory leaves beside the photos kept"), "{refused}");
+    let in_a_file = || Some(PhotoMemory { bytes: u64::MAX, folder: folder.path().into() });
+    let (cost, refused) = Cost::of(|| load(30 << 20, whole, in_a_file()));
     let message = refused.unwrap_err().to_string();
     assert!(
         message.contains("images/a.png: reading it needs ") && message.contains("--max-host-memory"),
         "{message}"
     );
     assert!(cost.bytes < 4 << 20, "{cost:?}");
-    assert_eq!(load(60 << 20).unwrap().train.len(), 1);
+    let loaded = load(60 << 20, whole, in_a_file()).unwrap();
+    assert!(
+        loaded.train[0].photo.file().is_some()
+            && loaded.warnings.iter().any(|w| w.contains("kept in a file"))
+    );
+    assert!(load(100 << 20, whole, None).unwrap().train[0].photo.file().is_none());
+    // At a smaller size, rows are enough.
+    assert_eq!(load(12 << 20, Resolution::Width(400), None).unwrap().train[0].photo.width, 400);
 }
 
 #[test]
@@ -131,17 +157,84 @@ fn writing_spz_takes_little_memory() {
         opacity_logits: vec![0.5; 100_000],
         sh: vec![[0.1; 3]; 1_600_000],
     };
-    let resident = || {
+    let peak = peak_mib(|| splats::write(&path, &gaussians, &WriteOptions::default()).unwrap());
+    assert!(peak < 60, "{peak} MiB");
+}
+
+/// MiB that work takes at its peak, also in libraries in C: as the system counts them. 0 where it does not.
+pub(super) fn peak_mib(work: impl FnOnce()) -> u64 {
+    let kib = |name: &str| {
         let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or_default();
-        line.trim().trim_end_matches(" kB").parse::<u64>().unwrap_or_default() >> 10
+        let line = status.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_default();
+        line.trim().trim_end_matches(" kB").parse::<u64>().unwrap_or_default()
     };
-    // The encoders' memory is that of a library in C: the system counts it. Its peak begins anew here.
+    // The peak begins anew here.
     if std::fs::write("/proc/self/clear_refs", "5").is_err() {
-        return;
+        return 0;
     }
-    let before = resident();
-    splats::write(&path, &gaussians, &WriteOptions::default()).unwrap();
-    let peak = resident() - before.min(resident());
-    assert!(peak < 100, "{peak} MiB");
+    let before = kib("VmRSS:");
+    work();
+    kib("VmHWM:").saturating_sub(before) >> 10
+}
+
+/// An SPZ of many Gaussians in one gzip stream: version 2, at any places, all other values 0.
+fn old_spz(path: &Path, count: u32, flags: u8, behind: &[u8]) {
+    let file = std::fs::File::create(path).unwrap();
+    let mut stream = flate2::write::GzEncoder::new(file, flate2::Compression::fast());
+    for word in [0x5053_474e, 2, count] {
+        stream.write_all(&u32::to_le_bytes(word)).unwrap();
+    }
+    stream.write_all(&[3, 12, flags, 0]).unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let means: Vec<u8> = (0..9 * count).map(|_| random.random()).collect();
+    stream.write_all(&means).unwrap();
+    let zeros = vec![0; count as usize];
+    (9..64).for_each(|_| stream.write_all(&zeros).unwrap());
+    stream.write_all(behind).unwrap();
+    stream.finish().unwrap();
+}
+
+/// A block of each plane is unpacked at a time, whatever the file unpacks to.
+#[test]
+fn reading_spz_takes_little_memory() {
+    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let [old, new, out] = ["old.spz", "new.spz", "out.splat"].map(|name| folder.path().join(name));
+    let count = 1_500_000;
+    old_spz(&old, count, 0, &[]);
+    let convert = |from: &Path, to: &Path| {
+        let done = splats::convert(from, to, &ConvertOptions::default()).unwrap();
+        assert_eq!(done.written, u64::from(count));
+    };
+    // 96 MB of planes.
+    let peaks = [(&old, &out), (&old, &new), (&new, &out)].map(|(from, to)| peak_mib(|| convert(from, to)));
+    assert!(peaks.iter().all(|&mib| mib < 50), "{peaks:?} MiB");
+}
+
+#[test]
+fn damaged_old_spz_are_found() {
+    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.spz");
+    let read = || splats::read(&path, &ReadOptions::default()).map_err(|error| error.to_string());
+    for count in [1, 20_000] {
+        old_spz(&path, count, 0, &[]);
+        assert_eq!(read().unwrap().gaussians.len() as u32, count);
+        let bytes = std::fs::read(&path).unwrap();
+        for cut in [1, 4, 8, 9, 20] {
+            std::fs::write(&path, &bytes[..bytes.len() - cut]).unwrap();
+            let message = read().unwrap_err();
+            assert!(message.contains("the compressed data are damaged") || count == 1, "{cut}: {message}");
+        }
+        old_spz(&path, count, 0, &[0]);
+        assert!(read().unwrap_err().contains("holds more data than its"));
+        // An extension behind the planes, which says that the axes are left, up, back.
+        let axes = [0xadbe_0003_u32, 4, 3].map(u32::to_le_bytes).concat();
+        for (flags, extra) in [(2, &axes[..]), (2, &[])] {
+            old_spz(&path, count, flags, extra);
+            assert_eq!(read().unwrap().gaussians.len() as u32, count);
+        }
+        old_spz(&path, count, 2, &axes[..9]);
+        assert!(read().unwrap_err().contains("an extension in its header is longer"));
+    }
 }

@@ -9,6 +9,7 @@ mod checkpoints;
 mod colmap;
 mod memory;
 mod names;
+mod photos;
 mod scenes;
 
 use std::alloc::System;
@@ -26,7 +27,7 @@ use crate::progress::Progress;
 static MEMORY: Cap<System> = Cap::new(System, usize::MAX);
 
 /// One test at a time: the counts are those of the process.
-static TURN: Mutex<()> = Mutex::new(());
+pub(crate) static TURN: Mutex<()> = Mutex::new(());
 
 /// What something costs.
 #[derive(Clone, Copy, Debug)]

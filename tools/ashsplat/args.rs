@@ -26,8 +26,8 @@ pub struct DeviceArguments {
 /// How much memory of the machine itself is used.
 #[derive(Args, Clone, Copy, Default)]
 pub struct HostArguments {
-    /// Most memory of the machine for reading a scene or decoding photos, with a unit: 800M, 6G; what needs more is refused
-    /// before it is read [default: three quarters of what is free]
+    /// Most memory of the machine for reading a scene or a checkpoint, and for photos while they are decoded or kept, with a
+    /// unit: 800M, 6G; what needs more is refused before it is read [default: three quarters of what is free]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub max_host_memory: Option<u64>,
 }

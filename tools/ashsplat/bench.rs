@@ -99,7 +99,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         }
         What::Train(a) => {
             let plan = Plan { iterations: training::ITERATIONS, seed: a.seed };
-            measure_all(&a.output, plan, |_| tasks::of_training(&a.dataset, &a.windows, a.sh_degree))
+            let host = &a.output.device.host;
+            measure_all(&a.output, plan, |_| tasks::of_training(&a.dataset, &a.windows, a.sh_degree, host))
         }
         What::All(a) => {
             let plan = Plan { iterations: a.iterations.get(), seed: a.synthetic.seed() };

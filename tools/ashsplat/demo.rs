@@ -65,7 +65,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let settings = settings(&data, &folder.join("model"), arguments.iterations, arguments.seed);
     settings.train.check()?;
     let stop = session::stop_on_ctrl_c()?;
-    let gallery = session::open(&settings.data, &session::options(&settings.data, false)?, &stop)?;
+    let options = session::options(&settings.data, false, &arguments.device.host)?;
+    let gallery = session::open(&settings.data, &options, &stop)?;
     let loaded = session::load(&gallery, arguments.quiet, &stop)?;
     let photos = loaded.train.len() + loaded.test.len();
     if !arguments.quiet {

@@ -197,8 +197,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let white = model.settings.train.white_background;
     let context = arguments.device.context()?;
     let stop = session::stop_on_ctrl_c()?;
-    let mut options = session::options(&data, white)?;
-    options.host_memory = arguments.device.host.memory();
+    let options = session::options(&data, white, &arguments.device.host)?;
     let gallery = session::open(&data, &options, &stop)?;
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;

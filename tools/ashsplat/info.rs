@@ -81,8 +81,7 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         eval: arguments.eval,
         ..Default::default()
     };
-    let mut options = session::options(&data, false)?;
-    options.host_memory = arguments.host.memory();
+    let options = session::options(&data, false, &arguments.host)?;
     let bar = counting("checking photos", 0, arguments.quiet);
     let report = |done: usize, total: usize| {
         bar.set_length(total as u64);

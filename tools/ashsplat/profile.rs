@@ -171,7 +171,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Ok(());
     }
     output::check(&[("--html", arguments.html.as_deref()), ("--trace", arguments.trace.as_deref())])?;
-    let load = || arguments.scene.load(arguments.what == What::TrainStep);
+    let load = || arguments.scene.load(arguments.what == What::TrainStep, &arguments.device.host);
     if let Some(settings) = &arguments.ab {
         return ab::run(arguments, settings, &load()?);
     }

@@ -1,5 +1,6 @@
 //! Data sets as commands load them.
 
+use crate::args::HostArguments;
 use crate::config::DataSettings;
 use crate::progress::counting;
 use ashsplat::{Error, Result};
@@ -62,14 +63,15 @@ pub fn is_dataset(path: &Path) -> bool {
     is_archive || path.is_dir() && !path.join("point_cloud").is_dir()
 }
 
-/// The options that the settings mean; all photos are held in memory.
-pub fn options(data: &DataSettings, white_background: bool) -> Result<DatasetOptions> {
+/// The options that the settings mean; all photos are held in memory, within the bound of `host`.
+pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments) -> Result<DatasetOptions> {
     Ok(DatasetOptions {
         resolution: data.resolution.to_string().parse()?,
         images: data.images.clone(),
         orientation: data.orientation.parse()?,
         eval: data.eval,
         white_background,
+        host_memory: host.memory(),
         ..Default::default()
     })
 }

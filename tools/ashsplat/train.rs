@@ -98,9 +98,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Open the device first, so that its absence is reported before the photos are loaded.
     let context = arguments.device.context()?;
     let start = arguments.start_checkpoint.as_ref();
-    let start = start.map(|asked| Start::read(asked, &settings.data.model_path)).transpose()?;
-    let mut options = session::options(&settings.data, settings.train.white_background)?;
-    options.host_memory = arguments.device.host.memory();
+    let start = start
+        .map(|asked| Start::read(asked, &settings.data.model_path, &arguments.device.host))
+        .transpose()?;
+    let host = &arguments.device.host;
+    let mut options = session::options(&settings.data, settings.train.white_background, host)?;
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let gallery = session::open(&settings.data, &options, &stop)?;
     check_fits(&context, &gallery, &settings.train, start.as_ref().map(Start::checkpoint))?;

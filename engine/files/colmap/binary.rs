@@ -5,7 +5,7 @@ use std::io::{BufReader, Read};
 use std::path::Path;
 
 use super::types::{CameraModel, ColmapCamera, ColmapImage};
-use crate::sniff;
+use crate::{host_memory, sniff};
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
 
@@ -17,12 +17,17 @@ const POINT_BYTES: u64 = 51;
 const OBSERVATION_BYTES: u64 = 24;
 const TRACK_ENTRY_BYTES: u64 = 8;
 
+/// What is kept of each, bytes: with parameters, with a name.
+const CAMERA_ROOM: usize = size_of::<ColmapCamera>() + 16 * size_of::<f64>();
+const IMAGE_ROOM: usize = size_of::<ColmapImage>() + 64;
+const POINT_ROOM: usize = size_of::<[f32; 3]>() + size_of::<[u8; 3]>();
+
 /// No file system has longer paths.
 const MAX_NAME_BYTES: usize = 4096;
 
 pub(super) fn cameras(path: &Path) -> Result<Vec<ColmapCamera>> {
     let mut file = BinaryFile::open(path)?;
-    let count = file.count("cameras", MIN_CAMERA_BYTES)?;
+    let count = file.count("cameras", MIN_CAMERA_BYTES, CAMERA_ROOM)?;
     let mut cameras = Vec::with_capacity(count);
     for index in 0..count {
         file.record = format!("camera {index} of {count}");
@@ -40,7 +45,7 @@ pub(super) fn cameras(path: &Path) -> Result<Vec<ColmapCamera>> {
 
 pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
     let mut file = BinaryFile::open(path)?;
-    let count = file.count("images", MIN_IMAGE_BYTES)?;
+    let count = file.count("images", MIN_IMAGE_BYTES, IMAGE_ROOM)?;
     let mut images = Vec::with_capacity(count);
     for index in 0..count {
         file.record = format!("image {index} of {count}");
@@ -57,7 +62,7 @@ pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
 
 pub(super) fn points(path: &Path) -> Result<PointCloud> {
     let mut file = BinaryFile::open(path)?;
-    let count = file.count("points", POINT_BYTES)?;
+    let count = file.count("points", POINT_BYTES, POINT_ROOM)?;
     let mut points = PointCloud { positions: Vec::with_capacity(count), colors: Vec::with_capacity(count) };
     file.record = format!("the {count} points");
     for _ in 0..count {
@@ -116,11 +121,14 @@ impl<'a> BinaryFile<'a> {
         Error::input(self.path, place, "the file is damaged or was cut short: copy the model again")
     }
 
-    /// The number of records. Refused if the file is too small for them.
-    fn count(&mut self, what: &str, record_bytes: u64) -> Result<usize> {
+    /// The number of records. Refused if the file is too small for them, or the machine's memory.
+    fn count(&mut self, what: &str, record_bytes: u64, room: usize) -> Result<usize> {
         let count = u64::from_le_bytes(self.take()?);
         match usize::try_from(count) {
-            Ok(fits) if count <= self.remaining / record_bytes => Ok(fits),
+            Ok(fits) if count <= self.remaining / record_bytes => {
+                host_memory::check_free(self.path, count.saturating_mul(room as u64))?;
+                Ok(fits)
+            }
             _ => {
                 Err(self.error(&format!("says {count} {what}, {} bytes cannot hold as many", self.remaining)))
             }

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::types::{CameraModel, ColmapCamera, ColmapImage};
-use crate::cost;
+use crate::{cost, host_memory};
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
 
@@ -109,6 +109,9 @@ struct TextFile<'a> {
 impl<'a> TextFile<'a> {
     fn open(path: &'a Path) -> Result<Self> {
         let file = File::open(path).map_err(|source| Error::io(path, "read", source))?;
+        let bytes = file.metadata().map_err(|source| Error::io(path, "read", source))?.len();
+        // Of long lines, those of observations and tracks, nothing is kept.
+        host_memory::check_free(path, bytes.saturating_mul(2))?;
         let mut this = Self { path, reader: BufReader::new(file), text: String::new(), line: 0 };
         let start = this.reader.fill_buf().map_err(|source| Error::io(path, "read", source))?;
         match crate::sniff::recognise(&start[..start.len().min(512)]) {

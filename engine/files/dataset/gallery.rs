@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::plan::{Plan, PlannedView};
-use super::{Dataset, DatasetOptions, Unpacked, View, needed_beyond_memory};
+use super::{Dataset, DatasetOptions, Unpacked, View, beyond_memory};
 use crate::cameras_json::NamedCamera;
 use crate::progress::Progress;
 use ashsplat::Result;
@@ -74,7 +74,8 @@ impl Gallery {
 
     /// The bound of the photos' memory, if they exceed it and will be kept in a file.
     pub fn file_memory(&self) -> Option<u64> {
-        needed_beyond_memory(&self.views, &self.options).map(|(_, memory)| memory.bytes)
+        let needed = self.views.iter().map(|view| view.texel_bytes(&self.options)).sum();
+        beyond_memory(needed, &self.options).map(|memory| memory.bytes)
     }
 
     /// Whether each view, by name, is held out; none is without [`DatasetOptions::eval`].

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::host_memory::HostMemory;
-use crate::images::{Photo, header, read_as, undistort};
+use crate::images::{Photo, Request, header, read_as, undistort};
 use crate::names::{Finder, plain};
 use ashsplat::scene::camera::Intrinsics;
 use ashsplat::scene::lens::Lens;
@@ -39,8 +39,11 @@ impl Mask {
             let remedy = "masks must have their photo's size, or be larger with the same proportions";
             return Err(Error::input(path, problem, remedy));
         }
-        let (grey, _) = read_as(path, [0.0; 3], turned, size, memory)?;
-        Ok(Self::of_grey(grey).scaled_to(width, height))
+        // Its own values, and those of the photo's size.
+        let besides = 2 * u64::from(size.0) * u64::from(size.1);
+        let request = Request { turned, size: Some(size), besides, ..Request::plain([0.0; 3], memory) };
+        let grey = read_as(path, &request)?;
+        Ok(Self::of_grey(grey.photo).scaled_to(width, height))
     }
 
     fn of_grey(grey: Photo) -> Self {

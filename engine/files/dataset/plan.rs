@@ -9,7 +9,7 @@ use super::exif_orientation::Turned;
 use super::mask::{Mask, mask_in_folder, mask_of};
 use super::{DatasetOptions, View};
 use crate::colmap::{self, ColmapCamera, ColmapImage, Model};
-use crate::images::{Photo, PhotoFileFormat, StoredPhoto, header, read_as, undistort};
+use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, header, read_as, undistort};
 use crate::names::{Finder, count_photos, plain};
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::lens::Lens;
@@ -340,25 +340,42 @@ impl PlannedView {
         Camera::with_pose(self.camera_from_world, self.translation, self.pinhole)
     }
 
-    /// The undistorted photo, its mask, and its camera.
+    /// The undistorted and scaled photo, its mask at the size of the file, and its camera there.
     pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Option<Mask>, Camera)> {
         let (lens, pinhole) = self.optics_of_file(options.divisor())?;
         let memory = &options.host_memory;
-        let (width, height) = (lens.width, lens.height);
-        let (mut photo, alpha) =
-            read_as(&self.photo_path, options.background(), self.turned, (width, height), memory)?;
-        let alpha = alpha.filter(|_| self.alpha_is_mask).map(|alpha| Mask::of_alpha(width, height, alpha));
-        let mut mask = match (&self.mask_path, alpha) {
-            (None, alpha) => alpha,
-            (Some(path), None) => Some(Mask::read(path, self.turned, (width, height), memory)?),
-            (Some(path), Some(alpha)) => {
-                Some(Mask::read(path, self.turned, (width, height), memory)?.and(&alpha))
-            }
+        let own = (lens.width, lens.height);
+        // One file at a time: who waits for memory must hold none.
+        let mask =
+            self.mask_path.as_ref().map(|path| Mask::read(path, self.turned, own, memory)).transpose()?;
+        let scaled = options.resolution.apply(pinhole.width, pinhole.height);
+        let bytes = |width: u32, height: u32| u64::from(width) * u64::from(height);
+        let (before, after) = (bytes(lens.width, lens.height), bytes(pinhole.width, pinhole.height));
+        let masks = if mask.is_some() { 2 * before } else { 0 };
+        let besides = match lens.is_distorted() {
+            false => masks,
+            true => masks + 3 * after + 3 * bytes(scaled.0, scaled.1) + 2 * masks,
+        };
+        let request = Request {
+            background: options.background(),
+            turned: self.turned,
+            size: Some(own),
+            // What is undistorted is scaled then.
+            scaled: (!lens.is_distorted()).then_some(scaled),
+            besides,
+            memory,
+        };
+        let Decoded { mut photo, alpha, lease, .. } = read_as(&self.photo_path, &request)?;
+        let alpha = alpha.filter(|_| self.alpha_is_mask).map(|alpha| Mask::of_alpha(own.0, own.1, alpha));
+        let mut mask = match (mask, alpha) {
+            (Some(mask), Some(alpha)) => Some(mask.and(&alpha)),
+            (mask, alpha) => mask.or(alpha),
         };
         if lens.is_distorted() {
             mask = mask.map(|mask| mask.undistorted(&lens, &pinhole));
-            photo = undistort(&photo, &lens, &pinhole);
+            photo = undistort(&photo, &lens, &pinhole).scaled_to(scaled.0, scaled.1)?;
         }
+        drop(lease);
         Ok((photo, mask, Camera::with_pose(self.camera_from_world, self.translation, pinhole)))
     }
 
@@ -400,14 +417,14 @@ impl PlannedView {
 
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
         let (photo, mask, original_camera) = self.read_photo(options)?;
-        let (width, height) = options.resolution.apply(photo.width, photo.height);
+        let (width, height) = (photo.width, photo.height);
         let mask = mask.and_then(|mask| mask.scaled_to(width, height).into_values());
         Ok(View {
             name: self.name.clone(),
             image_id: self.image_id,
             camera: original_camera.scaled_to(width, height),
             original_camera,
-            photo: StoredPhoto::new(photo.scaled_to(width, height)?, mask),
+            photo: StoredPhoto::new(photo, mask),
         })
     }
 }

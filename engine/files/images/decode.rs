@@ -1,14 +1,15 @@
 //! Decoding JPEG and PNG files that may be damaged or lie about their size.
 
 use std::fs::{self, File};
-use std::io::{Cursor, Read};
+use std::io::{Cursor, Read, Seek};
 use std::path::Path;
 
 use image::metadata::Orientation;
 use image::{ColorType, DynamicImage, GrayImage, ImageDecoder, ImageFormat, ImageReader, Limits, RgbImage};
 
-use super::{Photo, jpeg};
-use crate::host_memory::HostMemory;
+use super::scale::RowScaler;
+use super::{Photo, jpeg, png_rows};
+use crate::host_memory::{self, HostMemory, Lease};
 use crate::sniff;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
@@ -30,6 +31,11 @@ pub(crate) struct Header {
 }
 
 impl Header {
+    /// Of a picture that is not rotated.
+    pub(super) fn upright(stored: (u32, u32)) -> Self {
+        Self { stored, orientation: Orientation::NoTransforms }
+    }
+
     fn of(path: &Path, bytes: &[u8]) -> Result<Self> {
         let (mut decoder, stored) = decoder(path, bytes)?;
         Ok(Self { stored, orientation: orientation(&mut decoder) })
@@ -78,37 +84,130 @@ fn orientation(decoder: &mut impl ImageDecoder) -> Orientation {
     decoder.orientation().unwrap_or(Orientation::NoTransforms)
 }
 
-/// The picture, optionally rotated by its metadata, and its alpha channel if it has one.
-pub(super) fn read(
-    path: &Path,
+/// What is wanted of a picture.
+#[derive(Clone, Copy)]
+pub(crate) struct Request<'a> {
+    /// Colour (r, g, b in [0, 1]) where the picture is transparent.
+    pub(crate) background: [f32; 3],
+    /// Whether it is rotated by its metadata.
+    pub(crate) turned: bool,
+    /// Its size after that; another one is refused before it is decoded. None: any.
+    pub(crate) size: Option<(u32, u32)>,
+    /// The size to which it is scaled; none: its own.
+    pub(crate) scaled: Option<(u32, u32)>,
+    /// Bytes that the caller needs for it besides.
+    pub(crate) besides: u64,
+    pub(crate) memory: &'a HostMemory,
+}
+
+impl<'a> Request<'a> {
+    /// The picture as it is.
+    pub(crate) fn plain(background: [f32; 3], memory: &'a HostMemory) -> Self {
+        Self { background, turned: false, size: None, scaled: None, besides: 0, memory }
+    }
+
+    /// The size to which a picture of this size is scaled, if it is.
+    fn scaled_of(&self, size: (u32, u32)) -> Option<(u32, u32)> {
+        self.scaled.filter(|&scaled| scaled != size)
+    }
+}
+
+/// A decoded picture.
+pub(crate) struct Decoded {
+    /// The picture, scaled.
+    pub(crate) photo: Photo,
+    /// The alpha channel of a picture that has one, one byte per pixel, not scaled.
+    pub(crate) alpha: Option<Vec<u8>>,
+    /// What it takes, while the caller works on it.
+    pub(crate) lease: Lease,
+}
+
+/// A picture whose rows come one after the other: blended over the background, and scaled.
+pub(super) struct Rows {
     background: [f32; 3],
-    turned: bool,
-    expected: Option<(u32, u32)>,
-    memory: &HostMemory,
-) -> Result<(Photo, Option<Vec<u8>>)> {
+    width: u32,
+    /// Width and height of the result.
+    to: (u32, u32),
+    scaler: Option<RowScaler>,
+    rgb: Vec<u8>,
+    alpha: Option<Vec<u8>>,
+}
+
+impl Rows {
+    /// Bytes that it takes for a picture of this size.
+    pub(super) fn bytes(request: &Request<'_>, size: (u32, u32), has_alpha: bool) -> u64 {
+        let pixels = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
+        let alpha = if has_alpha { pixels(size) } else { 0 };
+        alpha
+            + match request.scaled_of(size) {
+                None => 3 * pixels(size),
+                Some(to) => 3 * pixels(to) + RowScaler::bytes([size.0, size.1], [to.0, to.1]),
+            }
+    }
+
+    /// Reserves memory for the result.
+    pub(super) fn new(path: &Path, request: &Request<'_>, size: (u32, u32), has_alpha: bool) -> Result<Self> {
+        let reserved = |each: u64, (width, height): (u32, u32)| {
+            host_memory::reserved(path, each * u64::from(width) * u64::from(height))
+        };
+        let to = request.scaled.unwrap_or(size);
+        let rgb = reserved(3, to)?;
+        let (rgb, scaler) = match to == size {
+            true => (rgb, None),
+            false => (Vec::new(), Some(RowScaler::new([size.0, size.1], [to.0, to.1], rgb))),
+        };
+        let alpha = has_alpha.then(|| reserved(1, size)).transpose()?;
+        Ok(Self { background: request.background, width: size.0, to, scaler, rgb, alpha })
+    }
+
+    /// The next rows.
+    pub(super) fn push(&mut self, rows: DynamicImage) {
+        let (rgb, alpha) = composite(rows, self.background);
+        match &mut self.scaler {
+            Some(scaler) => rgb.chunks_exact(3 * self.width as usize).for_each(|row| scaler.push(row)),
+            None => self.rgb.extend(rgb),
+        }
+        if let (Some(all), Some(alpha)) = (&mut self.alpha, alpha) {
+            all.extend(alpha);
+        }
+    }
+
+    /// The picture and its alpha channel, when all rows have come.
+    pub(super) fn finish(self) -> (Photo, Option<Vec<u8>>) {
+        let rgb = self.scaler.map_or(self.rgb, RowScaler::finish);
+        (Photo { width: self.to.0, height: self.to.1, rgb }, self.alpha)
+    }
+}
+
+/// The picture as it is wanted. PNGs are decoded by rows if their rows come in order; JPEGs, of which no decoder gives rows,
+/// as a whole.
+pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     let io = |source| Error::io(path, "read", source);
     let file_bytes = fs::metadata(path).map_err(io)?.len();
-    let lease = memory.take(path, file_bytes)?;
+    let mut start = Vec::new();
+    let mut file = File::open(path).map_err(io)?;
+    file.by_ref().take(8).read_to_end(&mut start).map_err(io)?;
+    if is_png(&start) && !(request.turned && header(path)?.has_orientation()) {
+        file.rewind().map_err(io)?;
+        if let Some(decoded) = png_rows::read(path, file, request)? {
+            return Ok(decoded);
+        }
+    }
+    let lease = request.memory.take(path, file_bytes)?;
     let bytes = read_bytes(path)?;
     drop(lease);
     let (mut decoder, stored) = decoder(path, &bytes)?;
     let header = Header { stored, orientation: orientation(&mut decoder) };
-    let (width, height) = header.size(turned);
-    if let Some((w, h)) = expected.filter(|&size| size != (width, height)) {
-        let how = if turned && header.has_orientation() { " when turned as its metadata say" } else { "" };
-        let problem = format!("is {width}x{height} pixels{how}, its camera {w}x{h}");
-        return Err(Error::input(path, problem, "use the pictures that the cameras were computed from"));
-    }
+    let size = header.size(request.turned);
+    check_size(path, request, &header)?;
     let (width, height) = stored;
-    let damaged = |e: &dyn std::fmt::Display| {
-        Error::input(path, format!("cannot be decoded: {}", one_line(e)), "copy or export the picture again")
-    };
+    let damaged = |e: &dyn std::fmt::Display| damaged(path, e);
     let (pixels, decoded) = (u64::from(width) * u64::from(height), decoder.total_bytes());
     let color = decoder.color_type();
     let png = is_png(&bytes);
     let outline = if png { jpeg::Outline::default() } else { jpeg::Outline::of(&bytes) };
-    if png && decoded / MAX_DEFLATE_RATIO > file_bytes || !png && !outline.can_hold_its_size() {
-        return Err(damaged(&format!("claims {width}x{height} pixels in {file_bytes} bytes")));
+    if png && cannot_hold(file_bytes, decoded) || !png && !outline.can_hold_its_size() {
+        return Err(damaged(&claims(stored, file_bytes)));
     }
     if !png && !outline.complete {
         return Err(damaged(&"the data end before the picture does"));
@@ -120,33 +219,70 @@ pub(super) fn read(
         color if color.has_alpha() => 8 * pixels,
         _ => 3 * pixels,
     };
-    let turned_copy = if turned && header.has_orientation() { decoded } else { 0 };
-    let lease = memory.take(path, 2 * file_bytes + decoded + coefficients + converted.max(turned_copy))?;
+    let turned_copy = if request.turned && header.has_orientation() { decoded } else { 0 };
+    let result = request.scaled_of(size).map_or(0, |_| Rows::bytes(request, size, color.has_alpha()));
+    let own = 2 * file_bytes + decoded + coefficients + converted.max(turned_copy) + result;
+    let lease = request.memory.take(path, own.saturating_add(request.besides))?;
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_IMAGE_SIDE);
     limits.max_image_height = Some(MAX_IMAGE_SIDE);
-    limits.max_alloc = Some(memory.limit());
+    limits.max_alloc = Some(request.memory.limit());
     decoder.set_limits(limits).map_err(|e| damaged(&e))?;
     let mut image = if png {
         DynamicImage::from_decoder(decoder).map_err(|e| damaged(&e))?
     } else {
         drop(decoder);
         let grey = color == ColorType::L8;
-        let mut data = vec![0; decoded as usize];
-        jpeg::decode(&bytes, grey, &mut data).map_err(|e| damaged(&e))?;
+        let mut data = host_memory::reserved(path, decoded)?;
+        data.resize(decoded as usize, 0);
+        jpeg::decode(&bytes, &outline, grey, &mut data).map_err(|e| damaged(&e))?;
         let image = match grey {
             true => GrayImage::from_raw(width, height, data).map(DynamicImage::from),
             false => RgbImage::from_raw(width, height, data).map(DynamicImage::from),
         };
         image.ok_or_else(|| damaged(&"its colours are of a kind that is not read"))?
     };
-    if turned {
+    drop(bytes);
+    if request.turned {
         image.apply_orientation(header.orientation);
     }
-    let (width, height) = (image.width(), image.height());
-    let (rgb, alpha) = composite(image, background);
-    drop(lease);
-    Ok((Photo { width, height, rgb }, alpha))
+    if request.scaled_of(size).is_none() {
+        let (rgb, alpha) = composite(image, request.background);
+        return Ok(Decoded { photo: Photo { width: size.0, height: size.1, rgb }, alpha, lease });
+    }
+    let mut rows = Rows::new(path, request, size, color.has_alpha())?;
+    rows.push(image);
+    let (photo, alpha) = rows.finish();
+    Ok(Decoded { photo, alpha, lease })
+}
+
+/// Refuses a picture of another size than is wanted.
+pub(super) fn check_size(path: &Path, request: &Request<'_>, header: &Header) -> Result<()> {
+    let (width, height) = header.size(request.turned);
+    let Some((w, h)) = request.size.filter(|&size| size != (width, height)) else { return Ok(()) };
+    let how =
+        if request.turned && header.has_orientation() { " when turned as its metadata say" } else { "" };
+    let problem = format!("is {width}x{height} pixels{how}, its camera {w}x{h}");
+    Err(Error::input(path, problem, "use the pictures that the cameras were computed from"))
+}
+
+/// Whether a PNG is too small for its pixels.
+pub(super) fn cannot_hold(file_bytes: u64, decoded: u64) -> bool {
+    decoded / MAX_DEFLATE_RATIO > file_bytes
+}
+
+/// The problem of a picture that is too small for its pixels.
+pub(super) fn claims((width, height): (u32, u32), file_bytes: u64) -> String {
+    format!("claims {width}x{height} pixels in {file_bytes} bytes")
+}
+
+/// The error for a picture that cannot be decoded.
+pub(super) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
+    Error::input(
+        path,
+        format!("cannot be decoded: {}", one_line(problem)),
+        "copy or export the picture again",
+    )
 }
 
 fn read_bytes(path: &Path) -> Result<Vec<u8>> {
@@ -164,9 +300,7 @@ fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<(impl ImageDecoder + 'a, 
         return Err(Error::input(path, problem, remedy));
     };
     reader.set_format(format);
-    let decoder = reader.into_decoder().map_err(|e| {
-        Error::input(path, format!("cannot be decoded: {}", one_line(&e)), "copy or export the picture again")
-    })?;
+    let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
     let size = decoder.dimensions();
     Ok((decoder, size))
 }

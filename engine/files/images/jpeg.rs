@@ -1,5 +1,7 @@
 //! JPEGs that are cut short, damaged, or claim a size that their data cannot hold.
 
+use std::ops::Range;
+
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
@@ -7,8 +9,13 @@ use zune_jpeg::JpegDecoder;
 
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 
+/// Bytes of entropy-coded data that are all ones. No code consists of ones only, so a decoder that gets here where it
+/// expects a code says so. It never does in whole data: bits are read ahead, and not used. Without it, a decoder takes all
+/// that is missing before an end marker for zeros.
+const NO_CODE: [u8; 16] = [0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0];
+
 /// What the markers of a JPEG say.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Outline {
     /// Whether it reaches its end-of-image marker. Decoders fill one that is cut short with grey.
     pub(super) complete: bool,
@@ -18,6 +25,10 @@ pub(super) struct Outline {
     blocks: u64,
     /// Bytes of entropy-coded data.
     coded_bytes: u64,
+    /// Places of entropy-coded data.
+    scans: u32,
+    /// Where its parts lie, between the markers at its beginning and its end. There may be other bytes between them: cameras leave some.
+    parts: Vec<Range<usize>>,
 }
 
 impl Outline {
@@ -26,13 +37,18 @@ impl Outline {
         const END_OF_IMAGE: u8 = 0xd9;
         let mut outline = Self::default();
         let mut at = 2;
-        while let Some(&[0xff, marker]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
+        while let Some(&[first, marker]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
             match marker {
+                // Before the data only: in them, a marker may be damage.
+                _ if first != 0xff && outline.scans == 0 => at += 1,
+                _ if first != 0xff => break,
                 END_OF_IMAGE => return Self { complete: true, ..outline },
                 // Fill bytes, and markers without a length.
                 0xff => at += 1,
-                0x01 | 0xd0..=0xd8 => at += 2,
+                0x00 if outline.scans > 0 => break,
+                0x00 | 0x01 | 0xd0..=0xd8 => at += 2,
                 _ => {
+                    let begin = at;
                     let Some(&length) = bytes.get(at + 2..).and_then(|rest| rest.first_chunk()) else {
                         break;
                     };
@@ -47,10 +63,12 @@ impl Outline {
                         START_OF_SCAN => {
                             let end = end_of_scan(bytes, at);
                             outline.coded_bytes += (end - at.min(end)) as u64;
+                            outline.scans += 1;
                             at = end;
                         }
                         _ => {}
                     }
+                    outline.parts.push(begin..at.min(bytes.len()));
                 }
             }
         }
@@ -83,23 +101,27 @@ fn end_of_scan(bytes: &[u8], mut at: usize) -> usize {
     bytes.len()
 }
 
-/// The pixels of a JPEG, grey or r, g, b, into memory of their size. Data that end early or make no sense are errors, which
-/// the decoder would fill with grey otherwise.
-pub(super) fn decode(bytes: &[u8], grey: bool, pixels: &mut [u8]) -> Result<(), String> {
-    let result = decode_as(bytes, grey, pixels, true);
-    // Bytes between the parts of a file do no harm, and cameras leave some.
-    match result {
-        Err(e) if e.contains("Extra bytes between headers") => decode_as(bytes, grey, pixels, false),
-        result => result,
+/// The file without bytes between its parts and behind its end, and with [`NO_CODE`] at the end of its data.
+fn sealed(bytes: &[u8], outline: &Outline) -> Vec<u8> {
+    let mut sealed = Vec::with_capacity(bytes.len() + NO_CODE.len() + 4);
+    sealed.extend([0xff, 0xd8]);
+    outline.parts.iter().for_each(|part| sealed.extend_from_slice(&bytes[part.clone()]));
+    // The decoder wants a marker directly behind the first pass of several.
+    if !outline.progressive || outline.scans > 1 {
+        sealed.extend(NO_CODE);
     }
+    sealed.extend([0xff, 0xd9]);
+    sealed
 }
 
-fn decode_as(bytes: &[u8], grey: bool, pixels: &mut [u8], strict: bool) -> Result<(), String> {
+/// The pixels of a JPEG, grey or r, g, b, into memory of their size. Data that end early or make no sense are errors, which
+/// the decoder would fill with grey otherwise.
+pub(super) fn decode(bytes: &[u8], outline: &Outline, grey: bool, pixels: &mut [u8]) -> Result<(), String> {
     let options = DecoderOptions::default()
-        .set_strict_mode(strict)
+        .set_strict_mode(true)
         .set_max_width(MAX_IMAGE_SIDE as usize)
         .set_max_height(MAX_IMAGE_SIDE as usize)
         .jpeg_set_out_colorspace(if grey { ColorSpace::Luma } else { ColorSpace::RGB });
-    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(sealed(bytes, outline)), options);
     decoder.decode_into(pixels).map_err(|e| e.to_string())
 }

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use super::header::Element;
 use super::rows::PlyFile;
+use crate::host_memory;
 use crate::splats::{BLOCK, Format, Header, Sink, Source};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
@@ -122,7 +123,7 @@ fn read_sh(path: &Path, count: u64) -> Result<(u32, Vec<u8>)> {
         return Err(file.error(format!("has {count} vertices, but {} rows of sh", element.count)));
     }
     let names: Vec<String> = (0..values).map(|i| format!("f_rest_{i}")).collect();
-    let mut bytes = Vec::with_capacity(usize::try_from(count).unwrap_or(0).saturating_mul(values));
+    let mut bytes = host_memory::reserved(path, count.saturating_mul(values as u64))?;
     file.for_each_row(&element, &names, |_, row| {
         bytes.extend(row.iter().map(|&value| value as u8));
         Ok(())

@@ -6,8 +6,8 @@ use std::path::Path;
 use super::compressed::{CHUNK, CHUNK_PROPERTIES, SH_RANGE, VERTEX_PROPERTIES};
 use super::header::ANTIALIASED;
 use super::morton;
-use crate::atomic;
-use crate::splats::{Outline, Produce};
+use crate::splats::{Outline, Produce, row_bytes};
+use crate::{atomic, host_memory};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::sh::C0;
@@ -18,6 +18,8 @@ const MAX_LOG_SCALE: f32 = 20.0;
 
 /// Writes Gaussians along a space-filling curve, so that the 256 of a chunk lie close together.
 pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+    // Beside the Gaussians, their order and what they are packed to.
+    host_memory::check_writing(path, outline.count.saturating_mul(row_bytes(outline.sh_degree) + 40))?;
     let mut all = Gaussians { sh_degree: outline.sh_degree, ..Default::default() };
     produce(&mut |block| {
         all.append(&block);

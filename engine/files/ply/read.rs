@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::header::Element;
 use super::rows::PlyFile;
+use crate::host_memory;
 use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Sink, Source};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::{Gaussians, PointCloud};
@@ -114,6 +115,7 @@ pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
     let coloured = ["red", "green", "blue"].iter().all(|name| element.has(name));
     let names = if coloured { &["x", "y", "z", "red", "green", "blue"][..] } else { &["x", "y", "z"] };
     let names: Vec<String> = names.iter().map(|name| name.to_string()).collect();
+    host_memory::check_free(path, element.count.saturating_mul(15))?;
     let mut points = PointCloud::default();
     points.positions.reserve(capacity(&element));
     points.colors.reserve(capacity(&element));

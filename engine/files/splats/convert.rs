@@ -4,8 +4,9 @@ use std::path::Path;
 
 use glam::Vec3;
 
-use super::{Format, Header, Outline, ReadOptions, open, write_blocks};
+use super::{Format, Header, Outline, ReadOptions, open, row_bytes, write_blocks};
 use crate::decimate::decimate;
+use crate::host_memory;
 use ashsplat::Result;
 use ashsplat::scene::{Bounds, Gaussians, Similarity};
 
@@ -74,6 +75,11 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
         warnings.push(format!("{format} cannot say that the Gaussians want antialiasing"));
     }
     let (mut count, mut bounds) = (0, None);
+    if options.decimate.is_some() {
+        // All of them, and those that are merged of them.
+        let needed = header.count.saturating_mul(2 * row_bytes(sh_degree));
+        host_memory::check(input, needed, options.read.max_host_memory)?;
+    }
     let mut kept = options.decimate.map(|_| Gaussians { sh_degree, ..Default::default() });
     reader.blocks(&mut |block| {
         let block = options.change(block, sh_degree);

@@ -1,14 +1,13 @@
 //! Reading SPZ, versions 2 and 3 (one gzip stream) and 4 (a zstd stream for each attribute).
 
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use flate2::bufread::GzDecoder;
 
 use super::spz_pack::{MIRRORED, PLANES, Packing};
 use super::{BLOCK, Format, Header, Sink, Source};
-use crate::host_memory;
 use ashsplat::{Error, Result};
 
 /// "NGSP" as a little-endian number.
@@ -28,13 +27,22 @@ const MAX_EXTENSION_BYTES: u64 = 1 << 20;
 /// The extension that names the axes (Adobe).
 const EXTENSION_AXES: u32 = 0xadbe_0003;
 
-/// An SPZ in memory, packed.
+/// An open SPZ. Each plane has a stream of its own, so that no more than a block is in memory.
 pub(super) struct Spz {
+    file: SpzFile,
     packing: Packing,
-    planes: [Vec<u8>; PLANES],
+    layout: Layout,
     /// Axes to mirror after unpacking.
     mirrored: [bool; 3],
     header: Header,
+}
+
+/// Where the planes are.
+enum Layout {
+    /// One behind the other in one gzip stream; behind them at most so many bytes of extensions.
+    Gzip { extensions: u64 },
+    /// Offset and length of a zstd stream for each; none for those without data.
+    Zstd([Option<(u64, u64)>; PLANES]),
 }
 
 /// The fields that both headers have.
@@ -45,20 +53,75 @@ struct Head {
 }
 
 impl Spz {
-    pub(super) fn open(path: &Path, max_host_memory: Option<u64>) -> Result<Self> {
+    pub(super) fn open(path: &Path) -> Result<Self> {
         let io = |source| Error::io(path, "read", source);
-        let file = File::open(path).map_err(io)?;
-        let bytes = file.metadata().map_err(io)?.len();
-        let mut open = Open { path: path.to_owned(), bytes, reader: BufReader::new(file), max_host_memory };
+        let mut reader = BufReader::new(File::open(path).map_err(io)?);
+        let file = SpzFile { path: path.to_owned(), bytes: reader.get_ref().metadata().map_err(io)?.len() };
         let mut start = Vec::new();
-        open.reader.by_ref().take(4).read_to_end(&mut start).map_err(io)?;
-        open.reader.rewind().map_err(io)?;
+        reader.by_ref().take(4).read_to_end(&mut start).map_err(io)?;
+        reader.rewind().map_err(io)?;
         match start.as_slice() {
-            [0x1f, 0x8b, ..] => open.gzip(),
-            b"NGSP" => open.zstd(),
+            [0x1f, 0x8b, ..] => file.gzip(reader),
+            b"NGSP" => file.zstd(reader),
             [] => Err(Error::input(path, "is empty", "download or copy it again")),
-            _ => Err(open.damaged("is no SPZ: neither gzip nor an SPZ header")),
+            _ => Err(file.damaged("is no SPZ: neither gzip nor an SPZ header")),
         }
+    }
+
+    /// The planes at their beginning.
+    fn planes(&self) -> Result<Vec<Plane<'_>>> {
+        let mut before = OLD_HEADER_BYTES as u64;
+        let mut planes = Vec::new();
+        for (index, row_bytes) in self.packing.row_bytes().into_iter().enumerate() {
+            let bytes = self.header.count * row_bytes as u64;
+            let name = NAMES[index];
+            let stream: Box<dyn Read> = match &self.layout {
+                Layout::Zstd(places) => match places[index] {
+                    None => Box::new(io::empty()),
+                    Some((at, packed)) => {
+                        let io = |source| Error::io(&self.file.path, "read", source);
+                        let mut file = BufReader::new(File::open(&self.file.path).map_err(io)?);
+                        file.seek(SeekFrom::Start(at)).map_err(io)?;
+                        Box::new(zstd::stream::read::Decoder::new(file.take(packed)).map_err(io)?)
+                    }
+                },
+                // What is before it is unpacked again: twice as much in all as the file has.
+                Layout::Gzip { .. } => {
+                    let file =
+                        File::open(&self.file.path).map_err(|e| Error::io(&self.file.path, "read", e))?;
+                    let mut stream = GzDecoder::new(BufReader::new(file));
+                    self.file.skip(&mut stream, before, name)?;
+                    Box::new(stream)
+                }
+            };
+            before += bytes;
+            planes.push(Plane { file: &self.file, name, stream, bytes, read: 0 });
+        }
+        Ok(planes)
+    }
+
+    /// Reads what is behind the planes. Reading a stream to its end checks its checksum.
+    fn finish(&self, planes: Vec<Plane<'_>>) -> Result<()> {
+        let limit = match self.layout {
+            Layout::Gzip { extensions } => extensions,
+            Layout::Zstd(_) => 0,
+        };
+        // The end of the gzip stream is seen by the last of its readers.
+        let skipped = if matches!(self.layout, Layout::Gzip { .. }) { PLANES - 1 } else { 0 };
+        for mut plane in planes.into_iter().skip(skipped) {
+            let rest = io::copy(&mut (&mut plane.stream).take(limit + 1), &mut io::sink());
+            let rest = rest.map_err(|e| plane.broken(&e))?;
+            if rest > limit {
+                let problem = match self.layout {
+                    Layout::Gzip { .. } => {
+                        format!("holds more data than its {} Gaussians need", self.header.count)
+                    }
+                    Layout::Zstd(_) => format!("{}: unpacks to more than {} bytes", plane.name, plane.bytes),
+                };
+                return Err(self.file.damaged(problem));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -69,27 +132,67 @@ impl Source for Spz {
 
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
         let count = self.header.count as usize;
+        let row_bytes = self.packing.row_bytes();
+        let mut planes = self.planes()?;
+        let mut packed: [Vec<u8>; PLANES] = Default::default();
         for start in (0..count).step_by(BLOCK) {
-            let mut block = self.packing.unpack(&self.planes, start..(start + BLOCK).min(count));
+            let rows = BLOCK.min(count - start);
+            for ((plane, packed), row_bytes) in planes.iter_mut().zip(&mut packed).zip(row_bytes) {
+                packed.resize(rows * row_bytes, 0);
+                plane.fill(packed)?;
+            }
+            let mut block = self.packing.unpack(&packed, 0..rows);
             block.mirror(self.mirrored);
             sink(block)?;
+        }
+        self.finish(planes)
+    }
+}
+
+/// One attribute of all Gaussians, as it is unpacked.
+struct Plane<'a> {
+    file: &'a SpzFile,
+    name: &'static str,
+    stream: Box<dyn Read>,
+    /// Bytes that it must have.
+    bytes: u64,
+    /// Bytes of it so far.
+    read: u64,
+}
+
+impl Plane<'_> {
+    fn fill(&mut self, packed: &mut [u8]) -> Result<()> {
+        let mut rest = packed;
+        while !rest.is_empty() {
+            match self.stream.read(rest) {
+                Ok(0) => {
+                    let Self { name, bytes, read, .. } = self;
+                    let problem = format!("{name}: {bytes} bytes are needed, the data end after {read}");
+                    return Err(self.file.damaged(problem));
+                }
+                Ok(read) => {
+                    self.read += read as u64;
+                    rest = &mut rest[read..];
+                }
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                Err(e) => return Err(self.broken(&e)),
+            }
         }
         Ok(())
     }
 
-    fn held_bytes(&self) -> u64 {
-        self.planes.iter().map(|plane| plane.len() as u64).sum()
+    fn broken(&self, e: &io::Error) -> Error {
+        self.file.damaged(format!("{}: the compressed data are damaged: {e}", self.name))
     }
 }
 
-struct Open {
+/// The file, for messages and checks.
+struct SpzFile {
     path: PathBuf,
     bytes: u64,
-    reader: BufReader<File>,
-    max_host_memory: Option<u64>,
 }
 
-impl Open {
+impl SpzFile {
     fn damaged(&self, problem: impl Into<String>) -> Error {
         Error::input(&self.path, problem, "the file is damaged or cut short: write or download it again")
     }
@@ -123,62 +226,52 @@ impl Open {
                 format!("the header says {count} Gaussians, which {} bytes cannot hold", self.bytes);
             return Err(self.damaged(problem));
         }
-        host_memory::check(&self.path, needed, self.max_host_memory)?;
         Ok(Head { packing, count, flags: bytes[14] })
     }
 
-    fn gzip(mut self) -> Result<Spz> {
-        let file = std::mem::replace(
-            &mut self.reader,
-            BufReader::new(File::open(&self.path).map_err(|e| Error::io(&self.path, "read", e))?),
-        );
-        let mut stream = GzDecoder::new(file);
-        let start = self.unpacked(&mut stream, OLD_HEADER_BYTES as u64, "header")?;
+    fn gzip(self, reader: BufReader<File>) -> Result<Spz> {
+        let mut stream = GzDecoder::new(reader);
+        let mut start = [0; OLD_HEADER_BYTES];
+        stream
+            .read_exact(&mut start)
+            .map_err(|e| self.damaged(format!("header: it cannot be unpacked: {e}")))?;
         let head = self.head(&start)?;
         if head.packing.version == 4 {
             return Err(self.damaged("is SPZ version 4 inside gzip, which the format does not have"));
         }
-        let mut planes: [Vec<u8>; PLANES] = Default::default();
-        for (plane, (row, name)) in planes.iter_mut().zip(head.packing.row_bytes().into_iter().zip(NAMES)) {
-            *plane = self.unpacked(&mut stream, head.count * row as u64, name)?;
+        let mut extensions = Vec::new();
+        let mut limit = 0;
+        if head.flags & FLAG_EXTENSIONS != 0 {
+            // They are behind all planes, and the first Gaussians need them.
+            limit = MAX_EXTENSION_BYTES;
+            let planes = head.count * head.packing.row_bytes().iter().sum::<usize>() as u64;
+            self.skip(&mut stream, planes, "planes")?;
+            let read = stream.take(limit + 1).read_to_end(&mut extensions);
+            read.map_err(|e| self.damaged(format!("the gzip stream is damaged: {e}")))?;
         }
-        // Reading to the end checks the stream's checksum.
-        let mut rest = Vec::new();
-        let limit = if head.flags & FLAG_EXTENSIONS == 0 { 0 } else { MAX_EXTENSION_BYTES };
-        (&mut stream)
-            .take(limit + 1)
-            .read_to_end(&mut rest)
-            .map_err(|e| self.damaged(format!("the gzip stream is damaged: {e}")))?;
-        if rest.len() as u64 > limit {
-            return Err(self.damaged(format!("holds more data than its {} Gaussians need", head.count)));
-        }
-        self.finish(head, planes, &rest)
+        self.finish(head, Layout::Gzip { extensions: limit }, &extensions)
     }
 
-    /// Reads exactly this many bytes. Memory grows with the data received, not with the header's count.
-    fn unpacked(&self, stream: &mut impl Read, bytes: u64, what: &str) -> Result<Vec<u8>> {
-        let mut data = Vec::new();
-        let read = stream.take(bytes).read_to_end(&mut data);
-        read.map_err(|e| self.damaged(format!("{what}: the compressed data are damaged: {e}")))?;
-        if (data.len() as u64) < bytes {
-            return Err(
-                self.damaged(format!("{what}: {bytes} bytes are needed, the data end after {}", data.len()))
-            );
+    /// Unpacks so many bytes for nothing.
+    fn skip(&self, stream: &mut impl Read, bytes: u64, what: &str) -> Result<()> {
+        let skipped = io::copy(&mut stream.take(bytes), &mut io::sink());
+        let skipped =
+            skipped.map_err(|e| self.damaged(format!("{what}: the compressed data are damaged: {e}")))?;
+        if skipped == bytes {
+            return Ok(());
         }
-        data.shrink_to_fit();
-        Ok(data)
+        Err(self.damaged(format!("{what}: the data end after {skipped} bytes, where {bytes} are needed")))
     }
 
-    fn zstd(mut self) -> Result<Spz> {
-        let io_path = self.path.clone();
-        let io = |source| Error::io(&io_path, "read", source);
+    fn zstd(self, mut reader: BufReader<File>) -> Result<Spz> {
+        let io = |source| Error::io(&self.path, "read", source);
         if self.bytes < HEADER_BYTES {
             return Err(
                 self.damaged(format!("ends after {} of the header's {HEADER_BYTES} bytes", self.bytes))
             );
         }
         let mut start = [0; HEADER_BYTES as usize];
-        self.reader.read_exact(&mut start).map_err(io)?;
+        reader.read_exact(&mut start).map_err(io)?;
         let head = self.head(&start)?;
         if head.packing.version != 4 {
             return Err(self.damaged(format!("is SPZ version {} without gzip", head.packing.version)));
@@ -196,10 +289,10 @@ impl Open {
             return Err(self.damaged(format!("its table of streams lies at byte {table} of {}", self.bytes)));
         }
         let mut extensions = vec![0; (table - HEADER_BYTES) as usize];
-        self.reader.read_exact(&mut extensions).map_err(io)?;
+        reader.read_exact(&mut extensions).map_err(io)?;
         let mut sizes = vec![[0; 16]; expected.len()];
-        self.reader.read_exact(sizes.as_flattened_mut()).map_err(io)?;
-        let mut planes: [Vec<u8>; PLANES] = Default::default();
+        reader.read_exact(sizes.as_flattened_mut()).map_err(io)?;
+        let mut places = [None; PLANES];
         for (plane, size) in expected.into_iter().zip(sizes) {
             let [packed, unpacked] = [0, 8].map(|from| {
                 size[from..from + 8].iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte))
@@ -213,19 +306,7 @@ impl Open {
             if unpacked != needed {
                 return Err(self.damaged(format!("{name}: {unpacked} bytes instead of {needed}")));
             }
-            self.reader.seek(SeekFrom::Start(at)).map_err(io)?;
-            let file = &mut self.reader;
-            let mut stream = zstd::stream::read::Decoder::new(Read::take(file, packed)).map_err(io)?;
-            let mut data = Vec::new();
-            let read = Read::take(&mut stream, needed + 1).read_to_end(&mut data);
-            drop(stream);
-            read.map_err(|e| self.damaged(format!("{name}: the compressed data are damaged: {e}")))?;
-            if data.len() as u64 != needed {
-                return Err(
-                    self.damaged(format!("{name}: unpacks to {} bytes instead of {needed}", data.len()))
-                );
-            }
-            planes[plane] = data;
+            places[plane] = Some((at, packed));
             at = end;
         }
         if at != self.bytes {
@@ -234,10 +315,10 @@ impl Open {
         if head.flags & FLAG_EXTENSIONS == 0 {
             extensions.clear();
         }
-        self.finish(head, planes, &extensions)
+        self.finish(head, Layout::Zstd(places), &extensions)
     }
 
-    fn finish(self, head: Head, planes: [Vec<u8>; PLANES], extensions: &[u8]) -> Result<Spz> {
+    fn finish(self, head: Head, layout: Layout, extensions: &[u8]) -> Result<Spz> {
         let mut warnings = Vec::new();
         let mirrored = match axes(extensions) {
             Ok(mirrored) => mirrored,
@@ -257,7 +338,7 @@ impl Open {
             antialiased: head.flags & FLAG_ANTIALIASED != 0,
             warnings,
         };
-        Ok(Spz { packing: head.packing, planes, mirrored, header })
+        Ok(Spz { file: self, packing: head.packing, layout, mirrored, header })
     }
 }
 

@@ -1,7 +1,7 @@
 //! Writing SPZ, version 4.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Seek, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use super::spz::{FLAG_ANTIALIASED, HEADER_BYTES, MAGIC};
@@ -21,9 +21,8 @@ const FRACTIONAL_BITS: u32 = 12;
 /// Bits of a coordinate, including the sign.
 const COORDINATE_BITS: u32 = 24;
 
-/// Writes Gaussians as they arrive. Only compressed data are held in memory.
+/// Writes Gaussians as they arrive. In memory are a block and one encoder; the rest waits in files.
 pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
-    let io = |source| Error::io(path, "write", source);
     let Ok(count) = u32::try_from(outline.count) else {
         let (needed, limit) = (outline.count, u64::from(u32::MAX));
         return Err(Error::TooLarge {
@@ -42,9 +41,8 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
     // An encoder takes far more memory than what it writes: one at a time. Until its turn comes, a plane lies in a file.
     let room = std::env::temp_dir();
     let temporary = |source| Error::io(&room, "write a temporary file", source);
-    let files = (0..PLANES).map(|_| tempfile::tempfile().map_err(temporary));
-    let mut files: Vec<BufWriter<File>> =
-        files.map(|file| file.map(BufWriter::new)).collect::<Result<_>>()?;
+    let room_for_one = || tempfile::tempfile().map(BufWriter::new).map_err(temporary);
+    let mut files = (0..PLANES).map(|_| room_for_one()).collect::<Result<Vec<BufWriter<File>>>>()?;
     let mut planes: [Vec<u8>; PLANES] = Default::default();
     produce(&mut |mut block| {
         block.mirror(MIRRORED);
@@ -59,11 +57,13 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
         if outline.count * row_bytes as u64 == 0 {
             continue;
         }
-        let mut file = file.into_inner().map_err(|e| temporary(e.into_error()))?;
-        file.rewind().map_err(temporary)?;
-        let mut encoder = zstd::stream::write::Encoder::new(Vec::new(), LEVEL).map_err(io)?;
+        let mut file = from_the_start(file).map_err(temporary)?;
+        let mut encoder = zstd::stream::write::Encoder::new(room_for_one()?, LEVEL).map_err(temporary)?;
         io::copy(&mut file, &mut encoder).map_err(temporary)?;
-        streams.push((encoder.finish().map_err(io)?, outline.count * row_bytes as u64));
+        let mut packed = from_the_start(encoder.finish().map_err(temporary)?).map_err(temporary)?;
+        let packed_bytes = packed.seek(SeekFrom::End(0)).map_err(temporary)?;
+        packed.rewind().map_err(temporary)?;
+        streams.push((packed, packed_bytes, outline.count * row_bytes as u64));
     }
     atomic::write(path, |writer| {
         writer.write_all(&MAGIC.to_le_bytes())?;
@@ -78,12 +78,19 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
         ])?;
         writer.write_all(&(HEADER_BYTES as u32).to_le_bytes())?;
         writer.write_all(&[0; 12])?;
-        for (packed, unpacked_bytes) in &streams {
-            writer.write_all(&(packed.len() as u64).to_le_bytes())?;
+        for (_, packed_bytes, unpacked_bytes) in &streams {
+            writer.write_all(&packed_bytes.to_le_bytes())?;
             writer.write_all(&unpacked_bytes.to_le_bytes())?;
         }
-        streams.iter().try_for_each(|(packed, _)| writer.write_all(packed))
+        streams.iter_mut().try_for_each(|(packed, ..)| io::copy(packed, writer).map(drop))
     })
+}
+
+/// What was written, to be read.
+fn from_the_start(file: BufWriter<File>) -> io::Result<File> {
+    let mut file = file.into_inner().map_err(io::IntoInnerError::into_error)?;
+    file.rewind()?;
+    Ok(file)
 }
 
 /// The bits that the farthest coordinate leaves, at most 12.

@@ -77,6 +77,11 @@ impl Outline {
     }
 }
 
+/// Bytes of a Gaussian in memory.
+pub(crate) fn row_bytes(sh_degree: u32) -> u64 {
+    (size_of::<f32>() * (11 + 3 * sh_coefficients(sh_degree))) as u64
+}
+
 /// Passes Gaussians to a sink in blocks.
 pub(crate) fn in_blocks(gaussians: &Gaussians, sink: &mut Sink<'_>) -> Result<()> {
     let coefficients = sh_coefficients(gaussians.sh_degree);
@@ -155,8 +160,8 @@ impl<'a> Reader<'a> {
         // The header's count was checked against the file's size. Rows still take more memory than packed ones,
         // and glTF may repeat the same ones a limited number of times.
         let capacity = usize::try_from(header.count).unwrap_or(0);
-        let row = size_of::<f32>() * (11 + 3 * sh_coefficients(header.sh_degree));
-        let needed = header.count.saturating_mul(row as u64).saturating_add(self.source.held_bytes());
+        let needed = header.count.saturating_mul(row_bytes(header.sh_degree));
+        let needed = needed.saturating_add(self.source.held_bytes());
         host_memory::check(&self.path, needed, self.options.max_host_memory)?;
         let mut gaussians = Gaussians::with_capacity(header.sh_degree, capacity);
         let dropped = self.blocks(&mut |block| {

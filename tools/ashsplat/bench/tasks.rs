@@ -8,6 +8,7 @@ use super::schema::{CopyBandwidth, Run};
 use super::sizes::FrameSize;
 use super::training::Training;
 use super::workload::{Scene, SceneArguments, SyntheticArguments};
+use crate::args::HostArguments;
 use ashsplat::vk::Context;
 use ashsplat::{Blending, Result};
 use std::path::Path;
@@ -45,7 +46,7 @@ pub fn of_sort(arguments: &PrimitiveArguments) -> Vec<Task> {
 
 /// One scene: synthetic, or what the arguments name.
 pub fn of_frames(arguments: &FrameArguments, train_step: bool) -> Result<Vec<Task>> {
-    let scene = Rc::new(arguments.scene.load(train_step)?);
+    let scene = Rc::new(arguments.scene.load(train_step, &arguments.output.device.host)?);
     let (iterations, form) = (arguments.iterations.get(), arguments.form.get());
     let task = if train_step { Task::TrainStep } else { Task::Render };
     Ok(vec![task(scene, iterations, form)])
@@ -53,12 +54,18 @@ pub fn of_frames(arguments: &FrameArguments, train_step: bool) -> Result<Vec<Tas
 
 /// One scene in both forms of blending.
 pub fn of_blending(arguments: &BlendingArguments) -> Result<Vec<Task>> {
-    Ok(vec![Task::RenderBoth(Rc::new(arguments.scene.load(false)?), arguments.iterations.get())])
+    let scene = arguments.scene.load(false, &arguments.output.device.host)?;
+    Ok(vec![Task::RenderBoth(Rc::new(scene), arguments.iterations.get())])
 }
 
 /// Training of a data set.
-pub fn of_training(dataset: &Path, windows: &[u32], sh_degree: u32) -> Result<Vec<Task>> {
-    Ok(vec![Task::Train(Box::new(Training::load(dataset, windows, sh_degree)?))])
+pub fn of_training(
+    dataset: &Path,
+    windows: &[u32],
+    sh_degree: u32,
+    host: &HostArguments,
+) -> Result<Vec<Task>> {
+    Ok(vec![Task::Train(Box::new(Training::load(dataset, windows, sh_degree, host)?))])
 }
 
 /// The primitives at two sizes, synthetic frames and steps, and the trained scene and the data sets where given.
@@ -100,13 +107,17 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
     if let Some(file) = &arguments.scene {
         let size = arguments.scene_size.map_or((own.width, own.height), |(w, h)| (Some(w), Some(h)));
         let trained = SceneArguments::of_file(file, arguments.camera.as_deref(), size);
-        tasks.push(Task::Render(Rc::new(trained.load(false)?), iterations, None));
+        tasks.push(Task::Render(
+            Rc::new(trained.load(false, &arguments.output.device.host)?),
+            iterations,
+            None,
+        ));
     }
     tasks.push(Task::TrainStep(synthetic, iterations, None));
     let first_window = arguments.windows.iter().min().map_or(&[][..], std::slice::from_ref);
     for (number, dataset) in arguments.dataset.iter().enumerate() {
         let windows = if number == 0 { &arguments.windows } else { first_window };
-        tasks.extend(of_training(dataset, windows, own.sh_degree())?);
+        tasks.extend(of_training(dataset, windows, own.sh_degree(), &arguments.output.device.host)?);
     }
     Ok(tasks)
 }

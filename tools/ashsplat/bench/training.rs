@@ -4,6 +4,7 @@ use super::measure::{Iterations, measure};
 use super::schema::{CopyBandwidth, Run, Workload};
 use super::workload::Fnv;
 use super::{forms, frames};
+use crate::args::HostArguments;
 use ashsplat::vk::Context;
 use ashsplat::{Error, Gaussians, Result, StepReport, TrainSettings, TrainView, Trainer};
 use ashsplat_files::{Dataset, DatasetOptions, Progress};
@@ -26,7 +27,7 @@ pub struct Training {
 
 impl Training {
     /// Reads the photos. `ends`: iterations at which the windows end.
-    pub fn load(dataset: &Path, ends: &[u32], sh_degree: u32) -> Result<Self> {
+    pub fn load(dataset: &Path, ends: &[u32], sh_degree: u32, host: &HostArguments) -> Result<Self> {
         let mut ends = ends.to_vec();
         ends.sort_unstable();
         ends.dedup();
@@ -38,7 +39,7 @@ impl Training {
             }
             begin = end;
         }
-        let options = DatasetOptions { eval: true, ..DatasetOptions::default() };
+        let options = DatasetOptions { eval: true, host_memory: host.memory(), ..DatasetOptions::default() };
         let loaded = Dataset::load(dataset, &options, Progress::default())?;
         let points = loaded.initial_points(0);
         if points.is_empty() {

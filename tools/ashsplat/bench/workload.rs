@@ -2,6 +2,7 @@
 
 use super::schema::Workload;
 use super::synthetic;
+use crate::args::HostArguments;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, RenderSettings, Result, TrainView};
@@ -122,14 +123,12 @@ impl SceneArguments {
     }
 
     /// Loads or makes the scene. `training`: whether it is to be trained, on a data set's photos where there is one.
-    pub fn load(&self, training: bool) -> Result<Scene> {
+    pub fn load(&self, training: bool, host: &HostArguments) -> Result<Scene> {
         self.check(training)?;
         let mut scene = match (&self.dataset, &self.scene) {
-            (Some(dataset), trained) => self.of_dataset(dataset, trained.as_deref(), training)?,
+            (Some(dataset), trained) => self.of_dataset(dataset, trained.as_deref(), training, host)?,
             (None, Some(trained)) => {
-                let gaussians =
-                    splats::read(trained, &splats::ReadOptions { drop_invalid: true, ..Default::default() })?
-                        .gaussians;
+                let gaussians = splats::read(trained, &host.reading(true))?.gaussians;
                 let camera = match &self.camera {
                     Some(place) => named_camera(place)?,
                     None => overview(&gaussians),
@@ -171,7 +170,13 @@ impl SceneArguments {
         }
     }
 
-    fn of_dataset(&self, dataset: &Path, trained: Option<&Path>, photos: bool) -> Result<Scene> {
+    fn of_dataset(
+        &self,
+        dataset: &Path,
+        trained: Option<&Path>,
+        photos: bool,
+        host: &HostArguments,
+    ) -> Result<Scene> {
         let mut source = dataset.display().to_string();
         let no_view = |views: usize| {
             Error::argument(
@@ -180,7 +185,8 @@ impl SceneArguments {
             )
         };
         let (camera, view, points, scene_extent) = if photos || trained.is_none() {
-            let loaded = Dataset::load(dataset, &DatasetOptions::default(), Progress::default())?;
+            let options = DatasetOptions { host_memory: host.memory(), ..Default::default() };
+            let loaded = Dataset::load(dataset, &options, Progress::default())?;
             let count = loaded.train.len();
             let view = loaded.train.into_iter().nth(self.view).ok_or_else(|| no_view(count))?;
             let camera = view.camera;
@@ -194,8 +200,7 @@ impl SceneArguments {
         let gaussians = match (trained, points) {
             (Some(trained), _) => {
                 source = format!("{} in {source}", trained.display());
-                splats::read(trained, &splats::ReadOptions { drop_invalid: true, ..Default::default() })?
-                    .gaussians
+                splats::read(trained, &host.reading(true))?.gaussians
             }
             (None, points) => {
                 ashsplat_files::initial_gaussians(&points.unwrap_or_default(), self.synthetic.sh_degree())?

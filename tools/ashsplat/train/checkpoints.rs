@@ -1,7 +1,7 @@
 //! Checkpoints of a run: where they lie, which is the newest, and what to go on from.
 
 use super::Run;
-use crate::args::{self, DeviceArguments};
+use crate::args::{self, DeviceArguments, HostArguments};
 use crate::config::SETTINGS_FILE;
 use crate::output;
 use ashsplat::trainer::strategy::Actions;
@@ -25,9 +25,9 @@ pub struct Start {
 
 impl Start {
     /// Reads the file, or the newest of the model folder for "latest".
-    pub fn read(asked: &Path, folder: &Path) -> Result<Start> {
+    pub fn read(asked: &Path, folder: &Path, host: &HostArguments) -> Result<Start> {
         let path = if asked.as_os_str() == LATEST { newest(folder)? } else { asked.to_owned() };
-        let checkpoint = Checkpoint::read(&path)?;
+        let checkpoint = Checkpoint::read_within(&path, &host.memory())?;
         Ok(Start { path, checkpoint })
     }
 

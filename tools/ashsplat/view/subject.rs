@@ -70,7 +70,7 @@ impl Subject {
         stop: &AtomicBool,
     ) -> Result<Subject> {
         if session::is_dataset(path) {
-            return Subject::of_dataset(path, wanted.images, stop);
+            return Subject::of_dataset(path, wanted.images, host, stop);
         }
         let model = Model::locate(path, wanted.iteration)?;
         let scene = look.load(&model.ply, host)?;
@@ -82,7 +82,8 @@ impl Subject {
             data.images = images.to_owned();
         }
         let asked = wanted.source.is_some() || wanted.images.is_some();
-        let gallery = match (asked, photos_of(&data, model.settings.train.white_background, stop)) {
+        let white = model.settings.train.white_background;
+        let gallery = match (asked, photos_of(&data, white, host, stop)) {
             (true, gallery) => Some(gallery?),
             (false, Err(Error::Interrupted)) => return Err(Error::Interrupted),
             // What the training had may have gone.
@@ -104,9 +105,14 @@ impl Subject {
         })
     }
 
-    fn of_dataset(path: &Path, images: Option<&str>, stop: &AtomicBool) -> Result<Subject> {
+    fn of_dataset(
+        path: &Path,
+        images: Option<&str>,
+        host: &HostArguments,
+        stop: &AtomicBool,
+    ) -> Result<Subject> {
         let data = DataSettings { source_path: path.to_owned(), ..Default::default() };
-        let mut options = DatasetOptions::default();
+        let mut options = DatasetOptions { host_memory: host.memory(), ..Default::default() };
         if let Some(images) = images {
             options.images = images.to_owned();
         }
@@ -171,9 +177,14 @@ fn run_name() -> String {
 }
 
 /// The photos of a training's data set, at the size at which it uses them.
-fn photos_of(data: &DataSettings, white_background: bool, stop: &AtomicBool) -> Result<Gallery> {
+fn photos_of(
+    data: &DataSettings,
+    white_background: bool,
+    host: &HostArguments,
+    stop: &AtomicBool,
+) -> Result<Gallery> {
     if data.source_path.as_os_str().is_empty() {
         return Err(Error::argument("data set", "is not known; name it with -s DATASET"));
     }
-    session::open(data, &session::options(data, white_background)?, stop)
+    session::open(data, &session::options(data, white_background, host)?, stop)
 }

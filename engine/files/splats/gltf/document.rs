@@ -13,7 +13,7 @@ use serde_json::Value;
 
 use super::accessor::{Buffer, Buffers};
 use super::{Format, damaged};
-use crate::cost;
+use crate::{cost, host_memory};
 use ashsplat::scene::Similarity;
 use ashsplat::{Error, Result};
 
@@ -108,6 +108,7 @@ impl Document {
         let (json, binary) = if format == Format::Glb {
             glb_chunks(path, &mut file, bytes)?
         } else {
+            host_memory::check_text(path, bytes)?;
             let mut json = Vec::new();
             file.read_to_end(&mut json).map_err(io)?;
             (json, None)
@@ -220,6 +221,7 @@ fn glb_chunks(path: &Path, file: &mut File, bytes: u64) -> Result<Chunks> {
     if json_kind != GLB_JSON {
         return Err(damaged(path, "its first chunk is not JSON"));
     }
+    host_memory::check_text(path, json_bytes.into())?;
     let mut json = vec![0; json_bytes as usize];
     file.read_exact(&mut json).map_err(io)?;
     let at = 20 + u64::from(json_bytes);

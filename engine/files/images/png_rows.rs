@@ -1,0 +1,81 @@
+//! PNGs by rows: of the decoded picture, one row is in memory.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use image::{DynamicImage, ImageBuffer, Luma, LumaA, Pixel, Rgb, Rgba};
+use png::{BitDepth, ColorType, Limits, Transformations};
+
+use super::decode::{Decoded, Header, Request, Rows, cannot_hold, check_size, claims, damaged};
+use ashsplat::scene::camera::MAX_IMAGE_SIDE;
+use ashsplat::{Error, Result};
+
+/// Bytes of the file that are read at a time.
+const BUFFER_BYTES: usize = 64 << 10;
+
+/// Bytes that the decoder takes beside its rows: what it reads ahead, and what it unpacks.
+const DECODER_BYTES: u64 = 1 << 20;
+
+/// Rows that the decoder holds.
+const DECODER_ROWS: u64 = 8;
+
+/// The picture as it is wanted; none if its rows do not come in order.
+pub(super) fn read(path: &Path, file: File, request: &Request<'_>) -> Result<Option<Decoded>> {
+    let damaged = |e: &dyn std::fmt::Display| damaged(path, e);
+    let file_bytes = file.metadata().map_err(|source| Error::io(path, "read", source))?.len();
+    let limits = Limits { bytes: usize::try_from(request.memory.limit()).unwrap_or(usize::MAX) };
+    let reader = BufReader::with_capacity(BUFFER_BYTES, file);
+    let mut decoder = png::Decoder::new_with_limits(reader, limits);
+    // The depth stays: 16 bits are rounded here, not cut.
+    decoder.set_transformations(Transformations::EXPAND);
+    let mut reader = decoder.read_info().map_err(|e| damaged(&e))?;
+    let size = reader.info().size();
+    if reader.info().interlaced {
+        return Ok(None);
+    }
+    check_size(path, request, &Header::upright(size))?;
+    if size.0.max(size.1) > MAX_IMAGE_SIDE {
+        return Err(damaged(&format!("{}x{} pixels; {MAX_IMAGE_SIDE} a side are possible", size.0, size.1)));
+    }
+    let (Some(decoded), Some(row_bytes)) = (reader.output_buffer_size(), reader.output_line_size(size.0))
+    else {
+        return Err(damaged(&claims(size, file_bytes)));
+    };
+    if cannot_hold(file_bytes, decoded as u64) {
+        return Err(damaged(&claims(size, file_bytes)));
+    }
+    let (color, depth) = reader.output_color_type();
+    let has_alpha = matches!(color, ColorType::GrayscaleAlpha | ColorType::Rgba);
+    let own = Rows::bytes(request, size, has_alpha) + DECODER_BYTES + DECODER_ROWS * row_bytes as u64;
+    let lease = request.memory.take(path, own.saturating_add(request.besides))?;
+    let mut rows = Rows::new(path, request, size, has_alpha)?;
+    while let Some(row) = reader.next_row().map_err(|e| damaged(&e))? {
+        let row = as_image(row.data(), color, depth, size.0);
+        rows.push(row.ok_or_else(|| damaged(&"its colours are of a kind that is not read"))?);
+    }
+    let (photo, alpha) = rows.finish();
+    Ok(Some(Decoded { photo, alpha, lease }))
+}
+
+/// A row as a picture of its own.
+fn as_image(row: &[u8], color: ColorType, depth: BitDepth, width: u32) -> Option<DynamicImage> {
+    fn bytes<P: Pixel<Subpixel = u8>>(row: &[u8], width: u32) -> Option<ImageBuffer<P, Vec<u8>>> {
+        ImageBuffer::from_raw(width, 1, Vec::from(row))
+    }
+    fn words<P: Pixel<Subpixel = u16>>(row: &[u8], width: u32) -> Option<ImageBuffer<P, Vec<u16>>> {
+        let words = row.as_chunks::<2>().0.iter().map(|&word| u16::from_be_bytes(word));
+        ImageBuffer::from_raw(width, 1, words.collect())
+    }
+    match (color, depth) {
+        (ColorType::Grayscale, BitDepth::Eight) => bytes::<Luma<u8>>(row, width).map(Into::into),
+        (ColorType::GrayscaleAlpha, BitDepth::Eight) => bytes::<LumaA<u8>>(row, width).map(Into::into),
+        (ColorType::Rgb, BitDepth::Eight) => bytes::<Rgb<u8>>(row, width).map(Into::into),
+        (ColorType::Rgba, BitDepth::Eight) => bytes::<Rgba<u8>>(row, width).map(Into::into),
+        (ColorType::Grayscale, BitDepth::Sixteen) => words::<Luma<u16>>(row, width).map(Into::into),
+        (ColorType::GrayscaleAlpha, BitDepth::Sixteen) => words::<LumaA<u16>>(row, width).map(Into::into),
+        (ColorType::Rgb, BitDepth::Sixteen) => words::<Rgb<u16>>(row, width).map(Into::into),
+        (ColorType::Rgba, BitDepth::Sixteen) => words::<Rgba<u16>>(row, width).map(Into::into),
+        _ => None,
+    }
+}

@@ -1,0 +1,158 @@
+//! Scaling by rows: of the picture, only the rows that a filter covers are in memory.
+//!
+//! Kernel and arithmetic are those of `image::imageops::resize` with `CatmullRom`, in the same order, so the result has
+//! the same bits. That function wants the whole picture, and 16 bytes for each of its columns at the new height.
+
+use std::collections::VecDeque;
+
+/// Pixels on each side that the kernel covers, in units of the larger of both pixels.
+const SUPPORT: f32 = 2.0;
+
+/// The pixels along an axis that one pixel of the result is made of.
+struct Taps {
+    first: usize,
+    weights: Vec<f32>,
+}
+
+impl Taps {
+    /// Of pixel `place` of `to`, made of `from` pixels.
+    fn of(place: u32, from: u32, to: u32) -> Self {
+        let ratio = from as f32 / to as f32;
+        let stretch = if ratio < 1.0 { 1.0 } else { ratio };
+        let support = SUPPORT * stretch;
+        let center = (place as f32 + 0.5) * ratio;
+        let first = ((center - support).floor() as i64).clamp(0, i64::from(from) - 1);
+        let end = ((center + support).ceil() as i64).clamp(first + 1, i64::from(from));
+        let weight = |pixel: i64| catmull_rom((pixel as u32 as f32 - (center - 0.5)) / stretch);
+        let mut weights: Vec<f32> = (first..end).map(weight).collect();
+        // In their order: a sum depends on it.
+        let sum = weights.iter().fold(0.0, |sum, weight| sum + weight);
+        weights.iter_mut().for_each(|weight| *weight /= sum);
+        Self { first: first as usize, weights }
+    }
+
+    fn end(&self) -> usize {
+        self.first + self.weights.len()
+    }
+}
+
+fn catmull_rom(x: f32) -> f32 {
+    let a = x.abs();
+    let six = if a < 1.0 {
+        9.0 * a.powi(3) + -15.0 * a.powi(2) + 6.0
+    } else if a < 2.0 {
+        -3.0 * a.powi(3) + 15.0 * a.powi(2) + -24.0 * a + 12.0
+    } else {
+        0.0
+    };
+    six / 6.0
+}
+
+/// A row of the result that more rows of the picture are needed for.
+struct Open {
+    taps: Taps,
+    sums: Vec<f32>,
+}
+
+/// Scales a picture of r, g, b whose rows come one after the other.
+pub(super) struct RowScaler {
+    from: [u32; 2],
+    to: [u32; 2],
+    columns: Vec<Taps>,
+    open: VecDeque<Open>,
+    /// Rows of the result that have been opened.
+    opened: u32,
+    /// Rows of the picture so far.
+    rows: usize,
+    rgb: Vec<u8>,
+}
+
+impl RowScaler {
+    /// Widths and heights, all at least 1. `rgb` receives the result.
+    pub(super) fn new(from: [u32; 2], to: [u32; 2], rgb: Vec<u8>) -> Self {
+        let columns = (0..to[0]).map(|x| Taps::of(x, from[0], to[0])).collect();
+        Self { from, to, columns, open: VecDeque::new(), opened: 0, rows: 0, rgb }
+    }
+
+    /// Bytes that a value takes at most, beside the result.
+    pub(super) fn bytes(from: [u32; 2], to: [u32; 2]) -> u64 {
+        let taps = |axis: usize| {
+            let stretch = u64::from(from[axis].div_ceil(to[axis].max(1)).max(1));
+            4 * u64::from(to[axis]) * (4 * stretch + 2)
+        };
+        // Each row of the picture is part of so many rows of the result, at most.
+        let open = 6 * u64::from(to[1].div_ceil(from[1].max(1)).max(1));
+        open * 12 * u64::from(from[0]) + taps(0) + taps(1) / u64::from(to[1].max(1)) * open
+    }
+
+    /// The next row of the picture.
+    pub(super) fn push(&mut self, row: &[u8]) {
+        while self.opened < self.to[1] {
+            let taps = Taps::of(self.opened, self.from[1], self.to[1]);
+            if taps.first > self.rows {
+                break;
+            }
+            self.open.push_back(Open { taps, sums: vec![0.0; row.len()] });
+            self.opened += 1;
+        }
+        for Open { taps, sums } in &mut self.open {
+            if let Some(weight) = self.rows.checked_sub(taps.first).and_then(|tap| taps.weights.get(tap)) {
+                sums.iter_mut().zip(row).for_each(|(sum, &value)| *sum += f32::from(value) * weight);
+            }
+        }
+        self.rows += 1;
+        while self.open.front().is_some_and(|open| open.taps.end() <= self.rows) {
+            let Some(done) = self.open.pop_front() else { break };
+            let pixels = done.sums.as_chunks::<3>().0;
+            for taps in &self.columns {
+                let mut sum = [0.0f32; 3];
+                for (pixel, weight) in pixels[taps.first..taps.end()].iter().zip(&taps.weights) {
+                    sum.iter_mut().zip(pixel).for_each(|(sum, value)| *sum += value * weight);
+                }
+                self.rgb.extend(sum.map(|value| value.clamp(0.0, 255.0).round() as u8));
+            }
+        }
+    }
+
+    /// The result, once all rows have come.
+    pub(super) fn finish(self) -> Vec<u8> {
+        self.rgb
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::RowScaler;
+    use crate::growth::TURN;
+    use image::RgbImage;
+    use image::imageops::{FilterType, resize};
+    use std::sync::PoisonError;
+
+    /// Larger, smaller, by whole numbers and by others, at the smallest sizes.
+    #[test]
+    fn rows_give_the_bits_of_the_whole_picture() {
+        let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let sizes = [[1, 1], [2, 3], [5, 1], [17, 9], [64, 64], [133, 77], [400, 31]];
+        for from in sizes {
+            let value = |i: u32| (i.wrapping_mul(2_654_435_761) >> 23) as u8;
+            let rgb: Vec<u8> = (0..3 * from[0] * from[1]).map(value).collect();
+            let image = RgbImage::from_raw(from[0], from[1], rgb.clone()).expect("a picture");
+            for to in sizes.into_iter().chain([[66, 38], [50, 15], [200, 15], [33, 32], [1, 70]]) {
+                if to == from {
+                    continue;
+                }
+                let expected = resize(&image, to[0], to[1], FilterType::CatmullRom).into_raw();
+                let mut scaler = RowScaler::new(from, to, Vec::new());
+                let mut most = 0;
+                for row in rgb.chunks(3 * from[0] as usize) {
+                    scaler.push(row);
+                    let floats: usize = scaler.open.iter().map(|open| open.sums.len()).sum();
+                    let weights: usize = scaler.columns.iter().map(|taps| taps.weights.len()).sum();
+                    most = most.max(4 * (floats + weights));
+                }
+                assert!(most as u64 <= RowScaler::bytes(from, to), "{from:?} to {to:?}: {most}");
+                assert!(scaler.finish() == expected, "{from:?} to {to:?}");
+            }
+        }
+    }
+}

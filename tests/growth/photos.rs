@@ -1,0 +1,147 @@
+//! Photographs: decoded by rows where they can be, and found when they are cut short.
+
+use std::path::Path;
+use std::sync::PoisonError;
+
+use image::{DynamicImage, RgbImage};
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
+
+use super::TURN;
+use super::memory::peak_mib;
+use crate::HostMemory;
+use crate::images::{Photo, PhotoFileFormat, Request, read_as};
+
+fn noise(index: u32) -> u8 {
+    (index.wrapping_mul(2_654_435_761) >> 23) as u8
+}
+
+/// A picture with all values of r, g, b and alpha.
+fn picture(width: u32, height: u32) -> DynamicImage {
+    let values = (0..4 * width * height).map(noise).collect();
+    DynamicImage::from(image::RgbaImage::from_raw(width, height, values).unwrap())
+}
+
+/// Scaled while it is decoded, a picture has the bits of one that is scaled as a whole, whatever its colours.
+#[test]
+fn rows_have_the_bits_of_whole_photos() {
+    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.png");
+    let memory = HostMemory::default();
+    let all = picture(61, 47);
+    let kinds: [(&str, DynamicImage); 10] = [
+        ("png", all.to_luma8().into()),
+        ("png", all.to_luma_alpha8().into()),
+        ("png", all.to_rgb8().into()),
+        ("png", all.clone()),
+        ("png", all.to_luma16().into()),
+        ("png", all.to_luma_alpha16().into()),
+        ("png", all.to_rgb16().into()),
+        ("png", all.to_rgba16().into()),
+        ("jpeg", all.to_rgb8().into()),
+        ("jpeg", all.to_luma8().into()),
+    ];
+    for (index, (kind, image)) in kinds.into_iter().enumerate() {
+        image.save_with_format(&path, image::ImageFormat::from_extension(kind).unwrap()).unwrap();
+        let plain = Request::plain([0.3, 0.6, 1.0], &memory);
+        let whole = read_as(&path, &plain).unwrap();
+        if kind == "png" && !image.color().has_alpha() {
+            assert_eq!(whole.photo.rgb, image.to_rgb8().into_raw(), "kind {index}");
+        }
+        assert_eq!(whole.alpha.is_some(), image.color().has_alpha());
+        for (width, height) in [(61, 47), (30, 23), (7, 5), (100, 80)] {
+            let request = Request { scaled: Some((width, height)), size: Some((61, 47)), ..plain };
+            let scaled = read_as(&path, &request).unwrap();
+            let expected = whole.photo.clone().scaled_to(width, height).unwrap();
+            assert!(
+                scaled.photo == expected && scaled.alpha == whole.alpha,
+                "kind {index}, {width}x{height}"
+            );
+        }
+    }
+}
+
+/// Of a large PNG that is scaled down, a few rows are in memory, and no more of it than is said before.
+#[test]
+fn large_photos_that_are_scaled_down_take_little_memory() {
+    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.png");
+    let (width, height) = (6000, 4000);
+    let rgb = (0..width * height).flat_map(|i| [(i % width / 24) as u8, (i / width / 16) as u8, 9]).collect();
+    Photo { width, height, rgb }.write_png(&path).unwrap();
+    let memory = HostMemory::new(6 << 20);
+    let plain = Request::plain([0.0; 3], &memory);
+    assert!(read_as(&path, &plain).is_err());
+    let read = |scaled| read_as(&path, &Request { scaled: Some(scaled), ..plain }).unwrap().photo;
+    read((60, 40));
+    // The picture itself has 69 MiB.
+    let peak = peak_mib(|| assert_eq!(read((600, 400)).rgb.len(), 720_000));
+    assert!(peak <= 6, "{peak} MiB");
+}
+
+fn jpeg(width: u16, height: u16, kind: &str) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = Encoder::new(&mut bytes, 90);
+    encoder.set_sampling_factor(if kind == "4:2:0" { SamplingFactor::F_2_2 } else { SamplingFactor::F_1_1 });
+    encoder.set_optimized_huffman_tables(kind == "own tables");
+    if kind == "restarts" {
+        encoder.set_restart_interval(3);
+    }
+    encoder.set_progressive(kind == "passes");
+    let grey = kind == "grey";
+    let pixels = u32::from(width) * u32::from(height);
+    let values: Vec<u8> = (0..if grey { pixels } else { 3 * pixels }).map(noise).collect();
+    encoder.encode(&values, width, height, if grey { ColorType::Luma } else { ColorType::Rgb }).unwrap();
+    bytes
+}
+
+fn is_read(path: &Path, bytes: &[u8]) -> bool {
+    std::fs::write(path, bytes).unwrap();
+    let read = Photo::read(path, [0.0; 3]).map_err(|error| error.to_string());
+    assert!(
+        read.as_ref().is_ok_and(|photo| !photo.rgb.is_empty())
+            || read.unwrap_err().contains("cannot be decoded")
+    );
+    Photo::read(path, [0.0; 3]).is_ok()
+}
+
+/// An end marker behind half of the data does not make them whole: whoever stops a transfer may write one.
+#[test]
+fn jpegs_cut_short_before_an_end_marker_are_found() {
+    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jpg");
+    for kind in ["plain", "4:2:0", "own tables", "restarts", "grey", "passes"] {
+        for (width, height) in [(8, 8), (33, 17), (96, 64)] {
+            let whole = jpeg(width, height, kind);
+            assert!(is_read(&path, &whole), "{kind} {width}x{height}");
+            let scan = whole.windows(2).rposition(|w| w == [0xff, 0xda]).unwrap();
+            let data = scan + 2 + usize::from(u16::from_be_bytes([whole[scan + 2], whole[scan + 3]]));
+            let end = whole.len() - 2;
+            // Of the last byte, some bits may be padding.
+            let cuts = (data..end - 1).step_by(1 + (end - data) / 60).chain([end - 2, end - 3]);
+            for cut in cuts.filter(|&cut| cut >= data && whole[cut - 1] != 0xff) {
+                let short = [&whole[..cut], &[0xff, 0xd9]].concat();
+                assert!(!is_read(&path, &short), "{kind} {width}x{height}: {cut} of {end}");
+            }
+        }
+    }
+}
+
+/// The encoder of another crate, at sizes around those of its blocks: what is whole is not taken for cut short.
+#[test]
+fn whole_jpegs_of_every_size_are_read() {
+    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jpg");
+    for side in 1..40 {
+        let size = (side, 1 + side * 7 % 23);
+        for kind in ["plain", "4:2:0", "restarts", "grey", "passes"] {
+            assert!(is_read(&path, &jpeg(size.0, size.1, kind)), "{kind} {size:?}");
+        }
+        let (width, height) = (u32::from(size.0), u32::from(size.1));
+        RgbImage::from_fn(width, height, |x, y| [noise(x), noise(y), 5].into()).save(&path).unwrap();
+        assert!(Photo::read(&path, [0.0; 3]).is_ok(), "{size:?}");
+    }
+}
