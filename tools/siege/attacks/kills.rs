@@ -22,7 +22,7 @@ pub fn interrupted(siege: &Siege) -> Result<Outcome> {
 
 /// Ends trainings at moments spread over their time. Each goes on from what the last left, to the same bits.
 fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
-    let wanted = siege.choose(3, 20);
+    let wanted = siege.choose(2, 12);
     let data = training::data_of(siege)?;
     training::undisturbed(siege)?;
     let model = siege.new_folder("attacked")?;
