@@ -30,10 +30,10 @@ pub const ATTACKS: [Attack; 18] = [
     Attack { name: "names of 8,000 folders in images.txt", run: bombs::colmap_names },
     Attack { name: "JSON 100,000 levels deep", run: bombs::deep_json },
     Attack { name: "photos, PLY and SPZ that claim to be huge", run: bombs::claims },
-    Attack { name: "killed while it saves", run: kills::killed },
-    Attack { name: "interrupted and resumed", run: kills::interrupted },
     Attack { name: "a full disk, freed later", run: disk::full },
     Attack { name: "files of limited size", run: limits::file_size },
     Attack { name: "40 descriptors", run: limits::descriptors },
     Attack { name: "a scene larger than the address space", run: limits::memory },
+    Attack { name: "killed while it saves", run: kills::killed },
+    Attack { name: "interrupted and resumed", run: kills::interrupted },
 ];
