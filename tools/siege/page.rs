@@ -3,7 +3,7 @@
 use crate::siege::{Result, ensure};
 use serde_json::{Value, json};
 use std::io::{Read, Write};
-use std::net::TcpStream;
+use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
@@ -15,9 +15,21 @@ pub struct Page {
     socket: WebSocket<TcpStream>,
 }
 
+/// A connection, if it comes about in time: where nobody takes them they wait for minutes.
+pub fn reach(host: &str, longest: Duration) -> Result<TcpStream> {
+    let mut refused = format!("{host} has no address").into();
+    for address in host.to_socket_addrs()? {
+        match TcpStream::connect_timeout(&address, longest) {
+            Ok(stream) => return Ok(stream),
+            Err(error) => refused = error.into(),
+        }
+    }
+    Err(refused)
+}
+
 /// A connection that is given up when nothing comes.
 pub fn connect(host: &str, longest: Duration) -> Result<TcpStream> {
-    let stream = TcpStream::connect(host)?;
+    let stream = reach(host, longest)?;
     stream.set_read_timeout(Some(longest))?;
     stream.set_write_timeout(Some(longest))?;
     Ok(stream)

@@ -109,9 +109,14 @@ impl Training {
 
 /// Whether all is there, with the same bits as without an attack.
 pub fn check_result(siege: &Siege, model: &Path) -> Result<()> {
+    check_with(siege, model, &CHECKPOINTS)
+}
+
+/// The same with these checkpoints.
+pub fn check_with(siege: &Siege, model: &Path, checkpoints: &[&str]) -> Result<()> {
     let result = std::fs::read(result_of(model)).map_err(|error| format!("the last scene: {error}"))?;
     ensure!(result == undisturbed(siege)?, "the last scene has other bits than without the attack");
-    for iteration in CHECKPOINTS {
+    for iteration in checkpoints {
         let file = model.join(format!("chkpnt{iteration}.safetensors"));
         ensure!(file.is_file(), "there is no checkpoint of iteration {iteration}");
     }

@@ -115,6 +115,12 @@ impl Run {
         format!("ashsplat train --config {settings}{places} --start-checkpoint {LATEST}{}", self.repeated)
     }
 
+    /// What is left where the present state is lost.
+    pub(super) fn older_checkpoint(&self) -> Option<String> {
+        let older = self.checkpointed?;
+        Some(format!("; to go on from iteration {older}, {}", self.command_to_go_on()))
+    }
+
     pub(super) fn say_how_to_go_on(&self, iteration: u32) {
         let command = self.command_to_go_on();
         // Also with --quiet: who stops a training wants to know.
@@ -165,10 +171,7 @@ impl Run {
         if self.checkpointed != Some(iteration)
             && let Err(error) = checkpoint.and_then(|checkpoint| self.write_that(&checkpoint))
         {
-            let older = self
-                .checkpointed
-                .map(|older| format!("; to go on from iteration {older}, {}", self.command_to_go_on()));
-            tell!("warning: no checkpoint: {error}{}", older.unwrap_or_default());
+            tell!("warning: no checkpoint: {error}{}", self.older_checkpoint().unwrap_or_default());
         }
     }
 }

@@ -5,7 +5,7 @@ use ashsplat::trainer::StepReport;
 use ashsplat::vk::ArenaMemory;
 use ashsplat::{Error, Result};
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 /// The arenas of a training, with bytes that are resident and the most that ever were.
@@ -13,12 +13,17 @@ const ARENAS: [&str; 9] =
     ["total", "scene", "moments", "spare", "statistics", "frame", "loss", "photos", "densify"];
 /// At most so many lines wait in memory.
 const FLUSH_INTERVAL: u32 = 100;
+/// Bytes that wait for a disk that is full: some ten thousands of lines. Then nothing more is added: a log with a gap would
+/// mislead.
+const MOST_WAITING: usize = 16 << 20;
 
-/// A log that is being written. What goes wrong is kept for the end: a log is no reason to stop training.
+/// A log that is being written. What cannot be written waits, and is tried again: a log is no reason to stop training.
 pub struct TrainLog {
     path: PathBuf,
-    file: BufWriter<File>,
-    failure: Option<std::io::Error>,
+    file: File,
+    waiting: Vec<u8>,
+    /// Whether too much has waited.
+    ended: bool,
 }
 
 impl TrainLog {
@@ -26,13 +31,11 @@ impl TrainLog {
     pub fn create(path: &Path) -> Result<TrainLog> {
         check(path)?;
         let file = File::create(path).map_err(|e| Error::io(path, "create", e))?;
-        let mut log = TrainLog { path: path.to_owned(), file: BufWriter::new(file), failure: None };
-        log.attempt(|file| {
-            write!(file, "iteration,loss,psnr,gaussians,ms,skipped")?;
-            ARENAS.iter().try_for_each(|arena| write!(file, ",{arena}_bytes,{arena}_peak_bytes"))?;
-            writeln!(file)?;
-            file.flush()
-        });
+        let mut log = TrainLog::of(path, file);
+        let arenas: String =
+            ARENAS.iter().map(|arena| format!(",{arena}_bytes,{arena}_peak_bytes")).collect();
+        log.line(&format!("iteration,loss,psnr,gaussians,ms,skipped{arenas}"));
+        log.flush();
         Ok(log)
     }
 
@@ -49,7 +52,11 @@ impl TrainLog {
         let kept: String = std::iter::once(header).chain(lines.filter(done)).collect();
         output::write_text(path, &kept)?;
         let file = File::options().append(true).open(path).map_err(|e| Error::io(path, "write", e))?;
-        Ok(TrainLog { path: path.to_owned(), file: BufWriter::new(file), failure: None })
+        Ok(TrainLog::of(path, file))
+    }
+
+    fn of(path: &Path, file: File) -> TrainLog {
+        TrainLog { path: path.to_owned(), file, waiting: Vec::new(), ended: false }
     }
 
     /// Adds an iteration, with its PSNR where it was tested, dB, and the memory of the arenas.
@@ -57,34 +64,50 @@ impl TrainLog {
         let tested = psnr.is_some();
         let psnr = psnr.filter(|psnr| !psnr.is_nan()).map_or_else(String::new, |psnr| format!("{psnr:.4}"));
         let StepReport { iteration, loss, gaussians, milliseconds, skipped_non_finite, .. } = report;
-        self.attempt(|file| {
-            write!(file, "{iteration},{loss},{psnr},{gaussians},{milliseconds:.2},{skipped_non_finite}")?;
-            for arena in ARENAS {
-                let arena = memory.iter().find(|m| m.name == arena);
-                let (now, peak) = arena.map_or((0, 0), |arena| (arena.bytes, arena.peak_bytes));
-                write!(file, ",{now},{peak}")?;
-            }
-            writeln!(file)?;
-            if tested || iteration.is_multiple_of(FLUSH_INTERVAL) { file.flush() } else { Ok(()) }
-        });
-    }
-
-    /// Writes what still waits.
-    pub fn flush(&mut self) {
-        self.attempt(|file| file.flush());
-    }
-
-    /// Writes what still waits; the first thing that went wrong since the start is told now.
-    pub fn finish(&mut self) -> Result<()> {
-        self.flush();
-        self.failure.take().map_or(Ok(()), |e| Err(Error::io(&self.path, "write", e)))
-    }
-
-    /// After a failure nothing more is written: a log with a gap would mislead.
-    fn attempt(&mut self, write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>) {
-        if self.failure.is_none() {
-            self.failure = write(&mut self.file).err();
+        let mut line =
+            format!("{iteration},{loss},{psnr},{gaussians},{milliseconds:.2},{skipped_non_finite}");
+        for arena in ARENAS {
+            let arena = memory.iter().find(|m| m.name == arena);
+            let (now, peak) = arena.map_or((0, 0), |arena| (arena.bytes, arena.peak_bytes));
+            line.push_str(&format!(",{now},{peak}"));
         }
+        self.line(&line);
+        if tested || iteration.is_multiple_of(FLUSH_INTERVAL) {
+            self.flush();
+        }
+    }
+
+    fn line(&mut self, line: &str) {
+        self.ended |= self.waiting.len() + line.len() >= MOST_WAITING;
+        if !self.ended {
+            self.waiting.extend(line.bytes().chain([b'\n']));
+        }
+    }
+
+    /// Writes what waits, as far as it can be written.
+    pub fn flush(&mut self) {
+        // At the end it is told.
+        self.write().ok();
+    }
+
+    fn write(&mut self) -> std::io::Result<()> {
+        while !self.waiting.is_empty() {
+            match self.file.write(&self.waiting) {
+                Ok(0) => return Err(ErrorKind::WriteZero.into()),
+                Ok(bytes) => drop(self.waiting.drain(..bytes)),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        match self.ended {
+            true => Err(ErrorKind::StorageFull.into()),
+            false => Ok(()),
+        }
+    }
+
+    /// Writes what waits; an error when that cannot be done.
+    pub fn finish(&mut self) -> Result<()> {
+        self.write().map_err(|e| Error::io(&self.path, "write", e))
     }
 }
 
@@ -224,5 +247,22 @@ mod tests {
         log.add(&report(1), Some(20.0), &[]);
         let error = log.finish().expect_err("nothing can be written").to_string();
         assert!(error.contains("/dev/full: cannot write"), "{error}");
+        // Where there is room again, nothing is missing.
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("log.csv");
+        log.file = File::create(&path).expect("created");
+        log.add(&report(2), None, &[]);
+        log.finish().expect("written");
+        assert_eq!(Rows::read(&path).expect("the log").iterations, [1.0, 2.0]);
+    }
+
+    #[test]
+    fn what_waits_is_bounded() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let mut log = TrainLog::create(&folder.path().join("log.csv")).expect("opened");
+        let line = "1".repeat(MOST_WAITING / 4);
+        (0..10).for_each(|_| log.line(&line));
+        assert!(log.waiting.len() < MOST_WAITING);
+        log.finish().expect_err("there is a gap");
     }
 }

@@ -5,7 +5,6 @@ use crate::program::Limits;
 use crate::siege::{Outcome, Result, Siege, ensure};
 use crate::training::Training;
 use std::io::Write;
-use std::net::TcpStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -41,10 +40,16 @@ fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<Outco
         Door::Page => &training.host,
         Door::NetworkViewer => &network_viewer,
     };
-    let mut connections = Vec::new();
+    let (mut connections, mut missing) = (Vec::new(), 0);
     for _ in 0..count {
-        // The table of waiting connections may be full: then this one waits, and is no attack yet.
-        let Ok(mut stream) = TcpStream::connect(host.as_str()) else { continue };
+        // Where nobody takes them any more, more of them change nothing.
+        if missing > 10 {
+            break;
+        }
+        let Ok(mut stream) = page::reach(host, Duration::from_millis(300)) else {
+            missing += 1;
+            continue;
+        };
         stream.set_nonblocking(true)?;
         stream.write_all(begin).ok();
         connections.push(stream);

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 /// Memory that a flood may take, MiB.
-const MOST_MEMORY: u64 = 200;
+const MOST_MEMORY: u64 = 80;
 
 /// Sends a message again and again, as fast as it goes, until it is told to stop or cut off.
 fn flood(mut stream: &TcpStream, message: &[u8], over: &AtomicBool, sent: &AtomicU64) {
@@ -110,11 +110,10 @@ fn besiege(siege: &Siege, attack: impl Fn(&Besieged, &AtomicBool, &AtomicU64) + 
     page.look()?;
     let before = training.program.memory();
     let (over, sent) = (AtomicBool::new(false), AtomicU64::new(0));
-    let (looked, more) = std::thread::scope(|scope| {
+    let looked = std::thread::scope(|scope| {
         let (over, sent, besieged) = (&over, &sent, &besieged);
         scope.spawn(move || attack(besieged, over, sent));
         let looked = look_on(&mut page, seconds);
-        let more = training.program.memory().saturating_sub(before);
         // Training goes on in the middle of it. Those who flood may hold it again: so it is told again.
         let ended = training.explain(looked).and_then(|looked| {
             let start = Instant::now();
@@ -128,8 +127,9 @@ fn besiege(siege: &Siege, attack: impl Fn(&Besieged, &AtomicBool, &AtomicU64) + 
             training.check_end(siege).map(|()| looked)
         });
         over.store(true, Ordering::Relaxed);
-        ended.map(|looked| (looked, more))
+        ended
     })?;
+    let more = siege.peak.mib().saturating_sub(before);
     let (frames, longest) = (looked.0, looked.1.as_millis());
     ensure!(more <= MOST_MEMORY, "takes {more} MiB more, {MOST_MEMORY} would be enough");
     let sent = sent.into_inner() >> 20;

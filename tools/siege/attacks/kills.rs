@@ -20,9 +20,14 @@ pub fn interrupted(siege: &Siege) -> Result<Outcome> {
     besiege(siege, false)
 }
 
+/// After this time the fewest are enough.
+const LONG: Duration = Duration::from_secs(90);
+const FEWEST: u32 = 2;
+
 /// Ends trainings at moments spread over their time. Each goes on from what the last left, to the same bits.
 fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
-    let wanted = siege.choose(3, 20);
+    let wanted = siege.choose(2, 12);
+    let begun = Instant::now();
     let data = training::data_of(siege)?;
     training::undisturbed(siege)?;
     let model = siege.new_folder("attacked")?;
@@ -36,7 +41,7 @@ fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
     let mut whole = None;
     let (mut ended, mut resumed, mut whole_runs) = (0, 0, 0);
     for moment in 0..4 * wanted {
-        let enough = ended >= wanted && resumed > 0;
+        let enough = resumed > 0 && (ended >= wanted || ended >= FEWEST && begun.elapsed() > LONG);
         if enough && whole_runs > 1 {
             break;
         }
@@ -71,7 +76,7 @@ fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
         resumed += u32::from(goes_on);
     }
     ensure!(
-        ended >= wanted && resumed > 0 && whole_runs > 1,
+        ended >= FEWEST && resumed > 0 && whole_runs > 1,
         "{ended} were ended, {resumed} of them had gone on, {whole_runs} came to their end"
     );
     let what = if kills { "killed" } else { "interrupted" };

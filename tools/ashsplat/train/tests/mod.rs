@@ -86,6 +86,35 @@ fn a_failed_iteration_saves_only_what_is_known_and_seen() {
     assert!(seen > 0 && reset > 0 && unknown > 0, "{seen} {reset} {unknown}");
 }
 
+/// With the device all is lost but the checkpoint, which is named.
+#[test]
+fn a_lost_device_leaves_the_older_checkpoint() {
+    let faults = Faults::new();
+    let options = ContextOptions { faults: Some(faults.clone()), ..Default::default() };
+    let context = Context::new(&options).expect("a device");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut settings = Settings::default();
+    settings.data.model_path = folder.path().to_owned();
+    let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
+    assert_eq!(run.older_checkpoint(), None);
+    for iteration in 1..=2 {
+        let report = run.trainer.step().expect("a step");
+        run.account(&report);
+        if iteration == 1 {
+            run.write_checkpoint().expect("written");
+        }
+    }
+    faults.arm(Fault::SubmitLost, 0);
+    assert!(matches!(run.trainer.step(), Err(Error::DeviceLost { .. })));
+    run.rescue();
+    let advice = run.older_checkpoint().expect("there is one");
+    assert!(advice.contains("from iteration 1, ashsplat train --config "), "{advice}");
+    assert!(advice.contains("--start-checkpoint latest"), "{advice}");
+    Checkpoint::read(checkpoints::path(folder.path(), 1)).expect("as it was");
+    assert!(!checkpoints::path(folder.path(), 2).exists());
+    assert!(!model::point_cloud_path(folder.path(), 2).exists());
+}
+
 /// Iterations that were left out are counted, and have no loss in the log.
 #[test]
 fn iterations_that_are_left_out_are_counted() {
