@@ -154,9 +154,7 @@ fn write_by_ffmpeg(path: &Path, container: Container, frames: &mut Frames) -> Re
     let fed = feed(&mut input, first, frames);
     drop(input);
     // That it hung up is told by what it said.
-    if let Err(error) = fed.and_then(|fed| fed.or_else(hung_up).map_err(io)) {
-        return Err(error);
-    }
+    fed.and_then(|fed| fed.or_else(hung_up).map_err(io))?;
     let success = ffmpeg.wait(frames.abandoned).map_err(io)?;
     if !success {
         let mut text = String::new();
