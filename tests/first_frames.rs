@@ -1,11 +1,11 @@
 //! First frames: nothing is known of them but an estimate of their instances, and they come out whole.
 
 use ashsplat::plan::{LEAST_INSTANCES, PictureCapacity, initial_instances};
-use ashsplat::trainer::Trainer;
+use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Error, Frame, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
+use ashsplat_files::Photo;
 
-use crate::checkpoints::views;
 use crate::common::engine::{camera, gaussians};
 use crate::common::scenes::{Random, small_scene, small_view};
 use crate::common::{assert_silent, options};
@@ -30,6 +30,12 @@ fn render(context: &Context, scene: &Gaussians, instances: Option<u32>) -> Resul
         renderer.set_instance_capacity(instances);
     }
     renderer.render(&camera(&small_view(SIZE)), &RenderSettings::default())
+}
+
+fn view() -> TrainView {
+    let [width, height] = SIZE;
+    let rgb = (0..width * height * 3).map(|k| (k * 7) as u8).collect();
+    TrainView::new(camera(&small_view(SIZE)), Photo { width, height, rgb })
 }
 
 #[test]
@@ -71,7 +77,7 @@ fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
 fn a_first_frame_takes_the_place_of_the_reserve_of_a_training() {
     let scene = scene(3000, 2.5);
     let train = |context: &Context| -> Result<(Gaussians, u32)> {
-        let mut trainer = Trainer::new(context, views(2, 5), &scene, 5.0, TrainSettings::default())?;
+        let mut trainer = Trainer::new(context, vec![view()], &scene, 5.0, TrainSettings::default())?;
         trainer.step()?;
         trainer.step()?;
         Ok((trainer.gaussians()?, trainer.checkpoint()?.room.gaussians))

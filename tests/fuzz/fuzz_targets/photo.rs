@@ -69,7 +69,7 @@ impl Png {
             chunk(&mut file, KINDS[usize::from(*kind) % KINDS.len()], &bytes);
         }
         let row = 1 + (width * channels * u64::from(depth)).div_ceil(8);
-        let length = self.data_bytes.of(row * height).min(2 << 20) as usize;
+        let length = self.data_bytes.of(row * height).min(self.data.most_packed() as u64) as usize;
         let mut rows = self.data.exactly(length);
         // Filters that exist, but for the seeds that say otherwise.
         rows.iter_mut().step_by(row as usize).for_each(|filter| *filter %= 6);

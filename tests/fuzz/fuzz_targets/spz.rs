@@ -13,9 +13,6 @@ use std::sync::LazyLock;
 
 static FILE: LazyLock<PathBuf> = LazyLock::new(|| folder("spz").join("input.spz"));
 
-/// Most bytes that are packed.
-const MOST_UNPACKED: u64 = 4 << 20;
-
 #[derive(Arbitrary, Debug)]
 enum Spz {
     Gzip {
@@ -50,7 +47,7 @@ impl Spz {
                 unpacked.extend(version.to_le_bytes());
                 unpacked.extend((claimed.of(count) as u32).to_le_bytes());
                 unpacked.extend([degree, fractional_bits % 32, *flags, 0]);
-                unpacked.extend(data.exactly(length.of(count * row).min(MOST_UNPACKED) as usize));
+                unpacked.extend(data.exactly(length.of(count * row).min(data.most_packed() as u64) as usize));
                 let mut packed = GzEncoder::new(Vec::new(), Compression::fast());
                 packed.write_all(&unpacked).expect("packed");
                 let mut file = packed.finish().expect("packed");

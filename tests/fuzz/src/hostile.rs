@@ -66,6 +66,11 @@ pub struct Filling {
 }
 
 impl Filling {
+    /// Most bytes of it, so that they are packed to no more than [`MOST_BYTES`].
+    pub fn most_packed(self) -> usize {
+        if self.noise { MOST_BYTES } else { 4 * MOST_BYTES }
+    }
+
     /// At most so many bytes.
     pub fn bytes(self, most: usize) -> Vec<u8> {
         // Short ones are more frequent.
