@@ -1,6 +1,6 @@
 //! `siege`: attacks a running trainer and viewer, and prints what came of each attack.
 //!
-//! `cargo run --release -p ashsplat-siege` runs all of them against the `ashsplat` beside it, in at most ten minutes;
+//! `cargo build --release && target/release/siege` runs all of them against the `ashsplat` beside it, in at most ten minutes;
 //! `--short` is for CI. The exit code is 1 when anything failed. Limits and peak memory are Linux's.
 
 #[cfg(target_os = "linux")]
