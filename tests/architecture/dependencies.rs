@@ -25,8 +25,14 @@ const LICENCES: [&str; 10] = [
 ];
 
 /// Crates under another licence, and why that is no matter.
-const OTHER_LICENCES: [(&str, &str, &str); 1] =
-    [("cbindgen", "MPL-2.0", "makes the C header in a test, and is in nothing that is built for users")];
+const OTHER_LICENCES: [(&str, &str, &str); 2] = [
+    ("cbindgen", "MPL-2.0", "makes the C header in a test, and is in nothing that is built for users"),
+    (
+        "jpeg-encoder",
+        "(MIT OR Apache-2.0) AND IJG",
+        "makes JPEGs in tests, and is in nothing that is built for users",
+    ),
+];
 
 /// Crates at two versions, and who needs the older one.
 const TWO_VERSIONS: [(&str, &str); 13] = [

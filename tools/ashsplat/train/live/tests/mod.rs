@@ -56,7 +56,16 @@ fn a_viewer_that_fails_ends_alone() {
     let report = run.trainer.step().expect("training goes on");
     run.show(&report, &stop, &mut watch);
     run.end_show(&stop);
-    run.save(report.iteration, "").expect("saved");
+    // The thread that waits for what was not over in time may need a moment.
+    let mut saved = run.save(report.iteration, "");
+    for _ in 0..500 {
+        if saved.is_ok() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+        saved = run.save(report.iteration, "");
+    }
+    saved.expect("saved");
     run.write_checkpoint().expect("saved");
 }
 
