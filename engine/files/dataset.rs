@@ -159,7 +159,7 @@ impl Dataset {
             )
         };
         let _kept = options.host_memory.keep(&what, kept)?;
-        // While others wait for memory, that of the photos is not given back.
+        // Decoding gets what the kept photos leave: waiting for their part would never end.
         let options =
             &DatasetOptions { host_memory: options.host_memory.beside_photos(kept), ..options.clone() };
         let done = AtomicUsize::new(0);

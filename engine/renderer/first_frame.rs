@@ -2,10 +2,10 @@
 
 use super::Renderer;
 use super::check::check_capacity;
-use super::record::{RecordedFrame, place};
+use super::record::{RecordedFrame, inputs_of, place};
 use super::slots::{Reservation, SlotReport};
 use crate::error::{Error, Result};
-use crate::forward::{FrameInputs, RenderSettings};
+use crate::forward::RenderSettings;
 
 impl Renderer {
     /// As [`Renderer::reserve`], with room for this frame: without
@@ -45,20 +45,7 @@ impl Renderer {
         let [main, others] = place(frame, forward.sizes.elementwise_workgroup);
         let Some(first) = main.first() else { unreachable!("checked") };
         let settings = RenderSettings { inverse_depth: false, ..*frame.settings };
-        let inputs = FrameInputs {
-            scene: first.scene,
-            frame: &slot.frame,
-            capacity: &slot.capacity,
-            camera: &first.camera,
-            settings: &settings,
-            scale: first.scale,
-            sh_degree: first.sh_degree,
-            others: &others,
-            depth_limits: None,
-            linear_depth: false,
-            backward: false,
-            keeps_overflow: false,
-        };
+        let inputs = inputs_of(first, &others, slot, &settings);
         self.context.run("count", |r| {
             forward.record(r, &inputs);
             r.barrier();

@@ -200,18 +200,9 @@ impl Renderer {
             });
         }
         let inputs = FrameInputs {
-            scene: first.scene,
-            frame: &slot.frame,
-            capacity: &slot.capacity,
-            camera: &first.camera,
-            settings: &settings,
-            scale: first.scale,
-            sh_degree: first.sh_degree,
-            others: &others,
             depth_limits: frame.occluder.as_ref().and(slot.depth_limits.as_ref()),
             linear_depth: frame.depth.is_some(),
-            backward: false,
-            keeps_overflow: false,
+            ..inputs_of(first, &others, slot, &settings)
         };
         forward.record(r, &inputs);
         r.barrier();
@@ -291,6 +282,29 @@ pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32) -> [Vec<Place
         PlacedScene { scene, camera, scale: placed.pose.scale, sh_degree, first: begin }
     });
     [all.next().into_iter().collect(), all.collect()]
+}
+
+/// A frame of some scenes in the buffers of a slot, without occluder and depth.
+pub(super) fn inputs_of<'a>(
+    first: &'a PlacedScene<'a>,
+    others: &'a [PlacedScene<'a>],
+    slot: &'a Slot,
+    settings: &'a RenderSettings,
+) -> FrameInputs<'a> {
+    FrameInputs {
+        scene: first.scene,
+        frame: &slot.frame,
+        capacity: &slot.capacity,
+        camera: &first.camera,
+        settings,
+        scale: first.scale,
+        sh_degree: first.sh_degree,
+        others,
+        depth_limits: None,
+        linear_depth: false,
+        backward: false,
+        keeps_overflow: false,
+    }
 }
 
 fn record_targets(r: &mut Recorder, compose: &Compose, slot: &Slot, frame: &RecordedFrame<'_>) -> Release {

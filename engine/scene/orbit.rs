@@ -1,8 +1,11 @@
 //! A circle of cameras around a point.
 
-use glam::{DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 
 use super::camera::{Camera, Intrinsics};
+
+/// Steps of the iteration for the vertical; each gains three digits and more unless axes are nearly parallel.
+const INVERSE_ITERATIONS: u32 = 8;
 
 /// A circular camera path that looks at its centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +43,7 @@ impl Orbit {
     }
 
     /// An orbit that resembles existing cameras: their mean height above the point they look at, their mean
-    /// distance to it, their mean up direction. `None` without cameras.
+    /// distance to it, the direction across their horizontal axes as up. `None` without cameras.
     ///
     /// The centre is the point nearest to all optical axes (least squares). Parallel axes have no such point:
     /// the centre is then one world unit ahead of the cameras, see [`Orbit::around_scene`].
@@ -61,7 +64,7 @@ impl Orbit {
         }
         let n = cameras.len() as f32;
         let mean = |f: &dyn Fn(&Camera) -> Vec3| cameras.iter().map(f).sum::<Vec3>() / n;
-        let up = mean(&|c| -c.camera_from_world.row(1)).try_normalize().unwrap_or(Vec3::NEG_Y);
+        let up = level_up(cameras).map_or(Vec3::NEG_Y, |up| up.as_vec3());
         let middle = mean(&|c| c.position());
         let forward = mean(&|c| c.forward());
         let center = nearest_to_axes(cameras)
@@ -74,9 +77,22 @@ impl Orbit {
     }
 }
 
+/// The direction across the cameras' horizontal axes: cameras above a scene look down, and the mean of what is up in
+/// their pictures leans with them.
+pub(super) fn level_up(cameras: &[Camera]) -> Option<DVec3> {
+    let mean: Vec3 = cameras.iter().map(|c| -c.camera_from_world.row(1)).sum();
+    let across = cameras.iter().fold(DMat3::ZERO, |sum, camera| {
+        let right = camera.camera_from_world.row(0).as_dvec3();
+        sum + DMat3::from_cols(right * right.x, right * right.y, right * right.z)
+    });
+    // Inverse iteration to the least eigenvector. Where axes are parallel, it is as near to the mean as can be.
+    let inverse =
+        (across * (1.0 / cameras.len() as f64) + DMat3::from_diagonal(DVec3::splat(1e-4))).inverse();
+    (0..INVERSE_ITERATIONS).try_fold(mean.as_dvec3().try_normalize()?, |up, _| (inverse * up).try_normalize())
+}
+
 /// The point with the least sum of squared distances to the cameras' optical axes.
 pub(super) fn nearest_to_axes(cameras: &[Camera]) -> Option<Vec3> {
-    use glam::DMat3;
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for camera in cameras {
         let d = camera.forward().as_dvec3();

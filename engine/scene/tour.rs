@@ -1,8 +1,8 @@
 //! Ways of a camera that stay in what other cameras saw.
 
 use super::camera::{Camera, Intrinsics};
-use super::orbit::{Orbit, nearest_to_axes};
-use glam::{DMat3, DQuat, DVec3, Vec3};
+use super::orbit::{Orbit, level_up, nearest_to_axes};
+use glam::{DMat3, DQuat, DVec3};
 use std::f64::consts::{PI, TAU};
 
 /// Cameras on a ring look at its middle to within this angle, radians.
@@ -15,9 +15,6 @@ const WIDEST_GAP: f64 = 100.0 / 180.0 * PI;
 const SMOOTHING: (f64, f64) = (1.5, 1.0 / 40.0);
 /// How much longer than from neighbour to neighbour the way in the given order may be.
 const LONGEST_DETOUR: f64 = 2.0;
-
-/// Steps of the iteration for the vertical; each gains three digits and more unless axes are nearly parallel.
-const INVERSE_ITERATIONS: u32 = 8;
 
 /// How a camera moves through a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -131,20 +128,6 @@ fn smoothed<T>(
         let weight = (0.5 * (least - distance)).exp();
         (add(sum, value, weight), weights + weight)
     })
-}
-
-/// The direction across the cameras' horizontal axes: cameras above a scene look down, and the mean of what is up in
-/// their pictures leans with them.
-fn level_up(cameras: &[Camera]) -> Option<DVec3> {
-    let mean: Vec3 = cameras.iter().map(|c| -c.camera_from_world.row(1)).sum();
-    let across = cameras.iter().fold(DMat3::ZERO, |sum, camera| {
-        let right = camera.camera_from_world.row(0).as_dvec3();
-        sum + DMat3::from_cols(right * right.x, right * right.y, right * right.z)
-    });
-    // Inverse iteration to the least eigenvector. Where axes are parallel, it is as near to the mean as can be.
-    let inverse =
-        (across * (1.0 / cameras.len() as f64) + DMat3::from_diagonal(DVec3::splat(1e-4))).inverse();
-    (0..INVERSE_ITERATIONS).try_fold(mean.as_dvec3().try_normalize()?, |up, _| (inverse * up).try_normalize())
 }
 
 /// Cameras around the point that they look at.

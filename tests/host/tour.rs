@@ -53,6 +53,21 @@ fn a_motion_suits_the_cameras() {
     assert_eq!(Motion::of(&around[..2]), Motion::Path);
 }
 
+/// The cameras look down, and from one side there is none: the mean of what is up in their pictures leans.
+#[test]
+fn an_orbit_is_level() {
+    let cameras: Vec<Camera> = (0..20)
+        .map(|i| TAU * i as f32 / 25.0)
+        .map(|azimuth| MIDDLE + vec3(4.0 * azimuth.cos(), -4.0, 4.0 * azimuth.sin()))
+        .map(|eye| Camera::look_at(eye, MIDDLE, Vec3::NEG_Y, intrinsics()))
+        .collect();
+    assert_eq!(Motion::of(&cameras), Motion::Orbit);
+    for camera in Motion::Orbit.cameras(&cameras, 12, true, intrinsics()) {
+        let height = MIDDLE.y - camera.position().y;
+        assert!((height - 4.0).abs() < 0.01, "{height}");
+    }
+}
+
 #[test]
 fn an_arc_stays_between_its_ends() {
     let facade = ring((0..11).map(|i| PI - 0.5 + 0.1 * i as f32));

@@ -134,6 +134,20 @@ pub fn remove_leftovers(folder: &Path, levels: u32) {
     }
 }
 
+/// Removes those of one file only: in a folder of other people's files, others may be in use.
+pub fn remove_leftovers_of(file: &Path) {
+    let (Some(folder), Some(name)) = (file.parent(), file.file_name()) else { return };
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let prefix = format!(".{}.", name.to_string_lossy());
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        let found = entry.file_name();
+        if found.to_str().is_some_and(|found| found.starts_with(&prefix) && is_leftover(found)) {
+            std::fs::remove_file(entry.path()).ok();
+        }
+    }
+}
+
 /// Whether a file's name is one under which [`atomic::write`] writes.
 fn is_leftover(name: &str) -> bool {
     let parts = name.strip_prefix('.').and_then(|n| n.strip_suffix(".tmp")).and_then(|n| n.rsplit_once('.'));
@@ -277,6 +291,11 @@ mod tests {
         remove_leftovers(folder.path(), 1);
         let there = |place: &Path| place.join(".cloud.ply.aB3dE6.tmp").exists();
         assert!(!there(folder.path()) && there(&deep));
+        remove_leftovers_of(&deep.join("other.ply"));
+        assert!(there(&deep));
+        remove_leftovers_of(&deep.join("cloud.ply"));
+        assert!(!there(&deep));
+        std::fs::write(deep.join(".cloud.ply.aB3dE6.tmp"), "").expect("written");
         remove_leftovers(folder.path(), 2);
         assert!(!there(&deep));
         assert_eq!(std::fs::read_dir(&deep).expect("a folder").count(), 4);

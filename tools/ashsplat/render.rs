@@ -45,9 +45,9 @@ pub struct Arguments {
     /// Folder for the pictures, or a film: FILE.mp4, FILE.webm (both by ffmpeg) or FILE.gif
     #[arg(short, long, value_name = "DIR|FILM", default_value = "out/render")]
     out: PathBuf,
-    /// Frames per second of a film
-    #[arg(long, value_name = "N", default_value = "30", value_parser = clap::value_parser!(u32).range(1..=120))]
-    fps: u32,
+    /// Frames per second of a film [default: 30]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=120))]
+    fps: Option<u32>,
     /// Which files to write
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
@@ -126,6 +126,9 @@ impl LookArguments {
     }
 }
 
+/// Frames per second of a film.
+const FILM_RATE: u32 = 30;
+
 /// How a scene was drawn in its training.
 pub fn settings_of(trained: &Settings) -> RenderSettings {
     let background = if trained.train.white_background { [1.0; 3] } else { [0.0; 3] };
@@ -180,10 +183,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             (0..count).try_for_each(|index| arguments.save(index, &render(index)?))?;
         }
         Some(container) => {
-            output::remove_leftovers(folder_of(&arguments.out), 0);
+            output::remove_leftovers_of(&arguments.out);
             let mut frame = |index| output::to_photo(&render(index)?);
             let never = AtomicBool::new(false);
-            let frames = Frames { count, per_second: arguments.fps, frame: &mut frame, abandoned: &never };
+            let frames = Frames {
+                count,
+                per_second: arguments.fps.unwrap_or(FILM_RATE),
+                frame: &mut frame,
+                abandoned: &never,
+            };
             film_file::write(&arguments.out, container, frames)?;
         }
     }
@@ -193,11 +201,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     arguments.device.report_validation(&context);
     Ok(())
-}
-
-/// The folder that a file lies in.
-fn folder_of(file: &Path) -> &Path {
-    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> String {
@@ -211,7 +214,10 @@ fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> Strin
 impl Arguments {
     /// The film that is asked for, if one is; refused where it cannot be made.
     fn film(&self) -> Result<Option<Container>> {
-        let Some(container) = Container::of(&self.out)? else { return Ok(None) };
+        let Some(container) = Container::of(&self.out)? else {
+            let unused = "is for films; end --out in .mp4, .webm or .gif";
+            return self.fps.map_or(Ok(None), |_| Err(Error::argument("--fps", unused)));
+        };
         if self.format != Format::Png {
             return Err(Error::argument(
                 "--format",

@@ -57,8 +57,8 @@ impl Gallery {
         self.views.iter().map(named).collect()
     }
 
-    /// The photos to train on, with the sizes that they will have when they are read. Whether transparency hides
-    /// pixels is not known before that.
+    /// The photos to train on, with the sizes that they will have when they are read. Whether masks or
+    /// transparency hide pixels is not known before that.
     ///
     /// # Errors
     /// As [`Gallery::open`], for a photo that has neither its camera's size nor the fraction of it that the folder's

@@ -29,6 +29,9 @@ pub(super) fn read(path: &Path, file: File, request: &Request<'_>) -> Result<Opt
     let mut decoder = png::Decoder::new_with_limits(reader, limits);
     // The depth stays: 16 bits are rounded here, not cut.
     decoder.set_transformations(Transformations::EXPAND);
+    // Not used; they could unpack to much before the memory is counted.
+    decoder.set_ignore_iccp_chunk(true);
+    decoder.set_ignore_text_chunk(true);
     let mut reader = decoder.read_info().map_err(|e| damaged(&e))?;
     let size = reader.info().size();
     if reader.info().interlaced {

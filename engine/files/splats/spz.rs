@@ -82,10 +82,13 @@ impl Spz {
                         let io = |source| Error::io(&self.file.path, "read", source);
                         let mut file = BufReader::new(File::open(&self.file.path).map_err(io)?);
                         file.seek(SeekFrom::Start(at)).map_err(io)?;
-                        Box::new(zstd::stream::read::Decoder::new(file.take(packed)).map_err(io)?)
+                        let mut decoder = zstd::stream::read::Decoder::new(file.take(packed)).map_err(io)?;
+                        decoder.window_log_max(window_log(bytes)).map_err(io)?;
+                        Box::new(decoder)
                     }
                 },
-                // What is before it is unpacked again: twice as much in all as the file has.
+                // What is before it is unpacked again: in all up to four times what the file has, twice with all
+                // harmonics.
                 Layout::Gzip { .. } => {
                     let file =
                         File::open(&self.file.path).map_err(|e| Error::io(&self.file.path, "read", e))?;
@@ -123,6 +126,12 @@ impl Spz {
         }
         Ok(())
     }
+}
+
+/// Largest window of a plane's decoder, as a power of two. All planes are decoded at once; zstd's own bound would be
+/// 128 MiB for each. The least is what its levels up to 19 take for streams of any length.
+fn window_log(bytes: u64) -> u32 {
+    bytes.max(1).next_power_of_two().trailing_zeros().clamp(23, 27)
 }
 
 impl Source for Spz {

@@ -2,10 +2,9 @@
 #![no_main]
 
 use ashsplat::scene::PointCloud;
-use ashsplat::trainer::checkpoint::{Checkpoint, Room};
-use ashsplat::trainer::settings::TrainSettings;
+use ashsplat::trainer::checkpoint::Checkpoint;
 use ashsplat_files::CheckpointFile;
-use ashsplat_fuzz::{folder, in_one_line, leave_seed, within};
+use ashsplat_fuzz::{checkpoint, folder, in_one_line, leave_seed, within};
 use libfuzzer_sys::fuzz_target;
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -17,26 +16,7 @@ fn seeds() {
     let points = PointCloud { positions: vec![[0.0; 3], [1.0, 2.0, 3.0]], colors: vec![[1, 2, 3]; 2] };
     for sh_degree in [0, 1] {
         let gaussians = ashsplat_files::initial_gaussians(&points, sh_degree).expect("Gaussians");
-        let checkpoint = Checkpoint {
-            version: "0.1.0".into(),
-            device: "a device".into(),
-            driver: "a driver".into(),
-            settings: TrainSettings { sh_degree, ..TrainSettings::default() },
-            views: 3,
-            views_fingerprint: 7,
-            scene_extent: 2.0,
-            iteration: 5,
-            optimizer_steps: 5,
-            opacity_steps: 5,
-            due: Default::default(),
-            strategy: Default::default(),
-            first_moments: gaussians.clone(),
-            second_moments: gaussians.clone(),
-            gaussians,
-            statistics: vec![[0.0; 2]; 2],
-            skipped: 1,
-            room: Room::default(),
-        };
+        let checkpoint = checkpoint(gaussians, sh_degree);
         checkpoint.write(&*FILE).expect("written");
         leave_seed(&format!("degree{sh_degree}"), &std::fs::read(&*FILE).expect("there"));
     }

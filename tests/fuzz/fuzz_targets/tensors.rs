@@ -2,11 +2,10 @@
 #![no_main]
 
 use arbitrary::Arbitrary;
-use ashsplat::trainer::checkpoint::{Checkpoint, Room};
-use ashsplat::trainer::settings::TrainSettings;
+use ashsplat::trainer::checkpoint::Checkpoint;
 use ashsplat_files::CheckpointFile;
 use ashsplat_fuzz::hostile::{Change, Filling, MOST_BYTES, Number, Patch, patch, spoil};
-use ashsplat_fuzz::{folder, gaussians, in_one_line, within};
+use ashsplat_fuzz::{checkpoint, folder, gaussians, in_one_line, within};
 use libfuzzer_sys::fuzz_target;
 use serde_json::Value;
 use std::path::PathBuf;
@@ -30,26 +29,7 @@ impl Tensors {
     fn file(&self) -> Vec<u8> {
         let sh_degree = u32::from(self.degree % 4);
         let gaussians = gaussians(usize::from(self.count % 1500) + 1, sh_degree);
-        let checkpoint = Checkpoint {
-            version: "0.1.0".into(),
-            device: "a device".into(),
-            driver: "a driver".into(),
-            settings: TrainSettings { sh_degree, ..TrainSettings::default() },
-            views: 3,
-            views_fingerprint: 7,
-            scene_extent: 2.0,
-            iteration: 5,
-            optimizer_steps: 5,
-            opacity_steps: 5,
-            due: Default::default(),
-            strategy: Default::default(),
-            first_moments: gaussians.clone(),
-            second_moments: gaussians.clone(),
-            statistics: vec![[0.0; 2]; gaussians.len()],
-            gaussians,
-            skipped: 1,
-            room: Room::default(),
-        };
+        let checkpoint = checkpoint(gaussians, sh_degree);
         checkpoint.write(&*FILE).expect("written");
         let honest = std::fs::read(&*FILE).expect("there");
         let length = u64::from_le_bytes(honest[..8].try_into().expect("eight")) as usize;

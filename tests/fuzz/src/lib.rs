@@ -3,6 +3,8 @@
 pub mod hostile;
 
 use ashsplat::scene::{Gaussians, PointCloud};
+use ashsplat::trainer::checkpoint::{Checkpoint, Room};
+use ashsplat::trainer::settings::TrainSettings;
 use cap::Cap;
 use std::alloc::System;
 use std::path::PathBuf;
@@ -53,4 +55,28 @@ pub fn gaussians(count: usize, sh_degree: u32) -> Gaussians {
     let positions: Vec<[f32; 3]> = (0..count).map(|k| [k as f32, (k % 7) as f32, (k % 3) as f32]).collect();
     let points = PointCloud { colors: vec![[1, 2, 3]; count], positions };
     ashsplat_files::initial_gaussians(&points, sh_degree).expect("Gaussians")
+}
+
+/// A sound checkpoint of some Gaussians.
+pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
+    Checkpoint {
+        version: "0.1.0".into(),
+        device: "a device".into(),
+        driver: "a driver".into(),
+        settings: TrainSettings { sh_degree, ..TrainSettings::default() },
+        views: 3,
+        views_fingerprint: 7,
+        scene_extent: 2.0,
+        iteration: 5,
+        optimizer_steps: 5,
+        opacity_steps: 5,
+        due: Default::default(),
+        strategy: Default::default(),
+        first_moments: gaussians.clone(),
+        second_moments: gaussians.clone(),
+        statistics: vec![[0.0; 2]; gaussians.len()],
+        gaussians,
+        skipped: 1,
+        room: Room::default(),
+    }
 }

@@ -13,6 +13,8 @@ use clap::{Args, ValueEnum};
 use glam::Vec3;
 use std::path::{Path, PathBuf};
 
+/// Most views of an orbit or a curve: an hour of film has as many at 28 frames per second.
+const MOST_FRAMES: i64 = 100_000;
 /// Frames of a film where nothing says how many.
 const FILM_FRAMES: u32 = 240;
 
@@ -23,7 +25,7 @@ pub struct Arguments {
     #[arg(short, long, value_name = "DATASET", conflicts_with_all = ["orbit", "path", "motion"])]
     source_path: Option<PathBuf>,
     /// Render N views around the scene, where the cameras of the training saw it [default for films: 240]
-    #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES))]
     orbit: Option<u32>,
     /// How an orbit moves [default: as suits the training's cameras]
     #[arg(long, value_enum, conflicts_with = "path")]
@@ -32,7 +34,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     path: Option<PathBuf>,
     /// Render N views on a smooth curve through those of --path
-    #[arg(long, value_name = "N", requires = "path", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", requires = "path", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES))]
     frames: Option<u32>,
     /// Up in an orbit's pictures, for a PLY without cameras
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_vector, default_value = "0,-1,0")]
@@ -104,6 +106,10 @@ impl Arguments {
                 ));
             }
         };
+        if cameras.is_empty() {
+            let place = self.path.as_ref().or(self.source_path.as_ref()).unwrap_or(&model.ply);
+            return Err(Error::input(place, "has no cameras", "give one with a view at least"));
+        }
         for named in &mut cameras {
             named.camera = self.size.applied_to(&named.camera)?;
         }

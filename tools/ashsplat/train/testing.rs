@@ -16,7 +16,7 @@ pub struct Tested {
 
 impl Run {
     /// Measures the test views; those that were held out are also saved. What cannot be saved is an error where training
-    /// ends, and else a warning: the last test is saved again.
+    /// ends, after some attempts, and else a warning. Pictures of such a test are not made again; its results are.
     pub(super) fn test(&mut self, iteration: u32, ends: bool) -> Result<f64> {
         let (mut evaluation, mut saved) = self.evaluate(iteration)?;
         for _ in 1..if ends { ATTEMPTS } else { 1 } {
@@ -32,7 +32,14 @@ impl Run {
         let tested = Tested { iteration, gaussians: self.gaussians, evaluation };
         self.progress.note(&self.describe(&tested));
         self.evaluations.push(tested);
-        let results = self.write_results();
+        let mut results = self.write_results();
+        for _ in 1..if ends { ATTEMPTS } else { 1 } {
+            if results.is_ok() {
+                break;
+            }
+            std::thread::sleep(PAUSE);
+            results = self.write_results();
+        }
         match saved.and(results) {
             Err(error) if !ends => {
                 let warning = format!(

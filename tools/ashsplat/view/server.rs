@@ -137,8 +137,11 @@ pub fn open(arguments: &ServeArguments) -> Result<TcpListener> {
 fn router(site: Arc<Site>) -> Router {
     Router::new()
         .route("/socket", get(page::socket))
-        .route("/photo/{index}", get(photo))
-        .route("/thumbnail/{index}", get(thumbnail))
+        .route("/photo/{index}", get(|site, seat, index, uri| photo(Size::Full, site, seat, index, uri)))
+        .route(
+            "/thumbnail/{index}",
+            get(|site, seat, index, uri| photo(Size::Thumbnail, site, seat, index, uri)),
+        )
         .route("/film/{name}", get(film))
         .fallback(asset)
         .layer(middleware::from_fn_with_state(site.clone(), door::guard))
@@ -156,24 +159,14 @@ async fn asset(uri: Uri) -> Response {
 
 /// A photo of the data set as JPEG.
 async fn photo(
+    size: Size,
     State(site): State<Arc<Site>>,
     Extension(seat): Extension<Arc<Seat>>,
     UrlPath(index): UrlPath<usize>,
     uri: Uri,
 ) -> Response {
     let asker = asker(&site, &seat, &uri);
-    send_photo(site, index, Size::Full, asker).await
-}
-
-/// The same, small.
-async fn thumbnail(
-    State(site): State<Arc<Site>>,
-    Extension(seat): Extension<Arc<Seat>>,
-    UrlPath(index): UrlPath<usize>,
-    uri: Uri,
-) -> Response {
-    let asker = asker(&site, &seat, &uri);
-    send_photo(site, index, Size::Thumbnail, asker).await
+    send_photo(site, index, size, asker).await
 }
 
 /// Who asks for a photo. Pages say which they are: one that asks for many does not delay the others.

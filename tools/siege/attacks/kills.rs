@@ -88,9 +88,16 @@ fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
 /// The result has the undisturbed one's bits, and nothing half-written lies about.
 fn check(siege: &Siege, model: &Path) -> Result<()> {
     training::check_result(siege, model)?;
-    for entry in std::fs::read_dir(model)? {
-        let name = entry?.file_name().to_string_lossy().into_owned();
-        ensure!(!name.starts_with('.') && !name.ends_with(".tmp"), "{name} was left over");
+    let mut folders = vec![model.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder)? {
+            let entry = entry?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            ensure!(!name.starts_with('.') && !name.ends_with(".tmp"), "{name} was left over");
+            if entry.file_type()?.is_dir() {
+                folders.push(entry.path());
+            }
+        }
     }
     Ok(())
 }
