@@ -11,8 +11,11 @@ const INWARD: f64 = 60.0 / 180.0 * PI;
 const INWARD_SHARE: f64 = 0.8;
 /// The widest part of the ring without a camera over which an orbit still passes, radians.
 const WIDEST_GAP: f64 = 100.0 / 180.0 * PI;
-/// Width of the kernel that smooths a way, in mean distances between cameras, and at least as a share of the way.
-const SMOOTHING: (f64, f64) = (1.5, 1.0 / 40.0);
+/// Width of the kernel that smooths a way, in mean distances between cameras.
+const SMOOTHING: f64 = 1.5;
+/// Its least width, as a share of the way: photographs of a path follow each other, those of an arc may have been taken
+/// in several rounds at several heights.
+const LEAST_SMOOTHING: (f64, f64) = (1.0 / 40.0, 1.0 / 6.0);
 /// How much longer than from neighbour to neighbour the way in the given order may be.
 const LONGEST_DETOUR: f64 = 2.0;
 
@@ -181,7 +184,7 @@ impl Ring {
         let [up, side, front] = self.axes;
         let place = share * self.span;
         let spacing = self.span / (self.places.len() - 1) as f64;
-        let width = (SMOOTHING.0 * spacing).max(SMOOTHING.1 * self.span).max(1e-6);
+        let width = (SMOOTHING * spacing).max(LEAST_SMOOTHING.1 * self.span).max(1e-6);
         let ([distance, height], weights) =
             smoothed(&self.places, place, width, [0.0; 2], |sum, value, weight| {
                 [sum[0] + weight * value[0], sum[1] + weight * value[1]]
@@ -236,7 +239,7 @@ impl Way {
     fn camera(&self, share: f64, intrinsics: Intrinsics) -> Camera {
         let end = self.places.last().map_or(0.0, |(at, _)| *at);
         let spacing = end / (self.places.len().max(2) - 1) as f64;
-        let width = (SMOOTHING.0 * spacing).max(SMOOTHING.1 * end).max(1e-6);
+        let width = (SMOOTHING * spacing).max(LEAST_SMOOTHING.0 * end).max(1e-6);
         let zero = (DVec3::ZERO, DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0));
         let ((position, turned), weights) =
             smoothed(&self.places, share * end, width, zero, |sum, value, weight| {

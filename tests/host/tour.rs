@@ -90,6 +90,20 @@ fn an_arc_stays_between_its_ends() {
     assert!(apart(&looped[0], &looped[39]) < 0.02 && (apart(&looped[0], &looped[20]) - 1.0).abs() < 1e-3);
 }
 
+/// Two rounds at two heights: the way goes between them, and does not jump from one to the other.
+#[test]
+fn an_arc_is_smooth() {
+    let cameras: Vec<Camera> = (0..40)
+        .map(|i| (0.04 * i as f32, if i % 2 == 0 { -1.5 } else { 1.5 }))
+        .map(|(azimuth, y)| MIDDLE + vec3(4.0 * azimuth.cos(), y, 4.0 * azimuth.sin()))
+        .map(|eye| Camera::look_at(eye, MIDDLE, Vec3::NEG_Y, intrinsics()))
+        .collect();
+    assert_eq!(Motion::of(&cameras), Motion::Arc);
+    for camera in Motion::Arc.cameras(&cameras, 60, true, intrinsics()) {
+        assert!((camera.position().y - MIDDLE.y).abs() < 0.3, "{}", camera.position());
+    }
+}
+
 #[test]
 fn a_path_passes_along_the_cameras() {
     let eye = |z: f32| vec3((0.3 * z).sin(), 0.0, z);

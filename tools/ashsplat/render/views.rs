@@ -73,7 +73,7 @@ pub struct SizeArguments {
     /// Height of the pictures, pixels [default: the cameras'; 9/16 of the width for an orbit]
     #[arg(long, value_name = "PIXELS")]
     height: Option<u32>,
-    /// Horizontal field of view, degrees [default: the cameras'; for an orbit too, but at most 60]
+    /// Horizontal field of view, degrees [default: the cameras'; for an orbit as much as they show, at most 60]
     #[arg(long, value_name = "DEGREES")]
     fov: Option<f32>,
 }
@@ -206,7 +206,7 @@ pub fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Int
 const WIDEST_ORBIT: f32 = 60.0;
 
 impl SizeArguments {
-    /// Size and field of view of an orbit. Not wider than the training's cameras: they saw no more.
+    /// Size and field of view of an orbit: of no more than the training's cameras saw.
     fn of_orbit(&self, seen: &[Camera], film: Option<Container>) -> Intrinsics {
         let width = match (self.width, self.height) {
             (Some(width), _) => width,
@@ -215,8 +215,10 @@ impl SizeArguments {
             (None, None) => 1280,
         };
         let height = self.height.unwrap_or((u64::from(width) * 9 / 16).max(1) as u32);
-        let mut angles: Vec<f32> =
-            seen.iter().map(|c| 2.0 * (0.5 * c.width as f32 / c.fx).atan().to_degrees()).collect();
+        // As much of the scene as a photograph shows, in another shape.
+        let shape = width as f32 / height as f32;
+        let reach = |c: &Camera| (0.25 * c.width as f32 / c.fx * c.height as f32 / c.fy * shape).sqrt();
+        let mut angles: Vec<f32> = seen.iter().map(|c| 2.0 * reach(c).atan().to_degrees()).collect();
         angles.sort_by(f32::total_cmp);
         let usual = angles.get(angles.len() / 2).map_or(WIDEST_ORBIT, |angle| angle.min(WIDEST_ORBIT));
         Intrinsics::from_fov_x(self.fov.unwrap_or(usual).to_radians(), width, height)
