@@ -136,7 +136,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let interrupted = run.train(&stop)?;
     run.report();
     say!("written to {}", folder.display());
-    if !interrupted {
+    if !interrupted && !arguments.quiet {
         say_what_next(&folder);
     }
     arguments.device.report_validation(&context);
