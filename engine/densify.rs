@@ -7,8 +7,10 @@
 //! does not depend on scheduling.
 
 mod order;
+mod relocation;
 
 pub use order::{Curve, OrderBuffers};
+pub use relocation::{Draw, DrawBuffers, Relocation};
 
 use crate::error::Result;
 use crate::forward::SceneBuffers;

@@ -139,6 +139,19 @@ impl Renderer {
         Ok(())
     }
 
+    /// Downloads the scene's Gaussians.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] without a scene; when the device is lost.
+    pub fn gaussians(&self) -> Result<Gaussians> {
+        planes::download(&self.context, self.scene.as_ref().ok_or_else(no_scene)?)
+    }
+
+    /// The scene on the device, for [`Renderer::record`]: None before [`Renderer::upload`].
+    pub fn scene(&self) -> Option<DeviceScene> {
+        self.scene.as_ref().map(|scene| DeviceScene::of(&self.context, scene.clone()))
+    }
+
     /// Sets the initial capacity in (tile, Gaussian) instances, instead of an estimate. Frames that need more
     /// are run again with a larger capacity.
     pub fn set_instance_capacity(&mut self, instances: u32) {

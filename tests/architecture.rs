@@ -81,9 +81,10 @@ fn has_word(line: &str, word: &str) -> bool {
 // ---- `unsafe` only in engine/vk -----------------------------------------------------------------------------------
 
 fn unsafe_outside_vk(source: &Source) -> Vec<String> {
-    // Hosts in raw Vulkan cannot be written otherwise: the example that embeds, and the tests that do. Nor can functions
-    // that C calls.
-    let allowed = ["engine/vk/", "tools/embed/", "tools/capi/", "tests/embedding/"];
+    // Hosts in raw Vulkan cannot be written otherwise: the example that embeds, the tests that do, and the program's
+    // window. Nor can functions that C calls.
+    let window = "tools/ashsplat/view/window/present/";
+    let allowed = ["engine/vk/", "tools/embed/", "tools/capi/", "tests/embedding/", window];
     if allowed.iter().any(|folder| source.path.starts_with(folder)) {
         return vec![];
     }
@@ -330,4 +331,25 @@ fn architecture_nothing_is_copied_from_the_shared_folder() {
     files_below(&shared, &mut theirs);
     assert_none("copied", copies(&ours, &theirs));
     assert_eq!(copies(&ours[..1], &ours[..1]).len(), 1, "a copy would be found");
+}
+
+// ---- tests that count what their process reserves ------------------------------------------------------------------
+
+fn tests_out_of_turn(source: &Source) -> Vec<String> {
+    let turns = ["turn()", "assert_linear(", "on_a_small_stack("];
+    let tests = source.text.split(concat!("#[", "test]")).skip(1);
+    tests
+        .filter(|test| !turns.iter().any(|turn| test.contains(turn)))
+        .filter_map(|test| Some(format!("{}: {}", source.path, test.trim().lines().next()?)))
+        .collect()
+}
+
+#[test]
+fn architecture_tests_of_counted_costs_take_turns() {
+    let text =
+        concat!("#[", "test]\nfn a() { read(); }\n#[", "test]\nfn b() { let _turn = turn(); }\n").into();
+    let example = Source { path: "tests/growth/a.rs".into(), text };
+    assert_eq!(tests_out_of_turn(&example), ["tests/growth/a.rs: fn a() { read(); }"]);
+    let sources = sources(&["engine/files", "tests/growth"], &["rs"]);
+    assert_none("one test at a time", sources.iter().flat_map(tests_out_of_turn).collect());
 }

@@ -7,6 +7,9 @@ mod commands;
 mod convert;
 mod inspect;
 mod layouts;
+// The stand-ins are scripts of a shell.
+#[cfg(unix)]
+mod poses;
 mod report;
 mod run;
 mod training;

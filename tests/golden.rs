@@ -2,6 +2,7 @@
 
 mod gpu;
 mod gpu_training;
+mod mcmc;
 mod rendering;
 mod sets;
 mod training;
@@ -26,6 +27,7 @@ enum Kind {
     ResetOpacity,
     Train,
     Regularizers,
+    Relocation,
     Other,
 }
 
@@ -40,6 +42,7 @@ impl Kind {
             () if has("lr_xyz") => Kind::Rates,
             () if has("in_grad_accum") && has("out_kind") => Kind::Densify,
             () if has("reg_loss") => Kind::Regularizers,
+            () if has("u_relocate") => Kind::Relocation,
             () if has("logits") && has("out") => Kind::ResetOpacity,
             () => Kind::Other,
         }
@@ -86,7 +89,8 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    further.extend(features.into_iter().filter(|set| set.kind == Kind::Regularizers));
+    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation);
+    further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);
     sets.sort_by(|a, b| a.name.cmp(&b.name));

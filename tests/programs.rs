@@ -1,4 +1,4 @@
-//! Programs that may be installed, beside ours: COLMAP's image_undistorter, and ffmpeg for films. Where one is missing, its
+//! Programs that may be installed, beside ours: COLMAP, for lenses and cameras, and ffmpeg, for films and videos. Where one is missing, its
 //! trial is skipped by name.
 
 // In a test, an unwrap is an assertion.
@@ -18,6 +18,7 @@ mod run;
 
 use crate::absent;
 use crate::common::cinema::{Cinema, film, pixels};
+use crate::common::corner;
 use crate::common::lenses::{cameras, write};
 use run::{finish, program};
 
@@ -35,6 +36,18 @@ pub fn trials() -> Vec<Trial> {
     };
     vec![
         trial("programs_colmap_undistorts_the_same", "colmap", "help", colmap_undistorts_the_same),
+        trial("programs_colmap_finds_poses", "colmap", "help", colmap_finds_poses),
+        match Command::new("ffmpeg").arg("-version").output() {
+            Ok(_) => trial(
+                "programs_colmap_finds_poses_of_a_video",
+                "colmap",
+                "help",
+                colmap_finds_poses_of_a_video,
+            ),
+            Err(error) => {
+                absent("programs_colmap_finds_poses_of_a_video", format!("ffmpeg is not installed: {error}"))
+            }
+        },
         trial("programs_ffmpeg_makes_films", "ffmpeg", "-version", ffmpeg_makes_films),
         trial("programs_ffmpeg_makes_rendered_films", "ffmpeg", "-version", ffmpeg_makes_rendered_films),
     ]
@@ -70,6 +83,88 @@ fn colmap_undistorts_the_same() {
             metrics::psnr(&a.photo.photo().unwrap().to_f32(), &b.photo.photo().unwrap().to_f32()).unwrap();
         assert!(psnr > 45.0, "{}: {psnr} dB", a.name);
     }
+}
+
+/// `ashsplat poses` runs, and its data set is one; returns what it said.
+fn poses(folder: &Path, arguments: &[&str], dataset: &str) -> (String, Dataset) {
+    let run = finish(program().current_dir(folder).arg("poses").args(arguments));
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    let options = DatasetOptions::default();
+    let report = Dataset::inspect(folder.join(dataset), &options, Progress::NONE);
+    assert!(report.is_sound() && report.points > 300, "{report}");
+    (run.stdout, Dataset::load(folder.join(dataset), &options, Progress::NONE).unwrap())
+}
+
+/// Positions that differ from the true ones by rotation, scale and translation have distances in one proportion.
+fn assert_placed(dataset: &Dataset, truth: impl Fn(&str) -> f32) {
+    let views = dataset.views();
+    let place = |view: &ashsplat_files::View| corner::camera(truth(&view.name)).position();
+    let first = views[0];
+    let ratios: Vec<f32> = views[views.len() / 2..]
+        .iter()
+        .map(|view| {
+            view.camera.position().distance(first.camera.position()) / place(view).distance(place(first))
+        })
+        .collect();
+    let mean = ratios.iter().sum::<f32>() / ratios.len() as f32;
+    assert!(ratios.iter().all(|ratio| (ratio / mean - 1.0).abs() < 0.03), "{ratios:?}");
+}
+
+/// The number in a name.
+fn number(name: &str) -> f32 {
+    name.chars().filter(char::is_ascii_digit).collect::<String>().parse().unwrap()
+}
+
+/// Eleven photographs in a flat folder, on their sides as phones store them, with metadata that say so: neither COLMAP nor
+/// we turn them.
+fn colmap_finds_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("my photos")).unwrap();
+    for index in 0..11 {
+        let photo = corner::photograph(&corner::camera(index as f32 / 10.0));
+        let upright = image::RgbImage::from_raw(photo.width, photo.height, photo.rgb).unwrap();
+        let stored = image::imageops::rotate270(&upright);
+        let mut bytes = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 95).encode_image(&stored).unwrap();
+        let exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0";
+        let length = (exif.len() as u16 + 2).to_be_bytes();
+        let file = [&bytes[..2], &[0xff, 0xe1], &length, exif, &bytes[2..]].concat();
+        std::fs::write(folder.path().join("my photos").join(format!("IMG_{index:02}.JPG")), file).unwrap();
+    }
+    let (said, dataset) = poses(folder.path(), &["my photos"], "my photos_dataset");
+    assert!(said.contains("11 of 11 photographs"), "{said}");
+    let [width, height] = corner::SIZE;
+    let camera = dataset.train[0].original_camera;
+    // Undistortion costs some pixels.
+    assert!(camera.width.abs_diff(height) < 9 && camera.height.abs_diff(width) < 9, "{camera:?}");
+    assert_placed(&dataset, |name| number(name) / 10.0);
+    let model = ["train", "-s", "my photos_dataset", "-m", "out", "--iterations", "20", "--quiet"];
+    let run = finish(program().current_dir(folder.path()).args(model));
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+}
+
+/// A video of which every fourth frame alone is sharp.
+fn colmap_finds_poses_of_a_video() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut raw = Vec::new();
+    for index in 0..48 {
+        let photo = corner::photograph(&corner::camera(index as f32 / 47.0));
+        let picture = image::RgbImage::from_raw(photo.width, photo.height, photo.rgb).unwrap();
+        let sharp = index % 4 == 2;
+        raw.extend(if sharp { picture } else { image::imageops::fast_blur(&picture, 4.0) }.into_raw());
+    }
+    std::fs::write(folder.path().join("raw"), raw).unwrap();
+    let [width, height] = corner::SIZE;
+    let made = Command::new("ffmpeg")
+        .current_dir(folder.path())
+        .args(["-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-framerate", "24", "-video_size"])
+        .args([&format!("{width}x{height}"), "-i", "raw", "-c:v", "mpeg4", "-q:v", "1", "walk.mp4"])
+        .output()
+        .unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let (said, dataset) = poses(folder.path(), &["walk.mp4", "--frames", "12"], "walk_dataset");
+    assert!(said.contains("12 of 12 frames"), "{said}");
+    assert_placed(&dataset, |name| (4.0 * (number(name) - 1.0) + 2.0) / 47.0);
 }
 
 /// Sides that are odd and colours that ffmpeg must not shift.

@@ -20,6 +20,7 @@ mod host;
 mod invariants;
 mod kernels;
 mod limits;
+mod mcmc;
 mod orientations;
 mod parts;
 mod photos;

@@ -1,12 +1,16 @@
 //! `ashsplat view` and `train --view`, spoken to as a page does it, but without a browser.
 
+mod cuts;
 mod films;
 mod frames;
 mod http;
+mod opening;
 mod shapes;
 mod sibr;
 mod siege;
 mod training;
+#[allow(dead_code)]
+mod window;
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -14,6 +18,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use ashsplat::scene::Camera;
+use ashsplat_files::splats::{self, WriteOptions};
 use serde_json::{Value, json};
 use tungstenite::Message;
 

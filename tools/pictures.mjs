@@ -223,6 +223,7 @@ await evaluate(`document.getElementById('photo-close').click()`);
 await pause(500);
 await until(sharp);
 await until(`[...document.querySelectorAll('#photo-list img')].filter((image) => image.naturalWidth > 0).length >= 12`);
+await evaluate(`document.getElementById('panel').scrollTop = 0`);
 const { data } = await call('Page.captureScreenshot', { format: 'png' });
 await call('Emulation.clearDeviceMetricsOverride');
 write('viewer.png', await draw([Buffer.from(data, 'base64')], `([page], size) => {

@@ -65,14 +65,27 @@ impl Densify {
     pub fn record_order<'a>(
         &self,
         r: &mut Recorder,
-        (scene, rows): (&SceneBuffers, u32),
+        set: (&SceneBuffers, u32),
         buffers: &'a DensifyBuffers,
         order: &'a OrderBuffers,
         curve: &Curve,
     ) -> &'a Buffer {
-        let sources = [&buffers.sources, &order.sources];
+        self.record_order_of(r, set, (&buffers.sources, &buffers.totals), order, curve)
+    }
+
+    /// As [`Densify::record_order`], of sources that others have written. The fourth word of `totals` is
+    /// scratch.
+    pub fn record_order_of<'a>(
+        &self,
+        r: &mut Recorder,
+        (scene, rows): (&SceneBuffers, u32),
+        (unordered, totals): (&'a Buffer, &Buffer),
+        order: &'a OrderBuffers,
+        curve: &Curve,
+    ) -> &'a Buffer {
+        let sources = [unordered, &order.sources];
         r.scope("order", |r| {
-            r.fill(&buffers.totals.range(DensifyBuffers::ROWS * 4, 4), rows);
+            r.fill(&totals.range(DensifyBuffers::ROWS * 4, 4), rows);
             for range in scene.plan.ranges(scene.count) {
                 if range.chunk > 0 {
                     r.barrier();
@@ -98,7 +111,7 @@ impl Densify {
             }
             r.barrier();
             let pairs = SortBuffers {
-                counts: &buffers.totals,
+                counts: totals,
                 count_index: DensifyBuffers::ROWS as u32,
                 keys: [&order.keys[0], &order.keys[1]],
                 values: sources,

@@ -54,6 +54,8 @@ pub fn create_folder(path: impl AsRef<Path>) -> Result<()> {
 #[derive(Debug)]
 pub struct Unfinished {
     file: tempfile::NamedTempFile,
+    /// As it was named, for errors, and where it really lies.
+    named: PathBuf,
     target: PathBuf,
 }
 
@@ -68,10 +70,12 @@ impl Unfinished {
     /// # Errors
     /// [`Error::Io`] naming the file.
     pub fn persist(self) -> Result<()> {
-        let Self { file, target } = self;
-        let io = |source| Error::io(&target, "write", source);
+        let Self { file, named, target } = self;
+        let io = |source| Error::io(&named, "write", source);
         file.as_file().sync_all().map_err(io)?;
         file.persist(&target).map_err(|e| io(e.error))?;
+        // The rename reaches the disk with the folder. If folders cannot be synchronised, it is only late.
+        let _ = File::open(folder_of(&target)).and_then(|f| f.sync_all());
         Ok(())
     }
 }
@@ -82,11 +86,14 @@ impl Unfinished {
 /// # Errors
 /// [`Error::Io`] naming the file.
 pub fn unfinished(path: impl AsRef<Path>) -> Result<Unfinished> {
-    let path = path.as_ref();
-    let io = |source| Error::io(path, "write", source);
-    let target = destination(path).map_err(io)?;
-    let file = temporary_file(&target, folder_of(&target)).map_err(io)?;
-    Ok(Unfinished { file, target })
+    let named = path.as_ref();
+    let io = |source| Error::io(named, "write", source);
+    let target = destination(named).map_err(io)?;
+    let folder = folder_of(&target);
+    // An error here names the folder; the creation of the file below would name the temporary one.
+    fs::metadata(folder).map_err(io)?;
+    let file = temporary_file(&target, folder).map_err(io)?;
+    Ok(Unfinished { file, named: named.to_owned(), target })
 }
 
 /// The folder that a file lies in.
@@ -105,20 +112,12 @@ fn write_inner(path: &Path, fill: impl FnOnce(&mut dyn Output) -> Result<()>) ->
         fill(&mut writer)?;
         return writer.flush().map_err(io);
     }
-    let target = destination(path).map_err(io)?;
-    let folder = folder_of(&target);
-    // An error here names the folder; the creation of the file below would name the temporary one.
-    fs::metadata(folder).map_err(io)?;
-    let file = temporary_file(&target, folder).map_err(io)?;
-    let mut writer = BufWriter::with_capacity(BUFFER_BYTES, file.as_file());
+    let unfinished = unfinished(path)?;
+    let mut writer = BufWriter::with_capacity(BUFFER_BYTES, unfinished.file.as_file());
     fill(&mut writer)?;
     writer.flush().map_err(io)?;
     drop(writer);
-    file.as_file().sync_all().map_err(io)?;
-    file.persist(&target).map_err(|e| io(e.error))?;
-    // The rename reaches the disk with the folder. If folders cannot be synchronised, it is only late.
-    let _ = File::open(folder).and_then(|f| f.sync_all());
-    Ok(())
+    unfinished.persist()
 }
 
 /// The file that will be replaced: the target of a symbolic link.

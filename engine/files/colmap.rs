@@ -9,7 +9,7 @@ mod text;
 mod types;
 mod write;
 
-pub use find::{ModelFolder, exists, find};
+pub use find::{ModelFolder, UNFINISHED_POSES, exists, find};
 pub use model::{Model, undistort_command};
 pub use types::{CameraModel, ColmapCamera, ColmapImage};
 pub use write::write;

@@ -4,7 +4,9 @@ mod exif_orientation;
 mod gallery;
 mod inspect;
 mod mask;
+mod photo_folder;
 mod plan;
+mod scaling;
 mod unpacked;
 
 use std::path::{Path, PathBuf};

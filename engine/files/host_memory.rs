@@ -209,9 +209,11 @@ fn group_folders(cgroup: &str) -> Vec<(String, [&'static str; 2])> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::growth::turn;
 
     #[test]
     fn what_the_system_tells_is_understood() {
+        let _turn = turn();
         assert_eq!(kib_of("MemTotal: 9 kB\nMemAvailable:   12 kB\n", "MemAvailable:"), Some(12 << 10));
         let limits =
             |value: &str| address_space(&format!("Limit\nMax address space   {value}   {value}   bytes\n"));
@@ -231,6 +233,7 @@ mod tests {
 
     #[test]
     fn a_bound_is_shared_and_given_back() {
+        let _turn = turn();
         let memory = HostMemory::new(100);
         let path = Path::new("a.png");
         let message = memory.take(path, 101).expect_err("too much").to_string();

@@ -27,6 +27,7 @@ pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
 pub use host_memory::HostMemory;
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;
+pub use names::{has_photo_ending, has_video_ending, quoted};
 pub use progress::Progress;
 
 #[cfg(test)]

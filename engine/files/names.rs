@@ -12,6 +12,10 @@ use crate::cost;
 /// Endings of photos, the likelier one first.
 const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
 
+/// Endings of videos.
+const VIDEO_ENDINGS: [&str; 11] =
+    ["mp4", "mov", "mkv", "webm", "avi", "m4v", "mpg", "mpeg", "mts", "3gp", "wmv"];
+
 /// Longest path that systems have, bytes. A longer one names nothing.
 pub(super) const MAX_PATH_BYTES: usize = 4096;
 
@@ -43,9 +47,51 @@ pub(super) fn ending(name: &str) -> String {
     format!("{}{}", if start > 0 { "…" } else { "" }, &name[start..])
 }
 
-/// Whether a name ends as photos do.
-pub(super) fn has_photo_ending(name: &Path) -> bool {
+/// Whether a name ends as the photos do that can be read: `.jpg`, `.jpeg` or `.png`, in any case.
+pub fn has_photo_ending(name: &Path) -> bool {
     name.extension().is_some_and(|ending| ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
+}
+
+/// Whether a name ends as videos do.
+pub fn has_video_ending(name: &Path) -> bool {
+    name.extension()
+        .is_some_and(|ending| VIDEO_ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
+}
+
+/// A word as a shell reads it back: in quotes if it needs them.
+pub fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "-_./:,+=@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        return word.to_owned();
+    }
+    format!("'{}'", word.replace('\'', "'\\''"))
+}
+
+/// Whether photos lie in a folder itself.
+pub(super) fn has_photos(folder: &Path) -> bool {
+    let mut entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.any(|entry| !is_hidden(&entry.file_name()) && has_photo_ending(&entry.path()))
+}
+
+fn is_hidden(name: &OsStr) -> bool {
+    name.as_encoded_bytes().starts_with(b".")
+}
+
+/// How many photos lie in a folder itself and in those folders of it that `names` begin with: not in other folders
+/// beside them.
+pub(super) fn count_photos_beside<'n>(folder: &Path, names: impl Iterator<Item = &'n str>) -> usize {
+    let first = |name: &'n str| {
+        cost::step();
+        Some(name.trim_start_matches("./").split_once('/')?.0)
+    };
+    let folders: HashSet<&str> = names.filter_map(first).filter(|name| stays_inside(name)).collect();
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let here = entries.filter(|entry| {
+        cost::step();
+        let path = entry.path();
+        !is_hidden(&entry.file_name()) && has_photo_ending(&path) && !path.is_dir()
+    });
+    here.count() + folders.iter().map(|name| count_photos(&folder.join(name))).sum::<usize>()
 }
 
 /// How many photos lie in a folder and those below it.
@@ -56,7 +102,7 @@ pub(super) fn count_photos(folder: &Path) -> usize {
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
             cost::step();
             let path = entry.path();
-            if entry.file_name().to_string_lossy().starts_with('.') {
+            if is_hidden(&entry.file_name()) {
                 continue;
             }
             // A link may lead back.

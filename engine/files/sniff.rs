@@ -47,7 +47,7 @@ fn picture(start: &[u8]) -> Option<(&'static str, &'static str)> {
         Some(b"qt  " | b"isom" | b"mp41" | b"mp42" | b"M4V ") => {
             return Some((
                 "is a video",
-                "take frames from it (`ffmpeg -i video -vf fps=2 %05d.png`) and compute their cameras",
+                "`ashsplat poses VIDEO` takes frames from it and makes a data set of them",
             ));
         }
         _ => {}

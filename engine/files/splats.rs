@@ -20,7 +20,8 @@ use std::path::Path;
 
 use super::ply;
 use ashsplat::Result;
-use ashsplat::scene::Gaussians;
+use ashsplat::scene::{Bounds, Cut, Gaussians};
+use glam::Vec3;
 
 pub use convert::{ConvertOptions, Converted, Target, convert};
 pub use format::Format;
@@ -52,6 +53,40 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, options: &WriteOptio
     };
     let outline = Outline::of(gaussians, options.antialiased);
     write_blocks(path, format, &outline, &mut |sink| in_blocks(gaussians, sink))
+}
+
+/// As [`write()`], of the Gaussians that a cut leaves, in their order, with spherical harmonics up to a degree; needs the
+/// memory of a block besides. Returns how many were written. The file has the bytes of the one that [`convert()`] makes.
+///
+/// # Errors
+/// As [`write()`]; [`ashsplat::Error::Argument`] for a cut that makes no sense.
+pub fn write_cut(
+    path: impl AsRef<Path>,
+    gaussians: &Gaussians,
+    (cut, sh_degree): (&Cut, u32),
+    options: &WriteOptions,
+) -> Result<u64> {
+    gaussians.check_shapes()?;
+    let path = path.as_ref();
+    let format = match options.format {
+        Some(format) => format,
+        None => Format::of_extension(path)?,
+    };
+    let sh_degree = sh_degree.min(gaussians.sh_degree).min(format.max_sh_degree());
+    let change = ConvertOptions { cut: *cut, ..Default::default() };
+    cut.check()?;
+    let limits = cut.limits();
+    let kept = |index: &usize| *cut == Cut::default() || limits.keeps(gaussians, *index);
+    let (mut count, mut means) = (0, (0..gaussians.len()).filter(kept));
+    let bounds = Bounds::of(means.by_ref().map(|index| {
+        count += 1;
+        Vec3::from_array(gaussians.means[index])
+    }));
+    let outline = Outline { count, sh_degree, antialiased: options.antialiased, bounds };
+    write_blocks(path, format, &outline, &mut |sink| {
+        in_blocks(gaussians, &mut |block| sink(change.change(block, sh_degree)))
+    })?;
+    Ok(count)
 }
 
 /// How to write Gaussians.

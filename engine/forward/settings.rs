@@ -4,7 +4,7 @@ use super::shape::{DrawnShape, Shape};
 use crate::error::{Error, Result};
 use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants as c;
-use crate::scene::Camera;
+use crate::scene::{Camera, Cut, CutLimits};
 
 /// At which pixels a Gaussian counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -47,6 +47,8 @@ pub struct RenderSettings {
     pub shape: Shape,
     /// Factor of all scales: 1 for the scene as it is.
     pub scale_modifier: f32,
+    /// Which Gaussians are left out.
+    pub cut: Cut,
 }
 
 impl Default for RenderSettings {
@@ -60,6 +62,7 @@ impl Default for RenderSettings {
             inverse_depth: false,
             shape: Shape::default(),
             scale_modifier: 1.0,
+            cut: Cut::default(),
         }
     }
 }
@@ -68,8 +71,8 @@ impl RenderSettings {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a scale modifier that is negative or not finite, or a background that is not
-    /// finite.
+    /// [`Error::Argument`] for a scale modifier that is negative or not finite, a background that is not finite, or a
+    /// cut that makes no sense.
     pub fn check(&self) -> Result<()> {
         if !(self.scale_modifier.is_finite() && self.scale_modifier >= 0.0) {
             let problem = format!("is {}, must be finite and not negative", self.scale_modifier);
@@ -78,7 +81,7 @@ impl RenderSettings {
         if self.background.iter().any(|channel| !channel.is_finite()) {
             return Err(Error::argument("background", format!("{:?} is not finite", self.background)));
         }
-        Ok(())
+        self.cut.check()
     }
 
     /// Whether the settings draw the Gaussians themselves, so that the picture is differentiable.
@@ -108,6 +111,7 @@ impl RenderSettings {
 pub(super) fn camera_block(camera: &Camera, scale: f32, settings: &RenderSettings) -> CameraBlock {
     let rows = camera.camera_from_world.transpose() * scale;
     let shape = DrawnShape::of(settings);
+    let CutLimits { low, high, opacity_logit, log_density } = settings.cut.limits();
     CameraBlock {
         camera_row_x: rows.x_axis.to_array(),
         camera_row_y: rows.y_axis.to_array(),
@@ -123,6 +127,10 @@ pub(super) fn camera_block(camera: &Camera, scale: f32, settings: &RenderSetting
         shape_scale: shape.scale,
         shape_dilation_px2: shape.dilation_px2,
         shape_opacity: shape.opacity,
+        cut_low: low.to_array(),
+        cut_high: high.to_array(),
+        cut_opacity_logit: opacity_logit,
+        cut_log_density: log_density,
     }
 }
 

@@ -109,6 +109,7 @@ impl Gaussians {
             central_bounds: central_bounds(means()),
             scale_percentiles: percentiles(scales()),
             opacity_percentiles: percentiles(opacities()),
+            density_percentiles: percentiles((0..self.len()).map(|index| self.log_density(index).exp())),
         }
     }
 }
@@ -128,6 +129,8 @@ pub struct GaussianStatistics {
     pub scale_percentiles: Option<[f32; 7]>,
     /// Opacities (after the sigmoid) at 0, 5, 25, 50, 75, 95 and 100 %.
     pub opacity_percentiles: Option<[f32; 7]>,
+    /// Densities ([`Gaussians::log_density`]) at 0, 5, 25, 50, 75, 95 and 100 %, per world unit.
+    pub density_percentiles: Option<[f32; 7]>,
 }
 
 /// The values at 0, 5, 25, 50, 75, 95 and 100 % (nearest rank); `None` without values.

@@ -1,6 +1,7 @@
 //! What a scene is, on the host: Gaussians, cameras, points, spherical harmonics. Knows no Vulkan.
 
 pub mod camera;
+pub mod cut;
 pub mod gaussians;
 pub mod lens;
 pub mod orbit;
@@ -14,6 +15,7 @@ pub mod transform;
 pub mod view;
 
 pub use camera::{Camera, Intrinsics, scene_extent};
+pub use cut::{Cut, CutLimits};
 pub use gaussians::{GaussianStatistics, Gaussians};
 pub use orbit::Orbit;
 pub use photo::Photo;

@@ -46,6 +46,11 @@ impl Bounds {
         })
     }
 
+    /// The box with two opposite corners.
+    pub fn between(one: Vec3, other: Vec3) -> Self {
+        Self { min: one.min(other), max: one.max(other) }
+    }
+
     /// Edge lengths.
     pub fn size(&self) -> Vec3 {
         self.max - self.min

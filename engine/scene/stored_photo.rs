@@ -10,7 +10,7 @@ use crate::fingerprint::Fingerprint;
 use crate::{Error, Result};
 
 /// Bytes of a pixel in a file: r, g, b, mask.
-const TEXEL_BYTES: u64 = 4;
+pub(crate) const TEXEL_BYTES: u64 = 4;
 
 /// A photo and its mask. Cheap to clone: the pixels are shared.
 #[derive(Clone, Debug, PartialEq)]

@@ -67,24 +67,18 @@ impl Before<'_> {
     /// # Errors
     /// [`Error::TooLarge`] for the photograph that needs most, with the size of its largest buffer.
     pub fn check_photos(&self, context: &Context) -> Result<()> {
-        let mut refused: HashMap<(u32, u32), (&PhotoSize, Error, usize)> = HashMap::new();
-        let mut checked = HashMap::new();
+        // The first photograph of each size, and how many have it.
+        let mut sizes: HashMap<Size, (&PhotoSize, usize)> = HashMap::new();
         for photo in self.photos {
-            let size = (photo.width, photo.height);
-            let fits = *checked.entry(size).or_insert_with(|| match self.check_size(context, size) {
-                Ok(()) => true,
-                Err(error) => {
-                    refused.insert(size, (photo, error, 0));
-                    false
-                }
-            });
-            if let (false, Some((.., count))) = (fits, refused.get_mut(&size)) {
-                *count += 1;
-            }
+            sizes.entry((photo.width, photo.height)).or_insert((photo, 0)).1 += 1;
         }
-        let all: usize = refused.values().map(|(.., count)| count).sum();
+        let refused = sizes
+            .into_iter()
+            .filter_map(|(size, (photo, count))| Some((photo, self.check_size(context, size).err()?, count)));
+        let refused: Vec<_> = refused.collect();
+        let all: usize = refused.iter().map(|(.., count)| count).sum();
         let area = |photo: &PhotoSize| u64::from(photo.width) * u64::from(photo.height);
-        let most = refused.into_values().max_by_key(|(photo, ..)| (area(photo), photo.width));
+        let most = refused.into_iter().max_by_key(|(photo, ..)| (area(photo), photo.width));
         match most {
             None => Ok(()),
             Some((photo, Error::TooLarge { what, needed, unit, limit, limit_name }, _)) => {

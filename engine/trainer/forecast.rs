@@ -42,6 +42,7 @@ impl Forecast<'_> {
             return Ok(());
         }
         let parts = TrainParts::of_settings(context, settings)?;
+        parts.strategy.check(settings, gaussians)?;
         let kit = Kit::new(context, settings, parts, photos)?;
         kit.capacity(context, settings, (photos, photo_memory), gaussians, room).map(drop)
     }

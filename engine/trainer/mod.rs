@@ -35,7 +35,7 @@ pub use population::{Growth, Population};
 pub use record::{RecordedStep, StepReservation};
 pub use report::{Maintenance, StepOutcome, StepReport};
 pub use settings::{OptimizerType, StrategyType, TrainSettings};
-pub use strategies::{Fixed, Reference};
+pub use strategies::{Fixed, Mcmc, Reference};
 pub use strategy::Strategy;
 pub use terms::*;
 pub use work::{Actions, Densified};
@@ -185,6 +185,7 @@ impl Trainer {
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         let sh_degree = settings.sh_degree;
         let count = crate::plan::to_u32(initial.len() as u64)?;
+        parts.strategy.check(&settings, count)?;
         photos::check(&views)?;
         let photo_sizes = forecast::sizes_of(&views);
         let photo_memory = photos::memory_of_file(&views);

@@ -147,7 +147,12 @@ macro_rules! choice {
 }
 
 choice!(OptimizerType, "default" = OptimizerType::Default, "sparse_adam" = OptimizerType::SparseAdam);
-choice!(StrategyType, "default" = StrategyType::Default, "fixed" = StrategyType::Fixed);
+choice!(
+    StrategyType,
+    "default" = StrategyType::Default,
+    "fixed" = StrategyType::Fixed,
+    "mcmc" = StrategyType::Mcmc
+);
 
 /// Declares the settings: the fields with types, defaults, bounds and descriptions, and a table of them.
 macro_rules! options {

@@ -8,14 +8,13 @@ use super::residency::{Residency, Use};
 use crate::error::{Error, Result};
 use crate::loss::{Windowing, photo_bytes, photo_on_device};
 use crate::scene::StoredPhoto;
+use crate::scene::stored_photo::TEXEL_BYTES;
 use crate::vk::{Buffer, Context, MemoryKind};
 
 /// Photographs that a thread has read and that wait on the host.
 const AHEAD: u64 = 2;
 /// Most photographs on the host: the waiting ones, the one being read, and the one being uploaded.
 const ON_HOST: u64 = AHEAD + 2;
-/// As [`StoredPhoto::bytes`].
-const FILE_BYTES_PER_PIXEL: u64 = 4;
 
 /// The views' photographs in the layout of [`photo_on_device`].
 pub(super) enum Photos {
@@ -72,7 +71,7 @@ impl PhotoSize {
     }
 
     fn file_bytes(&self) -> u64 {
-        FILE_BYTES_PER_PIXEL * u64::from(self.width) * u64::from(self.height)
+        TEXEL_BYTES * u64::from(self.width) * u64::from(self.height)
     }
 }
 

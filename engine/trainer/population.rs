@@ -144,6 +144,22 @@ impl Population<'_> {
         key: &RandomKey,
         record_sources: impl FnOnce(&mut Recorder, &SceneBuffers) -> &'b Buffer,
     ) -> Result<()> {
+        self.rebuild_and((rows, growth), kernels, key, record_sources, |_, _, _| {})
+    }
+
+    /// As [`Population::rebuild`]; `record_changes` records what is changed in the new set, from the set and the
+    /// sources of its rows, in the same submission. A barrier precedes it.
+    ///
+    /// # Errors
+    /// As [`Population::rebuild`].
+    pub fn rebuild_and<'b>(
+        &mut self,
+        (rows, growth): (u32, Growth),
+        kernels: &Densify,
+        key: &RandomKey,
+        record_sources: impl FnOnce(&mut Recorder, &SceneBuffers) -> &'b Buffer,
+        record_changes: impl FnOnce(&mut Recorder, (&SceneBuffers, &Moments), &Buffer),
+    ) -> Result<()> {
         let capacity = self.capacity_with(&growth);
         if rows > capacity {
             let problem = format!("are {rows}, the capacity is {capacity}");
@@ -162,6 +178,9 @@ impl Population<'_> {
             Some(fresh) => (&fresh.sets[3], &fresh.statistics, &fresh.parameter_gradients),
             None => (&old.moments.second, &old.statistics, &old.parameter_gradients),
         };
+        let [parameters, first, second] = targets.map(Clone::clone);
+        let scene = SceneBuffers { chunks: parameters, plan, count: rows };
+        let moments = Moments { first, second };
         self.context.run("densify: gather", |r| {
             let sources = record_sources(r, &old.scene);
             statistics.iter().for_each(|statistic| r.fill(statistic, 0));
@@ -176,12 +195,13 @@ impl Population<'_> {
                     kernels.record_gather_moments(r, &gather);
                 }
             }
+            r.barrier();
+            record_changes(r, (&scene, &moments), sources);
             Ok(())
         })?;
-        let [parameters, first, second] = targets.map(Clone::clone);
         *self.model = Model {
-            scene: SceneBuffers { chunks: parameters, plan, count: rows },
-            moments: Moments { first, second },
+            scene,
+            moments,
             spare: spare.clone(),
             statistics: statistics.clone(),
             parameter_gradients: parameter_gradients.clone(),

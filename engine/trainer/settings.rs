@@ -5,8 +5,9 @@
 //! [`TrainSettings::OPTIONS`] or serde.
 
 use super::options::{Bounds, OptionValue, TrainOption, options};
-use crate::Result;
+use crate::scene::Gaussians;
 use crate::scene::gaussians::MAX_SH_DEGREE;
+use crate::{Error, Result};
 
 /// The optimiser of the parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,6 +29,8 @@ pub enum StrategyType {
     Default,
     /// None: the Gaussians of the beginning are optimised, and their number stays.
     Fixed,
+    /// 3DGS-MCMC's: relocation, growth to `cap_max`, noise. [`TrainSettings::of_strategy`] has its values.
+    Mcmc,
 }
 
 options! {
@@ -54,7 +57,7 @@ options! {
         position_lr_max_steps: u32 = 30_000, Bounds::AtLeast(1);
         /// Learning rate of the SH coefficients of degree 0; the others take a twentieth of it
         feature_lr: f64 = 2.5e-3, Bounds::NotNegative;
-        /// Learning rate of the opacity logits
+        /// Learning rate of the opacity logits (mcmc: 0.05)
         opacity_lr: f64 = 0.025, Bounds::NotNegative;
         /// Learning rate of the log-scales
         scaling_lr: f64 = 5e-3, Bounds::NotNegative;
@@ -64,19 +67,27 @@ options! {
         percent_dense: f64 = 0.01, Bounds::NotNegative;
         /// Weight of 1 - SSIM in the loss; the L1 term takes the rest
         lambda_dssim: f64 = 0.2, Bounds::Share;
-        /// Weight of the mean opacity in the loss (3DGS-MCMC: 0.01)
+        /// Weight of the mean opacity in the loss (mcmc: 0.01)
         opacity_reg: f64 = 0.0, Bounds::NotNegative;
-        /// Weight of the mean scale in the loss (3DGS-MCMC: 0.01)
+        /// Weight of the mean scale in the loss (mcmc: 0.01)
         scale_reg: f64 = 0.0, Bounds::NotNegative;
-        /// Strategy of density control: the reference's, or none
+        /// Density control: the reference's, none, or 3DGS-MCMC's, which sets other defaults of some options
         strategy: StrategyType = StrategyType::Default, Bounds::None;
+        /// Most Gaussians that strategy mcmc grows to
+        cap_max: u32 = 1_000_000, Bounds::AtLeast(1);
+        /// Rate of mcmc's noise on the means, times their learning rate
+        noise_lr: f64 = 5e5, Bounds::NotNegative;
+        /// Opacity of the first Gaussians (mcmc: 0.5)
+        initial_opacity: f64 = INITIAL_OPACITY, Bounds::Share;
+        /// Scale of the first Gaussians, times the distance of their neighbours (mcmc: 0.1)
+        initial_scale: f64 = 1.0, Bounds::Positive;
         /// Iterations between densifications
         densification_interval: u32 = 100, Bounds::AtLeast(1);
         /// Iterations between opacity resets
         opacity_reset_interval: u32 = 3000, Bounds::AtLeast(1);
         /// Densification starts after this iteration
         densify_from_iter: u32 = 500, Bounds::None;
-        /// Densification, and the collection of its statistics, end before this iteration
+        /// Densification, and the collection of its statistics, end before this iteration (mcmc: 25000)
         densify_until_iter: u32 = 15_000, Bounds::None;
         /// Mean norm of the 2D mean's gradient (NDC) from which a Gaussian is densified
         densify_grad_threshold: f64 = 2e-4, Bounds::NotNegative;
@@ -95,16 +106,57 @@ options! {
     }
 }
 
+/// Opacity of the first Gaussians in the reference.
+const INITIAL_OPACITY: f64 = 0.1;
 /// The SH coefficients above degree 0 learn at this share of `feature_lr`.
 const FEATURE_REST_SHARE: f64 = 1.0 / 20.0;
 
 impl TrainSettings {
+    /// The defaults with a strategy. Those of 3DGS-MCMC differ in rates, initial values, regularisers and the end
+    /// of densification (its README and `train.py`).
+    pub fn of_strategy(strategy: StrategyType) -> Self {
+        let usual = Self { strategy, ..Self::default() };
+        match strategy {
+            StrategyType::Default | StrategyType::Fixed => usual,
+            StrategyType::Mcmc => Self {
+                opacity_lr: 0.05,
+                opacity_reg: 0.01,
+                scale_reg: 0.01,
+                densify_until_iter: 25_000,
+                initial_opacity: 0.5,
+                initial_scale: 0.1,
+                ..usual
+            },
+        }
+    }
+
+    /// Gives Gaussians of the reference's opacity and scale those of the settings.
+    pub fn initialize(&self, gaussians: &mut Gaussians) {
+        // The usual ones keep their bits.
+        if self.initial_opacity != INITIAL_OPACITY {
+            let logit = (self.initial_opacity / (1.0 - self.initial_opacity)).ln() as f32;
+            gaussians.opacity_logits.fill(logit);
+        }
+        if self.initial_scale != 1.0 {
+            let change = self.initial_scale.ln() as f32;
+            gaussians.log_scales.iter_mut().flatten().for_each(|log_scale| *log_scale += change);
+        }
+    }
+
     /// Checks that every value is within its bounds; the trainer calls this before any work.
     ///
     /// # Errors
-    /// [`Error::Argument`](crate::Error::Argument) with the setting's name, its value and what would be right.
+    /// [`Error::Argument`] with the setting's name, its value and what would be right.
     pub fn check(&self) -> Result<()> {
-        Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))
+        Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))?;
+        match self.initial_opacity > 0.0 && self.initial_opacity < 1.0 {
+            true => Ok(()),
+            false => {
+                let problem =
+                    format!("is {}, must be between 0 and 1, and neither of them", self.initial_opacity);
+                Err(Error::argument("initial_opacity", problem))
+            }
+        }
     }
 
     /// Learning rate of the means at an iteration, in units of the scene's extent (multiply by it): log-linear

@@ -1,9 +1,11 @@
 //! The strategies of density control that the library has.
 
 mod fixed;
+mod mcmc;
 mod reference;
 
 pub use fixed::Fixed;
+pub use mcmc::Mcmc;
 pub use reference::Reference;
 
 use super::settings::{StrategyType, TrainSettings};
@@ -19,5 +21,6 @@ pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result
     Ok(match settings.strategy {
         StrategyType::Default => Box::new(Reference::new(context)?),
         StrategyType::Fixed => Box::new(Fixed),
+        StrategyType::Mcmc => Box::new(Mcmc::new(context)?),
     })
 }

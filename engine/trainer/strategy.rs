@@ -50,6 +50,14 @@ pub trait Strategy: Send {
     /// Its name in messages.
     fn name(&self) -> &'static str;
 
+    /// Checks that a training with these settings can begin with so many Gaussians.
+    ///
+    /// # Errors
+    /// [`Error::Argument`](crate::Error::Argument) with what would be right.
+    fn check(&self, _: &TrainSettings, _gaussians: u32) -> Result<()> {
+        Ok(())
+    }
+
     /// The work of an iteration, from 1. Depends on its arguments only.
     fn work(&self, settings: &TrainSettings, iteration: u32) -> Work;
 

@@ -3,14 +3,17 @@
 use super::device::Candidate;
 use super::error::vk_error;
 use super::requirements::Features;
-use crate::Result;
+use crate::{Error, Result};
 use ash::vk;
+use std::ffi::CStr;
 
-/// A device with one queue, the required features, and the optional features that it has.
+/// A device with one queue, the required features, the optional features that it has, and
+/// further extensions.
 pub(super) fn create_device(
     instance: &ash::Instance,
     candidate: &Candidate,
     printf: bool,
+    further: &[&CStr],
 ) -> Result<ash::Device> {
     let optional = &candidate.features;
     let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
@@ -21,7 +24,15 @@ pub(super) fn create_device(
         .vulkan_memory_model_device_scope(optional.memory_model_device_scope);
     let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
     Features::REQUIRED.merge_into(&mut v12, &mut v13);
-    let mut extensions = Vec::new();
+    // SAFETY: a plain query.
+    let present = unsafe { instance.enumerate_device_extension_properties(candidate.physical) };
+    let present = present.map_err(vk_error("vkEnumerateDeviceExtensionProperties"))?;
+    let has = |name: &CStr| present.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
+    if let Some(lacking) = further.iter().find(|name| !has(name)) {
+        let feature = lacking.to_string_lossy().into_owned();
+        return Err(Error::MissingFeature { device: candidate.description.name.clone(), feature });
+    }
+    let mut extensions: Vec<_> = further.iter().map(|name| name.as_ptr()).collect();
     if optional.push_descriptor {
         extensions.push(ash::khr::push_descriptor::NAME.as_ptr());
     }

@@ -39,7 +39,7 @@ pub struct DeviceDescription {
 /// # Errors
 /// [`Error::NoLoader`] or [`Error::NoDevice`] without a loader or a driver.
 pub fn devices() -> Result<Vec<DeviceDescription>> {
-    let instance = Instance::new(false, false)?;
+    let instance = Instance::new(false, false, &[])?;
     Ok(candidates(&instance.raw, vk::API_VERSION_1_3)?.into_iter().map(|c| c.description).collect())
 }
 

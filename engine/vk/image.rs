@@ -222,6 +222,11 @@ impl Image {
         }
     }
 
+    /// The Vulkan image, for a host's commands.
+    pub fn handle(&self) -> vk::Image {
+        self.raw()
+    }
+
     /// Whether it belongs to this context's device.
     pub fn belongs_to(&self, context: &Context) -> bool {
         self.is_of(&context.device)

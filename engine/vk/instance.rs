@@ -4,7 +4,7 @@ use super::debug::Messenger;
 use super::error::vk_error;
 use crate::{Error, Result};
 use ash::vk;
-use std::ffi::CStr;
+use std::ffi::{CStr, c_char};
 
 pub(super) const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
@@ -19,8 +19,8 @@ pub(super) struct Instance {
 
 impl Instance {
     /// With `validation`, turns on the Khronos layer with synchronization validation, and collects its
-    /// messages. With `printf`, turns on the layer for shader output.
-    pub(super) fn new(validation: bool, printf: bool) -> Result<Self> {
+    /// messages. With `printf`, turns on the layer for shader output. All `extensions` are enabled, too.
+    pub(super) fn new(validation: bool, printf: bool, extensions: &[&CStr]) -> Result<Self> {
         // SAFETY: loading the system's Vulkan loader runs its initialisers, which are sound for a proper install.
         let entry = unsafe { ash::Entry::load() }
             .map_err(|e| Error::NoLoader { reason: one_line(&e.to_string()) })?;
@@ -36,7 +36,18 @@ impl Instance {
             has_extension(&entry, None, ash::ext::debug_utils::NAME)?,
             has_extension(&entry, None, ash::khr::portability_enumeration::NAME)?,
         );
-        let raw = create(&entry, &checks(layer, validation, printf), has_debug_utils, has_portability)?;
+        let mut enabled = Vec::new();
+        for &name in extensions {
+            if !has_extension(&entry, None, name)? {
+                let feature = name.to_string_lossy().into_owned();
+                return Err(Error::MissingFeature { device: "this machine".into(), feature });
+            }
+            enabled.push(name.as_ptr());
+        }
+        if has_debug_utils {
+            enabled.push(ash::ext::debug_utils::NAME.as_ptr());
+        }
+        let raw = create(&entry, &checks(layer, validation, printf), enabled, has_portability)?;
         let messenger = (layer && has_debug_utils).then(|| Messenger::new(&entry, &raw, printf)).transpose();
         match messenger {
             Ok(messenger) => Ok(Self { messenger, has_debug_utils, raw, _entry: entry }),
@@ -75,17 +86,13 @@ fn checks(layer: bool, validation: bool, printf: bool) -> Option<Vec<vk::Validat
 fn create(
     entry: &ash::Entry,
     checks: &Option<Vec<vk::ValidationFeatureEnableEXT>>,
-    debug_utils: bool,
+    mut extensions: Vec<*const c_char>,
     portability: bool,
 ) -> Result<ash::Instance> {
     let application = vk::ApplicationInfo::default()
         .application_name(c"ashsplat")
         .engine_name(c"ashsplat")
         .api_version(vk::API_VERSION_1_3);
-    let mut extensions = Vec::new();
-    if debug_utils {
-        extensions.push(ash::ext::debug_utils::NAME.as_ptr());
-    }
     let mut flags = vk::InstanceCreateFlags::empty();
     if portability {
         extensions.push(ash::khr::portability_enumeration::NAME.as_ptr());

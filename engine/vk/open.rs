@@ -20,6 +20,7 @@ use super::pipeline_cache::{PipelineCache, PipelineCacheStore};
 use super::raw_device::RawDevice;
 use crate::{Error, Result};
 use ash::vk;
+use std::ffi::CStr;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -72,6 +73,11 @@ pub struct ContextOptions {
     /// recording, so buffers and command buffers of a host cannot be adopted then. Default: yes; never on a
     /// host's device.
     pub texels: bool,
+    /// Further instance extensions, for a host that shares the device ([`Context::handles`]): those of a window's
+    /// surface, say.
+    pub instance_extensions: Vec<&'static CStr>,
+    /// Further device extensions, likewise: VK_KHR_swapchain, say.
+    pub device_extensions: Vec<&'static CStr>,
     /// Build kernels with a VkPipelineCache that is kept between runs. Default: none; on a host's device see
     /// [`ForeignDevice::pipeline_cache`](super::ForeignDevice::pipeline_cache).
     pub pipeline_cache: Option<Arc<dyn PipelineCacheStore>>,
@@ -106,6 +112,8 @@ impl Default for ContextOptions {
             faults: None,
             push_descriptors: true,
             texels: true,
+            instance_extensions: Vec::new(),
+            device_extensions: Vec::new(),
             pipeline_cache: None,
         }
     }
@@ -132,16 +140,17 @@ impl Context {
     ///
     /// # Errors
     /// [`Error::NoLoader`], [`Error::NoDevice`], [`Error::UnknownDevice`], [`Error::MissingFeature`] (also for the
-    /// validation layer), [`Error::Argument`] for a subgroup size that the device does not have.
+    /// validation layer and further extensions), [`Error::Argument`] for a subgroup size that the device does not have.
     pub fn new(options: &ContextOptions) -> Result<Self> {
-        let instance = Instance::new(options.validation, options.debug_printf)?;
+        let instance = Instance::new(options.validation, options.debug_printf, &options.instance_extensions)?;
         let from_environment = std::env::var("ASHSPLAT_DEVICE").ok().filter(|d| !d.trim().is_empty());
         let asked = options.device.clone().or(from_environment);
         let mut candidate = device::choose(&instance.raw, asked.as_deref(), options.least_version())?;
         candidate.features.push_descriptor &= options.push_descriptors;
         let limits = effective_limits(&candidate, options)?;
+        let (printf, further) = (options.debug_printf, &options.device_extensions);
         let device =
-            RawDevice::ours(create_device::create_device(&instance.raw, &candidate, options.debug_printf)?);
+            RawDevice::ours(create_device::create_device(&instance.raw, &candidate, printf, further)?);
         // SAFETY: the device was created with one queue of this family.
         let queue = unsafe { device.get_device_queue(candidate.queue_family, 0) };
         let debug_utils = instance.has_debug_utils;

@@ -1,6 +1,6 @@
 // Visibility of each Gaussian, and the number of visible ones in each block: first step of the stable compaction. Culls by
 // the near plane, a degenerate covariance, an opacity below 1/255, and an empty set of tiles (paper, section 6; reference
-// preprocessCUDA).
+// preprocessCUDA). Leaves out what the settings cut.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
 // in: parameters (PerGaussian planes); out: visible_flags[Gaussian], block_counts[block]
@@ -41,6 +41,13 @@ layout(push_constant, scalar) uniform Push {
 #include "tile_span.glsl"
 #include "projection.glsl"
 
+// As CutLimits::keeps (engine/scene/cut.rs), bit for bit: comparisons and one subtraction.
+bool kept(vec3 mean, vec3 log_scale, float opacity_logit) {
+    precise float log_density = opacity_logit - max(max(log_scale.x, log_scale.y), log_scale.z);
+    return all(greaterThanEqual(mean, cut_low)) && all(lessThanEqual(mean, cut_high))
+        && opacity_logit >= cut_opacity_logit && log_density >= cut_log_density;
+}
+
 void main() {
     uint local = linear_invocation();
     bool exists = local < count;
@@ -50,7 +57,8 @@ void main() {
     vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
     Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
     Footprint f = footprint_of(p, mean_opacity.w);
-    uint flag = exists && f.visible ? 1 : 0;
+    bool visible = f.visible && kept(mean_opacity.xyz, log_scale.xyz, mean_opacity.w);
+    uint flag = exists && visible ? 1 : 0;
     if (exists) {
         visible_flags[first + local] = flag;
     }

@@ -23,4 +23,10 @@ layout(set = 0, binding = 18, scalar) uniform CameraBlock {
     float shape_scale;
     float shape_dilation_px2;
     float shape_opacity;
+    // Which Gaussians are left out (engine/scene/cut.rs): those with means outside a box, with a smaller opacity logit, and
+    // with a smaller difference of opacity logit and largest log-scale. All finite.
+    vec3 cut_low;
+    vec3 cut_high;
+    float cut_opacity_logit;
+    float cut_log_density;
 };

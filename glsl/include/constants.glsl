@@ -87,6 +87,10 @@ const uint KIND_SPLIT_0 = 2;
 const uint KIND_SPLIT_1 = 3;
 // Source of a row: Gaussian | kind << KIND_SHIFT.
 const uint KIND_SHIFT = 30;
+// Relocation (3DGS-MCMC): the number of copies that share an opacity, with the source; the bounds of that opacity.
+const uint RELOCATION_MOST = 51;
+const float RELOCATION_LEAST_OPACITY = 0.005;
+const float RELOCATION_MOST_OPACITY = 0.99999988;
 
 // Rows of a strip: see strips.glsl.
 const uint STRIP_ROWS = 8;

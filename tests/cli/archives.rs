@@ -68,10 +68,21 @@ fn archives_are_unpacked_once_and_removed() {
         let mut running = Unpacking::start(arguments, &path("temporary"));
         let stdout = BufReader::new(running.program.stdout.take().expect("its stdout"));
         let mut lines = stdout.lines().map_while(Result::ok);
-        assert!(lines.any(|line| line.starts_with("viewer at")), "{arguments:?}");
+        let host = lines
+            .find_map(|line| Some(line.strip_prefix("viewer at http://")?.trim_end_matches('/').to_owned()));
+        // The page is there before what it shows.
+        wait_for_scene(&host.unwrap_or_else(|| panic!("{arguments:?}")));
         assert_eq!(running.unpacked(), 1, "{arguments:?}");
         std::thread::spawn(move || lines.for_each(drop));
         assert_eq!(running.interrupt(), Some(code), "{arguments:?}");
+    }
+}
+
+/// Waits until a viewer's page has something to show.
+fn wait_for_scene(host: &str) {
+    let stream = std::net::TcpStream::connect(host).expect("connected");
+    let mut socket = tungstenite::client(format!("ws://{host}/socket"), stream).expect("a WebSocket").0;
+    while !socket.read().expect("a message").to_text().is_ok_and(|text| text.contains("\"type\":\"scene\"")) {
     }
 }
 

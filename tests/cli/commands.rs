@@ -9,9 +9,10 @@ use tempfile::tempdir;
 #[test]
 fn help_names_every_command() {
     let help = succeed(&["--help"]);
-    for command in
-        ["train", "render", "eval", "info", "convert", "inspect", "devices", "demo", "bench", "profile"]
-    {
+    for command in [
+        "train", "poses", "render", "eval", "info", "convert", "inspect", "devices", "demo", "bench",
+        "profile",
+    ] {
         assert!(help.contains(command), "{help}");
         assert!(succeed(&[command, "--help"]).contains("Usage: ashsplat"), "{command}");
     }

@@ -50,8 +50,12 @@ fn report_has_the_curves_of_all_iterations() {
         .map(|part| serde_json::from_str(part.split("</script>").next().expect("an end")).expect("JSON"))
         .collect();
     let lengths: Vec<usize> = data.iter().map(Vec::len).collect();
-    assert_eq!(lengths, [30, 2, 30, 30], "loss, PSNR, Gaussians, speed");
+    // The PSNR is measured where it was tested, and between the tests as often as its share of time allows.
+    let [loss, psnr, gaussians, speed] = lengths[..] else { panic!("{lengths:?}") };
+    assert_eq!([loss, gaussians, speed], [30; 3]);
+    assert!((2..=30).contains(&psnr), "{psnr}");
     assert_eq!((data[0][0].2, data[0][29].2), (1, 30));
-    assert_eq!((data[1][0].2, data[1][1].2), (10, 30), "where it was tested");
+    let measured: Vec<u32> = data[1].iter().map(|(.., iteration, _)| *iteration).collect();
+    assert!(measured.is_sorted() && [10, 30].iter().all(|tested| measured.contains(tested)), "{measured:?}");
     assert!(data.iter().flatten().all(|(x, y, ..)| (0.0..=560.0).contains(x) && (0.0..=220.0).contains(y)));
 }

@@ -95,10 +95,13 @@ fn log_has_a_line_for_each_iteration() {
     assert_eq!(rows.len(), 31);
     assert_eq!(rows[0][..6], ["iteration", "loss", "psnr", "gaussians", "ms", "skipped"]);
     // Resident and peak bytes of each arena.
-    let arenas: Vec<&str> = rows[0][6..].iter().step_by(2).filter_map(|n| n.strip_suffix("_bytes")).collect();
+    let last = rows[0].len() - 1;
+    assert_eq!(rows[0][last], "tracked_psnr");
+    let arenas: Vec<&str> =
+        rows[0][6..last].iter().step_by(2).filter_map(|n| n.strip_suffix("_bytes")).collect();
     assert_eq!(arenas[..3], ["total", "scene", "moments"]);
     for row in &rows[1..] {
-        let bytes: Vec<u64> = row[6..].iter().map(|n| n.parse().expect("bytes")).collect();
+        let bytes: Vec<u64> = row[6..last].iter().map(|n| n.parse().expect("bytes")).collect();
         assert!(bytes.as_chunks::<2>().0.iter().all(|[now, peak]| now <= peak), "{row:?}");
         let parts: u64 = bytes.iter().skip(2).step_by(2).sum();
         assert!(parts <= bytes[0] && bytes[2] > 0 && bytes[4] > 0, "{row:?}");
@@ -107,6 +110,8 @@ fn log_has_a_line_for_each_iteration() {
     assert!(loss(30) < loss(1), "{log}");
     let tested: Vec<usize> = (1..31).filter(|&row| !rows[row][2].is_empty()).collect();
     assert_eq!(tested, [10, 30]);
+    // Both held-out views are tracked: after a test the two columns agree.
+    assert!(tested.iter().all(|&row| rows[row][last] == rows[row][2]), "{log}");
     assert!(rows[1..].iter().all(|row| row[5] == "0"), "{log}");
 }
 

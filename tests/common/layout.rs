@@ -76,6 +76,7 @@ pub fn unpack(packed: &[[f32; 4]], room: usize, count: usize, coefficients: usiz
 pub fn camera_block(view: &View) -> CameraBlock {
     let [[x0, x1], [y0, y1]] = slope_limits(view);
     let [camera_row_x, camera_row_y, camera_row_z] = view.camera_from_world.map(|row| row.map(|x| x as f32));
+    let [low, high] = view.drawn.cut.mean;
     CameraBlock {
         camera_row_x,
         camera_row_y,
@@ -91,6 +92,10 @@ pub fn camera_block(view: &View) -> CameraBlock {
         shape_scale: view.drawn.scale_modifier as f32,
         shape_dilation_px2: view.drawn.dilation_px2 as f32,
         shape_opacity: view.drawn.opacity as f32,
+        cut_low: low.map(|x| x as f32),
+        cut_high: high.map(|x| x as f32),
+        cut_opacity_logit: view.drawn.cut.opacity_logit as f32,
+        cut_log_density: view.drawn.cut.log_density as f32,
         ..CameraBlock::default()
     }
 }

@@ -9,6 +9,7 @@ pub mod child;
 pub mod cinema;
 pub mod compare;
 pub mod compose;
+pub mod corner;
 pub mod device;
 pub mod engine;
 pub mod frame;

@@ -46,6 +46,13 @@ impl Server {
         Server::run(command, arguments, last)
     }
 
+    /// As [`Server::start`], in a folder and with variables of its own.
+    pub fn start_in(folder: &Path, variables: &[(&str, &str)], arguments: &[&str]) -> Server {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
+        command.current_dir(folder).envs(variables.iter().copied());
+        Server::run(command, arguments, "viewer at ")
+    }
+
     fn run(mut command: Command, arguments: &[&str], last: &str) -> Server {
         command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");
         let mut child = Running::start(command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()));
@@ -70,9 +77,11 @@ impl Server {
         Server { child, said, host: host.unwrap_or_default() }
     }
 
-    /// As [`Server::start`] of `view` on any port.
+    /// As [`Server::start`] of `view` on any port; when the scene is there, unless a token is asked for.
     pub fn view(path: &Path, more: &[&str]) -> Server {
-        Server::start(&[&["view", path.to_str().expect("UTF-8"), "--port", "0"], more].concat())
+        let server = Server::start(&[&["view", path.to_str().expect("UTF-8"), "--port", "0"], more].concat());
+        server.page_with("").ok();
+        server
     }
 
     /// Interrupts it and waits; exit code and stderr.
@@ -100,13 +109,41 @@ impl Server {
 
     /// Status line, headers and body of an answer.
     pub fn get(&self, path: &str, headers: &[(&str, &str)]) -> (u16, String, Vec<u8>) {
+        self.request("GET", path, headers, &[])
+    }
+
+    /// The same of a message with a body; its length is added unless it is given.
+    pub fn post(&self, path: &str, headers: &[(&str, &str)], body: &[u8]) -> (u16, String, Vec<u8>) {
+        let sized = ["Content-Length", "Transfer-Encoding"];
+        let length = body.len().to_string();
+        let own = headers.iter().any(|(name, _)| sized.contains(name));
+        let length = [("Content-Length", length.as_str())];
+        self.request("POST", path, &[headers, if own { &[] } else { &length }].concat(), body)
+    }
+
+    /// Status line and headers of an answer to any method.
+    pub fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> (u16, String) {
+        let (code, head, _) = self.request(method, path, headers, &[]);
+        (code, head)
+    }
+
+    fn request(
+        &self,
+        method: &str,
+        path: &str,
+        headers: &[(&str, &str)],
+        body: &[u8],
+    ) -> (u16, String, Vec<u8>) {
         let mut stream = self.connect();
         let own = headers.iter().any(|(name, _)| *name == "Host");
         let host = if own { String::new() } else { format!("Host: {}\r\n", self.host) };
         let more: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
-        write!(stream, "GET {path} HTTP/1.1\r\n{host}{more}Connection: close\r\n\r\n").expect("sent");
+        write!(stream, "{method} {path} HTTP/1.1\r\n{host}{more}Connection: close\r\n\r\n").expect("sent");
+        // What is refused by its headers may not be read to its end.
+        stream.write_all(body).ok();
         let mut answer = Vec::new();
-        stream.read_to_end(&mut answer).expect("an answer");
+        let read = stream.read_to_end(&mut answer);
+        assert!(read.is_ok() || !body.is_empty(), "{read:?}");
         let end = answer.windows(4).position(|four| four == b"\r\n\r\n").expect("headers");
         let head = String::from_utf8_lossy(&answer[..end]).into_owned();
         let code = head.split(' ').nth(1).and_then(|code| code.parse().ok()).expect("a status");

@@ -72,8 +72,8 @@ pub fn drawn_shapes() -> [Drawn; 3] {
     let exp = |steepness: f32| f64::from(steepness.exp());
     [
         Drawn { scale_modifier: 0.375, ..Drawn::AS_THEY_ARE },
-        Drawn { scale_modifier: 0.25, dilation_px2: 0.015_625, opacity: -exp(40.0) },
-        Drawn { scale_modifier: 0.0, dilation_px2: 0.25, opacity: exp(3.75) },
+        Drawn { scale_modifier: 0.25, dilation_px2: 0.015_625, opacity: -exp(40.0), ..Drawn::AS_THEY_ARE },
+        Drawn { scale_modifier: 0.0, dilation_px2: 0.25, opacity: exp(3.75), ..Drawn::AS_THEY_ARE },
     ]
 }
 

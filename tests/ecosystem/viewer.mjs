@@ -6,17 +6,18 @@
 import assert from 'node:assert/strict';
 import { spawn } from 'node:child_process';
 import { createRequire } from 'node:module';
+import { readFileSync } from 'node:fs';
 import { join, resolve } from 'node:path';
 import { createInterface } from 'node:readline';
 
-const [modules, program, folder] = process.argv.slice(2);
+const [modules, program, folder] = process.argv.slice(2).map((path) => resolve(path));
 const { chromium } = createRequire(join(resolve(modules), 'x.js'))('playwright-core');
 const PATIENCE = 120_000;
 const children = new Set();
 
 /** Starts the program; resolves with its page's address. */
 function serve(...args) {
-    const child = spawn(program, args, { stdio: ['ignore', 'pipe', 'inherit'] });
+    const child = spawn(program, args, { cwd: folder, stdio: ['ignore', 'pipe', 'inherit'] });
     children.add(child);
     child.on('exit', () => children.delete(child));
     return new Promise((done, fail) => {
@@ -41,8 +42,11 @@ async function open(address, more = {}) {
     const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, ...more });
     page.setDefaultTimeout(PATIENCE);
     page.on('pageerror', (error) => errors.push(error.stack));
-    // A connection that breaks is an error to the console, and meant here.
-    page.on('console', (message) => { if (message.type() === 'error' && !/WebSocket|net::ERR_/.test(message.text())) errors.push(message.text()); });
+    // A connection that breaks and a path that is refused are errors to the console, and meant here.
+    page.on('console', (message) => {
+        const meant = /WebSocket|net::ERR_/.test(message.text()) || message.location().url.endsWith('/open');
+        if (message.type() === 'error' && !meant) errors.push(message.text());
+    });
     await page.goto(address);
     return page;
 }
@@ -153,6 +157,121 @@ async function looksThrough(page) {
     assert.match(saved.suggestedFilename(), /^ashsplat-.*\.png$/);
 }
 
+/** Sets sliders as a hand does. */
+const slide = (page, selector, value) => page.locator(selector).evaluate((input, value) => {
+    input.value = value;
+    input.dispatchEvent(new Event('input'));
+}, value);
+
+/** What is cut goes from the picture at once; the command and the file say the same. */
+async function cuts(page) {
+    await page.keyboard.press('Home');
+    await sharp(page);
+    const whole = await picture(page);
+    assert.equal(await page.isVisible('#command'), false);
+    const seen = new Set([whole.places]);
+    for (const [selector, value, option] of [
+        // Fog is faint: of what is opaque, little is fog.
+        ['#floaters', '80', '--min-density '], ['#min-opacity', '0.5', '--min-opacity 0.5'], ['[data-axis="2"] input >> nth=0', '200', '--crop-box=-inf,-inf,']
+    ]) {
+        await slide(page, selector, value);
+        await page.waitForFunction((option) => document.getElementById('command-text').textContent.includes(option), option);
+        await sharp(page);
+        seen.add((await picture(page)).places);
+    }
+    assert.equal(seen.size, 4);
+    await page.locator('#command').scrollIntoViewIfNeeded();
+    await shot(page, 'filter');
+    for (const format of ['ply', 'spz']) {
+        const [saved] = await Promise.all([page.waitForEvent('download'), page.click(`#export-${format}`)]);
+        assert.equal(saved.suggestedFilename(), `model_cut.${format}`);
+        await saved.saveAs(join(folder, `exported.${format}`));
+    }
+    // Off, on, and gone.
+    await page.keyboard.press('x');
+    await page.waitForSelector('#command', { state: 'hidden' });
+    await sharp(page);
+    assert.equal((await picture(page)).places, whole.places);
+    await page.keyboard.press('x');
+    await page.waitForSelector('#command');
+    await page.click('#filter-reset');
+    await page.waitForSelector('#command', { state: 'hidden' });
+    const labels = await page.locator('#photo-list span').allTextContents();
+    assert(labels.length > 8 && new Set(labels).size === labels.length, 'labels differ');
+}
+
+/** Parts of the page that lie over one another, or stick out of it. */
+const overlaps = (page) => page.evaluate(() => {
+    const seen = [];
+    for (const id of ['title', 'tools', 'legend', 'panel', 'panel-toggle', 'status', 'message', 'stage-state', 'opener']) {
+        const part = document.getElementById(id), box = part.getBoundingClientRect();
+        if (part.checkVisibility({ visibilityProperty: true }) && box.width > 0 && box.left < innerWidth) seen.push({ id, box });
+    }
+    const over = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
+    const pairs = seen.flatMap((a, i) => seen.slice(i + 1).filter((b) => over(a.box, b.box)).map((b) => `${a.id} and ${b.id}`));
+    const out = seen.filter(({ box }) => box.left < 0 || box.top < 0 || box.right > innerWidth + 1 || box.bottom > innerHeight + 1);
+    return [...pairs, ...out.map(({ id }) => `${id} sticks out`)];
+});
+
+/** On screens of all sizes; on a phone the panel is closed at first. */
+async function fits(address) {
+    for (const [width, height] of [[1440, 900], [1024, 768], [390, 844], [844, 390]]) {
+        const phone = Math.min(width, height) < 500;
+        const page = await open(address, { viewport: { width, height }, hasTouch: phone, isMobile: phone });
+        await sharp(page);
+        assert.equal(await page.evaluate(() => document.body.classList.contains('bare')), phone);
+        for (const wanted of [phone, !phone]) {
+            if (await page.evaluate(() => document.body.classList.contains('bare')) !== wanted) await page.click('#panel-toggle');
+            await page.click('[data-mode=depth]');
+            await sharp(page);
+            await page.waitForTimeout(400);
+            assert.deepEqual(await overlaps(page), [], `${width}x${height}`);
+            await shot(page, `${width}${wanted ? '' : '_panel'}`);
+        }
+        await page.click('#help');
+        await shot(page, `${width}_keys`);
+        await page.close();
+    }
+}
+
+/** A viewer without a scene takes a path and files. */
+async function opensFiles() {
+    const served = await serve('view', '-o', join(folder, 'films'), '--port', '0');
+    for (const width of [390, 1024]) {
+        const page = await open(served.address, { viewport: { width, height: 768 } });
+        await page.waitForSelector('#drop');
+        assert.deepEqual(await overlaps(page), []);
+        await shot(page, `empty_${width}`);
+        await page.close();
+    }
+    const page = await open(served.address);
+    await page.fill('#path', '../model');
+    await page.press('#path', 'Enter');
+    await page.waitForSelector('#stage-state.failed');
+    assert.match(await page.textContent('#stage-text'), /is not in /);
+    await page.click('#stage-state');
+    await page.fill('#path', 'model');
+    await page.press('#path', 'Enter');
+    await page.waitForSelector('#welcome', { state: 'hidden' });
+    await sharp(page);
+    // Dropped, as by hand.
+    const file = readFileSync(join(folder, 'exported.spz')).toString('base64');
+    await page.evaluate((file) => {
+        const bytes = Uint8Array.from(atob(file), (c) => c.charCodeAt(0));
+        const data = new DataTransfer();
+        data.items.add(new File([bytes], 'dropped here.spz'));
+        for (const type of ['dragenter', 'dragover', 'drop']) document.body.dispatchEvent(new DragEvent(type, { dataTransfer: data, bubbles: true, cancelable: true }));
+    }, file);
+    await page.waitForFunction(() => document.getElementById('scene-name').textContent.includes('dropped here.spz'));
+    await sharp(page);
+    assert((await picture(page)).deviation > 8, 'an empty picture');
+    await shot(page, 'dropped');
+    await page.setInputFiles('#choose-file', { name: 'bad.ply', mimeType: 'application/octet-stream', buffer: Buffer.from('nonsense') });
+    await page.waitForSelector('#stage-state.failed');
+    assert.match(await page.textContent('#stage-text'), /^bad\.ply: /);
+    await end(served.child);
+}
+
 /** Two quick clicks or taps set the pivot; on a busy machine they may come too slowly for it, and are made again. */
 async function turnsAround(page, twice) {
     const { pivot } = await state(page);
@@ -253,9 +372,12 @@ try {
     const served = await serve(...args, '--port', '0');
     const page = await open(served.address);
     await looksThrough(page);
+    await cuts(page);
     await feelsTouch(served.address);
+    await fits(served.address);
     await comesBack(page, served, args);
     await page.close();
+    await opensFiles();
     await steersTraining();
     assert.deepEqual(errors, []);
 } catch (error) {

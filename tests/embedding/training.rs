@@ -2,7 +2,7 @@
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, with_host};
-use ashsplat::trainer::{StepOutcome, StepReservation, Trainer};
+use ashsplat::trainer::{StepOutcome, StepReservation, StrategyType, Trainer};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, LimitsOverride};
 use ashsplat::{
     Blending, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings,
@@ -109,8 +109,10 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
 #[test]
 fn recorded_training_is_the_owned_paths_to_the_bit() {
     // Once with terms of the loss that depend on the parameters directly.
-    for (push_descriptors, weight) in [(true, 0.0), (false, 0.01)] {
-        let settings = TrainSettings { opacity_reg: weight, scale_reg: weight, ..settings() };
+    let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
+    // And once with the other strategy, which adds noise in the step.
+    let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
+    for (push_descriptors, settings) in [(true, settings()), (false, weighted), (true, mcmc)] {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }

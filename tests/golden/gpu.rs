@@ -7,7 +7,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, gpu_training, trial};
+use super::{Kind, SetFile, gpu_training, mcmc, trial};
 use crate::common::engine::{camera, gaussians, renderer, settings, widen};
 use crate::common::{assert_silent, context};
 use crate::reference::types::Extent;
@@ -22,7 +22,11 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
         Kind::Densify => vec![of_file(set, "densify", gpu_training::densify)],
         Kind::ResetOpacity => vec![of_file(set, "reset_opacity", gpu_training::reset_opacity)],
         Kind::Train => vec![of_file(set, "train", gpu_training::train)],
-        Kind::Regularizers => vec![of_file(set, "regularizers", gpu_training::regularizers)],
+        Kind::Regularizers => vec![
+            of_file(set, "regularizers", gpu_training::regularizers),
+            of_file(set, "noise", mcmc::noise_of_device),
+        ],
+        Kind::Relocation => vec![of_file(set, "relocation", mcmc::relocation_of_device)],
         Kind::Other => vec![],
     }
 }

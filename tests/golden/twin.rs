@@ -4,7 +4,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, training, trial};
+use super::{Kind, SetFile, mcmc, training, trial};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
@@ -29,8 +29,15 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
         }
         Kind::Train => vec![trial(format!("golden_twin_train_{name}"), move || training::train(&file.path))],
         Kind::Regularizers => {
-            vec![trial(format!("golden_twin_regularizers_{name}"), move || {
-                training::regularizers(&file.path)
+            let noise = file.clone();
+            vec![
+                trial(format!("golden_twin_regularizers_{name}"), move || training::regularizers(&file.path)),
+                trial(format!("golden_twin_noise_{name}"), move || mcmc::noise_of_twin(&noise.path)),
+            ]
+        }
+        Kind::Relocation => {
+            vec![trial(format!("golden_twin_relocation_{name}"), move || {
+                mcmc::relocation_of_twin(&file.path)
             })]
         }
         Kind::Other => vec![],

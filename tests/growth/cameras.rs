@@ -14,6 +14,7 @@ const INTRINSICS: Intrinsics = Intrinsics { fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.0, 
 /// each product and sum.
 #[test]
 fn cameras_far_out_keep_their_place() {
+    let _turn = super::turn();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cameras.json");
     for index in 0..50 {
@@ -38,6 +39,7 @@ fn cameras_far_out_keep_their_place() {
 
 #[test]
 fn cameras_that_look_from_far_out_keep_their_place() {
+    let _turn = super::turn();
     let (eye, target) = (DVec3::new(1061.3, -517.9, 25.25), DVec3::new(1.0, 2.0, 3.0));
     let camera = Camera::look_at(eye.as_vec3(), target.as_vec3(), glam::Vec3::Z, INTRINSICS);
     let eye = eye.as_vec3().as_dvec3();
@@ -58,12 +60,14 @@ fn load(lens: &str) -> Result<Dataset, String> {
 
 #[test]
 fn matrices_may_have_three_rows() {
+    let _turn = super::turn();
     let camera = load("\"k1\": 0.0").unwrap().train[0].camera;
     assert_eq!(camera.position().to_array(), [0.5, 2.0, 4.0]);
 }
 
 #[test]
 fn lenses_that_fold_the_photo_over_are_refused() {
+    let _turn = super::turn();
     for lens in ["\"k1\": -0.05", "\"k1\": 0.2", "\"k1\": -0.1, \"k2\": 0.02"] {
         load(lens).unwrap();
     }

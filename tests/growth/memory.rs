@@ -2,7 +2,6 @@
 
 use std::io::Write;
 use std::path::Path;
-use std::sync::PoisonError;
 
 use ashsplat::Error;
 use ashsplat::scene::Gaussians;
@@ -10,7 +9,7 @@ use image::codecs::jpeg::JpegEncoder;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Cost, TURN};
+use super::{Cost, turn};
 use crate::HostMemory;
 use crate::dataset::{Dataset, DatasetOptions};
 use crate::images::{Photo, PhotoFileFormat, PhotoMemory, Resolution};
@@ -42,7 +41,7 @@ fn read(path: &Path, bytes: &[u8]) -> Result<Photo, String> {
 
 #[test]
 fn a_jpeg_of_a_few_bytes_is_no_large_picture() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.jpg");
     let mut bytes = jpeg(16, 16);
@@ -56,7 +55,7 @@ fn a_jpeg_of_a_few_bytes_is_no_large_picture() {
 /// What cameras leave behind the end and between the parts does no harm; what is in the middle of the data does.
 #[test]
 fn damaged_jpegs_are_found() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.jpg");
     let whole = jpeg(160, 120);
@@ -76,7 +75,7 @@ fn damaged_jpegs_are_found() {
 
 #[test]
 fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("images")).unwrap();
     let photo = Photo { width: 4000, height: 3000, rgb: vec![9; 36_000_000] };
@@ -120,7 +119,7 @@ fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {
 
 #[test]
 fn scenes_beyond_the_bound_are_refused_before_they_are_read() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let count = 200_000;
     let gaussians = Gaussians {
@@ -146,7 +145,7 @@ fn scenes_beyond_the_bound_are_refused_before_they_are_read() {
 /// One encoder is open at a time, and the packed Gaussians are not in memory.
 #[test]
 fn writing_spz_takes_little_memory() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.spz");
     let gaussians = Gaussians {
@@ -197,7 +196,7 @@ fn old_spz(path: &Path, count: u32, flags: u8, behind: &[u8]) {
 /// A block of each plane is unpacked at a time, whatever the file unpacks to.
 #[test]
 fn reading_spz_takes_little_memory() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let [old, new, out] = ["old.spz", "new.spz", "out.splat"].map(|name| folder.path().join(name));
     let count = 1_500_000;
@@ -213,7 +212,7 @@ fn reading_spz_takes_little_memory() {
 
 #[test]
 fn damaged_old_spz_are_found() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.spz");
     let read = || splats::read(&path, &ReadOptions::default()).map_err(|error| error.to_string());

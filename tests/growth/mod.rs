@@ -15,7 +15,7 @@ mod scenes;
 use std::alloc::System;
 use std::path::Path;
 use std::sync::atomic::Ordering;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use cap::Cap;
 
@@ -26,8 +26,12 @@ use crate::progress::Progress;
 #[global_allocator]
 static MEMORY: Cap<System> = Cap::new(System, usize::MAX);
 
-/// One test at a time: the counts are those of the process.
-pub(crate) static TURN: Mutex<()> = Mutex::new(());
+/// One test at a time: the counts are those of the process. Every test of this crate takes it, also one that counts
+/// nothing: what it reads would be counted for another.
+pub(crate) fn turn() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// What something costs.
 #[derive(Clone, Copy, Debug)]
@@ -49,7 +53,7 @@ impl Cost {
 
 /// Writes input of a size into a folder, reads it, writes four times as much, and compares what both cost.
 fn assert_linear(size: usize, write: impl Fn(&Path, usize), read: impl Fn(&Path)) {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let [small, large] = [size, 4 * size].map(|size| {
         let folder = tempfile::tempdir().unwrap();
         write(folder.path(), size);
@@ -66,6 +70,6 @@ fn inspect(folder: &Path) -> DatasetReport {
 
 /// Runs something with little room for recursion.
 fn on_a_small_stack(work: impl FnOnce() + Send + 'static) {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     std::thread::Builder::new().stack_size(256 << 10).spawn(work).unwrap().join().unwrap();
 }

@@ -111,6 +111,7 @@ fn many_missing_photos() {
 /// macOS writes accents apart from their letters, other systems as one character.
 #[test]
 fn accents_are_found_in_either_form() {
+    let _turn = super::turn();
     for (named, there) in [("cafe\u{301}.png", "caf\u{e9}.png"), ("Caf\u{e9}", "cafe\u{301}.PNG")] {
         let folder = tempfile::tempdir().unwrap();
         write(folder.path(), &[format!("e\u{301}te/{named}")], "file_path");

@@ -1,13 +1,12 @@
 //! Photographs: decoded by rows where they can be, and found when they are cut short.
 
 use std::path::Path;
-use std::sync::PoisonError;
 
 use image::{DynamicImage, RgbImage};
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 
-use super::TURN;
 use super::memory::peak_mib;
+use super::turn;
 use crate::HostMemory;
 use crate::images::{Photo, PhotoFileFormat, Request, read_as};
 
@@ -24,7 +23,7 @@ fn picture(width: u32, height: u32) -> DynamicImage {
 /// Scaled while it is decoded, a picture has the bits of one that is scaled as a whole, whatever its colours.
 #[test]
 fn rows_have_the_bits_of_whole_photos() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.png");
     let memory = HostMemory::default();
@@ -64,7 +63,7 @@ fn rows_have_the_bits_of_whole_photos() {
 /// Of a large PNG that is scaled down, a few rows are in memory, and no more of it than is said before.
 #[test]
 fn large_photos_that_are_scaled_down_take_little_memory() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.png");
     let (width, height) = (6000, 4000);
@@ -109,7 +108,7 @@ fn is_read(path: &Path, bytes: &[u8]) -> bool {
 /// An end marker behind half of the data does not make them whole: whoever stops a transfer may write one.
 #[test]
 fn jpegs_cut_short_before_an_end_marker_are_found() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.jpg");
     for kind in ["plain", "4:2:0", "own tables", "restarts", "grey", "passes"] {
@@ -132,7 +131,7 @@ fn jpegs_cut_short_before_an_end_marker_are_found() {
 /// The encoder of another crate, at sizes around those of its blocks: what is whole is not taken for cut short.
 #[test]
 fn whole_jpegs_of_every_size_are_read() {
-    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.jpg");
     for side in 1..40 {

@@ -112,6 +112,9 @@ fn another_images_folder_and_background() {
     let message =
         Dataset::load(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap_err().to_string();
     assert!(message.contains("images: there is no folder with photos"), "{message}");
+    // Without photographs the images still have cameras.
+    let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+    assert_eq!((report.images, report.sound_photos, report.problems), (2, 0, vec![message]));
 }
 
 #[test]

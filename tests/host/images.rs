@@ -60,9 +60,8 @@ fn every_colour_type_is_read() {
     }
 }
 
-/// A PNG of 2×1 pixels with a palette: opaque red, and half transparent blue.
-#[test]
-fn palettes_are_read() {
+/// A PNG of 2×1 pixels with a palette and transparency.
+fn with_palette(palette: &[u8], interlaced: bool) -> Vec<u8> {
     let crc = |bytes: &[u8]| {
         !bytes.iter().fold(!0u32, |crc, &byte| {
             (0..8).fold(crc ^ u32::from(byte), |c, _| (c >> 1) ^ (0xedb8_8320 & 0u32.wrapping_sub(c & 1)))
@@ -75,16 +74,37 @@ fn palettes_are_read() {
         png.extend(&body);
         png.extend(crc(&body).to_be_bytes());
     };
-    chunk(b"IHDR", &[0, 0, 0, 2, 0, 0, 0, 1, 8, 3, 0, 0, 0]);
-    chunk(b"PLTE", &[255, 0, 0, 0, 0, 255]);
+    chunk(b"IHDR", &[0, 0, 0, 2, 0, 0, 0, 1, 8, 3, 0, 0, u8::from(interlaced)]);
+    chunk(b"PLTE", palette);
     chunk(b"tRNS", &[255, 51]);
     // One stored block: no filter, indices 0 and 1; then the Adler-32 checksum.
     chunk(b"IDAT", &[0x78, 0x01, 1, 3, 0, 0xfc, 0xff, 0, 0, 1, 0, 4, 0, 2]);
     chunk(b"IEND", b"");
+    png
+}
+
+/// Opaque red, and half transparent blue.
+#[test]
+fn palettes_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.png");
-    std::fs::write(&path, png).unwrap();
+    std::fs::write(&path, with_palette(&[255, 0, 0, 0, 0, 255], false)).unwrap();
     assert_eq!(Photo::read(&path, [1.0; 3]).unwrap().rgb, [255, 0, 0, 204, 204, 255]);
+}
+
+/// Fuzzing found that the decoder takes its entries on trust.
+#[test]
+fn damaged_palettes_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.png");
+    for length in [1, 2, 5, 3 * 257, 3 * 300 + 1] {
+        for interlaced in [false, true] {
+            std::fs::write(&path, with_palette(&vec![9; length], interlaced)).unwrap();
+            let message = error(&path);
+            // The decoder itself finds those without a whole entry.
+            assert!(["palette", "PLTE"].iter().any(|word| message.contains(word)), "{length}: {message}");
+        }
+    }
 }
 
 #[test]

@@ -117,8 +117,8 @@ fn what_is_no_data_set_says_what_to_do() {
     photo(&place("loose/a.JPG"), 1);
     std::fs::create_dir_all(place("polycam/keyframes/images")).unwrap();
     for (name, words) in [
-        ("phone", "--image_path "),
-        ("loose", "colmap automatic_reconstructor --dense 0 --workspace_path "),
+        ("phone", "phone` finds their cameras"),
+        ("loose", "photos alone are not enough: `ashsplat poses "),
         ("polycam", "`ns-process-data polycam --data "),
     ] {
         assert!(refusal(&place(name)).contains(words), "{}", refusal(&place(name)));

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ashsplat::scene::{Bounds, Gaussians, Similarity};
+use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity};
 use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, Target, WriteOptions};
 use glam::{DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
@@ -123,8 +123,7 @@ fn changes_on_the_way() {
     };
     let options = ConvertOptions {
         sh_degree: Some(1),
-        min_opacity: Some(0.5),
-        crop_box: Some(bounds),
+        cut: Cut { min_opacity: 0.5, bounds: Some(bounds), min_density: 0.3 },
         similarity,
         ..Default::default()
     };
@@ -132,7 +131,10 @@ fn changes_on_the_way() {
     let mut expected = original.with_sh_degree(1);
     expected.retain(|all, i| {
         let mean = Vec3::from_array(all.means[i]);
-        all.opacity(i) >= 0.5 && mean.cmpge(bounds.min).all() && mean.cmple(bounds.max).all()
+        let largest = all.log_scales[i].into_iter().fold(f32::MIN, f32::max).exp();
+        let opacity = all.opacity(i);
+        let dense = opacity / (1.0 - opacity) / largest >= 0.3;
+        opacity >= 0.5 && dense && mean.cmpge(bounds.min).all() && mean.cmple(bounds.max).all()
     });
     expected.transform(&similarity);
     assert!(expected.len() > 100 && expected.len() < 1500);
@@ -140,9 +142,41 @@ fn changes_on_the_way() {
     assert!(splats::read(&output, &KEEP).unwrap().gaussians == expected);
     let options = ConvertOptions { decimate: Some(Target::Share(0.25)), ..Default::default() };
     assert_eq!(splats::convert(&input, &output, &options).unwrap().written, 750);
-    let nothing = ConvertOptions { min_opacity: Some(1.0), ..Default::default() };
+    let nothing =
+        ConvertOptions { cut: Cut { min_opacity: 1.0, ..Default::default() }, ..Default::default() };
     let done = splats::convert(&input, &output, &nothing).unwrap();
     assert_eq!((done.written, done.warnings.len()), (0, 1));
+}
+
+/// From memory and from a file, a cut leaves the same bytes.
+#[test]
+fn a_cut_scene_is_written_as_a_conversion_writes_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let original = scene(40_000, 3);
+    let input = folder.path().join("in.ply");
+    splats::write(&input, &original, &WriteOptions { antialiased: true, ..Default::default() }).unwrap();
+    let bounds =
+        Some(Bounds { min: Vec3::splat(f32::NEG_INFINITY), max: Vec3::new(4.0, f32::INFINITY, 6.0) });
+    let cut = Cut { min_opacity: 0.2, bounds, min_density: 0.3 };
+    for format in Format::ALL {
+        let [converted, written] = ["converted", "written"]
+            .map(|name| folder.path().join(name).join(format!("scene{}", format.extension())));
+        for path in [&converted, &written] {
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        }
+        let options = ConvertOptions { sh_degree: Some(2), cut, ..Default::default() };
+        let done = splats::convert(&input, &converted, &options).unwrap();
+        let antialiased = WriteOptions { antialiased: true, ..Default::default() };
+        let count = splats::write_cut(&written, &original, (&cut, 2), &antialiased).unwrap();
+        assert!(count > 1000 && count < 39_000 && count == done.written, "{format}: {count}");
+        assert!(std::fs::read(&converted).unwrap() == std::fs::read(&written).unwrap(), "{format}");
+    }
+    let odd = Cut { min_opacity: 2.0, ..Default::default() };
+    let path = folder.path().join("odd.ply");
+    assert!(
+        splats::write_cut(&path, &original, (&odd, 3), &WriteOptions::default()).is_err() && !path.exists()
+    );
+    assert!(splats::convert(&input, &path, &ConvertOptions { cut: odd, ..Default::default() }).is_err());
 }
 
 #[test]

@@ -298,7 +298,8 @@ fn a_zip_is_a_data_set() {
     only.start_file("scene/images/a.jpg", zip::write::SimpleFileOptions::default()).unwrap();
     only.write_all(b"x").unwrap();
     only.finish().unwrap();
-    assert!(refusal(&folder.path().join("photos.zip")).contains("photos.zip: has no COLMAP model"));
+    let message = refusal(&folder.path().join("photos.zip"));
+    assert!(message.contains("photos.zip: holds photos without cameras; unpack it"), "{message}");
 }
 
 #[test]

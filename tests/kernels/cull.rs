@@ -8,7 +8,7 @@ use crate::common::layout::{camera_block, extent_word, pack, room};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::cull::cull;
 use crate::reference::project::project;
-use crate::reference::types::{Extent, Gaussian, View};
+use crate::reference::types::{Drawn, Extent, Gaussian, Limits, View};
 
 /// Whether a Gaussian's visibility may hang on the rounding of float32, or on the margin that the kernel adds to
 /// exact extents: a splat that touches nothing but the margin costs time only.
@@ -101,6 +101,46 @@ fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
     }
     let [_, ellipsoids, dots] = seen[..] else { panic!("{seen:?}") };
     assert!(0 < ellipsoids && ellipsoids < dots, "{seen:?}");
+}
+
+/// What is cut is cut bit for bit: the limits are values of single Gaussians, which stay.
+#[test]
+fn cull_equals_its_twin_where_a_part_is_cut() {
+    let gpu = Gpu::new();
+    let size = 700;
+    let gaussians = mixed_scene(&mut Random::new(12), size, 1);
+    let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
+    let one = &gaussians[5];
+    let [x, y, _] = one.mean;
+    let next = f64::from((x as f32).next_up());
+    let log_density = |g: &Gaussian| {
+        let [a, b, c] = g.log_scale;
+        f64::from(g.opacity_logit as f32 - a.max(b).max(c) as f32)
+    };
+    let all = [[f64::from(f32::MIN); 3], [f64::from(f32::MAX); 3]];
+    let [low, high] = all;
+    let cuts = [
+        Limits::NONE,
+        Limits { mean: [[x, low[1], low[2]], high], ..Limits::NONE },
+        Limits { mean: [[next, low[1], low[2]], high], ..Limits::NONE },
+        Limits { mean: [low, [high[0], y, high[2]]], ..Limits::NONE },
+        Limits { opacity_logit: one.opacity_logit, ..Limits::NONE },
+        Limits { log_density: log_density(one), ..Limits::NONE },
+        Limits { mean: [[0.0, 0.0, low[2]], high], opacity_logit: -1.0, log_density: 0.5 },
+    ];
+    let mut seen = Vec::new();
+    for cut in cuts {
+        let view = View { drawn: Drawn { cut, ..Drawn::AS_THEY_ARE }, ..small_view([53, 37]) };
+        let [flags, _] = culled(&gpu, &view, &parameters, size);
+        let expected = cull(&gaussians, &view);
+        let differ = |&i: &usize| flags[i] != u32::from(expected[i]) && !may_differ(&gaussians[i], &view);
+        assert_eq!((0..size).find(differ), None, "{cut:?}");
+        // Whatever its projection: what is cut is never visible.
+        assert_eq!((0..size).find(|&i| flags[i] == 1 && !cut.keep(&gaussians[i])), None, "{cut:?}");
+        seen.push(expected.iter().filter(|seen| **seen).count());
+    }
+    assert!(seen[1..].iter().all(|count| 0 < *count && *count < seen[0]), "{seen:?}");
+    assert!(seen[2] <= seen[1], "{seen:?}");
 }
 
 /// NaN and infinities are culled, opacity logits of ±∞ are valid.

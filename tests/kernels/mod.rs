@@ -1,6 +1,7 @@
 //! Each kernel alone on the device against its twin, under the shader's name.
 
 mod adam;
+mod add_noise;
 mod blend;
 mod blend_backward;
 mod blend_backward_subgroup_per_tile;
@@ -13,6 +14,8 @@ mod compose_rgba8;
 mod count;
 mod cull;
 mod depth_limit;
+mod draw_sources;
+mod draw_weights;
 mod duplicate_with_tiles;
 mod expand_gradients;
 mod expected_depth;
@@ -26,6 +29,7 @@ mod project;
 mod project_backward;
 mod ranges;
 mod regularize;
+mod relocate;
 mod reset_opacity;
 mod scan_apply;
 mod scan_reduce;

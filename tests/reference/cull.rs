@@ -10,7 +10,9 @@ pub fn camera_position(gaussian: &Gaussian, view: &View) -> [f64; 3] {
     [0, 1, 2].map(|i| rotated[i] + view.translation[i])
 }
 
-/// One flag per Gaussian: whether it leaves a splat.
+/// One flag per Gaussian: whether it is not cut, and leaves a splat.
 pub fn cull(gaussians: &[Gaussian], view: &View) -> Vec<bool> {
-    gaussians.iter().map(|gaussian| project::project(gaussian, view).is_some()).collect()
+    let drawn =
+        |gaussian: &Gaussian| view.drawn.cut.keep(gaussian) && project::project(gaussian, view).is_some();
+    gaussians.iter().map(drawn).collect()
 }

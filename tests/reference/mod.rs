@@ -8,6 +8,7 @@
 #![allow(clippy::needless_range_loop)]
 
 pub mod adam;
+pub mod add_noise;
 pub mod blend;
 pub mod blend_backward;
 pub mod classify;
@@ -17,6 +18,8 @@ pub mod compose_rgba8;
 pub mod count;
 pub mod cull;
 pub mod depth_limit;
+pub mod draw_sources;
+pub mod draw_weights;
 pub mod duplicate_with_tiles;
 pub mod expand_gradients;
 pub mod expected_depth;
@@ -32,6 +35,7 @@ pub mod project;
 pub mod project_backward;
 pub mod ranges;
 pub mod regularize;
+pub mod relocate;
 pub mod reset_opacity;
 pub mod scan_apply;
 pub mod scan_reduce;

@@ -61,11 +61,43 @@ pub struct Drawn {
     /// If not 0, what stands in place of all opacities (and of the compensation); if negative, those below
     /// [`FAINT_OPACITY`] become 0 instead.
     pub opacity: f64,
+    /// Which Gaussians are left out.
+    pub cut: Limits,
+}
+
+/// What a Gaussian must have to be drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Least and largest coordinates of the mean.
+    pub mean: [[f64; 3]; 2],
+    /// Least opacity before the sigmoid.
+    pub opacity_logit: f64,
+    /// Least difference of that and the largest log-scale, in float32.
+    pub log_density: f64,
+}
+
+impl Limits {
+    /// Nothing is left out.
+    pub const NONE: Self = Self {
+        mean: [[f32::MIN as f64; 3], [f32::MAX as f64; 3]],
+        opacity_logit: f32::MIN as f64,
+        log_density: f32::MIN as f64,
+    };
+
+    /// Whether a Gaussian is drawn.
+    pub fn keep(&self, gaussian: &Gaussian) -> bool {
+        let [low, high] = self.mean;
+        let inside = (0..3).all(|i| (low[i]..=high[i]).contains(&gaussian.mean[i]));
+        let largest = gaussian.log_scale.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        let log_density = f64::from(gaussian.opacity_logit as f32 - largest as f32);
+        inside && gaussian.opacity_logit >= self.opacity_logit && log_density >= self.log_density
+    }
 }
 
 impl Drawn {
     /// The Gaussians themselves.
-    pub const AS_THEY_ARE: Self = Self { scale_modifier: 1.0, dilation_px2: DILATION, opacity: 0.0 };
+    pub const AS_THEY_ARE: Self =
+        Self { scale_modifier: 1.0, dilation_px2: DILATION, opacity: 0.0, cut: Limits::NONE };
 }
 
 /// Gaussians fainter than this are left out where opacities are replaced by a negative one.

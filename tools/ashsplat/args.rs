@@ -3,8 +3,8 @@
 use crate::pipeline_cache;
 use ashsplat::Result;
 use ashsplat::vk::{Context, ContextOptions};
-use ashsplat_files::HostMemory;
 use ashsplat_files::splats::ReadOptions;
+use ashsplat_files::{HostMemory, quoted};
 use clap::Args;
 
 /// Which device, and how closely it is watched.
@@ -16,12 +16,23 @@ pub struct DeviceArguments {
     /// Run under the Khronos validation layer, with synchronisation validation; its messages go to stderr
     #[arg(long)]
     pub validation: bool,
-    /// Most device memory to use, with a unit: 800M, 6G; densification stops growing there [default: what the device has]
+    /// Most device memory to use, with a unit: 800M, 6G; a scene or a frame that needs more is refused [default: what the device
+    /// has]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub max_memory: Option<u64>,
     #[command(flatten)]
     pub host: HostArguments,
 }
+
+/// What `--max-memory` does where a scene is trained.
+pub const MAX_MEMORY_IN_TRAINING: &str = "Most device memory to use, with a unit: 800M, 6G; densification stops adding Gaussians \
+    there, and what does not fit from the start is refused before photos are read [default: what the device has]";
+/// The same where pages are shown.
+pub const MAX_MEMORY_IN_VIEWER: &str = "Most device memory to use, with a unit: 800M, 6G; a scene that needs more is refused, and a \
+    picture that does is refused to the page that asked for it [default: what the device has]";
+/// The same where time is measured.
+pub const MAX_MEMORY_IN_MEASUREMENTS: &str = "Most device memory to use, with a unit: 800M, 6G; a measurement that needs more ends \
+    with an error [default: what the device has]";
 
 /// How much memory of the machine itself is used.
 #[derive(Args, Clone, Copy, Default)]
@@ -65,15 +76,6 @@ pub fn size(bytes: u64) -> String {
     let unit = units.into_iter().find(|(_, bits)| bytes.is_multiple_of(1 << bits));
     let (unit, bits) = unit.unwrap_or(("", 0));
     format!("{}{unit}", bytes >> bits)
-}
-
-/// A word as a shell reads it back.
-pub fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_alphanumeric() || "-_./:,+=@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        return word.to_owned();
-    }
-    format!("'{}'", word.replace('\'', "'\\''"))
 }
 
 impl DeviceArguments {

@@ -1,6 +1,8 @@
 //! The command line and how it is read.
 
-use crate::{bench, convert, demo, devices, eval, info, inspect, output, profile, render, train, view};
+use crate::{
+    bench, convert, demo, devices, eval, info, inspect, output, poses, profile, render, train, view,
+};
 use ashsplat::Result;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, Parser, Subcommand};
@@ -22,6 +24,8 @@ struct CommandLine {
 pub enum Command {
     /// Train a scene from a data set: COLMAP, transforms.json, or a ZIP of one
     Train(Box<train::Arguments>),
+    /// Find the cameras of photographs or of a video by COLMAP: makes a data set for training
+    Poses(poses::Arguments),
     /// Render a trained scene: a data set's views, an orbit or a camera path
     Render(render::Arguments),
     /// Look at a scene, a model or a data set in a browser
@@ -83,14 +87,12 @@ fn summary(error: &clap::Error) -> String {
         _ => Vec::new(),
     };
     let suggestion = suggestion(error).map(|word| format!("; did you mean '{word}'?")).unwrap_or_default();
-    if owners.is_empty() {
+    // What was meant here is likelier than what another command has.
+    if !suggestion.is_empty() || owners.is_empty() {
         let end = if suggestion.is_empty() { ";" } else { "" };
         return format!("{first}{suggestion}{end} see --help");
     }
-    format!(
-        "{first}{suggestion}: it is an option of `{}`; leave it out here, see --help",
-        owners.join("`, `")
-    )
+    format!("{first}: it is an option of `{}`; leave it out here, see --help", owners.join("`, `"))
 }
 
 /// The option, command or value that is written nearly so.

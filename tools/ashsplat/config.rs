@@ -1,7 +1,7 @@
 //! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
 
-use ashsplat::trainer::TrainSettings;
 use ashsplat::trainer::options::{OptionKind, OptionValue, TrainOption};
+use ashsplat::trainer::{StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, value_parser};
 use serde::{Deserialize, Serialize};
@@ -205,9 +205,14 @@ impl Settings {
         let data_keys = Table::try_from(DataSettings::default()).map_err(|e| e.to_string())?;
         let (data, train): (Table, Table) =
             table.into_iter().partition(|(key, _)| data_keys.contains_key(key));
+        // What is not given has the default of the strategy.
+        let strategy = train.get("strategy").cloned().map(StrategyType::deserialize).transpose();
+        let strategy = strategy.map_err(|e: toml::de::Error| e.message().to_owned())?.unwrap_or_default();
+        let mut all = Table::try_from(TrainSettings::of_strategy(strategy)).map_err(|e| e.to_string())?;
+        all.extend(train);
         Ok(Settings {
             data: data.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?,
-            train: train.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?,
+            train: all.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?,
         })
     }
 
@@ -310,6 +315,20 @@ mod tests {
         overrides.train.0.insert("iterations".into(), 20.into());
         let settings = Settings::resolve(Some(&path), &overrides).expect("settings");
         assert_eq!((settings.train.iterations, settings.train.seed), (20, 3));
+    }
+
+    #[test]
+    fn a_strategy_brings_its_defaults() {
+        let mut overrides = Overrides::default();
+        overrides.train.0.insert("strategy".into(), "mcmc".into());
+        overrides.train.0.insert("opacity_lr".into(), 0.025.into());
+        let settings = Settings::resolve(None, &overrides).expect("settings").train;
+        let expected = TrainSettings { opacity_lr: 0.025, ..TrainSettings::of_strategy(StrategyType::Mcmc) };
+        assert_eq!(settings, expected);
+        assert_eq!((settings.densify_until_iter, settings.initial_opacity), (25_000, 0.5));
+        overrides.train.0.insert("strategy".into(), "mcm".into());
+        let message = Settings::resolve(None, &overrides).expect_err("refused").to_string();
+        assert!(message.contains("mcm") && message.contains("mcmc"), "{message}");
     }
 
     /// Options, files and checkpoints have the same names and kinds of values.

@@ -4,7 +4,7 @@ use crate::args::HostArguments;
 use crate::model::Model;
 use crate::progress::thousands;
 use crate::render::parse_vector;
-use ashsplat::scene::{Bounds, Similarity};
+use ashsplat::scene::{Bounds, Cut, Similarity};
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, ConvertOptions, Format, Target};
 use clap::Args;
@@ -15,7 +15,7 @@ use std::path::PathBuf;
 ///
 /// The formats are those of the extensions .ply (the reference's), .compressed.ply (PlayCanvas), .splat, .spz
 /// (version 4; 2 and 3 are read too), .glb and .gltf (KHR_gaussian_splatting). Changes are made in this order:
-/// --sh-degree, --min-opacity, --crop-box, --rotate, --scale, --translate, --decimate.
+/// --sh-degree, --min-opacity, --min-density, --crop-box, --rotate, --scale, --translate, --decimate.
 #[derive(Args)]
 pub struct Arguments {
     /// A file of Gaussians, or a model folder
@@ -33,7 +33,11 @@ pub struct Arguments {
     /// Leave out Gaussians that are fainter, 0 to 1
     #[arg(long, value_name = "X")]
     min_opacity: Option<f32>,
-    /// Leave out Gaussians with centres outside this box: two opposite corners, in the input's axes
+    /// Leave out floaters, which are faint for their size: Gaussians whose opacity / (1 - opacity) per largest standard
+    /// deviation is less, in the input's units of length; `ashsplat info` tells how they spread
+    #[arg(long, value_name = "X")]
+    min_density: Option<f32>,
+    /// Leave out Gaussians with centres outside this box: two opposite corners, in the input's axes; sides may be inf or -inf
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true, value_parser = parse_box)]
     crop_box: Option<Bounds>,
     /// Rotate by these angles about the x, then the y, then the z axis, degrees
@@ -61,9 +65,8 @@ pub struct Arguments {
 fn parse_box(text: &str) -> Result<Bounds, String> {
     let numbers: Result<Vec<f32>, _> = text.split(',').map(|part| part.trim().parse()).collect();
     match numbers.ok().and_then(|n| <[f32; 6]>::try_from(n).ok()) {
-        Some([a, b, c, x, y, z]) if [a, b, c, x, y, z].iter().all(|v| v.is_finite()) => {
-            let (one, other) = (Vec3::new(a, b, c), Vec3::new(x, y, z));
-            Ok(Bounds { min: one.min(other), max: one.max(other) })
+        Some([a, b, c, x, y, z]) if ![a, b, c, x, y, z].iter().any(|v| v.is_nan()) => {
+            Ok(Bounds::between(Vec3::new(a, b, c), Vec3::new(x, y, z)))
         }
         _ => Err("expected six numbers with commas between them".into()),
     }
@@ -121,13 +124,20 @@ impl Arguments {
         if let Some(opacity) = self.min_opacity.filter(|o| !(0.0..=1.0).contains(o)) {
             return Err(Error::argument("--min-opacity", format!("{opacity} is not between 0 and 1")));
         }
+        let min_density = self.min_density.unwrap_or_default();
+        if !(min_density.is_finite() && min_density >= 0.0) {
+            return Err(Error::argument("--min-density", format!("{min_density} is not 0 or more")));
+        }
         let [x, y, z] =
             self.rotate.unwrap_or_default().to_array().map(|degrees| f64::from(degrees).to_radians());
         Ok(ConvertOptions {
             read: self.host.reading(self.drop_invalid),
             sh_degree: self.sh_degree,
-            min_opacity: self.min_opacity,
-            crop_box: self.crop_box,
+            cut: Cut {
+                min_opacity: self.min_opacity.unwrap_or_default(),
+                bounds: self.crop_box,
+                min_density,
+            },
             similarity: Similarity {
                 // The last is applied first.
                 rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x),
@@ -148,6 +158,8 @@ mod tests {
     fn boxes_and_targets() {
         let bounds = parse_box("1,-2,3, -1,2,0").expect("a box");
         assert_eq!((bounds.min, bounds.max), (Vec3::new(-1.0, -2.0, 0.0), Vec3::new(1.0, 2.0, 3.0)));
+        let half = parse_box("-inf,-2,3,inf,2,inf").expect("a box without some sides");
+        assert_eq!((half.min.x, half.max), (f32::NEG_INFINITY, Vec3::new(f32::INFINITY, 2.0, f32::INFINITY)));
         assert!(parse_box("1,2,3").is_err() && parse_box("1,2,3,4,5,nan").is_err());
         assert_eq!(parse_target("12"), Ok(Target::Count(12)));
         assert_eq!(parse_target("12.5%"), Ok(Target::Share(0.125)));

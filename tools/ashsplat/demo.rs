@@ -5,7 +5,7 @@ mod raycast;
 mod scene;
 mod sheet;
 
-use crate::args::DeviceArguments;
+use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};
 use crate::config::{DataSettings, Settings};
 use crate::model::point_cloud_path;
 use crate::train::{Run, say_what_next};
@@ -23,6 +23,7 @@ use std::time::Instant;
 /// The data set is a procedural scene, photographed by ray casting from 40 sides, with a sparse, noisy point cloud, as a
 /// COLMAP folder: `ashsplat train -s OUT/dataset` and every other program that reads COLMAP can use it too.
 #[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TRAINING)))]
 pub struct Arguments {
     /// Folder for everything
     #[arg(short, long, value_name = "DIR", default_value = "out/demo")]

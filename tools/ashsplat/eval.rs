@@ -138,7 +138,7 @@ pub fn evaluate<V: Borrow<View>>(
     for view in views {
         let view = view?;
         let view: &View = view.borrow();
-        if view.photo.mask()?.is_some_and(|mask| mask.iter().all(|&counts| counts == 0)) {
+        if is_hidden(view)? {
             tell!("warning: {}: its mask hides all of it: not measured", view.name);
             continue;
         }
@@ -154,18 +154,28 @@ pub fn evaluate<V: Borrow<View>>(
     Ok(Evaluation { views: results })
 }
 
-/// PSNR and SSIM of a frame, clamped to [0, 1], against what of the view's photo counts.
+/// Whether a view's mask hides all of it.
+pub fn is_hidden(view: &View) -> Result<bool> {
+    Ok(view.photo.mask()?.is_some_and(|mask| mask.iter().all(|&counts| counts == 0)))
+}
+
+/// PSNR of a frame, clamped to [0, 1], against what of the view's photo counts, dB.
+pub fn psnr(view: &View, frame: &Frame) -> Result<f64> {
+    let photo = view.photo.photo()?.to_f32();
+    match view.photo.mask()? {
+        None => metrics::psnr(&frame.color, &photo),
+        Some(mask) => metrics::masked_psnr(&frame.color, &photo, &mask),
+    }
+}
+
+/// As [`psnr`], and SSIM.
 fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
     let photo = view.photo.photo()?.to_f32();
-    let mask = view.photo.mask()?;
-    let (psnr, ssim) = match &mask {
-        None => (metrics::psnr(&frame.color, &photo)?, metrics::ssim(&frame.color, &photo, frame.width)?),
-        Some(mask) => (
-            metrics::masked_psnr(&frame.color, &photo, mask)?,
-            metrics::masked_ssim(&frame.color, &photo, mask, frame.width)?,
-        ),
+    let ssim = match view.photo.mask()? {
+        None => metrics::ssim(&frame.color, &photo, frame.width)?,
+        Some(mask) => metrics::masked_ssim(&frame.color, &photo, &mask, frame.width)?,
     };
-    Ok(ViewResult { name: view.name.clone(), psnr, ssim })
+    Ok(ViewResult { name: view.name.clone(), psnr: psnr(view, frame)?, ssim })
 }
 
 /// Adds an iteration's results to a model folder's results.json and per_view.json, keeping those of others.

@@ -1,21 +1,19 @@
 //! Films as files: an animated GIF, or an MP4 or WebM by ffmpeg. One frame is in memory at a time.
 
+use crate::child::{Running, not_started};
 use crate::output;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Photo, atomic};
 use image::codecs::gif::{GifEncoder, Repeat};
 use std::io::{ErrorKind, Read, Seek, Write};
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{ChildStdin, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
 /// GIFs count in hundredths of a second, and browsers take less than two of them for ten.
 const GIF_LEAST_DELAY: usize = 2;
 /// 1 to 30, quicker: how carefully a GIF's colours are chosen.
 const GIF_SPEED: i32 = 10;
-/// Between two looks at ffmpeg.
-const POLL: Duration = Duration::from_millis(20);
 
 /// Sides made even and colours halved, as most players want them; BT.709, and said so: without, players guess.
 const FILTER: &str =
@@ -53,7 +51,7 @@ impl Container {
             return Ok(());
         }
         let asked = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).output();
-        asked.map(drop).map_err(|e| self.failure(path, not_started(&e)))
+        asked.map(drop).map_err(|e| self.failure(path, not_started("ffmpeg", &e)))
     }
 
     fn failure(self, path: &Path, problem: String) -> Error {
@@ -118,13 +116,6 @@ fn write_gif(path: &Path, frames: &mut Frames) -> Result<()> {
     })
 }
 
-fn not_started(error: &std::io::Error) -> String {
-    match error.kind() {
-        ErrorKind::NotFound => "needs ffmpeg, which is not installed".to_owned(),
-        _ => format!("needs ffmpeg, which cannot be started: {error}"),
-    }
-}
-
 fn write_by_ffmpeg(path: &Path, container: Container, frames: &mut Frames) -> Result<()> {
     let io = |e: std::io::Error| Error::io(path, "write", e);
     if path.is_dir() {
@@ -146,17 +137,15 @@ fn write_by_ffmpeg(path: &Path, container: Container, frames: &mut Frames) -> Re
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .stderr(said.try_clone().map_err(io)?);
-    let child = command.spawn().map_err(|e| container.failure(path, not_started(&e)))?;
+    let child = command.spawn().map_err(|e| container.failure(path, not_started("ffmpeg", &e)))?;
     let mut ffmpeg = Running(child);
     let Some(mut input) = ffmpeg.0.stdin.take() else {
         return Err(container.failure(path, "ffmpeg takes no frames".to_owned()));
     };
-    let fed = feed(&mut input, first, frames);
+    feed(&mut input, first, frames, io)?;
     drop(input);
-    // That it hung up is told by what it said.
-    fed.and_then(|fed| fed.or_else(hung_up).map_err(io))?;
-    let success = ffmpeg.wait(frames.abandoned).map_err(io)?;
-    if !success {
+    let status = ffmpeg.wait(frames.abandoned).map_err(io)?;
+    if !status.is_some_and(|status| status.success()) {
         let mut text = String::new();
         said.rewind().and_then(|()| said.read_to_string(&mut text)).map_err(io)?;
         let line = text.lines().next().unwrap_or("failed").to_owned();
@@ -165,50 +154,28 @@ fn write_by_ffmpeg(path: &Path, container: Container, frames: &mut Frames) -> Re
     unfinished.persist()
 }
 
-fn hung_up(error: std::io::Error) -> std::io::Result<()> {
-    if error.kind() == ErrorKind::BrokenPipe { Ok(()) } else { Err(error) }
-}
-
-/// Hands ffmpeg all frames: an error of a frame, or what became of writing.
-fn feed(input: &mut ChildStdin, first: Photo, frames: &mut Frames) -> Result<std::io::Result<()>> {
+/// Hands ffmpeg all frames, until it hangs up: why is told by what it says.
+fn feed(
+    input: &mut ChildStdin,
+    first: Photo,
+    frames: &mut Frames,
+    io: impl Fn(std::io::Error) -> Error,
+) -> Result<()> {
     let size = (first.width, first.height);
     let mut photo = first;
     for index in 1..=frames.count {
         if (photo.width, photo.height) != size {
             return Err(Error::argument("film", "its frames differ in size"));
         }
-        if let Err(error) = input.write_all(&photo.rgb) {
-            return Ok(Err(error));
+        match input.write_all(&photo.rgb) {
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
+            written => written.map_err(&io)?,
         }
         if index < frames.count {
             photo = frames.next(index)?;
         }
     }
-    Ok(input.flush())
-}
-
-/// ffmpeg, which ends with the value.
-struct Running(Child);
-
-impl Running {
-    /// Waits for its end; false if it failed or was abandoned.
-    fn wait(&mut self, abandoned: &AtomicBool) -> std::io::Result<bool> {
-        loop {
-            match self.0.try_wait()? {
-                Some(status) => return Ok(status.success()),
-                None if abandoned.load(Ordering::Relaxed) => return Ok(false),
-                None => std::thread::sleep(POLL),
-            }
-        }
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // It has ended already unless something failed.
-        self.0.kill().ok();
-        self.0.wait().ok();
-    }
+    input.flush().map_err(io)
 }
 
 /// The frames of a GIF and how long each is shown, hundredths of a second: what is lost by rounding one is made up by the

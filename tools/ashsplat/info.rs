@@ -133,6 +133,7 @@ struct Summary {
     central: Option<Bounds>,
     scales: Histogram,
     opacities: Histogram,
+    densities: Histogram,
 }
 
 impl Summary {
@@ -142,6 +143,7 @@ impl Summary {
         // A Gaussian's size is its largest scale; its logarithm in base 10 spreads evenly.
         let largest = |scales: &[f32; 3]| scales.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let scales = gaussians.log_scales.iter().map(|s| largest(s) / std::f32::consts::LN_10);
+        let density = |index| gaussians.log_density(index) / std::f32::consts::LN_10;
         Summary {
             count: statistics.count,
             sh_degree: statistics.sh_degree,
@@ -149,6 +151,7 @@ impl Summary {
             central: statistics.central_bounds,
             scales: Histogram::spanning(scales.collect()),
             opacities: Histogram::between(0.0, 1.0, opacities.collect()),
+            densities: Histogram::spanning((0..gaussians.len()).map(density).collect()),
         }
     }
 
@@ -164,6 +167,8 @@ impl Summary {
         self.scales.print(|edge| format!("{:.2e}", 10f32.powf(edge)));
         say!("opacity");
         self.opacities.print(|edge| format!("{edge:.2}"));
+        say!("density: opacity / (1 - opacity) / largest scale (floaters have the least)");
+        self.densities.print(|edge| format!("{:.2e}", 10f32.powf(edge)));
     }
 
     fn json(&self, path: &Path, scene: &splats::Scene) -> Value {
@@ -178,6 +183,7 @@ impl Summary {
             "central_bounds": self.central.map(bounds_json),
             "log10_largest_scale": self.scales.json(),
             "opacity": self.opacities.json(),
+            "log10_density": self.densities.json(),
         })
     }
 }

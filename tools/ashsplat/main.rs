@@ -16,6 +16,7 @@ macro_rules! tell {
 
 mod args;
 mod bench;
+mod child;
 mod command_line;
 mod config;
 mod convert;
@@ -27,10 +28,12 @@ mod film_file;
 mod html;
 mod info;
 mod inspect;
+mod lock;
 mod measure;
 mod model;
 mod output;
 mod pipeline_cache;
+mod poses;
 mod profile;
 mod progress;
 mod render;
@@ -79,6 +82,7 @@ fn run(command: command_line::Command) -> Result<ExitCode> {
     use command_line::Command;
     let done = match command {
         Command::Train(arguments) => train::run(&arguments),
+        Command::Poses(arguments) => poses::run(&arguments),
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),

@@ -122,28 +122,28 @@ pub fn remove(path: &Path) -> Result<()> {
 /// Removes the temporary files (`.NAME.XXXXXX.tmp`) of an earlier run that was killed, in a folder and in
 /// `levels` levels of folders below it. Files that cannot be removed stay, and do no harm.
 pub fn remove_leftovers(folder: &Path, levels: u32) {
-    let Ok(entries) = std::fs::read_dir(folder) else { return };
-    for entry in entries.flatten() {
-        match entry.file_type() {
-            Ok(kind) if kind.is_dir() && levels > 0 => remove_leftovers(&entry.path(), levels - 1),
-            Ok(kind) if kind.is_file() && entry.file_name().to_str().is_some_and(is_leftover) => {
-                std::fs::remove_file(entry.path()).ok();
-            }
-            _ => {}
-        }
-    }
+    remove_leftovers_named(folder, levels, ".");
 }
 
 /// Removes those of one file only: in a folder of other people's files, others may be in use.
 pub fn remove_leftovers_of(file: &Path) {
     let (Some(folder), Some(name)) = (file.parent(), file.file_name()) else { return };
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let prefix = format!(".{}.", name.to_string_lossy());
+    remove_leftovers_named(folder, 0, &format!(".{}.", name.to_string_lossy()));
+}
+
+fn remove_leftovers_named(folder: &Path, levels: u32, prefix: &str) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
+    let is_one = |name: &str| name.starts_with(prefix) && is_leftover(name);
     for entry in entries.flatten() {
-        let found = entry.file_name();
-        if found.to_str().is_some_and(|found| found.starts_with(&prefix) && is_leftover(found)) {
-            std::fs::remove_file(entry.path()).ok();
+        match entry.file_type() {
+            Ok(kind) if kind.is_dir() && levels > 0 => {
+                remove_leftovers_named(&entry.path(), levels - 1, prefix);
+            }
+            Ok(kind) if kind.is_file() && entry.file_name().to_str().is_some_and(is_one) => {
+                std::fs::remove_file(entry.path()).ok();
+            }
+            _ => {}
         }
     }
 }

@@ -8,7 +8,7 @@ mod subject;
 mod trace;
 mod watch;
 
-use crate::args::DeviceArguments;
+use crate::args::{DeviceArguments, MAX_MEMORY_IN_MEASUREMENTS};
 use crate::bench::forms::FormArguments;
 use crate::bench::measure::{Iterations, Yardsticks};
 use crate::bench::schema::KernelResult;
@@ -55,6 +55,7 @@ const NOT_WITH_DUMP: [&str; 25] = [
 /// Without further options, a table. Settings of shaders are tried with --spec and --ab; with the cargo feature
 /// hot-reload, --watch compiles edited shaders again while it runs.
 #[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_MEASUREMENTS)))]
 pub struct Arguments {
     /// What to profile
     #[arg(value_enum, default_value = "render")]

@@ -1,8 +1,12 @@
 //! Progress on stderr: a bar on a terminal, plain lines elsewhere, nothing with `--quiet`.
 
+mod time_left;
+
+use ashsplat::trainer::TrainSettings;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
+use time_left::{Left, TimeLeft};
 
 /// Iterations between two plain lines.
 const LINE_INTERVAL: u32 = 100;
@@ -50,7 +54,11 @@ pub struct TrainProgress {
     /// Done before the start.
     first: u32,
     iterations: u32,
-    start: Instant,
+    /// When the last iteration ended.
+    last: Instant,
+    time_left: TimeLeft,
+    /// What was foretold, and when.
+    foretold: Option<(Left, Instant)>,
     /// When and at which iteration the present speed's measurement began.
     window: (Instant, u32),
     iterations_per_second: f64,
@@ -60,7 +68,8 @@ pub struct TrainProgress {
 
 impl TrainProgress {
     /// Of a run from iteration `first` on, 0 for a new one.
-    pub fn new(first: u32, iterations: u32, quiet: bool) -> TrainProgress {
+    pub fn new(first: u32, settings: &TrainSettings, quiet: bool) -> TrainProgress {
+        let iterations = settings.iterations;
         let terminal = std::io::stderr().is_terminal();
         let bar = (terminal && !quiet).then(|| bar(u64::from(iterations), "{wide_bar} {pos}/{len}  {msg}"));
         TrainProgress {
@@ -68,7 +77,9 @@ impl TrainProgress {
             lines: !terminal && !quiet,
             first,
             iterations,
-            start: Instant::now(),
+            last: Instant::now(),
+            time_left: TimeLeft::new(first, iterations, |iteration| settings.densifies_at(iteration)),
+            foretold: None,
             window: (Instant::now(), first),
             iterations_per_second: 0.0,
             mean_loss: MeanLoss::new(LOSS_WEIGHT),
@@ -80,9 +91,16 @@ impl TrainProgress {
     pub fn step(&mut self, state: &State) {
         self.mean_loss.add(state.loss);
         let seconds = self.window.0.elapsed().as_secs_f64();
-        if seconds > 1.0 || self.iterations_per_second == 0.0 {
+        // Kernels are built in the first iteration: it says nothing of the speed.
+        if state.iteration == self.first + 1 {
+            self.window = (Instant::now(), state.iteration);
+        } else if seconds > 1.0 || self.iterations_per_second == 0.0 {
             self.iterations_per_second = f64::from(state.iteration - self.window.1) / seconds.max(1e-9);
             self.window = (Instant::now(), state.iteration);
+        }
+        let spent = std::mem::replace(&mut self.last, Instant::now()).elapsed().as_secs_f64();
+        if self.time_left.step(state.iteration, state.gaussians, spent) {
+            self.foretold = self.time_left.after(state.iteration).map(|left| (left, Instant::now()));
         }
         if let Some(bar) = &self.bar {
             bar.set_position(u64::from(state.iteration));
@@ -120,24 +138,28 @@ impl TrainProgress {
     pub fn finish(&self) {
         if let Some(bar) = &self.bar {
             bar.abandon();
+            // What is said next has a line of its own.
+            tell!("");
         }
     }
 
     fn describe(&self, state: &State) -> String {
         let psnr = self.psnr.map_or_else(|| "-".into(), |psnr| format!("{psnr:.2}"));
-        let left = f64::from(self.iterations - state.iteration) / self.overall_rate(state.iteration);
+        let left = match self.foretold {
+            _ if state.iteration == self.iterations => String::new(),
+            Some((left, when)) => {
+                let seconds = left.seconds - when.elapsed().as_secs_f64();
+                format!("  {}{} left", if left.at_least { "more than " } else { "" }, clock(seconds))
+            }
+            None => String::new(),
+        };
         format!(
-            "{:.1} it/s  loss {:.4}  PSNR {psnr}  {} Gaussians  {} MiB  {} left",
+            "{:.1} it/s  loss {:.4}  PSNR {psnr}  {} Gaussians  {} MiB{left}",
             self.iterations_per_second,
             self.mean_loss.value().unwrap_or(0.0),
             thousands(u64::from(state.gaussians)),
             state.memory_bytes >> 20,
-            clock(left),
         )
-    }
-
-    fn overall_rate(&self, iteration: u32) -> f64 {
-        f64::from(iteration - self.first) / self.start.elapsed().as_secs_f64().max(1e-9)
     }
 }
 

@@ -5,6 +5,7 @@ use crate::config::Settings;
 use crate::film_file::{self, Container, Frames};
 use crate::model::Model;
 use crate::output;
+use crate::progress::counting;
 use ashsplat::{Error, Extent, Frame, RenderSettings, Renderer, Result};
 use ashsplat_files::splats;
 use clap::{Args, ValueEnum};
@@ -164,6 +165,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let (Some(note), false) = (&views.note, arguments.quiet) {
         say!("{note}");
     }
+    let count = views.cameras.len();
+    // A film's frames are no results of their own: a bar suffices.
+    let bar = counting("frames", if film.is_some() { count as u64 } else { 0 }, arguments.quiet);
     let mut total = 0.0;
     let mut render = |index: usize| {
         let start = Instant::now();
@@ -171,12 +175,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let frame = renderer.render(&named.camera, &settings)?;
         let milliseconds = start.elapsed().as_secs_f64() * 1e3;
         total += milliseconds;
-        if !arguments.quiet {
+        bar.inc(1);
+        if !arguments.quiet && film.is_none() {
             say!("{}", describe(index, &named.name, milliseconds, &frame));
         }
         Ok(frame)
     };
-    let count = views.cameras.len();
     match film {
         None => {
             output::remove_leftovers(&arguments.out, 0);
@@ -195,9 +199,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             film_file::write(&arguments.out, container, frames)?;
         }
     }
+    bar.finish_and_clear();
     if !arguments.quiet {
         let mean = total / count as f64;
-        say!("{count} frames in {}, {mean:.1} ms each on {}", arguments.out.display(), context.device_name());
+        let size = std::fs::metadata(&arguments.out).ok().filter(|_| film.is_some());
+        let size = size
+            .map_or_else(String::new, |file| format!(" ({:.1} MiB)", file.len() as f64 / f64::from(1 << 20)));
+        let (out, device) = (arguments.out.display(), context.device_name());
+        say!("{count} frames in {out}{size}, {mean:.1} ms each on {device}");
     }
     arguments.device.report_validation(&context);
     Ok(())

@@ -1,9 +1,9 @@
 //! `ashsplat train`.
 
+mod allowance;
 mod checkpoints;
 mod folder;
 mod live;
-mod lock;
 mod log;
 mod prepared;
 mod report;
@@ -11,21 +11,22 @@ mod saving;
 mod testing;
 #[cfg(test)]
 mod tests;
+mod tracking;
 mod verify;
 
-use crate::args::{DeviceArguments, bytes, quoted};
+use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING, bytes};
 use crate::config::{Overrides, Settings};
+use crate::lock::FolderLock;
 use crate::measure::{Cost, Stopwatch};
 use crate::progress::{State, TrainProgress, thousands};
 use crate::session;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
-use ashsplat_files::{Dataset, View};
+use ashsplat_files::{Dataset, View, quoted};
 use checkpoints::{LATEST, Start};
 use clap::Args;
 use live::{Live, LiveArguments};
-use lock::FolderLock;
 use log::TrainLog;
 use prepared::{Prepared, check_fits, photo_memory};
 use report::KernelTimes;
@@ -33,6 +34,7 @@ use saving::Unsaved;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use testing::Tested;
+use tracking::Tracking;
 
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
 ///
@@ -42,6 +44,7 @@ use testing::Tested;
 /// already reset. Neither is saved if the device is lost or too slow, because the state of the Gaussians is
 /// then unknown. A run that resumes from a checkpoint ends with the same bits as one that was never stopped.
 #[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TRAINING)))]
 pub struct Arguments {
     #[command(flatten)]
     overrides: Overrides,
@@ -63,6 +66,10 @@ pub struct Arguments {
     /// kernel whose output differs
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     verify_determinism: Option<u32>,
+    /// Largest share of training's time for the PSNR that is shown all along: the mean over the same few held-out views each
+    /// time, 0.001 to 0.9; 0 measures only after --test-iterations
+    #[arg(long, value_name = "SHARE", default_value_t = tracking::SHARE, value_parser = tracking::share)]
+    eval_share: f64,
     #[command(flatten)]
     live: LiveArguments,
     #[command(flatten)]
@@ -130,6 +137,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Some(start) => Run::resume(&context, dataset, settings, &start, arguments.quiet)?,
     };
     run.repeat(&arguments.device, arguments.photo_memory);
+    run.track_within(arguments.eval_share);
     run.look_on(doors, &context, gallery)?;
     // Nothing is lost yet.
     session::check(&stop)?;
@@ -164,6 +172,8 @@ pub struct Run {
     total: Option<Cost>,
     /// The tests so far.
     pub evaluations: Vec<Tested>,
+    /// The views that are measured between them.
+    tracking: Tracking,
     /// How many of them are in the results' files.
     results: usize,
     gaussians: u32,
@@ -194,7 +204,8 @@ impl Run {
     /// everything that is known before training.
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
         let points = dataset.initial_points(u64::from(settings.train.seed));
-        let initial = ashsplat_files::initial_gaussians(&points, settings.train.sh_degree)?;
+        let mut initial = ashsplat_files::initial_gaussians(&points, settings.train.sh_degree)?;
+        settings.train.initialize(&mut initial);
         let data = Prepared::new(dataset);
         let (views, extent) = (data.train, data.scene_extent);
         let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
@@ -226,12 +237,14 @@ impl Run {
         (test, held_out): (Vec<View>, bool),
         quiet: bool,
     ) -> Run {
+        let iterations = settings.train.iterations;
         Run {
-            progress: TrainProgress::new(trainer.iteration(), settings.train.iterations, quiet),
+            progress: TrainProgress::new(trainer.iteration(), &settings.train, quiet),
             started: trainer.iteration(),
             log,
             settings,
             trainer,
+            tracking: Tracking::new(&test, iterations, tracking::SHARE),
             test,
             held_out,
             first: None,
@@ -298,7 +311,8 @@ impl Run {
                 self.first = Some(watch.cost(FIRST_ITERATIONS));
             }
             let kept = self.check(&report).and_then(|()| self.keep(report.iteration, stopping, watch));
-            self.log.add(&report, *kept.as_ref().unwrap_or(&None), &self.trainer.memory());
+            let tracked = self.track(&report, watch);
+            self.log.add(&report, (*kept.as_ref().unwrap_or(&None), tracked), &self.trainer.memory());
             // Even if saving or testing fails, the checkpoint holds the complete training.
             if self.checkpoint_is_due(report.iteration, stopping) {
                 let written = watch.paused(|| self.keep_checkpoint(stopping));

@@ -1,9 +1,13 @@
 //! `ashsplat view`, and what `train --view` shares with it.
 
 mod assets;
+mod cut;
 mod draw;
 mod film;
 pub mod hub;
+mod labels;
+mod loading;
+mod openings;
 mod pace;
 mod photos;
 pub mod protocol;
@@ -12,33 +16,43 @@ pub mod sibr;
 mod sizes;
 pub mod studio;
 mod subject;
+#[cfg(feature = "window")]
+mod window;
 
 pub use draw::Painter;
 pub use photos::Photos;
 pub use subject::Subject;
 
-use crate::args::DeviceArguments;
+use crate::args::{DeviceArguments, MAX_MEMORY_IN_VIEWER};
 use crate::render::LookArguments;
 use crate::{output, session};
-use ashsplat::{Renderer, Result};
+#[cfg(not(feature = "window"))]
+use ashsplat::Error;
+use ashsplat::{RenderSettings, Renderer, Result};
 use clap::Args;
 use hub::Hub;
+use loading::Loading;
+use openings::{Openings, Wish};
+use protocol::ToPage;
 use server::{ServeArguments, Site};
-use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::net::{SocketAddr, TcpListener};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::Scope;
 use std::time::Duration;
 use studio::Studio;
 use subject::Wanted;
 
-/// Look at a scene, a trained model or a data set in a browser, also on a machine without a screen.
+/// Look at a scene, a trained model or a data set in a browser, also on a machine without a screen; or in a window.
 ///
 /// The pictures are rendered here and streamed to the page, as many as each page can take. From elsewhere, forward the
 /// port (ssh -L 8090:localhost:8090 HOST), or use --host with --token.
 #[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_VIEWER)))]
 pub struct Arguments {
-    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), a model folder, or a data set (its points)
+    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), a model folder, or a data set (its points) [default: the
+    /// page takes files that are dropped on it, and paths in this folder or below]
     #[arg(value_name = "PATH")]
     path: Option<PathBuf>,
     /// Photos and cameras of this data set [default: that of the training]
@@ -52,7 +66,13 @@ pub struct Arguments {
     iteration: Option<u32>,
     #[command(flatten)]
     serve: ServeArguments,
-    /// Folder for camera paths and films [default: out/view]
+    /// In a window on this machine's screen instead of a page
+    #[arg(long, conflicts_with_all = ["host", "port", "token"])]
+    window: bool,
+    /// Frames of the window are shown as fast as they come, not in step with the screen
+    #[arg(long, requires = "window")]
+    no_vsync: bool,
+    /// Folder for camera paths, films and the window's screenshots [default: out/view]
     #[arg(short, long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -63,6 +83,8 @@ pub struct Arguments {
 
 /// How long a thread that has nothing to do waits before it looks whether it is to end.
 const REST: Duration = Duration::from_millis(200);
+/// How long pages have to hear why the program ends.
+const LAST_WORDS: Duration = Duration::from_millis(300);
 
 /// Runs the command until Ctrl-C.
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -71,41 +93,156 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| "out/view".into());
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
+    if arguments.window {
+        return in_window(arguments, out, stop);
+    }
     // Before anything is loaded: a port in use costs no time.
     let listener = server::open(&arguments.serve)?;
-    let subject = match &arguments.path {
-        Some(path) => {
-            let wanted = Wanted {
-                iteration: arguments.iteration,
-                source: arguments.source_path.as_deref(),
-                images: arguments.images.as_deref(),
-            };
-            Subject::load(path, &wanted, &arguments.look, &arguments.device.host, &stop)?
-        }
-        None => Subject::nothing(),
-    };
-    let context = arguments.device.context()?;
-    let mut renderer = Renderer::new(&context)?;
-    if !subject.gaussians.is_empty() {
-        renderer.upload(&subject.gaussians)?;
-    }
+    let openings = arguments.openings(&listener);
     let hub = Arc::new(Hub::default());
-    hub.greet_with(subject.greeting(context.device_name(), None).to_string());
-    let base = subject.base;
-    let site = Site {
-        hub: hub.clone(),
-        photos: subject.photos,
-        films: out.clone(),
-        token: arguments.serve.token.clone(),
-    };
-    let server = server::start(listener, site)?;
+    let name = arguments.path.as_ref().map(|path| path.display().to_string());
+    hub.greet_with(loading::message(name.as_deref().unwrap_or_default()).to_string());
+    let site = Site::new(hub.clone(), out.clone(), arguments.serve.token.clone());
+    let site = Arc::new(site.with_openings(openings.clone()));
+    let server = server::start(listener, site.clone())?;
     announce(server.address, &arguments.serve);
-    let mut studio = Studio::new(hub, base, out);
-    while !stop.load(Ordering::Relaxed) {
-        studio.serve(&mut renderer, REST)?;
+    if arguments.path.is_none() {
+        say!(
+            "nothing is open: drop a file of Gaussians onto the page, or give a path there; Ctrl-C ends the viewer"
+        );
     }
-    arguments.device.report_validation(&context);
-    Ok(())
+    std::thread::scope(|threads| {
+        let stage = Stage { arguments, openings, hub: hub.clone(), site, stop: &stop };
+        let ended = stage.play(threads, name, out);
+        // What is being read is wanted no more.
+        stop.store(true, Ordering::Relaxed);
+        if let Err(error) = &ended {
+            hub.broadcast(&loading::failure("", error, None));
+            std::thread::sleep(if hub.pages() > 0 { LAST_WORDS } else { Duration::ZERO });
+        }
+        ended
+    })
+}
+
+/// What a viewer shows, from the first scene to the last.
+struct Stage<'a> {
+    arguments: &'a Arguments,
+    openings: Option<Arc<Openings>>,
+    hub: Arc<Hub>,
+    site: Arc<Site>,
+    stop: &'a AtomicBool,
+}
+
+impl<'a> Stage<'a> {
+    /// `name`: of the scene to begin with.
+    fn play<'scope>(
+        &self,
+        threads: &'scope Scope<'scope, 'a>,
+        name: Option<String>,
+        out: PathBuf,
+    ) -> Result<()>
+    where
+        'a: 'scope,
+    {
+        let (arguments, stop, hub) = (self.arguments, self.stop, &self.hub);
+        let mut loading = match (&arguments.path, name) {
+            (Some(path), Some(name)) => {
+                let read = move || arguments.load(path, None, stop);
+                Some(Loading::begin(threads, hub, name, read)?)
+            }
+            _ => None,
+        };
+        // Meanwhile.
+        let context = arguments.device.context()?;
+        let mut renderer = Renderer::new(&context)?;
+        let mut studio = Studio::new(hub.clone(), RenderSettings::default(), out);
+        let first = match loading.take() {
+            Some(loading) => loading.finish()?,
+            None => Subject::nothing(),
+        };
+        self.show(first, &mut renderer, &mut studio)?;
+        while !stop.load(Ordering::Relaxed) {
+            if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
+                let (name, room) = (read.name().to_owned(), read.room());
+                let failed = match read.finish() {
+                    // What was shown before stays.
+                    Err(error) => Some(error),
+                    Ok(subject) => {
+                        // Commands are for the file that the page has sent, not for what was kept of it here.
+                        let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
+                        let subject = Subject { name: name.clone(), file, ..subject };
+                        self.show(subject, &mut renderer, &mut studio).err()
+                    }
+                };
+                if let Some(error) = failed {
+                    hub.broadcast(&loading::failure(&name, &error, room.as_deref()));
+                    studio::fatal(error)?;
+                }
+            }
+            if loading.is_none()
+                && let Some(wish) = self.openings.as_ref().and_then(|openings| openings.take())
+            {
+                let Wish { path, name, within, upload, turn } = wish;
+                let read = move || arguments.load(&path, within.as_deref(), stop);
+                loading = Some(Loading::begin(threads, hub, name, read)?.keeping(turn, upload));
+            }
+            studio.serve(&mut renderer, REST)?;
+        }
+        arguments.device.report_validation(&context);
+        Ok(())
+    }
+
+    /// Shows a scene to all pages.
+    fn show(&self, subject: Subject, renderer: &mut Renderer, studio: &mut Studio) -> Result<()> {
+        let mut greeting = subject.greeting(renderer.context().device_name(), None);
+        greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
+        if !subject.gaussians.is_empty()
+            && let Err(error) = renderer.upload(&subject.gaussians)
+        {
+            // The one before has gone already.
+            self.show(Subject::nothing(), renderer, studio)?;
+            return Err(error);
+        }
+        studio.show(subject.base);
+        self.site.show_photos(subject.photos);
+        let greeting = greeting.to_string();
+        self.hub.greet_with(greeting.clone());
+        self.hub.broadcast(&ToPage::Text(greeting));
+        Ok(())
+    }
+}
+
+impl Arguments {
+    /// What is looked at.
+    #[cfg(feature = "window")]
+    fn subject(&self, stop: &AtomicBool) -> Result<Subject> {
+        self.path.as_ref().map_or_else(|| Ok(Subject::nothing()), |path| self.load(path, None, stop))
+    }
+
+    fn load(&self, path: &Path, within: Option<&Path>, stop: &AtomicBool) -> Result<Subject> {
+        let source = self.source_path.as_deref();
+        let wanted = Wanted { iteration: self.iteration, source, images: self.images.as_deref(), within };
+        Subject::load(path, &wanted, &self.look, &self.device.host, stop)
+    }
+
+    /// What pages may open: nothing where there is a scene from the beginning.
+    fn openings(&self, listener: &TcpListener) -> Option<Arc<Openings>> {
+        let most_bytes = self.device.host.memory().limit();
+        let open = || Openings::new(std::env::current_dir().ok(), server::reach(listener), most_bytes);
+        self.path.is_none().then(|| Arc::new(open()))
+    }
+}
+
+#[cfg(feature = "window")]
+fn in_window(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result<()> {
+    window::run(arguments, out, stop)
+}
+
+#[cfg(not(feature = "window"))]
+fn in_window(_: &Arguments, _: PathBuf, _: Arc<AtomicBool>) -> Result<()> {
+    let problem = "this program was built without windows: `cargo install --path tools/ashsplat --features window` installs \
+                   one with them; without --window the viewer is a page in a browser";
+    Err(Error::argument("--window", problem))
 }
 
 /// Says where the page is.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::model::Model;
 use super::{binary, text};
-use crate::names::has_photo_ending;
+use crate::names::{has_photos, has_video_ending, quoted};
 use crate::transforms;
 use ashsplat::{Error, Result};
 
@@ -20,6 +20,9 @@ pub struct ModelFolder {
     pub warning: Option<String>,
 }
 
+/// Folder within a data set's in which `ashsplat poses` works until its cameras are found.
+pub const UNFINISHED_POSES: &str = "poses.unfinished";
+
 const PARTS: [&str; 3] = ["cameras", "images", "points3D"];
 
 /// Finds the model of a data set: `sparse/N` (of several the one with the most registered images, then points,
@@ -33,9 +36,12 @@ pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
     match fs::metadata(dataset) {
         Err(source) => return Err(Error::io(dataset, "read", source)),
         Ok(metadata) if !metadata.is_dir() => {
-            let remedy = match dataset.extension().is_some_and(|ending| ending == "json") {
-                true => "give the folder in which it lies",
-                false => "give the folder that contains sparse/ and images/, or transforms.json",
+            let remedy = if dataset.extension().is_some_and(|ending| ending == "json") {
+                "give the folder in which it lies".to_owned()
+            } else if has_video_ending(dataset) {
+                format!("{} makes a data set of a video", poses(dataset))
+            } else {
+                "give the folder that contains sparse/ and images/, or transforms.json".to_owned()
             };
             return Err(Error::input(dataset, "is not a folder, nor a ZIP", remedy));
         }
@@ -77,12 +83,10 @@ fn no_model(dataset: &Path) -> Error {
         format!(
             "Polycam's raw data become a data set by `ns-process-data polycam --data {place} --output-dir OUT`"
         )
-    } else if let Some(photos) = photo_folders.iter().find(|folder| has_photos(folder)) {
-        format!(
-            "photos alone are not enough: find their cameras with `colmap automatic_reconstructor --dense 0 --workspace_path \
-             {place} --image_path {}` (and --use_gpu 0 without a GPU)",
-            photos.display()
-        )
+    } else if dataset.join(UNFINISHED_POSES).is_dir() {
+        "its cameras are not found yet: run the same `ashsplat poses` once more, it goes on from there".into()
+    } else if photo_folders.iter().any(|folder| has_photos(folder)) {
+        format!("photos alone are not enough: {} finds their cameras", poses(dataset))
     } else {
         "give the folder that contains sparse/0 and images, as COLMAP or its image_undistorter leave it"
             .into()
@@ -90,10 +94,9 @@ fn no_model(dataset: &Path) -> Error {
     Error::input(dataset, problem, remedy)
 }
 
-/// Whether a folder holds photos.
-fn has_photos(folder: &Path) -> bool {
-    let mut entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    entries.any(|entry| has_photo_ending(&entry.path()))
+/// The command that finds the cameras of photos or of a video, as a shell reads it.
+fn poses(source: &Path) -> String {
+    format!("`ashsplat poses {}`", quoted(&source.to_string_lossy()))
 }
 
 fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {

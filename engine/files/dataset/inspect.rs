@@ -104,7 +104,7 @@ impl DatasetReport {
 
     fn describe(&mut self, plan: &Plan) {
         self.cameras.clone_from(&plan.cameras);
-        self.images = plan.views.len();
+        self.images = plan.registered;
         self.points = plan.points.len();
         self.point_bounds = plan.points.bounds();
         self.warnings.clone_from(&plan.warnings);

@@ -7,10 +7,10 @@ use glam::{Mat3, Vec3};
 
 use super::exif_orientation::Turned;
 use super::mask::{Mask, mask_in_folder, mask_of};
-use super::{DatasetOptions, View};
+use super::{DatasetOptions, View, photo_folder, scaling};
 use crate::colmap::{self, ColmapCamera, ColmapImage, Model};
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, header, read_as, undistort};
-use crate::names::{Finder, count_photos, plain};
+use crate::names::{Finder, plain};
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
@@ -36,6 +36,8 @@ pub(super) struct Plan {
     pub(super) list: PathBuf,
     /// The views by name, or the reason why one cannot be used.
     pub(super) views: Vec<Result<PlannedView>>,
+    /// Number of images that have a camera.
+    pub(super) registered: usize,
     /// Whether the data set itself specifies the held-out views.
     pub(super) has_split: bool,
     pub(super) points: PointCloud,
@@ -74,6 +76,9 @@ impl Plan {
             _ => Self::of_model(path, &Model::of_dataset(path)?, options)?,
         };
         plan.warn_of_strays();
+        let views = plan.views.iter().filter_map(|view| view.as_ref().ok());
+        let sizes: Vec<(u32, u32)> = views.map(|view| view.expected_size(options)).collect();
+        plan.warnings.extend(scaling::warning(&sizes, options.resolution));
         Ok(plan)
     }
 
@@ -105,6 +110,7 @@ impl Plan {
             source: model.source.folder.clone(),
             list: model.file("images"),
             views: Vec::new(),
+            registered: model.images.len(),
             has_split: false,
             points: model.points.clone(),
             cameras: BTreeMap::new(),
@@ -121,12 +127,13 @@ impl Plan {
                 lenses.insert(camera.id, (lens, plan.undistorted(camera, &lens, &model.file("cameras"))));
             }
         }
-        let folder = path.join(&options.images);
-        if !folder.is_dir() {
-            let remedy = "put the photos there, or name their folder with --images";
-            plan.views.push(Err(Error::input(folder, "there is no folder with photos", remedy)));
-            return Ok(plan);
-        }
+        let folder = match photo_folder::find(path, &options.images) {
+            Ok(folder) => folder,
+            Err(e) => {
+                plan.views.push(Err(e));
+                return Ok(plan);
+            }
+        };
         let mut finder = Finder::default();
         let paths = images.iter().map(|image| {
             let path = image.photo_path(&folder, &plan.list)?;
@@ -165,7 +172,8 @@ impl Plan {
                 held_out: false,
             })
         };
-        let (photos, registered) = (count_photos(&folder), images.len());
+        let names = images.iter().map(|image| image.name.as_str());
+        let (photos, registered) = (photo_folder::count(path, &folder, names), images.len());
         if photos > registered {
             plan.warnings.push(format!(
                 "{}: only {registered} of its {photos} photos have a camera in the model: the others are not used (photos \
@@ -196,6 +204,7 @@ impl Plan {
             list: source.clone(),
             source,
             views: Vec::new(),
+            registered: frames.len(),
             has_split,
             points,
             cameras: BTreeMap::new(),
@@ -409,10 +418,15 @@ impl PlannedView {
 
     /// Estimated bytes of the photo with its mask, before it is read. On a device it takes about the same.
     pub(super) fn texel_bytes(&self, options: &DatasetOptions) -> u64 {
-        let divided = |side: u32| (side / options.divisor()).max(1);
-        let (width, height) =
-            options.resolution.apply(divided(self.pinhole.width), divided(self.pinhole.height));
+        let (width, height) = self.expected_size(options);
+        let (width, height) = options.resolution.apply(width, height);
         4 * u64::from(width) * u64::from(height)
+    }
+
+    /// The size of the undistorted photo before it is scaled, without a look at its file.
+    fn expected_size(&self, options: &DatasetOptions) -> (u32, u32) {
+        let divided = |side: u32| (side / options.divisor()).max(1);
+        (divided(self.pinhole.width), divided(self.pinhole.height))
     }
 
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {

@@ -6,7 +6,7 @@ use std::path::{Component, Path, PathBuf};
 
 use zip::result::ZipError;
 
-use crate::names::{MAX_DEPTH, MAX_PATH_BYTES, ending};
+use crate::names::{MAX_DEPTH, MAX_PATH_BYTES, ending, has_photos};
 use crate::progress::Progress;
 use crate::{colmap, cost, transforms};
 use ashsplat::{Error, Result};
@@ -185,6 +185,11 @@ fn data_folder(archive: &Path, unpacked: &Path) -> Result<PathBuf> {
             }
             _ => break,
         }
+    }
+    let photos = [folder.join("images"), folder.join("input"), folder.clone()];
+    if !is_data_set(&folder) && photos.iter().any(|folder| has_photos(folder)) {
+        let remedy = "unpack it; `ashsplat poses FOLDER` finds the cameras of a folder of photos";
+        return Err(Error::input(archive, "holds photos without cameras", remedy));
     }
     Ok(folder)
 }

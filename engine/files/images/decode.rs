@@ -187,6 +187,10 @@ pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     let mut start = Vec::new();
     let mut file = File::open(path).map_err(io)?;
     file.by_ref().take(8).read_to_end(&mut start).map_err(io)?;
+    if is_png(&start) {
+        file.rewind().map_err(io)?;
+        png_rows::check_palette(path, &file, request.memory)?;
+    }
     if is_png(&start) && !(request.turned && header(path)?.has_orientation()) {
         file.rewind().map_err(io)?;
         if let Some(decoded) = png_rows::read(path, file, request)? {

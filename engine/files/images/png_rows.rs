@@ -1,13 +1,14 @@
 //! PNGs by rows: of the decoded picture, one row is in memory.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
 use image::{DynamicImage, ImageBuffer, Luma, LumaA, Pixel, Rgb, Rgba};
 use png::{BitDepth, ColorType, Limits, Transformations};
 
 use super::decode::{Decoded, Header, Request, Rows, cannot_hold, check_size, claims, damaged};
+use crate::HostMemory;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
@@ -20,11 +21,20 @@ const DECODER_BYTES: u64 = 1 << 20;
 /// Rows that the decoder holds.
 const DECODER_ROWS: u64 = 8;
 
-/// The picture as it is wanted; none if its rows do not come in order.
-pub(super) fn read(path: &Path, file: File, request: &Request<'_>) -> Result<Option<Decoded>> {
-    let damaged = |e: &dyn std::fmt::Display| damaged(path, e);
-    let file_bytes = file.metadata().map_err(|source| Error::io(path, "read", source))?.len();
-    let limits = Limits { bytes: usize::try_from(request.memory.limit()).unwrap_or(usize::MAX) };
+/// Refuses a palette of which an entry is cut, or of more entries than there may be: the decoder takes them on trust.
+pub(super) fn check_palette(path: &Path, file: &File, memory: &HostMemory) -> Result<()> {
+    let reader = reader(file, memory).read_info().map_err(|e| damaged(path, &e))?;
+    let bytes = reader.info().palette.as_ref().map_or(0, |palette| palette.len());
+    match bytes.is_multiple_of(3) && bytes <= 3 * 256 {
+        true => Ok(()),
+        false => {
+            Err(damaged(path, &format!("its palette has {bytes} bytes; up to 256 entries of 3 are possible")))
+        }
+    }
+}
+
+fn reader<R: Read + Seek>(file: R, memory: &HostMemory) -> png::Decoder<BufReader<R>> {
+    let limits = Limits { bytes: usize::try_from(memory.limit()).unwrap_or(usize::MAX) };
     let reader = BufReader::with_capacity(BUFFER_BYTES, file);
     let mut decoder = png::Decoder::new_with_limits(reader, limits);
     // The depth stays: 16 bits are rounded here, not cut.
@@ -32,7 +42,14 @@ pub(super) fn read(path: &Path, file: File, request: &Request<'_>) -> Result<Opt
     // Not used; they could unpack to much before the memory is counted.
     decoder.set_ignore_iccp_chunk(true);
     decoder.set_ignore_text_chunk(true);
-    let mut reader = decoder.read_info().map_err(|e| damaged(&e))?;
+    decoder
+}
+
+/// The picture as it is wanted; none if its rows do not come in order.
+pub(super) fn read(path: &Path, file: File, request: &Request<'_>) -> Result<Option<Decoded>> {
+    let damaged = |e: &dyn std::fmt::Display| damaged(path, e);
+    let file_bytes = file.metadata().map_err(|source| Error::io(path, "read", source))?.len();
+    let mut reader = reader(file, request.memory).read_info().map_err(|e| damaged(&e))?;
     let size = reader.info().size();
     if reader.info().interlaced {
         return Ok(None);

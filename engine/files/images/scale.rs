@@ -123,15 +123,14 @@ impl RowScaler {
 #[cfg(test)]
 mod tests {
     use super::RowScaler;
-    use crate::growth::TURN;
+    use crate::growth::turn;
     use image::RgbImage;
     use image::imageops::{FilterType, resize};
-    use std::sync::PoisonError;
 
     /// Larger, smaller, by whole numbers and by others, at the smallest sizes.
     #[test]
     fn rows_give_the_bits_of_the_whole_picture() {
-        let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let _turn = turn();
         let sizes = [[1, 1], [2, 3], [5, 1], [17, 9], [64, 64], [133, 77], [400, 31]];
         for from in sizes {
             let value = |i: u32| (i.wrapping_mul(2_654_435_761) >> 23) as u8;

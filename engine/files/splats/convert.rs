@@ -2,25 +2,21 @@
 
 use std::path::Path;
 
-use glam::Vec3;
-
 use super::{Format, Header, Outline, ReadOptions, open, row_bytes, write_blocks};
 use crate::decimate::decimate;
 use crate::host_memory;
 use ashsplat::Result;
-use ashsplat::scene::{Bounds, Gaussians, Similarity};
+use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity};
 
-/// What is changed on the way, in this order: the SH degree, opacity, box, place, number.
+/// What is changed on the way, in this order: the SH degree, what is cut, place, number.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ConvertOptions {
     /// How the input is read.
     pub read: ReadOptions,
     /// The highest SH degree that is kept; none: all that the output can hold.
     pub sh_degree: Option<u32>,
-    /// Gaussians of a smaller opacity are dropped.
-    pub min_opacity: Option<f32>,
-    /// Gaussians with means outside are dropped; in the input's frame.
-    pub crop_box: Option<Bounds>,
+    /// Which Gaussians are dropped; in the input's frame.
+    pub cut: Cut,
     /// How everything is moved.
     pub similarity: Similarity,
     /// How many Gaussians are to be left, at most; the others are merged into them.
@@ -64,6 +60,7 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
         Some(format) => format,
         None => Format::of_extension(output)?,
     };
+    options.cut.check()?;
     let mut reader = open(input, &options.read)?;
     let header = reader.header().clone();
     let sh_degree = header.sh_degree.min(format.max_sh_degree()).min(options.sh_degree.unwrap_or(3));
@@ -114,18 +111,13 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
 
 impl ConvertOptions {
     /// All but the decimation.
-    fn change(&self, mut block: Gaussians, sh_degree: u32) -> Gaussians {
+    pub(super) fn change(&self, mut block: Gaussians, sh_degree: u32) -> Gaussians {
         if sh_degree != block.sh_degree {
             block = block.with_sh_degree(sh_degree);
         }
-        if let Some(min_opacity) = self.min_opacity {
-            block.retain(|all, index| all.opacity(index) >= min_opacity);
-        }
-        if let Some(Bounds { min, max }) = self.crop_box {
-            block.retain(|all, index| {
-                let mean = Vec3::from_array(all.means[index]);
-                mean.cmpge(min).all() && mean.cmple(max).all()
-            });
+        if self.cut != Cut::default() {
+            let limits = self.cut.limits();
+            block.retain(|all, index| limits.keeps(all, index));
         }
         block.transform(&self.similarity);
         block

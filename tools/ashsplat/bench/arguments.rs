@@ -6,7 +6,7 @@ use super::schema::Report;
 use super::sizes::{FrameSize, parse_size};
 use super::table;
 use super::workload::{SceneArguments, SyntheticArguments};
-use crate::args::DeviceArguments;
+use crate::args::{DeviceArguments, MAX_MEMORY_IN_MEASUREMENTS};
 use crate::output;
 use ashsplat::Result;
 use ashsplat::vk::Context;
@@ -36,6 +36,7 @@ impl IterationArguments {
 
 /// Which device is measured by which clock, and what becomes of the result.
 #[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_MEASUREMENTS)))]
 pub struct OutputArguments {
     /// Write the result here (JSON)
     #[arg(long, value_name = "FILE")]

@@ -8,7 +8,7 @@ use ashsplat::trainer::strategy::Actions;
 use ashsplat::trainer::{Checkpoint, TrainSettings, TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
-use ashsplat_files::CheckpointFile;
+use ashsplat_files::{CheckpointFile, quoted};
 use std::path::{Path, PathBuf};
 
 /// Instead of a file: the newest of the model folder.
@@ -106,7 +106,7 @@ impl Run {
         // It is to work wherever it is typed, and the settings have the paths as they were typed.
         let absolute = |path: &Path| {
             let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-            args::quoted(&path.to_string_lossy())
+            quoted(&path.to_string_lossy())
         };
         let relative = [("-s", &data.source_path), ("-m", &data.model_path)];
         let relative = relative.iter().filter(|(_, path)| path.is_relative());

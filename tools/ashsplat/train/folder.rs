@@ -1,13 +1,15 @@
 //! What a run leaves in its model folder before the first iteration.
 
 use super::checkpoints;
-use super::lock::FolderLock;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
+use crate::lock::{FolderLock, Work};
 use crate::{eval, model, output};
 use ashsplat::Result;
 use ashsplat::scene::{Camera, PointCloud};
 use ashsplat_files::{atomic, cameras_json, ply};
 use std::path::Path;
+
+const TRAINING: Work = Work { file: ".training.lock", what: "training", option: "-m" };
 
 /// Creates the model folder and writes what is known before training; without points, what was written before a
 /// checkpoint stays.
@@ -22,7 +24,7 @@ pub fn begin(
     let folder = &settings.data.model_path;
     atomic::create_folder(folder)?;
     // Before anything is removed: it may be another training's.
-    let lock = FolderLock::take(folder)?;
+    let lock = FolderLock::take(folder, &TRAINING)?;
     remove_leftovers(folder);
     if points.is_some() {
         clear_up_after_others(folder)?;

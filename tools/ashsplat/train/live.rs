@@ -1,25 +1,23 @@
 //! `train --view` and `--ip`: who looks on while training runs, and what they may cost.
 
-mod allowance;
 mod curves;
 mod doors;
 #[cfg(test)]
 mod tests;
 
 use super::Run;
+use super::allowance::Allowance;
 use crate::measure::Stopwatch;
 use crate::view::hub::Hub;
 use crate::view::protocol::{ToPage, TrainAction};
 use crate::view::server::{self, Server, Site};
 use crate::view::sibr::{self, Wishes};
 use crate::view::studio::{self, Studio};
-use crate::view::{self, Painter, Photos, Subject};
-use allowance::Allowance;
+use crate::view::{self, Photos, Subject};
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
-use ashsplat_files::metrics;
-use ashsplat_files::{Gallery, View};
+use ashsplat_files::Gallery;
 use clap::Args;
 use curves::Curves;
 use doors::Doors;
@@ -73,8 +71,6 @@ struct About<'a> {
     source: &'a Path,
 }
 
-/// Iterations between two measurements of a test view, while a page is open.
-const TEST_INTERVAL: u32 = 100;
 /// Pages that follow the training get a new picture no more often.
 const RENEWAL: Duration = Duration::from_millis(500);
 /// How long a paused training waits before it looks whether it is to end.
@@ -101,11 +97,6 @@ pub struct Live {
     paused: bool,
     /// Iterations that a paused training is to do.
     steps: u32,
-    tested: usize,
-    /// Iteration from which on the next view is measured.
-    next_test: u32,
-    /// Whether it was said that a view could not be measured.
-    unmeasured: bool,
 }
 
 impl Live {
@@ -124,7 +115,8 @@ impl Live {
         let mut server = None;
         if let Some((listener, serve)) = doors.page {
             let (photos, token) = (subject.photos, serve.token.clone());
-            let site = Site { hub: hub.clone(), photos, films: films.clone(), token };
+            let site = Site::new(hub.clone(), films.clone(), token);
+            site.show_photos(photos);
             let started = server::start(listener, site)?;
             view::announce(started.address, &serve);
             server = Some(started);
@@ -147,22 +139,14 @@ impl Live {
             renewed: Instant::now(),
             paused: false,
             steps: 0,
-            tested: 0,
-            next_test: 0,
-            unmeasured: false,
         })
     }
 
     /// Notes an iteration and serves the viewers, within the share.
-    fn after_step(&mut self, trainer: &mut Trainer, report: &StepReport, test: &[View]) -> Result<Wish> {
+    fn after_step(&mut self, trainer: &mut Trainer, report: &StepReport) -> Result<Wish> {
         self.note(|curves| curves.step(report));
         self.allowance.trained(self.trains_since.elapsed());
         self.trains_since = Instant::now();
-        let due = self.hub.pages() > 0 && report.iteration >= self.next_test;
-        if self.allowance.permits() && due && !test.is_empty() {
-            self.next_test = report.iteration + TEST_INTERVAL;
-            self.timed(|live| live.measure_or_tell(trainer, &test[live.tested % test.len()]))?;
-        }
         if self.renewed.elapsed() >= RENEWAL {
             self.renewed = Instant::now();
             self.hub.renew();
@@ -224,8 +208,8 @@ impl Live {
         Ok(())
     }
 
-    /// The result of a test that training itself made.
-    fn tested(&self, iteration: u32, psnr: f64) {
+    /// The quality of the views that are followed.
+    fn measured(&self, iteration: u32, psnr: f64) {
         self.note(|curves| curves.psnr(iteration, psnr));
     }
 
@@ -242,34 +226,10 @@ impl Live {
         result
     }
 
-    /// Measures one of the test views, each in its turn. Where that cannot be done, it is said.
-    fn measure_or_tell(&mut self, trainer: &mut Trainer, view: &View) -> Result<()> {
-        let measured = self.measure(trainer, view);
-        self.tested += 1;
-        let Err(error) = measured else { return Ok(()) };
-        if !self.unmeasured {
-            self.unmeasured = true;
-            tell!("warning: the viewer's PSNR lacks view '{}': {error}", view.name);
-        }
-        self.tell(error)
-    }
-
     /// Tells the pages what has failed; an error where that must end the training.
     fn tell(&self, error: Error) -> Result<()> {
         self.hub.broadcast(&ToPage::problem(&error.to_string()));
         studio::fatal(error)
-    }
-
-    /// PSNR of a test view.
-    fn measure(&mut self, trainer: &mut Trainer, view: &View) -> Result<()> {
-        let frame = Painter::render(trainer, &view.camera, &trainer.render_settings())?;
-        let photo = view.photo.photo()?.to_f32();
-        let psnr = match view.photo.mask()? {
-            None => metrics::psnr(&frame.color, &photo)?,
-            Some(mask) => metrics::masked_psnr(&frame.color, &photo, &mask)?,
-        };
-        self.note(|curves| curves.psnr(trainer.iteration(), psnr));
-        Ok(())
     }
 
     /// What the pages ask of the training.
@@ -306,6 +266,7 @@ impl Run {
             cameras: gallery.as_ref().map(|gallery| gallery.cameras()).unwrap_or_default(),
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: Some("in training".into()),
+            file: Some(data.model_path.clone()),
         };
         let about = About {
             subject,
@@ -339,7 +300,7 @@ impl Run {
         stop: &AtomicBool,
         watch: &mut Stopwatch,
     ) -> Result<()> {
-        let mut wish = live.after_step(&mut self.trainer, report, &self.test)?;
+        let mut wish = live.after_step(&mut self.trainer, report)?;
         let mut holds = live.holds();
         loop {
             if wish.save && self.saved != Some(report.iteration) {
@@ -366,10 +327,15 @@ impl Run {
         }
     }
 
-    /// The result of a test.
-    pub(super) fn show_test(&self, iteration: u32, psnr: f64) {
+    /// Whether a page shows the curves.
+    pub(super) fn is_looked_at(&self) -> bool {
+        self.live.as_ref().is_some_and(|live| live.hub.pages() > 0)
+    }
+
+    /// The quality of the views that are followed.
+    pub(super) fn show_psnr(&self, iteration: u32, psnr: f64) {
         if let Some(live) = &self.live {
-            live.tested(iteration, psnr);
+            live.measured(iteration, psnr);
         }
     }
 

@@ -11,6 +11,9 @@ use std::path::{Path, PathBuf};
 /// The arenas of a training, with bytes that are resident and the most that ever were.
 const ARENAS: [&str; 9] =
     ["total", "scene", "moments", "spare", "statistics", "frame", "loss", "photos", "densify"];
+const COLUMNS: &str = "iteration,loss,psnr,gaussians,ms,skipped";
+/// The mean PSNR of the same few views each time; an older program's log lacks this last column.
+const TRACKED: &str = "tracked_psnr";
 /// At most so many lines wait in memory.
 const FLUSH_INTERVAL: u32 = 100;
 /// Bytes that wait for a disk that is full: some ten thousands of lines. Then nothing more is added: a log with a gap would
@@ -34,7 +37,7 @@ impl TrainLog {
         let mut log = TrainLog::of(path, file);
         let arenas: String =
             ARENAS.iter().map(|arena| format!(",{arena}_bytes,{arena}_peak_bytes")).collect();
-        log.line(&format!("iteration,loss,psnr,gaussians,ms,skipped{arenas}"));
+        log.line(&format!("{COLUMNS}{arenas},{TRACKED}"));
         log.flush();
         Ok(log)
     }
@@ -49,7 +52,9 @@ impl TrainLog {
             let number = line.split(',').next().and_then(|number| number.parse::<u32>().ok());
             line.ends_with('\n') && number.is_some_and(|number| number <= iteration)
         };
-        let kept: String = std::iter::once(header).chain(lines.filter(done)).collect();
+        let header = header.trim_end();
+        let added = if header.ends_with(TRACKED) { String::new() } else { format!(",{TRACKED}") };
+        let kept = format!("{header}{added}\n{}", lines.filter(done).collect::<String>());
         output::write_text(path, &kept)?;
         let file = File::options().append(true).open(path).map_err(|e| Error::io(path, "write", e))?;
         Ok(TrainLog::of(path, file))
@@ -59,10 +64,17 @@ impl TrainLog {
         TrainLog { path: path.to_owned(), file, waiting: Vec::new(), ended: false }
     }
 
-    /// Adds an iteration, with its PSNR where it was tested, dB, and the memory of the arenas.
-    pub fn add(&mut self, report: &StepReport, psnr: Option<f64>, memory: &[ArenaMemory]) {
-        let tested = psnr.is_some();
-        let psnr = psnr.filter(|psnr| !psnr.is_nan()).map_or_else(String::new, |psnr| format!("{psnr:.4}"));
+    /// Adds an iteration, with the PSNR of all views and of those that are followed, dB, where they were measured, and the
+    /// memory of the arenas.
+    pub fn add(
+        &mut self,
+        report: &StepReport,
+        (tested, tracked): (Option<f64>, Option<f64>),
+        memory: &[ArenaMemory],
+    ) {
+        let [psnr, tracked_psnr] = [tested, tracked].map(|psnr| {
+            psnr.filter(|psnr| !psnr.is_nan()).map_or_else(String::new, |psnr| format!("{psnr:.4}"))
+        });
         let StepReport { iteration, loss, gaussians, milliseconds, skipped_non_finite, .. } = report;
         let mut line =
             format!("{iteration},{loss},{psnr},{gaussians},{milliseconds:.2},{skipped_non_finite}");
@@ -71,8 +83,9 @@ impl TrainLog {
             let (now, peak) = arena.map_or((0, 0), |arena| (arena.bytes, arena.peak_bytes));
             line.push_str(&format!(",{now},{peak}"));
         }
+        line.push_str(&format!(",{tracked_psnr}"));
         self.line(&line);
-        if tested || iteration.is_multiple_of(FLUSH_INTERVAL) {
+        if tested.is_some() || iteration.is_multiple_of(FLUSH_INTERVAL) {
             self.flush();
         }
     }
@@ -142,6 +155,7 @@ pub struct Rows {
     pub iterations: Vec<f64>,
     pub loss: Vec<f64>,
     pub psnr: Vec<f64>,
+    pub tracked_psnr: Vec<f64>,
     pub gaussians: Vec<f64>,
     pub milliseconds: Vec<f64>,
     pub peak_bytes: Vec<f64>,
@@ -154,8 +168,8 @@ impl Rows {
         let mut lines = text.lines();
         let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
         let column = |wanted: &str| names.iter().position(|name| *name == wanted).unwrap_or(usize::MAX);
-        let [iteration, loss, psnr, gaussians, ms, peak] =
-            ["iteration", "loss", "psnr", "gaussians", "ms", "total_peak_bytes"].map(column);
+        let [iteration, loss, psnr, gaussians, ms, peak, tracked] =
+            ["iteration", "loss", "psnr", "gaussians", "ms", "total_peak_bytes", TRACKED].map(column);
         let mut rows = Rows::default();
         for line in lines {
             let fields: Vec<&str> = line.split(',').collect();
@@ -163,6 +177,7 @@ impl Rows {
             rows.iterations.push(number(iteration));
             rows.loss.push(number(loss));
             rows.psnr.push(number(psnr));
+            rows.tracked_psnr.push(number(tracked));
             rows.gaussians.push(number(gaussians));
             rows.milliseconds.push(number(ms));
             rows.peak_bytes.push(number(peak));
@@ -187,19 +202,19 @@ mod tests {
         let mut log = TrainLog::create(&path).expect("created");
         assert_eq!(lines(), 1);
         for iteration in 1..=FLUSH_INTERVAL {
-            log.add(&report(iteration), None, &[]);
+            log.add(&report(iteration), (None, None), &[]);
         }
         assert_eq!(lines(), 1 + FLUSH_INTERVAL);
-        log.add(&report(FLUSH_INTERVAL + 1), Some(20.0), &[]);
+        log.add(&report(FLUSH_INTERVAL + 1), (Some(20.0), Some(19.5)), &[]);
         assert_eq!(lines(), 2 + FLUSH_INTERVAL);
         let memory = [ArenaMemory { name: "frame".into(), bytes: 77, peak_bytes: 88 }];
         // As where masks hide all that would be measured.
-        log.add(&report(FLUSH_INTERVAL + 2), Some(f64::NAN), &memory);
+        log.add(&report(FLUSH_INTERVAL + 2), (Some(f64::NAN), None), &memory);
         log.finish().expect("written");
         let text = std::fs::read_to_string(&path).expect("the log");
         let own = |line: &str| line.split(',').take(6).map(str::to_owned).collect::<Vec<_>>().join(",");
         let last: Vec<String> = text.lines().skip(101).map(own).collect();
-        assert!(text.ends_with(",77,88,0,0,0,0,0,0\n"), "{text}");
+        assert!(text.ends_with(",77,88,0,0,0,0,0,0,\n") && text.contains(",0,0,19.5000\n"), "{text}");
         assert_eq!(last, ["101,0.5,20.0000,7,1.25,0", "102,0.5,,7,1.25,0"]);
     }
 
@@ -208,14 +223,14 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("log.csv");
         let mut log = TrainLog::create(&path).expect("created");
-        (1..=9).for_each(|iteration| log.add(&report(iteration), None, &[]));
+        (1..=9).for_each(|iteration| log.add(&report(iteration), (None, None), &[]));
         log.finish().expect("written");
-        // As a killed run may leave it.
-        let mut text = std::fs::read_to_string(&path).expect("the log");
+        // As a killed run of an older program may leave it.
+        let mut text = std::fs::read_to_string(&path).expect("the log").replacen(",tracked_psnr", "", 1);
         text.push_str("10,0.");
         std::fs::write(&path, text).expect("written");
         let mut log = TrainLog::go_on(&path, 6).expect("opened");
-        (7..=8).for_each(|iteration| log.add(&report(iteration), None, &[]));
+        (7..=8).for_each(|iteration| log.add(&report(iteration), (None, Some(30.0)), &[]));
         log.finish().expect("written");
         let text = std::fs::read_to_string(&path).expect("the log");
         let numbers: Vec<&str> = text.lines().skip(1).filter_map(|line| line.split(',').next()).collect();
@@ -223,6 +238,7 @@ mod tests {
         let rows = Rows::read(&path).expect("the log");
         assert_eq!((rows.iterations.len(), rows.gaussians[7], rows.milliseconds[0]), (8, 7.0, 1.25));
         assert!(rows.psnr.iter().all(|psnr| psnr.is_nan()));
+        assert_eq!(rows.tracked_psnr[6..], [30.0, 30.0]);
     }
 
     /// Neither a new log nor one to go on with waits for a pipe, and the report does not either.
@@ -244,14 +260,14 @@ mod tests {
     #[test]
     fn a_failure_is_told_at_the_end() {
         let mut log = TrainLog::create(Path::new("/dev/full")).expect("opened");
-        log.add(&report(1), Some(20.0), &[]);
+        log.add(&report(1), (Some(20.0), None), &[]);
         let error = log.finish().expect_err("nothing can be written").to_string();
         assert!(error.contains("/dev/full: cannot write"), "{error}");
         // Where there is room again, nothing is missing.
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("log.csv");
         log.file = File::create(&path).expect("created");
-        log.add(&report(2), None, &[]);
+        log.add(&report(2), (None, None), &[]);
         log.finish().expect("written");
         assert_eq!(Rows::read(&path).expect("the log").iterations, [1.0, 2.0]);
     }

@@ -89,7 +89,7 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
         "Curves",
         "the line is the mean of neighbouring iterations, the band goes from the least to the most of them",
     );
-    out.push_str(&curves::charts(rows, kind));
+    out.push_str(&curves::charts(rows, kind, &run.tracking.describe(kind)));
     sheet(&mut out, run, &evaluation, &chosen)?;
     let note = format!("{} {kind} views, worst first", evaluation.views.len());
     section(&mut out, "Views", &note);

@@ -11,8 +11,21 @@ use std::time::{Duration, Instant};
 /// Until what could not be saved is tried again, while training goes on.
 const AGAIN: Duration = Duration::from_secs(5);
 /// Attempts when training ends, and the pause between two.
-pub(super) const ATTEMPTS: u32 = 3;
-pub(super) const PAUSE: Duration = Duration::from_millis(300);
+const ATTEMPTS: u32 = 3;
+const PAUSE: Duration = Duration::from_millis(300);
+
+/// Tries something, and again after a pause if it was refused and training `ends`: there is no later then.
+pub(super) fn attempt<T>(ends: bool, mut attempt: impl FnMut() -> T, refused: impl Fn(&T) -> bool) -> T {
+    let mut result = attempt();
+    for _ in 1..if ends { ATTEMPTS } else { 1 } {
+        if !refused(&result) {
+            break;
+        }
+        std::thread::sleep(PAUSE);
+        result = attempt();
+    }
+    result
+}
 
 /// What a run saves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -94,15 +107,7 @@ impl Run {
 
     /// Writes something. When the disk refuses it, it waits for later; where training ends, there is no later.
     fn persist(&mut self, kind: Kind, ends: bool, write: impl Fn(&mut Run) -> Result<()>) -> Result<()> {
-        let mut written = write(self);
-        for _ in 1..if ends { ATTEMPTS } else { 1 } {
-            if !matches!(written, Err(Error::Io { .. })) {
-                break;
-            }
-            std::thread::sleep(PAUSE);
-            written = write(self);
-        }
-        match written {
+        match attempt(ends, || write(self), |written| matches!(written, Err(Error::Io { .. }))) {
             Err(error @ Error::Io { .. }) if !ends => {
                 if self.unsaved.when(kind).replace(Instant::now() + AGAIN).is_none() {
                     let warning = format!("warning: {error}; training goes on, and it is tried again");

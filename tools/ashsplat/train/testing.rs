@@ -1,7 +1,7 @@
 //! Tests while training runs. What they measure counts; pictures and results that the disk refuses end no training.
 
 use super::Run;
-use super::saving::{ATTEMPTS, PAUSE};
+use super::saving::attempt;
 use crate::eval::{self, Evaluation, Pictures};
 use crate::progress::thousands;
 use crate::render;
@@ -18,28 +18,16 @@ impl Run {
     /// Measures the test views; those that were held out are also saved. What cannot be saved is an error where training
     /// ends, after some attempts, and else a warning. Pictures of such a test are not made again; its results are.
     pub(super) fn test(&mut self, iteration: u32, ends: bool) -> Result<f64> {
-        let (mut evaluation, mut saved) = self.evaluate(iteration)?;
-        for _ in 1..if ends { ATTEMPTS } else { 1 } {
-            if saved.is_ok() {
-                break;
-            }
-            std::thread::sleep(PAUSE);
-            (evaluation, saved) = self.evaluate(iteration)?;
-        }
+        let unsaved = |tested: &Result<(_, Result<()>)>| matches!(tested, Ok((_, Err(_))));
+        let (evaluation, saved) = attempt(ends, || self.evaluate(iteration), unsaved)?;
         let psnr = evaluation.psnr();
-        self.progress.tested(psnr);
-        self.show_test(iteration, psnr);
         let tested = Tested { iteration, gaussians: self.gaussians, evaluation };
-        self.progress.note(&self.describe(&tested));
-        self.evaluations.push(tested);
-        let mut results = self.write_results();
-        for _ in 1..if ends { ATTEMPTS } else { 1 } {
-            if results.is_ok() {
-                break;
-            }
-            std::thread::sleep(PAUSE);
-            results = self.write_results();
+        // The last one is among the results.
+        if !ends {
+            self.progress.note(&self.describe(&tested));
         }
+        self.evaluations.push(tested);
+        let results = attempt(ends, || self.write_results(), Result::is_err);
         match saved.and(results) {
             Err(error) if !ends => {
                 let warning = format!(

@@ -1,9 +1,12 @@
 //! One picture of the scene in one of the modes, and its bytes.
 
+use super::cut;
 use super::protocol::{Look, Mode, ViewRequest};
 use crate::output;
 use ashsplat::kernels::constants::TILE_SIZE;
-use ashsplat::{Camera, Error, Frame, PixelReport, RenderSettings, Renderer, Result, TileReport, Trainer};
+use ashsplat::{
+    Camera, Error, Frame, Gaussians, PixelReport, RenderSettings, Renderer, Result, TileReport, Trainer,
+};
 use ashsplat_files::Photo;
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -21,6 +24,8 @@ pub trait Painter {
     ) -> Result<(Frame, TileReport)>;
     fn inspect(&mut self, camera: &Camera, settings: &RenderSettings, pixel: [u32; 2])
     -> Result<PixelReport>;
+    /// The Gaussians as they stand.
+    fn gaussians(&self) -> Result<Gaussians>;
     /// Frees the memory of pictures. The next one takes what it needs.
     fn shrink(&mut self);
     /// Iterations of training so far.
@@ -48,6 +53,9 @@ macro_rules! painter {
                 pixel: [u32; 2],
             ) -> Result<PixelReport> {
                 $kind::inspect(self, camera, settings, pixel)
+            }
+            fn gaussians(&self) -> Result<Gaussians> {
+                $kind::gaussians(self)
             }
             fn shrink(&mut self) {
                 $shrink(self);
@@ -78,6 +86,7 @@ pub fn settings(base: &RenderSettings, look: &Look) -> RenderSettings {
         inverse_depth: matches!(look.mode, Mode::Depth | Mode::Ellipsoids),
         shape: look.mode.shape(),
         scale_modifier: look.scale,
+        cut: look.cut.cut(),
         ..*base
     }
 }
@@ -127,11 +136,15 @@ pub fn answer(
     let start = Instant::now();
     let bytes = encode(&drawn.photo, request.look.quality)?;
     let encode_ms = start.elapsed().as_secs_f64() * 1e3;
+    let settings = settings(base, &request.look);
     let header = json!({
         "seq": request.seq, "width": camera.width, "height": camera.height,
         "format": if request.look.quality == 0 { "image/png" } else { "image/jpeg" },
         "render_ms": render_ms, "encode_ms": encode_ms, "stats": drawn.stats, "legend": drawn.legend,
         "iteration": painter.iteration(),
+        // What makes the same cut of the file.
+        "convert": cut::options(&settings),
+        "export": cut::query(&settings),
     });
     Ok((header, bytes))
 }

@@ -4,21 +4,26 @@
 //! has said that the last has come. So a slow page gets fewer frames, and never old ones. Pages, the film that is being made
 //! and the program that speaks the reference's protocol take turns.
 
+mod films;
 mod outbox;
 mod turns;
 
-use super::protocol::{CameraMessage, FilmRequest, Look, ToPage, TrainAction, ViewRequest};
+use super::protocol::{CameraMessage, Look, ToPage, TrainAction, ViewRequest};
+use ashsplat::Gaussians;
 use outbox::Outbox;
 use serde_json::json;
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
+use tokio::sync::oneshot;
 use turns::{Client, State};
 
 /// Pages that may look on; more are refused.
 const MOST_PAGES: usize = 24;
 /// Pictures for programs of the reference's protocol that may wait; more are refused.
 const MOST_REMOTE: usize = 8;
+/// Requests for the scene itself that may wait; more are refused.
+const MOST_SCENES: usize = 2;
 /// Picks of one page that may wait; more are refused.
 const MOST_PICKS: usize = 4;
 /// Actions that may wait for training to take them; more are refused.
@@ -42,6 +47,21 @@ pub struct RemoteRequest {
     pub answer: std::sync::mpsc::SyncSender<Vec<u8>>,
 }
 
+/// The Gaussians as they stand, for who writes them to a file.
+#[derive(Debug)]
+pub struct SceneRequest {
+    /// Why there are none, in words, otherwise.
+    pub answer: oneshot::Sender<Result<CurrentScene, String>>,
+}
+
+/// The scene as it stands.
+#[derive(Debug)]
+pub struct CurrentScene {
+    pub gaussians: Gaussians,
+    /// Whether it wants antialiasing.
+    pub antialiased: bool,
+}
+
 /// What the rendering thread is to do next.
 #[derive(Debug)]
 pub enum Task {
@@ -56,6 +76,7 @@ pub enum Task {
     /// The next frame of the film that is being made, or the beginning of one.
     Film,
     Remote(RemoteRequest),
+    Scene(SceneRequest),
 }
 
 /// See the module.
@@ -175,6 +196,17 @@ impl Hub {
         })
     }
 
+    /// Asks for the Gaussians; false when others wait for them.
+    pub fn ask_for_scene(&self, request: SceneRequest) -> bool {
+        self.change(|state| {
+            let taken = state.scenes.len() < MOST_SCENES;
+            if taken {
+                state.scenes.push_back(request);
+            }
+            taken
+        })
+    }
+
     /// The scene has changed: pages that follow it need a new frame.
     pub fn renew(&self) {
         self.change(|state| {
@@ -200,58 +232,6 @@ impl Hub {
         self.lock().actions.drain(..).collect()
     }
 
-    /// Asks for a film: how many come before it, or none when the page has one already.
-    pub fn film(&self, client: u64, request: FilmRequest) -> Option<usize> {
-        self.change(|state| {
-            let has = state.filming == Some(client) || state.films.iter().any(|(owner, _)| *owner == client);
-            if has || !state.clients.contains_key(&client) {
-                return None;
-            }
-            state.films.push_back((client, request));
-            Some(state.films.len() - 1 + usize::from(state.filming.is_some()))
-        })
-    }
-
-    /// No film for this page after all; whether one was waiting, which is over now. One that is being made is over when
-    /// [`Hub::film_is_called_off`] has been asked.
-    pub fn cancel_film(&self, client: u64) -> bool {
-        self.change(|state| state.call_off(client))
-    }
-
-    /// The film that has waited for longest; from now on it is the one that is being made.
-    pub fn take_film(&self) -> Option<(u64, FilmRequest)> {
-        self.change(|state| {
-            let next = state.films.pop_front()?;
-            (state.filming, state.called_off) = (Some(next.0), false);
-            Some(next)
-        })
-    }
-
-    /// Whether the film that is being made is wanted no longer: its page has said so, or has gone.
-    pub fn film_is_called_off(&self) -> bool {
-        self.lock().called_off
-    }
-
-    /// The film that was being made no longer is.
-    pub fn film_ended(&self) {
-        self.change(|state| (state.filming, state.called_off) = (None, false));
-    }
-
-    /// Files of a film are there: from now on pages may fetch them.
-    pub fn publish_film(&self, files: impl IntoIterator<Item = String>) {
-        self.change(|state| state.film_files.extend(files));
-    }
-
-    /// Whether a file is one of a film of this run.
-    pub fn has_film_file(&self, name: &str) -> bool {
-        self.lock().film_files.contains(name)
-    }
-
-    /// Whether a film is being made or waits.
-    pub fn has_films(&self) -> bool {
-        self.lock().has_films()
-    }
-
     /// Sends to one page.
     pub fn send(&self, client: u64, message: ToPage) {
         if let Some(client) = self.lock().clients.get(&client) {
@@ -274,7 +254,10 @@ impl Hub {
     /// Whether any request is waiting.
     pub fn is_wanted(&self) -> bool {
         let state = self.lock();
-        !state.remote.is_empty() || !state.films.is_empty() || state.clients.values().any(Client::waits)
+        !state.remote.is_empty()
+            || !state.scenes.is_empty()
+            || !state.films.is_empty()
+            || state.clients.values().any(Client::waits)
     }
 
     /// The next task; waits for one at most so long.
@@ -379,46 +362,6 @@ mod tests {
         assert_eq!(taken, MOST_PICKS);
     }
 
-    pub(super) fn film() -> FilmRequest {
-        let look = Look::default();
-        FilmRequest {
-            keys: Vec::new(),
-            seconds: 1.0,
-            frames_per_second: 1,
-            closed: false,
-            width: 1,
-            height: 1,
-            look,
-        }
-    }
-
-    #[test]
-    fn films_wait_for_their_turn_and_pages_call_off_their_own_only() {
-        let hub = Hub::default();
-        let [a, b, c] = [(); 3].map(|()| join(&hub));
-        assert_eq!((hub.film(a, film()), hub.film(b, film())), (Some(0), Some(1)));
-        assert_eq!(hub.film(a, film()), None, "one of each page");
-        assert_eq!(hub.take_film().map(|(owner, _)| owner), Some(a));
-        assert_eq!((hub.film(c, film()), hub.film(a, film())), (Some(2), None));
-        // One that waits goes at once, and not the one that is being made.
-        assert!(hub.cancel_film(b) && !hub.film_is_called_off());
-        assert!(!hub.cancel_film(b), "it has none any more");
-        // A film in progress stays cancelled when another page requests one.
-        assert!(!hub.cancel_film(a));
-        assert_eq!(hub.film(b, film()), Some(2));
-        assert!(hub.film_is_called_off());
-        hub.film_ended();
-        assert_eq!(hub.take_film().map(|(owner, _)| owner), Some(c));
-        assert!(!hub.film_is_called_off(), "that was another");
-        // A page that leaves takes its films along.
-        hub.leave(b);
-        hub.leave(c);
-        assert!(hub.film_is_called_off());
-        hub.film_ended();
-        assert!(hub.take_film().is_none() && !hub.has_films());
-        assert_eq!(hub.film(c, film()), None, "no page is connected");
-    }
-
     #[test]
     fn pages_and_other_programs_are_bounded() {
         let hub = Hub::default();
@@ -430,6 +373,8 @@ mod tests {
         let camera = view(0).camera.camera().expect("a camera");
         let ask = || hub.ask_remotely(RemoteRequest { camera, scale: 1.0, answer: answer.clone() });
         assert_eq!((0..100).filter(|_| ask()).count(), MOST_REMOTE);
+        let scene = || hub.ask_for_scene(SceneRequest { answer: oneshot::channel().0 });
+        assert_eq!((0..100).filter(|_| scene()).count(), MOST_SCENES);
     }
 
     #[test]

@@ -3,6 +3,8 @@
 mod queue;
 
 use super::draw;
+#[cfg(feature = "window")]
+use ashsplat::Error;
 use ashsplat::Result;
 use ashsplat_files::{Gallery, Photo, PhotoFileFormat};
 use axum::body::Bytes;
@@ -126,6 +128,13 @@ impl Photos {
         let mib = u32::try_from(bytes.len().div_ceil(1 << 20)).unwrap_or(SENDING_MIB);
         let sent = self.sending.turn(asker, mib).await?;
         Ok(Bytes::from_owner(Lent { bytes, _sent: sent }))
+    }
+
+    /// A photo as it is, decoded here and now.
+    #[cfg(feature = "window")]
+    pub fn decoded_now(&self, index: usize) -> Result<Photo> {
+        let view = self.gallery.view(index).ok_or_else(|| Error::argument("photo", "there is none"))?;
+        Ok((*view?.photo.photo()?).clone())
     }
 
     fn kept(&self, index: usize, size: Size) -> Option<Arc<Vec<u8>>> {

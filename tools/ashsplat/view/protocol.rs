@@ -1,6 +1,7 @@
 //! What page and program say to each other over the WebSocket: JSON, but for frames, which are binary: the length of a
 //! JSON header (u32, little-endian), the header, the encoded picture.
 
+use super::cut::CutMessage;
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::{Error, PixelReport, Result, Shape};
 use glam::{Mat3, Vec3};
@@ -89,11 +90,20 @@ pub struct Look {
     pub scale: f32,
     /// JPEG's quality, 1 to 100; 0 for PNG.
     pub quality: u8,
+    /// What is left out.
+    pub cut: CutMessage,
 }
 
 impl Default for Look {
     fn default() -> Self {
-        Self { mode: Mode::Splats, background: None, sh_degree: None, scale: 1.0, quality: 90 }
+        Self {
+            mode: Mode::Splats,
+            background: None,
+            sh_degree: None,
+            scale: 1.0,
+            quality: 90,
+            cut: CutMessage::default(),
+        }
     }
 }
 
@@ -221,7 +231,7 @@ pub fn picked(id: u64, pixel: [u32; 2], report: &PixelReport) -> Value {
 }
 
 /// Where the transmittance falls below one half of what is blocked in all, if that is worth mentioning.
-fn pivot_depth(report: &PixelReport) -> Option<f32> {
+pub fn pivot_depth(report: &PixelReport) -> Option<f32> {
     let blocked = 1.0 - report.transmittance;
     if blocked < 0.1 {
         return None;

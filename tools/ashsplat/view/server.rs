@@ -2,27 +2,30 @@
 
 mod connections;
 mod door;
+mod export;
 mod files;
+mod opening;
 mod page;
 mod seats;
 
 use super::assets;
 use super::hub::Hub;
+use super::openings::{Openings, Reach};
 use super::photos::{Asker, Photos, Refusal, Size};
 use ashsplat::{Error, Result};
 use axum::extract::{Path as UrlPath, State};
 use axum::http::{StatusCode, Uri, header};
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use axum::{Extension, Router};
 use clap::Args;
 use seats::{Limits, Seat};
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use tokio::sync::oneshot;
+use tokio::sync::{Semaphore, oneshot};
 
 /// Where the page is served.
 #[derive(Args, Clone, Debug)]
@@ -41,16 +44,50 @@ pub struct ServeArguments {
     pub of_training: bool,
 }
 
-/// Threads that photos may use.
+/// Threads that photos may use; exports have others.
 const WORKERS: usize = 2;
 
 /// What requests are answered from.
 pub struct Site {
-    pub hub: Arc<Hub>,
-    pub photos: Option<Arc<Photos>>,
+    hub: Arc<Hub>,
+    photos: Mutex<Option<Arc<Photos>>>,
     /// Where films lie.
-    pub films: PathBuf,
-    pub token: Option<String>,
+    films: PathBuf,
+    token: Option<String>,
+    /// None where pages may open nothing.
+    openings: Option<Arc<Openings>>,
+    exports: Arc<Semaphore>,
+}
+
+impl Site {
+    /// Films lie in a folder.
+    pub fn new(hub: Arc<Hub>, films: PathBuf, token: Option<String>) -> Site {
+        let exports = Arc::new(Semaphore::new(export::MOST_EXPORTS));
+        Site { hub, photos: Mutex::default(), films, token, openings: None, exports }
+    }
+
+    /// Lets pages open scenes.
+    pub fn with_openings(self, openings: Option<Arc<Openings>>) -> Site {
+        Site { openings, ..self }
+    }
+
+    /// Shows these photos from now on.
+    pub fn show_photos(&self, photos: Option<Arc<Photos>>) {
+        // A panic of another thread leaves nothing half-done here.
+        *self.photos.lock().unwrap_or_else(PoisonError::into_inner) = photos;
+    }
+
+    fn photos(&self) -> Option<Arc<Photos>> {
+        self.photos.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// Who reaches the port that is open.
+pub fn reach(listener: &TcpListener) -> Reach {
+    match listener.local_addr() {
+        Ok(address) if address.ip().is_loopback() => Reach::ThisMachine,
+        _ => Reach::Others,
+    }
 }
 
 /// What serves, as long as the value lives: with it goes all that the site holds, an unpacked data set, say.
@@ -71,12 +108,13 @@ impl Drop for Server {
 }
 
 /// Starts to serve at an open port.
-pub fn start(listener: TcpListener, site: Site) -> Result<Server> {
+pub fn start(listener: TcpListener, site: impl Into<Arc<Site>>) -> Result<Server> {
+    let site = site.into();
     let failed = |e: std::io::Error| Error::argument("viewer", format!("cannot listen: {e}"));
     let address = listener.local_addr().map_err(failed)?;
     listener.set_nonblocking(true).map_err(failed)?;
     let runtime = tokio::runtime::Builder::new_current_thread()
-        .max_blocking_threads(WORKERS)
+        .max_blocking_threads(WORKERS + export::MOST_EXPORTS)
         .enable_all()
         .build()
         .map_err(failed)?;
@@ -84,7 +122,7 @@ pub fn start(listener: TcpListener, site: Site) -> Result<Server> {
     let serve = async move {
         let listener = tokio::net::TcpListener::from_std(listener)?;
         tokio::select! {
-            () = connections::serve(listener, router(Arc::new(site)), Limits::of_process()) => Ok(()),
+            () = connections::serve(listener, router(site), Limits::of_process()) => Ok(()),
             _ = stopped => Ok(()),
         }
     };
@@ -143,6 +181,9 @@ fn router(site: Arc<Site>) -> Router {
             get(|site, seat, index, uri| photo(Size::Thumbnail, site, seat, index, uri)),
         )
         .route("/film/{name}", get(film))
+        .route("/export/{name}", get(export::export))
+        .route("/upload/{name}", post(opening::upload))
+        .route("/open", post(opening::open))
         .fallback(asset)
         .layer(middleware::from_fn_with_state(site.clone(), door::guard))
         .with_state(site)
@@ -155,6 +196,11 @@ async fn asset(uri: Uri) -> Response {
         }
         None => (StatusCode::NOT_FOUND, "404: there is nothing of this name\n").into_response(),
     }
+}
+
+/// An answer in words.
+fn refusal(code: StatusCode, problem: &str) -> Response {
+    (code, format!("{}: {problem}\n", code.as_u16())).into_response()
 }
 
 /// A photo of the data set as JPEG.
@@ -176,7 +222,7 @@ fn asker(site: &Site, seat: &Seat, uri: &Uri) -> Asker {
 }
 
 async fn send_photo(site: Arc<Site>, index: usize, size: Size, asker: Asker) -> Response {
-    let Some(photos) = site.photos.clone() else { return StatusCode::NOT_FOUND.into_response() };
+    let Some(photos) = site.photos() else { return StatusCode::NOT_FOUND.into_response() };
     // The page's addresses of photos carry the run's name: of another scene at this port they are others.
     match photos.jpeg(index, size, asker).await {
         Ok(bytes) => {
@@ -220,7 +266,7 @@ mod tests {
     fn silent_pages_are_given_up() {
         let hub = Arc::new(Hub::default());
         hub.greet_with("{}".into());
-        let site = Site { hub: hub.clone(), photos: None, films: PathBuf::new(), token: None };
+        let site = Site::new(hub.clone(), PathBuf::new(), None);
         let serve = ServeArguments { host: "127.0.0.1".into(), port: 0, token: None, of_training: false };
         let server = start(open(&serve).expect("a port"), site).expect("a server");
         let address = server.address;

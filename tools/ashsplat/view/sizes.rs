@@ -1,7 +1,7 @@
 //! Gives memory back after pictures that are much larger than those that follow.
 
 use super::draw::Painter;
-use ashsplat::{Camera, Frame, PixelReport, RenderSettings, Result, TileReport};
+use ashsplat::{Camera, Frame, Gaussians, PixelReport, RenderSettings, Result, TileReport};
 
 /// A picture is much smaller than another with less than 1/MUCH of its pixels.
 const MUCH: u64 = 4;
@@ -72,6 +72,10 @@ impl Painter for Sparing<'_> {
         pixel: [u32; 2],
     ) -> Result<PixelReport> {
         self.draw(camera, |painter| painter.inspect(camera, settings, pixel))
+    }
+
+    fn gaussians(&self) -> Result<Gaussians> {
+        self.painter.gaussians()
     }
 
     fn shrink(&mut self) {

@@ -2,7 +2,7 @@
 
 use super::draw::{self, Painter};
 use super::film::{Film, assembly};
-use super::hub::{Hub, RemoteRequest, Task};
+use super::hub::{CurrentScene, Hub, RemoteRequest, SceneRequest, Task};
 use super::protocol::{self, ToPage};
 use super::sizes::{Sizes, Sparing};
 use crate::output;
@@ -43,6 +43,11 @@ impl Studio {
             assembling: Vec::new(),
             abandoned: Arc::default(),
         }
+    }
+
+    /// Shows another scene from now on, as it was trained.
+    pub fn show(&mut self, base: RenderSettings) {
+        self.base = base;
     }
 
     /// Whether a film is being made or waits for its turn.
@@ -86,6 +91,7 @@ impl Studio {
             }
             Task::Film => return self.go_on_filming(painter),
             Task::Remote(request) => self.answer_remotely(painter, &request)?,
+            Task::Scene(request) => self.hand_over(painter, request)?,
         }
         Ok(true)
     }
@@ -113,6 +119,23 @@ impl Studio {
             // Without an answer the connection is closed.
             Err(error) => fatal(error),
         }
+    }
+
+    /// Gives the scene to who writes it to a file.
+    fn hand_over(&self, painter: &dyn Painter, request: SceneRequest) -> Result<()> {
+        // Who asked may have gone.
+        if request.answer.is_closed() {
+            return Ok(());
+        }
+        let antialiased = self.base.antialias;
+        match painter.gaussians() {
+            Ok(gaussians) => drop(request.answer.send(Ok(CurrentScene { gaussians, antialiased }))),
+            Err(error) => {
+                drop(request.answer.send(Err(error.to_string())));
+                fatal(error)?;
+            }
+        }
+        Ok(())
     }
 
     /// One frame of the film that is being made, or the beginning of the next.

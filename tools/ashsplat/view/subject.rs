@@ -1,5 +1,6 @@
 //! What is looked at: Gaussians, how they look, and the cameras and photos that belong to them.
 
+use super::labels::labels;
 use super::photos::Photos;
 use super::protocol::CameraMessage;
 use crate::args::HostArguments;
@@ -7,13 +8,15 @@ use crate::config::{CAMERAS_FILE, DataSettings};
 use crate::model::Model;
 use crate::render::{self, LookArguments};
 use crate::session;
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
+use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
+use ashsplat_files::quoted;
+use ashsplat_files::splats::Format;
 use ashsplat_files::{DatasetOptions, Gallery};
 use glam::Vec3;
 use serde_json::{Value, json};
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::SystemTime;
@@ -34,6 +37,8 @@ pub struct Subject {
     pub photos: Option<Arc<Photos>>,
     /// What the page says when there is nothing to see, and below the name otherwise.
     pub note: Option<String>,
+    /// Its file or folder, for commands; none where there is none.
+    pub file: Option<PathBuf>,
 }
 
 /// What of a scene is wanted, other than by default.
@@ -44,6 +49,8 @@ pub struct Wanted<'a> {
     pub source: Option<&'a Path>,
     /// The folder of its photos.
     pub images: Option<&'a str>,
+    /// Photos of elsewhere are left out: a model names its data set and their folder.
+    pub within: Option<&'a Path>,
 }
 
 impl Subject {
@@ -58,6 +65,7 @@ impl Subject {
             cameras: Vec::new(),
             photos: None,
             note: Some(note.into()),
+            file: None,
         }
     }
 
@@ -83,6 +91,9 @@ impl Subject {
         }
         let asked = wanted.source.is_some() || wanted.images.is_some();
         let white = model.settings.train.white_background;
+        if wanted.within.is_some_and(|folder| !lies_within(&data, folder)) {
+            data.source_path = PathBuf::new();
+        }
         let gallery = match (asked, photos_of(&data, white, host, stop)) {
             (true, gallery) => Some(gallery?),
             (false, Err(Error::Interrupted)) => return Err(Error::Interrupted),
@@ -95,6 +106,8 @@ impl Subject {
             (None, Some(own)) => cameras_json::read(own)?,
             (None, None) => Vec::new(),
         };
+        let newest = model.folder.is_some() && wanted.iteration.is_none();
+        let file = if newest { path.to_owned() } else { model.ply };
         Ok(Subject {
             name: path.display().to_string(),
             base: look.settings(&model.settings, &scene.header)?,
@@ -102,6 +115,7 @@ impl Subject {
             cameras,
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: model.folder.map(|(_, iteration)| format!("iteration {iteration}")),
+            file: Some(file),
         })
     }
 
@@ -133,6 +147,7 @@ impl Subject {
             cameras: gallery.cameras(),
             photos: Some(Arc::new(Photos::new(gallery))),
             note: Some(note.into()),
+            file: None,
         })
     }
 
@@ -141,13 +156,16 @@ impl Subject {
         let [width, height] = START_SIZE;
         let intrinsics = Intrinsics::from_fov_x(1.0, width, height);
         let cameras: Vec<Camera> = self.cameras.iter().map(|named| named.camera).collect();
-        let middle = self.gaussians.statistics().central_bounds.map(|bounds| bounds.center());
+        let statistics = self.gaussians.statistics();
+        let corners = |bounds: Bounds| json!([bounds.min.to_array(), bounds.max.to_array()]);
+        let middle = statistics.central_bounds.map(|bounds| bounds.center());
         let orbit = Orbit::around_scene(&cameras, middle, 1, intrinsics);
         let orbit =
             orbit.unwrap_or_else(|| render::orbit_around(&self.gaussians, Vec3::NEG_Y, 1, intrinsics));
         let start = cameras.first().copied().or_else(|| orbit.cameras().first().copied());
-        let photo =
-            |named: &NamedCamera| json!({ "name": named.name, "camera": CameraMessage::of(&named.camera) });
+        let names: Vec<&str> = self.cameras.iter().map(|named| named.name.as_str()).collect();
+        let photo = |(named, label): (&NamedCamera, String)| json!({ "name": named.name, "label": label, "camera": CameraMessage::of(&named.camera) });
+        let photos = self.cameras.iter().zip(labels(&names)).map(photo);
         json!({
             "type": "scene",
             "name": self.name,
@@ -156,10 +174,15 @@ impl Subject {
             "empty": self.gaussians.is_empty(),
             "gaussians": self.gaussians.len(),
             "sh_degree": self.gaussians.sh_degree,
+            "bounds": statistics.bounds.map(corners),
+            "central_bounds": statistics.central_bounds.map(corners),
+            "densities": statistics.density_percentiles,
+            "stem": self.stem(),
+            "convert": self.convert_command(),
             "background": self.base.background,
             "device": device,
             "version": env!("CARGO_PKG_VERSION"),
-            "cameras": self.cameras.iter().map(photo).collect::<Vec<_>>(),
+            "cameras": photos.collect::<Vec<_>>(),
             "has_photos": self.photos.is_some(),
             "start": start.map(|camera| CameraMessage::of(&camera)),
             "pivot": orbit.center.to_array(),
@@ -170,10 +193,42 @@ impl Subject {
     }
 }
 
+impl Subject {
+    /// What its files are called, without an ending.
+    fn stem(&self) -> String {
+        let name = Path::new(&self.name).file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let ending = Format::of_extension(&name).map_or(0, |format| format.extension().len());
+        let stem = name[..name.len() - ending].trim_start_matches('.');
+        if stem.is_empty() { "scene".into() } else { stem.into() }
+    }
+
+    /// The beginning of a command that cuts it.
+    fn convert_command(&self) -> Option<String> {
+        let file = self.file.as_ref()?.to_string_lossy().into_owned();
+        let cut = format!("{}_cut.ply", self.stem());
+        Some(format!("ashsplat convert {} {}", quoted(&file), quoted(&cut)))
+    }
+}
+
 /// A word of this run's own, so that no browser takes another run's photos for its.
 fn run_name() -> String {
     let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     format!("{:x}", now.as_nanos())
+}
+
+/// Whether a data set and the folder of its photos lie in a folder, which is given without links. Both names may come with
+/// a model of a stranger's.
+fn lies_within(data: &DataSettings, folder: &Path) -> bool {
+    let Ok(source) = data.source_path.canonicalize() else { return false };
+    let images = Path::new(&data.images);
+    // The masks' folder is named after that of the photos, and leads out by the same `..`.
+    let climbs = images.components().any(|part| part == Component::ParentDir);
+    let photos_lie_within = match source.join(images).canonicalize() {
+        Ok(photos) => photos.starts_with(folder),
+        // It does not exist, or lies in a ZIP, which is unpacked elsewhere.
+        Err(_) => !images.has_root() && !images.is_absolute(),
+    };
+    source.starts_with(folder) && !climbs && photos_lie_within
 }
 
 /// The photos of a training's data set, at the size at which it uses them.

@@ -44,6 +44,8 @@ impl Gallery {
         let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, &arguments)?;
         let address = program.wait_for("viewer at http://")?;
         let host = address.split('/').next().unwrap_or_default().to_owned();
+        // The page is there before the photos.
+        drop(page::Page::open(&host)?);
         let before = program.memory();
         Ok(Gallery { program, host, before })
     }

@@ -29,12 +29,17 @@ struct Curve {
     from_zero: bool,
 }
 
-/// Loss, PSNR, Gaussians and speed.
-pub fn charts(rows: &Rows, tested_on: &str) -> String {
+/// Loss, PSNR, Gaussians and speed. The PSNR is that of the views that are followed, where a run has measured them: `tracked`
+/// says which they are.
+pub fn charts(rows: &Rows, tested_on: &str, tracked: &str) -> String {
     let of = |column: &[f64]| rows.iterations.iter().copied().zip(column.iter().copied()).collect::<Vec<_>>();
     // Not every iteration is tested; one that was left out has no loss.
     let known = |column: &[f64]| of(column).into_iter().filter(|(_, y)| y.is_finite()).collect::<Vec<_>>();
-    let (psnr, loss) = (known(&rows.psnr), known(&rows.loss));
+    let (psnr, tracked_psnr, loss) = (known(&rows.psnr), known(&rows.tracked_psnr), known(&rows.loss));
+    let (psnr, measured) = match tracked_psnr.is_empty() {
+        true => (psnr, format!("mean of the {tested_on} views where they were tested")),
+        false => (tracked_psnr, tracked.to_owned()),
+    };
     let end = rows.iterations.last().copied().unwrap_or(1.0);
     let curve = |title, unit, color, digits, points| Curve {
         title,
@@ -50,10 +55,7 @@ pub fn charts(rows: &Rows, tested_on: &str) -> String {
             curve("Loss", "", "var(--a)", 4, loss),
             "0.8 L1 + 0.2 (1 − SSIM) by default, of one view each".into(),
         ),
-        (
-            Curve { dots: true, from_zero: false, ..curve("PSNR", " dB", "var(--b)", 2, psnr) },
-            format!("mean of the {tested_on} views where they were tested"),
-        ),
+        (Curve { dots: true, from_zero: false, ..curve("PSNR", " dB", "var(--b)", 2, psnr) }, measured),
         (curve("Gaussians", "", "var(--c)", 0, of(&rows.gaussians)), "after each iteration".to_owned()),
         (curve("Speed", " it/s", "var(--d)", 1, speed(rows)), "tests and saving not counted".to_owned()),
     ];

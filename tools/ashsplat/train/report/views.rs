@@ -3,6 +3,7 @@
 use crate::eval::{Evaluation, ViewResult};
 use crate::html::{self, escape, heat};
 use crate::output;
+use crate::train::tracking;
 use ashsplat::{Frame, Result};
 use ashsplat_files::{Photo, PhotoFileFormat, View};
 use std::fmt::Write;
@@ -21,10 +22,9 @@ pub fn worst_first(views: &[ViewResult]) -> Vec<usize> {
     order
 }
 
-/// Of so many at most [`SHOWN`], evenly spread, the first and the last among them.
-pub fn spread<T: Copy>(all: &[T]) -> Vec<T> {
-    let shown = all.len().min(SHOWN);
-    (0..shown).map(|i| all[i * (all.len() - 1) / (shown - 1).max(1)]).collect()
+/// Of so many at most [`SHOWN`], evenly spread.
+pub fn spread<T: Clone>(all: &[T]) -> Vec<T> {
+    tracking::spread(all, SHOWN)
 }
 
 /// A row of the contact sheet.

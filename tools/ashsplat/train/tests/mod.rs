@@ -1,4 +1,6 @@
-//! A training that cannot start.
+//! A training that cannot start, and what a failure leaves.
+
+mod following;
 
 use super::*;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
@@ -127,7 +129,7 @@ fn iterations_that_are_left_out_are_counted() {
         let loss = if skipped { f32::NAN } else { 0.5 };
         let report = StepReport { iteration, skipped, loss, instances: 9_000_000, ..StepReport::default() };
         run.account(&report);
-        run.log.add(&report, None, &[]);
+        run.log.add(&report, (None, None), &[]);
     }
     assert_eq!(run.skipped, 2);
     run.log.finish().expect("written");

@@ -1,6 +1,6 @@
 //! Who waits for the thread that renders, and whose turn it is.
 
-use super::{Outbox, Pick, RemoteRequest, Task};
+use super::{Outbox, Pick, RemoteRequest, SceneRequest, Task};
 use crate::view::protocol::{FilmRequest, TrainAction, ViewRequest};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -25,6 +25,7 @@ pub(super) struct State {
     pub(super) next_client: u64,
     pub(super) turn: u64,
     pub(super) remote: VecDeque<RemoteRequest>,
+    pub(super) scenes: VecDeque<SceneRequest>,
     /// The turns in which a film and another program were served last.
     pub(super) film_served: u64,
     pub(super) remote_served: u64,
@@ -64,6 +65,10 @@ impl State {
 
     /// The request of the page that has waited longest for a turn.
     pub(super) fn take_task(&mut self) -> Option<Task> {
+        // Few, and each is written and sent before its page asks again.
+        if let Some(request) = self.scenes.pop_front() {
+            return Some(Task::Scene(request));
+        }
         self.turn += 1;
         let films_turn = if self.has_films() { self.film_served } else { u64::MAX };
         let page = self.clients.iter_mut().filter(|(_, client)| client.waits());
@@ -94,7 +99,8 @@ impl State {
 mod tests {
     use super::*;
     use crate::view::hub::Hub;
-    use crate::view::hub::tests::{film, join, view};
+    use crate::view::hub::films::tests::film;
+    use crate::view::hub::tests::{join, view};
     use std::time::Duration;
 
     #[test]
@@ -122,6 +128,7 @@ mod tests {
                     }
                     Task::Remote(_) => 'r',
                     Task::Pick { .. } => 'p',
+                    Task::Scene(_) => 's',
                 }
             })
             .collect();

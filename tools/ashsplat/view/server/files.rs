@@ -13,19 +13,25 @@ const PIECE: u64 = 256 << 10;
 
 /// The contents of a regular file; none where there is no such.
 pub fn body(path: &Path) -> Option<Body> {
+    body_of(path, ())
+}
+
+/// The same; something is kept until all of it is sent, or nobody wants it any more.
+pub fn body_of<T: Send + Unpin + 'static>(path: &Path, kept: T) -> Option<Body> {
     // Opening a pipe would wait for its writer.
     std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
     let file = File::open(path).ok()?;
     let left = file.metadata().ok()?.len();
-    Some(Body::new(Pieces { file, left }))
+    Some(Body::new(Pieces { file, left, _kept: kept }))
 }
 
-struct Pieces {
+struct Pieces<T> {
     file: File,
     left: u64,
+    _kept: T,
 }
 
-impl hyper::body::Body for Pieces {
+impl<T: Unpin> hyper::body::Body for Pieces<T> {
     type Data = Bytes;
     type Error = std::io::Error;
 

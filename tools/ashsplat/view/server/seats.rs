@@ -4,6 +4,7 @@
 //! first.
 
 use std::net::IpAddr;
+use std::pin::pin;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -15,6 +16,8 @@ const MOST: usize = 96;
 const RESERVE: usize = 64;
 /// What a small table of descriptors leaves the viewer nevertheless.
 const LEAST: usize = 8;
+/// So often a connection that waits for the program is noted: much sooner than one that stands still is ended.
+const NOTE: Duration = if cfg!(test) { Duration::from_millis(20) } else { Duration::from_secs(10) };
 
 /// How many connections there may be, and how long they may take.
 #[derive(Clone, Copy, Debug)]
@@ -140,6 +143,17 @@ impl Seat {
         self.moved.store(now, Ordering::Relaxed);
     }
 
+    /// Waits for what the program itself does: meanwhile the connection stands still through no fault of its peer.
+    pub async fn waits_for<T>(&self, work: impl Future<Output = T>) -> T {
+        let mut work = pin!(work);
+        loop {
+            match tokio::time::timeout(NOTE, work.as_mut()).await {
+                Ok(done) => return done,
+                Err(_) => self.has_moved(),
+            }
+        }
+    }
+
     fn still_for(&self) -> Duration {
         self.start.elapsed().saturating_sub(Duration::from_millis(self.moved.load(Ordering::Relaxed)))
     }
@@ -198,6 +212,24 @@ mod tests {
         assert_eq!(Limits::within(RESERVE + 20).total, 20);
         assert_eq!(Limits::within(3).total, LEAST);
         assert!(free_descriptors() > 0);
+    }
+
+    #[test]
+    fn who_waits_for_the_program_stays() {
+        let stall = Duration::from_millis(300);
+        let seats = Seats::new(Limits { total: 2, per_peer: 2, headers: stall, stall });
+        let seat = seats.take("127.0.0.1".parse().expect("an address")).expect("a seat");
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("a runtime");
+        let stays = runtime.block_on(async {
+            tokio::select! {
+                biased;
+                () = seat.waits_for(tokio::time::sleep(4 * stall)) => true,
+                () = seat.must_go(stall) => false,
+            }
+        });
+        assert!(stays);
+        // When nothing is done for it any more, its time runs again.
+        runtime.block_on(seat.must_go(stall));
     }
 
     #[test]

@@ -119,8 +119,10 @@ export class Frames {
     }
 }
 
-export function download(blob, name) {
-    const link = Object.assign(document.createElement('a'), { href: URL.createObjectURL(blob), download: name });
+/** Has the browser save a blob, or what lies at an address. */
+export function download(what, name) {
+    const made = what instanceof Blob;
+    const link = Object.assign(document.createElement('a'), { href: made ? URL.createObjectURL(what) : what, download: name });
     link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    if (made) setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }

@@ -3,12 +3,14 @@
 import { Camera } from './camera.js';
 import { Controls } from './controls.js';
 import { Film } from './film.js';
+import { Filter } from './filter.js';
 import { Frames } from './frames.js';
 import { Link } from './link.js';
 import { Overlay } from './overlay.js';
 import { Panel } from './panel.js';
 import { Photos } from './photos.js';
 import { Picker } from './pick.js';
+import { Stage } from './stage.js';
 import { Training } from './training.js';
 
 export const find = (id) => document.getElementById(id);
@@ -16,12 +18,15 @@ export const find = (id) => document.getElementById(id);
 const link = new Link();
 const camera = new Camera();
 const panel = new Panel();
-const frames = new Frames(link, camera, find('picture'), () => panel.look());
 const overlay = new Overlay(find('overlay'), camera);
-const picker = new Picker(link, camera, frames, () => panel.look(), overlay);
+const filter = new Filter(overlay, say);
+const look = () => ({ ...panel.look(), cut: filter.cut });
+const frames = new Frames(link, camera, find('picture'), look);
+const picker = new Picker(link, camera, frames, look, overlay);
 const photos = new Photos(camera, overlay, frames);
-const film = new Film(link, camera, () => panel.look());
+const film = new Film(link, camera, look);
 const training = new Training(link);
+const stage = new Stage(link, say);
 let scene = null;
 
 const controls = new Controls(find('overlay'), camera, {
@@ -49,11 +54,27 @@ panel.toggled = (name, on) => {
     find('overlay').classList.toggle('inspecting', panel.inspecting);
 };
 panel.rendering = ({ resolution, quality }) => { Object.assign(frames, { resolution, quality }); frames.leap(); };
+filter.changed = () => frames.touch();
 find('home').onclick = home;
 find('shot').onclick = () => frames.screenshot();
-find('help').onclick = () => find('keys').showModal();
+find('help').onclick = listKeys;
 find('panel-toggle').onclick = () => document.body.classList.toggle('bare');
+find('fullscreen').hidden = !document.fullscreenEnabled;
+find('fullscreen').onclick = fullscreen;
+addEventListener('fullscreenchange', () => find('fullscreen').classList.toggle('on', document.fullscreenElement !== null));
+// On a phone the picture comes first.
+document.body.classList.toggle('bare', innerWidth <= 760 || innerHeight <= 500);
 addEventListener('resize', () => { frames.touch(); photos.follow(); overlay.draw(); });
+
+function fullscreen() {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else document.documentElement.requestFullscreen().catch((error) => say(`no whole screen: ${error.message}`));
+}
+
+function listKeys() {
+    find('keys').showModal();
+    find('keys').scrollTop = 0;
+}
 
 function home() {
     if (!scene?.start) return;
@@ -66,13 +87,16 @@ function home() {
 function key(code, event) {
     const digit = /^(?:Digit|Numpad)([1-5])$/.exec(code);
     if (digit) panel.choose(['splats', 'centres', 'ellipsoids', 'depth', 'tiles'][digit[1] - 1]);
-    else if (event.key === '?') find('keys').showModal();
+    else if (event.key === '?') listKeys();
     else if (code === 'KeyV') panel.toggle('fly');
     else if (code === 'KeyI') panel.toggle('inspect');
     else if (code === 'KeyC') panel.toggle('cameras');
     else if (code === 'KeyH') document.body.classList.toggle('bare');
     else if (code === 'KeyP') frames.screenshot();
     else if (code === 'KeyK') film.add();
+    else if (code === 'KeyF' && event.shiftKey) fullscreen();
+    else if (code === 'KeyX') filter.toggle();
+    else if (code === 'KeyO') stage.choose();
     else if (code === 'KeyF') camera.face(scene?.pivot ?? camera.pivot);
     else if (code === 'Home') home();
     else if (code === 'BracketLeft') photos.step(-1);
@@ -93,19 +117,22 @@ link.on('close', () => {
 });
 link.on('page', ({ page }) => { photos.page = page; });
 link.on('scene', (message) => {
-    const first = scene === null || scene.name !== message.name;
+    // Where pages open scenes, two of them may have one name.
+    const first = scene === null || scene.name !== message.name || (message.open && scene.run !== message.run);
     scene = message;
     find('scene-name').textContent = `\u200e${message.name}`;
     find('scene-name').title = message.name;
     find('scene-note').textContent = message.empty ? '' : message.note ?? `${message.gaussians.toLocaleString('en')} Gaussians`;
     document.title = `${message.name.split('/').filter(Boolean).at(-1) ?? ''} · ashsplat`;
     find('device').textContent = message.device;
-    find('welcome').hidden = !message.empty;
-    if (message.empty) find('welcome').querySelector('p').replaceChildren(...marked(message.note ?? ''));
+    if (message.empty) find('welcome-note').replaceChildren(...marked(message.note ?? ''));
     frames.follow = message.training !== null;
     panel.open(message);
+    filter.open(message, first);
     training.open(message.training);
     if (first) {
+        // Frames that are on their way may be of the scene before.
+        frames.shownSeq = frames.seq + 1;
         Object.assign(camera, { up: message.up, radius: message.radius || 1 });
         overlay.cameras = message.cameras;
         home();
@@ -116,7 +143,9 @@ link.on('scene', (message) => {
 link.on('problem', ({ message }) => say(message));
 link.on('note', ({ message }) => say(message));
 frames.onShown = (header) => {
+    stage.picture();
     panel.showFrame(header, frames.framesPerSecond);
+    filter.showFrame(header);
     window.ashsplat.shown = header;
 };
 
@@ -128,14 +157,13 @@ function marked(text) {
     });
 }
 
-let silence = 0;
 /** Says something for a while. */
 export function say(text) {
     const box = find('message');
     box.textContent = text;
     box.hidden = false;
-    clearTimeout(silence);
-    silence = setTimeout(() => { box.hidden = true; }, 6000);
+    clearTimeout(say.silence);
+    say.silence = setTimeout(() => { box.hidden = true; }, 6000);
 }
 
 function tick(now) {
@@ -146,6 +174,6 @@ function tick(now) {
 }
 
 // For tests, and for the curious.
-window.ashsplat = { camera, frames, link, panel, photos, picker, film, training, overlay, shown: null };
+window.ashsplat = { camera, frames, link, panel, photos, picker, film, training, overlay, filter, stage, shown: null };
 link.open();
 requestAnimationFrame(tick);

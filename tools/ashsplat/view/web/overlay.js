@@ -8,7 +8,7 @@ const FRUSTUM = 0.055;
 
 export class Overlay {
     constructor(canvas, camera) {
-        Object.assign(this, { canvas, camera, context: canvas.getContext('2d'), cameras: [], showsCameras: false, current: -1, pixel: null, flash: 0, spots: [] });
+        Object.assign(this, { canvas, camera, context: canvas.getContext('2d'), cameras: [], showsCameras: false, current: -1, pixel: null, box: null, flash: 0, spots: [] });
     }
 
     draw() {
@@ -26,6 +26,7 @@ export class Overlay {
         c.clearRect(0, 0, width, height);
         this.spots = [];
         if (this.showsCameras) this.cameras.forEach((entry, index) => this.frustum(entry.camera, index, width, height));
+        if (this.box) this.edges(this.box, width, height);
         this.axes(width, height);
         this.marks(width, height);
     }
@@ -53,6 +54,21 @@ export class Overlay {
         this.spots.push({ index, x: middle[0], y: middle[1] });
     }
 
+    /** The box of the filter. */
+    edges(box, width, height) {
+        const { context: c, camera } = this;
+        const corner = (bits) => camera.project([0, 1, 2].map((axis) => box[bits >> axis & 1][axis]), width, height);
+        c.beginPath();
+        for (let bits = 0; bits < 8; ++bits) for (const axis of [0, 1, 2]) {
+            const [from, to] = [corner(bits), corner(bits | 1 << axis)];
+            if (bits >> axis & 1 || !from || !to) continue;
+            c.moveTo(...from); c.lineTo(...to);
+        }
+        c.strokeStyle = '#f0883ecc';
+        c.lineWidth = 1.25;
+        c.stroke();
+    }
+
     /** The photo whose sign is at a place, or -1. */
     cameraAt(x, y) {
         const near = this.spots.map((s) => ({ ...s, far: Math.hypot(s.x - x, s.y - y) })).filter((s) => s.far < 16);
@@ -61,7 +77,9 @@ export class Overlay {
 
     axes(width, height) {
         const { context: c, camera } = this;
-        const [x0, y0, arm] = [52, height - 92, 30];
+        // Beside the tools and above the legend, where these take the corner.
+        const low = height <= 600 && width > 760;
+        const [x0, y0, arm] = [low ? 176 : 52, height - (low ? 136 : 92), 30];
         const drawn = AXES.map(([name, color], i) => ({ name, color, to: camera.rotation.map((row) => row[i]) }));
         drawn.sort((a, b) => b.to[2] - a.to[2]);
         c.font = '600 10px system-ui, sans-serif';

@@ -84,8 +84,9 @@ export class Panel {
     showFrame(header, rate) {
         const { stats, legend } = header;
         find('size').textContent = `${header.width}×${header.height}`;
-        const wait = header.latency === null ? '' : ` · ${Math.round(header.latency)} ms, of which rendering ${Math.round(header.render_ms)}`;
-        find('speed').textContent = `${rate.toFixed(1)} frames/s${wait}`;
+        const wait = header.latency === null ? '' : ` · ${Math.round(header.latency)} ms`;
+        const drawing = Object.assign(document.createElement('small'), { textContent: wait && `, of which rendering ${Math.round(header.render_ms)}` });
+        find('speed').replaceChildren(`${rate.toFixed(1)} frames/s${wait}`, drawing);
         find('counts').textContent = `${stats.visible.toLocaleString('en')} of ${stats.gaussians.toLocaleString('en')} Gaussians visible, ${stats.instances.toLocaleString('en')} instances`;
         const has = Array.isArray(legend) && this.mode in UNITS;
         find('legend').hidden = !has;

@@ -26,11 +26,11 @@ export class Photos {
         find('photos').hidden = cameras.length === 0;
         find('cameras').hidden = cameras.length === 0;
         find('photo-count').textContent = cameras.length;
-        find('photo-list').replaceChildren(...cameras.map(({ name }, index) => {
+        find('photo-list').replaceChildren(...cameras.map(({ name, label: text }, index) => {
             const button = document.createElement('button');
             button.title = name;
             button.onclick = () => this.jumpTo(index);
-            const label = Object.assign(document.createElement('span'), { textContent: name.split('/').at(-1) });
+            const label = Object.assign(document.createElement('span'), { textContent: text });
             if (hasPhotos) button.append(Object.assign(new Image(), { loading: 'lazy', decoding: 'async', src: this.address('thumbnail', index), alt: '' }));
             else button.classList.add('plain');
             button.append(label);

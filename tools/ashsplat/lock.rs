@@ -1,4 +1,4 @@
-//! One training at a time writes into a model folder.
+//! One run at a time writes into a folder.
 //!
 //! The lock is the operating system's (`flock`): it ends with the process, however that ends, so none is left behind.
 //! Where there is no such lock (other systems than Unix, some network file systems) nothing is locked.
@@ -8,9 +8,17 @@ use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-const LOCK_FILE: &str = ".training.lock";
+/// What is done in a locked folder.
+pub struct Work {
+    /// The lock's name.
+    pub file: &'static str,
+    /// "training"
+    pub what: &'static str,
+    /// The option that names another folder.
+    pub option: &'static str,
+}
 
-/// Holds a model folder until it is dropped.
+/// Holds a folder until it is dropped.
 pub struct FolderLock {
     path: PathBuf,
     /// None where files cannot be locked.
@@ -22,8 +30,8 @@ impl FolderLock {
     ///
     /// # Errors
     /// [`Error::Input`] naming the process that holds it; [`Error::Io`].
-    pub fn take(folder: &Path) -> Result<Self> {
-        let path = folder.join(LOCK_FILE);
+    pub fn take(folder: &Path, work: &Work) -> Result<Self> {
+        let path = folder.join(work.file);
         loop {
             let mut file = File::options()
                 .read(true)
@@ -41,8 +49,9 @@ impl FolderLock {
                     file.read_to_string(&mut holder).ok();
                     let holder = holder.trim();
                     let by = if holder.is_empty() { String::new() } else { format!(" ({holder})") };
-                    let problem = format!("another training{by} is writing into this folder");
-                    return Err(Error::input(folder, problem, "wait for its end, or choose another -m"));
+                    let problem = format!("another {}{by} is writing into this folder", work.what);
+                    let remedy = format!("wait for its end, or choose another {}", work.option);
+                    return Err(Error::input(folder, problem, remedy));
                 }
             }
             // The last holder may have removed the file between our opening and our locking it.
@@ -107,19 +116,21 @@ fn is_at(_: &File, _: &Path) -> bool {
 mod tests {
     use super::*;
 
+    const WORK: Work = Work { file: ".training.lock", what: "training", option: "-m" };
+
     #[test]
     fn one_holds_a_folder_until_the_end() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let first = FolderLock::take(folder.path()).expect("free");
-        let refused = FolderLock::take(folder.path()).err().map(|error| error.to_string());
+        let first = FolderLock::take(folder.path(), &WORK).expect("free");
+        let refused = FolderLock::take(folder.path(), &WORK).err().map(|error| error.to_string());
         let refused = refused.expect("refused");
         let holder = format!("another training (process {})", std::process::id());
         assert!(refused.contains(&holder) && refused.contains("choose another -m"), "{refused}");
         drop(first);
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left");
         // A file that a killed process left has no holder.
-        fs::write(folder.path().join(LOCK_FILE), "process 1").expect("written");
-        drop(FolderLock::take(folder.path()).expect("free"));
+        fs::write(folder.path().join(WORK.file), "process 1").expect("written");
+        drop(FolderLock::take(folder.path(), &WORK).expect("free"));
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0);
     }
 }

@@ -1,0 +1,59 @@
+//! Says at which size photos are used where that may surprise.
+
+use crate::images::{AUTO_MAX_WIDTH, Resolution};
+
+/// A width below this may have been meant as a divisor.
+const SMALL_WIDTH: u32 = 100;
+
+/// The warning about photos of these sizes, pixels, if any is scaled in a way that was not asked for in so many words.
+pub(super) fn warning(sizes: &[(u32, u32)], resolution: Resolution) -> Option<String> {
+    let surprises = |&&(width, _): &&(u32, u32)| match resolution {
+        Resolution::Auto => width > AUTO_MAX_WIDTH,
+        Resolution::Factor(_) => false,
+        Resolution::Width(used) => used > width || used < SMALL_WIDTH && used < width,
+    };
+    let scaled: Vec<_> = sizes.iter().filter(surprises).collect();
+    let &&(width, height) =
+        scaled.iter().max_by_key(|(width, height)| (u64::from(*width) * u64::from(*height), *width))?;
+    let (used_width, used_height) = resolution.apply(width, height);
+    let why = match resolution {
+        Resolution::Width(used) if used > width => format!(
+            "-r {used} is their width, which enlarges them without adding detail; -r 1 uses them as they are"
+        ),
+        Resolution::Width(used) => {
+            format!("-r {used} is their width in pixels; only 1, 2, 4 and 8 divide their size")
+        }
+        _ => format!("what is wider than {AUTO_MAX_WIDTH} pixels is scaled down; -r 1 uses all pixels"),
+    };
+    Some(format!(
+        "{} of {} photos, of up to {width}x{height} pixels, are used at {used_width}x{used_height}: {why}",
+        scaled.len(),
+        sizes.len()
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::growth::turn;
+
+    #[test]
+    fn surprises_are_told_with_the_size() {
+        let _turn = turn();
+        let sizes = [(1600, 1200), (4000, 3000), (3000, 4000)];
+        let of = |resolution| warning(&sizes, resolution);
+        let large = of(Resolution::Auto).expect("a warning");
+        let expected = "2 of 3 photos, of up to 4000x3000 pixels, are used at 1600x1200: ";
+        assert!(large.starts_with(expected), "{large}");
+        assert!(large.ends_with("-r 1 uses all pixels"), "{large}");
+        let small = of(Resolution::Width(16)).expect("a warning");
+        assert!(small.contains("3 of 3") && small.contains("only 1, 2, 4 and 8 divide"), "{small}");
+        let enlarged = of(Resolution::Width(3200)).expect("a warning");
+        assert!(enlarged.starts_with("2 of 3 photos") && enlarged.contains("enlarges"), "{enlarged}");
+        for asked in [Resolution::Factor(1), Resolution::Factor(8), Resolution::Width(800)] {
+            assert_eq!(of(asked), None, "{asked}");
+        }
+        assert_eq!(warning(&sizes[..1], Resolution::Auto), None);
+        assert_eq!(warning(&[], Resolution::Auto), None);
+    }
+}

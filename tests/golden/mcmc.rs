@@ -1,0 +1,223 @@
+//! Relocation, growth and noise of 3DGS-MCMC: twins and device against the vectors.
+
+use std::path::Path;
+
+use ashsplat::densify::{Densify, Draw, DrawBuffers, Gather, RandomKey, Relocation};
+use ashsplat::forward::SceneBuffers;
+use ashsplat::kernels::constants::STATE_WORDS;
+use ashsplat::optimizer::Moments;
+use ashsplat::planes;
+use ashsplat::vk::MemoryKind;
+
+use super::sets::gaussians;
+use crate::common::compare::{elementwise, equal};
+use crate::common::engine;
+use crate::common::gpu::Gpu;
+use crate::common::npz::Npz;
+use crate::reference::add_noise::noise;
+use crate::reference::linear::sigmoid;
+use crate::reference::relocate::relocate;
+use crate::reference::types::Gaussian;
+
+/// Of logits and log-scales.
+const DEVICE: f64 = 1e-4;
+const TWIN: f64 = 1e-6;
+
+/// What a set says of one draw: the uniform numbers by row, and the result.
+struct Step {
+    rows: usize,
+    uniforms: Vec<f32>,
+    sources: Vec<f64>,
+    draws: Vec<f64>,
+}
+
+/// The draws of relocation and of growth.
+fn steps(npz: &Npz) -> [Step; 2] {
+    let dead = npz.flags("dead");
+    let count = dead.len();
+    let rows = npz.values("out_opacity_logits").len();
+    let mut drawn = npz.values("u_relocate").iter();
+    let relocation =
+        dead.iter().map(|&dead| if dead { *drawn.next().expect("a number") as f32 } else { 0.0 });
+    let mut drawn = npz.values("source").iter();
+    let own = |row: usize| row as f64;
+    let sources =
+        dead.iter().enumerate().map(|(row, &dead)| if dead { *drawn.next().expect("one") } else { own(row) });
+    let added = npz.values("u_add").iter().map(|&u| u as f32);
+    [
+        Step {
+            rows: count,
+            uniforms: relocation.collect(),
+            sources: sources.collect(),
+            draws: npz.values("count").to_vec(),
+        },
+        Step {
+            rows,
+            uniforms: vec![0.0; count].into_iter().chain(added).collect(),
+            sources: (0..count).map(own).chain(npz.values("add_source").iter().copied()).collect(),
+            draws: npz.values("add_count").to_vec(),
+        },
+    ]
+}
+
+fn compare(npz: &Npz, prefix: &str, actual: &[Gaussian], tolerance: f64) -> Result<(), String> {
+    let field = |name: &str| npz.values(&format!("{prefix}_{name}"));
+    let column = |of: fn(&Gaussian) -> Vec<f64>| actual.iter().flat_map(of).collect::<Vec<f64>>();
+    let logits = column(|g| vec![g.opacity_logit]);
+    elementwise(&format!("{prefix} logit"), &logits, field("opacity_logits"), tolerance, tolerance)?;
+    let scales = column(|g| g.log_scale.to_vec());
+    elementwise(&format!("{prefix} log-scale"), &scales, field("log_scales"), tolerance, tolerance)?;
+    equal(&format!("{prefix} mean"), &column(|g| g.mean.to_vec()), field("means"))
+}
+
+pub fn relocation_of_twin(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let mut set = gaussians(&npz, "in_");
+    for (step, prefix) in steps(&npz).iter().zip(["mid", "out"]) {
+        // The dead are those up to 0.005; growth draws from all.
+        let weights: Vec<f64> =
+            set.iter()
+                .enumerate()
+                .map(|(row, g)| {
+                    if step.sources.get(row) == Some(&(row as f64)) { sigmoid(g.opacity_logit) } else { 0.0 }
+                })
+                .collect();
+        let total: f64 = weights.iter().sum();
+        let draw = |row: usize| {
+            let mut sum = 0.0;
+            let place = f64::from(step.uniforms[row]) * total;
+            let passed = weights.iter().take_while(|&&weight| {
+                sum += weight;
+                sum <= place
+            });
+            passed.count()
+        };
+        let kept = |row: usize| weights.get(row).is_some_and(|&weight| weight > 0.0);
+        let sources: Vec<usize> = (0..step.rows).map(|row| if kept(row) { row } else { draw(row) }).collect();
+        equal("source", &sources.iter().map(|&s| s as f64).collect::<Vec<_>>(), &step.sources)?;
+        let after = |&source: &usize| {
+            let g: &Gaussian = &set[source];
+            let (opacity_logit, log_scale) =
+                relocate(g.opacity_logit, g.log_scale, step.draws[source] as u32);
+            Gaussian { opacity_logit, log_scale, ..g.clone() }
+        };
+        set = sources.iter().map(after).collect();
+        compare(&npz, prefix, &set, TWIN)?;
+    }
+    Ok(())
+}
+
+pub fn relocation_of_device(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let gpu = Gpu::new();
+    let context = gpu.context;
+    let start = gaussians(&npz, "in_");
+    let degree = start[0].sh.len().isqrt() as u32 - 1;
+    let (densify, relocation) =
+        (Densify::new(context).expect("kernels"), Relocation::new(context).expect("kernels"));
+    let rows = npz.values("out_means").len() / 3;
+    let ones: Vec<Gaussian> = start
+        .iter()
+        .map(|g| Gaussian {
+            mean: [1.0; 3],
+            quat: [1.0; 4],
+            log_scale: [1.0; 3],
+            opacity_logit: 1.0,
+            sh: vec![[1.0; 3]; g.sh.len()],
+        })
+        .collect();
+    let upload = |set: &[Gaussian]| {
+        planes::upload(context, "test", &engine::gaussians(set), rows as u32, degree).expect("upload")
+    };
+    // Parameters and both moments.
+    let mut sets = [upload(&start), upload(&ones), upload(&ones)];
+    let key = RandomKey { seed: 0, iteration: 0, explicit: None };
+    for (step, prefix) in steps(&npz).iter().zip(["mid", "out"]) {
+        let count = sets[0].count;
+        let requests = relocation.requests(count, step.rows as u32);
+        let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
+        let buffers = DrawBuffers::from_allocated(buffers);
+        let uniforms = gpu.buffer("uniforms", &step.uniforms);
+        let draw = Draw {
+            rows: step.rows as u32,
+            replaces_dead: prefix == "mid",
+            seed: 0,
+            iteration: 0,
+            explicit: Some(&uniforms),
+        };
+        let after: [SceneBuffers; 3] =
+            [0; 3].map(|_| SceneBuffers { count: step.rows as u32, ..upload(&ones) });
+        gpu.run(|r| {
+            relocation.record_draw(r, &sets[0], &draw, &buffers);
+            for (set, (from, to)) in sets.iter().zip(&after).enumerate() {
+                let gather = Gather { from, to, sources: &buffers.sources };
+                match set {
+                    0 => densify.record_gather_parameters(r, &gather, &key),
+                    _ => densify.record_gather_moments(r, &gather),
+                }
+            }
+            r.barrier();
+            let moments = Moments { first: after[1].chunks.clone(), second: after[2].chunks.clone() };
+            relocation.record_relocate(r, (&after[0], &moments), &buffers.sources, &buffers.draws);
+        });
+        let sources = gpu.read::<u32>(&buffers.sources, step.rows).into_iter();
+        let sources: Vec<f64> = sources.map(|source| f64::from(source & 0x3FFF_FFFF)).collect();
+        equal("source", &sources, &step.sources)?;
+        let draws: Vec<f64> =
+            gpu.read::<u32>(&buffers.draws, count as usize).into_iter().map(f64::from).collect();
+        equal("draws", &draws, &step.draws)?;
+        sets = after;
+        let set = engine::twins(&planes::download(context, &sets[0]).expect("download"));
+        compare(&npz, prefix, &set, DEVICE)?;
+    }
+    for moments in &sets[1..] {
+        let rows = engine::twins(&planes::download(context, moments).expect("download"));
+        let zero: Vec<f64> = rows.iter().map(|m| f64::from(u8::from(m.mean == [0.0; 3]))).collect();
+        equal("moments that are zero", &zero, npz.values("moments_zero"))?;
+    }
+    Ok(())
+}
+
+/// What the noise moves by, without the means: their rounding would hide it.
+fn noise_set(npz: &Npz) -> (Vec<Gaussian>, Vec<[f64; 3]>, f64) {
+    let normals = npz.rows::<3>("normals");
+    let (quats, scales) = (npz.rows::<4>("quats"), npz.rows::<3>("log_scales"));
+    let of = |(i, &opacity_logit): (usize, &f64)| Gaussian {
+        mean: [0.0; 3],
+        quat: quats[i],
+        log_scale: scales[i],
+        opacity_logit,
+        sh: vec![[0.0; 3]],
+    };
+    let set = npz.values("opacity_logits").iter().enumerate().map(of).collect();
+    (set, normals, npz.scalar("rate") * npz.scalar("noise_lr"))
+}
+
+fn compare_noise(npz: &Npz, deltas: &[[f64; 3]], relative: f64) -> Result<(), String> {
+    for (i, (actual, expected)) in deltas.iter().zip(npz.rows::<3>("delta")).enumerate() {
+        let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        // Where the gate is closed to 24 digits, its own rounding is larger than that.
+        elementwise(&format!("noise of {i}"), actual, &expected, relative * largest + 1e-12, 0.0)?;
+    }
+    Ok(())
+}
+
+pub fn noise_of_twin(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let (set, normals, rate) = noise_set(&npz);
+    let deltas: Vec<[f64; 3]> = set.iter().zip(normals).map(|(g, normal)| noise(g, normal, rate)).collect();
+    compare_noise(&npz, &deltas, 1e-6)
+}
+
+pub fn noise_of_device(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let gpu = Gpu::new();
+    let (set, normals, rate) = noise_set(&npz);
+    let scene = planes::upload(gpu.context, "test", &engine::gaussians(&set), 0, 0).expect("upload");
+    let normals: Vec<[f32; 3]> = normals.iter().map(|normal| normal.map(|x| x as f32)).collect();
+    let (normals, state) = (gpu.buffer("noise", &normals), gpu.zeros::<u32>("state", STATE_WORDS as usize));
+    let relocation = Relocation::new(gpu.context).expect("kernels");
+    gpu.run(|r| relocation.record_noise(r, (&scene, &state), (0, 0, rate as f32), Some(&normals)));
+    let after = engine::twins(&planes::download(gpu.context, &scene).expect("download"));
+    compare_noise(&npz, &after.iter().map(|g| g.mean).collect::<Vec<_>>(), 1e-5)
+}

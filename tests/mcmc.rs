@@ -1,0 +1,140 @@
+//! Training with the strategy of 3DGS-MCMC.
+
+use ashsplat::trainer::{Checkpoint, StrategyType, Trainer};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{Gaussians, TrainSettings};
+
+use crate::checkpoints::{start, views};
+use crate::common::gpu::Gpu;
+use crate::common::options;
+
+const EXTENT: f32 = 5.0;
+const CAP: u32 = 180;
+
+/// Densifies after 15, 20, 25, 30 and 35.
+fn settings() -> TrainSettings {
+    TrainSettings {
+        iterations: 40,
+        sh_degree: 2,
+        sh_degree_interval: 12,
+        densify_from_iter: 10,
+        densification_interval: 5,
+        densify_until_iter: 38,
+        cap_max: CAP,
+        seed: 6,
+        ..TrainSettings::of_strategy(StrategyType::Mcmc)
+    }
+}
+
+/// A third of them is not to be seen.
+fn with_dead() -> Gaussians {
+    let mut gaussians = start();
+    gaussians.opacity_logits.iter_mut().step_by(3).for_each(|logit| *logit = -9.0);
+    gaussians
+}
+
+fn dead(gaussians: &Gaussians) -> usize {
+    gaussians.opacity_logits.iter().filter(|&&logit| logit < -5.5).count()
+}
+
+#[test]
+fn mcmc_moves_what_is_not_seen_and_grows_to_its_cap() {
+    let gpu = Gpu::new();
+    let mut trainer =
+        Trainer::new(gpu.context, views(3, 9), &with_dead(), EXTENT, settings()).expect("a trainer");
+    let mut counts = vec![];
+    for iteration in 1..=40 {
+        let report = trainer.step().expect("a step");
+        assert!(report.loss.is_finite() && report.skipped_non_finite == 0, "{iteration}");
+        if let Some(densified) = report.densified {
+            assert_eq!((densified.kept, densified.split), (densified.before, 0));
+            assert_eq!(densified.rows(), report.gaussians);
+            assert!(!densified.limited);
+            counts.push(report.gaussians);
+        }
+        match iteration {
+            15 => assert!(dead(&trainer.gaussians().expect("Gaussians")) > 30),
+            16 => assert_eq!(dead(&trainer.gaussians().expect("Gaussians")), 0),
+            _ => {}
+        }
+    }
+    // Five in a hundred each time, rounded down.
+    assert_eq!(counts, [157, 164, 172, 180, 180]);
+}
+
+/// The noise moves means although nothing else does.
+#[test]
+fn mcmc_explores_with_noise() {
+    let gpu = Gpu::new();
+    let moved = |noise_lr: f64| {
+        let settings = TrainSettings { noise_lr, ..settings() };
+        let mut trainer =
+            Trainer::new(gpu.context, views(1, 9), &with_dead(), EXTENT, settings).expect("a trainer");
+        trainer.step().expect("a step");
+        trainer.gaussians().expect("Gaussians").means
+    };
+    let (still, first, again) = (moved(0.0), moved(5e5), moved(5e5));
+    assert_eq!(first, again);
+    let differ = still.iter().zip(&first).filter(|(a, b)| a != b).count();
+    // All of those that are not to be seen.
+    assert!(differ >= with_dead().len() / 3, "{differ}");
+}
+
+#[test]
+fn mcmc_resumes_to_the_bit() {
+    let gpu = Gpu::new();
+    let run = |stops: &[u32]| -> Checkpoint {
+        let mut trainer =
+            Trainer::new(gpu.context, views(3, 9), &with_dead(), EXTENT, settings()).expect("a trainer");
+        for iteration in 1..=40 {
+            trainer.step().expect("a step");
+            if stops.contains(&iteration) {
+                let checkpoint = trainer.checkpoint().expect("a checkpoint");
+                let resumed = Trainer::resume(gpu.context, views(3, 9), EXTENT, settings(), &checkpoint);
+                trainer = resumed.expect("resumed");
+            }
+        }
+        trainer.checkpoint().expect("the end")
+    };
+    let whole = run(&[]);
+    assert_eq!(whole.gaussians.len() as u32, CAP);
+    for stops in [[7, 15], [16, 20], [34, 35]] {
+        assert!(run(&stops) == whole, "interrupted after {stops:?}: other bits");
+    }
+}
+
+/// With too little memory it grows as far as it can, goes on, and still has the same bits each time.
+#[test]
+fn mcmc_grows_as_far_as_the_memory_allows() {
+    let many = crate::common::engine::gaussians(&crate::common::scenes::small_scene(
+        &mut crate::common::scenes::Random::new(31),
+        3000,
+        9,
+    ));
+    let settings =
+        TrainSettings { cap_max: 1_000_000, densification_interval: 1, iterations: 30, ..settings() };
+    let run = |max_memory: Option<u64>| {
+        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let mut trainer =
+            Trainer::new(&context, views(5, 40), &many, EXTENT, settings.clone()).expect("a trainer");
+        let limited =
+            (0..30).filter(|_| trainer.step().expect("a step").densified.is_some_and(|d| d.limited));
+        let limited = limited.count();
+        (limited, trainer.checkpoint().expect("the end"), context.memory_total().peak_bytes)
+    };
+    let (none, free, peak) = run(None);
+    assert_eq!(none, 0);
+    let some = Some(peak * 3 / 4);
+    let ((limited, bounded, used), (_, again, _)) = (run(some), run(some));
+    assert!(limited > 0 && bounded == again && used <= peak * 3 / 4);
+    assert!((3000..free.gaussians.len()).contains(&bounded.gaussians.len()));
+}
+
+#[test]
+fn mcmc_refuses_a_cap_below_the_start() {
+    let gpu = Gpu::new();
+    let settings = TrainSettings { cap_max: 149, ..settings() };
+    let refused = Trainer::new(gpu.context, views(1, 9), &start(), EXTENT, settings);
+    let message = refused.err().expect("refused").to_string();
+    assert!(message.contains("cap_max") && message.contains("149") && message.contains("150"), "{message}");
+}

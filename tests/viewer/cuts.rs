@@ -1,0 +1,197 @@
+//! What is left out, and the scene as a file: the viewer's, and `ashsplat convert`'s.
+
+use super::*;
+use crate::cli::{succeed, write_dataset};
+use crate::common::engine::renderer;
+use ashsplat::scene::{Bounds, Cut};
+use ashsplat::{Gaussians, RenderSettings};
+use ashsplat_files::Photo;
+use ashsplat_files::splats::Format;
+use glam::Vec3;
+use tempfile::tempdir;
+
+const COUNT: usize = 900;
+
+/// Cuts by each limit and by all; one that leaves all, and one with sides that are swapped.
+fn cuts() -> Vec<Value> {
+    let mut densities: Vec<f32> = (0..COUNT).map(|index| ball(COUNT).log_density(index).exp()).collect();
+    densities.sort_unstable_by(f32::total_cmp);
+    vec![
+        json!({}),
+        json!({ "min_opacity": 0.4 }),
+        json!({ "min_density": densities[COUNT / 3] }),
+        json!({ "low": [-0.3, null, null], "high": [null, 0.25, 0.6] }),
+        json!({ "low": [0.5, null, null], "high": [-0.5, null, null] }),
+        json!({ "min_opacity": 0.1, "min_density": densities[COUNT / 5], "low": [null, -0.7, null] }),
+    ]
+}
+
+/// The picture of Gaussians that were cut by hand.
+fn picture(gaussians: &Gaussians, camera: &Camera) -> Vec<u8> {
+    let mut renderer = renderer();
+    renderer.upload(gaussians).expect("uploaded");
+    let frame = renderer.render(camera, &RenderSettings::default()).expect("a frame");
+    Photo::from_f32(frame.width, frame.height, &frame.color).expect("a picture").rgb
+}
+
+fn read(path: &Path) -> Gaussians {
+    splats::read(path, &splats::ReadOptions::default()).expect("a scene").gaussians
+}
+
+/// The viewer's picture is that of the file which the command that it names writes, and its exports are that file, byte for
+/// byte.
+#[test]
+fn viewer_cuts_as_convert_does() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("ball.ply");
+    splats::write(&path, &ball(COUNT), &WriteOptions::default()).expect("a PLY");
+    let server = Server::view(&path, &[]);
+    let mut page = server.page();
+    let command = page.greeting["convert"].as_str().expect("a command").to_owned();
+    assert_eq!(command, format!("ashsplat convert {} ball_cut.ply", path.display()));
+    assert_eq!(page.greeting["stem"], "ball");
+    let camera = camera(0.3);
+    let mut sizes = Vec::new();
+    for (number, cut) in cuts().iter().enumerate() {
+        let shown = page.look(&camera, &json!({ "quality": 0, "cut": cut }));
+        let options = shown.header["convert"].as_str().expect("options").to_owned();
+        assert_eq!(options.is_empty(), number == 0, "{options}");
+        for format in [Format::Ply, Format::Spz] {
+            let converted = folder.path().join(format!("{number}{}", format.extension()));
+            let words: Vec<&str> = ["convert", text(&path), text(&converted)]
+                .into_iter()
+                .chain(options.split_whitespace())
+                .collect();
+            succeed(&words);
+            let address = shown.header["export"].as_str().expect("an address");
+            let (code, head, body) =
+                server.get(&format!("/export/ball_cut{}?{address}", format.extension()), &[]);
+            assert_eq!(code, 200, "{head}");
+            assert!(head.contains("content-disposition: attachment"), "{head}");
+            assert!(body == std::fs::read(&converted).expect("a file"), "{options}: {format}");
+            if format == Format::Ply {
+                let left = read(&converted);
+                assert!(shown.rgb() == picture(&left, &camera), "{options}");
+                sizes.push(left.len());
+            }
+        }
+    }
+    assert!(sizes[0] == COUNT && sizes[1..].iter().all(|&left| 20 < left && left < COUNT), "{sizes:?}");
+    assert_eq!(sizes[2], COUNT - COUNT / 3, "a third is less dense");
+    // Pixels are of what is shown.
+    let cut = json!({ "low": [null, null, 0.0] });
+    let pick = json!({ "type": "pick", "id": 1, "camera": message(&camera), "pixel": [48, 32], "look": { "cut": cut } });
+    page.send(&pick);
+    let picked = page.wait_for("picked");
+    let ids: Vec<usize> = picked["samples"]
+        .as_array()
+        .expect("samples")
+        .iter()
+        .map(|s| s["id"].as_u64().expect("a number") as usize)
+        .collect();
+    assert!(!ids.is_empty() && ids.iter().all(|&id| ball(COUNT).means[id][2] >= 0.0), "{ids:?}");
+}
+
+/// A cut for each page.
+#[test]
+fn viewer_pages_cut_for_themselves() {
+    let folder = tempdir().expect("a temporary folder");
+    let server = Server::view(&write_ball(folder.path(), 300), &[]);
+    let (mut one, mut other) = (server.page(), server.page());
+    let camera = camera(0.0);
+    let whole = one.look(&camera, &json!({ "quality": 0 })).rgb();
+    let half = other.look(&camera, &json!({ "quality": 0, "cut": { "low": [0.0, null, null] } }));
+    let bounds =
+        Some(Bounds { min: Vec3::new(0.0, f32::NEG_INFINITY, f32::NEG_INFINITY), max: Vec3::INFINITY });
+    let limits = Cut { bounds, ..Cut::default() }.limits();
+    let mut expected = ball(300);
+    expected.retain(|all, index| limits.keeps(all, index));
+    assert!(half.rgb() == picture(&expected, &camera) && whole == picture(&ball(300), &camera));
+    assert!(one.look(&camera, &json!({ "quality": 0 })).rgb() == whole);
+    // Nonsense is answered in words.
+    for cut in [json!({ "min_opacity": 7 }), json!({ "min_density": -1 })] {
+        one.send(&view(1, &camera, &json!({ "cut": cut })));
+        assert!(one.wait_for_problem().contains("least"), "{cut}");
+    }
+    one.send(&view(1, &camera, &json!({ "cut": { "low": [1, 2] } })));
+    assert!(one.wait_for_problem().contains("not understood"));
+}
+
+#[test]
+fn viewer_exports_of_a_training_are_what_it_saves() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, model) = (folder.path().join("data"), folder.path().join("model"));
+    write_dataset(&data);
+    let train =
+        ["train", "-s", text(&data), "-m", text(&model), "--quiet", "--iterations", "1000000", "--view=0"];
+    let server = Server::start(&train);
+    let mut page = server.page();
+    assert!(page.greeting["open"].is_null());
+    page.act("pause");
+    let at = page.rest();
+    page.act("save");
+    page.wait_for("note");
+    let (code, head, body) = server.get("/export/now.ply", &[]);
+    assert_eq!(code, 200, "{head}");
+    let saved = model.join(format!("point_cloud/iteration_{at}/point_cloud.ply"));
+    assert!(body == std::fs::read(saved).expect("a PLY"));
+    // Nothing is opened in a training.
+    assert_eq!(
+        server.post("/upload/ball.ply", &[("Content-Type", "application/octet-stream")], b"ply").0,
+        403
+    );
+    assert_eq!(server.post("/open", &[("Content-Type", "application/json")], b"{\"path\": \".\"}").0, 403);
+    #[cfg(unix)]
+    server.end();
+}
+
+#[test]
+fn viewer_exports_what_it_understands_to_who_may_have_it() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = write_ball(folder.path(), 100);
+    let server = Server::view(&path, &["--token", "sesame"]);
+    page_of(&server);
+    let get = |path: &str, headers: &[(&str, &str)]| server.get(path, headers).0;
+    for (path, code) in [
+        ("/export/a.ply", 401),
+        ("/export/a.ply?token=wrong", 401),
+        ("/export/a.ply?token=sesame", 200),
+        ("/export/a.spz?token=sesame&low=,0,&high=,,&min_opacity=&sh_degree=0", 200),
+        ("/export/a.glb?token=sesame", 200),
+        // Of two files.
+        ("/export/a.gltf?token=sesame", 404),
+        ("/export/a.png?token=sesame", 404),
+        ("/export/..%2f..%2fa.ply%2fb?token=sesame", 404),
+        ("/export/a.ply?token=sesame&low=1,2", 400),
+        ("/export/a.ply?token=sesame&min_opacity=nan", 400),
+        ("/export/a.ply?token=sesame&sh_degree=9", 400),
+    ] {
+        assert_eq!(get(path, &[]), code, "{path}");
+    }
+    for foreign in [
+        ("Origin", "http://elsewhere.example"),
+        ("Sec-Fetch-Site", "cross-site"),
+        ("Sec-Fetch-Site", "same-site"),
+    ] {
+        assert_eq!(get("/export/a.ply?token=sesame", &[foreign]), 403, "{foreign:?}");
+    }
+    // Who does not take what was made keeps a bounded number of files.
+    let asked = |_| {
+        let mut stream = server.connect();
+        write!(stream, "GET /export/a.ply?token=sesame HTTP/1.1\r\nHost: {}\r\n\r\n", server.host)
+            .expect("sent");
+        stream
+    };
+    let asking: Vec<TcpStream> = (0..12).map(asked).collect();
+    let mut codes = asking.into_iter().map(|mut stream| {
+        let mut start = [0; 12];
+        stream.read_exact(&mut start).expect("an answer");
+        String::from_utf8_lossy(&start[9..]).into_owned()
+    });
+    assert!(codes.all(|code| ["200", "503"].contains(&code.as_str())));
+}
+
+/// A page that knows the word, when the scene is there.
+fn page_of(server: &Server) -> Page {
+    server.page_with("?token=sesame").expect("let in")
+}

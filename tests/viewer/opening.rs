@@ -1,0 +1,262 @@
+//! Scenes that pages bring or name.
+
+use super::*;
+use crate::cli::write_dataset;
+use std::path::PathBuf;
+use tempfile::{TempDir, tempdir};
+
+const BINARY: (&str, &str) = ("Content-Type", "application/octet-stream");
+const JSON: (&str, &str) = ("Content-Type", "application/json");
+
+/// A viewer that was started without a scene, in a folder of its own.
+struct Empty {
+    folder: TempDir,
+    server: Server,
+}
+
+impl Empty {
+    fn start(more: &[&str]) -> Empty {
+        let folder = tempdir().expect("a temporary folder");
+        let started = folder.path().join("started");
+        std::fs::create_dir(&started).expect("created");
+        let room = folder.path().join("room");
+        std::fs::create_dir(&room).expect("created");
+        let command = [&["view", "--port", "0", "-o", "films"], more].concat();
+        let server = Server::start_in(&started, &[("TMPDIR", text(&room))], &command);
+        Empty { folder, server }
+    }
+
+    fn started(&self) -> PathBuf {
+        self.folder.path().join("started")
+    }
+
+    /// What lies in the temporary folder.
+    fn left(&self) -> usize {
+        std::fs::read_dir(self.folder.path().join("room")).expect("a folder").count()
+    }
+
+    fn open(&self, path: &str) -> (u16, String) {
+        let (code, _, body) =
+            self.server.post("/open", &[JSON], json!({ "path": path }).to_string().as_bytes());
+        (code, String::from_utf8_lossy(&body).into_owned())
+    }
+}
+
+fn bytes_of(count: usize, ending: &str) -> Vec<u8> {
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join(format!("ball{ending}"));
+    splats::write(&path, &ball(count), &WriteOptions::default()).expect("written");
+    std::fs::read(path).expect("a file")
+}
+
+impl Page {
+    /// The next scene that is shown, or why there is none.
+    fn opened(&mut self) -> Result<Value, String> {
+        loop {
+            if let Message::Text(text) = self.socket.read().expect("a message") {
+                let message: Value = serde_json::from_str(text.as_str()).expect("JSON");
+                match (message["type"].as_str(), message["failed"].as_str()) {
+                    (Some("scene"), _) => return Ok(message),
+                    (Some("loading"), Some(failed)) => return Err(failed.to_owned()),
+                    _ => {}
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn viewer_shows_files_that_are_dropped() {
+    let empty = Empty::start(&[]);
+    let (mut page, mut other) = (empty.server.page(), empty.server.page());
+    assert_eq!((&page.greeting["empty"], page.greeting["open"]["folder"].is_null()), (&json!(true), false));
+    for (count, ending) in
+        [(300, ".ply"), (200, ".spz"), (100, ".splat"), (50, ".glb"), (70, ".compressed.ply")]
+    {
+        let name = format!("my%20ball{ending}");
+        let (code, head, _) =
+            empty.server.post(&format!("/upload/{name}"), &[BINARY], &bytes_of(count, ending));
+        assert_eq!(code, 202, "{head}");
+        let scene = page.opened().expect("a scene");
+        assert_eq!((&scene["gaussians"], &scene["empty"]), (&json!(count), &json!(false)), "{ending}");
+        assert_eq!(scene["name"], format!("my ball{ending}"));
+        assert_eq!(scene["stem"], "my ball");
+        assert_eq!(scene["convert"], format!("ashsplat convert 'my ball{ending}' 'my ball_cut.ply'"));
+        // All pages see it, and it is gone from the disk once it is read.
+        assert_eq!(other.opened().expect("a scene")["run"], scene["run"]);
+        assert!(!page.look(&camera(0.0), &json!({})).picture.is_empty());
+        assert_eq!(empty.left(), 0, "{ending}");
+    }
+    // What it shows is what was sent.
+    let (_, _, back) = empty.server.get("/export/back.compressed.ply", &[]);
+    assert!(!back.is_empty());
+    // A file that is none is told in words; the scene before stays.
+    let last = page.look(&camera(0.0), &json!({ "quality": 0 })).rgb();
+    let mut cut_short = bytes_of(300, ".ply");
+    cut_short.truncate(9000);
+    for (name, bytes) in [("bad.spz", &b"no splats at all"[..]), ("short.ply", &cut_short)] {
+        assert_eq!(empty.server.post(&format!("/upload/{name}"), &[BINARY], bytes).0, 202);
+        // By its name, and without the folder in which it was.
+        let problem = page.opened().expect_err(name);
+        assert!(problem.contains(name) && !problem.contains("room"), "{problem}");
+        assert!(other.opened().is_err());
+    }
+    assert!(page.look(&camera(0.0), &json!({ "quality": 0 })).rgb() == last && empty.left() == 0);
+    assert_eq!(empty.server.page().greeting["gaussians"], 70);
+}
+
+#[test]
+fn viewer_bounds_what_is_sent() {
+    let empty = Empty::start(&["--max-host-memory", "64K"]);
+    let post = |name: &str, headers: &[(&str, &str)], bytes: &[u8]| {
+        let (code, _, body) = empty.server.post(name, headers, bytes);
+        (code, String::from_utf8_lossy(&body).into_owned())
+    };
+    let ball = bytes_of(100, ".ply");
+    let (code, text) = post("/upload/ball.ply", &[BINARY, ("Content-Length", "65537")], &[]);
+    assert!(code == 413 && text.contains("--max-host-memory"), "{text}");
+    // The answer arrives though the file is not read to its end.
+    assert_eq!(post("/upload/ball.ply", &[BINARY], &vec![0; 4 << 20]).0, 413);
+    assert_eq!(post("/upload/ball.ply", &[("Content-Type", "text/plain")], &ball).0, 415);
+    assert_eq!(post("/upload/ball.ply", &[], &ball).0, 415);
+    for name in ["ball.gltf", "data.zip", "ball", "..%2fball.exe"] {
+        assert_eq!(post(&format!("/upload/{name}"), &[BINARY], &ball).0, 415, "{name}");
+    }
+    let chunked = [BINARY, ("Transfer-Encoding", "chunked")];
+    assert_eq!(post("/upload/ball.ply", &chunked, b"0\r\n\r\n").0, 411);
+    assert_eq!(post("/open", &[JSON], b"no JSON").0, 400);
+    assert_eq!(post("/open", &[JSON], &[b' '; 70_000]).0, 400);
+    assert_eq!(empty.server.get("/upload/ball.ply", &[]).0, 405);
+    // One at a time: a second is refused while the first is on its way, and may come when that has gone.
+    let mut slow = empty.server.connect();
+    let head = format!(
+        "POST /upload/slow.ply HTTP/1.1\r\nHost: {}\r\nContent-Type: {}\r\nContent-Length: 60000\r\n\r\nply",
+        empty.server.host, BINARY.1
+    );
+    slow.write_all(head.as_bytes()).expect("sent");
+    let until = |wanted: u16| {
+        let start = Instant::now();
+        while post("/upload/ball.ply", &[BINARY], &ball).0 != wanted {
+            assert!(start.elapsed() < PATIENCE, "never {wanted}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    // The first of these may come before the slow one has begun.
+    until(503);
+    assert_eq!(empty.left(), 1);
+    let mut page = empty.server.page();
+    drop(slow);
+    until(202);
+    assert_eq!(page.opened().expect("a scene")["gaussians"], 100);
+    assert_eq!(empty.left(), 0);
+    // It fits as a file, and not as a scene.
+    let packed = bytes_of(900, ".spz");
+    assert!(packed.len() < 65_536);
+    assert_eq!(post("/upload/large.spz", &[BINARY], &packed).0, 202);
+    assert!(page.opened().expect_err("too large").contains("--max-host-memory"));
+}
+
+#[test]
+fn viewer_opens_paths_of_its_folder_only() {
+    let empty = Empty::start(&[]);
+    let (outer, started) = (empty.folder.path(), empty.started());
+    std::fs::write(outer.join("secret.ply"), bytes_of(10, ".ply")).expect("written");
+    std::fs::create_dir(started.join("below")).expect("created");
+    write_ball(&started.join("below"), 40);
+    write_dataset(&started.join("data"));
+    #[cfg(unix)]
+    std::os::unix::fs::symlink(outer.join("secret.ply"), started.join("link.ply")).expect("a link");
+    let mut page = empty.server.page();
+    for path in ["../secret.ply", text(&outer.join("secret.ply")), "link.ply", "/etc/passwd", "nothing.ply"] {
+        let (code, said) = empty.open(path);
+        assert!(code == 404 && said.contains("is not in "), "{path}: {said}");
+    }
+    assert_eq!(empty.open("below/ball.ply").0, 202);
+    assert_eq!(page.opened().expect("a scene")["gaussians"], 40);
+    assert_eq!(empty.server.get("/photo/0", &[]).0, 404);
+    // A data set, with its photos.
+    assert_eq!(empty.open(text(&started.join("data"))).0, 202);
+    let scene = page.opened().expect("a scene");
+    assert_eq!((&scene["gaussians"], scene["cameras"].as_array().map(Vec::len)), (&json!(400), Some(9)));
+    assert_eq!(empty.server.get("/photo/0", &[]).0, 200);
+    // A model may name its data set; one of elsewhere stays there.
+    let model = started.join("model/point_cloud/iteration_7");
+    std::fs::create_dir_all(&model).expect("created");
+    std::fs::write(model.join("point_cloud.ply"), bytes_of(30, ".ply")).expect("written");
+    write_dataset(&outer.join("data"));
+    let (inside, outside) = (started.join("data"), outer.join("data"));
+    let (own, foreign) = (inside.join("images"), outside.join("images"));
+    #[cfg(unix)]
+    std::os::unix::fs::symlink(&foreign, inside.join("linked")).expect("a link");
+    for (source, images, photos) in [
+        (&inside, "images", true),
+        (&inside, text(&own), true),
+        (&outside, "images", false),
+        // Nor may it name photos of elsewhere.
+        (&inside, text(&foreign), false),
+        (&inside, "../../data/images", false),
+        (&inside, "linked", false),
+    ] {
+        let arguments =
+            format!("Namespace(sh_degree=1, source_path='{}', images='{images}')", source.display());
+        std::fs::write(started.join("model/cfg_args"), arguments).expect("written");
+        assert_eq!(empty.open("model").0, 202);
+        let scene = page.opened().expect("a scene");
+        let found = (&scene["gaussians"], &scene["has_photos"]);
+        assert_eq!(found, (&json!(30), &json!(photos)), "{} {images}", source.display());
+    }
+}
+
+#[test]
+fn viewer_lets_nobody_open_who_may_not() {
+    let ball = bytes_of(10, ".ply");
+    let requests: [(&str, (&str, &str), &[u8]); 2] =
+        [("/upload/a.ply", BINARY, &ball), ("/open", JSON, b"{\"path\": \"a.ply\"}")];
+    let empty = Empty::start(&[]);
+    for (path, kind, body) in requests {
+        for foreign in [
+            ("Origin", "http://elsewhere.example"),
+            ("Origin", "null"),
+            ("Sec-Fetch-Site", "cross-site"),
+            ("Sec-Fetch-Site", "same-site"),
+            ("Host", "rebound.example"),
+        ] {
+            assert_eq!(empty.server.post(path, &[kind, foreign], body).0, 403, "{path} {foreign:?}");
+        }
+        // A browser asks first whether a foreign page may.
+        let (code, head) = empty.server.ask("OPTIONS", path, &[("Origin", "http://elsewhere.example")]);
+        assert!(code == 403 && !head.to_lowercase().contains("access-control"), "{head}");
+    }
+    // With a token, and reached by others: what is sent is taken of who knows it, paths are not.
+    let mut far = Empty::start(&["--host", "0.0.0.0", "--token", "sesame"]);
+    far.server.host = far.server.host.replace("0.0.0.0", "127.0.0.1");
+    write_ball(&far.started(), 20);
+    for (path, kind, body) in requests {
+        assert_eq!(far.server.post(path, &[kind], body).0, 401, "{path}");
+    }
+    let mut page = far.server.page_with("?token=sesame").expect("let in");
+    assert!(page.greeting["open"]["folder"].is_null());
+    let (code, _, said) = far.server.post("/open?token=sesame", &[JSON], b"{\"path\": \"ball.ply\"}");
+    assert!(code == 404 && String::from_utf8_lossy(&said).contains("opens no paths"));
+    assert_eq!(far.server.post("/upload/a.ply?token=sesame", &[BINARY], &ball).0, 202);
+    assert_eq!(page.opened().expect("a scene")["gaussians"], 10);
+    // What was started with a scene shows that one.
+    let folder = tempdir().expect("a temporary folder");
+    let server = Server::view(&write_ball(folder.path(), 30), &[]);
+    assert!(server.page().greeting["open"].is_null());
+    for (path, kind, body) in requests {
+        let (code, _, said) = server.post(path, &[kind], body);
+        assert!(code == 403 && String::from_utf8_lossy(&said).contains("without a path"), "{path}");
+    }
+}
+
+/// The page is served before the scene is read; what is wrong with that ends the program in words.
+#[test]
+fn viewer_ends_with_what_is_wrong_with_its_scene() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("bad.ply");
+    std::fs::write(&path, "ply\nformat ascii 1.0\nend_header\n").expect("written");
+    let mut server = Server::start(&["view", text(&path), "--port", "0"]);
+    let (code, stderr) = server.wait();
+    assert!(code == Some(2) && stderr.starts_with("error: ") && stderr.contains("bad.ply"), "{stderr}");
+}

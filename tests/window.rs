@@ -1,0 +1,311 @@
+//! `ashsplat view --window` on an X server of its own (Xvfb), drawn by whatever device there is, under the validation layer.
+//! Where Xvfb is missing, the trial is skipped by name.
+
+#[path = "cli/run.rs"]
+mod run;
+#[path = "common/running.rs"]
+mod running;
+#[path = "window/server.rs"]
+mod server;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+use std::time::{Duration, Instant};
+
+use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat_files::splats::{self, WriteOptions};
+use ashsplat_files::{Photo, PhotoFileFormat, cameras_json};
+use glam::Vec3;
+use libtest_mimic::{Failed, Trial};
+use run::{finish, program, text};
+use running::Running;
+use server::{Desk, PATIENCE, PAUSE, Screenshot, Server};
+
+/// Size of the cameras, and of the window after it was resized.
+const SIZE: [u32; 2] = [480, 360];
+const LARGER: [u32; 2] = [900, 610];
+/// Colour of letters.
+const LETTERS: [u8; 3] = [237, 242, 247];
+/// Key codes of X.
+const W: u8 = 25;
+const H: u8 = 43;
+const P: u8 = 33;
+const Q: u8 = 24;
+const ESCAPE: u8 = 9;
+const RIGHT_BRACKET: u8 = 35;
+const SLASH: u8 = 61;
+const SHIFT: u8 = 50;
+const CONTROL: u8 = 37;
+const DIGITS: [u8; 5] = [10, 11, 12, 13, 14];
+const HOME: u8 = 110;
+
+fn main() -> ExitCode {
+    let arguments = libtest_mimic::Arguments::from_args();
+    let mut trials = vec![
+        Trial::test("window_without_a_display_is_one_line", || {
+            without_display();
+            Ok(())
+        }),
+        Trial::test("window_extensions_that_are_missing_are_named", || {
+            missing_extensions();
+            Ok(())
+        }),
+    ];
+    let trial = |name: &str, check: fn()| match Command::new("Xvfb").arg("-help").output() {
+        Ok(_) => Trial::test(name, move || {
+            check();
+            Ok(())
+        }),
+        Err(error) => {
+            let reason = format!("Xvfb is not installed: {error}");
+            Trial::ignorable_test(name, move || Err(Failed::from(reason))).with_ignored_flag(true)
+        }
+    };
+    trials.push(trial("window_shows_what_render_draws", shows_what_render_draws));
+    trials.push(trial("window_ends_in_every_way", ends_in_every_way));
+    libtest_mimic::run(&arguments, trials).exit_code()
+}
+
+/// A ball of Gaussians with colours of their own.
+fn ball() -> Gaussians {
+    let mut ball = Gaussians { sh_degree: 0, ..Gaussians::default() };
+    for i in 0..1500 {
+        let y = 1.0 - 2.0 * (i as f32 + 0.5) / 1500.0;
+        let (turn, radius) = (i as f32 * 2.399_963, (1.0 - y * y).sqrt());
+        ball.means.push([radius * turn.cos(), y, radius * turn.sin()]);
+        ball.quats.push([1.0, 0.0, 0.0, 0.0]);
+        ball.log_scales.push([-2.6, -3.0, -2.8]);
+        ball.opacity_logits.push(if i % 3 == 0 { 0.0 } else { 3.0 });
+        ball.sh.push([turn.cos(), y, turn.sin()].map(|c| 1.2 * c));
+    }
+    ball
+}
+
+/// A model folder with two cameras, the second with a lens that is off its middle.
+fn model(folder: &Path) -> PathBuf {
+    let model = folder.join("model");
+    let ply = model.join("point_cloud/iteration_7");
+    std::fs::create_dir_all(&ply).expect("a folder");
+    splats::write(ply.join("point_cloud.ply"), &ball(), &WriteOptions::default()).expect("a PLY");
+    let lens = Intrinsics::from_fov_x(0.8, SIZE[0], SIZE[1]);
+    let first = Camera::look_at(Vec3::new(0.5, -1.0, -4.0), Vec3::ZERO, Vec3::NEG_Y, lens);
+    let odd = Intrinsics { fx: 520.0, fy: 500.0, cx: 200.0, cy: 205.0, ..lens };
+    let second = Camera::look_at(Vec3::new(-3.0, 0.5, 2.0), Vec3::new(0.2, 0.0, 0.0), Vec3::NEG_Y, odd);
+    cameras_json::write(model.join("cameras.json"), [("one", &first), ("two", &second)]).expect("cameras");
+    // The first as a larger window has it: its vertical field of view stays.
+    let f = first.fy * LARGER[1] as f32 / SIZE[1] as f32;
+    let [cx, cy] = LARGER.map(|side| 0.5 * side as f32);
+    let lens = Intrinsics { fx: f, fy: f, cx, cy, width: LARGER[0], height: LARGER[1] };
+    let larger = Camera::with_pose(first.camera_from_world, first.translation, lens);
+    let path = [("one", &first), ("two", &second), ("three", &larger)];
+    cameras_json::write(folder.join("path.json"), path).expect("cameras");
+    model
+}
+
+/// What `ashsplat render` draws of the model.
+fn rendered(model: &Path, folder: &Path) -> Vec<Photo> {
+    let out = folder.join("rendered");
+    let path = folder.join("path.json");
+    let run = finish(program().args(["render", text(model), "--path", text(&path), "-o", text(&out)]));
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    pictures(&out)
+}
+
+fn pictures(folder: &Path) -> Vec<Photo> {
+    let files = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
+    let mut files: Vec<_> = files.filter(|path| path.extension().is_some_and(|e| e == "png")).collect();
+    files.sort();
+    files.iter().map(|path| Photo::read(path, [0.0; 3]).expect("a picture")).collect()
+}
+
+/// Starts the window on a server.
+fn start(server: &Server, model: &Path, out: &Path) -> Running {
+    let mut command = program();
+    command.args(["view", text(model), "--window", "--validation", "-o", text(out)]);
+    command.env("DISPLAY", &server.display).env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
+    Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()))
+}
+
+/// Largest and mean difference of two pictures, levels; None if their sizes differ.
+fn difference(shown: &Screenshot, photo: &Photo) -> Option<(u8, f64)> {
+    if [shown.width, shown.height] != [photo.width, photo.height] {
+        return None;
+    }
+    let differences = shown.rgb.iter().zip(&photo.rgb).map(|(a, b)| a.abs_diff(*b));
+    let sum: f64 = differences.clone().map(f64::from).sum();
+    Some((differences.max().unwrap_or(0), sum / shown.rgb.len() as f64))
+}
+
+/// Waits until the window shows something.
+fn wait_until(
+    desk: &Desk,
+    window: u32,
+    what: &str,
+    folder: &Path,
+    is: impl Fn(&Screenshot) -> bool,
+) -> Screenshot {
+    let start = Instant::now();
+    loop {
+        let shown = desk.screenshot(window);
+        if is(&shown) {
+            keep(&shown, what, folder);
+            return shown;
+        }
+        if start.elapsed() > PATIENCE {
+            let path = keep(&shown, what, folder);
+            panic!("{what} was not shown; what was is in {}", path.display());
+        }
+        std::thread::sleep(PAUSE);
+    }
+}
+
+/// Writes a screenshot to the folder `ASHSPLAT_SCREENSHOTS`, for people.
+fn keep(shown: &Screenshot, what: &str, folder: &Path) -> PathBuf {
+    let folder = std::env::var_os("ASHSPLAT_SCREENSHOTS").map_or_else(|| folder.to_owned(), PathBuf::from);
+    let path = folder.join(format!("window_{}.png", what.replace(' ', "_")));
+    let photo = Photo { width: shown.width, height: shown.height, rgb: shown.rgb.clone() };
+    photo.write_png(&path).expect("written");
+    path
+}
+
+fn shows_what_render_draws() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let model = model(folder.path());
+    let expected = rendered(&model, folder.path());
+    let (server, out) = (Server::start(), folder.path().join("out"));
+    let child = start(&server, &model, &out);
+    let desk = server.connect();
+    let window = desk.window("model");
+    let wait =
+        |what: &str, is: &dyn Fn(&Screenshot) -> bool| wait_until(&desk, window, what, folder.path(), is);
+    let equals = |photo: &Photo, shown: &Screenshot| {
+        difference(shown, photo).is_some_and(|(most, mean)| most <= 2 && mean < 0.05)
+    };
+    let first = wait("first", &|shown| shown.width == 1280 && shown.rgb.iter().any(|&v| v > 100));
+    assert_eq!(first.height, 720);
+    desk.resize(window, SIZE);
+    // The text lies over the corner, and only there.
+    let below = 3 * (SIZE[0] * (SIZE[1] * 3 / 5)) as usize;
+    let close = |a: &[u8], b: &[u8]| a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 2);
+    let white = |shown: &Screenshot| shown.rgb[..below].chunks_exact(3).filter(|p| **p == LETTERS).count();
+    wait("text", &|shown| {
+        shown.height == SIZE[1]
+            && close(&shown.rgb[below..], &expected[0].rgb[below..])
+            && white(shown) > 1000
+    });
+    desk.key(H);
+    wait("splats", &|shown| equals(&expected[0], shown));
+    // Every mode is another picture; the first one comes back.
+    let mut seen = vec![expected[0].rgb.clone()];
+    for (digit, mode) in DIGITS.iter().zip(["splats", "centres", "ellipsoids", "depth", "tiles"]).skip(1) {
+        desk.key(*digit);
+        let shown = wait(mode, &|shown| {
+            let means = seen.iter().map(|other| {
+                let sum: f64 = shown.rgb.iter().zip(other).map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+                sum / other.len() as f64
+            });
+            means.fold(f64::MAX, f64::min) > 1.0
+        });
+        seen.push(shown.rgb);
+    }
+    desk.key(DIGITS[0]);
+    wait("splats again", &|shown| equals(&expected[0], shown));
+    // The second photo's view, as its lens has it; what it says goes by itself.
+    desk.key(RIGHT_BRACKET);
+    desk.key(RIGHT_BRACKET);
+    wait("second view", &|shown| equals(&expected[1], shown));
+    // Moved, and back at the first view.
+    desk.hold(W, Duration::from_millis(300));
+    desk.drag([200, 150], [260, 190]);
+    wait("moved", &|shown| difference(shown, &expected[1]).is_some_and(|(_, mean)| mean > 1.0));
+    desk.chord(SHIFT, SLASH);
+    wait("keys", &|shown| white(shown) > 3000);
+    desk.key(ESCAPE);
+    desk.key(HOME);
+    wait("home", &|shown| equals(&expected[0], shown));
+    desk.key(P);
+    let start = Instant::now();
+    while !out.is_dir() || pictures(&out).is_empty() {
+        assert!(start.elapsed() < PATIENCE, "no screenshot");
+        std::thread::sleep(PAUSE);
+    }
+    assert!(pictures(&out)[0].rgb == expected[0].rgb);
+    // The text that tells of it may be there still: it lies above.
+    desk.resize(window, LARGER);
+    wait("larger", &|shown| {
+        let half = 3 * (LARGER[0] * LARGER[1] / 2) as usize;
+        [shown.width, shown.height] == LARGER && close(&shown.rgb[half..], &expected[2].rgb[half..])
+    });
+    desk.close(window);
+    let output = child.finish();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!((output.status.code(), stderr.as_ref()), (Some(0), ""));
+    assert!(String::from_utf8_lossy(&output.stdout).starts_with("window on "));
+}
+
+fn ends_in_every_way() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let model = model(folder.path());
+    let server = Server::start();
+    type End = fn(&Desk, &Running);
+    let ways: [(&str, End); 3] = [
+        ("Escape", |desk, _| {
+            // The first closes the list of keys.
+            desk.chord(SHIFT, SLASH);
+            std::thread::sleep(4 * PAUSE);
+            desk.key(ESCAPE);
+            std::thread::sleep(4 * PAUSE);
+            desk.key(ESCAPE);
+        }),
+        ("Ctrl Q", |desk, _| desk.chord(CONTROL, Q)),
+        ("Ctrl-C", |_, child| child.interrupt()),
+    ];
+    for (way, end) in ways {
+        let child = start(&server, &model, folder.path());
+        let desk = server.connect();
+        let window = desk.window("model");
+        wait_until(&desk, window, way, folder.path(), |shown| shown.rgb.iter().any(|&v| v > 100));
+        if way == "Ctrl Q" {
+            desk.click([640, 360]);
+        }
+        end(&desk, &child);
+        let output = child.finish();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!((output.status.code(), stderr.as_ref()), (Some(0), ""), "{way}");
+    }
+}
+
+fn missing_extensions() {
+    let extensions = vec![c"VK_KHR_looking_glass"];
+    let instance = ContextOptions { instance_extensions: extensions.clone(), ..ContextOptions::default() };
+    let device = ContextOptions { device_extensions: extensions, ..ContextOptions::default() };
+    for options in [instance, device] {
+        let error = Context::new(&options).err().expect("no such extension").to_string();
+        assert!(error.contains("lacks VK_KHR_looking_glass"), "{error}");
+    }
+}
+
+fn without_display() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for display in [None, Some(""), Some(":987"), Some("nonsense")] {
+        let mut command = program();
+        command.args(["view", text(folder.path()), "--window"]);
+        for name in ["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"] {
+            command.env_remove(name);
+        }
+        if let Some(display) = display {
+            command.env("DISPLAY", display);
+        }
+        let run = finish(&mut command);
+        assert_eq!((run.code, run.stdout.as_str()), (Some(2), ""), "{display:?}");
+        let lines: Vec<_> = run.stderr.lines().collect();
+        assert!(
+            lines.len() == 1
+                && lines[0].starts_with("error: --window: no display can be opened (")
+                && lines[0].ends_with("without --window the viewer is a page in a browser"),
+            "{display:?}: {}",
+            run.stderr
+        );
+    }
+}

@@ -1,0 +1,135 @@
+//! Other people's programs, run beside this one: ffmpeg for films and videos, COLMAP for cameras.
+
+use ashsplat::{Error, Result};
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{BufRead, BufReader, ErrorKind, Write};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// Between two looks at a program.
+const POLL: Duration = Duration::from_millis(20);
+/// Looks at `stop` after a program failed: Ctrl-C on a terminal ends it as well, and perhaps earlier than it is noticed
+/// here.
+const LAST_LOOKS: u32 = 10;
+/// Lines that are kept of what a program said last.
+const TAIL: usize = 40;
+
+/// A program, which ends with the value.
+pub struct Running(pub Child);
+
+impl Running {
+    /// Waits for its end; none if `stop` was raised.
+    pub fn wait(&mut self, stop: &AtomicBool) -> std::io::Result<Option<ExitStatus>> {
+        let stopped = || stop.load(Ordering::Relaxed);
+        let pause = || std::thread::sleep(POLL);
+        loop {
+            match self.0.try_wait()? {
+                Some(status) if status.success() => return Ok(Some(status)),
+                Some(status) => {
+                    (0..LAST_LOOKS).take_while(|_| !stopped()).for_each(|_| pause());
+                    return Ok((!stopped()).then_some(status));
+                }
+                None if stopped() => return Ok(None),
+                None => pause(),
+            }
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It has ended already unless something failed.
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+/// Why a program is not there.
+pub fn not_started(program: &str, error: &std::io::Error) -> String {
+    match error.kind() {
+        ErrorKind::NotFound => format!("needs {program}, which is not installed"),
+        _ => format!("needs {program}, which cannot be started: {error}"),
+    }
+}
+
+/// What became of a program.
+pub struct Ended {
+    /// As systems put it.
+    pub status: ExitStatus,
+    /// What it said last, without empty lines.
+    pub tail: Vec<String>,
+}
+
+/// Runs a program to its end. All that it says goes to the end of the file `log`, and each line to `heard`.
+///
+/// # Errors
+/// [`Error::Interrupted`] if `stop` was raised: the program has ended then. [`Error::Io`] where the program cannot be started
+/// or the file cannot be written.
+pub fn run_logged(
+    mut command: Command,
+    log: &Path,
+    stop: &AtomicBool,
+    heard: &(dyn Fn(&str) + Sync),
+) -> Result<Ended> {
+    let io = |e| Error::io(log, "write", e);
+    let file = File::options().create(true).append(true).open(log).map_err(io)?;
+    let (reader, writer) = std::io::pipe().map_err(io)?;
+    command.stdin(Stdio::null()).stdout(writer.try_clone().map_err(io)?).stderr(writer);
+    let program = command.get_program().to_os_string();
+    let child = command.spawn().map_err(|e| Error::io(program, "start", e))?;
+    // It holds an end of the pipe, which otherwise would never be over.
+    drop(command);
+    let mut child = Running(child);
+    std::thread::scope(|scope| {
+        let reader = scope.spawn(|| copy_lines(BufReader::new(reader), file, heard));
+        let status = child.wait(stop);
+        drop(child);
+        let tail = reader.join().unwrap_or_else(|_| Ok(VecDeque::new()));
+        let status = status.map_err(io)?.ok_or(Error::Interrupted)?;
+        Ok(Ended { status, tail: tail.map_err(io)?.into() })
+    })
+}
+
+/// Copies lines to a file; returns the last ones. What the file does not take does not keep the program from talking.
+fn copy_lines(
+    mut from: impl BufRead,
+    mut to: impl Write,
+    heard: &(dyn Fn(&str) + Sync),
+) -> std::io::Result<VecDeque<String>> {
+    let mut tail = VecDeque::new();
+    let mut written = Ok(());
+    let mut line = Vec::new();
+    while from.read_until(b'\n', &mut line)? > 0 {
+        written = written.and_then(|()| to.write_all(&line));
+        let text = String::from_utf8_lossy(&line).trim().to_owned();
+        heard(&text);
+        if !text.is_empty() {
+            tail.push_back(text);
+        }
+        if tail.len() > TAIL {
+            tail.pop_front();
+        }
+        line.clear();
+    }
+    written.and_then(|()| to.flush()).map(|()| tail)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_kept_and_heard() {
+        let heard = std::sync::Mutex::new(Vec::new());
+        let note = |line: &str| heard.lock().expect("one thread").push(line.to_owned());
+        let said: String = (0..100).map(|n| format!("  line {n}\r\n\n")).collect();
+        let mut file = Vec::new();
+        let tail = copy_lines(said.as_bytes(), &mut file, &note).expect("memory");
+        assert_eq!(String::from_utf8(file).expect("text"), said);
+        assert_eq!((tail.len(), tail[TAIL - 1].as_str()), (TAIL, "line 99"));
+        assert_eq!(heard.into_inner().expect("one thread").len(), 200);
+    }
+}

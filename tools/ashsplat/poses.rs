@@ -1,0 +1,416 @@
+//! `ashsplat poses`: from photographs or a video to a data set, by COLMAP.
+
+mod cameras;
+mod colmap;
+mod sharpness;
+mod source;
+mod video;
+mod work;
+
+use crate::args::HostArguments;
+use crate::progress::{clock, counting, thousands};
+use crate::session;
+use ashsplat::{Error, Result};
+use ashsplat_files::images::photo_size;
+use ashsplat_files::{Photo, PhotoFileFormat, quoted};
+use cameras::{Cameras, Found};
+use clap::Args;
+use colmap::{Colmap, Matcher};
+use rayon::prelude::*;
+use source::{Look, Photos, Source};
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Instant;
+use video::{Reader, Video, Wanted};
+use work::Work;
+
+/// Find the cameras of photographs or of a video: a data set for `ashsplat train`.
+///
+/// COLMAP does it, which has to be installed, in three stages: features, matches, mapping. For a video, ffmpeg too: in each of
+/// equal intervals the sharpest frame is kept. Photographs stay as they are and where they are; a data set in another
+/// folder gets hard links to them. Ctrl-C stops, and the same command goes on with what was finished.
+#[derive(Args)]
+pub struct Arguments {
+    /// A folder of photographs (JPEG, PNG), a folder with such a folder `images` in it, or a video
+    #[arg(value_name = "FOLDER|VIDEO")]
+    source: PathBuf,
+    /// Folder of the data set [default: that in which the folder `images` lies; else NAME_dataset beside the source]
+    #[arg(short, long, alias = "output", value_name = "DATASET")]
+    out: Option<PathBuf>,
+    /// Frames to take from a video [default: two per second, 40 at least and 150 at most]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=10_000), conflicts_with = "every")]
+    frames: Option<u32>,
+    /// Take a frame of a video from every so many seconds
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    every: Option<f64>,
+    /// Compare each photograph with all others, or with its neighbours by name; auto: with all if there are up to 60, with a
+    /// GPU 200
+    #[arg(long, value_parser = ["auto", "exhaustive", "sequential"], value_name = "NAME", default_value = "auto")]
+    matcher: String,
+    /// COLMAP's model of the lens; with more parameters for wide angles (OPENCV) and fisheyes (OPENCV_FISHEYE)
+    #[arg(long, value_parser = CAMERA_MODELS, value_name = "NAME", default_value = "SIMPLE_RADIAL")]
+    camera_model: String,
+    /// Which photographs share a camera: auto those of one size, camera and focal length (Exif), one all, each none
+    #[arg(long, value_parser = ["auto", "one", "each"], value_name = "NAME", default_value = "auto")]
+    cameras: String,
+    /// Most features in a photograph [default: 4096, with a GPU 8192]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(100..=100_000))]
+    max_features: Option<u32>,
+    /// Do not use a GPU, also if COLMAP could
+    #[arg(long)]
+    no_gpu: bool,
+    /// COLMAP's program
+    #[arg(long, value_name = "PROGRAM", default_value = "colmap")]
+    colmap: OsString,
+    /// ffmpeg's program
+    #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
+    ffmpeg: OsString,
+    #[command(flatten)]
+    host: HostArguments,
+    /// No progress; only results and errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// The models whose distortion can be undone.
+const CAMERA_MODELS: [&str; 9] = [
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "FULL_OPENCV",
+    "OPENCV_FISHEYE",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+];
+/// Fewer photographs give no scene.
+const LEAST_PHOTOS: usize = 3;
+/// Up to so many photographs are all compared with each other, without and with a GPU.
+const EXHAUSTIVE: [usize; 2] = [60, 200];
+/// Names in a message.
+const NAMED: usize = 5;
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds) if (0.001..=3600.0).contains(&seconds) => Ok(seconds),
+        _ => Err("expected seconds, 0.001 to 3600".into()),
+    }
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let start = Instant::now();
+    let source = Source::of(&arguments.source, arguments.out.as_deref())?;
+    arguments.check(&source)?;
+    let place =
+        std::path::absolute(&arguments.source).map_err(|e| Error::io(&arguments.source, "find", e))?;
+    if place.to_str().is_none() {
+        return Err(Error::input(
+            place,
+            "has a name that is not UTF-8",
+            "rename it: COLMAP's lists are text",
+        ));
+    }
+    let colmap = Colmap::find(&arguments.colmap)?;
+    let stop = session::stop_on_ctrl_c()?;
+    let dataset = source.dataset();
+    let linked = !matches!(&source, Source::Photos(photos) if photos.in_place);
+    Work::check(dataset, linked)?;
+    let prepared = arguments.prepare(&source, &stop)?;
+    arguments.tell(&format!("{}; the data set is {}", prepared.said, dataset.display()));
+    let mut work = Work::open(dataset)?;
+    let gpu = colmap.cuda && !arguments.no_gpu;
+    let found = arguments.photographs(prepared.kind, &mut work, &stop).and_then(|(photos, looks)| {
+        let cameras =
+            Cameras { arguments, colmap: &colmap, stop: &stop, photos: &photos, looks: &looks, gpu };
+        let found = cameras.find(&mut work)?;
+        Ok((photos, found))
+    });
+    let (photos, found) = match found {
+        Ok(found) => found,
+        Err(error) => return Err(arguments.leave(work, error)),
+    };
+    let images = match (photos.in_place, photos.is_ours) {
+        (true, _) => None,
+        (false, true) => Some(photos.folder.clone()),
+        (false, false) => Some(arguments.link(&photos, &work)?),
+    };
+    work.finish(&found.model, images.as_deref())?;
+    arguments.report(&photos, &found, dataset, start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+/// Photographs whose cameras are to be found.
+struct Prints {
+    folder: PathBuf,
+    names: Vec<String>,
+    in_place: bool,
+    /// Frames of a video, in the folder of the unfinished work.
+    is_ours: bool,
+    video: bool,
+}
+
+/// What was found out about the source before anything is written.
+struct Prepared<'a> {
+    kind: Kind<'a>,
+    said: String,
+}
+
+enum Kind<'a> {
+    Photos(&'a Photos, Vec<Look>),
+    Video(&'a Path, Video, usize),
+}
+
+impl Arguments {
+    fn reader<'a>(&'a self, path: &'a Path, stop: &'a AtomicBool) -> Reader<'a> {
+        Reader { program: &self.ffmpeg, path, most_bytes: self.host.memory().limit(), stop }
+    }
+
+    fn tell(&self, text: &str) {
+        if !self.quiet {
+            tell!("{text}");
+        }
+    }
+
+    /// Refuses options that would not be used.
+    fn check(&self, source: &Source) -> Result<()> {
+        let unused = [("--frames", self.frames.is_some()), ("--every", self.every.is_some())];
+        let unused = unused.iter().find(|(_, given)| *given);
+        match (source, unused) {
+            (Source::Photos(_), Some((option, _))) => {
+                Err(Error::argument(*option, "is for videos, and this is a folder of photographs"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Looks at the photographs or the video.
+    fn prepare<'a>(&self, source: &'a Source, stop: &AtomicBool) -> Result<Prepared<'a>> {
+        match source {
+            Source::Photos(photos) => {
+                let (count, folder) = (photos.names.len(), photos.folder.display());
+                if count < LEAST_PHOTOS {
+                    let problem = format!("has {count} photographs, too few to find their cameras");
+                    let remedy = "take 20 or more, from all around, each overlapping the next by two thirds";
+                    return Err(Error::input(&photos.folder, problem, remedy));
+                }
+                let looks = self.looks(photos, stop)?;
+                if let Some((others, one)) = &photos.others {
+                    let they =
+                        if *others == 1 { "1 picture is".into() } else { format!("{others} pictures are") };
+                    tell!(
+                        "warning: {folder}: {they} left out, {one} for example: only JPEG and PNG are read"
+                    );
+                }
+                let place = match photos.in_place {
+                    true => "they stay where they are".to_owned(),
+                    false => format!("hard links to them go to {}", photos.dataset.join("images").display()),
+                };
+                let said = format!("{count} photographs in {folder}; {place}");
+                Ok(Prepared { kind: Kind::Photos(photos, looks), said })
+            }
+            Source::Video(path, _) => {
+                let video = self.reader(path, stop).probe()?;
+                let wanted = Wanted { frames: self.frames.map(|frames| frames as usize), every: self.every };
+                let count = wanted.of(&video);
+                if wanted.asked(&video).is_some_and(|asked| asked > count) {
+                    tell!("warning: {}: {count} frames are taken, no more are possible", path.display());
+                }
+                if count < LEAST_PHOTOS {
+                    let problem = format!("{count} frames are too few to find their cameras");
+                    return Err(Error::input(
+                        path,
+                        problem,
+                        "give a longer video, or take frames more often",
+                    ));
+                }
+                let (seconds, frames) = (video.seconds, thousands(video.frames as u64));
+                let said = format!("{} with {frames} frames in {seconds:.1} s", path.display());
+                Ok(Prepared { kind: Kind::Video(path, video, count), said })
+            }
+        }
+    }
+
+    /// Reads all photographs once: one that is damaged is better known now than after hours.
+    fn looks(&self, photos: &Photos, stop: &AtomicBool) -> Result<Vec<Look>> {
+        let bar = counting("checking photographs", photos.names.len() as u64, self.quiet);
+        let memory = self.host.memory();
+        let look = |name: &String| {
+            session::check(stop)?;
+            let path = photos.folder.join(name);
+            Photo::read_within(&path, [0.0; 3], &memory)?;
+            bar.inc(1);
+            Ok(Look::of(&path, photo_size(&path)?))
+        };
+        let looks: Vec<Result<Look>> = photos.names.par_iter().map(look).collect();
+        bar.finish_and_clear();
+        session::check(stop)?;
+        let damaged = looks.iter().filter(|look| look.is_err()).count();
+        looks.into_iter().collect::<Result<Vec<Look>>>().map_err(|error| match damaged {
+            1 => error,
+            _ => Error::argument("photographs", format!("{error} (and {} more)", damaged - 1)),
+        })
+    }
+
+    /// The photographs as files: a video's frames are taken from it.
+    fn photographs(&self, kind: Kind, work: &mut Work, stop: &AtomicBool) -> Result<(Prints, Vec<Look>)> {
+        let (path, video, count) = match kind {
+            Kind::Photos(photos, looks) => {
+                let Photos { folder, names, in_place, .. } = photos;
+                let (folder, names) = (folder.clone(), names.clone());
+                return Ok((
+                    Prints { folder, names, in_place: *in_place, is_ours: false, video: false },
+                    looks,
+                ));
+            }
+            Kind::Video(path, video, count) => (path, video, count),
+        };
+        let key = format!("{count} of {}", cameras::fingerprint(path)?);
+        let folder = work.path("frames");
+        if !work.has_frames(&key) {
+            let begin = Instant::now();
+            work.note_frames(None)?;
+            work.fresh_folder("frames")?;
+            let bar = counting("frames", (1000.0 * video.seconds) as u64, self.quiet);
+            let looked_at = |seconds: f64| bar.set_position((1000.0 * seconds) as u64);
+            let kept = self.reader(path, stop).pick(&video, count, &folder, &looked_at);
+            bar.finish_and_clear();
+            let kept = kept?;
+            work.note_frames(Some(key))?;
+            let each = video.seconds / count as f64;
+            let took = time(begin.elapsed().as_secs_f64());
+            self.tell(&format!("frames      {took}: {kept}, the sharpest of every {each:.2} s"));
+        } else {
+            self.tell("frames      there already");
+        }
+        let entries = std::fs::read_dir(&folder).map_err(|e| Error::io(&folder, "read", e))?;
+        let mut names: Vec<String> =
+            entries.flatten().filter_map(|e| e.file_name().into_string().ok()).collect();
+        names.sort();
+        let size = names.first().map(|name| photo_size(folder.join(name))).transpose()?.unwrap_or_default();
+        let looks = vec![Look { size, lens: String::new() }; names.len()];
+        Ok((Prints { folder, names, in_place: false, is_ours: true, video: true }, looks))
+    }
+
+    /// After a run that was not finished. What a second run can use, and what COLMAP said, stays.
+    fn leave(&self, work: Work, error: Error) -> Error {
+        let interrupted = matches!(error, Error::Interrupted);
+        if !work.is_worth_keeping() && (interrupted || !work.path(work::LOG_FILE).exists()) {
+            work.abandon();
+            return error;
+        }
+        if interrupted {
+            self.tell(&format!(
+                "interrupted: the same command goes on from here ({})",
+                work.folder().display()
+            ));
+        }
+        error
+    }
+
+    fn link(&self, photos: &Prints, work: &Work) -> Result<PathBuf> {
+        let folder = work.fresh_folder("images")?;
+        let copies = work::link_photos(&photos.folder, &photos.names, &folder)?;
+        if copies > 0 {
+            self.tell(&format!("{copies} photographs were copied: there can be no hard links from there"));
+        }
+        Ok(folder)
+    }
+
+    /// Which photographs are compared, and a line about it.
+    fn matcher(&self, photographs: usize, gpu: bool) -> (Matcher, String) {
+        let matcher = match self.matcher.as_str() {
+            "exhaustive" => Matcher::Exhaustive,
+            "sequential" => Matcher::Sequential,
+            _ if photographs <= EXHAUSTIVE[usize::from(gpu)] => Matcher::Exhaustive,
+            _ => Matcher::Sequential,
+        };
+        let said = match matcher {
+            Matcher::Exhaustive => {
+                let pairs = thousands((photographs * photographs.saturating_sub(1) / 2) as u64);
+                format!("exhaustive, {pairs} pairs")
+            }
+            Matcher::Sequential => {
+                "sequential: each with its neighbours by name (--matcher exhaustive: with all)".into()
+            }
+        };
+        (matcher, said)
+    }
+
+    fn report(&self, photos: &Prints, found: &Found, dataset: &Path, seconds: f64) {
+        let what = if photos.video { "frames" } else { "photographs" };
+        let (all, registered) = (photos.names.len(), found.registered.len());
+        if found.models > 1 {
+            tell!(
+                "warning: the {what} fall into {} groups without connection; the largest is the data set: more {what} between \
+                 them would join them",
+                found.models
+            );
+        }
+        let missing: Vec<&str> = photos
+            .names
+            .iter()
+            .map(String::as_str)
+            .filter(|name| !found.registered.contains(*name))
+            .collect();
+        if !missing.is_empty() {
+            let more = missing.len().saturating_sub(NAMED);
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            let some = missing[..missing.len().min(NAMED)].join(", ");
+            let remedy = if photos.video { " (--frames takes more)" } else { "" };
+            tell!(
+                "warning: no camera was found for {some}{more}: blurred, or too little overlap with the others{remedy}"
+            );
+        }
+        say!("registered      {registered} of {all} {what}");
+        say!("points          {}", thousands(found.points as u64));
+        say!("data set        {}", dataset.display());
+        say!("time            {}", time(seconds));
+        let name = dataset.canonicalize().ok();
+        let name =
+            name.as_deref().and_then(Path::file_name).map_or("scene".into(), |name| name.to_string_lossy());
+        let model = format!("out/{}", name.strip_suffix("_dataset").unwrap_or(&name));
+        let (dataset, model) = (quoted(&dataset.to_string_lossy()), quoted(&model));
+        say!("check it        ashsplat info {dataset}");
+        say!("train           ashsplat train -s {dataset} -m {model} --eval");
+        say!("look at it      ashsplat view {model}");
+    }
+}
+
+/// "4.2 s" or "12:34".
+fn time(seconds: f64) -> String {
+    if seconds < 60.0 { format!("{seconds:.1} s") } else { clock(seconds) }
+}
+
+/// How far a stage is, shown.
+struct Meter {
+    bar: indicatif::ProgressBar,
+    /// What the runs before this one have done.
+    before: AtomicU64,
+}
+
+impl Meter {
+    fn new(what: &'static str, total: usize, quiet: bool) -> Self {
+        Self { bar: counting(what, total as u64, quiet), before: AtomicU64::new(0) }
+    }
+
+    fn hear(&self, heard: colmap::Heard) {
+        match heard {
+            colmap::Heard::Of(done, all) => {
+                if self.before.load(Ordering::Relaxed) == 0 && self.bar.length() < Some(all) {
+                    self.bar.set_length(all);
+                }
+                self.bar.set_position(self.before.load(Ordering::Relaxed) + done);
+            }
+            colmap::Heard::Registered(count) => self.bar.set_position(count),
+        }
+    }
+}
+
+impl Drop for Meter {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}

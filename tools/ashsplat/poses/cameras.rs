@@ -1,0 +1,249 @@
+//! COLMAP's stages: features, matches, mapping.
+
+use super::colmap::{Colmap, Job};
+use super::source::{Look, by_camera};
+use super::work::{LOG_FILE, Work};
+use super::{Arguments, LEAST_PHOTOS, Meter, Prints, time};
+use crate::child::Ended;
+use ashsplat::{Error, Result};
+use ashsplat_files::{DatasetOptions, Gallery, Progress};
+use std::collections::HashSet;
+use std::ffi::OsString;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Instant, UNIX_EPOCH};
+
+/// More cameras than this are not found each by a run of its own: every photograph has one.
+const MOST_CAMERAS: usize = 16;
+/// What COLMAP says when photographs have nothing in common.
+const UNCONNECTED: [&str; 4] =
+    ["No good initial image pair", "No images with matches", "failed to create", "Failed to create"];
+/// Lines of COLMAP in a message.
+const SAID: usize = 3;
+const ADVICE: &str = "take more photographs: each overlapping the next by two thirds, from places some steps apart (not turning \
+                      on the spot), sharp, of a scene that has texture and does not move";
+
+/// Finds cameras.
+pub struct Cameras<'a> {
+    pub arguments: &'a Arguments,
+    pub colmap: &'a Colmap,
+    pub stop: &'a AtomicBool,
+    pub photos: &'a Prints,
+    pub looks: &'a [Look],
+    /// Whether COLMAP may use a GPU.
+    pub gpu: bool,
+}
+
+/// What was found.
+pub struct Found {
+    /// The folder of the largest model.
+    pub model: PathBuf,
+    pub registered: HashSet<String>,
+    pub points: usize,
+    /// How many models there are.
+    pub models: usize,
+}
+
+impl Cameras<'_> {
+    /// Runs all stages that are not done yet.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] and [`Error::Input`] where COLMAP fails or connects too few photographs, with the place of all that
+    /// it said; [`Error::Io`]; [`Error::Interrupted`].
+    pub fn find(mut self, work: &mut Work) -> Result<Found> {
+        self.features(work)?;
+        let log = work.path(LOG_FILE);
+        self.matches(work, &log)?;
+        let job = self.job(work)?;
+        let models = work.fresh_folder("sparse")?;
+        let begin = Instant::now();
+        let ended = self.run("cameras", self.photos.names.len(), self.colmap.mapping(&job, &models), &log)?;
+        let count = std::fs::read_dir(&models).map_err(|e| Error::io(&models, "read", e))?.count();
+        if count == 0 {
+            let said = |line: &String| UNCONNECTED.iter().any(|words| line.contains(words));
+            if ended.status.success() || ended.tail.iter().any(said) {
+                return Err(self.unconnected(0, &log));
+            }
+        }
+        // Also where it was ended after a first model: a larger one may have been to come.
+        self.success("mapping", &ended, &log)?;
+        let found = self.largest(work, count, &log)?;
+        self.arguments.tell(&format!("mapping     {}", time(begin.elapsed().as_secs_f64())));
+        Ok(found)
+    }
+
+    /// Compares photographs, on the processor if the GPU fails.
+    fn matches(&mut self, work: &Work, log: &Path) -> Result<()> {
+        let photographs = self.photos.names.len();
+        loop {
+            let job = self.job(work)?;
+            let (matcher, said) = self.arguments.matcher(photographs, self.gpu);
+            let begin = Instant::now();
+            let ended = self.run("matches", 1, self.colmap.matches(&job, matcher, photographs), log)?;
+            if self.gpu && !ended.status.success() {
+                self.once_more("matching");
+                continue;
+            }
+            self.success("matching", &ended, log)?;
+            self.tell_stage("matches", begin, &said);
+            return Ok(());
+        }
+    }
+
+    fn once_more(&mut self, what: &str) {
+        self.arguments
+            .tell(&format!("COLMAP's {what} failed on the GPU: once more, on the processor (--no-gpu)"));
+        self.gpu = false;
+    }
+
+    fn job(&self, work: &Work) -> Result<Job> {
+        let absolute = |path: &Path| std::path::absolute(path).map_err(|e| Error::io(path, "find", e));
+        Ok(Job {
+            database: absolute(&work.path("database.db"))?,
+            photos: absolute(&self.photos.folder)?,
+            camera_model: self.arguments.camera_model.clone(),
+            max_features: self.arguments.max_features.unwrap_or(if self.gpu { 8192 } else { 4096 }),
+            gpu: self.gpu,
+            video: self.photos.video,
+        })
+    }
+
+    /// Photographs that share a camera.
+    fn groups(&self) -> Result<(Vec<Vec<String>>, bool)> {
+        let names = &self.photos.names;
+        if self.arguments.cameras == "one" {
+            let mut sizes: Vec<(u32, u32)> = self.looks.iter().map(|look| look.size).collect();
+            sizes.sort_unstable();
+            sizes.dedup();
+            if let [(w, h), (other_w, other_h), ..] = sizes[..] {
+                let problem =
+                    format!("one: there are photographs of {w}x{h} and of {other_w}x{other_h} pixels");
+                return Err(Error::argument("--cameras", problem + "; leave it out"));
+            }
+            return Ok((vec![names.clone()], true));
+        }
+        let groups = by_camera(names, self.looks);
+        match self.arguments.cameras == "each" || groups.len() > MOST_CAMERAS {
+            true => Ok((vec![names.clone()], false)),
+            false => Ok((groups, true)),
+        }
+    }
+
+    /// Looks for features, on the processor if the GPU fails.
+    fn features(&mut self, work: &mut Work) -> Result<()> {
+        let (groups, shared) = self.groups()?;
+        let cameras = if shared { groups.len() } else { self.photos.names.len() };
+        let cameras = if cameras == 1 { "1 camera".into() } else { format!("{cameras} cameras") };
+        let log = work.path(LOG_FILE);
+        let wanted = self.gpu;
+        // Those of the processor are as good: an earlier run may have found that the GPU fails.
+        for gpu in [false, wanted] {
+            self.gpu = gpu;
+            if work.has_features(&self.key(work)?) {
+                self.arguments.tell("features    there already");
+                return Ok(());
+            }
+        }
+        loop {
+            let key = self.key(work)?;
+            work.note_features(None)?;
+            // The first that it says of these photographs.
+            for name in ["database.db", "database.db-wal", "database.db-shm", "database.db-journal", LOG_FILE]
+            {
+                work.remove(name)?;
+            }
+            let job = self.job(work)?;
+            let device = if self.gpu { "on a GPU" } else { "on the processor" };
+            let said = format!("{cameras} ({}); {} {device}", job.camera_model, self.colmap.version);
+            let list = work.path("list.txt");
+            let begin = Instant::now();
+            let run = || {
+                let meter = Meter::new("features", self.photos.names.len(), self.arguments.quiet);
+                for group in &groups {
+                    std::fs::write(&list, group.join("\n") + "\n")
+                        .map_err(|e| Error::io(&list, "write", e))?;
+                    let list = std::path::absolute(&list).map_err(|e| Error::io(&list, "find", e))?;
+                    let words = self.colmap.features(&job, &list, shared);
+                    let ended = self.colmap.run(&words, &log, self.stop, &|heard| meter.hear(heard))?;
+                    if !ended.status.success() {
+                        return Ok(Some(ended));
+                    }
+                    meter.before.fetch_add(group.len() as u64, Ordering::Relaxed);
+                }
+                Ok(None)
+            };
+            match run()? {
+                None => {
+                    self.tell_stage("features", begin, &said);
+                    return work.note_features(Some(key));
+                }
+                Some(_) if self.gpu => self.once_more("search for features"),
+                Some(ended) => return self.success("the search for features", &ended, &log),
+            }
+        }
+    }
+
+    /// What the features in the database depend on.
+    fn key(&self, work: &Work) -> Result<String> {
+        let mut hasher = DefaultHasher::new();
+        let Job { photos, camera_model, max_features, gpu, .. } = self.job(work)?;
+        (&photos, camera_model, max_features, gpu).hash(&mut hasher);
+        (&self.colmap.version, &self.arguments.cameras).hash(&mut hasher);
+        for name in &self.photos.names {
+            (name, fingerprint(&photos.join(name))?).hash(&mut hasher);
+        }
+        Ok(format!("{:016x}", hasher.finish()))
+    }
+
+    /// Says how long a stage took.
+    fn tell_stage(&self, name: &str, begin: Instant, about: &str) {
+        let took = time(begin.elapsed().as_secs_f64());
+        self.arguments.tell(&format!("{name:<11} {took}: {about}"));
+    }
+
+    fn run(&self, what: &'static str, total: usize, words: Vec<OsString>, log: &Path) -> Result<Ended> {
+        let meter = Meter::new(what, total, self.arguments.quiet);
+        self.colmap.run(&words, log, self.stop, &|heard| meter.hear(heard))
+    }
+
+    fn success(&self, what: &str, ended: &Ended, log: &Path) -> Result<()> {
+        if ended.status.success() {
+            return Ok(());
+        }
+        let last = ended.tail[ended.tail.len().saturating_sub(SAID)..].join(" / ");
+        let problem =
+            format!("{what} failed ({}): {last}; all that it said: {}", ended.status, log.display());
+        Err(Error::argument("COLMAP", problem))
+    }
+
+    fn unconnected(&self, connected: usize, log: &Path) -> Error {
+        let all = self.photos.names.len();
+        let some = if connected > 0 { format!("only {connected}") } else { "none".to_owned() };
+        let problem =
+            format!("{some} of the {all} photographs could be connected (COLMAP's words: {})", log.display());
+        Error::input(&self.photos.folder, problem, ADVICE)
+    }
+
+    /// The model with the most photographs, read as training will read it.
+    fn largest(&self, work: &Work, models: usize, log: &Path) -> Result<Found> {
+        let images = std::path::absolute(&self.photos.folder);
+        let images = images.map_err(|e| Error::io(&self.photos.folder, "find", e))?;
+        let options = DatasetOptions { images: images.to_string_lossy().into_owned(), ..Default::default() };
+        let progress = Progress { report: None, interrupted: Some(self.stop) };
+        let gallery = Gallery::open(work.folder(), &options, progress)?;
+        let registered: HashSet<String> = gallery.cameras().into_iter().map(|camera| camera.name).collect();
+        if registered.len() < LEAST_PHOTOS {
+            return Err(self.unconnected(registered.len(), log));
+        }
+        let model = ashsplat_files::colmap::find(work.folder())?.folder;
+        Ok(Found { model, registered, points: gallery.points().len(), models })
+    }
+}
+
+/// Length and time of change of a file: what it was when it was looked at.
+pub fn fingerprint(path: &Path) -> Result<String> {
+    let metadata = path.metadata().map_err(|e| Error::io(path, "read", e))?;
+    let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    Ok(format!("{} {:?}", metadata.len(), changed.unwrap_or_default()))
+}

@@ -1,0 +1,263 @@
+//! The unfinished work: a folder in that of the data set, which a second run goes on with; and the data set's place.
+
+use crate::lock::{FolderLock, Work as Locked};
+use crate::output;
+use ashsplat::{Error, Result};
+use ashsplat_files::colmap::UNFINISHED_POSES as FOLDER;
+use ashsplat_files::{atomic, colmap};
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const STATE_FILE: &str = "state.json";
+/// What COLMAP said, in the end beside the data set.
+pub const LOG_FILE: &str = "poses.log";
+
+const POSES: Locked = Locked { file: ".poses.lock", what: "`ashsplat poses`", option: "-o" };
+
+/// What is done, and of what: a stage that was done of the same is not done again.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct State {
+    /// Frames of a video.
+    frames: Option<String>,
+    /// Features in COLMAP's database.
+    features: Option<String>,
+    /// Whether the data set's folder `images` is ours.
+    images: bool,
+}
+
+/// The unfinished work.
+pub struct Work {
+    dataset: PathBuf,
+    folder: PathBuf,
+    state: State,
+    /// The folders that were made for it, innermost first.
+    new: Vec<PathBuf>,
+    _lock: FolderLock,
+}
+
+impl Work {
+    /// Refuses a data set's folder that has what would be written. `linked`: also its folder `images`.
+    pub fn check(dataset: &Path, linked: bool) -> Result<()> {
+        output::check_folder(dataset).map_err(|e| {
+            Error::input(dataset, format!("cannot be written: {e}"), "name another folder with -o")
+        })?;
+        let state = State::read(&dataset.join(FOLDER));
+        if dataset.join(FOLDER).is_dir() && state.is_none() && has_entries(&dataset.join(FOLDER)) {
+            let remedy = "remove it, or choose another -o";
+            return Err(Error::input(dataset.join(FOLDER), "is not from `ashsplat poses`", remedy));
+        }
+        if colmap::exists(dataset) || has_entries(&dataset.join("sparse")) {
+            let all = if linked { dataset.to_owned() } else { dataset.join("sparse") };
+            let remedy = format!(
+                "train on it; or remove {} to find the cameras anew, or choose another -o",
+                all.display()
+            );
+            return Err(Error::input(dataset.join("sparse"), "is there already", remedy));
+        }
+        if linked && has_entries(&dataset.join("images")) && !state.is_some_and(|state| state.images) {
+            let remedy = "choose another -o";
+            return Err(Error::input(
+                dataset.join("images"),
+                "is there already, with other photographs",
+                remedy,
+            ));
+        }
+        Ok(())
+    }
+
+    /// Creates the folder, or goes on with it.
+    pub fn open(dataset: &Path) -> Result<Self> {
+        let folder = dataset.join(FOLDER);
+        let new = folder.ancestors().filter(|path| !path.as_os_str().is_empty() && !path.exists());
+        let new = new.map(Path::to_owned).collect();
+        atomic::create_folder(&folder)?;
+        let lock = FolderLock::take(&folder, &POSES)?;
+        let state = State::read(&folder);
+        let work =
+            Self { dataset: dataset.to_owned(), state: state.unwrap_or_default(), folder, new, _lock: lock };
+        work.save()?;
+        Ok(work)
+    }
+
+    /// Its folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// A path in it.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    /// Whether a second run will go on with something.
+    pub fn is_worth_keeping(&self) -> bool {
+        self.state.frames.is_some() || self.state.features.is_some()
+    }
+
+    /// Whether the frames of this video are there.
+    pub fn has_frames(&self, key: &str) -> bool {
+        self.state.frames.as_deref() == Some(key)
+    }
+
+    /// Notes that they are, or that they are not.
+    pub fn note_frames(&mut self, key: Option<String>) -> Result<()> {
+        self.state.frames = key;
+        self.save()
+    }
+
+    /// Whether the database has the features of these photographs.
+    pub fn has_features(&self, key: &str) -> bool {
+        self.state.features.as_deref() == Some(key)
+    }
+
+    /// Notes that it has, or that it has not.
+    pub fn note_features(&mut self, key: Option<String>) -> Result<()> {
+        self.state.features = key;
+        self.save()
+    }
+
+    fn save(&self) -> Result<()> {
+        output::write_json(&self.path(STATE_FILE), &self.state)
+    }
+
+    /// Removes a file or folder in it, if there is one.
+    pub fn remove(&self, name: &str) -> Result<()> {
+        remove(&self.path(name))
+    }
+
+    /// An empty folder in it.
+    pub fn fresh_folder(&self, name: &str) -> Result<PathBuf> {
+        self.remove(name)?;
+        atomic::create_folder(self.path(name))?;
+        Ok(self.path(name))
+    }
+
+    /// Gives photographs and model their places, the model last: without it nothing looks like a data set. `images`: a
+    /// folder of this work.
+    pub fn finish(mut self, model: &Path, images: Option<&Path>) -> Result<()> {
+        let rename = |from: &Path, to: &Path| fs::rename(from, to).map_err(|e| Error::io(to, "create", e));
+        // It names files that are about to go.
+        remove(&model.join("project.ini"))?;
+        let sparse = self.fresh_folder("placed")?;
+        rename(model, &sparse.join("0"))?;
+        if let Some(images) = images {
+            let place = self.dataset.join("images");
+            self.state.images = true;
+            self.save()?;
+            remove(&place)?;
+            rename(images, &place)?;
+        }
+        rename(&self.path(LOG_FILE), &self.dataset.join(LOG_FILE))?;
+        let place = self.dataset.join("sparse");
+        if place.is_dir() {
+            // It was empty when this began.
+            fs::remove_dir(&place).map_err(|e| Error::io(&place, "replace", e))?;
+        }
+        rename(&sparse, &place)?;
+        self.new.clear();
+        remove(&self.folder)
+    }
+
+    /// Leaves nothing of a run that has come to nothing.
+    pub fn abandon(self) {
+        remove(&self.folder).ok();
+        // A folder that another program has put a file into stays.
+        self.new.iter().skip(1).all(|folder| fs::remove_dir(folder).is_ok());
+    }
+}
+
+impl State {
+    fn read(folder: &Path) -> Option<Self> {
+        let text = fs::read_to_string(folder.join(STATE_FILE)).ok()?;
+        serde_json::from_str(&text).ok()
+    }
+}
+
+fn has_entries(folder: &Path) -> bool {
+    fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some())
+}
+
+fn remove(path: &Path) -> Result<()> {
+    let result = match path.is_dir() && !path.is_symlink() {
+        true => fs::remove_dir_all(path),
+        false => fs::remove_file(path),
+    };
+    match result {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, "remove", e)),
+        _ => Ok(()),
+    }
+}
+
+/// Photographs at another place: as hard links, or as copies where the file system has none or it is another one. Returns the
+/// number of copies.
+pub fn link_photos(from: &Path, names: &[String], to: &Path) -> Result<usize> {
+    let mut copies = 0;
+    for name in names {
+        let (source, target) = (from.join(name), to.join(name));
+        if let Some(folder) = target.parent() {
+            atomic::create_folder(folder)?;
+        }
+        // A link to a link would hang on where that leads.
+        let source = source.canonicalize().map_err(|e| Error::io(&source, "read", e))?;
+        if fs::hard_link(&source, &target).is_err() {
+            fs::copy(&source, &target).map_err(|e| Error::io(&target, "write", e))?;
+            copies += 1;
+        }
+    }
+    Ok(copies)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn write(path: &Path, text: &str) {
+        fs::create_dir_all(path.parent().expect("a parent")).expect("a folder");
+        fs::write(path, text).expect("written");
+    }
+
+    #[test]
+    fn work_goes_on_and_ends_in_a_data_set() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let dataset = folder.path().join("new/set");
+        Work::check(&dataset, true).expect("nothing there");
+        let mut work = Work::open(&dataset).expect("created");
+        assert!(!work.is_worth_keeping() && !work.has_features("a"));
+        work.note_features(Some("a".into())).expect("written");
+        assert!(Work::open(&dataset).is_err_and(|e| e.to_string().contains("another `ashsplat poses`")));
+        drop(work);
+        let work = Work::open(&dataset).expect("goes on");
+        assert!(work.is_worth_keeping() && work.has_features("a") && !work.has_features("b"));
+        let photos = folder.path().join("photos");
+        write(&photos.join("left/1.jpg"), "one");
+        let images = work.fresh_folder("images").expect("created");
+        assert_eq!(link_photos(&photos, &["left/1.jpg".into()], &images).expect("linked"), 0);
+        for file in ["sparse/1/cameras.bin", "sparse/1/project.ini", "poses.log"] {
+            write(&work.path(file), "");
+        }
+        let model = work.path("sparse/1");
+        work.finish(&model, Some(&images)).expect("placed");
+        let there = |name: &str| dataset.join(name).exists();
+        assert!(there("sparse/0/cameras.bin") && there("images/left/1.jpg") && there("poses.log"));
+        assert!(!there(FOLDER) && !there("sparse/0/project.ini") && photos.join("left/1.jpg").exists());
+        assert!(Work::check(&dataset, true).is_err_and(|e| e.to_string().contains("is there already")));
+    }
+
+    #[test]
+    fn work_that_comes_to_nothing_leaves_nothing() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        Work::open(&folder.path().join("a/b")).expect("created").abandon();
+        assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0);
+        write(&folder.path().join("c/images/1.jpg"), "one");
+        assert!(Work::check(&folder.path().join("c"), true).is_err());
+        Work::check(&folder.path().join("c"), false).expect("photographs stay where they are");
+        Work::open(&folder.path().join("c")).expect("created").abandon();
+        assert!(folder.path().join("c/images/1.jpg").exists());
+        write(&folder.path().join("d").join(FOLDER).join("mine.txt"), "");
+        assert!(
+            Work::check(&folder.path().join("d"), false)
+                .is_err_and(|e| e.to_string().contains("is not from"))
+        );
+    }
+}

@@ -1,0 +1,82 @@
+//! The views whose PSNR is followed.
+
+use super::*;
+use crate::eval::ViewResult;
+
+fn views(count: u32) -> Vec<View> {
+    let view = dataset(1.0).train.remove(0);
+    (0..count).map(|i| View { name: format!("{i:03}.png"), ..view.clone() }).collect()
+}
+
+fn step(iteration: u32, milliseconds: f64) -> StepReport {
+    StepReport { iteration, milliseconds, ..StepReport::default() }
+}
+
+#[test]
+fn the_same_few_views_are_followed() {
+    let all = views(29);
+    let tracking = Tracking::new(&all, 30_000, 0.02);
+    let kind = "held-out";
+    assert_eq!(tracking.describe(kind), "mean of the same 8 of 29 held-out views each time");
+    assert_eq!(Tracking::new(&all[..3], 30_000, 0.02).describe(kind), "mean of the 3 held-out views");
+    // Of a test of all views the same ones count: 000, 004, ..., 028.
+    let result = |(i, view): (usize, &View)| {
+        let followed = i % 4 == 0;
+        ViewResult { name: view.name.clone(), psnr: if followed { 30.0 } else { 10.0 }, ssim: 1.0 }
+    };
+    let evaluation = eval::Evaluation { views: all.iter().enumerate().map(result).collect() };
+    assert_eq!(tracking.among(&evaluation), Some(30.0));
+}
+
+#[test]
+fn measuring_keeps_to_its_share_of_time() {
+    for (share, cost) in [(0.02, 0.5), (0.2, 0.5), (0.02, 0.0001)] {
+        let mut tracking = Tracking::new(&views(9), 1000, share);
+        let (mut measured, mut spent) = (0, 0.0);
+        for iteration in 1..=1000 {
+            if tracking.is_due(iteration, 50.0) {
+                // The first time builds kernels.
+                let cost = if measured == 0 { 100.0 } else { cost };
+                tracking.measured(iteration, std::time::Duration::from_secs_f64(cost));
+                spent += if measured == 0 { 0.0 } else { cost };
+                measured += 1;
+            }
+        }
+        // The last one is paid off later.
+        assert!(spent - cost <= share * (50.0 + spent), "{spent} s of 50 at {share}");
+        assert!((2..=200).contains(&measured), "{measured}");
+        assert!(spent > 0.8 * share * 50.0 || measured == 200, "{spent} s at {share}");
+    }
+    let mut none = Tracking::new(&views(9), 1000, 0.0);
+    assert!((1..=1000).all(|iteration| !none.is_due(iteration, 50.0)));
+    let mut nothing = Tracking::new(&[], 1000, 0.02);
+    assert!((1..=1000).all(|iteration| !nothing.is_due(iteration, 50.0)));
+    assert!(["0", "0.02"].iter().all(|text| tracking::share(text).is_ok()));
+    assert!(["-1", "1", "0.0001", "NaN"].iter().all(|text| tracking::share(text).is_err()));
+}
+
+/// A view that cannot be measured ends the curve, not the training. Views of the training are measured for those who look on.
+#[test]
+fn a_view_that_cannot_be_measured_is_told() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut settings = Settings::default();
+    settings.data.model_path = folder.path().to_owned();
+    settings.train.iterations = 20;
+    let context = Context::new(&ContextOptions::default()).expect("a device");
+    let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
+    let mut watch = Stopwatch::start();
+    let report = run.trainer.step().expect("a step");
+    assert_eq!(run.track(&report, &mut watch), None, "nobody looks on");
+    run.held_out = true;
+    let psnr = run.track(&report, &mut watch).expect("measured");
+    assert!(psnr.is_finite());
+    // A photo of another size cannot be compared.
+    let other = Photo { width: 8, height: 8, rgb: vec![9; 3 * 8 * 8] };
+    let unlike = View { photo: other.into(), ..run.test[0].clone() };
+    run.test = vec![unlike];
+    run.track_within(0.9);
+    assert_eq!(run.track(&step(2, 10.0), &mut watch), None);
+    run.test = dataset(1.0).train;
+    assert_eq!(run.track(&step(3, 1e9), &mut watch), None, "it was told once, and is not tried again");
+    run.trainer.step().expect("training goes on");
+}

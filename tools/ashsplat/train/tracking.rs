@@ -1,0 +1,149 @@
+//! PSNR while training runs: the mean over the same few views each time, so that its curve shows the training and not which
+//! view was measured.
+
+use super::Run;
+use super::allowance::Allowance;
+use crate::eval::{self, Evaluation};
+use crate::measure::Stopwatch;
+use crate::render;
+use ashsplat::trainer::{StepReport, Trainer};
+use ashsplat::{RenderSettings, Result};
+use ashsplat_files::View;
+use std::time::{Duration, Instant};
+
+/// Of training's time, by default.
+pub(super) const SHARE: f64 = 0.02;
+/// Most views that are measured.
+const VIEWS: usize = 8;
+/// Points of the curve of a run, about, and the most iterations between two that are asked for.
+const POINTS: u32 = 200;
+const MOST_INTERVAL: u32 = 100;
+
+/// A share of training's time, from the command line.
+pub(super) fn share(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|&share| share == 0.0 || (0.001..=0.9).contains(&share));
+    number.ok_or_else(|| "expected 0 or a number from 0.001 to 0.9".into())
+}
+
+/// Of so many at most `most`, evenly spread, the first and the last among them.
+pub(super) fn spread<T: Clone>(all: &[T], most: usize) -> Vec<T> {
+    let count = all.len().min(most);
+    (0..count).map(|i| all[i * (all.len() - 1) / (count - 1).max(1)].clone()).collect()
+}
+
+/// Which views are measured, and when.
+pub(super) struct Tracking {
+    views: Vec<View>,
+    /// How many there are in all.
+    of: usize,
+    /// Least iterations between two points.
+    interval: u32,
+    next: u32,
+    /// Whether they were measured: the first time builds kernels, and does not count.
+    warm: bool,
+    /// None where nothing is to be measured.
+    allowance: Option<Allowance>,
+}
+
+impl Tracking {
+    /// Of a run of so many iterations, within a share of its time; 0 measures nothing.
+    pub(super) fn new(test: &[View], iterations: u32, share: f64) -> Tracking {
+        // Who looks at a run without an end wants to see one soon.
+        let interval = (iterations / POINTS).clamp(1, MOST_INTERVAL);
+        Tracking {
+            views: spread(test, VIEWS),
+            of: test.len(),
+            interval,
+            next: interval,
+            warm: false,
+            allowance: (share > 0.0 && !test.is_empty()).then(|| Allowance::new(share)),
+        }
+    }
+
+    /// Which views, in words.
+    pub(super) fn describe(&self, kind: &str) -> String {
+        match (self.views.len(), self.of) {
+            (measured, all) if measured < all => {
+                format!("mean of the same {measured} of {all} {kind} views each time")
+            }
+            (all, _) => format!("mean of the {all} {kind} views"),
+        }
+    }
+
+    /// Notes an iteration that took so long. Whether the views are to be measured after it.
+    pub(super) fn is_due(&mut self, iteration: u32, milliseconds: f64) -> bool {
+        let Some(allowance) = &mut self.allowance else { return false };
+        allowance.trained(Duration::try_from_secs_f64(1e-3 * milliseconds).unwrap_or_default());
+        iteration >= self.next && allowance.permits()
+    }
+
+    /// The views were measured after an iteration, which took so long.
+    pub(super) fn measured(&mut self, iteration: u32, time: Duration) {
+        self.next = iteration + self.interval;
+        let warm = std::mem::replace(&mut self.warm, true);
+        if let Some(allowance) = self.allowance.as_mut().filter(|_| warm) {
+            allowance.spent(time);
+        }
+    }
+
+    /// The mean over the views as they stand, dB; none where masks hide them all.
+    fn measure(&self, trainer: &mut Trainer, settings: &RenderSettings) -> Result<Option<f64>> {
+        let mut values = Vec::new();
+        for view in &self.views {
+            if !eval::is_hidden(view)? {
+                values.push(eval::psnr(view, &trainer.render(&view.camera, settings)?)?);
+            }
+        }
+        Ok(mean(&values))
+    }
+
+    /// The same of a test of all views.
+    pub(super) fn among(&self, evaluation: &Evaluation) -> Option<f64> {
+        let tracked = |name: &str| self.views.iter().any(|view| view.name == name);
+        let results = evaluation.views.iter().filter(|result| tracked(&result.name));
+        mean(&results.map(|result| result.psnr).collect::<Vec<_>>())
+    }
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    Some(mean).filter(|mean| mean.is_finite())
+}
+
+impl Run {
+    /// Takes another share of training's time than [`SHARE`].
+    pub(super) fn track_within(&mut self, share: f64) {
+        self.tracking = Tracking::new(&self.test, self.settings.train.iterations, share);
+    }
+
+    /// The PSNR that is followed, if it is measured after this iteration, dB. Views of the training are measured only for
+    /// those who look on. Where it cannot be measured, it is said, and training goes on.
+    pub(super) fn track(&mut self, report: &StepReport, watch: &mut Stopwatch) -> Option<f64> {
+        let iteration = report.iteration;
+        let due = self.tracking.is_due(iteration, report.milliseconds);
+        let tested = self.evaluations.last().filter(|tested| tested.iteration == iteration);
+        let psnr = match tested {
+            Some(tested) => self.tracking.among(&tested.evaluation),
+            None if due && (self.held_out || self.is_looked_at()) => {
+                watch.paused(|| self.measure_now(iteration))
+            }
+            None => None,
+        }?;
+        self.progress.tested(psnr);
+        self.show_psnr(iteration, psnr);
+        Some(psnr)
+    }
+
+    fn measure_now(&mut self, iteration: u32) -> Option<f64> {
+        let start = Instant::now();
+        let settings = render::settings_of(&self.settings);
+        let measured = self.tracking.measure(&mut self.trainer, &settings);
+        self.tracking.measured(iteration, start.elapsed());
+        measured.unwrap_or_else(|error| {
+            self.tracking.allowance = None;
+            let warning = format!("warning: no PSNR until the next test: {error}");
+            self.progress.warn(&warning);
+            None
+        })
+    }
+}

@@ -1,0 +1,84 @@
+//! What a page leaves out of the scene, and how `ashsplat convert` is told the same.
+
+use ashsplat::RenderSettings;
+use ashsplat::scene::{Bounds, Cut};
+use glam::Vec3;
+use serde::Deserialize;
+
+/// What a page leaves out: see [`Cut`].
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq)]
+#[serde(default)]
+pub struct CutMessage {
+    pub min_opacity: Option<f32>,
+    pub min_density: Option<f32>,
+    /// The box's sides; none where it has none.
+    pub low: [Option<f32>; 3],
+    pub high: [Option<f32>; 3],
+}
+
+impl CutMessage {
+    /// As the engine takes it.
+    pub fn cut(&self) -> Cut {
+        let boxed = self.low.iter().chain(&self.high).any(Option::is_some);
+        let side = |values: [Option<f32>; 3], none: f32| Vec3::from_array(values.map(|v| v.unwrap_or(none)));
+        let bounds = Bounds::between(side(self.low, f32::NEG_INFINITY), side(self.high, f32::INFINITY));
+        Cut {
+            min_opacity: self.min_opacity.unwrap_or_default(),
+            min_density: self.min_density.unwrap_or_default(),
+            bounds: boxed.then_some(bounds),
+        }
+    }
+}
+
+/// The options of `ashsplat convert` that leave what these settings show; numbers are read back to the same bits.
+pub fn options(settings: &RenderSettings) -> String {
+    let Cut { min_opacity, min_density, bounds } = settings.cut;
+    let mut said = Vec::new();
+    if let Some(degree) = settings.sh_degree {
+        said.push(format!("--sh-degree {degree}"));
+    }
+    if min_opacity > 0.0 {
+        said.push(format!("--min-opacity {min_opacity}"));
+    }
+    if min_density > 0.0 {
+        said.push(format!("--min-density {min_density}"));
+    }
+    if let Some(Bounds { min, max }) = bounds {
+        let sides: Vec<String> = min.to_array().iter().chain(&max.to_array()).map(f32::to_string).collect();
+        said.push(format!("--crop-box={}", sides.join(",")));
+    }
+    said.join(" ")
+}
+
+/// The same for an address: `min_opacity=X&min_density=X&low=X,X,X&high=X,X,X&sh_degree=N`, with nothing for a side that
+/// is open.
+pub fn query(settings: &RenderSettings) -> String {
+    let Cut { min_opacity, min_density, bounds } = settings.cut;
+    let mut said = vec![format!("min_opacity={min_opacity}&min_density={min_density}")];
+    if let Some(Bounds { min, max }) = bounds {
+        let side = |v: &f32| if v.is_finite() { v.to_string() } else { String::new() };
+        let sides = |corner: Vec3| corner.to_array().iter().map(side).collect::<Vec<_>>().join(",");
+        said.push(format!("low={}&high={}", sides(min), sides(max)));
+    }
+    said.extend(settings.sh_degree.map(|degree| format!("sh_degree={degree}")));
+    said.join("&")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_s_cut_is_a_command() {
+        let text = r#"{"min_opacity":0.05,"min_density":0.3,"low":[null,-1.5,null],"high":[null,2,null]}"#;
+        let message: CutMessage = serde_json::from_str(text).expect("a cut");
+        let settings = RenderSettings { cut: message.cut(), sh_degree: Some(1), ..Default::default() };
+        let expected =
+            "--sh-degree 1 --min-opacity 0.05 --min-density 0.3 --crop-box=-inf,-1.5,-inf,inf,2,inf";
+        assert_eq!(options(&settings), expected);
+        let address = "min_opacity=0.05&min_density=0.3&low=,-1.5,&high=,2,&sh_degree=1";
+        assert_eq!(query(&settings), address);
+        let none: CutMessage = serde_json::from_str("{}").expect("none");
+        assert_eq!((none.cut(), options(&RenderSettings::default())), (Cut::default(), String::new()));
+    }
+}

@@ -1,0 +1,105 @@
+//! Films that pages want: they wait for their turn, and end when they are wanted no longer.
+
+use super::Hub;
+use crate::view::protocol::FilmRequest;
+
+impl Hub {
+    /// Asks for a film: how many come before it, or none when the page has one already.
+    pub fn film(&self, client: u64, request: FilmRequest) -> Option<usize> {
+        self.change(|state| {
+            let has = state.filming == Some(client) || state.films.iter().any(|(owner, _)| *owner == client);
+            if has || !state.clients.contains_key(&client) {
+                return None;
+            }
+            state.films.push_back((client, request));
+            Some(state.films.len() - 1 + usize::from(state.filming.is_some()))
+        })
+    }
+
+    /// No film for this page after all; whether one was waiting, which is over now. One that is being made is over when
+    /// [`Hub::film_is_called_off`] has been asked.
+    pub fn cancel_film(&self, client: u64) -> bool {
+        self.change(|state| state.call_off(client))
+    }
+
+    /// The film that has waited for longest; from now on it is the one that is being made.
+    pub fn take_film(&self) -> Option<(u64, FilmRequest)> {
+        self.change(|state| {
+            let next = state.films.pop_front()?;
+            (state.filming, state.called_off) = (Some(next.0), false);
+            Some(next)
+        })
+    }
+
+    /// Whether the film that is being made is wanted no longer: its page has said so, or has gone.
+    pub fn film_is_called_off(&self) -> bool {
+        self.lock().called_off
+    }
+
+    /// The film that was being made no longer is.
+    pub fn film_ended(&self) {
+        self.change(|state| (state.filming, state.called_off) = (None, false));
+    }
+
+    /// Files of a film are there: from now on pages may fetch them.
+    pub fn publish_film(&self, files: impl IntoIterator<Item = String>) {
+        self.change(|state| state.film_files.extend(files));
+    }
+
+    /// Whether a file is one of a film of this run.
+    pub fn has_film_file(&self, name: &str) -> bool {
+        self.lock().film_files.contains(name)
+    }
+
+    /// Whether a film is being made or waits.
+    pub fn has_films(&self) -> bool {
+        self.lock().has_films()
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::view::hub::tests::join;
+    use crate::view::protocol::Look;
+
+    pub(in crate::view::hub) fn film() -> FilmRequest {
+        let look = Look::default();
+        FilmRequest {
+            keys: Vec::new(),
+            seconds: 1.0,
+            frames_per_second: 1,
+            closed: false,
+            width: 1,
+            height: 1,
+            look,
+        }
+    }
+
+    #[test]
+    fn films_wait_for_their_turn_and_pages_call_off_their_own_only() {
+        let hub = Hub::default();
+        let [a, b, c] = [(); 3].map(|()| join(&hub));
+        assert_eq!((hub.film(a, film()), hub.film(b, film())), (Some(0), Some(1)));
+        assert_eq!(hub.film(a, film()), None, "one of each page");
+        assert_eq!(hub.take_film().map(|(owner, _)| owner), Some(a));
+        assert_eq!((hub.film(c, film()), hub.film(a, film())), (Some(2), None));
+        // One that waits goes at once, and not the one that is being made.
+        assert!(hub.cancel_film(b) && !hub.film_is_called_off());
+        assert!(!hub.cancel_film(b), "it has none any more");
+        // A film in progress stays cancelled when another page requests one.
+        assert!(!hub.cancel_film(a));
+        assert_eq!(hub.film(b, film()), Some(2));
+        assert!(hub.film_is_called_off());
+        hub.film_ended();
+        assert_eq!(hub.take_film().map(|(owner, _)| owner), Some(c));
+        assert!(!hub.film_is_called_off(), "that was another");
+        // A page that leaves takes its films along.
+        hub.leave(b);
+        hub.leave(c);
+        assert!(hub.film_is_called_off());
+        hub.film_ended();
+        assert!(hub.take_film().is_none() && !hub.has_films());
+        assert_eq!(hub.film(c, film()), None, "no page is connected");
+    }
+}

@@ -1,0 +1,173 @@
+// What is left out of the scene: faint Gaussians, fog, what lies outside a box. The program cuts on its device as it draws;
+// each frame says which command makes the same cut of the file.
+
+import { download } from './frames.js';
+
+const find = (id) => document.getElementById(id);
+const AXES = ['x', 'y', 'z'];
+/** The floaters' slider goes from this share of the median density to all of it. */
+const LEAST_SHARE = 1e-4;
+/** Steps of a side of the box. */
+const STEPS = 400;
+
+/** A number of few digits, as the program has it. */
+const rounded = (value) => Math.fround(Number(value.toPrecision(4)));
+
+export class Filter {
+    /** `say` tells people something. */
+    constructor(overlay, say) {
+        Object.assign(this, { overlay, say, off: false, median: 1, ranges: null, shown: null });
+        this.changed = () => {};
+        for (const id of ['min-opacity', 'floaters']) find(id).oninput = () => this.act();
+        this.sides = [...document.querySelectorAll('#filter .side')].map((row) => [...row.querySelectorAll('input')]);
+        this.sides.forEach((pair, axis) => pair.forEach((input, end) => {
+            Object.assign(input, { min: 0, max: STEPS, step: 1, value: end * STEPS });
+            input.oninput = () => this.drag(axis, end);
+        }));
+        find('filter-reset').onclick = () => this.reset();
+        find('command-copy').onclick = () => this.copy();
+        for (const format of ['ply', 'spz']) find(`export-${format}`).onclick = () => this.save(format);
+        this.show();
+    }
+
+    open(scene, first) {
+        // No frame has shown this one yet: its export waits for that.
+        if (scene.run !== this.scene?.run) this.shown = null;
+        this.scene = scene;
+        find('filter').hidden = scene.empty;
+        this.median = scene.densities?.[3] || 1;
+        this.ranges = scene.central_bounds && this.rangesOf(scene);
+        if (first) this.reset();
+        this.show();
+    }
+
+    /** What the sliders of an axis span: the middle of the scene and as much to either side, as far as there is anything. */
+    rangesOf({ bounds: [low, high], central_bounds: [from, to] }) {
+        return AXES.map((_, i) => {
+            const size = Math.max(to[i] - from[i], 1e-6);
+            const [a, b] = [Math.max(low[i], from[i] - size), Math.min(high[i], to[i] + size)];
+            return b > a ? [a, b] : [a - 0.5, a + 0.5];
+        });
+    }
+
+    /** A slider at its end leaves the side open. */
+    side(axis, end) {
+        const at = Number(this.sides[axis][end].value);
+        if (!this.ranges || at === end * STEPS) return null;
+        const [low, high] = this.ranges[axis];
+        return rounded(low + (high - low) * at / STEPS);
+    }
+
+    /** As the program takes it. */
+    get cut() {
+        if (this.off) return {};
+        const opacity = Number(find('min-opacity').value), share = this.share;
+        return {
+            min_opacity: opacity ? rounded(opacity) : null,
+            min_density: share ? rounded(this.median * share) : null,
+            low: AXES.map((_, axis) => this.side(axis, 0)),
+            high: AXES.map((_, axis) => this.side(axis, 1))
+        };
+    }
+
+    /** Of the median density; 0 for none. */
+    get share() {
+        const at = Number(find('floaters').value) / 100;
+        return at && LEAST_SHARE ** (1 - at);
+    }
+
+    get active() {
+        const all = (pair) => Number(pair[0].value) === 0 && Number(pair[1].value) === STEPS;
+        return Number(find('min-opacity').value) > 0 || this.share > 0 || !this.sides.every(all);
+    }
+
+    drag(axis, end) {
+        const [from, to] = this.sides[axis], gap = 4;
+        if (Number(to.value) - Number(from.value) < gap) {
+            if (end === 0) from.value = Math.max(0, Number(to.value) - gap);
+            else to.value = Math.min(STEPS, Number(from.value) + gap);
+        }
+        this.act();
+    }
+
+    act() {
+        this.off = false;
+        this.show();
+        this.changed();
+    }
+
+    reset() {
+        find('min-opacity').value = find('floaters').value = 0;
+        this.sides.forEach((pair) => pair.forEach((input, end) => { input.value = end * STEPS; }));
+        this.act();
+    }
+
+    /** Off, to compare, and on again. */
+    toggle() {
+        if (!this.active) return;
+        this.off = !this.off;
+        this.show();
+        this.changed();
+    }
+
+    show() {
+        const text = (id, words) => { find(id).parentElement.querySelector('output').textContent = words; };
+        const opacity = Number(find('min-opacity').value), { share } = this;
+        text('min-opacity', opacity ? opacity.toFixed(2) : 'all');
+        text('floaters', share ? `${Number((100 * share).toPrecision(2))} %` : 'shown');
+        this.sides.forEach(([from, to]) => {
+            const bar = from.parentElement.querySelector('i');
+            Object.assign(bar.style, { left: `${100 * from.value / STEPS}%`, right: `${100 - 100 * to.value / STEPS}%` });
+            // The one that has room comes to lie above.
+            from.style.zIndex = Number(from.value) > STEPS / 2 ? 2 : 1;
+        });
+        const sides = AXES.map((name, axis) => {
+            const [low, high] = [0, 1].map((end) => this.side(axis, end));
+            if (low === null && high === null) return '';
+            return `${name} ${low === null ? '' : `${short(low)} `}…${high === null ? '' : ` ${short(high)}`}`;
+        }).filter(Boolean);
+        find('box-text').hidden = !sides.length;
+        find('box-text').textContent = sides.join(', ');
+        find('filter-reset').hidden = !this.active;
+        find('filter').classList.toggle('off', this.off);
+        this.overlay.box = sides.length && !this.off ? this.corners() : null;
+        this.overlay.draw();
+    }
+
+    corners() {
+        return [0, 1].map((end) => AXES.map((_, axis) => this.side(axis, end) ?? this.ranges[axis][end]));
+    }
+
+    /** A frame says what it shows. */
+    showFrame({ convert, export: address }) {
+        this.shown = address;
+        const command = convert && this.scene?.convert ? `${this.scene.convert} ${convert}` : '';
+        find('command').hidden = !command;
+        if (find('command-text').textContent === command) return;
+        // Lines end between words, not within options.
+        const words = command.split(' ').map((word) => Object.assign(document.createElement('span'), { textContent: word }));
+        find('command-text').replaceChildren(...words.flatMap((word, index) => (index ? [' ', word] : [word])));
+    }
+
+    async copy() {
+        const box = find('command-text');
+        try {
+            await navigator.clipboard.writeText(box.textContent);
+            this.say('copied');
+        } catch {
+            // Where the browser gives no clipboard, it is marked to be copied by hand.
+            getSelection().selectAllChildren(box);
+        }
+    }
+
+    /** The file is made of what was shown last, and saved by the browser as it comes. */
+    save(format) {
+        if (this.shown === null || !this.scene || this.scene.empty) return;
+        const cut = find('command').hidden ? '' : '_cut';
+        const name = `${this.scene.stem}${cut}.${format}`;
+        download(`/export/${encodeURIComponent(name)}?${this.shown}`, name);
+        this.say(`${name} is made; the browser saves it as it comes`);
+    }
+}
+
+const short = (value) => String(Number(value.toPrecision(3)));

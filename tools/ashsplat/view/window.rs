@@ -1,0 +1,66 @@
+//! `ashsplat view --window`: a window on this machine's screen, drawn on the same device, and no page.
+//!
+//! The engine's context has the extensions of a window; the window is a host that shares its device. Frames are recorded
+//! into the window's command buffers and copied to its images on the device. The modes whose colours the processor makes
+//! (ellipsoids, depth, tiles) are drawn as for the page, and uploaded.
+
+mod app;
+mod comparison;
+mod controls;
+mod display;
+mod keys;
+mod navigation;
+mod pace;
+mod picture;
+mod present;
+mod stage;
+mod text;
+mod words;
+
+use super::Arguments;
+use app::App;
+use ashsplat::{Error, Renderer, Result};
+use picture::Picture;
+use stage::Stage;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// Runs the command until its window is closed, or Ctrl-C.
+pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result<()> {
+    // Before anything is loaded: where there is no display, that costs no time.
+    let events = display::open()?;
+    let instance_extensions = present::instance_extensions(&events)?;
+    let subject = arguments.subject(&stop)?;
+    let opened = arguments.device.context_with(|options| {
+        // What is recorded into a host's command buffers cannot read texels.
+        options.texels = false;
+        options.instance_extensions = instance_extensions;
+        options.device_extensions = present::DEVICE_EXTENSIONS.to_vec();
+    });
+    let context = opened.map_err(|error| match &error {
+        Error::MissingFeature { feature, .. }
+            if feature.contains("surface") || feature.contains("swapchain") =>
+        {
+            present::unfit(&error.to_string())
+        }
+        _ => error,
+    })?;
+    let mut renderer = Renderer::new(&context)?;
+    if !subject.gaussians.is_empty() {
+        renderer.upload(&subject.gaussians)?;
+    }
+    let picture = Picture::new(renderer, subject.gaussians.sh_degree)?;
+    let stage = Stage::new(subject, picture, context.device_name(), out)?;
+    let mut app = App::new(stage, context.clone(), stop, !arguments.no_vsync);
+    say!("window on {}; ? lists the keys", context.device_name());
+    let ended = events.run_app(&mut app).map_err(|error| present::unfit(&error.to_string()));
+    let failed = app.close();
+    drop(app);
+    // With the last objects of the device goes the device: what is left of them is told, too.
+    let left = || vec!["the window is closed, and something of it still holds the device".to_owned()];
+    for message in context.close().unwrap_or_else(left) {
+        tell!("validation: {message}");
+    }
+    failed.map_or(ended, Err)
+}

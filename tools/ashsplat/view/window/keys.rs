@@ -1,0 +1,102 @@
+//! The keys of the window: those of the viewer's page, by their names in the web's standard, which winit has, too.
+
+/// What a key does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Action {
+    /// While it is held, moves along the camera's axes: right, down, forward.
+    Fly([f64; 3]),
+    /// While it is held, turns around the pivot: yaw, pitch.
+    Turn([f64; 2]),
+    /// While it is held, goes closer (-1) or farther (1).
+    Zoom(f64),
+    /// Chooses a mode by its place on the page.
+    Mode(usize),
+    /// Dragging looks around instead of orbiting.
+    FlyMode,
+    /// A click lists the Gaussians of a pixel.
+    Inspect,
+    /// Shows or hides the text.
+    Panel,
+    Screenshot,
+    /// Faces the pivot of the scene.
+    Face,
+    /// The first view.
+    Home,
+    /// The photo before (-1) or after (1).
+    Photo(isize),
+    /// Closes what is open; with nothing open, the window.
+    Close,
+}
+
+/// The keys that the page has, too.
+pub const KEYS: [(&str, Action); 33] = [
+    ("KeyW", Action::Fly([0.0, 0.0, 1.0])),
+    ("KeyS", Action::Fly([0.0, 0.0, -1.0])),
+    ("KeyA", Action::Fly([-1.0, 0.0, 0.0])),
+    ("KeyD", Action::Fly([1.0, 0.0, 0.0])),
+    ("KeyQ", Action::Fly([0.0, 1.0, 0.0])),
+    ("KeyE", Action::Fly([0.0, -1.0, 0.0])),
+    ("ArrowLeft", Action::Turn([-1.0, 0.0])),
+    ("ArrowRight", Action::Turn([1.0, 0.0])),
+    ("ArrowUp", Action::Turn([0.0, -1.0])),
+    ("ArrowDown", Action::Turn([0.0, 1.0])),
+    ("Equal", Action::Zoom(-1.0)),
+    ("NumpadAdd", Action::Zoom(-1.0)),
+    ("Minus", Action::Zoom(1.0)),
+    ("NumpadSubtract", Action::Zoom(1.0)),
+    ("Digit1", Action::Mode(0)),
+    ("Digit2", Action::Mode(1)),
+    ("Digit3", Action::Mode(2)),
+    ("Digit4", Action::Mode(3)),
+    ("Digit5", Action::Mode(4)),
+    ("Numpad1", Action::Mode(0)),
+    ("Numpad2", Action::Mode(1)),
+    ("Numpad3", Action::Mode(2)),
+    ("Numpad4", Action::Mode(3)),
+    ("Numpad5", Action::Mode(4)),
+    ("KeyV", Action::FlyMode),
+    ("KeyI", Action::Inspect),
+    ("KeyH", Action::Panel),
+    ("KeyP", Action::Screenshot),
+    ("KeyF", Action::Face),
+    ("Home", Action::Home),
+    ("BracketLeft", Action::Photo(-1)),
+    ("BracketRight", Action::Photo(1)),
+    ("Escape", Action::Close),
+];
+
+/// Keys of the page that the window has not, and why.
+pub const ONLY_PAGE: [(&str, &str); 5] = [
+    ("KeyC", "cameras are not drawn"),
+    ("KeyK", "films are made on the page"),
+    ("KeyX", "scenes are cut on the page"),
+    ("KeyO", "files are opened on the page"),
+    ("Space", "no training runs"),
+];
+
+/// The list of keys, as the page has it where both have the same; "?" shows it.
+pub const HELP: [(&str, &str); 18] = [
+    ("left or middle drag", "orbit (look around in fly mode)"),
+    ("right, Shift or Shift-middle drag", "pan"),
+    ("wheel, Ctrl drag", "closer, farther"),
+    ("double click", "turn around what is there"),
+    ("Alt click", "inspect a pixel"),
+    ("W A S D, Q E", "fly; Shift faster, Alt slower"),
+    ("arrows", "orbit"),
+    ("+ −", "closer, farther"),
+    ("1 … 5", "splats, centres, ellipsoids, depth, tiles"),
+    ("V, I", "fly, inspect"),
+    ("F, Home", "face the pivot, first view"),
+    ("Shift F", "whole screen"),
+    ("[ ]", "photo before, after"),
+    ("P", "screenshot"),
+    ("H", "this text"),
+    ("?", "these lines"),
+    ("Esc", "close what is open, then the window"),
+    ("Ctrl Q", "close the window"),
+];
+
+/// What a key does, by its name.
+pub fn action(code: &str) -> Option<Action> {
+    KEYS.iter().find(|(name, _)| *name == code).map(|(_, action)| *action)
+}

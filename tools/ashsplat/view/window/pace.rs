@@ -1,0 +1,146 @@
+//! When a frame is drawn, and how coarse: coarse while the view moves, sharp when it rests, as `web/frames.js` has it.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// Time that a frame may take while the view moves, ms.
+const GOAL: f64 = 55.0;
+/// Sides of coarse frames, as a share of the window's.
+const SCALES: [f64; 6] = [1.0, 0.75, 0.5, 0.375, 0.25, 0.1875];
+/// The view rests when it has not changed for so long.
+const REST: Duration = Duration::from_millis(140);
+/// What the rate of frames is the mean of.
+const RATE_TIME: Duration = Duration::from_secs(2);
+const RATE_FRAMES: usize = 40;
+
+/// The frame that is due.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Due {
+    Nothing,
+    /// The view moves: at a share of the window's size.
+    Moving(f64),
+    /// It rests.
+    Still,
+}
+
+/// Decides about frames.
+pub struct Pace {
+    level: usize,
+    changed: Option<Instant>,
+    dirty: bool,
+    sharp: bool,
+    shown: VecDeque<Instant>,
+}
+
+impl Pace {
+    pub fn new() -> Pace {
+        Pace { level: 0, changed: None, dirty: false, sharp: false, shown: VecDeque::new() }
+    }
+
+    /// The view has changed.
+    pub fn touch(&mut self, now: Instant) {
+        (self.dirty, self.sharp, self.changed) = (true, false, Some(now));
+    }
+
+    /// It has changed once, not little by little: a sharp frame at once.
+    pub fn leap(&mut self) {
+        (self.dirty, self.sharp, self.changed) = (false, false, None);
+    }
+
+    fn rests(&self, now: Instant, busy: bool) -> bool {
+        !busy && self.changed.is_none_or(|changed| now.duration_since(changed) > REST)
+    }
+
+    /// What is due, without taking it.
+    pub fn next(&self, now: Instant, busy: bool) -> Due {
+        match (self.dirty, self.sharp) {
+            (true, _) => Due::Moving(SCALES[self.level]),
+            (false, false) if self.rests(now, busy) => Due::Still,
+            _ => Due::Nothing,
+        }
+    }
+
+    /// When something is due by itself.
+    pub fn wakes(&self) -> Option<Instant> {
+        self.changed.filter(|_| !self.sharp).map(|changed| changed + REST + Duration::from_millis(1))
+    }
+
+    /// A frame was shown.
+    pub fn drawn(&mut self, due: Due, now: Instant) {
+        match due {
+            // A frame of the full size is as sharp as one at rest.
+            Due::Moving(scale) => (self.dirty, self.sharp) = (false, scale == 1.0),
+            _ => (self.dirty, self.sharp) = (false, true),
+        }
+        self.shown.push_back(now);
+        while self.shown.len() > 1
+            && (self.shown.len() > RATE_FRAMES || now.duration_since(self.shown[0]) > RATE_TIME)
+        {
+            self.shown.pop_front();
+        }
+    }
+
+    /// A moving frame of a share of the size took so many milliseconds: late ones become coarser, and finer again when
+    /// there is time.
+    pub fn adapt(&mut self, milliseconds: f64, scale: f64) {
+        let Some(level) = SCALES.iter().position(|s| *s == scale) else { return };
+        let wanted = scale * (GOAL / milliseconds.max(1.0)).sqrt();
+        let coarsest = SCALES.len() - 1;
+        if milliseconds > 1.3 * GOAL && level < coarsest {
+            let fits = SCALES.iter().position(|s| *s <= wanted).unwrap_or(coarsest);
+            self.level = fits.max(level + 1);
+        } else if level > 0 && wanted >= SCALES[level - 1] * 1.1 {
+            self.level = level - 1;
+        }
+    }
+
+    /// Frames per second of late; 0 for single frames.
+    pub fn frames_per_second(&self) -> f64 {
+        match (self.shown.front(), self.shown.back()) {
+            (Some(first), Some(last)) if self.shown.len() > 2 => {
+                (self.shown.len() - 1) as f64 / last.duration_since(*first).as_secs_f64().max(1e-9)
+            }
+            _ => 0.0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_coarse_while_the_view_moves() {
+        let (mut pace, start) = (Pace::new(), Instant::now());
+        assert_eq!(pace.next(start, false), Due::Still);
+        pace.drawn(Due::Still, start);
+        assert_eq!(pace.next(start, false), Due::Nothing);
+        pace.touch(start);
+        assert_eq!(pace.next(start, true), Due::Moving(1.0));
+        pace.drawn(Due::Moving(1.0), start);
+        assert_eq!(pace.next(start + 2 * REST, false), Due::Nothing, "it was sharp");
+        pace.adapt(220.0, 1.0);
+        pace.touch(start);
+        assert_eq!(pace.next(start, true), Due::Moving(0.5));
+        pace.drawn(Due::Moving(0.5), start);
+        assert_eq!(pace.next(start + REST / 2, false), Due::Nothing);
+        assert_eq!(pace.next(start + 2 * REST, true), Due::Nothing, "a button is held");
+        assert_eq!(pace.next(start + 2 * REST, false), Due::Still);
+        assert!(pace.wakes().is_some_and(|then| then > start + REST));
+        pace.adapt(4.0, 0.5);
+        pace.touch(start);
+        assert_eq!(pace.next(start, true), Due::Moving(0.75));
+        pace.leap();
+        assert_eq!(pace.next(start, false), Due::Still);
+        (0..9).for_each(|_| pace.adapt(10_000.0, SCALES[pace.level]));
+        assert_eq!(pace.level, SCALES.len() - 1);
+    }
+
+    #[test]
+    fn rates_are_of_the_last_frames() {
+        let (mut pace, start) = (Pace::new(), Instant::now());
+        assert_eq!(pace.frames_per_second(), 0.0);
+        (0..100).for_each(|n| pace.drawn(Due::Still, start + n * Duration::from_millis(20)));
+        assert!((pace.frames_per_second() - 50.0).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,273 @@
+//! One frame of the window: splats or a finished picture, text over it, all in the frame's command buffer.
+
+use super::present::{CANVAS, FRAMES_IN_FLIGHT, Present, Turn};
+use super::text::{Overlay, Text};
+use ashsplat::ash::vk;
+use ashsplat::compose::{Compose, Region};
+use ashsplat::scene::Camera;
+use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse, MemoryKind, RecordSlot};
+use ashsplat::{
+    Background, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, Result,
+    SlotReport, Target,
+};
+use ashsplat_files::Photo;
+use std::time::Instant;
+
+/// Dispatches of a recording of our own, at most.
+const DISPATCHES: usize = 8;
+/// An image of the frame before: its contents are not needed, but that frame's commands must be done with it.
+const USED: ImageState = ImageState {
+    layout: vk::ImageLayout::UNDEFINED,
+    stages: vk::PipelineStageFlags2::from_raw(
+        vk::PipelineStageFlags2::ALL_TRANSFER.as_raw() | vk::PipelineStageFlags2::COMPUTE_SHADER.as_raw(),
+    ),
+    accesses: vk::AccessFlags2::NONE,
+};
+/// An image that kernels or copies of ours have left ready for kernels.
+const READY: ImageState = ImageState {
+    layout: vk::ImageLayout::GENERAL,
+    stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
+    accesses: vk::AccessFlags2::from_raw(
+        vk::AccessFlags2::SHADER_STORAGE_READ.as_raw() | vk::AccessFlags2::SHADER_STORAGE_WRITE.as_raw(),
+    ),
+};
+
+/// What a frame shows.
+pub enum Content<'a> {
+    /// One colour.
+    Nothing([f32; 3]),
+    /// The scene, drawn on the device.
+    Splats(&'a RenderSettings),
+    /// A picture that is there.
+    Photo(&'a Photo),
+}
+
+/// What belongs to one frame in flight.
+struct Sheet {
+    /// Recordings of a picture that is there, and of what lies over the frame.
+    records: [RecordSlot; 2],
+    photo: Option<Buffer>,
+    overlays: Vec<Option<Buffer>>,
+}
+
+/// Draws frames.
+pub struct Picture {
+    renderer: Renderer,
+    context: Context,
+    scene: Option<DeviceScene>,
+    sh_degree: u32,
+    reserved: Option<Reservation>,
+    compose: Compose,
+    /// Of the window's size.
+    canvas: Option<Image>,
+    /// Of a frame that is coarser.
+    coarse: Option<Image>,
+    sheets: Vec<Sheet>,
+}
+
+impl Picture {
+    /// Of the scene that the renderer has, if any.
+    pub fn new(renderer: Renderer, sh_degree: u32) -> Result<Picture> {
+        let context = renderer.context().clone();
+        let mut sheets = Vec::new();
+        for _ in 0..FRAMES_IN_FLIGHT {
+            let records = [RecordSlot::new(&context, DISPATCHES)?, RecordSlot::new(&context, DISPATCHES)?];
+            sheets.push(Sheet { records, photo: None, overlays: Vec::new() });
+        }
+        Ok(Picture {
+            compose: Compose::new(&context)?,
+            scene: renderer.scene(),
+            sh_degree,
+            reserved: None,
+            canvas: None,
+            coarse: None,
+            sheets,
+            context,
+            renderer,
+        })
+    }
+
+    /// For pictures that are read back.
+    pub fn renderer(&mut self) -> &mut Renderer {
+        &mut self.renderer
+    }
+
+    /// Whether there is a scene.
+    pub fn has_scene(&self) -> bool {
+        self.scene.is_some()
+    }
+
+    /// Allocates what a frame of splats in a window of a size needs.
+    pub fn reserve(
+        &mut self,
+        present: &Present,
+        size: [u32; 2],
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<()> {
+        let Some(scene) = &self.scene else { return Ok(()) };
+        let before = self.reserved.as_ref();
+        if before.is_some_and(|old| [old.width, old.height] == size) {
+            return Ok(());
+        }
+        let wanted = Reservation {
+            slots: FRAMES_IN_FLIGHT,
+            blend_passes: before.map_or(1, |old| old.blend_passes),
+            ..Reservation::new(scene.count(), self.sh_degree, size[0], size[1])
+        };
+        present.idle()?;
+        self.reserved = None;
+        let scenes = [Placed::from(scene)];
+        let frame = RecordedFrame::new(&scenes, camera, settings);
+        self.reserved = Some(self.renderer.reserve_for(&wanted, &frame)?);
+        Ok(())
+    }
+
+    /// What the splats of a frame that is done needed. With too little room for them, there is more for the next.
+    pub fn report(&mut self, present: &Present, slot: u32) -> Result<Option<SlotReport>> {
+        let Some(reserved) = self.reserved else { return Ok(None) };
+        let report = self.renderer.slot_report(slot)?;
+        let grown = report.as_ref().filter(|report| report.overflow).map(|report| reserved.grown(report));
+        if let Some(grown) = grown.filter(|grown| *grown != reserved) {
+            present.idle()?;
+            self.reserved = None;
+            self.renderer.reserve(&grown)?;
+            self.reserved = Some(grown);
+        }
+        Ok(report)
+    }
+
+    /// Draws and shows a frame. The camera's size is the picture's; the window may be larger. Its place among the frames in
+    /// flight, and when it was begun; None: now and then a window is not ready.
+    pub fn draw(
+        &mut self,
+        present: &mut Present,
+        size: [u32; 2],
+        camera: &Camera,
+        content: &Content<'_>,
+        overlays: &[Overlay<'_>],
+    ) -> Result<Option<(u32, Instant)>> {
+        let small = [camera.width, camera.height];
+        let canvas = image(&self.context, "canvas", &mut self.canvas, size)?;
+        let coarse = match small == size || matches!(content, Content::Nothing(_)) {
+            true => None,
+            false => Some(image(&self.context, "coarse canvas", &mut self.coarse, small)?),
+        };
+        let Some(turn) = present.begin()? else { return Ok(None) };
+        let begun = Instant::now();
+        let target = coarse.as_ref().unwrap_or(&canvas);
+        let drawn = self.record(present, &turn, target, camera, content)?;
+        let drawn = match &coarse {
+            Some(coarse) => present.enlarge(&turn, [coarse, &canvas], [drawn, USED]),
+            None => drawn,
+        };
+        let drawn = self.record_overlays(present, &turn, &canvas, drawn, overlays)?;
+        let slot = turn.slot();
+        present.finish(turn, &canvas, drawn)?;
+        Ok(Some((slot, begun)))
+    }
+
+    fn record(
+        &mut self,
+        present: &Present,
+        turn: &Turn,
+        target: &Image,
+        camera: &Camera,
+        content: &Content<'_>,
+    ) -> Result<ImageState> {
+        match (content, &self.scene) {
+            (Content::Photo(photo), _) => self.record_photo(present, turn, target, photo),
+            (Content::Splats(settings), Some(scene)) => {
+                let scenes = [Placed::from(scene)];
+                let to = HostImage { image: target, from: USED, offset: [0; 2] };
+                let frame = RecordedFrame {
+                    target: Target::Image { to, behind: Background::Color(settings.background) },
+                    ..RecordedFrame::new(&scenes, camera, settings)
+                };
+                let release = self.renderer.record(present.commands(turn)?, turn.slot(), &frame)?;
+                Ok(release.color.unwrap_or(USED))
+            }
+            (Content::Splats(RenderSettings { background, .. }) | Content::Nothing(background), _) => {
+                Ok(present.clear(turn, target, USED, *background))
+            }
+        }
+    }
+
+    fn record_photo(
+        &mut self,
+        present: &Present,
+        turn: &Turn,
+        target: &Image,
+        photo: &Photo,
+    ) -> Result<ImageState> {
+        let sheet = &mut self.sheets[turn.slot() as usize];
+        let texels: Vec<[u8; 4]> =
+            photo.rgb.chunks_exact(3).map(|rgb| [rgb[0], rgb[1], rgb[2], u8::MAX]).collect();
+        let buffer = filled(&self.context, &mut sheet.photo, bytemuck::cast_slice(&texels))?;
+        let record = &mut sheet.records[0];
+        let mut recorder = record.begin(present.commands(turn)?, "finished picture")?;
+        recorder.copy_to_image(&buffer, target);
+        record.end(recorder)?;
+        Ok(READY)
+    }
+
+    fn record_overlays(
+        &mut self,
+        present: &Present,
+        turn: &Turn,
+        canvas: &Image,
+        from: ImageState,
+        overlays: &[Overlay<'_>],
+    ) -> Result<ImageState> {
+        let Sheet { records, overlays: buffers, .. } = &mut self.sheets[turn.slot() as usize];
+        let fits = |overlay: &&Overlay<'_>| {
+            let Text { width, height, .. } = *overlay.picture;
+            let ends = [overlay.corner[0] + width, overlay.corner[1] + height];
+            width > 0 && height > 0 && ends[0] <= canvas.size()[0] && ends[1] <= canvas.size()[1]
+        };
+        let shown: Vec<_> = overlays.iter().filter(fits).collect();
+        if shown.is_empty() {
+            return Ok(from);
+        }
+        let mut recorder = records[1].begin(present.commands(turn)?, "text")?;
+        let mut state = from;
+        buffers.resize(shown.len(), None);
+        for (overlay, buffer) in shown.iter().zip(buffers) {
+            let Text { width, height, texels } = overlay.picture;
+            let buffer = filled(&self.context, buffer, bytemuck::cast_slice(texels))?;
+            state = recorder.acquire_image(canvas, state);
+            let region = Region { image: canvas, offset: overlay.corner };
+            self.compose.record_color(&mut recorder, &buffer, [*width, *height], region, Background::Image);
+        }
+        records[1].end(recorder)?;
+        Ok(state)
+    }
+}
+
+/// The image of a size that is there, or a new one. Frames in flight keep the old one alive.
+fn image(context: &Context, name: &'static str, kept: &mut Option<Image>, size: [u32; 2]) -> Result<Image> {
+    if let Some(image) = kept.as_ref().filter(|image| image.size() == size) {
+        return Ok(image.clone());
+    }
+    let image = Image::new(context, name, CANVAS, size, ImageUse::Storage)?;
+    *kept = Some(image.clone());
+    Ok(image)
+}
+
+/// A buffer with these bytes: the one that is there, if it is large enough.
+fn filled(context: &Context, kept: &mut Option<Buffer>, bytes: &[u8]) -> Result<Buffer> {
+    let needed = bytes.len() as u64;
+    let buffer = match kept.as_ref().filter(|buffer| buffer.bytes() >= needed) {
+        Some(buffer) => buffer.clone(),
+        None => {
+            // A reserve: numbers in a text change their widths.
+            let request = [("window", needed + needed / 4)];
+            let mut made = context.allocate("window", &request, MemoryKind::HostVisible)?;
+            let Some(buffer) = made.pop() else { unreachable!("one buffer per request") };
+            buffer
+        }
+    };
+    buffer.write(0, bytes)?;
+    *kept = Some(buffer.clone());
+    Ok(buffer)
+}

@@ -1,0 +1,348 @@
+//! A window's surface on the engine's device: swapchain, frames in flight, and the commands that the engine has not. The
+//! window is a host in raw Vulkan here, and the only part of the program that is.
+
+mod choice;
+mod commands;
+mod swapchain;
+
+use ashsplat::ash::{self, khr, vk};
+use ashsplat::vk::{Context, ForeignCommands, Image, ImageState};
+use ashsplat::{Error, Result};
+use commands::Images;
+use std::ffi::CStr;
+use std::sync::Arc;
+pub use swapchain::CANVAS;
+use swapchain::{Choice, Swapchain};
+use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle};
+use winit::window::Window;
+
+/// Frames that the device works on at once.
+pub const FRAMES_IN_FLIGHT: u32 = 2;
+/// Longest wait for an image of the swapchain, ns: of a window that nobody sees, there may be none.
+const LONGEST_WAIT: u64 = 250_000_000;
+
+/// The error of a failed call.
+fn failed(call: &'static str) -> impl Fn(vk::Result) -> Error {
+    move |result| match result {
+        vk::Result::ERROR_DEVICE_LOST => Error::DeviceLost { call },
+        result => Error::Vulkan { call, result: format!("{result:?}"), remedy: String::new() },
+    }
+}
+
+/// Why a device or a display cannot be used for a window.
+pub fn unfit(problem: &str) -> Error {
+    Error::argument("--window", format!("{problem}; without --window the viewer is a page in a browser"))
+}
+
+/// Extensions of the instance that surfaces of a display need.
+pub fn instance_extensions(display: &impl HasDisplayHandle) -> Result<Vec<&'static CStr>> {
+    let handle = display.display_handle().map_err(|error| unfit(&error.to_string()))?;
+    let names = ash_window::enumerate_required_extensions(handle.as_raw());
+    let names = names.map_err(|_| unfit("Vulkan has no surfaces for this kind of display"))?;
+    // SAFETY: these are Vulkan's names, constants of the crate.
+    Ok(names.iter().map(|&name| unsafe { CStr::from_ptr(name) }).collect())
+}
+
+/// Extensions of the device that a window needs.
+pub const DEVICE_EXTENSIONS: [&CStr; 1] = [khr::swapchain::NAME];
+
+/// A command buffer with what orders it.
+struct InFlight {
+    pool: vk::CommandPool,
+    commands: vk::CommandBuffer,
+    /// Signalled when the image of the swapchain may be written.
+    acquired: vk::Semaphore,
+    /// Signalled when the commands are done; signalled before the first, too.
+    done: vk::Fence,
+}
+
+/// A frame that is being recorded.
+pub struct Turn {
+    /// Of the frames in flight.
+    slot: u32,
+    /// Of the swapchain.
+    image: u32,
+}
+
+impl Turn {
+    /// Its place among the frames in flight.
+    pub fn slot(&self) -> u32 {
+        self.slot
+    }
+}
+
+/// Shows pictures in a window.
+pub struct Present {
+    device: ash::Device,
+    queue: vk::Queue,
+    surfaces: khr::surface::Instance,
+    surface: vk::SurfaceKHR,
+    swapchains: khr::swapchain::Device,
+    physical: vk::PhysicalDevice,
+    swapchain: Option<Swapchain>,
+    /// Whether the swapchain does not fit the surface any more.
+    stale: bool,
+    vsync: bool,
+    frames: Vec<InFlight>,
+    next: usize,
+    // Alive until all the above is destroyed.
+    window: Arc<Window>,
+    context: Context,
+    _entry: ash::Entry,
+}
+
+impl Present {
+    /// The surface of a window. The context has the extensions that surfaces need ([`instance_extensions`],
+    /// [`DEVICE_EXTENSIONS`]), and no other thread submits to its queue.
+    pub fn new(context: &Context, window: Arc<Window>, vsync: bool) -> Result<Present> {
+        let (instance, physical, device, family) = context.handles();
+        let display = window.display_handle().map_err(|error| unfit(&error.to_string()))?.as_raw();
+        let handle = window.window_handle().map_err(|error| unfit(&error.to_string()))?.as_raw();
+        // SAFETY: the loader is there already: the context uses it. All handles are alive, and stay so: the value holds
+        // window, context and loader, and destroys what it makes of them before.
+        unsafe {
+            let entry = ash::Entry::load().map_err(|e| Error::NoLoader { reason: e.to_string() })?;
+            let surface = ash_window::create_surface(&entry, &instance, display, handle, None)
+                .map_err(failed("creating the window's surface"))?;
+            let mut present = Present {
+                queue: device.get_device_queue(family, 0),
+                surfaces: khr::surface::Instance::new(&entry, &instance),
+                surface,
+                swapchains: khr::swapchain::Device::new(&instance, &device),
+                physical,
+                swapchain: None,
+                stale: true,
+                vsync,
+                frames: Vec::new(),
+                next: 0,
+                device,
+                window,
+                context: context.clone(),
+                _entry: entry,
+            };
+            present.check(&instance, family)?;
+            for _ in 0..FRAMES_IN_FLIGHT {
+                present.add_frame(family)?;
+            }
+            Ok(present)
+        }
+    }
+
+    /// Refuses a device that cannot show pictures in this window.
+    fn check(&self, instance: &ash::Instance, family: u32) -> Result<()> {
+        let (physical, name) = (self.physical, self.context.device_name());
+        // SAFETY: plain queries on live handles.
+        let (families, presents, format) = unsafe {
+            (
+                instance.get_physical_device_queue_family_properties(physical),
+                self.surfaces.get_physical_device_surface_support(physical, family, self.surface),
+                instance.get_physical_device_format_properties(physical, CANVAS),
+            )
+        };
+        let presents = presents.map_err(failed("vkGetPhysicalDeviceSurfaceSupportKHR"))?;
+        let flags = families.get(family as usize).map(|family| family.queue_flags).unwrap_or_default();
+        let blits = vk::FormatFeatureFlags::BLIT_SRC | vk::FormatFeatureFlags::BLIT_DST;
+        let scales =
+            flags.contains(vk::QueueFlags::GRAPHICS) && format.optimal_tiling_features.contains(blits);
+        match (presents, scales) {
+            (true, true) => Ok(()),
+            (false, _) => Err(unfit(&format!(
+                "'{name}' cannot show pictures on this display: choose a device that can by --device"
+            ))),
+            (true, false) => {
+                Err(unfit(&format!("the queue of '{name}' cannot scale images (vkCmdBlitImage)")))
+            }
+        }
+    }
+
+    fn add_frame(&mut self, family: u32) -> Result<()> {
+        let device = &self.device;
+        let mut frame = InFlight {
+            pool: vk::CommandPool::null(),
+            commands: vk::CommandBuffer::null(),
+            acquired: vk::Semaphore::null(),
+            done: vk::Fence::null(),
+        };
+        // SAFETY: valid create infos for this device; what exists is destroyed with the value.
+        let made = unsafe {
+            let pool = vk::CommandPoolCreateInfo::default().queue_family_index(family);
+            let fence = vk::FenceCreateInfo::default().flags(vk::FenceCreateFlags::SIGNALED);
+            device
+                .create_command_pool(&pool, None)
+                .and_then(|pool| {
+                    frame.pool = pool;
+                    let info = vk::CommandBufferAllocateInfo::default()
+                        .command_pool(pool)
+                        .level(vk::CommandBufferLevel::PRIMARY)
+                        .command_buffer_count(1);
+                    frame.commands =
+                        device.allocate_command_buffers(&info)?.first().copied().unwrap_or_default();
+                    frame.acquired = device.create_semaphore(&vk::SemaphoreCreateInfo::default(), None)?;
+                    frame.done = device.create_fence(&fence, None)?;
+                    Ok(())
+                })
+                .map_err(failed("creating a frame in flight"))
+        };
+        self.frames.push(frame);
+        made
+    }
+
+    /// The size of the surface, for which there is a swapchain then; None where there is nothing to see: a minimised
+    /// window.
+    pub fn size(&mut self) -> Result<Option<[u32; 2]>> {
+        let size = self.window.inner_size();
+        let choice = Choice::of(&self.surfaces, self.physical, self.surface, self.vsync, size.into())?;
+        let Some(choice) = choice else { return Ok(None) };
+        if self.stale || self.swapchain.as_ref().is_none_or(|old| old.extent != choice.extent) {
+            self.idle()?;
+            let old = self.swapchain.take();
+            // SAFETY: nothing runs any more that uses the old one's images and semaphores.
+            unsafe {
+                let new = Swapchain::new(&self.device, &self.swapchains, self.surface, &choice, old.as_ref());
+                if let Some(old) = old {
+                    old.destroy(&self.device, &self.swapchains);
+                }
+                self.swapchain = Some(new?);
+            }
+            self.stale = false;
+        }
+        Ok(Some([choice.extent.width, choice.extent.height]))
+    }
+
+    /// Waits until the frame is done whose place is taken next.
+    pub fn wait(&self) -> Result<u32> {
+        // SAFETY: the fence is alive; it is signalled or its submission runs.
+        let waited = unsafe { self.device.wait_for_fences(&[self.frames[self.next].done], true, u64::MAX) };
+        waited.map_err(failed("vkWaitForFences"))?;
+        Ok(self.next as u32)
+    }
+
+    /// Whether the frame that was submitted last in a place is done.
+    pub fn is_done(&self, slot: u32) -> Result<bool> {
+        // SAFETY: the fence is alive.
+        let done = unsafe { self.device.get_fence_status(self.frames[slot as usize].done) };
+        done.map_err(failed("vkGetFenceStatus"))
+    }
+
+    /// Waits until nothing runs any more.
+    pub fn idle(&self) -> Result<()> {
+        // SAFETY: no other thread uses the device's queue.
+        unsafe { self.device.device_wait_idle() }.map_err(failed("vkDeviceWaitIdle"))
+    }
+
+    /// Begins a frame, when the one before in its place is done. None: not now.
+    pub fn begin(&mut self) -> Result<Option<Turn>> {
+        let slot = self.wait()?;
+        let Some(swapchain) = &self.swapchain else { return Ok(None) };
+        let frame = &self.frames[self.next];
+        // SAFETY: the semaphore is not waited for any more: the fence of the submission that did is signalled. The pool's
+        // command buffer is executed no more.
+        unsafe {
+            let acquired = self.swapchains.acquire_next_image(
+                swapchain.raw,
+                LONGEST_WAIT,
+                frame.acquired,
+                vk::Fence::null(),
+            );
+            let image = match acquired {
+                Ok((image, suboptimal)) => {
+                    self.stale |= suboptimal;
+                    image
+                }
+                Err(vk::Result::TIMEOUT | vk::Result::NOT_READY) => return Ok(None),
+                Err(vk::Result::ERROR_OUT_OF_DATE_KHR) => {
+                    self.stale = true;
+                    return Ok(None);
+                }
+                Err(error) => return Err(failed("vkAcquireNextImageKHR")(error)),
+            };
+            let begin =
+                vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+            self.device
+                .reset_command_pool(frame.pool, vk::CommandPoolResetFlags::empty())
+                .and_then(|()| self.device.begin_command_buffer(frame.commands, &begin))
+                .map_err(failed("vkBeginCommandBuffer"))?;
+            Ok(Some(Turn { slot, image }))
+        }
+    }
+
+    /// The frame's command buffer, for the engine.
+    pub fn commands(&self, turn: &Turn) -> Result<ForeignCommands> {
+        let commands = self.frames[turn.slot as usize].commands;
+        // SAFETY: it is being recorded, outside of a render pass, and submitted once, by `finish`. `begin` has waited for
+        // the fence of what was recorded before in this place, whose number is that of the slots it is recorded through.
+        // The host does not touch what is recorded until then.
+        unsafe { self.context.adopt_commands(commands) }
+    }
+
+    fn images<'a>(&'a self, turn: &Turn) -> Images<'a> {
+        Images { device: &self.device, commands: self.frames[turn.slot as usize].commands }
+    }
+
+    /// Records a fill with one colour. The answer is the image's use then.
+    pub fn clear(&self, turn: &Turn, image: &Image, from: ImageState, color: [f32; 3]) -> ImageState {
+        self.images(turn).clear(image, from, color)
+    }
+
+    /// Records a copy of an image of another size. The answer is the use of the second then.
+    pub fn enlarge(&self, turn: &Turn, [from, to]: [&Image; 2], uses: [ImageState; 2]) -> ImageState {
+        self.images(turn).scale([from, to], uses)
+    }
+
+    /// Copies the picture to the window's image, submits the frame and shows it. The picture has the surface's size.
+    pub fn finish(&mut self, turn: Turn, picture: &Image, used: ImageState) -> Result<()> {
+        let Some(swapchain) = &self.swapchain else { return Ok(()) };
+        let (image, presented) = swapchain.image(turn.image);
+        let images = self.images(&turn);
+        let frame = &self.frames[turn.slot as usize];
+        let extent = [swapchain.extent.width, swapchain.extent.height];
+        images.show(picture, used, image, extent);
+        let transfer = vk::PipelineStageFlags2::ALL_TRANSFER;
+        let waits = [vk::SemaphoreSubmitInfo::default().semaphore(frame.acquired).stage_mask(transfer)];
+        let everything = vk::PipelineStageFlags2::ALL_COMMANDS;
+        let signals = [vk::SemaphoreSubmitInfo::default().semaphore(presented).stage_mask(everything)];
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(frame.commands)];
+        let submits = [vk::SubmitInfo2::default()
+            .wait_semaphore_infos(&waits)
+            .command_buffer_infos(&buffers)
+            .signal_semaphore_infos(&signals)];
+        let (semaphores, raw, indices) = ([presented], [swapchain.raw], [turn.image]);
+        let info = vk::PresentInfoKHR::default()
+            .wait_semaphores(&semaphores)
+            .swapchains(&raw)
+            .image_indices(&indices);
+        // SAFETY: recorded since `begin`; the fence is signalled and nobody waits for it; no other thread uses the queue.
+        let shown = unsafe {
+            self.device.end_command_buffer(frame.commands).map_err(failed("vkEndCommandBuffer"))?;
+            self.device.reset_fences(&[frame.done]).map_err(failed("vkResetFences"))?;
+            self.device.queue_submit2(self.queue, &submits, frame.done).map_err(failed("vkQueueSubmit2"))?;
+            self.swapchains.queue_present(self.queue, &info)
+        };
+        self.next = (self.next + 1) % self.frames.len();
+        match shown {
+            Ok(suboptimal) => self.stale |= suboptimal,
+            Err(vk::Result::ERROR_OUT_OF_DATE_KHR) => self.stale = true,
+            Err(error) => return Err(failed("vkQueuePresentKHR")(error)),
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Present {
+    fn drop(&mut self) {
+        // A lost device has nothing to wait for.
+        self.idle().ok();
+        // SAFETY: nothing runs any more; null handles are allowed; the surface goes after its swapchain.
+        unsafe {
+            for frame in &self.frames {
+                self.device.destroy_fence(frame.done, None);
+                self.device.destroy_semaphore(frame.acquired, None);
+                self.device.destroy_command_pool(frame.pool, None);
+            }
+            if let Some(swapchain) = self.swapchain.take() {
+                swapchain.destroy(&self.device, &self.swapchains);
+            }
+            self.surfaces.destroy_surface(self.surface, None);
+        }
+    }
+}

@@ -1,0 +1,417 @@
+//! What the window shows, and what it takes to show it: view, mode, photo, text.
+
+use super::super::draw;
+use super::super::photos::Photos;
+use super::super::protocol::{self, CameraMessage, Look, Mode};
+use super::super::studio::fatal;
+use super::super::subject::Subject;
+use super::comparison::Comparison;
+use super::keys::Action;
+use super::navigation::Navigation;
+use super::pace::{Due, Pace};
+use super::picture::{Content, Picture};
+use super::present::Present;
+use super::text::{Overlay, Text, text};
+use super::words::{self, Measured};
+use crate::output;
+use ashsplat::scene::Camera;
+use ashsplat::{PixelReport, RenderSettings, Result};
+use ashsplat_files::Photo;
+use ashsplat_files::cameras_json::NamedCamera;
+use glam::DVec3;
+use serde_json::Value;
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime};
+
+/// The modes by their places on the page; the colours of the last three are made by the processor.
+const MODES: [Mode; 5] = [Mode::Splats, Mode::Centres, Mode::Ellipsoids, Mode::Depth, Mode::Tiles];
+/// How long something is said.
+const SAID: Duration = Duration::from_secs(6);
+/// Smallest side of a coarse frame, pixels.
+const LEAST_SIDE: f64 = 16.0;
+/// Rows of pixels for each size of the letters.
+const ROWS_PER_DOT: u32 = 540;
+/// Distance of the text from the corner, pixels.
+const CORNER: u32 = 8;
+
+/// A frame that the device works on.
+struct Pending {
+    slot: u32,
+    due: Due,
+    begun: Instant,
+    /// Time that its picture took before, ms.
+    before: f64,
+    splats: bool,
+    /// Whether it was drawn to show the numbers of the one before.
+    settled: bool,
+}
+
+pub struct Stage {
+    picture: Picture,
+    pub view: Navigation,
+    pub pace: Pace,
+    mode: usize,
+    base: RenderSettings,
+    cameras: Vec<NamedCamera>,
+    photos: Option<Arc<Photos>>,
+    name: String,
+    device: String,
+    note: Option<String>,
+    start: Option<Camera>,
+    center: DVec3,
+    out: PathBuf,
+    /// Of the window, pixels.
+    pub size: [u32; 2],
+    /// Pixels per logical pixel.
+    pub scale_factor: f64,
+    measured: Measured,
+    pending: VecDeque<Pending>,
+    ended: Option<Instant>,
+    settle: bool,
+    current: Option<usize>,
+    comparison: Option<Comparison>,
+    /// Where photo and render meet, share of the photo's width.
+    share: f64,
+    pub inspecting: bool,
+    panel: bool,
+    pub help: bool,
+    picked: Vec<String>,
+    message: Option<(String, Instant)>,
+}
+
+impl Stage {
+    pub fn new(subject: Subject, picture: Picture, device: &str, out: PathBuf) -> Result<Stage> {
+        let greeting = subject.greeting(device, None);
+        let triple = |key: &str| {
+            let values: Option<[f64; 3]> = serde_json::from_value(greeting[key].clone()).ok();
+            values.map_or(DVec3::ZERO, DVec3::from_array)
+        };
+        let start = match &greeting["start"] {
+            Value::Null => None,
+            message => serde_json::from_value::<CameraMessage>(message.clone()).ok(),
+        };
+        let center = triple("pivot");
+        let view = Navigation::new(center, triple("up"), greeting["radius"].as_f64().unwrap_or(1.0));
+        let mut stage = Stage {
+            picture,
+            view,
+            pace: Pace::new(),
+            mode: 0,
+            base: subject.base,
+            cameras: subject.cameras,
+            photos: subject.photos,
+            name: subject.name,
+            device: device.to_owned(),
+            note: subject.note,
+            start: start.map(|message| message.camera()).transpose()?,
+            center,
+            out,
+            size: [1, 1],
+            scale_factor: 1.0,
+            measured: Measured::default(),
+            pending: VecDeque::new(),
+            ended: None,
+            settle: false,
+            current: None,
+            comparison: None,
+            share: 0.5,
+            inspecting: false,
+            panel: true,
+            help: false,
+            picked: Vec::new(),
+            message: None,
+        };
+        stage.home();
+        Ok(stage)
+    }
+
+    /// The last part of the scene's name.
+    pub fn title(&self) -> &str {
+        self.name.split('/').rfind(|part| !part.is_empty()).unwrap_or(&self.name)
+    }
+
+    fn home(&mut self) {
+        let Some(start) = self.start else { return };
+        self.view.pivot = self.center;
+        self.view.take(&start, false);
+        self.view.touch();
+        self.pace.leap();
+    }
+
+    fn look(&self) -> Look {
+        Look { mode: MODES[self.mode], quality: 0, ..Look::default() }
+    }
+
+    /// Says something for a while.
+    pub fn say(&mut self, text: String) {
+        self.message = Some((text, Instant::now()));
+        self.pace.leap();
+    }
+
+    /// What a key does that does not steer. Whether the window is to be closed.
+    pub fn act(&mut self, action: Action) -> Result<bool> {
+        match action {
+            Action::Mode(mode) => (self.mode, self.measured.legend) = (mode, None),
+            Action::Inspect => {
+                self.inspecting = !self.inspecting;
+                self.say(format!("inspecting pixels: {}", if self.inspecting { "on" } else { "off" }));
+            }
+            Action::Panel => self.panel = !self.panel,
+            Action::Screenshot => self.screenshot()?,
+            Action::Face => self.view.face(self.center),
+            Action::Home => self.home(),
+            Action::Photo(step) => self.step(step),
+            Action::Close => return Ok(!self.close_something()),
+            Action::Fly(_) | Action::Turn(_) | Action::Zoom(_) | Action::FlyMode => {}
+        }
+        self.pace.leap();
+        Ok(false)
+    }
+
+    /// Whether anything was open.
+    fn close_something(&mut self) -> bool {
+        let compares = self.comparison.take().is_some() && self.view.is_photo();
+        let open = self.help || compares || !self.picked.is_empty();
+        (self.help, self.current) = (false, None);
+        self.picked.clear();
+        open
+    }
+
+    /// The next photo, or the one before.
+    fn step(&mut self, by: isize) {
+        let count = self.cameras.len() as isize;
+        if count == 0 {
+            return;
+        }
+        let from = self.current.map_or(if by > 0 { -1 } else { 0 }, |current| current as isize);
+        let index = (from + by).rem_euclid(count) as usize;
+        self.current = Some(index);
+        let named = &self.cameras[index];
+        self.view.take(&named.camera, true);
+        let name = named.name.clone();
+        let photo = self.photos.as_ref().map(|photos| photos.decoded_now(index));
+        let (photo, problem) = match photo {
+            Some(Ok(photo)) => (Some(photo), None),
+            Some(Err(error)) => (None, Some(error.to_string())),
+            None => (None, None),
+        };
+        self.comparison = photo.map(Comparison::new);
+        self.say(problem.unwrap_or(name));
+    }
+
+    /// Where photo and render meet, pixels from the left; None where no photo is shown.
+    pub fn wipe(&self) -> Option<f64> {
+        let lens = self.view.lens().filter(|_| self.comparison.is_some())?;
+        let (scale, [x, _]) = Navigation::frame(lens, self.size);
+        Some(x + self.share * f64::from(lens.width) * scale)
+    }
+
+    /// Moves that place.
+    pub fn move_wipe(&mut self, x: f64) {
+        let Some(lens) = self.view.lens() else { return };
+        let (scale, [left, _]) = Navigation::frame(lens, self.size);
+        self.share = ((x - left) / (f64::from(lens.width) * scale)).clamp(0.0, 1.0);
+        self.pace.leap();
+    }
+
+    fn report(&mut self, [x, y]: [f64; 2]) -> Result<Option<([u32; 2], PixelReport)>> {
+        let pixel = [x, y].map(|v| v.max(0.0) as u32);
+        let camera = self.view.camera(self.size);
+        let settings = draw::settings(&self.base, &Look::default());
+        if !self.picture.has_scene() {
+            return Ok(None);
+        }
+        match self.picture.renderer().inspect(&camera, &settings, pixel) {
+            Ok(report) => Ok(Some((pixel, report))),
+            Err(error) => {
+                self.say(error.to_string());
+                fatal(error).map(|()| None)
+            }
+        }
+    }
+
+    /// Lists what is blended at a pixel.
+    pub fn pick(&mut self, at: [f64; 2]) -> Result<()> {
+        if let Some((pixel, report)) = self.report(at)? {
+            self.picked = words::picked(pixel, &report);
+            self.pace.leap();
+        }
+        Ok(())
+    }
+
+    /// Turns around what is at a pixel.
+    pub fn set_pivot(&mut self, at: [f64; 2]) -> Result<()> {
+        let depth = self.report(at)?.and_then(|(_, report)| protocol::pivot_depth(&report));
+        if let Some(depth) = depth {
+            self.view.pivot = self.view.unproject(at, depth.into(), self.size);
+            self.say("turning around this point".into());
+        }
+        Ok(())
+    }
+
+    fn screenshot(&mut self) -> Result<()> {
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let path = self.out.join(format!("ashsplat-{}.png", now.as_millis()));
+        let (camera, look) = (self.view.camera(self.size), self.look());
+        if !self.picture.has_scene() {
+            return Ok(());
+        }
+        let drawn = draw::draw(self.picture.renderer(), &camera, &self.base, &look);
+        match drawn.and_then(|drawn| output::write_png(&path, &drawn.photo)) {
+            Ok(()) => self.say(format!("saved {}", path.display())),
+            Err(error) => {
+                self.say(error.to_string());
+                fatal(error)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// What is due.
+    pub fn due(&mut self, now: Instant, busy: bool) -> Due {
+        if self.message.as_ref().is_some_and(|(_, since)| now.duration_since(*since) > SAID) {
+            self.message = None;
+            self.pace.leap();
+        }
+        match self.pace.next(now, busy) {
+            Due::Nothing if self.settle => Due::Still,
+            due => due,
+        }
+    }
+
+    /// Whether the device works on a frame.
+    pub fn is_waiting(&self) -> bool {
+        !self.pending.is_empty()
+    }
+
+    /// Takes note of frames that are done.
+    pub fn poll(&mut self, present: &Present) -> Result<()> {
+        while let Some(first) = self.pending.front() {
+            if !present.is_done(first.slot)? {
+                break;
+            }
+            let Some(done) = self.pending.pop_front() else { break };
+            let (now, from) = (Instant::now(), self.ended.map_or(done.begun, |ended| ended.max(done.begun)));
+            self.ended = Some(now);
+            let milliseconds = done.before + now.duration_since(from).as_secs_f64() * 1e3;
+            self.measured.milliseconds = milliseconds;
+            if let Due::Moving(scale) = done.due {
+                self.pace.adapt(milliseconds, scale);
+            }
+            if !done.splats {
+                continue;
+            }
+            self.settle |= done.due == Due::Still && !done.settled && self.panel;
+            match self.picture.report(present, done.slot) {
+                Ok(Some(report)) => {
+                    if report.overflow {
+                        self.pace.leap();
+                    }
+                    self.measured.take(report);
+                }
+                Ok(None) => {}
+                Err(error) => {
+                    self.say(error.to_string());
+                    fatal(error)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Draws and shows a frame. False where the window is not ready.
+    pub fn draw(&mut self, present: &mut Present, due: Due) -> Result<bool> {
+        let Some(size) = present.size()? else { return Ok(false) };
+        self.size = size;
+        present.wait()?;
+        self.poll(present)?;
+        let share = if let Due::Moving(share) = due { share } else { 1.0 };
+        let small = size.map(|side| {
+            let side = f64::from(side);
+            (side * share).round().max(LEAST_SIDE).min(side) as u32
+        });
+        let settled = std::mem::take(&mut self.settle) && due == Due::Still;
+        let (camera, start) = (self.view.camera(small), Instant::now());
+        let settings = draw::settings(&self.base, &self.look());
+        let prepared = self.prepare(present, &camera, &settings);
+        let before = start.elapsed().as_secs_f64() * 1e3;
+        let background = self.base.background;
+        let content = match &prepared {
+            Ok(_) if !self.picture.has_scene() => Content::Nothing(background),
+            Ok(Some(photo)) => Content::Photo(photo),
+            Ok(None) => Content::Splats(&settings),
+            Err(error) => {
+                self.message = Some((error.to_string(), Instant::now()));
+                Content::Nothing(background)
+            }
+        };
+        self.measured.size = small;
+        let text = self.text();
+        if let (Some(lens), Some(comparison)) = (self.view.lens(), &mut self.comparison) {
+            comparison.fit(lens, size, self.share);
+        }
+        let mut overlays = Vec::new();
+        if let Some(comparison) = self.comparison.as_ref().filter(|_| self.view.is_photo()) {
+            overlays.push(comparison.overlay());
+        }
+        overlays.push(Overlay { picture: &text, corner: [CORNER; 2] });
+        let splats = matches!(content, Content::Splats(_));
+        let drawn = self.picture.draw(present, size, &camera, &content, &overlays)?;
+        if let Err(error) = prepared {
+            fatal(error)?;
+        }
+        let Some((slot, begun)) = drawn else { return Ok(false) };
+        let before = if splats { 0.0 } else { before };
+        self.pending.push_back(Pending { slot, due, begun, before, splats, settled });
+        self.pace.drawn(due, Instant::now());
+        Ok(true)
+    }
+
+    /// What must be there before a frame is begun; the picture itself, where the processor colours it.
+    fn prepare(
+        &mut self,
+        present: &Present,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<Option<Photo>> {
+        camera.check()?;
+        if !self.picture.has_scene() {
+            return Ok(None);
+        }
+        if matches!(MODES[self.mode], Mode::Splats | Mode::Centres) {
+            let whole = self.view.camera(self.size);
+            self.picture.reserve(present, self.size, &whole, settings)?;
+            return Ok(None);
+        }
+        let look = self.look();
+        let drawn = draw::draw(self.picture.renderer(), camera, &self.base, &look)?;
+        let number = |key: &str| drawn.stats[key].as_u64().and_then(|n| u32::try_from(n).ok()).unwrap_or(0);
+        self.measured = Measured {
+            milliseconds: self.measured.milliseconds,
+            gaussians: number("gaussians"),
+            visible: number("visible"),
+            instances: number("instances"),
+            legend: drawn.legend,
+            ..Measured::default()
+        };
+        Ok(Some(drawn.photo))
+    }
+
+    fn text(&self) -> Text {
+        let mut lines = Vec::new();
+        if self.panel {
+            let rate = self.pace.frames_per_second();
+            lines = words::status(&self.name, &self.device, self.mode, rate, &self.measured);
+            lines.extend(self.note.iter().flat_map(|note| words::wrapped(note)));
+        }
+        lines.extend(self.message.iter().flat_map(|(message, _)| words::wrapped(message)));
+        lines.extend(self.picked.iter().cloned());
+        if self.help {
+            lines.extend(words::help());
+        }
+        let dots = (self.size[1] / ROWS_PER_DOT).max(self.scale_factor.round() as u32).clamp(1, 8);
+        text(&lines, dots, self.size.map(|side| side.saturating_sub(2 * CORNER)))
+    }
+}

@@ -1,0 +1,99 @@
+//! Lines of text as a picture that is blended over another: letters of 8 by 8 dots on a dark ground.
+
+use font8x8::{BASIC_FONTS, GREEK_FONTS, LATIN_FONTS, UnicodeFonts};
+
+/// Dots of a letter, across and down.
+const LETTER: u32 = 8;
+/// Dots from one line to the next, and around all lines.
+const LINE: u32 = 11;
+const MARGIN: u32 = 5;
+/// Premultiplied colour, and how much of what lies behind is left.
+const GROUND: [f32; 4] = [0.02, 0.025, 0.035, 0.42];
+const LETTERS: [f32; 4] = [0.93, 0.95, 0.97, 0.0];
+/// Letters of the page that the font has not.
+const SIMILAR: [(char, char); 4] = [('−', '-'), ('…', '-'), ('–', '-'), ('’', '\'')];
+
+/// A picture of text: what the engine's frames hold per pixel, premultiplied colour and transmittance.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Text {
+    pub width: u32,
+    pub height: u32,
+    pub texels: Vec<[f32; 4]>,
+}
+
+/// Text or a picture over the frame, with its corner, pixels.
+pub struct Overlay<'a> {
+    pub picture: &'a Text,
+    pub corner: [u32; 2],
+}
+
+fn dots(letter: char) -> [u8; 8] {
+    let similar = SIMILAR.iter().find(|(odd, _)| *odd == letter).map_or(letter, |(_, plain)| *plain);
+    let found = BASIC_FONTS.get(similar).or_else(|| LATIN_FONTS.get(similar));
+    found.or_else(|| GREEK_FONTS.get(similar)).or_else(|| BASIC_FONTS.get('?')).unwrap_or_default()
+}
+
+/// Lines of text, each dot of so many pixels; what exceeds `most` pixels is cut off.
+pub fn text(lines: &[String], scale: u32, most: [u32; 2]) -> Text {
+    let columns = lines.iter().map(|line| line.chars().count() as u32).max().unwrap_or(0);
+    if columns == 0 {
+        return Text::default();
+    }
+    let width = (columns.saturating_mul(LETTER) + 2 * MARGIN).saturating_mul(scale).min(most[0]);
+    let height = ((lines.len() as u32).saturating_mul(LINE) + 2 * MARGIN).saturating_mul(scale).min(most[1]);
+    let mut texels = vec![GROUND; width as usize * height as usize];
+    for (row, line) in (0..).zip(lines) {
+        for (column, letter) in (0..).zip(line.chars()) {
+            let corner = [MARGIN + column * LETTER, MARGIN + row * LINE];
+            for (y, bits) in (0..).zip(dots(letter)) {
+                for x in (0..LETTER).filter(|x| bits >> x & 1 == 1) {
+                    let [left, top] = [(corner[0] + x) * scale, (corner[1] + y) * scale];
+                    for y in top.min(height)..(top + scale).min(height) {
+                        let at = (y * width) as usize;
+                        let [from, to] = [left.min(width), (left + scale).min(width)];
+                        texels[at + from as usize..at + to as usize].fill(LETTERS);
+                    }
+                }
+            }
+        }
+    }
+    Text { width, height, texels }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shown(text: &Text) -> String {
+        let rows = text.texels.chunks_exact(text.width as usize);
+        let row = |row: &[[f32; 4]]| -> String {
+            row.iter().map(|texel| if *texel == LETTERS { '#' } else { '.' }).collect()
+        };
+        rows.map(row).collect::<Vec<_>>().join("\n")
+    }
+
+    #[test]
+    fn letters_stand_upright() {
+        let picture = shown(&text(&["L".into()], 1, [100; 2]));
+        let rows: Vec<&str> = picture.lines().skip(MARGIN as usize).take(8).map(|row| &row[5..13]).collect();
+        assert_eq!(
+            rows,
+            ["####....", ".##.....", ".##.....", ".##.....", ".##...#.", ".##..##.", "#######.", "........"]
+        );
+    }
+
+    #[test]
+    fn text_is_scaled_and_cut() {
+        let lines = ["ab".to_owned(), "×€".to_owned()];
+        let whole = text(&lines, 2, [1000; 2]);
+        assert_eq!([whole.width, whole.height], [52, 64]);
+        let cut = text(&lines, 2, [20, 40]);
+        assert_eq!([cut.width, cut.height], [20, 40]);
+        for (a, b) in cut.texels.chunks_exact(20).zip(whole.texels.chunks_exact(52)) {
+            assert_eq!(a, &b[..20]);
+        }
+        assert_eq!(text(&[], 2, [1000; 2]), Text::default());
+        // Letters that no font has are question marks.
+        assert_eq!(text(&["€".into()], 1, [100; 2]), text(&["?".into()], 1, [100; 2]));
+    }
+}

@@ -1,0 +1,174 @@
+//! What the window says, line by line.
+
+use super::keys::{HELP, ONLY_PAGE};
+use ashsplat::vk::ScopeTime;
+use ashsplat::{PixelReport, SlotReport};
+
+/// Gaussians of a pixel that are listed.
+const LISTED: usize = 16;
+/// Letters of a line of running text, at most.
+const WIDEST: usize = 64;
+
+/// Modes as the page names them.
+pub const MODES: [&str; 5] = ["splats", "centres", "ellipsoids", "depth", "tiles"];
+
+/// What is known of a frame.
+#[derive(Clone, Debug, Default)]
+pub struct Measured {
+    /// Size of the picture, pixels.
+    pub size: [u32; 2],
+    /// From its beginning, or from the end of the frame before, to its end, ms.
+    pub milliseconds: f64,
+    pub gaussians: u32,
+    pub visible: u32,
+    pub instances: u32,
+    /// Time of each stage on the device.
+    pub stages: Vec<ScopeTime>,
+    /// What the colours mean: low and high.
+    pub legend: Option<[f32; 2]>,
+}
+
+impl Measured {
+    pub fn take(&mut self, report: SlotReport) {
+        (self.gaussians, self.visible) = (report.gaussians, report.visible);
+        (self.instances, self.stages) = (report.instances_needed, report.scopes);
+    }
+}
+
+/// A number with separators between thousands.
+fn grouped(number: u32) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// What is always there: scene, frame, stages, device.
+pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measured) -> Vec<String> {
+    let [width, height] = frame.size;
+    let rate = if rate > 0.0 { format!(" · {rate:.1} frames/s") } else { String::new() };
+    let mut lines = vec![
+        scene.to_owned(),
+        format!("{width}×{height} · {:.1} ms{rate} · {}", frame.milliseconds, MODES[mode]),
+    ];
+    if frame.gaussians > 0 {
+        let [visible, all, instances] = [frame.visible, frame.gaussians, frame.instances].map(grouped);
+        lines.push(format!("{visible} of {all} Gaussians visible, {instances} instances"));
+    }
+    let stages: Vec<_> = frame.stages.iter().filter(|stage| stage.depth == 0).collect();
+    if !stages.is_empty() {
+        let sum: f64 = stages.iter().map(|stage| stage.nanoseconds).sum();
+        lines.push(format!("{:16}{:8.2} ms", "device", sum * 1e-6));
+        lines.extend(stages.iter().map(|s| format!("  {:14}{:8.2} ms", s.name, s.nanoseconds * 1e-6)));
+    }
+    if let Some([low, high]) = frame.legend {
+        lines.push(match MODES[mode] {
+            "depth" => format!("red {low:.2} … blue {high:.2} world units"),
+            _ => format!("blue {low:.0} … red {high:.0} Gaussians per tile"),
+        });
+    }
+    lines.push(format!("{device} · ? lists the keys"));
+    lines
+}
+
+/// Why no display can be opened, as winit says it, without the place in its sources.
+pub fn no_display(said: &str) -> String {
+    let place = said.starts_with("os error at ").then(|| said.split_once(": ")).flatten();
+    let said = place.map_or(said, |(_, rest)| rest).trim_end_matches('.');
+    format!("no display can be opened ({said})")
+}
+
+/// Text in lines of a bounded width.
+pub fn wrapped(text: &str) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        let Some(line) = lines.last_mut() else { break };
+        if !line.is_empty() && line.chars().count() + word.chars().count() >= WIDEST {
+            lines.push(word.to_owned());
+        } else {
+            line.push_str(if line.is_empty() { "" } else { " " });
+            line.push_str(word);
+        }
+    }
+    lines
+}
+
+/// The keys.
+pub fn help() -> Vec<String> {
+    let widest = HELP.iter().map(|(key, _)| key.chars().count()).max().unwrap_or(0);
+    let mut lines: Vec<_> = HELP.iter().map(|(key, meaning)| format!("{key:widest$}  {meaning}")).collect();
+    lines.extend(ONLY_PAGE.iter().map(|(key, why)| {
+        let key = key.trim_start_matches("Key");
+        format!("{key:widest$}  not here: {why}")
+    }));
+    lines
+}
+
+/// What is blended at a pixel.
+pub fn picked([x, y]: [u32; 2], report: &PixelReport) -> Vec<String> {
+    let [r, g, b] = report.color;
+    let opaque = 100.0 * (1.0 - report.transmittance);
+    let mut lines = vec![
+        format!("pixel {x}, {y} · {} Gaussians", report.samples.len()),
+        format!("{r:.3} {g:.3} {b:.3}, {opaque:.1} % opaque"),
+        format!("{:>9} {:>9} {:>7} {:>7} {:>7}", "id", "depth", "alpha", "weight", "left"),
+    ];
+    lines.extend(report.samples.iter().take(LISTED).map(|s| {
+        let left = s.transmittance_after;
+        format!("{:9} {:9.3} {:7.3} {:7.4} {left:7.4}", s.gaussian, s.depth, s.alpha, s.weight)
+    }));
+    if report.samples.len() > LISTED {
+        lines.push(format!("{:>9} {} more", "", report.samples.len() - LISTED));
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_is_told() {
+        let stage =
+            |name: &str, depth, ms: f64| ScopeTime { name: name.into(), depth, nanoseconds: ms * 1e6 };
+        let mut frame = Measured { size: [640, 480], milliseconds: 12.34, ..Measured::default() };
+        frame.gaussians = 1_234_567;
+        frame.visible = 1000;
+        frame.stages = vec![stage("sort", 0, 2.0), stage("pass", 1, 1.5), stage("blend", 0, 3.25)];
+        let lines = status("scene", "a device", 0, 59.94, &frame);
+        assert_eq!(
+            lines,
+            [
+                "scene",
+                "640×480 · 12.3 ms · 59.9 frames/s · splats",
+                "1,000 of 1,234,567 Gaussians visible, 0 instances",
+                "device              5.25 ms",
+                "  sort              2.00 ms",
+                "  blend             3.25 ms",
+                "a device · ? lists the keys",
+            ]
+        );
+        frame.legend = Some([0.5, 7.0]);
+        assert!(status("", "", 3, 0.0, &frame).iter().any(|line| line.starts_with("red 0.50 … blue 7.00")));
+    }
+
+    #[test]
+    fn places_in_sources_are_left_out() {
+        let said = "os error at /home/me/winit/src/mod.rs:763: neither X nor Y is set.";
+        assert_eq!(no_display(said), "no display can be opened (neither X nor Y is set)");
+        assert_eq!(no_display("Library x: gone"), "no display can be opened (Library x: gone)");
+    }
+
+    #[test]
+    fn long_text_is_wrapped() {
+        let lines = wrapped(&"word ".repeat(40));
+        assert!(lines.len() > 2 && lines.iter().all(|line| line.chars().count() <= WIDEST), "{lines:?}");
+        assert_eq!(lines.join(" "), ["word"; 40].join(" "));
+        assert_eq!(wrapped("short"), ["short"]);
+    }
+}
