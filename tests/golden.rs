@@ -1,5 +1,6 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod budget;
 mod gpu;
 mod gpu_training;
 mod mcmc;
@@ -28,6 +29,8 @@ enum Kind {
     Train,
     Regularizers,
     Relocation,
+    LongAxisSplit,
+    GrowthSchedule,
     Other,
 }
 
@@ -43,6 +46,8 @@ impl Kind {
             () if has("in_grad_accum") && has("out_kind") => Kind::Densify,
             () if has("reg_loss") => Kind::Regularizers,
             () if has("u_relocate") => Kind::Relocation,
+            () if has("opacity_factor") => Kind::LongAxisSplit,
+            () if has("budget_iteration") => Kind::GrowthSchedule,
             () if has("logits") && has("out") => Kind::ResetOpacity,
             () => Kind::Other,
         }
@@ -89,7 +94,10 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation);
+    let exists = |kind: Kind| {
+        use Kind::{GrowthSchedule, LongAxisSplit, Regularizers, Relocation};
+        matches!(kind, Regularizers | Relocation | LongAxisSplit | GrowthSchedule)
+    };
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

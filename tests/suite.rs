@@ -7,6 +7,7 @@ mod barriers;
 mod bench;
 mod blending_forms;
 mod checkpoints;
+mod budget;
 mod cli;
 mod common;
 mod comparators;

@@ -11,7 +11,7 @@ use crate::backward::{Backward, Statistics};
 use crate::error::Result;
 use crate::forward::FrameInputs;
 use crate::loss::{LossTerm, Targets, TermInputs};
-use crate::optimizer::Optimizer;
+use crate::optimizer::{GradientSums, Optimizer};
 use crate::pixels::PixelBorder;
 use crate::plan::LaunchSizes;
 use crate::renderer::Request;
@@ -79,17 +79,24 @@ impl<'a> StepParts<'a> {
 }
 
 impl StepRecorder {
-    /// The first of the terms writes the picture's gradient.
+    /// The first of the terms writes the picture's gradient. `sums`: whether gradients of several views may be
+    /// added up.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, optimizer: OptimizerType) -> Result<Self> {
+    pub fn new(
+        context: &Context,
+        terms: Vec<Box<dyn LossTerm>>,
+        optimizer: OptimizerType,
+        sums: bool,
+    ) -> Result<Self> {
         let targets = terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()));
         let sparse = optimizer == OptimizerType::SparseAdam;
         let optimizer = match targets.parameters {
             true => Optimizer::with_parameter_gradients(context, sparse),
             false => Optimizer::new(context, sparse),
         };
+        let optimizer = if sums { optimizer.with_sums() } else { optimizer };
         Ok(Self {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
@@ -196,9 +203,21 @@ impl StepRecorder {
             r.barrier();
             parts.strategy.record_statistics(r, &step);
         }
+        let sums = &model.spare;
+        if plan.work.sums_gradients {
+            r.barrier();
+            let to = GradientSums { sums, starts: plan.summed == 0 };
+            self.optimizer.record_add(r, inputs, &model.parameter_gradients, to);
+        }
         if plan.work.optimizes {
             r.barrier();
-            self.optimizer.record(r, inputs, &model.moments, &model.parameter_gradients, &plan.step);
+            match plan.work.sums_gradients {
+                true => self.optimizer.record_sums(r, inputs, &model.moments, sums, &plan.step),
+                false => {
+                    let direct = &model.parameter_gradients;
+                    self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
+                }
+            }
             if hooks.update {
                 r.barrier();
                 parts.strategy.record_update(r, &step);

@@ -21,6 +21,8 @@ pub struct Hooks {
     pub statistics: bool,
     /// Whether [`Strategy::record_update`] is called, after steps of the optimiser.
     pub update: bool,
+    /// Whether [`Work::sums_gradients`] may be set. The sums take no memory of their own, but kernels.
+    pub sums: bool,
 }
 
 /// A step on the device, for what a strategy records into it.

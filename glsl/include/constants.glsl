@@ -80,6 +80,14 @@ const uint ZORDER_BITS = 30;
 
 // Densification divides the scales of a split Gaussian's halves by this.
 const float SPLIT_FACTOR = 1.6;
+// A split along the longest axis (Improved-GS): the children lie at three times this share of the scale, which shrinks by
+// it, and they have this share of the opacity.
+const float LONG_AXIS_SHARE = 0.45;
+const float LONG_AXIS_OPACITY = 0.6;
+// What densification chooses by: the mean gradient norm, that of absolute values, or a selection made before.
+const uint CRITERION_GRADIENT = 0;
+const uint CRITERION_ABSOLUTE = 1;
+const uint CRITERION_SELECTED = 2;
 // Kind of a row of the new set at densification.
 const uint KIND_KEPT = 0;
 const uint KIND_CLONE = 1;

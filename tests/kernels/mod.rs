@@ -1,6 +1,7 @@
 //! Each kernel alone on the device against its twin, under the shader's name.
 
 mod adam;
+mod add_gradients;
 mod add_noise;
 mod blend;
 mod blend_backward;

@@ -8,6 +8,7 @@
 #![allow(clippy::needless_range_loop)]
 
 pub mod adam;
+pub mod add_gradients;
 pub mod add_noise;
 pub mod blend;
 pub mod blend_backward;
