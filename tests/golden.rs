@@ -1,10 +1,13 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod absgrad;
 mod gpu;
 mod gpu_training;
+mod importance;
 mod mcmc;
 mod rendering;
 mod sets;
+mod stages;
 mod training;
 mod twin;
 
@@ -28,6 +31,8 @@ enum Kind {
     Train,
     Regularizers,
     Relocation,
+    AbsoluteGradient,
+    EdgeImportance,
     Other,
 }
 
@@ -43,6 +48,8 @@ impl Kind {
             () if has("in_grad_accum") && has("out_kind") => Kind::Densify,
             () if has("reg_loss") => Kind::Regularizers,
             () if has("u_relocate") => Kind::Relocation,
+            () if has("xy_abs_pix") => Kind::AbsoluteGradient,
+            () if has("edge_raw") => Kind::EdgeImportance,
             () if has("logits") && has("out") => Kind::ResetOpacity,
             () => Kind::Other,
         }
@@ -89,7 +96,10 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation);
+    let exists = |kind: Kind| {
+        use Kind::{AbsoluteGradient, EdgeImportance, Regularizers, Relocation};
+        matches!(kind, Regularizers | Relocation | AbsoluteGradient | EdgeImportance)
+    };
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

@@ -46,9 +46,9 @@ pub(super) struct IterationPlan {
 }
 
 impl IterationPlan {
-    /// A plan with the optimiser's step, for some view: for a recording that is never executed.
+    /// A plan with the optimiser's step and the statistics, for some view: for a recording that is never executed.
     pub fn rehearsal(self, view: usize) -> Self {
-        Self { view, work: Work { optimizes: true, ..self.work }, ..self }
+        Self { view, work: Work { optimizes: true, accumulates: true, ..self.work }, ..self }
     }
 }
 
