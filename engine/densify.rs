@@ -6,11 +6,15 @@
 //! ([`Densify::record_order`]). Random numbers are keyed by (seed, iteration, Gaussian, half), so the result
 //! does not depend on scheduling.
 
+mod importance;
 mod order;
 mod relocation;
+mod selection;
 
+pub use importance::{EdgePhoto, Importance, ImportanceBuffers};
 pub use order::{Curve, OrderBuffers};
 pub use relocation::{Draw, DrawBuffers, Relocation};
+pub use selection::{Candidates, Chances, Selection, SelectionBuffers, SelectionDraw};
 
 use crate::error::Result;
 use crate::forward::SceneBuffers;

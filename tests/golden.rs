@@ -1,11 +1,14 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod absgrad;
 mod budget;
 mod gpu;
 mod gpu_training;
+mod importance;
 mod mcmc;
 mod rendering;
 mod sets;
+mod stages;
 mod training;
 mod twin;
 
@@ -29,6 +32,8 @@ enum Kind {
     Train,
     Regularizers,
     Relocation,
+    AbsoluteGradient,
+    EdgeImportance,
     LongAxisSplit,
     GrowthSchedule,
     Other,
@@ -46,6 +51,8 @@ impl Kind {
             () if has("in_grad_accum") && has("out_kind") => Kind::Densify,
             () if has("reg_loss") => Kind::Regularizers,
             () if has("u_relocate") => Kind::Relocation,
+            () if has("xy_abs_pix") => Kind::AbsoluteGradient,
+            () if has("edge_raw") => Kind::EdgeImportance,
             () if has("opacity_factor") => Kind::LongAxisSplit,
             () if has("budget_iteration") => Kind::GrowthSchedule,
             () if has("logits") && has("out") => Kind::ResetOpacity,
@@ -95,8 +102,16 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
     let exists = |kind: Kind| {
-        use Kind::{GrowthSchedule, LongAxisSplit, Regularizers, Relocation};
-        matches!(kind, Regularizers | Relocation | LongAxisSplit | GrowthSchedule)
+        use Kind::{AbsoluteGradient, EdgeImportance, GrowthSchedule, LongAxisSplit, Regularizers, Relocation};
+        matches!(
+            kind,
+            Regularizers
+                | Relocation
+                | AbsoluteGradient
+                | EdgeImportance
+                | LongAxisSplit
+                | GrowthSchedule
+        )
     };
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));

@@ -146,6 +146,11 @@ impl FrameRunner {
         self.store.expect_pictures(pictures);
     }
 
+    /// See [`FrameStore::expect_absolute`].
+    pub fn expect_absolute(&mut self) {
+        self.store.expect_absolute();
+    }
+
     /// Allocates buffers with backward for a camera and the expected pictures, and builds the kernels up to an SH
     /// degree, with or without inverse depth, for [`FrameRunner::record`].
     pub fn reserve(

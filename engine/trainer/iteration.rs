@@ -51,9 +51,10 @@ pub(super) struct IterationPlan {
 }
 
 impl IterationPlan {
-    /// A plan with the optimiser's step, for some view: for a recording that is never executed.
+    /// A plan with the optimiser's step and the statistics, for some view: for a recording that is never executed.
     pub fn rehearsal(self, view: usize, sums_gradients: bool) -> Self {
-        Self { view, work: Work { optimizes: true, sums_gradients, ..self.work }, ..self }
+        let work = Work { optimizes: true, accumulates: true, sums_gradients, ..self.work };
+        Self { view, work, ..self }
     }
 }
 

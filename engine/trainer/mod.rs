@@ -202,7 +202,11 @@ impl Trainer {
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&cameras);
         runner.expect_pictures(pictures);
-        if let Some(frame) = room.and_then(|room| room.frame(pictures)) {
+        let absolute = rows.absolute().is_some();
+        if absolute {
+            runner.expect_absolute();
+        }
+        if let Some(frame) = room.and_then(|room| room.frame(pictures, absolute)) {
             runner.restore(frame)?;
         }
         let run = Run { settings, scene_extent, cameras, views_fingerprint };

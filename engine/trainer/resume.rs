@@ -195,8 +195,9 @@ impl Trainer {
 }
 
 impl Room {
-    /// The capacity of a frame, for these pictures; None without a frame.
-    pub(super) fn frame(&self, pictures: PictureCapacity) -> Option<FrameCapacity> {
+    /// The capacity of a frame, for these pictures, with room for absolute gradients or not; None without a
+    /// frame.
+    pub(super) fn frame(&self, pictures: PictureCapacity, absolute: bool) -> Option<FrameCapacity> {
         (self.frame_width > 0).then_some(FrameCapacity {
             gaussians: self.frame_gaussians,
             instances: self.frame_instances,
@@ -204,6 +205,7 @@ impl Room {
             pictures,
             blend_passes: self.blend_passes.max(1),
             backward: self.backward != 0,
+            absolute: absolute && self.backward != 0,
         })
     }
 }

@@ -133,6 +133,7 @@ impl Trainer {
                 runner: &mut self.runner,
                 pictures: &mut self.pictures,
                 model: &mut self.state.model,
+                photos: &self.photos,
                 most_instances: &mut self.state.most_instances,
                 iteration: self.state.progress.iteration,
                 summed: &mut self.state.progress.summed,

@@ -25,6 +25,8 @@ pub(super) struct StepRecorder {
     border: Option<PixelBorder>,
     sizes: LaunchSizes,
     backward: Backward,
+    /// The place of the absolute statistic among the strategy's.
+    absolute: Option<usize>,
     optimizer: Optimizer,
 }
 
@@ -80,17 +82,18 @@ impl<'a> StepParts<'a> {
 
 impl StepRecorder {
     /// The first of the terms writes the picture's gradient. `sums`: whether gradients of several views may be
-    /// added up.
+    /// added up. `absolute`: the place of [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all
+    /// statistics.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(
         context: &Context,
         terms: Vec<Box<dyn LossTerm>>,
-        optimizer: OptimizerType,
-        sums: bool,
+        (optimizer, sums): (OptimizerType, bool),
+        absolute: Option<usize>,
     ) -> Result<Self> {
-        let targets = terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()));
+        let targets = Self::targets_of(&terms);
         let sparse = optimizer == OptimizerType::SparseAdam;
         let optimizer = match targets.parameters {
             true => Optimizer::with_parameter_gradients(context, sparse),
@@ -101,10 +104,16 @@ impl StepRecorder {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             backward: Backward::new(context),
+            absolute,
             terms,
             targets,
             optimizer,
         })
+    }
+
+    /// The gradients that terms add to.
+    pub fn targets_of(terms: &[Box<dyn LossTerm>]) -> Targets {
+        terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()))
     }
 
     /// The names of the terms.
@@ -125,6 +134,9 @@ impl StepRecorder {
     /// Builds the kernels for an SH degree unless they exist.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
         self.backward.prepare(sh_degree, self.targets.inverse_depth)?;
+        if self.absolute.is_some() {
+            self.backward.prepare_absolute(sh_degree, self.targets.inverse_depth)?;
+        }
         self.optimizer.prepare(sh_degree)
     }
 
@@ -187,7 +199,9 @@ impl StepRecorder {
         r.barrier();
         self.record_loss(r, inputs, parts, gradient);
         r.barrier();
-        let statistics = Statistics { buffer: &model.statistics[0], accumulate: plan.work.accumulates };
+        let accumulate = plan.work.accumulates;
+        let absolute = self.absolute.filter(|_| accumulate).map(|place| &model.statistics[place]);
+        let statistics = Statistics { buffer: &model.statistics[0], accumulate, absolute };
         self.backward.record(r, inputs, gradient, statistics);
         let step = StepInputs {
             frame: inputs,

@@ -4,7 +4,9 @@
 //! what it adds to the parameters and to the loss, and what of it belongs into memory and checkpoint.
 //! [`Reference`](super::Reference) is that of Kerbl et al. 2023.
 
-pub use super::work::{Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work};
+pub use super::work::{
+    ABSOLUTE_STATISTIC, Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work,
+};
 
 use super::population::Population;
 use super::settings::TrainSettings;
@@ -72,7 +74,7 @@ pub trait Strategy: Send {
     }
 
     /// Its statistics, besides [`GRADIENT_STATISTIC`]. The trainer counts and allocates their memory, and
-    /// keeps them in the checkpoint.
+    /// keeps them in the checkpoint. The backward pass accumulates [`ABSOLUTE_STATISTIC`] if it is among them.
     fn statistics(&self) -> Vec<Statistic> {
         Vec::new()
     }

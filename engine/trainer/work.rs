@@ -109,6 +109,12 @@ pub struct Statistic {
 /// accumulates if [`Work::accumulates`] is set. The first of every trainer's statistics.
 pub const GRADIENT_STATISTIC: Statistic = Statistic { name: "statistics", floats: 2 };
 
+/// The norm of the absolute gradients of the 2D mean (NDC), summed over the same views: ‖(W/2 Σ|g_x|, H/2 Σ|g_y|)‖,
+/// where g is the gradient with respect to the 2D mean in pixels through one pixel alone (AbsGS, Ye et al. 2024).
+/// A strategy that lists it in [`Strategy::statistics`](super::Strategy::statistics) need not record it: the
+/// backward pass accumulates it beside [`GRADIENT_STATISTIC`].
+pub const ABSOLUTE_STATISTIC: Statistic = Statistic { name: "absolute_statistics", floats: 1 };
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,7 +4,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, budget, mcmc, training, trial};
+use super::{Kind, SetFile, absgrad, budget, importance, mcmc, training, trial};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
@@ -39,6 +39,12 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
             vec![trial(format!("golden_twin_relocation_{name}"), move || {
                 mcmc::relocation_of_twin(&file.path)
             })]
+        }
+        Kind::AbsoluteGradient => {
+            vec![trial(format!("golden_twin_absgrad_{name}"), move || absgrad::of_twin(&file.path))]
+        }
+        Kind::EdgeImportance => {
+            vec![trial(format!("golden_twin_importance_{name}"), move || importance::of_twin(&file.path))]
         }
         Kind::LongAxisSplit => {
             vec![trial(format!("golden_twin_long_axis_split_{name}"), move || budget::split_of_twin(&file.path))]
