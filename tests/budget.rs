@@ -1,9 +1,7 @@
 //! Training with budgeted growth, and the parts of it that the reference's strategy can have.
 
 use ashsplat::densify::RESET_OPACITY;
-use ashsplat::trainer::{
-    Checkpoint, ImportanceType, OptimizerType, SplitType, StrategyType, Trainer,
-};
+use ashsplat::trainer::{Checkpoint, ImportanceType, OptimizerType, SplitType, StrategyType, Trainer};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Gaussians, TrainSettings};
 use ashsplat_files::CheckpointFile;
@@ -266,7 +264,8 @@ fn budget_refuses_what_contradicts_itself() {
         let message = refused(TrainSettings { recovery: true, strategy, ..usual.clone() });
         assert!(message.contains(name) && message.contains("budget"), "{message}");
     }
-    let message = refused(TrainSettings { split: SplitType::LongAxis, strategy: StrategyType::Mcmc, ..usual });
+    let message =
+        refused(TrainSettings { split: SplitType::LongAxis, strategy: StrategyType::Mcmc, ..usual });
     assert!(message.contains("split") && message.contains("long-axis"), "{message}");
 }
 
@@ -281,14 +280,16 @@ fn the_reference_strategy_takes_other_statistics_and_splits() {
             trainer.step().expect("a step");
             if stop == Some(iteration) {
                 let from = trainer.checkpoint().expect("a checkpoint");
-                trainer =
-                    Trainer::resume(gpu.context, views(4, 9), EXTENT, settings.clone(), &from).expect("resumed");
+                trainer = Trainer::resume(gpu.context, views(4, 9), EXTENT, settings.clone(), &from)
+                    .expect("resumed");
             }
         }
         trainer.checkpoint().expect("the end")
     };
     let usual = run(false, SplitType::Sample, None);
-    for (absgrad, split) in [(true, SplitType::Sample), (false, SplitType::LongAxis), (true, SplitType::LongAxis)] {
+    for (absgrad, split) in
+        [(true, SplitType::Sample), (false, SplitType::LongAxis), (true, SplitType::LongAxis)]
+    {
         let whole = run(absgrad, split, None);
         assert!(whole.gaussians != usual.gaussians, "{absgrad} {split:?}");
         assert!(run(absgrad, split, Some(22)) == whole, "{absgrad} {split:?}: other bits");

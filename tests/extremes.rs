@@ -300,8 +300,7 @@ fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
                 }
                 r.barrier();
                 let criteria = statistics;
-                let bind =
-                    classify::Bind { parameters, statistics, decisions, block_counts, criteria };
+                let bind = classify::Bind { parameters, statistics, decisions, block_counts, criteria };
                 r.dispatch(&kernel, &bind, &push, count.div_ceil(spec.workgroup_size).into());
                 Ok(())
             })

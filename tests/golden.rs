@@ -102,15 +102,12 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
     let exists = |kind: Kind| {
-        use Kind::{AbsoluteGradient, EdgeImportance, GrowthSchedule, LongAxisSplit, Regularizers, Relocation};
+        use Kind::{
+            AbsoluteGradient, EdgeImportance, GrowthSchedule, LongAxisSplit, Regularizers, Relocation,
+        };
         matches!(
             kind,
-            Regularizers
-                | Relocation
-                | AbsoluteGradient
-                | EdgeImportance
-                | LongAxisSplit
-                | GrowthSchedule
+            Regularizers | Relocation | AbsoluteGradient | EdgeImportance | LongAxisSplit | GrowthSchedule
         )
     };
     further.extend(features.into_iter().filter(|set| exists(set.kind)));

@@ -5,7 +5,9 @@ use crate::{atomic, cost};
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::trainer::checkpoint::{Checkpoint, GradientSums, Room, StrategyState, StrategyStatistic, Tensor};
+use ashsplat::trainer::checkpoint::{
+    Checkpoint, GradientSums, Room, StrategyState, StrategyStatistic, Tensor,
+};
 use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
 use bytemuck::Pod;
@@ -195,7 +197,9 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         },
         gradient_sums: match metadata.optional(SUMMED_VIEWS)? {
             None | Some(0) => None,
-            Some(views) => Some(GradientSums { views, sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)? }),
+            Some(views) => {
+                Some(GradientSums { views, sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)? })
+            }
         },
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
         room: Room {

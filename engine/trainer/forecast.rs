@@ -70,7 +70,12 @@ impl Kit {
         all.extend(strategy.loss_terms(context, settings)?);
         let parameter_gradients = StepRecorder::targets_of(&all).parameters;
         let rows = RowMemory::new(strategy.statistics(), parameter_gradients);
-        let recorder = StepRecorder::new(context, all, (settings.optimizer_type, strategy.records().sums), rows.absolute())?;
+        let recorder = StepRecorder::new(
+            context,
+            all,
+            (settings.optimizer_type, strategy.records().sums),
+            rows.absolute(),
+        )?;
         Ok(Self { strategy, recorder, rows })
     }
 

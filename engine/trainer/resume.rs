@@ -109,8 +109,7 @@ impl Trainer {
             views_fingerprint: fingerprint_of(&views),
             scene_extent,
         })?;
-        let (there, here) =
-            (strategies::present_name(&from.strategy.name), parts.strategy.name());
+        let (there, here) = (strategies::present_name(&from.strategy.name), parts.strategy.name());
         if !there.is_empty() && there != here {
             let problem = format!("was made with the strategy '{there}', here it is '{here}'");
             return Err(Error::argument("checkpoint", problem));

@@ -196,7 +196,9 @@ impl TrainSettings {
         for option in Self::OPTIONS.iter().filter(|option| names.contains(&option.name)) {
             let value = (option.value)(self);
             if value != (option.value)(&usual) {
-                let problem = format!("is {value}, but the strategy {strategy} has no such part; leave it out, or take strategy budget");
+                let problem = format!(
+                    "is {value}, but the strategy {strategy} has no such part; leave it out, or take strategy budget"
+                );
                 return Err(Error::argument(option.name, problem));
             }
         }

@@ -108,8 +108,7 @@ fn compare_schedule(
     let opacities: Vec<f64> = npz.values("opacity_logits").iter().map(|&logit| sigmoid(logit)).collect();
     let threshold = quantile(&opacities, npz.scalar("quantile"));
     elementwise("threshold", &[threshold], npz.values("threshold"), 1e-6, 0.0)?;
-    let keep: Vec<f64> =
-        opacities.iter().map(|&opacity| f64::from(u8::from(opacity >= threshold))).collect();
+    let keep: Vec<f64> = opacities.iter().map(|&opacity| f64::from(u8::from(opacity >= threshold))).collect();
     equal("keep", &keep, npz.values("keep"))
 }
 
@@ -124,9 +123,8 @@ pub fn schedule_of_engine(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
     let cap_max = npz.scalar("budget_final") as u32;
     let mut settings = TrainSettings { cap_max, ..TrainSettings::of_strategy(StrategyType::Budget) };
-    let of_device = |values: &[f64], share: f64| {
-        quantile(&values.iter().map(|&x| x as f32).collect::<Vec<f32>>(), share)
-    };
+    let of_device =
+        |values: &[f64], share: f64| quantile(&values.iter().map(|&x| x as f32).collect::<Vec<f32>>(), share);
     for scale_schedule in [true, false] {
         settings.scale_schedule = scale_schedule;
         let schedule = GrowthSchedule::of(&settings);

@@ -47,7 +47,9 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
             vec![trial(format!("golden_twin_importance_{name}"), move || importance::of_twin(&file.path))]
         }
         Kind::LongAxisSplit => {
-            vec![trial(format!("golden_twin_long_axis_split_{name}"), move || budget::split_of_twin(&file.path))]
+            vec![trial(format!("golden_twin_long_axis_split_{name}"), move || {
+                budget::split_of_twin(&file.path)
+            })]
         }
         Kind::GrowthSchedule => {
             vec![trial(format!("golden_twin_growth_schedule_{name}"), move || {

@@ -66,7 +66,11 @@ fn decide_by_other_criteria_equals_its_twin() {
                 let clear = |x: f64, bound: f64| (x / bound - 1.0).abs() > 1e-4;
                 [g, &child].iter().all(|g| clear(sigmoid(g.opacity_logit), 0.005))
             };
-            gaussians.iter_mut().for_each(|g| if !clear(g) { g.opacity_logit = 1.0 });
+            gaussians.iter_mut().for_each(|g| {
+                if !clear(g) {
+                    g.opacity_logit = 1.0
+                }
+            });
             let views: Vec<f32> = (0..size).map(|_| random.below(10) as f32).collect();
             let means: Vec<f32> = (0..size).map(|_| random.between(0.0, 4e-4) as f32).collect();
             let selected: Vec<u32> = (0..size).map(|_| random.below(2) * 7).collect();
@@ -104,9 +108,8 @@ fn decide_by_other_criteria_equals_its_twin() {
                 _ if views[i] == 0.0 => 0.0,
                 _ => f64::from(f32::from_bits(criteria[i]) / views[i]),
             };
-            let expected: Vec<u32> = (0..size)
-                .map(|i| long_axis_bits(&gaussians[i], (criterion, value(i)), prune_big))
-                .collect();
+            let expected: Vec<u32> =
+                (0..size).map(|i| long_axis_bits(&gaussians[i], (criterion, value(i)), prune_big)).collect();
             let decided = gpu.read::<u32>(&decisions, size + 1);
             assert_eq!(decided[..size], expected, "{size}, criterion {criterion}");
             assert_eq!(decided[size], UNTOUCHED);

@@ -19,9 +19,13 @@ pub fn child_of(parent: &Gaussian, noise: [f64; 3]) -> Gaussian {
 pub fn long_axis_child(parent: &Gaussian, child: u32) -> Gaussian {
     const SHARE: f64 = 0.45;
     let scale = parent.log_scale.map(f64::exp);
-    let longest = (1..3).fold(0, |longest, axis| {
-        if parent.log_scale[axis] > parent.log_scale[longest] { axis } else { longest }
-    });
+    let longest =
+        (1..3).fold(
+            0,
+            |longest, axis| {
+                if parent.log_scale[axis] > parent.log_scale[longest] { axis } else { longest }
+            },
+        );
     let mut along = [0.0; 3];
     along[longest] = if child == 0 { 3.0 } else { -3.0 } * SHARE * scale[longest];
     let offset = apply(&rotation(normalize_quat(parent.quat).0), along);

@@ -48,10 +48,8 @@ impl Budget {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
-        let form = DensifyForm {
-            long_axis: settings.split == SplitType::LongAxis,
-            criterion: Criterion::Selected,
-        };
+        let form =
+            DensifyForm { long_axis: settings.split == SplitType::LongAxis, criterion: Criterion::Selected };
         let edges = settings.importance == ImportanceType::Edges;
         Ok(Self {
             kernels: Densify::with_form(context, form)?,
@@ -77,7 +75,8 @@ impl Strategy for Budget {
             return Err(Error::argument("cap_max", problem));
         }
         if settings.multi_step && settings.optimizer_type == OptimizerType::SparseAdam {
-            let problem = "adds up views, and sparse_adam steps for what one view has seen; leave one of them out";
+            let problem =
+                "adds up views, and sparse_adam steps for what one view has seen; leave one of them out";
             return Err(Error::argument("multi_step", problem));
         }
         Ok(())
@@ -114,9 +113,7 @@ impl Strategy for Budget {
         let densified = match action {
             Actions::DENSIFY => self.densify(population)?,
             PRUNE_FAINT => self.prune_below(population, |_| FAINT)?,
-            PRUNE_RANKS => {
-                self.prune_below(population, |opacities| quantile(opacities, FAINTEST_SHARE))?
-            }
+            PRUNE_RANKS => self.prune_below(population, |opacities| quantile(opacities, FAINTEST_SHARE))?,
             _ => {
                 let recovery = population.settings().recovery;
                 let most = if recovery { RECOVERABLE_OPACITY } else { crate::densify::RESET_OPACITY };
@@ -239,11 +236,7 @@ impl Budget {
 
     /// Removes Gaussians below an opacity that follows from all opacities. Nothing is removed without memory for
     /// it, and never all.
-    fn prune_below(
-        &self,
-        population: &mut Population,
-        least: impl Fn(&[f32]) -> f64,
-    ) -> Result<Densified> {
+    fn prune_below(&self, population: &mut Population, least: impl Fn(&[f32]) -> f64) -> Result<Densified> {
         population.release_pictures();
         let before = population.count();
         let logits = planes::download_logits(population.context(), population.scene())?;

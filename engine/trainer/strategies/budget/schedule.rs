@@ -65,9 +65,7 @@ impl<'a> GrowthSchedule<'a> {
 
     /// Whether an iteration (1-based) ends with the first pruning, of what the start left faint.
     pub fn prunes_faint_at(&self, iteration: u32) -> bool {
-        self.settings.recovery
-            && iteration == RECOVERY
-            && self.settings.collects_statistics_at(iteration)
+        self.settings.recovery && iteration == RECOVERY && self.settings.collects_statistics_at(iteration)
     }
 
     /// Whether an iteration (1-based) ends with a pruning of the faintest share: 300 after the first two resets.
@@ -119,11 +117,7 @@ mod tests {
     use crate::trainer::StrategyType;
 
     fn settings(iterations: u32) -> TrainSettings {
-        TrainSettings {
-            iterations,
-            cap_max: 60_000,
-            ..TrainSettings::of_strategy(StrategyType::Budget)
-        }
+        TrainSettings { iterations, cap_max: 60_000, ..TrainSettings::of_strategy(StrategyType::Budget) }
     }
 
     fn all(iterations: u32, holds: impl Fn(&GrowthSchedule, u32) -> bool) -> Vec<u32> {
@@ -136,7 +130,10 @@ mod tests {
     fn schedule_of_the_paper() {
         let settings = settings(30_000);
         let schedule = GrowthSchedule::of(&settings);
-        assert_eq!([100, 600, 14_400, 14_500, 14_900].map(|i| schedule.budget(i)), [1, 5070, 59_785, 60_000, 60_000]);
+        assert_eq!(
+            [100, 600, 14_400, 14_500, 14_900].map(|i| schedule.budget(i)),
+            [1, 5070, 59_785, 60_000, 60_000]
+        );
         assert_eq!([19_999, 20_000, 23_999, 24_000].map(|i| schedule.group(i)), [1, 5, 5, 20]);
         assert_eq!([14_800, 14_900].map(|i| schedule.min_opacity(i)), [0.005, 0.0]);
         assert_eq!(all(30_000, |s, i| s.prunes_faint_at(i)), [300]);
@@ -152,7 +149,10 @@ mod tests {
         assert_eq!(all(7000, |s, i| s.prunes_ranks_at(i)), [3300]);
         // At the end of every group, and none at the last iteration.
         let late = all(2000, |s, i| s.steps_at(i) && i > 1320);
-        assert_eq!((&late[..14], late.last()), (&[&(1321..=1332).collect::<Vec<_>>()[..], &[1335, 1340]].concat()[..], Some(&1980)));
+        assert_eq!(
+            (&late[..14], late.last()),
+            (&[&(1321..=1332).collect::<Vec<_>>()[..], &[1335, 1340]].concat()[..], Some(&1980))
+        );
         let short = settings(2000);
         let schedule = GrowthSchedule::of(&short);
         assert_eq!([33, 967, 1000].map(|i| schedule.budget(i)), [1, 60_000, 60_000]);
