@@ -1,5 +1,6 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod antialias;
 mod gpu;
 mod gpu_training;
 mod mcmc;
@@ -28,6 +29,8 @@ enum Kind {
     Train,
     Regularizers,
     Relocation,
+    Antialias,
+    Filter3d,
     Other,
 }
 
@@ -36,6 +39,8 @@ impl Kind {
         let has = |name: &str| fields.iter().any(|field| field == name);
         match () {
             () if has("it1_image") => Kind::Train,
+            () if has("fused_log_scales") => Kind::Filter3d,
+            () if has("detached") && has("kernel") => Kind::Antialias,
             () if has("means") && has("cam_K") && has("image") => Kind::Rendering,
             () if has("img") && has("gt") && has("d_img") => Kind::Loss,
             () if has("xyz_p0") => Kind::Adam,
@@ -89,7 +94,8 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation);
+    let exists =
+        |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Antialias | Kind::Filter3d);
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);
