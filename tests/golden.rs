@@ -1,11 +1,15 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod absgrad;
 mod antialias;
+mod budget;
 mod gpu;
 mod gpu_training;
+mod importance;
 mod mcmc;
 mod rendering;
 mod sets;
+mod stages;
 mod training;
 mod twin;
 
@@ -31,6 +35,10 @@ enum Kind {
     Relocation,
     Antialias,
     Filter3d,
+    AbsoluteGradient,
+    EdgeImportance,
+    LongAxisSplit,
+    GrowthSchedule,
     Other,
 }
 
@@ -48,6 +56,10 @@ impl Kind {
             () if has("in_grad_accum") && has("out_kind") => Kind::Densify,
             () if has("reg_loss") => Kind::Regularizers,
             () if has("u_relocate") => Kind::Relocation,
+            () if has("xy_abs_pix") => Kind::AbsoluteGradient,
+            () if has("edge_raw") => Kind::EdgeImportance,
+            () if has("opacity_factor") => Kind::LongAxisSplit,
+            () if has("budget_iteration") => Kind::GrowthSchedule,
             () if has("logits") && has("out") => Kind::ResetOpacity,
             () => Kind::Other,
         }
@@ -94,8 +106,8 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists =
-        |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Antialias | Kind::Filter3d);
+    // Kinds that older sets have too are those of features that wait.
+    let exists = |kind: Kind| !matches!(kind, Kind::Other | Kind::Rendering | Kind::Loss | Kind::Densify);
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

@@ -6,6 +6,7 @@ mod backends;
 mod barriers;
 mod bench;
 mod blending_forms;
+mod budget;
 mod checkpoints;
 mod cli;
 mod common;

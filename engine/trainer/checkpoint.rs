@@ -49,6 +49,8 @@ pub struct Checkpoint {
     pub filters: Vec<f32>,
     /// What the strategy keeps besides.
     pub strategy: StrategyState,
+    /// Gradients that were added up since the last step.
+    pub gradient_sums: Option<GradientSums>,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
     pub skipped: u32,
     /// Allocated capacities.
@@ -66,6 +68,15 @@ pub struct StrategyState {
     pub statistics: Vec<StrategyStatistic>,
     /// Names and values of its state on the host.
     pub values: Vec<(String, String)>,
+}
+
+/// Sums of the gradients of several views, of which a later step makes use.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GradientSums {
+    /// Number of the views.
+    pub views: u32,
+    /// The sums, shaped like the parameters.
+    pub sums: Gaussians,
 }
 
 /// A statistic of a strategy.
@@ -142,7 +153,8 @@ impl Checkpoint {
     pub fn tensors(&self) -> Vec<Tensor<'_>> {
         let mut tensors = Vec::new();
         let sets = [&self.gaussians, &self.first_moments, &self.second_moments];
-        for (prefix, set) in Self::SETS.iter().zip(sets) {
+        let sums = self.gradient_sums.iter().map(|sums| (&Self::GRADIENT_SUMS, &sums.sums));
+        for (prefix, set) in Self::SETS.iter().zip(sets).chain(sums) {
             let (n, k) = (set.len(), sh_coefficients(set.sh_degree));
             let mut add = |name: &str, shape: &[usize], bytes| {
                 tensors.push(Tensor { name: format!("{prefix}{name}"), shape: shape.to_vec(), bytes });
@@ -174,6 +186,9 @@ impl Checkpoint {
     /// Name of the tensor of the filter's sizes, as in Mip-Splatting's PLY.
     pub const FILTERS: &str = "filter_3D";
 
+    /// Prefix of the names of [`Checkpoint::gradient_sums`].
+    pub const GRADIENT_SUMS: &str = "gradient_sum.";
+
     /// Prefix of the strategy's own statistics, and of its values in the metadata.
     pub const STRATEGY: &str = "strategy.";
 
@@ -190,10 +205,12 @@ impl Checkpoint {
     /// [`Error::Argument`] naming the set.
     pub fn check_shapes(&self) -> Result<()> {
         self.gaussians.check_shapes()?;
-        for moments in [&self.first_moments, &self.second_moments] {
-            moments.check_shapes()?;
-            if (moments.len(), moments.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
-                return Err(Error::argument("moments", "are of another number or degree than the Gaussians"));
+        let sums = self.gradient_sums.iter().map(|sums| ("gradient sums", &sums.sums));
+        let moments = [("moments", &self.first_moments), ("moments", &self.second_moments)];
+        for (name, set) in moments.into_iter().chain(sums) {
+            set.check_shapes()?;
+            if (set.len(), set.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
+                return Err(Error::argument(name, "are of another number or degree than the Gaussians"));
             }
         }
         let rows = |statistic: &StrategyStatistic| {

@@ -69,8 +69,10 @@ impl Kit {
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
         all.extend(terms);
         all.extend(strategy.loss_terms(context, settings)?);
-        let recorder = StepRecorder::new(context, all, settings)?;
-        let rows = RowMemory::new(strategy.statistics(), recorder.targets().parameters);
+        let parameter_gradients = StepRecorder::targets_of(&all).parameters;
+        let rows = RowMemory::new(strategy.statistics(), parameter_gradients);
+        let recorder =
+            StepRecorder::new(context, all, (settings, strategy.records().sums), rows.absolute())?;
         Ok(Self { strategy, recorder, rows })
     }
 

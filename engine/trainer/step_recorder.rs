@@ -11,7 +11,7 @@ use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
 use crate::forward::{Filter3d, FrameInputs, RenderSettings};
 use crate::loss::{LossTerm, Targets, TermInputs};
-use crate::optimizer::Optimizer;
+use crate::optimizer::{GradientSums, Optimizer};
 use crate::pixels::PixelBorder;
 use crate::plan::LaunchSizes;
 use crate::renderer::Request;
@@ -27,6 +27,8 @@ pub(super) struct StepRecorder {
     backward: Backward,
     /// How frames are drawn, apart from the inverse depth.
     drawn: RenderSettings,
+    /// The place of the absolute statistic among the strategy's.
+    absolute: Option<usize>,
     optimizer: Optimizer,
 }
 
@@ -83,26 +85,40 @@ impl<'a> StepParts<'a> {
 }
 
 impl StepRecorder {
-    /// The first of the terms writes the picture's gradient.
+    /// The first of the terms writes the picture's gradient. `sums`: whether gradients of several views may be
+    /// added up. `absolute`: the place of [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all
+    /// statistics.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, settings: &TrainSettings) -> Result<Self> {
-        let targets = terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()));
+    pub fn new(
+        context: &Context,
+        terms: Vec<Box<dyn LossTerm>>,
+        (settings, sums): (&TrainSettings, bool),
+        absolute: Option<usize>,
+    ) -> Result<Self> {
+        let targets = Self::targets_of(&terms);
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
         let optimizer = match targets.parameters {
             true => Optimizer::with_parameter_gradients(context, sparse),
             false => Optimizer::new(context, sparse),
         };
+        let optimizer = if sums { optimizer.with_sums() } else { optimizer };
         Ok(Self {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             backward: Backward::new(context),
             drawn: settings.render_settings(),
+            absolute,
             terms,
             targets,
             optimizer,
         })
+    }
+
+    /// The gradients that terms add to.
+    pub fn targets_of(terms: &[Box<dyn LossTerm>]) -> Targets {
+        terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()))
     }
 
     /// The names of the terms.
@@ -127,7 +143,11 @@ impl StepRecorder {
 
     /// Builds the kernels for an SH degree unless they exist.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        self.backward.prepare(sh_degree, BackwardVariant::of(&self.drawn()))?;
+        let variant = BackwardVariant::of(&self.drawn());
+        self.backward.prepare(sh_degree, variant)?;
+        if self.absolute.is_some() {
+            self.backward.prepare_absolute(sh_degree, variant)?;
+        }
         self.optimizer.prepare(sh_degree)
     }
 
@@ -190,7 +210,9 @@ impl StepRecorder {
         r.barrier();
         self.record_loss(r, inputs, parts, gradient);
         r.barrier();
-        let statistics = Statistics { buffer: &model.statistics[0], accumulate: plan.work.accumulates };
+        let accumulate = plan.work.accumulates;
+        let absolute = self.absolute.filter(|_| accumulate).map(|place| &model.statistics[place]);
+        let statistics = Statistics { buffer: &model.statistics[0], accumulate, absolute };
         self.backward.record(r, inputs, gradient, statistics);
         let step = StepInputs {
             frame: inputs,
@@ -206,9 +228,21 @@ impl StepRecorder {
             r.barrier();
             parts.strategy.record_statistics(r, &step);
         }
+        let sums = &model.spare;
+        if plan.work.sums_gradients {
+            r.barrier();
+            let to = GradientSums { sums, starts: plan.summed == 0 };
+            self.optimizer.record_add(r, inputs, &model.parameter_gradients, to);
+        }
         if plan.work.optimizes {
             r.barrier();
-            self.optimizer.record(r, inputs, &model.moments, &model.parameter_gradients, &plan.step);
+            match plan.work.sums_gradients {
+                true => self.optimizer.record_sums(r, inputs, &model.moments, sums, &plan.step),
+                false => {
+                    let direct = &model.parameter_gradients;
+                    self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
+                }
+            }
             if hooks.update {
                 r.barrier();
                 parts.strategy.record_update(r, &step);

@@ -4,7 +4,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, antialias, mcmc, training, trial};
+use super::{Kind, SetFile, absgrad, antialias, budget, importance, mcmc, training, trial};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
@@ -45,6 +45,22 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
         }
         Kind::Filter3d => {
             vec![trial(format!("golden_twin_filter_{name}"), move || antialias::filter_of_twin(&file.path))]
+        }
+        Kind::AbsoluteGradient => {
+            vec![trial(format!("golden_twin_absgrad_{name}"), move || absgrad::of_twin(&file.path))]
+        }
+        Kind::EdgeImportance => {
+            vec![trial(format!("golden_twin_importance_{name}"), move || importance::of_twin(&file.path))]
+        }
+        Kind::LongAxisSplit => {
+            vec![trial(format!("golden_twin_long_axis_split_{name}"), move || {
+                budget::split_of_twin(&file.path)
+            })]
+        }
+        Kind::GrowthSchedule => {
+            vec![trial(format!("golden_twin_growth_schedule_{name}"), move || {
+                budget::schedule_of_twin(&file.path)
+            })]
         }
         Kind::Other => vec![],
     }

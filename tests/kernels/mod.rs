@@ -1,6 +1,8 @@
 //! Each kernel alone on the device against its twin, under the shader's name.
 
 mod adam;
+mod add_gradients;
+mod add_importance;
 mod add_noise;
 mod blend;
 mod blend_backward;
@@ -14,15 +16,19 @@ mod compose_rgba8;
 mod count;
 mod cull;
 mod depth_limit;
+mod draw_keys;
 mod draw_sources;
 mod draw_weights;
 mod duplicate_with_tiles;
+mod edge_gradient;
+mod edge_response;
 mod expand_gradients;
 mod expected_depth;
 mod filter_sizes;
 mod gather;
 mod gradient_from_rows;
 mod loss_reduce;
+mod mark_drawn;
 mod multiply_add;
 mod nearest_depths;
 mod photo_to_rows;
@@ -47,6 +53,7 @@ mod ssim_backward;
 mod ssim_backward_sweep;
 mod ssim_forward;
 mod ssim_forward_sweep;
+mod sum_weights;
 mod term_reduce;
 mod write_indirect_args;
 mod write_visible_ranges;

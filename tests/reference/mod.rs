@@ -8,6 +8,8 @@
 #![allow(clippy::needless_range_loop)]
 
 pub mod adam;
+pub mod add_gradients;
+pub mod add_importance;
 pub mod add_noise;
 pub mod blend;
 pub mod blend_backward;
@@ -18,9 +20,12 @@ pub mod compose_rgba8;
 pub mod count;
 pub mod cull;
 pub mod depth_limit;
+pub mod draw_keys;
 pub mod draw_sources;
 pub mod draw_weights;
 pub mod duplicate_with_tiles;
+pub mod edge_gradient;
+pub mod edge_response;
 pub mod expand_gradients;
 pub mod expected_depth;
 pub mod filter_sizes;
@@ -28,6 +33,7 @@ pub mod gather;
 pub mod gradient_from_rows;
 pub mod linear;
 pub mod loss_reduce;
+pub mod mark_drawn;
 pub mod multiply_add;
 pub mod nearest_depths;
 pub mod photo_to_rows;
@@ -54,6 +60,7 @@ pub mod sort_upsweep;
 pub mod sort_upsweep_serial;
 pub mod ssim_backward;
 pub mod ssim_forward;
+pub mod sum_weights;
 pub mod term_reduce;
 pub mod tile_list;
 pub mod tiles;

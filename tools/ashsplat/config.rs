@@ -3,6 +3,7 @@
 use ashsplat::trainer::options::{OptionKind, OptionValue, TrainOption};
 use ashsplat::trainer::{StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
+use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, value_parser};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -58,6 +59,9 @@ pub struct Overrides {
 #[serde(transparent)]
 pub struct TrainOverrides(Table);
 
+/// Names of values in earlier versions: the option, the earlier name, the name.
+const EARLIER_NAMES: [(&str, &str, &str); 1] = [("strategy", "default", "reference")];
+
 /// Options that also have a letter, as in the reference.
 const LETTERS: [(&str, char); 1] = [("white_background", 'w')];
 
@@ -76,7 +80,14 @@ impl TrainOverrides {
         match option.kind {
             OptionKind::Integer => argument.value_name("N").value_parser(value_parser!(u32)),
             OptionKind::Number => argument.value_name("X").value_parser(value_parser!(f64)),
-            OptionKind::Choice(names) => argument.value_name("NAME").value_parser(names.to_vec()),
+            OptionKind::Choice(names) => {
+                let earlier = |name: &str| {
+                    let of = EARLIER_NAMES.iter().filter(move |of| (of.0, of.2) == (option.name, name));
+                    of.map(|of| of.1).collect::<Vec<_>>()
+                };
+                let values = names.iter().map(|name| PossibleValue::new(name).aliases(earlier(name)));
+                argument.value_name("NAME").value_parser(PossibleValuesParser::new(values))
+            }
             OptionKind::Switch => argument
                 .value_name("BOOL")
                 .num_args(0..=1)
@@ -329,6 +340,22 @@ mod tests {
         overrides.train.0.insert("strategy".into(), "mcm".into());
         let message = Settings::resolve(None, &overrides).expect_err("refused").to_string();
         assert!(message.contains("mcm") && message.contains("mcmc"), "{message}");
+    }
+
+    /// `default` was the name of the reference's strategy.
+    #[test]
+    fn a_strategy_is_known_by_its_earlier_name() {
+        let command = TrainOverrides::augment_args(Command::new("train"));
+        let matches = command.try_get_matches_from(["train", "--strategy", "default"]).expect("accepted");
+        let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
+        let settings = Settings::from_table(overrides.0).expect("settings");
+        assert_eq!(settings, Settings::default());
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("my.toml");
+        std::fs::write(&path, "strategy = \"default\"\n").expect("written");
+        let read = Settings::resolve(Some(&path), &Overrides::default()).expect("settings");
+        assert_eq!(read.train.strategy, StrategyType::Reference);
+        assert!(read.to_toml().expect("a dump").contains("strategy = \"reference\""));
     }
 
     /// Options, files and checkpoints have the same names and kinds of values.
