@@ -150,6 +150,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         second_moments: one.clone(),
         gaussians: one,
         statistics: vec![[0.5, 2.0]],
+        exposures: Default::default(),
         skipped: 2,
         room: Room::default(),
     };

@@ -1,5 +1,6 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod exposure;
 mod gpu;
 mod gpu_training;
 mod mcmc;
@@ -28,6 +29,7 @@ enum Kind {
     Train,
     Regularizers,
     Relocation,
+    Exposure,
     Other,
 }
 
@@ -37,6 +39,7 @@ impl Kind {
         match () {
             () if has("it1_image") => Kind::Train,
             () if has("means") && has("cam_K") && has("image") => Kind::Rendering,
+            () if has("adam_E") => Kind::Exposure,
             () if has("img") && has("gt") && has("d_img") => Kind::Loss,
             () if has("xyz_p0") => Kind::Adam,
             () if has("lr_xyz") => Kind::Rates,
@@ -89,7 +92,7 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation);
+    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Exposure);
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

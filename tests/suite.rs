@@ -11,6 +11,7 @@ mod cli;
 mod common;
 mod comparators;
 mod determinism;
+mod exposures;
 mod extremes;
 mod faults;
 mod first_frames;

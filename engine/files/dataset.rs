@@ -9,6 +9,7 @@ mod plan;
 mod scaling;
 mod unpacked;
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -39,6 +40,9 @@ pub struct DatasetOptions {
     pub orientation: PhotoOrientation,
     /// Whether every `test_every`-th view by name is held out.
     pub eval: bool,
+    /// Whether the left half of held-out views (columns below ⌊width / 2⌋) is trained on as well. Their views are then in
+    /// both lists, in [`Dataset::train`] with a mask on the right half.
+    pub train_test_exp: bool,
     /// Distance of the held-out views; 8 in the reference implementation and the literature.
     pub test_every: u32,
     /// Whether transparent pixels of a photo become white instead of black.
@@ -58,6 +62,7 @@ impl Default for DatasetOptions {
             images: "images".into(),
             orientation: PhotoOrientation::Auto,
             eval: false,
+            train_test_exp: false,
             test_every: 8,
             white_background: false,
             photo_memory: None,
@@ -82,6 +87,11 @@ impl DatasetOptions {
         }
     }
 
+    /// Photos that are kept of a view.
+    fn copies(&self, held_out: bool) -> u64 {
+        1 + u64::from(held_out && self.train_test_exp)
+    }
+
     fn is_test(&self, index: usize) -> bool {
         self.eval && index.is_multiple_of(self.test_every.max(1) as usize)
     }
@@ -100,6 +110,19 @@ pub struct View {
     pub original_camera: Camera,
     /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and its mask.
     pub photo: StoredPhoto,
+}
+
+impl View {
+    /// The view with a mask on its right half: on the columns from ⌊width / 2⌋ on.
+    fn left_half(&self) -> Result<Self> {
+        let (width, pixels) = (self.photo.width as usize, self.photo.width as usize * self.photo.height as usize);
+        let own = self.photo.mask()?;
+        let counts = |pixel: usize| own.as_ref().is_none_or(|mask| mask[pixel] != 0);
+        let mask = |pixel: usize| u8::from(pixel % width < width / 2 && counts(pixel)) * 255;
+        let photo = Arc::unwrap_or_clone(self.photo.photo()?);
+        let photo = StoredPhoto::new(photo, Some((0..pixels).map(mask).collect()));
+        Ok(Self { photo, ..self.clone() })
+    }
 }
 
 /// A data set in memory.
@@ -150,7 +173,7 @@ impl Dataset {
         let Gallery { options, views: planned, held_out, .. } = gallery;
         plan::check_split(&gallery.list, held_out)?;
         let mut warnings = gallery.warnings.clone();
-        let needed = planned.iter().map(|view| view.texel_bytes(options)).sum();
+        let needed = gallery.texel_bytes();
         let file = photo_file(needed, options, &mut warnings)?;
         let kept = if file.is_some() { 0 } else { needed };
         let what = || {
@@ -167,25 +190,36 @@ impl Dataset {
         let done = AtomicUsize::new(0);
         let total = planned.len();
         progress.step(0, total);
+        let stored = |mut view: View| -> Result<View> {
+            if let Some(file) = &file {
+                view.photo = file.store(&view.photo)?;
+            }
+            Ok(view)
+        };
         let views = planned
             .par_iter()
-            .map(|planned| {
+            .zip(held_out)
+            .map(|(planned, &held_out)| {
                 progress.check()?;
-                let mut view = planned.load(options)?;
-                if let Some(file) = &file {
-                    view.photo = file.store(&view.photo)?;
-                }
+                let view = planned.load(options)?;
+                let half = match options.copies(held_out) {
+                    1 => None,
+                    _ => Some(stored(view.left_half()?)?),
+                };
+                let view = stored(view)?;
                 progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-                Ok(view)
+                Ok((view, half))
             })
             .collect::<Result<Vec<_>>>()?;
         Ok(Self::assemble(gallery, views, warnings))
     }
 
-    fn assemble(gallery: &Gallery, views: Vec<View>, mut warnings: Vec<String>) -> Self {
+    /// `views`: each with the half that is trained on, if it is held out.
+    fn assemble(gallery: &Gallery, views: Vec<(View, Option<View>)>, mut warnings: Vec<String>) -> Self {
         let (mut train, mut test) = (Vec::new(), Vec::new());
-        for (view, held_out) in views.into_iter().zip(&gallery.held_out) {
+        for ((view, half), held_out) in views.into_iter().zip(&gallery.held_out) {
             if *held_out { test.push(view) } else { train.push(view) }
+            train.extend(half);
         }
         let mut extent = scene_extent(train.iter().map(|view: &View| view.camera.position()));
         if extent == 0.0 {
@@ -209,8 +243,10 @@ impl Dataset {
 
     /// All views by name, including held-out ones.
     pub fn views(&self) -> Vec<&View> {
-        let mut views: Vec<&View> = self.train.iter().chain(&self.test).collect();
+        let mut views: Vec<&View> = self.test.iter().chain(&self.train).collect();
+        // Stable: of two of one name, the whole one is first.
         views.sort_by(|a, b| a.name.cmp(&b.name));
+        views.dedup_by(|b, a| a.name == b.name);
         views
     }
 
@@ -247,7 +283,9 @@ impl Dataset {
     /// # Errors
     /// As [`cameras_json::write()`].
     pub fn write_cameras_json(&self, path: impl AsRef<Path>) -> Result<()> {
-        let views = self.test.iter().chain(&self.train);
+        let held_out: HashSet<&str> = self.test.iter().map(|view| view.name.as_str()).collect();
+        let others = self.train.iter().filter(|view| !held_out.contains(view.name.as_str()));
+        let views = self.test.iter().chain(others);
         cameras_json::write(path, views.map(|view| (view.name.as_str(), &view.original_camera)))
     }
 

@@ -5,6 +5,7 @@ use super::random::{self, ViewOrder};
 use super::run::Run;
 use super::settings::OptimizerType;
 use super::work::{Actions, Work};
+use crate::exposure::ExposureStep;
 use crate::forward::RenderSettings;
 use crate::optimizer::{Rates, Step};
 
@@ -43,6 +44,7 @@ pub(super) struct IterationPlan {
     pub sh_degree: u32,
     pub settings: RenderSettings,
     pub step: Step,
+    pub exposure: ExposureStep,
 }
 
 impl IterationPlan {
@@ -81,6 +83,7 @@ impl Schedule {
                 ..run.render_settings()
             },
             step: optimizer_step(run, iteration, progress, &work),
+            exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1 },
         }
     }
 }

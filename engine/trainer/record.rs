@@ -181,7 +181,8 @@ impl Trainer {
         [state, losses]: [&Buffer; 2],
     ) -> Result<()> {
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
-        let parts = StepParts { run, model, photos: &self.photos, memory: &self.losses, strategy, plan };
+        let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
+        let parts = StepParts { run, model, photos, maps, memory, strategy, plan };
         self.runner.record(r, &parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, losses);
             r.barrier();

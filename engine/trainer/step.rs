@@ -167,7 +167,8 @@ impl Trainer {
     fn run_step(&mut self, plan: &IterationPlan) -> Result<Ran, Failed> {
         self.recorder.prepare(plan.sh_degree)?;
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
-        let parts = StepParts { run, model, photos: &self.photos, memory: &self.losses, strategy, plan };
+        let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
+        let parts = StepParts { run, model, photos, maps, memory, strategy, plan };
         self.runner.run(&parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
             Ok(())

@@ -1,14 +1,16 @@
 //! Records an iteration: its frame, the terms of the loss, the backward pass, the optimiser's step, and what
 //! the strategy adds.
 
+use super::depth_maps::DepthMaps;
 use super::iteration::IterationPlan;
 use super::model::Model;
 use super::photos::Photos;
 use super::run::Run;
-use super::settings::OptimizerType;
+use super::settings::{OptimizerType, TrainSettings};
 use super::strategy::{StepInputs, Strategy};
 use crate::backward::{Backward, Statistics};
 use crate::error::Result;
+use crate::exposure::{Exposing, ExposureBuffers};
 use crate::forward::FrameInputs;
 use crate::loss::{LossTerm, Targets, TermInputs};
 use crate::optimizer::Optimizer;
@@ -24,6 +26,7 @@ pub(super) struct StepRecorder {
     /// For terms that read pictures by rows.
     border: Option<PixelBorder>,
     sizes: LaunchSizes,
+    exposing: Option<Exposing>,
     backward: Backward,
     optimizer: Optimizer,
 }
@@ -37,6 +40,8 @@ pub(super) struct LossMemory {
     image_gradient: Option<Buffer>,
     /// For terms that read pictures by rows.
     rows: Option<PixelRows>,
+    /// Matrices and moments outlive the iteration.
+    pub exposures: Option<ExposureBuffers>,
     pub readback: Buffer,
 }
 
@@ -60,6 +65,7 @@ pub(super) struct StepParts<'a> {
     pub run: &'a Run,
     pub model: &'a Model,
     pub photos: &'a Photos,
+    pub maps: &'a DepthMaps,
     pub memory: &'a LossMemory,
     pub strategy: &'a dyn Strategy,
     pub plan: &'a IterationPlan,
@@ -83,9 +89,9 @@ impl StepRecorder {
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, optimizer: OptimizerType) -> Result<Self> {
+    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, settings: &TrainSettings) -> Result<Self> {
         let targets = terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()));
-        let sparse = optimizer == OptimizerType::SparseAdam;
+        let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
         let optimizer = match targets.parameters {
             true => Optimizer::with_parameter_gradients(context, sparse),
             false => Optimizer::new(context, sparse),
@@ -93,6 +99,7 @@ impl StepRecorder {
         Ok(Self {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
+            exposing: settings.exposure.then(|| Exposing::new(context, true)).transpose()?,
             backward: Backward::new(context),
             terms,
             targets,
@@ -121,7 +128,8 @@ impl StepRecorder {
         self.optimizer.prepare(sh_degree)
     }
 
-    /// The loss's buffers on the device for views of these sizes: scratch of the terms, and the losses.
+    /// The loss's buffers on the device for views of these sizes, one per view: scratch of the terms, the losses,
+    /// and the exposures.
     pub fn device_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
         let mut requests: Vec<_> = self.terms.iter().flat_map(|term| term.scratch_requests(sizes)).collect();
         requests.push(("losses", self.losses_bytes()));
@@ -137,6 +145,9 @@ impl StepRecorder {
                 ("gradient_rows", 16 * pixels),
                 ("photo_rows", 4 * pixels),
             ]);
+        }
+        if self.exposing.is_some() {
+            requests.extend(ExposureBuffers::requests(sizes));
         }
         requests
     }
@@ -160,13 +171,17 @@ impl StepRecorder {
         match (device.next(), <[Buffer; 1]>::try_from(host)) {
             (Some(losses), Ok([readback])) => {
                 let image_gradient = self.targets.inverse_depth.then(|| device.next()).flatten();
-                let rows = match [device.next(), device.next(), device.next()] {
-                    [Some(picture), Some(gradient), Some(photo)] => {
-                        Some(PixelRows { picture, gradient, photo })
-                    }
-                    _ => None,
+                let mut buffers = |count: usize| device.by_ref().take(count).collect::<Vec<_>>();
+                let rows = if self.targets.rows() { buffers(3) } else { Vec::new() };
+                let rows = <[Buffer; 3]>::try_from(rows).ok();
+                let rows = rows.map(|[picture, gradient, photo]| PixelRows { picture, gradient, photo });
+                let exposures = match &self.exposing {
+                    Some(_) => buffers(ExposureBuffers::COUNT).try_into().ok(),
+                    None => None,
                 };
-                Ok(LossMemory { scratch, losses, image_gradient, rows, readback })
+                let exposures = exposures.map(ExposureBuffers::from_allocated);
+                exposures.iter().try_for_each(|exposures| exposures.reset(context))?;
+                Ok(LossMemory { scratch, losses, image_gradient, rows, exposures, readback })
             }
             _ => unreachable!("one buffer per request"),
         }
@@ -203,6 +218,11 @@ impl StepRecorder {
                 r.barrier();
                 parts.strategy.record_update(r, &step);
             }
+            if let Some((exposing, exposures)) = self.exposing.as_ref().zip(parts.memory.exposures.as_ref()) {
+                r.barrier();
+                let of = (exposures, &inputs.frame.state);
+                exposing.record_step(r, of, plan.view as u32, &plan.exposure);
+            }
         }
         r.copy(&parts.memory.losses, losses);
     }
@@ -225,6 +245,11 @@ impl StepRecorder {
             r.barrier();
         }
         let native = (inputs.frame.rendered(&self.sizes), photo, gradient);
+        let exposing = self.exposing.as_ref().zip(memory.exposures.as_ref());
+        if let Some((exposing, exposures)) = exposing {
+            exposing.record(r, inputs, exposures, plan.view as u32);
+            r.barrier();
+        }
         for (row, (term, scratch)) in self.terms.iter().zip(&memory.scratch).enumerate() {
             if row > 0 {
                 r.barrier();
@@ -234,15 +259,21 @@ impl StepRecorder {
                 r.fill(&rows.gradient, 0);
                 r.barrier();
             }
-            let (picture, photo, image_gradient) = match by_rows {
-                Some((_, rows)) => (&rows.picture, &rows.photo, &rows.gradient),
-                None => native,
+            // Only the photometric term, which comes first, compares with a photograph.
+            let exposing = exposing.filter(|_| row == 0);
+            let (picture, photo, image_gradient) = match (by_rows, exposing) {
+                (Some((_, rows)), _) => (&rows.picture, &rows.photo, &rows.gradient),
+                (None, Some((_, exposures))) => (&exposures.picture, native.1, native.2),
+                (None, None) => native,
             };
+            let frame = inputs;
             let inputs = TermInputs {
-                frame: inputs,
+                frame,
                 picture,
                 photo,
                 photo_is_masked,
+                inverse_depth_map: parts.maps.of(plan.view),
+                iteration: plan.iteration,
                 image_gradient,
                 parameter_gradients: &model.parameter_gradients,
                 scratch,
@@ -250,6 +281,10 @@ impl StepRecorder {
                 row: row as u32,
             };
             term.record(r, &inputs);
+            if let Some((exposing, exposures)) = exposing {
+                r.barrier();
+                exposing.record_backward(r, frame, exposures, plan.view as u32, gradient);
+            }
             if let Some((border, rows)) = by_rows {
                 r.barrier();
                 border.record_gradient(r, inputs.frame, &rows.gradient, gradient, true);

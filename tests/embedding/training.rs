@@ -112,7 +112,11 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
     // And once with the other strategy, which adds noise in the step.
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
-    for (push_descriptors, settings) in [(true, settings()), (false, weighted), (true, mcmc)] {
+    // And with exposures, whose optimiser has a step of its own.
+    let exposed = TrainSettings { exposure: true, ..settings() };
+    for (push_descriptors, settings) in
+        [(true, settings()), (false, weighted), (true, mcmc), (true, exposed)]
+    {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }

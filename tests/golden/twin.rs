@@ -4,7 +4,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, mcmc, training, trial};
+use super::{Kind, SetFile, exposure, mcmc, training, trial};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
@@ -39,6 +39,9 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
             vec![trial(format!("golden_twin_relocation_{name}"), move || {
                 mcmc::relocation_of_twin(&file.path)
             })]
+        }
+        Kind::Exposure => {
+            vec![trial(format!("golden_twin_exposure_{name}"), move || exposure::of_twin(&file.path))]
         }
         Kind::Other => vec![],
     }

@@ -64,18 +64,26 @@ impl Gallery {
     /// As [`Gallery::open`], for a photo that has neither its camera's size nor the fraction of it that the folder's
     /// name says.
     pub fn train_photos(&self) -> Result<Vec<PhotoSize>> {
-        let train = self.views.iter().zip(&self.held_out).filter(|(_, held_out)| !*held_out);
-        let size = |(view, _): (&PlannedView, _)| {
+        let halves = self.options.train_test_exp;
+        let train = self.views.iter().zip(&self.held_out).filter(|(_, held_out)| halves || !**held_out);
+        let size = |(view, held_out): (&PlannedView, &bool)| {
             let (width, height) = view.size(&self.options).map_err(|error| self.unpacked.name(error))?;
-            Ok(PhotoSize { name: view.name.clone(), width, height, masked: false })
+            Ok(PhotoSize { name: view.name.clone(), width, height, masked: *held_out, inverse_depth: false })
         };
         train.map(size).collect()
     }
 
     /// The bound of the photos' memory, if they exceed it and will be kept in a file.
     pub fn file_memory(&self) -> Option<u64> {
-        let needed = self.views.iter().map(|view| view.texel_bytes(&self.options)).sum();
-        beyond_memory(needed, &self.options).map(|memory| memory.bytes)
+        beyond_memory(self.texel_bytes(), &self.options).map(|memory| memory.bytes)
+    }
+
+    /// Estimated bytes of all photos that are kept.
+    pub(super) fn texel_bytes(&self) -> u64 {
+        let bytes = |(view, held_out): (&PlannedView, &bool)| {
+            self.options.copies(*held_out) * view.texel_bytes(&self.options)
+        };
+        self.views.iter().zip(&self.held_out).map(bytes).sum()
     }
 
     /// Whether each view, by name, is held out; none is without [`DatasetOptions::eval`].

@@ -5,6 +5,7 @@ use super::Run;
 use crate::measure::Stopwatch;
 use crate::{model, output};
 use ashsplat::{Error, Result};
+use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::splats;
 use std::time::{Duration, Instant};
 
@@ -132,6 +133,11 @@ impl Run {
         let antialiased = self.settings.train.antialiasing;
         let options = splats::WriteOptions { antialiased, ..Default::default() };
         output::in_folder(&path, |path| splats::write(path, &gaussians, &options))?;
+        let exposures = self.trainer.exposures()?;
+        if !exposures.is_empty() {
+            let named = self.trained.iter().map(String::as_str).zip(&exposures);
+            exposure_json::write(folder.join(EXPOSURE_FILE), named)?;
+        }
         model::note_saved(folder, iteration)?;
         self.saved = Some(iteration);
         self.progress.note(&format!("{reason}saved {}", path.display()));
