@@ -1,5 +1,6 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod depth;
 mod exposure;
 mod gpu;
 mod gpu_training;
@@ -30,6 +31,7 @@ enum Kind {
     Regularizers,
     Relocation,
     Exposure,
+    Depth,
     Other,
 }
 
@@ -38,6 +40,7 @@ impl Kind {
         let has = |name: &str| fields.iter().any(|field| field == name);
         match () {
             () if has("it1_image") => Kind::Train,
+            () if has("obs_inv_z") => Kind::Depth,
             () if has("means") && has("cam_K") && has("image") => Kind::Rendering,
             () if has("adam_E") => Kind::Exposure,
             () if has("img") && has("gt") && has("d_img") => Kind::Loss,
@@ -92,7 +95,8 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Exposure);
+    let exists =
+        |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Exposure | Kind::Depth);
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

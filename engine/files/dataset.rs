@@ -1,5 +1,6 @@
 //! A data set to train on: photographs with their cameras, and initial points.
 
+mod depths;
 mod exif_orientation;
 mod gallery;
 mod inspect;
@@ -36,6 +37,9 @@ pub struct DatasetOptions {
     /// Name of the subfolder with the photos. In one called `…_2`, `…_4` or `…_8`, as benchmark data sets
     /// use, the photos may have that fraction of their cameras' size.
     pub images: String,
+    /// Folder of inverse-depth maps, within the data set or anywhere: a 16-bit PNG per photo, of the photo's name. Their
+    /// scale and offset are in the model's `depth_params.json`; without that file, they are fitted to the sparse points.
+    pub depths: Option<PathBuf>,
     /// Whether photos are rotated by their metadata.
     pub orientation: PhotoOrientation,
     /// Whether every `test_every`-th view by name is held out.
@@ -60,6 +64,7 @@ impl Default for DatasetOptions {
         Self {
             resolution: Resolution::Auto,
             images: "images".into(),
+            depths: None,
             orientation: PhotoOrientation::Auto,
             eval: false,
             train_test_exp: false,
@@ -110,6 +115,9 @@ pub struct View {
     pub original_camera: Camera,
     /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and its mask.
     pub photo: StoredPhoto,
+    /// The inverse depth that its pixels should have: [`TrainView::inverse_depth`](ashsplat::TrainView::inverse_depth).
+    /// Only with [`DatasetOptions::depths`], and of views that are trained on.
+    pub inverse_depth: Option<Arc<[f32]>>,
 }
 
 impl View {
@@ -175,7 +183,7 @@ impl Dataset {
         let mut warnings = gallery.warnings.clone();
         let needed = gallery.texel_bytes();
         let file = photo_file(needed, options, &mut warnings)?;
-        let kept = if file.is_some() { 0 } else { needed };
+        let kept = gallery.map_bytes() + if file.is_some() { 0 } else { needed };
         let what = || {
             format!(
                 "{}: keeping its {} photos in memory (-r makes them smaller)",
@@ -199,13 +207,20 @@ impl Dataset {
         let views = planned
             .par_iter()
             .zip(held_out)
-            .map(|(planned, &held_out)| {
+            .zip(&gallery.maps)
+            .map(|((planned, &held_out), map)| {
                 progress.check()?;
-                let view = planned.load(options)?;
-                let half = match options.copies(held_out) {
-                    1 => None,
-                    _ => Some(stored(view.left_half()?)?),
-                };
+                let mut view = planned.load(options)?;
+                let map_of = |photo: &StoredPhoto| map.as_ref().map(|map| map.load(photo, options)).transpose();
+                let mut half = None;
+                if options.copies(held_out) > 1 {
+                    let mut view = view.left_half()?;
+                    view.inverse_depth = map_of(&view.photo)?;
+                    half = Some(stored(view)?);
+                }
+                if !held_out {
+                    view.inverse_depth = map_of(&view.photo)?;
+                }
                 let view = stored(view)?;
                 progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
                 Ok((view, half))

@@ -4,7 +4,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, exposure, mcmc, training, trial};
+use super::{Kind, SetFile, depth, exposure, mcmc, training, trial};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
@@ -42,6 +42,13 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
         }
         Kind::Exposure => {
             vec![trial(format!("golden_twin_exposure_{name}"), move || exposure::of_twin(&file.path))]
+        }
+        Kind::Depth => {
+            let host = file.clone();
+            vec![
+                trial(format!("golden_twin_depth_{name}"), move || depth::of_twin(&file.path)),
+                trial(format!("golden_host_depth_{name}"), move || depth::of_host(&host.path)),
+            ]
         }
         Kind::Other => vec![],
     }

@@ -28,6 +28,10 @@ pub struct Overrides {
     /// Folder of the photos within the data set [default: images]
     #[arg(short, long, value_name = "NAME")]
     images: Option<String>,
+    /// Folder of inverse-depth maps within the data set: a 16-bit PNG per photo, of its name; scale and offset are in
+    /// sparse/0/depth_params.json, or else are fitted to the sparse points
+    #[arg(short, long, value_name = "FOLDER")]
+    depths: Option<PathBuf>,
     /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: -1]
     #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
     resolution: Option<i32>,
@@ -140,6 +144,8 @@ pub struct DataSettings {
     pub model_path: PathBuf,
     /// Folder of the photos within the data set.
     pub images: String,
+    /// Folder of inverse-depth maps within the data set; empty: none.
+    pub depths: PathBuf,
     /// The reference's `-r`.
     pub resolution: i32,
     /// Whether photos are turned as their metadata say: auto, stored or upright.
@@ -162,6 +168,7 @@ impl Default for DataSettings {
             source_path: PathBuf::new(),
             model_path: PathBuf::new(),
             images: "images".into(),
+            depths: PathBuf::new(),
             resolution: -1,
             orientation: "auto".into(),
             eval: false,
@@ -245,12 +252,13 @@ impl Settings {
         let python = |value: bool| if value { "True" } else { "False" };
         let quoted = |path: &Path| python_string(&absolute(path).to_string_lossy());
         format!(
-            "Namespace(sh_degree={}, source_path={}, model_path={}, images={}, depths='', resolution={}, \
+            "Namespace(sh_degree={}, source_path={}, model_path={}, images={}, depths={}, resolution={}, \
              white_background={}, train_test_exp={}, data_device='cuda', eval={})",
             self.train.sh_degree,
             quoted(&self.data.source_path),
             python_string(&self.data.model_path.to_string_lossy()),
             python_string(&self.data.images),
+            python_string(&self.data.depths.to_string_lossy()),
             self.data.resolution,
             python(self.train.white_background),
             python(self.data.train_test_exp),

@@ -110,6 +110,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .transpose()?;
     let host = &arguments.device.host;
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;
+    // Only training looks at them.
+    options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let gallery = session::open(&settings.data, &options, &stop)?;
     check_fits(&context, &gallery, &settings.train, start.as_ref().map(Start::checkpoint))?;
