@@ -3,6 +3,8 @@
 mod absgrad;
 mod antialias;
 mod budget;
+mod depth;
+mod exposure;
 mod gpu;
 mod gpu_training;
 mod importance;
@@ -39,6 +41,8 @@ enum Kind {
     EdgeImportance,
     LongAxisSplit,
     GrowthSchedule,
+    Exposure,
+    Depth,
     Other,
 }
 
@@ -49,7 +53,9 @@ impl Kind {
             () if has("it1_image") => Kind::Train,
             () if has("fused_log_scales") => Kind::Filter3d,
             () if has("detached") && has("kernel") => Kind::Antialias,
+            () if has("obs_inv_z") => Kind::Depth,
             () if has("means") && has("cam_K") && has("image") => Kind::Rendering,
+            () if has("adam_E") => Kind::Exposure,
             () if has("img") && has("gt") && has("d_img") => Kind::Loss,
             () if has("xyz_p0") => Kind::Adam,
             () if has("lr_xyz") => Kind::Rates,

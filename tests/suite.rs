@@ -12,6 +12,7 @@ mod cli;
 mod common;
 mod comparators;
 mod determinism;
+mod exposures;
 mod extremes;
 mod faults;
 mod filters;

@@ -6,7 +6,7 @@ use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::trainer::checkpoint::{
-    Checkpoint, GradientSums, Room, StrategyState, StrategyStatistic, Tensor,
+    Checkpoint, ExposureState, GradientSums, Room, StrategyState, StrategyStatistic, Tensor,
 };
 use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
@@ -205,6 +205,11 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
                 Some(GradientSums { views, sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)? })
             }
         },
+        exposures: ExposureState {
+            values: exposures(&tensors, Checkpoint::SETS[0])?,
+            first_moments: exposures(&tensors, Checkpoint::SETS[1])?,
+            second_moments: exposures(&tensors, Checkpoint::SETS[2])?,
+        },
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
         room: Room {
             gaussians: metadata.parsed("room_gaussians")?,
@@ -299,6 +304,15 @@ fn strategy_statistics(
         all.push(StrategyStatistic { name: own.to_owned(), floats, values });
     }
     Ok(all)
+}
+
+/// None where they are not learned, and in older files.
+fn exposures(tensors: &SafeTensors, prefix: &str) -> Result<Vec<[[f32; 4]; 3]>, String> {
+    let name = format!("{prefix}{}", Checkpoint::EXPOSURES);
+    match tensors.tensor(&name) {
+        Ok(_) => values(tensors, &name, &[3, 4]),
+        Err(_) => Ok(Vec::new()),
+    }
 }
 
 fn gaussians(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {

@@ -1,6 +1,7 @@
 //! Photographs: decoding, checking, scaling.
 
 mod decode;
+mod depth_map;
 mod jpeg;
 mod png_rows;
 mod scale;
@@ -18,6 +19,7 @@ use ashsplat::{Error, Result};
 pub use ashsplat::scene::photo::Photo;
 pub use ashsplat::scene::stored_photo::{PhotoFile, StoredPhoto};
 pub use decode::photo_size;
+pub use depth_map::DepthMap;
 pub(crate) use decode::{Decoded, Header, Request, header};
 use scale::RowScaler;
 pub use undistort::undistort;

@@ -51,10 +51,24 @@ pub struct Checkpoint {
     pub strategy: StrategyState,
     /// Gradients that were added up since the last step.
     pub gradient_sums: Option<GradientSums>,
+    /// The exposures of the views' photographs, if they are learned.
+    pub exposures: ExposureState,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
     pub skipped: u32,
     /// Allocated capacities.
     pub room: Room,
+}
+
+/// Exposures of photographs, by the views' order: see [`Exposure`](crate::scene::Exposure). Empty where they are not
+/// learned.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ExposureState {
+    /// The matrices.
+    pub values: Vec<[[f32; 4]; 3]>,
+    /// Adam's first moments.
+    pub first_moments: Vec<[[f32; 4]; 3]>,
+    /// Adam's second moments.
+    pub second_moments: Vec<[[f32; 4]; 3]>,
 }
 
 /// The parts of a run, and the state of its strategy: see [`Strategy`](super::Strategy).
@@ -177,6 +191,13 @@ impl Checkpoint {
             let name = format!("{}{name}", Self::STRATEGY);
             tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(values) });
         }
+        let ExposureState { values, first_moments, second_moments } = &self.exposures;
+        let sets = [values, first_moments, second_moments].into_iter().zip(Self::SETS);
+        tensors.extend(sets.filter(|(set, _)| !set.is_empty()).map(|(set, prefix)| Tensor {
+            name: format!("{prefix}{}", Self::EXPOSURES),
+            shape: vec![set.len(), 3, 4],
+            bytes: bytemuck::cast_slice(set),
+        }));
         tensors
     }
 
@@ -188,6 +209,9 @@ impl Checkpoint {
 
     /// Prefix of the names of [`Checkpoint::gradient_sums`].
     pub const GRADIENT_SUMS: &str = "gradient_sum.";
+
+    /// Name of the exposures' tensor, and of that of their moments behind the prefixes.
+    pub const EXPOSURES: &str = "exposures";
 
     /// Prefix of the strategy's own statistics, and of its values in the metadata.
     pub const STRATEGY: &str = "strategy.";
@@ -222,6 +246,11 @@ impl Checkpoint {
         let filters = if self.settings.filter_3d { self.gaussians.len() } else { 0 };
         if self.filters.len() != filters {
             return Err(Error::argument(Self::FILTERS, "is of another number than the Gaussians"));
+        }
+        let exposures = if self.settings.exposure { self.views } else { 0 };
+        let ExposureState { values, first_moments, second_moments } = &self.exposures;
+        if [values, first_moments, second_moments].iter().any(|set| set.len() as u64 != exposures) {
+            return Err(Error::argument("exposures", format!("are not those of {exposures} photographs")));
         }
         if self.gaussians.sh_degree != self.settings.sh_degree {
             return Err(Error::argument("sh_degree", "of the Gaussians and of the settings differ"));

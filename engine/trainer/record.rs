@@ -181,8 +181,9 @@ impl Trainer {
         [state, losses]: [&Buffer; 2],
     ) -> Result<()> {
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
-        let (photos, memory, filter) = (&self.photos, &self.losses, self.filter.as_ref());
-        let parts = StepParts { run, model, photos, memory, strategy, filter, plan };
+        let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
+        let filter = self.filter.as_ref();
+        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, plan };
         self.runner.record(r, &parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, losses);
             r.barrier();

@@ -181,8 +181,9 @@ impl Trainer {
     fn run_step(&mut self, plan: &IterationPlan) -> Result<Ran, Failed> {
         self.recorder.prepare(plan.sh_degree)?;
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
-        let (photos, memory, filter) = (&self.photos, &self.losses, self.filter.as_ref());
-        let parts = StepParts { run, model, photos, memory, strategy, filter, plan };
+        let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
+        let filter = self.filter.as_ref();
+        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, plan };
         self.runner.run(&parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
             Ok(())

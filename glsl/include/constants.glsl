@@ -126,6 +126,9 @@ const uint ABSOLUTE_SUMS = 12;
 // Workgroups, and so partial sums, of a term of the loss that is a mean over Gaussians.
 const uint TERM_PARTIALS = 256;
 
+// From this value on, a pixel of an inverse-depth map does not count.
+const float MAP_NOTHING = 1e30;
+
 // Arithmetic benchmark: independent chains per invocation, and steps of each chain per round.
 const uint MULTIPLY_ADD_CHAINS = 8;
 const uint MULTIPLY_ADD_STEPS = 4;

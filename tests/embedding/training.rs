@@ -135,8 +135,17 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         multi_step: true,
         ..settings()
     };
-    for (push_descriptors, settings) in
-        [(true, settings()), (false, weighted), (true, mcmc), (true, filtered), (true, budget.clone()), (false, budget)]
+    // And with exposures, whose optimiser has a step of its own.
+    let exposed = TrainSettings { exposure: true, ..settings() };
+    for (push_descriptors, settings) in [
+        (true, settings()),
+        (false, weighted),
+        (true, mcmc),
+        (true, filtered),
+        (true, exposed),
+        (true, budget.clone()),
+        (false, budget),
+    ]
     {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }

@@ -4,7 +4,9 @@ use libtest_mimic::Trial;
 
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, absgrad, antialias, budget, importance, mcmc, training, trial};
+use super::{
+    Kind, SetFile, absgrad, antialias, budget, depth, exposure, importance, mcmc, training, trial,
+};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
@@ -61,6 +63,16 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
             vec![trial(format!("golden_twin_growth_schedule_{name}"), move || {
                 budget::schedule_of_twin(&file.path)
             })]
+        }
+        Kind::Exposure => {
+            vec![trial(format!("golden_twin_exposure_{name}"), move || exposure::of_twin(&file.path))]
+        }
+        Kind::Depth => {
+            let host = file.clone();
+            vec![
+                trial(format!("golden_twin_depth_{name}"), move || depth::of_twin(&file.path)),
+                trial(format!("golden_host_depth_{name}"), move || depth::of_host(&host.path)),
+            ]
         }
         Kind::Other => vec![],
     }

@@ -49,6 +49,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
             values: (0..own).map(|index| (format!("value {index:06}"), "1".into())).collect(),
         },
         gradient_sums: None,
+        exposures: Default::default(),
         skipped: 0,
         room: Room::default(),
     }

@@ -1,20 +1,26 @@
 //! `ashsplat eval`, and the measurement of held-out views that training and the demo share.
 
+mod protocol;
+
 use crate::args::DeviceArguments;
 use crate::config::DataSettings;
 use crate::model::Model;
 use crate::progress::counting;
 use crate::{output, render, session};
-use ashsplat::scene::Camera;
-use ashsplat::{Error, Frame, RenderSettings, Renderer, Result};
+use ashsplat::{Camera, Error, Frame, RenderSettings, Renderer, Result};
+use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::metrics;
 use ashsplat_files::{Gallery, Photo, View};
 use clap::Args;
+pub use protocol::Protocol;
 use serde_json::{Map, Value, json};
 use std::borrow::Borrow;
 use std::path::{Path, PathBuf};
 
 /// PSNR and SSIM of a trained scene on a data set. What masks hide does not count.
+///
+/// Photos with an exposure in the model folder's exposure.json are compared under it: those that were trained on. Held-out
+/// ones have one after a training with --train-test-exp only, and then their right half counts.
 ///
 /// For a model folder the data set, the size of the photos and the split are those of its training; results go
 /// to its results.json and per_view.json.
@@ -131,6 +137,7 @@ impl Pictures {
 /// Renders the views, measures them and, if asked, saves them. One view is held at a time.
 pub fn evaluate<V: Borrow<View>>(
     views: impl Iterator<Item = Result<V>>,
+    protocol: &Protocol,
     mut pictures: Option<&mut Pictures>,
     mut draw: impl FnMut(&Camera) -> Result<Frame>,
 ) -> Result<Evaluation> {
@@ -143,8 +150,8 @@ pub fn evaluate<V: Borrow<View>>(
             continue;
         }
         let index = results.len();
-        let frame = draw(&view.camera)?;
-        results.push(measure(view, &frame)?);
+        let (view, frame) = protocol.prepared(view, draw(&view.camera)?)?;
+        results.push(measure(&view, &frame)?);
         if let Some(pictures) = &mut pictures {
             pictures.save("renders", index, &output::to_photo(&frame)?);
             let photo = view.photo.photo()?;
@@ -211,6 +218,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gallery = session::open(&data, &options, &stop)?;
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
+    let protocol = protocol(&model, &gallery)?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
     let look = arguments.look.settings(&model.settings, &scene.header)?;
@@ -220,7 +228,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Ok(()) => gallery.view(index),
         Err(interrupted) => Some(Err(interrupted)),
     });
-    let evaluation = evaluate(views, None, |camera| {
+    let evaluation = evaluate(views, &protocol, None, |camera| {
         bar.inc(1);
         renderer.render(camera, &settings)
     })?;
@@ -231,6 +239,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     print_results(arguments.json, &evaluation, scene.gaussians.len())?;
     arguments.device.report_validation(&context);
     Ok(())
+}
+
+/// The exposures of a model folder, and the halves that its training left.
+fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
+    let Some((folder, _)) = &model.folder else { return Ok(Protocol::default()) };
+    let file = folder.join(EXPOSURE_FILE);
+    let halves = model.settings.data.train_test_exp;
+    if !halves && !file.is_file() {
+        return Ok(Protocol::default());
+    }
+    let cameras = gallery.cameras().into_iter().zip(gallery.held_out());
+    let held_out = cameras.filter(|(_, held_out)| halves && **held_out).map(|(named, _)| named.name);
+    Ok(Protocol { exposures: exposure_json::read(&file)?, halves: held_out.collect() })
 }
 
 /// Which views are measured.

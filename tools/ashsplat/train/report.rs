@@ -111,8 +111,9 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
 fn measure_some(run: &mut Run) -> Result<(Vec<View>, Evaluation)> {
     let views: Vec<View> = views::spread(&run.test.iter().collect::<Vec<_>>()).into_iter().cloned().collect();
     let settings = render::settings_of(&run.settings);
+    let protocol = run.protocol()?;
     let evaluation =
-        eval::evaluate(views.iter().map(Ok), None, |camera| run.trainer.render(camera, &settings))?;
+        eval::evaluate(views.iter().map(Ok), &protocol, None, |camera| run.trainer.render(camera, &settings))?;
     Ok((views, evaluation))
 }
 

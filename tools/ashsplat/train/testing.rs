@@ -2,7 +2,7 @@
 
 use super::Run;
 use super::saving::attempt;
-use crate::eval::{self, Evaluation, Pictures};
+use crate::eval::{self, Evaluation, Pictures, Protocol};
 use crate::progress::thousands;
 use crate::render;
 use ashsplat::Result;
@@ -40,13 +40,23 @@ impl Run {
         Ok(psnr)
     }
 
+    /// How the test views are compared: those that are trained on under their exposures; of those whose left half is, the
+    /// right one.
+    pub(super) fn protocol(&self) -> Result<Protocol> {
+        let exposures = self.trained.iter().cloned().zip(self.trainer.exposures()?);
+        let halves = self.settings.data.train_test_exp && self.held_out;
+        let names = self.test.iter().filter(|_| halves).map(|view| view.name.clone());
+        Ok(Protocol { exposures: exposures.collect(), halves: names.collect() })
+    }
+
     /// Measures, and whether the pictures were saved.
     fn evaluate(&mut self, iteration: u32) -> Result<(Evaluation, Result<()>)> {
         let folder = self.settings.data.model_path.join("test").join(format!("ours_{iteration}"));
         let mut pictures = self.held_out.then(|| Pictures::new(folder));
         let settings = render::settings_of(&self.settings);
+        let protocol = self.protocol()?;
         let trainer = &mut self.trainer;
-        let evaluation = eval::evaluate(self.test.iter().map(Ok), pictures.as_mut(), |camera| {
+        let evaluation = eval::evaluate(self.test.iter().map(Ok), &protocol, pictures.as_mut(), |camera| {
             trainer.render(camera, &settings)
         })?;
         Ok((evaluation, pictures.map_or(Ok(()), Pictures::saved)))
