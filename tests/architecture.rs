@@ -108,7 +108,7 @@ fn architecture_unsafe_only_under_vk() {
 
 // ---- dependencies between modules ---------------------------------------------------------------------------------
 
-const STAGES: [&str; 11] = [
+const STAGES: [&str; 12] = [
     "scan",
     "sort",
     "arithmetic",
@@ -118,6 +118,7 @@ const STAGES: [&str; 11] = [
     "backward",
     "compose",
     "loss",
+    "lpips",
     "optimizer",
     "densify",
 ];
