@@ -243,7 +243,9 @@ impl Lpips {
             }
             let buffers = (&maps[index], &maps[index + 1]);
             match filter {
-                Some(filter) => self.record_convolution(r, layer, filter, buffers, (input, output, first, count)),
+                Some(filter) => {
+                    self.record_convolution(r, layer, filter, buffers, (input, output, first, count))
+                }
                 None => self.record_pool(r, buffers, (input, output, first, count)),
             }
             r.barrier();
@@ -389,7 +391,8 @@ pub fn packed_weights(layer: &Layer, weights: &[f32]) -> Vec<f32> {
         for (input, kx) in (0..inputs).step_by(four).flat_map(|i| (0..size).map(move |kx| (i, kx))) {
             for input in input..input + four {
                 let weight = |output: usize| weights[((output * inputs + input) * size + ky) * size + kx];
-                let own = (four * block..four * (block + 1)).map(|o| if input < inputs { weight(o) } else { 0.0 });
+                let own =
+                    (four * block..four * (block + 1)).map(|o| if input < inputs { weight(o) } else { 0.0 });
                 packed.extend(own);
             }
         }

@@ -8,7 +8,8 @@ use ashsplat::lpips::{Layer, Network, Weights};
 use ashsplat::{Error, Result};
 use safetensors::{Dtype, SafeTensors};
 
-const REMEDY: &str = "give the weights of LPIPS 0.1 with AlexNet or VGG16, as tools/lpips_weights.py writes them";
+const REMEDY: &str =
+    "give the weights of LPIPS 0.1 with AlexNet or VGG16, as tools/lpips_weights.py writes them";
 
 /// Weights as files: what this crate adds to [`Weights`].
 pub trait WeightsFile: Sized {
@@ -105,7 +106,10 @@ fn values(tensors: &SafeTensors, name: &str, shape: &[u32], network: Network) ->
     let wanted: Vec<usize> = shape.iter().map(|&n| n as usize).collect();
     if tensor.dtype() != Dtype::F32 || tensor.shape() != wanted {
         let (kind, has) = (tensor.dtype(), tensor.shape());
-        return Err(format!("has a tensor '{name}' of {kind:?} {has:?}, {} has F32 {wanted:?}", network.name()));
+        return Err(format!(
+            "has a tensor '{name}' of {kind:?} {has:?}, {} has F32 {wanted:?}",
+            network.name()
+        ));
     }
     let values: Vec<f32> = bytemuck::pod_collect_to_vec(tensor.data());
     match values.iter().position(|value| !value.is_finite()) {

@@ -130,7 +130,10 @@ mod tests {
                         let (layer, input) = (&network.layers()[before], &bands.maps[before]);
                         let last = range.end - 1;
                         let end = (last * layer.stride + layer.size).saturating_sub(layer.padding);
-                        assert!(end.min(input.height) <= done[before], "{network:?} {height} {band}: row {last}");
+                        assert!(
+                            end.min(input.height) <= done[before],
+                            "{network:?} {height} {band}: row {last}"
+                        );
                         let oldest = done[before].saturating_sub(input.slots);
                         assert!(first_row_read(layer, range.start) >= oldest, "{network:?} {height} {band}");
                     }

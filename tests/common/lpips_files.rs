@@ -55,8 +55,7 @@ pub fn write(path: &Path, tensors: &[Tensor]) {
     for tensor in tensors {
         let begin = data.len();
         data.extend(tensor.values.iter().flat_map(|value| value.to_le_bytes()));
-        let entry =
-            serde_json::json!({"dtype": tensor.kind, "shape": tensor.shape, "data_offsets": [begin, data.len()]});
+        let entry = serde_json::json!({"dtype": tensor.kind, "shape": tensor.shape, "data_offsets": [begin, data.len()]});
         header.insert(tensor.name.clone(), entry);
     }
     let header = serde_json::Value::Object(header).to_string().into_bytes();

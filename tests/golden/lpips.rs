@@ -42,9 +42,8 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
     let ((a, size), (b, _)) = (picture(&npz, "a"), picture(&npz, "b"));
     for (name, steps, tags, _) in NETWORKS {
         let weights = formula(steps, first_tag(&npz) + tags);
-        let [a2, b2] = [&a, &b].map(|picture| {
-            picture.iter().map(|rgb| rgb.map(|x| 2.0 * x - 1.0)).collect::<Vec<[f64; 3]>>()
-        });
+        let [a2, b2] = [&a, &b]
+            .map(|picture| picture.iter().map(|rgb| rgb.map(|x| 2.0 * x - 1.0)).collect::<Vec<[f64; 3]>>());
         compare(&npz, name, &lpips(steps, &weights, [&a2, &b2], size), TWIN)?;
         let unscaled = format!("{name}_unscaled");
         compare(&npz, &unscaled, &lpips(steps, &weights, [&a, &b], size), TWIN)?;

@@ -22,7 +22,8 @@ const CASES: [Case; 5] = [
 
 fn check(gpu: &Gpu, (window, inputs, outputs, [height, width]): Case, rows: u32, slack: usize) {
     let mut random = Random::new((inputs * outputs + width) as u64);
-    let mut features = || Features::new([inputs, height, width], |_, _, _| f64::from(random.unit() as f32) - 0.3);
+    let mut features =
+        || Features::new([inputs, height, width], |_, _, _| f64::from(random.unit() as f32) - 0.3);
     let pictures = [features(), features()];
     let mut numbers = |count: usize| (0..count).map(|_| random.unit() as f32 - 0.5).collect::<Vec<f32>>();
     let weights = numbers(outputs * inputs * window.size * window.size);
@@ -85,8 +86,9 @@ fn check(gpu: &Gpu, (window, inputs, outputs, [height, width]): Case, rows: u32,
         let texels = gpu.read::<[f32; 4]>(&output_buffer, output.texels());
         for (picture, expected) in expected.iter().enumerate() {
             let actual = unpack(&output, &texels, picture, first..end);
-            let wanted: Vec<f64> =
-                (0..outputs).flat_map(|c| (first..end).flat_map(move |y| expected.row(c, y).to_vec())).collect();
+            let wanted: Vec<f64> = (0..outputs)
+                .flat_map(|c| (first..end).flat_map(move |y| expected.row(c, y).to_vec()))
+                .collect();
             elementwise("feature", &actual, &wanted, 2e-5, 2e-5)
                 .unwrap_or_else(|e| panic!("{window:?}, {rows} rows, picture {picture}: {e}"));
         }

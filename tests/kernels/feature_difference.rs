@@ -28,7 +28,8 @@ fn feature_difference_equals_its_twin() {
             let wide: Vec<f64> = head.iter().map(|&x| f64::from(x)).collect();
             let expected = feature_difference(&pictures[0], &pictures[1], &wide);
             let shape = MapShape { channels, height, width, slots: height, margin: 1 };
-            let (features, heads) = (gpu.buffer("features", &pack(&shape, &pictures)), gpu.buffer("heads", &head));
+            let (features, heads) =
+                (gpu.buffer("features", &pack(&shape, &pictures)), gpu.buffer("heads", &head));
             let first = height / 2;
             let count = width * (height - first);
             let differences = gpu.untouched::<f32>("differences", count + 4);
@@ -42,7 +43,9 @@ fn feature_difference_equals_its_twin() {
                 rows: (height - first) as u32,
             };
             let bind = Bind { features: &features, heads: &heads, differences: &differences };
-            gpu.run(|r| r.dispatch(&kernel, &bind, &push, count.div_ceil(spec.workgroup_size as usize) as u64));
+            gpu.run(|r| {
+                r.dispatch(&kernel, &bind, &push, count.div_ceil(spec.workgroup_size as usize) as u64)
+            });
             let actual = gpu.read::<f32>(&differences, count + 4);
             assert!(actual[count..].iter().all(|value| value.to_bits() == UNTOUCHED));
             let actual: Vec<f64> = actual[..count].iter().map(|&x| f64::from(x)).collect();

@@ -58,7 +58,9 @@ pub fn convolve(input: &Features, weights: &[f64], biases: &[f64], window: Windo
     let (height, width) = (window.count(input.height), window.count(input.width));
     let mut output = Features::new([biases.len(), height, width], |o, _, _| biases[o]);
     for o in 0..biases.len() {
-        for (y, row) in output.values[o * height * width..(o + 1) * height * width].chunks_mut(width).enumerate() {
+        for (y, row) in
+            output.values[o * height * width..(o + 1) * height * width].chunks_mut(width).enumerate()
+        {
             for (i, ky) in (0..input.channels).flat_map(|i| (0..size).map(move |ky| (i, ky))) {
                 let from = y * stride + ky;
                 if from < padding || from - padding >= input.height {

@@ -112,7 +112,12 @@ fn wide(values: &[f32]) -> Vec<f64> {
 }
 
 /// The parts of LPIPS, one for each tap, of two pictures of values as the network is to see them: [0, 1] or [-1, 1].
-pub fn lpips(steps: &[Step], weights: &Weights, pictures: [&[[f64; 3]]; 2], [width, height]: [usize; 2]) -> Vec<f64> {
+pub fn lpips(
+    steps: &[Step],
+    weights: &Weights,
+    pictures: [&[[f64; 3]]; 2],
+    [width, height]: [usize; 2],
+) -> Vec<f64> {
     let (shift, scale) = ([-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]);
     let mut features = pictures.map(|picture| {
         Features::new([3, height, width], |c, y, x| (picture[y * width + x][c] - shift[c]) / scale[c])

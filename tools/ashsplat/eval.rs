@@ -383,7 +383,10 @@ fn json_of(view: &ViewResult, measures: &[&str]) -> Value {
     value.insert("name".into(), json!(view.name));
     value.insert("PSNR".into(), json!(view.psnr));
     value.insert("SSIM".into(), json!(view.ssim));
-    measures.iter().zip(&view.lpips).for_each(|(name, lpips)| drop(value.insert((*name).into(), json!(lpips))));
+    measures
+        .iter()
+        .zip(&view.lpips)
+        .for_each(|(name, lpips)| drop(value.insert((*name).into(), json!(lpips))));
     view.frame_ms.map(|time| value.insert("frame_ms".into(), json!(time)));
     Value::Object(value)
 }

@@ -46,7 +46,8 @@ pub struct Perceptual {
 impl Perceptual {
     /// None without weights.
     pub fn new(context: &Context, weights: &[Weights]) -> Result<Option<Perceptual>> {
-        let networks = weights.iter().map(|weights| Lpips::new(context, weights)).collect::<Result<Vec<_>>>()?;
+        let networks =
+            weights.iter().map(|weights| Lpips::new(context, weights)).collect::<Result<Vec<_>>>()?;
         Ok((!networks.is_empty()).then_some(Perceptual { networks }))
     }
 
@@ -61,7 +62,11 @@ impl Perceptual {
         let mut color = std::borrow::Cow::Borrowed(&frame.color);
         if let Some(mask) = view.photo.mask()? {
             let hide = |picture: &mut Vec<[f32; 3]>| {
-                picture.iter_mut().zip(mask.iter()).filter(|(_, counts)| **counts == 0).for_each(|(p, _)| *p = [0.0; 3]);
+                picture
+                    .iter_mut()
+                    .zip(mask.iter())
+                    .filter(|(_, counts)| **counts == 0)
+                    .for_each(|(p, _)| *p = [0.0; 3]);
             };
             hide(&mut photo);
             hide(color.to_mut());

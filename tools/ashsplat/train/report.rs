@@ -119,8 +119,9 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
 fn measure_some(run: &mut Run) -> Result<(Vec<View>, Evaluation)> {
     let views: Vec<View> = views::spread(&run.test.iter().collect::<Vec<_>>()).into_iter().cloned().collect();
     let settings = render::settings_of(&run.settings);
-    let evaluation =
-        eval::evaluate(views.iter().map(Ok), More::default(), |camera| run.trainer.render(camera, &settings))?;
+    let evaluation = eval::evaluate(views.iter().map(Ok), More::default(), |camera| {
+        run.trainer.render(camera, &settings)
+    })?;
     Ok((views, evaluation))
 }
 
@@ -176,7 +177,9 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> S
     if let Some(bytes) = evaluation.scene.and_then(|scene| scene.bytes) {
         cards.push((format!("{:.2} MB", bytes as f64 * 1e-6), "file of the scene".into()));
     }
-    cards.extend(evaluation.frame_ms().map(|time| (format!("{time:.2} ms"), "frame, median of the views".into())));
+    cards.extend(
+        evaluation.frame_ms().map(|time| (format!("{time:.2} ms"), "frame, median of the views".into())),
+    );
     let mut out = String::from("<div class=\"cards\">");
     for (value, label) in cards {
         let _ = write!(out, "<div class=\"card\"><b>{value}</b><span>{label}</span></div>");

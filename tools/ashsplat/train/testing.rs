@@ -30,7 +30,8 @@ pub(super) struct FinalLpips {
 impl FinalLpips {
     /// Reads the weights.
     pub fn read(arguments: &LpipsArguments, host: &HostArguments) -> Result<FinalLpips> {
-        let file = |path: &std::path::PathBuf| format!(" --lpips-weights {}", quoted(&path.to_string_lossy()));
+        let file =
+            |path: &std::path::PathBuf| format!(" --lpips-weights {}", quoted(&path.to_string_lossy()));
         let typed = arguments.files().iter().map(file).collect();
         Ok(FinalLpips { weights: arguments.read(host)?, typed })
     }
@@ -92,7 +93,11 @@ impl Run {
         let mut pictures = self.held_out.then(|| Pictures::new(folder));
         let settings = render::settings_of(&self.settings);
         let trainer = &mut self.trainer;
-        let more = More { pictures: pictures.as_mut(), lpips, frame_times: iteration == self.settings.train.iterations };
+        let more = More {
+            pictures: pictures.as_mut(),
+            lpips,
+            frame_times: iteration == self.settings.train.iterations,
+        };
         let draw = |camera: &Camera| trainer.render(camera, &settings);
         let mut evaluation = eval::evaluate(self.test.iter().map(Ok), more, draw)?;
         let file = std::fs::metadata(point_cloud_path(&self.settings.data.model_path, iteration)).ok();

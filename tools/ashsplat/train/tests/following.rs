@@ -25,7 +25,8 @@ fn the_same_few_views_are_followed() {
         let psnr = if followed { 30.0 } else { 10.0 };
         ViewResult { name: view.name.clone(), psnr, ssim: 1.0, ..Default::default() }
     };
-    let evaluation = eval::Evaluation { views: all.iter().enumerate().map(result).collect(), ..Default::default() };
+    let evaluation =
+        eval::Evaluation { views: all.iter().enumerate().map(result).collect(), ..Default::default() };
     assert_eq!(tracking.among(&evaluation), Some(30.0));
 }
 
