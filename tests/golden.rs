@@ -8,6 +8,7 @@ mod exposure;
 mod gpu;
 mod gpu_training;
 mod importance;
+mod lpips;
 mod mcmc;
 mod rendering;
 mod sets;
@@ -43,6 +44,7 @@ enum Kind {
     GrowthSchedule,
     Exposure,
     Depth,
+    Lpips,
     Other,
 }
 
@@ -66,6 +68,7 @@ impl Kind {
             () if has("edge_raw") => Kind::EdgeImportance,
             () if has("opacity_factor") => Kind::LongAxisSplit,
             () if has("budget_iteration") => Kind::GrowthSchedule,
+            () if has("alex_layers") && has("vgg_layers") => Kind::Lpips,
             () if has("logits") && has("out") => Kind::ResetOpacity,
             () => Kind::Other,
         }

@@ -5,7 +5,7 @@ use libtest_mimic::Trial;
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
 use super::{
-    Kind, SetFile, absgrad, antialias, budget, depth, exposure, importance, mcmc, training, trial,
+    Kind, SetFile, absgrad, antialias, budget, depth, exposure, importance, lpips, mcmc, training, trial,
 };
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
@@ -74,6 +74,7 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
                 trial(format!("golden_host_depth_{name}"), move || depth::of_host(&host.path)),
             ]
         }
+        Kind::Lpips => vec![trial(format!("golden_twin_{name}"), move || lpips::of_twin(&file.path))],
         Kind::Other => vec![],
     }
 }

@@ -106,6 +106,21 @@ impl TrainOverrides {
     }
 }
 
+impl TrainOverrides {
+    /// Whether a setting was given, by its name.
+    pub fn has(&self, name: &str) -> bool {
+        self.0.contains_key(name)
+    }
+
+    /// The settings of a training with a strategy and a seed; checked.
+    pub fn settings(&self, strategy: &str, seed: u32) -> Result<TrainSettings> {
+        let mut train = self.clone();
+        train.0.insert("strategy".into(), strategy.into());
+        train.0.insert("seed".into(), i64::from(seed).into());
+        Ok(Settings::resolve(None, &Overrides { train, ..Overrides::default() })?.train)
+    }
+}
+
 impl Args for TrainOverrides {
     fn augment_args(command: Command) -> Command {
         command.args(TrainSettings::OPTIONS.iter().map(Self::argument))
