@@ -24,7 +24,6 @@ pub struct Backward {
     blend: [[Option<Blend>; 4]; 3],
     /// By the 3D filter and the absolute statistic, by SH degree.
     project: [[Option<Kernel<project_backward::Interface>>; 4]; 4],
-    project: [[Option<Kernel<project_backward::Interface>>; 4]; 2],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
 }
 

@@ -16,7 +16,8 @@ use crate::reference::types::View;
 const EXTENT: f32 = 5.0;
 const VIEWS: usize = 10;
 /// View, and the known gains of its channels. Their mean is 1, as that of all exposures stays.
-const CHANGED: [(usize, [f32; 3]); 3] = [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
+const CHANGED: [(usize, [f32; 3]); 3] =
+    [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
 
 fn cameras() -> Vec<Camera> {
     let turned = |i: usize| View {
@@ -112,7 +113,9 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
             worst = worst.max((exposures[view].rows[k][k] / gains[k] - 1.0).abs());
         }
     }
-    println!("unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4}");
+    println!(
+        "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4}"
+    );
     assert!(worst < 0.02, "a gain is off by {worst}");
     assert!(learnt > unchanged - 0.3 && ignored < unchanged - 3.0, "{learnt}, {ignored}: {unchanged}");
     let mut mean = [[0.0_f64; 4]; 3];
@@ -130,8 +133,9 @@ fn exposures_resume_to_the_bit() {
     let gpu = Gpu::new();
     for optimizer_type in [OptimizerType::Default, OptimizerType::SparseAdam] {
         let settings = TrainSettings { exposure: true, optimizer_type, ..small_settings() };
-        let new =
-            || Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, settings.clone()).expect("a trainer");
+        let new = || {
+            Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, settings.clone()).expect("a trainer")
+        };
         let mut whole = new();
         (0..40).for_each(|_| drop(whole.step().expect("a step")));
         let end = whole.checkpoint().expect("the end");

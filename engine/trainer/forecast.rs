@@ -74,8 +74,7 @@ impl Kit {
         all.extend(strategy.loss_terms(context, settings)?);
         let parameter_gradients = StepRecorder::targets_of(&all).parameters;
         let rows = RowMemory::new(strategy.statistics(), parameter_gradients);
-        let recorder =
-            StepRecorder::new(context, all, (settings, strategy.records().sums), rows.absolute())?;
+        let recorder = StepRecorder::new(context, all, (settings, strategy.records().sums), rows.absolute())?;
         Ok(Self { strategy, recorder, rows })
     }
 

@@ -145,8 +145,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         (true, exposed),
         (true, budget.clone()),
         (false, budget),
-    ]
-    {
+    ] {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }

@@ -18,7 +18,8 @@ pub(super) type Observed = (u32, Vec<([f64; 2], Option<u64>)>);
 /// As [`Model::read`].
 pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
     let (images, points) = (model.file("images"), model.points_file());
-    let observed = if model.source.text { text::observations(&images)? } else { binary::observations(&images)? };
+    let observed =
+        if model.source.text { text::observations(&images)? } else { binary::observations(&images)? };
     let positions = match &points {
         None => HashMap::new(),
         Some(file) if file.extension().is_some_and(|ending| ending == "txt") => text::positions(file)?,

@@ -6,7 +6,6 @@ use crate::args::HostArguments;
 use crate::eval::{self, Evaluation, LpipsArguments, More, Perceptual, Pictures, Protocol, SceneSize};
 use crate::model::point_cloud_path;
 use crate::progress::thousands;
-use crate::render;
 use ashsplat::lpips::Weights;
 use ashsplat::scene::Camera;
 use ashsplat::{Error, Result};
@@ -100,7 +99,7 @@ impl Run {
     ) -> Result<(Evaluation, Result<()>)> {
         let folder = self.settings.data.model_path.join("test").join(format!("ours_{iteration}"));
         let mut pictures = self.held_out.then(|| Pictures::new(folder));
-        let settings = render::settings_of(&self.settings);
+        let settings = self.trainer.render_settings();
         let protocol = self.protocol()?;
         let trainer = &mut self.trainer;
         let more = More {
