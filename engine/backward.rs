@@ -6,7 +6,7 @@
 //! the same bits.
 
 use crate::error::Result;
-use crate::forward::{FrameInputs, block_of, range_arguments, record_passes};
+use crate::forward::{FrameInputs, RenderSettings, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
 };
@@ -20,11 +20,37 @@ const LANE_INSTANCES: u32 = 64;
 pub struct Backward {
     context: Context,
     sizes: LaunchSizes,
-    /// By [`Sums`], without and with inverse depth.
-    blend: [[Option<Blend>; 2]; 3],
-    /// Without and with the absolute statistic, by SH degree.
-    project: [[Option<Kernel<project_backward::Interface>>; 4]; 2],
+    /// By [`Sums`] and variant.
+    blend: [[Option<Blend>; 4]; 3],
+    /// By the 3D filter and the absolute statistic, by SH degree.
+    project: [[Option<Kernel<project_backward::Interface>>; 4]; 4],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
+}
+
+/// What the backward pass of a frame needs besides gradients of the colours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BackwardVariant {
+    /// Gradients of the inverse depth.
+    pub inverse_depth: bool,
+    /// As [`BlendVariant::steep`](crate::forward::BlendVariant::steep).
+    pub steep: bool,
+    /// Gaussians have a 3D filter.
+    pub filter_3d: bool,
+}
+
+impl BackwardVariant {
+    /// That of a frame.
+    pub fn of(settings: &RenderSettings) -> Self {
+        Self {
+            inverse_depth: settings.inverse_depth,
+            steep: settings.is_steep(),
+            filter_3d: settings.filter_3d,
+        }
+    }
+
+    fn index(self, sizes: &LaunchSizes) -> usize {
+        usize::from(self.inverse_depth) | usize::from(self.steep && sizes.incremental_exp) << 1
+    }
 }
 
 /// The kernel of the backward blending: one subgroup per region of a tile, or one per tile.
@@ -103,6 +129,11 @@ macro_rules! blend_backward_arguments {
     }};
 }
 
+/// Place of a kernel in [`Backward::project`].
+fn project_index(filter_3d: bool, absolute: bool) -> usize {
+    usize::from(filter_3d) | usize::from(absolute) << 1
+}
+
 impl Backward {
     /// Prepares for a device. [`Backward::prepare`] builds the kernels.
     pub fn new(context: &Context) -> Self {
@@ -115,40 +146,44 @@ impl Backward {
         }
     }
 
-    /// Builds the variants for an SH degree, and with or without inverse depth, unless they exist.
+    /// Builds the kernels for an SH degree and a variant, unless they exist.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
-        self.prepare_blend(Sums::Gradients, inverse_depth)?;
-        self.prepare_project(sh_degree, false)
+    pub fn prepare(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
+        self.prepare_blend(Sums::Gradients, variant)?;
+        self.prepare_project(sh_degree, variant, false)
     }
 
     /// As [`Backward::prepare`], for [`Statistics::absolute`].
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn prepare_absolute(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
-        self.prepare_blend(Sums::Absolute, inverse_depth)?;
-        self.prepare_project(sh_degree, true)
+    pub fn prepare_absolute(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
+        self.prepare_blend(Sums::Absolute, variant)?;
+        self.prepare_project(sh_degree, variant, true)
     }
 
-    /// Builds the kernel of [`Backward::record_weights`] unless it exists.
+    /// Builds the kernels of [`Backward::record_weights`], for any dilation, unless they exist.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_weights(&mut self) -> Result<()> {
-        self.prepare_blend(Sums::Weights, false)
+        [false, true].into_iter().try_for_each(|steep| {
+            self.prepare_blend(Sums::Weights, BackwardVariant { steep, ..BackwardVariant::default() })
+        })
     }
 
-    fn prepare_blend(&mut self, sums: Sums, inverse_depth: bool) -> Result<()> {
+    fn prepare_blend(&mut self, sums: Sums, variant: BackwardVariant) -> Result<()> {
         let subgroup_size = self.context.limits().subgroup_size;
-        let built = &mut self.blend[sums as usize][usize::from(inverse_depth)];
+        let BackwardVariant { inverse_depth, steep, .. } = variant;
+        let built = &mut self.blend[sums as usize][variant.index(&self.sizes)];
         let (absolute, weights) = (sums == Sums::Absolute, sums == Sums::Weights);
         if built.is_none() {
             let LaunchSizes {
                 tile, incremental_exp, blend_backward_subgroup_per_tile: alone, strips, ..
             } = self.sizes;
+            let incremental_exp = incremental_exp && !steep;
             *built = Some(if alone {
                 let workgroup_size = subgroup_size;
                 let spec = blend_backward_subgroup_per_tile::Spec {
@@ -179,9 +214,10 @@ impl Backward {
         Ok(())
     }
 
-    fn prepare_project(&mut self, sh_degree: u32, absolute: bool) -> Result<()> {
+    fn prepare_project(&mut self, sh_degree: u32, variant: BackwardVariant, absolute: bool) -> Result<()> {
         let subgroup_size = self.context.limits().subgroup_size;
-        let built = &mut self.project[usize::from(absolute)][sh_degree as usize];
+        let filter_3d = variant.filter_3d;
+        let built = &mut self.project[project_index(filter_3d, absolute)][sh_degree as usize];
         if built.is_none() {
             let spec = project_backward::Spec {
                 // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
@@ -190,6 +226,7 @@ impl Backward {
                 subgroup_size,
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
+                filter_3d,
                 absolute,
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
@@ -243,8 +280,9 @@ impl Backward {
     }
 
     fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer, sums: Sums) {
-        let Some(kernel) = &self.blend[sums as usize][usize::from(inputs.settings.inverse_depth)] else {
-            panic!("Backward: the kernels of {sums:?} were not prepared");
+        let variant = BackwardVariant::of(inputs.settings);
+        let Some(kernel) = &self.blend[sums as usize][variant.index(&self.sizes)] else {
+            panic!("Backward: the kernels of {sums:?} for {variant:?} were not prepared");
         };
         record_passes(r, inputs, &self.sizes, |r, pass, tiles| match kernel {
             Blend::Regions(kernel) => {
@@ -267,8 +305,8 @@ impl Backward {
 
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics) {
         let f = inputs.frame;
-        let absolute = statistics.absolute.is_some();
-        let Some(kernel) = &self.project[usize::from(absolute)][inputs.sh_degree as usize] else {
+        let place = project_index(inputs.settings.filter_3d, statistics.absolute.is_some());
+        let Some(kernel) = &self.project[place][inputs.sh_degree as usize] else {
             panic!("Backward::prepare was not called for SH degree {}", inputs.sh_degree);
         };
         for range in inputs.scene.plan.ranges(inputs.scene.count) {
@@ -278,7 +316,7 @@ impl Backward {
             let push = project_backward::Push {
                 first: range.first,
                 chunk_gaussians: inputs.scene.plan.chunk_gaussians,
-                antialias: inputs.settings.antialias.into(),
+                antialias: inputs.settings.antialias_bits(),
                 splat_stride: f.splats().stride,
                 gradient_stride: inputs.capacity.gaussians,
                 accumulate: statistics.accumulate.into(),

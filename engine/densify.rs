@@ -349,7 +349,7 @@ impl Densify {
                     moments_1: &moments.first[range.chunk],
                     moments_2: &moments.second[range.chunk],
                 };
-                let push = reset_opacity::Push { count: range.count, max_logit };
+                let push = reset_opacity::Push { count: range.count, max_opacity: most as f32, max_logit };
                 r.dispatch(
                     &self.reset,
                     &bind,

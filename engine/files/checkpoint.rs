@@ -6,7 +6,7 @@ use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::trainer::checkpoint::{
-    Checkpoint, GradientSums, Room, StrategyState, StrategyStatistic, Tensor,
+    Checkpoint, ExposureState, GradientSums, Room, StrategyState, StrategyStatistic, Tensor,
 };
 use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
@@ -189,6 +189,10 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         first_moments: gaussians(&tensors, Checkpoint::SETS[1])?,
         second_moments: gaussians(&tensors, Checkpoint::SETS[2])?,
         statistics: values(&tensors, "statistics", &[2])?,
+        filters: match tensors.tensor(Checkpoint::FILTERS) {
+            Ok(_) => values(&tensors, Checkpoint::FILTERS, &[])?,
+            Err(_) => Vec::new(),
+        },
         strategy: StrategyState {
             name: metadata.optional(STRATEGY_NAME)?.unwrap_or_default(),
             terms: metadata.terms(),
@@ -200,6 +204,11 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             Some(views) => {
                 Some(GradientSums { views, sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)? })
             }
+        },
+        exposures: ExposureState {
+            values: exposures(&tensors, Checkpoint::SETS[0])?,
+            first_moments: exposures(&tensors, Checkpoint::SETS[1])?,
+            second_moments: exposures(&tensors, Checkpoint::SETS[2])?,
         },
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
         room: Room {
@@ -295,6 +304,15 @@ fn strategy_statistics(
         all.push(StrategyStatistic { name: own.to_owned(), floats, values });
     }
     Ok(all)
+}
+
+/// None where they are not learned, and in older files.
+fn exposures(tensors: &SafeTensors, prefix: &str) -> Result<Vec<[[f32; 4]; 3]>, String> {
+    let name = format!("{prefix}{}", Checkpoint::EXPOSURES);
+    match tensors.tensor(&name) {
+        Ok(_) => values(tensors, &name, &[3, 4]),
+        Err(_) => Ok(Vec::new()),
+    }
 }
 
 fn gaussians(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {

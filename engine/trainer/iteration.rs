@@ -5,6 +5,7 @@ use super::random::{self, ViewOrder};
 use super::run::Run;
 use super::settings::OptimizerType;
 use super::work::{Actions, Work};
+use crate::exposure::ExposureStep;
 use crate::forward::RenderSettings;
 use crate::optimizer::{Rates, Step};
 
@@ -48,6 +49,9 @@ pub(super) struct IterationPlan {
     pub sh_degree: u32,
     pub settings: RenderSettings,
     pub step: Step,
+    /// Whether the sizes of the 3D filter are computed anew after the step.
+    pub computes_filters: bool,
+    pub exposure: ExposureStep,
 }
 
 impl IterationPlan {
@@ -90,6 +94,8 @@ impl Schedule {
                 ..run.render_settings()
             },
             step: optimizer_step(run, iteration, progress, &work),
+            computes_filters: s.computes_filters_at(iteration),
+            exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1 },
         }
     }
 }

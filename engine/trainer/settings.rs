@@ -140,6 +140,20 @@ options! {
         recovery: bool = false, Bounds::None;
         /// Add up the gradients of several views before a step in the last third of the run (budget: true)
         multi_step: bool = false, Bounds::None;
+        /// Learn the exposure of each photo: a 3x4 matrix that changes the rendered colours before they are compared
+        exposure: bool = false, Bounds::None;
+        /// Learning rate of the exposures at the start
+        exposure_lr_init: f64 = 0.01, Bounds::Positive;
+        /// Learning rate of the exposures at the end
+        exposure_lr_final: f64 = 0.001, Bounds::Positive;
+        /// Iterations over which the exposures' learning rate rises from exposure_lr_delay_mult of it to all of it
+        exposure_lr_delay_steps: u32 = 0, Bounds::None;
+        /// Share of the exposures' learning rate at the start of that rise
+        exposure_lr_delay_mult: f64 = 0.0, Bounds::Share;
+        /// Weight of the inverse-depth maps in the loss at the start, for views that have one
+        depth_l1_weight_init: f64 = 1.0, Bounds::Positive;
+        /// Weight of the inverse-depth maps in the loss at the end
+        depth_l1_weight_final: f64 = 0.01, Bounds::Positive;
         /// Gaussians of a smaller opacity are pruned at a densification
         min_opacity: f64 = 0.005, Bounds::Share;
         /// White background instead of black
@@ -148,6 +162,12 @@ options! {
         random_background: bool = false, Bounds::None;
         /// Compensate the opacity for the screen-space dilation (Mip-Splatting's 2D filter)
         antialiasing: bool = false, Bounds::None;
+        /// Take that compensation as a constant in gradients
+        antialiasing_detached: bool = false, Bounds::None;
+        /// Low-pass filter of the projection: variance that it adds, square pixels (Mip-Splatting: 0.1)
+        kernel_size: f64 = 0.3, Bounds::Positive;
+        /// Widen Gaussians to what the nearest camera resolves (Mip-Splatting's 3D filter)
+        filter_3d: bool = false, Bounds::None;
         /// Adam on all Gaussians, or on those seen only
         optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
         /// Seed of everything random: order of the views, split positions, random backgrounds
@@ -161,6 +181,12 @@ const INITIAL_OPACITY: f64 = 0.1;
 const SCHEDULE_ITERATIONS: u32 = 30_000;
 /// The SH coefficients above degree 0 learn at this share of `feature_lr`.
 const FEATURE_REST_SHARE: f64 = 1.0 / 20.0;
+
+/// From the first value at iteration 0 to the second one after `steps`, log-linear; constant after that.
+fn log_linear([first, last]: [f64; 2], iteration: u32, steps: u32) -> f64 {
+    let progress = (f64::from(iteration) / f64::from(steps)).min(1.0);
+    (first.ln() * (1.0 - progress) + last.ln() * progress).exp()
+}
 
 impl TrainSettings {
     /// The defaults with a strategy. Those of 3DGS-MCMC differ in rates, initial values, regularisers and the end
@@ -257,9 +283,30 @@ impl TrainSettings {
     /// ([scaled](Self::scaled)), constant after that.
     pub fn position_lr(&self, iteration: u32) -> f64 {
         let end = self.scaled(self.position_lr_max_steps).max(1);
-        let progress = (f64::from(iteration) / f64::from(end)).min(1.0);
         let first = self.position_lr_init * self.rate_factors()[0];
-        (first.ln() * (1.0 - progress) + self.position_lr_final.ln() * progress).exp()
+        log_linear([first, self.position_lr_final], iteration, end)
+    }
+
+    /// Weight of the inverse-depth maps at an iteration: log-linear from `depth_l1_weight_init` at 0 to
+    /// `depth_l1_weight_final` at the last iteration.
+    pub fn depth_l1_weight(&self, iteration: u32) -> f64 {
+        log_linear([self.depth_l1_weight_init, self.depth_l1_weight_final], iteration, self.iterations)
+    }
+
+    /// Learning rate of the exposures at an iteration: log-linear from `exposure_lr_init` at 0 to
+    /// `exposure_lr_final` at the last iteration, less during the first `exposure_lr_delay_steps` (the
+    /// reference's `get_expon_lr_func`).
+    pub fn exposure_lr(&self, iteration: u32) -> f64 {
+        let rate = log_linear([self.exposure_lr_init, self.exposure_lr_final], iteration, self.iterations);
+        let delay = match self.exposure_lr_delay_steps {
+            0 => 1.0,
+            steps => {
+                let risen = (f64::from(iteration) / f64::from(steps)).min(1.0);
+                let from = self.exposure_lr_delay_mult;
+                from + (1.0 - from) * (risen * std::f64::consts::FRAC_PI_2).sin()
+            }
+        };
+        delay * rate
     }
 
     /// Factors of the learning rates of the means at the start, and of all other parameters: with `scale_rates` a
@@ -303,6 +350,17 @@ impl TrainSettings {
         iteration > self.opacity_reset_interval
     }
 
+    /// Whether the sizes of the 3D filter are computed anew after an iteration's step (1-based), besides at the start and
+    /// after each densification: every hundred iterations once densification has ended, but not in the last hundred
+    /// (Mip-Splatting's train.py).
+    pub fn computes_filters_at(&self, iteration: u32) -> bool {
+        const INTERVAL: u32 = 100;
+        self.filter_3d
+            && iteration > self.densify_until_iter
+            && iteration.is_multiple_of(INTERVAL)
+            && iteration < self.iterations.saturating_sub(INTERVAL)
+    }
+
     /// Whether an iteration (1-based) ends with an opacity reset. Over white, the reference also resets once
     /// at `densify_from_iter`.
     pub fn resets_opacity_at(&self, iteration: u32) -> bool {
@@ -326,6 +384,20 @@ mod tests {
     }
 
     #[test]
+    fn exposure_lr_is_log_linear_behind_its_delay() {
+        let settings = TrainSettings { iterations: 100, ..Default::default() };
+        for (iteration, rate) in [(0, 0.01), (50, 0.01 / 10f64.sqrt()), (100, 0.001), (200, 0.001)] {
+            assert!((settings.exposure_lr(iteration) / rate - 1.0).abs() < 1e-12, "{iteration}");
+        }
+        let late =
+            TrainSettings { exposure_lr_delay_steps: 10, exposure_lr_delay_mult: 0.2, ..settings.clone() };
+        assert!((late.exposure_lr(0) - 0.002).abs() < 1e-15);
+        let share = 0.2 + 0.8 * 0.5f64.sqrt();
+        assert!((late.exposure_lr(5) - share * settings.exposure_lr(5)).abs() < 1e-15);
+        assert_eq!(late.exposure_lr(10), settings.exposure_lr(10));
+    }
+
+    #[test]
     fn schedule_of_the_reference() {
         let settings = TrainSettings::default();
         let densified: Vec<u32> = (1..=30_000).filter(|&i| settings.densifies_at(i)).collect();
@@ -334,6 +406,14 @@ mod tests {
         assert_eq!(resets, [3000, 6000, 9000, 12_000]);
         assert_eq!([1, 999, 1000, 2999, 3000, 30_000].map(|i| settings.sh_degree_at(i)), [0, 0, 1, 2, 3, 3]);
         assert!(!settings.prunes_large_at(3000) && settings.prunes_large_at(3100));
+    }
+
+    #[test]
+    fn schedule_of_the_3d_filter() {
+        let settings = TrainSettings { filter_3d: true, ..Default::default() };
+        let computed: Vec<u32> = (1..=30_000).filter(|&i| settings.computes_filters_at(i)).collect();
+        assert_eq!((computed.first(), computed.last(), computed.len()), (Some(&15_100), Some(&29_800), 148));
+        assert!((1..=30_000).all(|i| !TrainSettings::default().computes_filters_at(i)));
     }
 
     #[test]
