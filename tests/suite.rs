@@ -1,5 +1,6 @@
 //! The test suite: one binary, one Vulkan context.
 
+mod absgrad;
 mod address_space;
 mod architecture;
 mod backends;

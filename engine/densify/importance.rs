@@ -121,8 +121,11 @@ impl Importance {
             let push = edge_response::Push { image_width, image_height, masked: photo.masked.into() };
             r.dispatch(&self.response, &bind, &push, groups);
             r.barrier();
-            let bind =
-                edge_gradient::Bind { responses: &buffers.responses, ranges: &buffers.ranges, image_gradient };
+            let bind = edge_gradient::Bind {
+                responses: &buffers.responses,
+                ranges: &buffers.ranges,
+                image_gradient,
+            };
             r.dispatch(&self.gradient, &bind, &edge_gradient::Push { image_width, image_height }, groups);
         });
     }
@@ -162,12 +165,7 @@ impl Importance {
                 ranges: &buffers.ranges,
                 importance,
             };
-            r.dispatch(
-                &self.add,
-                &bind,
-                &add_importance::Push { count, share },
-                self.groups(count.into()),
-            );
+            r.dispatch(&self.add, &bind, &add_importance::Push { count, share }, self.groups(count.into()));
         });
     }
 

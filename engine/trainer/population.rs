@@ -108,9 +108,9 @@ impl Population<'_> {
         let requests = ImportanceBuffers::requests(count, each.max().unwrap_or(0));
         let own = [("importance", u64::from(count) * 4)];
         let place = [("photo", self.photos.place_bytes())];
-        let allocate =
-            |requests: &[_]| or_none(context.allocate("importance", requests, MemoryKind::Device));
-        let (Some(own), Some(place), Some(buffers)) = (allocate(&own)?, allocate(&place)?, allocate(&requests)?)
+        let allocate = |requests: &[_]| or_none(context.allocate("importance", requests, MemoryKind::Device));
+        let (Some(own), Some(place), Some(buffers)) =
+            (allocate(&own)?, allocate(&place)?, allocate(&requests)?)
         else {
             return Ok(None);
         };
@@ -126,10 +126,18 @@ impl Population<'_> {
         for &view in views {
             let camera = &self.run.cameras[view];
             let texels = &self.photos.between_steps(context, view, place)?;
-            let photo =
-                EdgePhoto { texels, size: (camera.width, camera.height), masked: self.photos.is_masked(view) };
-            let request =
-                Request { scene: &self.model.scene, camera, settings: &settings, sh_degree: 0, backward: true };
+            let photo = EdgePhoto {
+                texels,
+                size: (camera.width, camera.height),
+                masked: self.photos.is_masked(view),
+            };
+            let request = Request {
+                scene: &self.model.scene,
+                camera,
+                settings: &settings,
+                sh_degree: 0,
+                backward: true,
+            };
             let ran = self.runner.run(&request, |r, inputs| {
                 let gradient = &inputs.frame.image_gradient;
                 r.barrier();

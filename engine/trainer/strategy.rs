@@ -4,9 +4,7 @@
 //! what it adds to the parameters and to the loss, and what of it belongs into memory and checkpoint.
 //! [`Reference`](super::Reference) is that of Kerbl et al. 2023.
 
-pub use super::work::{
-    ABSOLUTE_STATISTIC, Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work,
-};
+pub use super::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work};
 
 use super::population::Population;
 use super::settings::TrainSettings;

@@ -95,7 +95,8 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
             absolute.extend(splats.iter().flat_map(|d| d.absolute_px));
             let norm = |px| mean2d_statistic(view, px);
             let visible = frame.tiles_touched.iter().map(|&tiles| tiles > 0);
-            let norms = splats.iter().zip(visible).map(|(d, seen)| (norm(d.mean2d_px), norm(d.absolute_px), seen));
+            let norms =
+                splats.iter().zip(visible).map(|(d, seen)| (norm(d.mean2d_px), norm(d.absolute_px), seen));
             all.push(norms.collect());
         }
         let skip = vec![false; set.len() * views.len()];
@@ -150,7 +151,8 @@ pub fn of_device(path: &Path) -> Result<(), String> {
         let part = SINGLE.gradient.relative_l2;
         check(&npz, &set, extent, &all, part)?;
         let sums = gpu.read::<[f32; 2]>(&sums, set.len());
-        let absolute: Vec<f64> = gpu.read::<f32>(&absolute_sums, set.len()).into_iter().map(f64::from).collect();
+        let absolute: Vec<f64> =
+            gpu.read::<f32>(&absolute_sums, set.len()).into_iter().map(f64::from).collect();
         let signed: Vec<f64> = sums.iter().map(|sum| sum[0].into()).collect();
         relative("sums of signed norms", &signed, npz.values(&field(extent, "acc_signed")), part)?;
         relative("sums of absolute norms", &absolute, npz.values(&field(extent, "acc_abs")), part)?;

@@ -53,7 +53,8 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
             let raw = responses(&grays, view.size_px.map(|n| n as usize));
             equal("edge_raw", &wide(&raw), of("edge_raw"))?;
             elementwise("edge", &edges(&raw), of("edge"), 1e-6, 0.0)?;
-            let d = of("edge_used").iter().map(|&e| PixelGradient { color: [e, 0.0, 0.0], inverse_depth: 0.0 });
+            let d =
+                of("edge_used").iter().map(|&e| PixelGradient { color: [e, 0.0, 0.0], inverse_depth: 0.0 });
             let gradient = backward(&set, view, &render(&set, view), &d.collect::<Vec<_>>());
             let weights: Vec<f64> = gradient.splats.iter().map(|splat| splat.color[0]).collect();
             relative("weights", &weights, by_view(&npz, &field(extent, "weights"), &views)[i], TWIN)?;
@@ -64,8 +65,7 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
     let candidates = npz.flags("candidate");
     let keys = npz.values("importance").iter().zip(npz.values("u")).zip(&candidates);
     let keys: Vec<_> = keys.map(|((&chance, &u), &may)| key(if may { chance } else { 0.0 }, u)).collect();
-    let selected: Vec<f64> =
-        mark(&keys, npz.scalar("count") as usize).into_iter().map(f64::from).collect();
+    let selected: Vec<f64> = mark(&keys, npz.scalar("count") as usize).into_iter().map(f64::from).collect();
     equal("selected", &selected, npz.values("selected"))
 }
 
@@ -142,8 +142,10 @@ fn selection_of_device(gpu: &Gpu, npz: &Npz) -> Result<(), String> {
     let count = npz.values("u").len();
     let buffers = gpu.context.allocate("test", &selection.requests(count as u32), MemoryKind::Device);
     let buffers = SelectionBuffers::from_allocated(buffers.expect("memory"));
-    let statistics: Vec<[f32; 2]> = single("candidate").into_iter().map(|candidate| [candidate, 1.0]).collect();
-    let (statistics, importance) = (gpu.buffer("statistics", &statistics), gpu.buffer("c", &single("importance")));
+    let statistics: Vec<[f32; 2]> =
+        single("candidate").into_iter().map(|candidate| [candidate, 1.0]).collect();
+    let (statistics, importance) =
+        (gpu.buffer("statistics", &statistics), gpu.buffer("c", &single("importance")));
     let uniforms = gpu.buffer("uniforms", &single("u"));
     let draw = SelectionDraw {
         count: count as u32,

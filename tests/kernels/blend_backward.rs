@@ -134,7 +134,8 @@ pub fn of_nothing(kernel: Kernel) {
 /// The variants with other sums: the absolute gradients beside the usual sums, which keep their bits, and the weights alone.
 pub fn with_other_sums(kernel: Kernel) {
     let gpu = Gpu::new();
-    for (entries, size, entries_per_pass) in [(1, [17, 5], u32::MAX), (33, [37, 21], 64), (300, [37, 21], 96)] {
+    for (entries, size, entries_per_pass) in [(1, [17, 5], u32::MAX), (33, [37, 21], 64), (300, [37, 21], 96)]
+    {
         let lists = Lists::long(&gpu, entries, [0.02, 0.9], &small_view(size));
         let d_pixels = image_gradient(&lists);
         let expected = expected(&lists, &d_pixels);
@@ -155,7 +156,8 @@ pub fn with_other_sums(kernel: Kernel) {
             gradient("absolute", &of_instances, &twin, &skip, TOLERANCE).expect("absolute gradients");
             let how = How { inverse_depth: false, sums: OtherSums::Weights, ..how };
             let sums = kernel(&gpu, &lists, &blended, Some(&edges), how);
-            let of_instances: Vec<f64> = lists.instances.iter().map(|&at| sums.sums[at as usize][8]).collect();
+            let of_instances: Vec<f64> =
+                lists.instances.iter().map(|&at| sums.sums[at as usize][8]).collect();
             let twin: Vec<f64> = weights.iter().map(|d| d.color[0]).collect();
             gradient("weights", &of_instances, &twin, &skip, TOLERANCE).expect("weights");
         }

@@ -94,7 +94,8 @@ fn draw_keys_equals_its_twin() {
         };
         let mut rows: Vec<Row> = (0..size).map(|_| row()).collect();
         // All magnitudes, above all near 1, where the largest keys are.
-        let edges = [1e-37, 1e-7, 0.25, 0.5, f32::from_bits(0x3EFF_FFFF), 0.75, 0.999, f32::from_bits(0x3F7F_FFFF)];
+        let edges =
+            [1e-37, 1e-7, 0.25, 0.5, f32::from_bits(0x3EFF_FFFF), 0.75, 0.999, f32::from_bits(0x3F7F_FFFF)];
         for (i, row) in rows.iter_mut().enumerate() {
             row.uniform = edges.get(i).copied().unwrap_or_else(|| (1e-6 + 0.999_99 * random.unit()) as f32);
         }

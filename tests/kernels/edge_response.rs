@@ -13,7 +13,12 @@ fn photos(pixels: usize) -> Vec<Vec<[u8; 4]>> {
     let mut any = || [0; 3].map(|_| (random.unit() * 256.0) as u8);
     let colors: Vec<[u8; 3]> = (0..pixels).map(|_| any()).collect();
     let with_mask = |mask: fn(usize) -> u8, of: &dyn Fn(usize) -> [u8; 3]| {
-        (0..pixels).map(|i| { let [r, g, b] = of(i); [r, g, b, mask(i)] }).collect::<Vec<_>>()
+        (0..pixels)
+            .map(|i| {
+                let [r, g, b] = of(i);
+                [r, g, b, mask(i)]
+            })
+            .collect::<Vec<_>>()
     };
     // 299 r + 587 g + 114 b = 500 modulo 1000.
     let halves: Vec<[u8; 3]> = (0..=255_u8)

@@ -10,8 +10,7 @@ use crate::reference::sum_weights::sum_weights;
 
 /// Weights and ranges that the kernel leaves, for the instances of the visible Gaussians among `size`.
 fn run(gpu: &Gpu, visible: &[(u32, Vec<f32>)], size: usize, overflow: bool) -> (Vec<f32>, Vec<u32>) {
-    let spec =
-        Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), ..Spec::default() };
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), ..Spec::default() };
     let kernel = gpu.kernel::<Interface>(&spec);
     let mut index = vec![NOT_VISIBLE; size];
     let (mut footprints, mut begins, mut flat) = (vec![], vec![], vec![]);
