@@ -8,8 +8,9 @@
 use crate::error::Result;
 use crate::forward::{FrameInputs, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
-    blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
+    blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_adam, project_backward,
 };
+use crate::optimizer::{self, Moments, Step};
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -24,6 +25,7 @@ pub struct Backward {
     blend: [[Option<Blend>; 2]; 3],
     /// Without and with the absolute statistic, by SH degree.
     project: [[Option<Kernel<project_backward::Interface>>; 4]; 2],
+    project_adam: [Option<Kernel<project_adam::Interface>>; 4],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
 }
 
@@ -111,6 +113,7 @@ impl Backward {
             sizes: LaunchSizes::new(context.limits()),
             blend: Default::default(),
             project: Default::default(),
+            project_adam: Default::default(),
             expand: Default::default(),
         }
     }
@@ -131,6 +134,25 @@ impl Backward {
     pub fn prepare_absolute(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
         self.prepare_blend(Sums::Absolute, inverse_depth)?;
         self.prepare_project(sh_degree, true)
+    }
+
+    /// As [`Backward::prepare`], for [`Backward::record_with_step`].
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_with_step(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
+        self.prepare_blend(Sums::Gradients, inverse_depth)?;
+        let built = &mut self.project_adam[sh_degree as usize];
+        if built.is_none() {
+            let spec = project_adam::Spec {
+                workgroup_size: self.sizes.elementwise_workgroup,
+                subgroup_size: self.context.limits().subgroup_size,
+                sh_degree,
+                lane_instances: LANE_INSTANCES,
+            };
+            *built = Some(Kernel::new(&self.context, &spec)?);
+        }
+        Ok(())
     }
 
     /// Builds the kernel of [`Backward::record_weights`] unless it exists.
@@ -232,6 +254,88 @@ impl Backward {
         });
         r.barrier();
         r.scope("project backward", |r| self.record_project(r, inputs, statistics));
+    }
+
+    /// As [`Backward::record`], with Adam's step on the visible Gaussians in place of `frame.gradients`: the same
+    /// bits as [`Optimizer::record`](crate::optimizer::Optimizer::record) gives, on a device that contracts no
+    /// products in one kernel only. The others are left to
+    /// [`Optimizer::record_unseen`](crate::optimizer::Optimizer::record_unseen). Without absolute statistics.
+    pub fn record_with_step(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        image_gradient: &Buffer,
+        statistics: Statistics,
+        (moments, step): (&Moments, &Step),
+    ) {
+        r.scope("blend backward", |r| self.record_blend(r, inputs, image_gradient, Sums::Gradients));
+        r.barrier();
+        r.scope("project backward and adam", |r| {
+            self.record_project_adam(r, inputs, statistics, (moments, step));
+        });
+    }
+
+    fn record_project_adam(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        statistics: Statistics,
+        (moments, step): (&Moments, &Step),
+    ) {
+        let f = inputs.frame;
+        let Some(kernel) = &self.project_adam[inputs.sh_degree as usize] else {
+            panic!("Backward::prepare_with_step was not called for SH degree {}", inputs.sh_degree);
+        };
+        for range in inputs.scene.plan.ranges(inputs.scene.count) {
+            if range.chunk > 0 {
+                r.barrier();
+            }
+            let adam = optimizer::push(inputs, step, range.first, range.count);
+            let push = project_adam::Push {
+                first: range.first,
+                chunk_gaussians: inputs.scene.plan.chunk_gaussians,
+                antialias: inputs.settings.antialias.into(),
+                splat_stride: f.splats().stride,
+                gradient_stride: inputs.capacity.gaussians,
+                accumulate: statistics.accumulate.into(),
+                push_camera_position: adam.camera_position,
+                beta_1: adam.beta_1,
+                beta_2: adam.beta_2,
+                one_minus_beta_1: adam.one_minus_beta_1,
+                one_minus_beta_2: adam.one_minus_beta_2,
+                epsilon: adam.epsilon,
+                rate_mean: adam.rate_mean,
+                rate_opacity: adam.rate_opacity,
+                rate_quat: adam.rate_quat,
+                rate_log_scale: adam.rate_log_scale,
+                rate_sh_dc: adam.rate_sh_dc,
+                rate_sh_rest: adam.rate_sh_rest,
+                inverse_bias_2: adam.inverse_bias_2,
+                inverse_bias_2_opacity: adam.inverse_bias_2_opacity,
+            };
+            let parameters = &inputs.scene.chunks[range.chunk];
+            let (moments_1, moments_2) = (&moments.first[range.chunk], &moments.second[range.chunk]);
+            let bind = project_adam::Bind {
+                parameters,
+                state: &f.state,
+                visible_ranges: &f.visible_ranges,
+                visible_list: &f.visible_list,
+                footprints: f.splats().footprints,
+                first_instances: &f.first_instances,
+                conic_opacity: f.splats().conic_opacity,
+                instance_gradients_a: &f.instance_gradients_a,
+                instance_gradients_b: &f.instance_gradients_b,
+                instance_gradients_c: &f.instance_gradients_c,
+                statistics: statistics.buffer,
+                new_parameters: parameters,
+                moments_1,
+                moments_2,
+                old_moments_1: moments_1,
+                old_moments_2: moments_2,
+                camera_block: &block_of(f, 0),
+            };
+            r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));
+        }
     }
 
     /// Records the weights of the Gaussians in the frame that was recorded into the same buffers: per instance

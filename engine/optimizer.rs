@@ -57,6 +57,8 @@ pub struct Optimizer {
     sparse: bool,
     parameter_gradients: bool,
     adam: [Option<Kernel<adam::Interface>>; 4],
+    /// Of Gaussians outside the view alone.
+    unseen: [Option<Kernel<adam::Interface>>; 4],
 }
 
 impl Optimizer {
@@ -64,7 +66,8 @@ impl Optimizer {
     pub fn new(context: &Context, sparse: bool) -> Self {
         let sizes = LaunchSizes::new(context.limits());
         let context = context.clone();
-        Self { context, sizes, sparse, parameter_gradients: false, adam: Default::default() }
+        let (adam, unseen) = Default::default();
+        Self { context, sizes, sparse, parameter_gradients: false, adam, unseen }
     }
 
     /// As [`Optimizer::new`], for a loss with terms that depend on the parameters directly: their gradient is
@@ -78,17 +81,31 @@ impl Optimizer {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
+        let spec = self.spec(sh_degree, false);
         let slot = &mut self.adam[sh_degree as usize];
         if slot.is_none() {
-            let spec = adam::Spec {
-                workgroup_size: self.sizes.elementwise_workgroup,
-                sh_degree,
-                sparse: self.sparse,
-                parameter_gradients: self.parameter_gradients,
-            };
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         Ok(())
+    }
+
+    /// Builds the variant of [`Optimizer::record_unseen`] for an SH degree unless it exists.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_unseen(&mut self, sh_degree: u32) -> Result<()> {
+        let spec = self.spec(sh_degree, true);
+        let slot = &mut self.unseen[sh_degree as usize];
+        if slot.is_none() && !self.sparse {
+            *slot = Some(Kernel::new(&self.context, &spec)?);
+        }
+        Ok(())
+    }
+
+    fn spec(&self, sh_degree: u32, unseen: bool) -> adam::Spec {
+        let Self { sparse, parameter_gradients, .. } = *self;
+        let workgroup_size = self.sizes.elementwise_workgroup;
+        adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, unseen }
     }
 
     /// Records one step from `frame.gradients`, and from `parameter_gradients`
@@ -105,6 +122,31 @@ impl Optimizer {
         let Some(kernel) = &self.adam[inputs.sh_degree as usize] else {
             panic!("Optimizer::prepare was not called for SH degree {}", inputs.sh_degree);
         };
+        self.record_with(kernel, r, inputs, moments, parameter_gradients, step);
+    }
+
+    /// Records the part of a step that [`Backward::record_with_step`](crate::backward::Backward::record_with_step)
+    /// leaves: Gaussians outside the view, which move with a gradient of 0. None with sparse Adam. The caller
+    /// places barriers before and after.
+    pub fn record_unseen(&self, r: &mut Recorder, inputs: &FrameInputs, moments: &Moments, step: &Step) {
+        if self.sparse {
+            return;
+        }
+        let Some(kernel) = &self.unseen[inputs.sh_degree as usize] else {
+            panic!("Optimizer::prepare_unseen was not called for SH degree {}", inputs.sh_degree);
+        };
+        self.record_with(kernel, r, inputs, moments, &[], step);
+    }
+
+    fn record_with(
+        &self,
+        kernel: &Kernel<adam::Interface>,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        moments: &Moments,
+        parameter_gradients: &[Buffer],
+        step: &Step,
+    ) {
         let scene: &SceneBuffers = inputs.scene;
         r.scope("adam", |r| {
             for range in scene.plan.ranges(scene.count) {
@@ -124,9 +166,9 @@ impl Optimizer {
                     old_moments_1: moments_1,
                     old_moments_2: moments_2,
                     // Without such terms nothing is read from it.
-                    parameter_gradients: match self.parameter_gradients {
-                        true => &parameter_gradients[range.chunk],
-                        false => &inputs.frame.gradients,
+                    parameter_gradients: match parameter_gradients.get(range.chunk) {
+                        Some(gradients) if self.parameter_gradients => gradients,
+                        _ => &inputs.frame.gradients,
                     },
                 };
                 let push = push(inputs, step, range.first, range.count);
@@ -141,7 +183,7 @@ impl Optimizer {
     }
 }
 
-fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push {
+pub(crate) fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push {
     let correction = |beta: f64, steps: u64| match steps {
         0 => 1.0,
         steps => 1.0 - beta.powf(steps as f64),

@@ -7,6 +7,7 @@ use ashsplat::trainer::strategy::{ABSOLUTE_STATISTIC, Changes, Statistic, Work};
 use ashsplat::trainer::{Actions, Checkpoint, Densified, Population, Strategy, TrainParts, Trainer};
 use ashsplat::vk::{Context, ContextOptions, MemoryKind};
 use ashsplat::{Result, TrainSettings, TrainView};
+use std::sync::{Arc, Mutex};
 
 use crate::checkpoints::{start, views};
 use crate::common::gpu::Gpu;
@@ -169,42 +170,65 @@ fn importance_draws_the_same_gaussians_in_a_resumed_run_and_from_photographs_in_
     assert!(streamed.fingerprint() == whole.fingerprint());
 }
 
-/// All of it is counted: a run keeps within its bound, or says that it cannot.
+/// Asks for the importance after each iteration, and notes whether there was memory for it.
+struct Asking {
+    kernels: Importance,
+    views: Vec<usize>,
+    answers: Arc<Mutex<Vec<bool>>>,
+}
+
+impl Asking {
+    fn trainer(context: &Context, views_asked: &[usize]) -> (Trainer, Arc<Mutex<Vec<bool>>>) {
+        let answers = Arc::default();
+        let kernels = Importance::new(context).expect("kernels");
+        let strategy = Asking { kernels, views: views_asked.to_vec(), answers: Arc::clone(&answers) };
+        let parts = TrainParts { strategy: Box::new(strategy), terms: Vec::new() };
+        let trainer = Trainer::with_parts(context, views(3, 9), &start(), EXTENT, settings(), parts);
+        (trainer.expect("a trainer"), answers)
+    }
+}
+
+impl Strategy for Asking {
+    fn name(&self) -> &'static str {
+        "asking"
+    }
+
+    fn work(&self, _: &TrainSettings, _: u32) -> Work {
+        Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions: Actions::DENSIFY }
+    }
+
+    fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {
+        let there = population.importance(&self.kernels, &self.views)?.is_some();
+        self.answers.lock().expect("one thread").push(there);
+        Ok(Changes::default())
+    }
+}
+
+/// All of it is counted: without memory for it there is no importance, and the training goes on.
 #[test]
 fn importance_keeps_within_a_bounded_memory() {
     let of = |max_memory: Option<u64>| {
         let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
-        let end = run(&context, || views(3, 9), (true, 6), &[]);
-        (end.gaussians.len(), context.memory_total().peak_bytes)
+        let (mut trainer, answers) = Asking::trainer(&context, &[0, 1, 2]);
+        trainer.step().expect("a step");
+        let before = trainer.memory_bytes();
+        trainer.step().expect("a step");
+        let there = answers.lock().expect("one thread")[0];
+        (before, context.memory_total().peak_bytes, there, trainer.checkpoint().expect("a state").gaussians)
     };
-    let (all, peak) = of(None);
-    // Without room for the importance nothing is removed.
-    let (some, used) = of(Some(peak - 1));
-    assert!(used < peak && some >= all, "{used} of {peak} bytes, {some} and {all} Gaussians");
+    let (before, peak, there, free) = of(None);
+    assert!(there && peak > before);
+    for (bound, expected) in [(before + 64, false), (peak, true)] {
+        let (_, used, there, bounded) = of(Some(bound));
+        assert!(there == expected && used <= bound && bounded == free, "{bound}: {there}, {used} bytes");
+    }
 }
 
 #[test]
 fn importance_of_views_that_do_not_exist_is_refused() {
-    struct Asking(Importance, Vec<usize>);
-    impl Strategy for Asking {
-        fn name(&self) -> &'static str {
-            "asking"
-        }
-
-        fn work(&self, _: &TrainSettings, _: u32) -> Work {
-            Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions: Actions::DENSIFY }
-        }
-
-        fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {
-            population.importance(&self.0, &self.1).map(|_| Changes::default())
-        }
-    }
     let gpu = Gpu::new();
     for (views_asked, word) in [(vec![0, 3], "[0, 3]"), (vec![], "[]")] {
-        let strategy = Box::new(Asking(Importance::new(gpu.context).expect("kernels"), views_asked));
-        let parts = TrainParts { strategy, terms: Vec::new() };
-        let mut trainer = Trainer::with_parts(gpu.context, views(3, 9), &start(), EXTENT, settings(), parts)
-            .expect("a trainer");
+        let (mut trainer, _) = Asking::trainer(gpu.context, &views_asked);
         trainer.step().expect("a step");
         let message = trainer.step().expect_err("refused").to_string();
         assert!(message.contains(word) && message.contains("views"), "{message}");

@@ -15,6 +15,7 @@ mod determinism;
 mod extremes;
 mod faults;
 mod first_frames;
+mod fused;
 mod gradients;
 mod hard_cases;
 mod host;

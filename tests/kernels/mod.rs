@@ -31,6 +31,7 @@ mod multiply_add;
 mod photo_to_rows;
 mod picture_to_rows;
 mod project;
+mod project_adam;
 mod project_backward;
 mod ranges;
 mod regularize;
