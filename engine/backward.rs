@@ -5,12 +5,13 @@
 //! sums, and project_backward adds a Gaussian's instances in order. The same inputs on the same device give
 //! the same bits.
 
+mod step;
+
 use crate::error::Result;
-use crate::forward::{FrameInputs, block_of, range_arguments, record_passes};
+use crate::forward::{FrameInputs, RenderSettings, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_adam, project_backward,
 };
-use crate::optimizer::{self, Moments, Step};
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -21,12 +22,39 @@ const LANE_INSTANCES: u32 = 64;
 pub struct Backward {
     context: Context,
     sizes: LaunchSizes,
-    /// By [`Sums`], without and with inverse depth.
-    blend: [[Option<Blend>; 2]; 3],
-    /// Without and with the absolute statistic, by SH degree.
-    project: [[Option<Kernel<project_backward::Interface>>; 4]; 2],
-    project_adam: [Option<Kernel<project_adam::Interface>>; 4],
+    /// By [`Sums`] and variant.
+    blend: [[Option<Blend>; 4]; 3],
+    /// By the 3D filter and the absolute statistic, by SH degree.
+    project: [[Option<Kernel<project_backward::Interface>>; 4]; 4],
+    /// By the 3D filter, by SH degree.
+    project_adam: [[Option<Kernel<project_adam::Interface>>; 4]; 2],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
+}
+
+/// What the backward pass of a frame needs besides gradients of the colours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BackwardVariant {
+    /// Gradients of the inverse depth.
+    pub inverse_depth: bool,
+    /// As [`BlendVariant::steep`](crate::forward::BlendVariant::steep).
+    pub steep: bool,
+    /// Gaussians have a 3D filter.
+    pub filter_3d: bool,
+}
+
+impl BackwardVariant {
+    /// That of a frame.
+    pub fn of(settings: &RenderSettings) -> Self {
+        Self {
+            inverse_depth: settings.inverse_depth,
+            steep: settings.is_steep(),
+            filter_3d: settings.filter_3d,
+        }
+    }
+
+    fn index(self, sizes: &LaunchSizes) -> usize {
+        usize::from(self.inverse_depth) | usize::from(self.steep && sizes.incremental_exp) << 1
+    }
 }
 
 /// The kernel of the backward blending: one subgroup per region of a tile, or one per tile.
@@ -105,6 +133,11 @@ macro_rules! blend_backward_arguments {
     }};
 }
 
+/// Place of a kernel in [`Backward::project`].
+fn project_index(filter_3d: bool, absolute: bool) -> usize {
+    usize::from(filter_3d) | usize::from(absolute) << 1
+}
+
 impl Backward {
     /// Prepares for a device. [`Backward::prepare`] builds the kernels.
     pub fn new(context: &Context) -> Self {
@@ -118,59 +151,44 @@ impl Backward {
         }
     }
 
-    /// Builds the variants for an SH degree, and with or without inverse depth, unless they exist.
+    /// Builds the kernels for an SH degree and a variant, unless they exist.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
-        self.prepare_blend(Sums::Gradients, inverse_depth)?;
-        self.prepare_project(sh_degree, false)
+    pub fn prepare(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
+        self.prepare_blend(Sums::Gradients, variant)?;
+        self.prepare_project(sh_degree, variant, false)
     }
 
     /// As [`Backward::prepare`], for [`Statistics::absolute`].
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn prepare_absolute(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
-        self.prepare_blend(Sums::Absolute, inverse_depth)?;
-        self.prepare_project(sh_degree, true)
+    pub fn prepare_absolute(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
+        self.prepare_blend(Sums::Absolute, variant)?;
+        self.prepare_project(sh_degree, variant, true)
     }
 
-    /// As [`Backward::prepare`], for [`Backward::record_with_step`].
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
-    pub fn prepare_with_step(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
-        self.prepare_blend(Sums::Gradients, inverse_depth)?;
-        let built = &mut self.project_adam[sh_degree as usize];
-        if built.is_none() {
-            let spec = project_adam::Spec {
-                workgroup_size: self.sizes.elementwise_workgroup,
-                subgroup_size: self.context.limits().subgroup_size,
-                sh_degree,
-                lane_instances: LANE_INSTANCES,
-            };
-            *built = Some(Kernel::new(&self.context, &spec)?);
-        }
-        Ok(())
-    }
-
-    /// Builds the kernel of [`Backward::record_weights`] unless it exists.
+    /// Builds the kernels of [`Backward::record_weights`], for any dilation, unless they exist.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_weights(&mut self) -> Result<()> {
-        self.prepare_blend(Sums::Weights, false)
+        [false, true].into_iter().try_for_each(|steep| {
+            self.prepare_blend(Sums::Weights, BackwardVariant { steep, ..BackwardVariant::default() })
+        })
     }
 
-    fn prepare_blend(&mut self, sums: Sums, inverse_depth: bool) -> Result<()> {
+    fn prepare_blend(&mut self, sums: Sums, variant: BackwardVariant) -> Result<()> {
         let subgroup_size = self.context.limits().subgroup_size;
-        let built = &mut self.blend[sums as usize][usize::from(inverse_depth)];
+        let BackwardVariant { inverse_depth, steep, .. } = variant;
+        let built = &mut self.blend[sums as usize][variant.index(&self.sizes)];
         let (absolute, weights) = (sums == Sums::Absolute, sums == Sums::Weights);
         if built.is_none() {
             let LaunchSizes {
                 tile, incremental_exp, blend_backward_subgroup_per_tile: alone, strips, ..
             } = self.sizes;
+            let incremental_exp = incremental_exp && !steep;
             *built = Some(if alone {
                 let workgroup_size = subgroup_size;
                 let spec = blend_backward_subgroup_per_tile::Spec {
@@ -201,9 +219,10 @@ impl Backward {
         Ok(())
     }
 
-    fn prepare_project(&mut self, sh_degree: u32, absolute: bool) -> Result<()> {
+    fn prepare_project(&mut self, sh_degree: u32, variant: BackwardVariant, absolute: bool) -> Result<()> {
         let subgroup_size = self.context.limits().subgroup_size;
-        let built = &mut self.project[usize::from(absolute)][sh_degree as usize];
+        let filter_3d = variant.filter_3d;
+        let built = &mut self.project[project_index(filter_3d, absolute)][sh_degree as usize];
         if built.is_none() {
             let spec = project_backward::Spec {
                 // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
@@ -212,6 +231,7 @@ impl Backward {
                 subgroup_size,
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
+                filter_3d,
                 absolute,
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
@@ -256,88 +276,6 @@ impl Backward {
         r.scope("project backward", |r| self.record_project(r, inputs, statistics));
     }
 
-    /// As [`Backward::record`], with Adam's step on the visible Gaussians in place of `frame.gradients`: the same
-    /// bits as [`Optimizer::record`](crate::optimizer::Optimizer::record) gives, on a device that contracts no
-    /// products in one kernel only. The others are left to
-    /// [`Optimizer::record_unseen`](crate::optimizer::Optimizer::record_unseen). Without absolute statistics.
-    pub fn record_with_step(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs,
-        image_gradient: &Buffer,
-        statistics: Statistics,
-        (moments, step): (&Moments, &Step),
-    ) {
-        r.scope("blend backward", |r| self.record_blend(r, inputs, image_gradient, Sums::Gradients));
-        r.barrier();
-        r.scope("project backward and adam", |r| {
-            self.record_project_adam(r, inputs, statistics, (moments, step));
-        });
-    }
-
-    fn record_project_adam(
-        &self,
-        r: &mut Recorder,
-        inputs: &FrameInputs,
-        statistics: Statistics,
-        (moments, step): (&Moments, &Step),
-    ) {
-        let f = inputs.frame;
-        let Some(kernel) = &self.project_adam[inputs.sh_degree as usize] else {
-            panic!("Backward::prepare_with_step was not called for SH degree {}", inputs.sh_degree);
-        };
-        for range in inputs.scene.plan.ranges(inputs.scene.count) {
-            if range.chunk > 0 {
-                r.barrier();
-            }
-            let adam = optimizer::push(inputs, step, range.first, range.count);
-            let push = project_adam::Push {
-                first: range.first,
-                chunk_gaussians: inputs.scene.plan.chunk_gaussians,
-                antialias: inputs.settings.antialias.into(),
-                splat_stride: f.splats().stride,
-                gradient_stride: inputs.capacity.gaussians,
-                accumulate: statistics.accumulate.into(),
-                push_camera_position: adam.camera_position,
-                beta_1: adam.beta_1,
-                beta_2: adam.beta_2,
-                one_minus_beta_1: adam.one_minus_beta_1,
-                one_minus_beta_2: adam.one_minus_beta_2,
-                epsilon: adam.epsilon,
-                rate_mean: adam.rate_mean,
-                rate_opacity: adam.rate_opacity,
-                rate_quat: adam.rate_quat,
-                rate_log_scale: adam.rate_log_scale,
-                rate_sh_dc: adam.rate_sh_dc,
-                rate_sh_rest: adam.rate_sh_rest,
-                inverse_bias_2: adam.inverse_bias_2,
-                inverse_bias_2_opacity: adam.inverse_bias_2_opacity,
-            };
-            let parameters = &inputs.scene.chunks[range.chunk];
-            let (moments_1, moments_2) = (&moments.first[range.chunk], &moments.second[range.chunk]);
-            let bind = project_adam::Bind {
-                parameters,
-                state: &f.state,
-                visible_ranges: &f.visible_ranges,
-                visible_list: &f.visible_list,
-                footprints: f.splats().footprints,
-                first_instances: &f.first_instances,
-                conic_opacity: f.splats().conic_opacity,
-                instance_gradients_a: &f.instance_gradients_a,
-                instance_gradients_b: &f.instance_gradients_b,
-                instance_gradients_c: &f.instance_gradients_c,
-                statistics: statistics.buffer,
-                new_parameters: parameters,
-                moments_1,
-                moments_2,
-                old_moments_1: moments_1,
-                old_moments_2: moments_2,
-                camera_block: &block_of(f, 0),
-            };
-            r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));
-        }
-    }
-
     /// Records the weights of the Gaussians in the frame that was recorded into the same buffers: per instance
     /// before the tile sort, the sum over the tile's pixels of e α T, with `image_gradient` = (e, …) per pixel in
     /// the native layout. It is the first word of each entry of `frame.instance_gradients_c`. The frame must be
@@ -347,8 +285,9 @@ impl Backward {
     }
 
     fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer, sums: Sums) {
-        let Some(kernel) = &self.blend[sums as usize][usize::from(inputs.settings.inverse_depth)] else {
-            panic!("Backward: the kernels of {sums:?} were not prepared");
+        let variant = BackwardVariant::of(inputs.settings);
+        let Some(kernel) = &self.blend[sums as usize][variant.index(&self.sizes)] else {
+            panic!("Backward: the kernels of {sums:?} for {variant:?} were not prepared");
         };
         record_passes(r, inputs, &self.sizes, |r, pass, tiles| match kernel {
             Blend::Regions(kernel) => {
@@ -371,8 +310,8 @@ impl Backward {
 
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics) {
         let f = inputs.frame;
-        let absolute = statistics.absolute.is_some();
-        let Some(kernel) = &self.project[usize::from(absolute)][inputs.sh_degree as usize] else {
+        let place = project_index(inputs.settings.filter_3d, statistics.absolute.is_some());
+        let Some(kernel) = &self.project[place][inputs.sh_degree as usize] else {
             panic!("Backward::prepare was not called for SH degree {}", inputs.sh_degree);
         };
         for range in inputs.scene.plan.ranges(inputs.scene.count) {
@@ -382,7 +321,7 @@ impl Backward {
             let push = project_backward::Push {
                 first: range.first,
                 chunk_gaussians: inputs.scene.plan.chunk_gaussians,
-                antialias: inputs.settings.antialias.into(),
+                antialias: inputs.settings.antialias_bits(),
                 splat_stride: f.splats().stride,
                 gradient_stride: inputs.capacity.gaussians,
                 accumulate: statistics.accumulate.into(),

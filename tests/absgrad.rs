@@ -47,7 +47,13 @@ impl Strategy for Watching {
 
     fn work(&self, _: &TrainSettings, iteration: u32) -> Work {
         let actions = Actions::DENSIFY.when(iteration.is_multiple_of(self.every));
-        Work { accumulates: iteration % 7 != 3, optimizes: true, optimizes_opacity: true, actions }
+        Work {
+            accumulates: iteration % 7 != 3,
+            optimizes: true,
+            optimizes_opacity: true,
+            sums_gradients: false,
+            actions,
+        }
     }
 
     fn statistics(&self) -> Vec<Statistic> {
@@ -194,7 +200,13 @@ impl Strategy for Asking {
     }
 
     fn work(&self, _: &TrainSettings, _: u32) -> Work {
-        Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions: Actions::DENSIFY }
+        Work {
+            accumulates: false,
+            optimizes: true,
+            optimizes_opacity: true,
+            sums_gradients: false,
+            actions: Actions::DENSIFY,
+        }
     }
 
     fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {

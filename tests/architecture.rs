@@ -108,7 +108,7 @@ fn architecture_unsafe_only_under_vk() {
 
 // ---- dependencies between modules ---------------------------------------------------------------------------------
 
-const STAGES: [&str; 11] = [
+const STAGES: [&str; 13] = [
     "scan",
     "sort",
     "arithmetic",
@@ -118,6 +118,8 @@ const STAGES: [&str; 11] = [
     "backward",
     "compose",
     "loss",
+    "exposure",
+    "lpips",
     "optimizer",
     "densify",
 ];

@@ -84,7 +84,8 @@ impl RowMemory {
 pub(super) struct Model {
     pub scene: SceneBuffers,
     pub moments: Moments,
-    /// A fourth set of planes, the target of densification's gather.
+    /// A fourth set of planes, the target of densification's gather. Between two changes of the set it has the
+    /// sums of gradients ([`super::work::Work::sums_gradients`]).
     pub spare: Vec<Buffer>,
     /// Per Gaussian: see [`super::strategy::StepInputs::statistics`].
     pub statistics: Vec<Buffer>,

@@ -27,6 +27,8 @@ pub struct Population<'a> {
     pub(super) photos: &'a Photos,
     pub(super) most_instances: &'a mut u32,
     pub(super) iteration: u32,
+    /// See [`super::iteration::Progress::summed`].
+    pub(super) summed: &'a mut u32,
 }
 
 /// New planes for a set that exceeds its capacity; nothing for a set that fits.
@@ -269,6 +271,8 @@ impl Population<'_> {
             statistics: statistics.clone(),
             parameter_gradients: parameter_gradients.clone(),
         };
+        // The sums are in the planes that are the spare set no longer, in the order of the old set.
+        *self.summed = 0;
         *self.most_instances = budget::remembered_instances(*self.most_instances, before, rows);
         Ok(())
     }

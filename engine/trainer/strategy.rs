@@ -22,6 +22,8 @@ pub struct Hooks {
     /// Whether [`Strategy::record_update`] is called, after steps of the optimiser. The gradients of the step are
     /// then not there on every device ([`Tuning::fused_adam`](crate::tuning::Tuning::fused_adam)).
     pub update: bool,
+    /// Whether [`Work::sums_gradients`] may be set. The sums take no memory of their own, but kernels.
+    pub sums: bool,
 }
 
 /// A step on the device, for what a strategy records into it.

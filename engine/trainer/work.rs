@@ -55,6 +55,9 @@ pub struct Work {
     pub accumulates: bool,
     /// Whether the optimiser makes a step.
     pub optimizes: bool,
+    /// Whether the gradients of this iteration add to those since the last step, and a step of this iteration
+    /// takes the sum. A change of the set of Gaussians drops the sum. See [`Hooks::sums`](super::strategy::Hooks::sums).
+    pub sums_gradients: bool,
     /// Whether that step moves the opacities.
     pub optimizes_opacity: bool,
     /// Work before the next iteration.

@@ -83,7 +83,7 @@ pub fn is_yardstick(kernel: &str) -> bool {
 
 /// Constants that the host uses to count workgroups and to choose kernels. It sets them itself (from
 /// [`Limits::overridden`]), so that shader and host cannot differ.
-pub(super) const CHOSEN_BY_HOST: [&str; 9] = [
+pub(super) const CHOSEN_BY_HOST: [&str; 12] = [
     "WORKGROUP_SIZE",
     "SUBGROUP_SIZE",
     "ITEMS",
@@ -92,6 +92,9 @@ pub(super) const CHOSEN_BY_HOST: [&str; 9] = [
     "REGIONS_PER_SUBGROUP",
     "BLOCK",
     "FOR_BACKWARD",
+    "SIZE",
+    "STRIDE",
+    "ROWS",
     "UNSEEN",
 ];
 

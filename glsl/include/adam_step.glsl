@@ -1,6 +1,6 @@
 // One step of Adam on all parameters of a Gaussian: see adam.comp.
 //
-// Needs planes.glsl, sh_gradient.glsl, SH_DEGREE; buffers moments_1, moments_2, old_moments_1, old_moments_2, and the names of the
+// Needs planes.glsl, sh_gradient.glsl, SH_DEGREE; SH_GRADIENT(plane, its index); buffers moments_1, moments_2, old_moments_1, old_moments_2, and the names of the
 // parameters' buffers, OLD_PARAMETERS to read and NEW_PARAMETERS to write; push constants: chunk_gaussians, constants and rates.
 
 void update(uint at, vec4 g, vec4 rate, vec4 inverse_bias) {
@@ -26,6 +26,7 @@ void update_all(uint index, vec4 d_mean_opacity, vec4 d_quat, vec4 d_log_scale, 
     update(plane_at(PLANE_LOG_SCALE, index, chunk_gaussians), d_log_scale, vec4(vec3(rate_log_scale), 0.0), bias);
     [[unroll]] for (uint plane = 0; plane < SH_PLANES; ++plane) {
         vec4 rate = plane == 0 ? vec4(vec3(rate_sh_dc), rate_sh_rest) : vec4(rate_sh_rest);
-        update(plane_at(PLANE_SH + plane, index, chunk_gaussians), sh_plane_gradient(plane, basis, d_color), rate, bias);
+        uint at = plane_at(PLANE_SH + plane, index, chunk_gaussians);
+        update(at, SH_GRADIENT(plane, at), rate, bias);
     }
 }

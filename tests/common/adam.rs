@@ -41,7 +41,8 @@ pub struct Step {
 
 fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool, parameter_gradients: bool) -> Kernel<adam::Interface> {
     let workgroup_size = gpu.workgroup(64);
-    gpu.kernel(&adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, unseen: false })
+    let (sums, unseen) = (false, false);
+    gpu.kernel(&adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen })
 }
 
 /// Parameters and moments on the device.
@@ -92,7 +93,8 @@ impl<'a> AdamState<'a> {
     pub fn of_unseen(self, sh_degree: u32) -> AdamState<'a> {
         let workgroup_size = self.gpu.workgroup(64);
         let (sparse, parameter_gradients) = (false, false);
-        let spec = adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, unseen: true };
+        let (sums, unseen) = (false, true);
+        let spec = adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen };
         AdamState { kernel: self.gpu.kernel(&spec), ..self }
     }
 

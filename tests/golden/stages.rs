@@ -1,37 +1,21 @@
 //! Frames with backward by the engine's stages, without a renderer: for what it does not hand out.
 
-use ashsplat::backward::Backward;
+use ashsplat::backward::{Backward, BackwardVariant};
 use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers};
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, frame_requests};
 use ashsplat::vk::{MemoryKind, Recorder};
 use ashsplat::{RenderSettings, planes};
 
+use super::sets;
 use crate::common::engine::{camera, gaussians, settings};
 use crate::common::gpu::Gpu;
-use crate::common::npz::{Npz, rows};
-use crate::reference::types::{Drawn, Extent, Gaussian, View};
+use crate::common::npz::Npz;
+use crate::reference::types::{Extent, Gaussian, View};
 
 /// The cameras of an archive with a row per view.
 pub fn views(npz: &Npz, extent: Extent) -> Vec<View> {
-    let rotations = npz.rows::<9>("cam_R");
-    let intrinsics = npz.rows::<4>("cam_K");
-    let sizes = npz.rows::<2>("size_wh");
-    let (translations, backgrounds) = (npz.rows::<3>("cam_t"), npz.rows::<3>("bg"));
-    let of = |(i, rotation): (usize, &[f64; 9])| View {
-        camera_from_world: rows(rotation).try_into().expect("3×3"),
-        translation: translations[i],
-        focal_px: [intrinsics[i][0], intrinsics[i][1]],
-        center_px: [intrinsics[i][2], intrinsics[i][3]],
-        size_px: sizes[i].map(|x| x as u32),
-        background: backgrounds[i],
-        sh_degree: npz.scalar("deg") as u32,
-        antialias: false,
-        symmetric_limit: false,
-        extent,
-        drawn: Drawn::AS_THEY_ARE,
-    };
-    rotations.iter().enumerate().map(of).collect()
+    sets::views(npz).into_iter().map(|view| View { extent, ..view }).collect()
 }
 
 /// The field of an extent: the reference's have a prefix.
@@ -77,8 +61,8 @@ impl<'a> Stages<'a> {
         let variant = BlendVariant { backward: true, ..BlendVariant::default() };
         forward.prepare_variant(sh_degree, variant).expect("kernels");
         let mut backward = Backward::new(context);
-        backward.prepare(sh_degree, false).expect("kernels");
-        backward.prepare_absolute(sh_degree, false).expect("kernels");
+        backward.prepare(sh_degree, BackwardVariant::default()).expect("kernels");
+        backward.prepare_absolute(sh_degree, BackwardVariant::default()).expect("kernels");
         Stages { gpu, backward, scene, forward, frame: FrameBuffers::from_allocated(frame), capacity }
     }
 

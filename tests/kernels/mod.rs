@@ -1,6 +1,7 @@
 //! Each kernel alone on the device against its twin, under the shader's name.
 
 mod adam;
+mod add_gradients;
 mod add_importance;
 mod add_noise;
 mod blend;
@@ -12,6 +13,7 @@ mod compact;
 mod compose_rgba16f;
 mod compose_rgba32f;
 mod compose_rgba8;
+mod convolve;
 mod count;
 mod cull;
 mod depth_limit;
@@ -23,11 +25,19 @@ mod edge_gradient;
 mod edge_response;
 mod expand_gradients;
 mod expected_depth;
+mod expose;
+mod expose_backward;
+mod exposure_step;
+mod feature_difference;
+mod filter_sizes;
 mod gather;
 mod gradient_from_rows;
+mod inverse_depth_l1;
 mod loss_reduce;
 mod mark_drawn;
+mod max_pool;
 mod multiply_add;
+mod nearest_depths;
 mod photo_to_rows;
 mod picture_to_rows;
 mod project;

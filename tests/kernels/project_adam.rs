@@ -7,7 +7,7 @@ use super::project_backward::{Scene, run};
 use crate::common::adam::{AdamState, Rates, Step, VisibleGradient};
 use crate::common::blending::assert_same;
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::camera_block;
+use crate::common::layout::{antialias_word, camera_block};
 use crate::common::scenes::small_view;
 use crate::reference::types::{Gaussian, View};
 
@@ -51,7 +51,7 @@ fn fused(gpu: &Gpu, scene: &Scene, state: &AdamState, step: &Step, overflow: boo
     let push = Push {
         first: 0,
         chunk_gaussians: state.room as u32,
-        antialias: scene.view.antialias.into(),
+        antialias: antialias_word(&scene.view),
         splat_stride: 1,
         gradient_stride: 0,
         accumulate: 1,

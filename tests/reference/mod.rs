@@ -8,6 +8,7 @@
 #![allow(clippy::needless_range_loop)]
 
 pub mod adam;
+pub mod add_gradients;
 pub mod add_importance;
 pub mod add_noise;
 pub mod blend;
@@ -16,6 +17,7 @@ pub mod classify;
 pub mod compact;
 pub mod compose_rgba32f;
 pub mod compose_rgba8;
+pub mod convolve;
 pub mod count;
 pub mod cull;
 pub mod depth_limit;
@@ -27,12 +29,21 @@ pub mod edge_gradient;
 pub mod edge_response;
 pub mod expand_gradients;
 pub mod expected_depth;
+pub mod expose;
+pub mod expose_backward;
+pub mod exposure_step;
+pub mod feature_difference;
+pub mod filter_sizes;
 pub mod gather;
 pub mod gradient_from_rows;
+pub mod inverse_depth_l1;
 pub mod linear;
 pub mod loss_reduce;
+pub mod lpips;
 pub mod mark_drawn;
+pub mod max_pool;
 pub mod multiply_add;
+pub mod nearest_depths;
 pub mod photo_to_rows;
 pub mod picture_to_rows;
 pub mod pipeline;

@@ -16,6 +16,7 @@ mod verify;
 
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING, bytes};
 use crate::config::{Overrides, Settings};
+use crate::eval::LpipsArguments;
 use crate::lock::FolderLock;
 use crate::measure::{Cost, Stopwatch};
 use crate::progress::{State, TrainProgress, thousands};
@@ -33,7 +34,7 @@ use report::KernelTimes;
 use saving::Unsaved;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use testing::Tested;
+use testing::{FinalLpips, Tested};
 use tracking::Tracking;
 
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
@@ -70,6 +71,9 @@ pub struct Arguments {
     /// time, 0.001 to 0.9; 0 measures only after --test-iterations
     #[arg(long, value_name = "SHARE", default_value_t = tracking::SHARE, value_parser = tracking::share)]
     eval_share: f64,
+    /// The last test measures it.
+    #[command(flatten)]
+    lpips: LpipsArguments,
     #[command(flatten)]
     live: LiveArguments,
     #[command(flatten)]
@@ -96,6 +100,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             return Err(Error::argument(name, "is missing; give it here or in --config FILE"));
         }
     }
+    let lpips = FinalLpips::read(&arguments.lpips, &arguments.device.host)?;
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
     let doors = match arguments.verify_determinism {
@@ -110,6 +115,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .transpose()?;
     let host = &arguments.device.host;
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;
+    // Only training looks at them.
+    options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let gallery = session::open(&settings.data, &options, &stop)?;
     check_fits(&context, &gallery, &settings.train, start.as_ref().map(Start::checkpoint))?;
@@ -138,6 +145,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     run.repeat(&arguments.device, arguments.photo_memory);
     run.track_within(arguments.eval_share);
+    run.lpips = lpips;
     run.look_on(doors, &context, gallery)?;
     // Nothing is lost yet.
     session::check(&stop)?;
@@ -163,6 +171,8 @@ pub fn say_what_next(model: &Path) {
 pub struct Run {
     settings: Settings,
     trainer: Trainer,
+    /// The names of the views that are trained on, in the trainer's order.
+    trained: Vec<String>,
     test: Vec<View>,
     /// Whether `test` was held out, or is a sample of the training views.
     held_out: bool,
@@ -176,6 +186,7 @@ pub struct Run {
     tracking: Tracking,
     /// How many of them are in the results' files.
     results: usize,
+    lpips: FinalLpips,
     gaussians: u32,
     non_finite: u64,
     /// Whether it was said that there is no more room.
@@ -211,7 +222,8 @@ impl Run {
         let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
         let lock = folder::begin(&settings, &data.cameras, Some(&points))?;
         let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
-        Ok(Run::new(context, settings, trainer, (log, lock), (data.test, data.held_out), quiet))
+        let views = (data.trained, data.test, data.held_out);
+        Ok(Run::new(context, settings, trainer, (log, lock), views, quiet))
     }
 
     /// As [`Run::prepare`], from a checkpoint.
@@ -226,7 +238,8 @@ impl Run {
         let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
         let lock = folder::begin(&settings, &data.cameras, None)?;
         let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
-        Ok(Run::new(context, settings, trainer, (log, lock), (data.test, data.held_out), quiet))
+        let views = (data.trained, data.test, data.held_out);
+        Ok(Run::new(context, settings, trainer, (log, lock), views, quiet))
     }
 
     fn new(
@@ -234,7 +247,7 @@ impl Run {
         settings: Settings,
         trainer: Trainer,
         (log, lock): (TrainLog, FolderLock),
-        (test, held_out): (Vec<View>, bool),
+        (trained, test, held_out): (Vec<String>, Vec<View>, bool),
         quiet: bool,
     ) -> Run {
         let iterations = settings.train.iterations;
@@ -244,6 +257,7 @@ impl Run {
             log,
             settings,
             trainer,
+            trained,
             tracking: Tracking::new(&test, iterations, tracking::SHARE),
             test,
             held_out,
@@ -251,6 +265,7 @@ impl Run {
             total: None,
             evaluations: Vec::new(),
             results: 0,
+            lpips: FinalLpips::default(),
             gaussians: 0,
             non_finite: 0,
             limited: false,
