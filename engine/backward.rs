@@ -5,10 +5,12 @@
 //! sums, and project_backward adds a Gaussian's instances in order. The same inputs on the same device give
 //! the same bits.
 
+mod step;
+
 use crate::error::Result;
 use crate::forward::{FrameInputs, RenderSettings, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
-    blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
+    blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_adam, project_backward,
 };
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
@@ -24,6 +26,8 @@ pub struct Backward {
     blend: [[Option<Blend>; 4]; 3],
     /// By the 3D filter and the absolute statistic, by SH degree.
     project: [[Option<Kernel<project_backward::Interface>>; 4]; 4],
+    /// By the 3D filter, by SH degree.
+    project_adam: [[Option<Kernel<project_adam::Interface>>; 4]; 2],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
 }
 
@@ -142,6 +146,7 @@ impl Backward {
             sizes: LaunchSizes::new(context.limits()),
             blend: Default::default(),
             project: Default::default(),
+            project_adam: Default::default(),
             expand: Default::default(),
         }
     }

@@ -57,6 +57,8 @@ pub struct Optimizer {
     sparse: bool,
     parameter_gradients: bool,
     adam: [Option<Kernel<adam::Interface>>; 4],
+    /// Of Gaussians outside the view alone.
+    unseen: [Option<Kernel<adam::Interface>>; 4],
     /// Kernels of steps from sums.
     sums: Option<[Option<SumKernels>; 4]>,
 }
@@ -81,7 +83,8 @@ impl Optimizer {
     pub fn new(context: &Context, sparse: bool) -> Self {
         let sizes = LaunchSizes::new(context.limits());
         let context = context.clone();
-        Self { context, sizes, sparse, parameter_gradients: false, adam: Default::default(), sums: None }
+        let (adam, unseen) = Default::default();
+        Self { context, sizes, sparse, parameter_gradients: false, adam, unseen, sums: None }
     }
 
     /// As [`Optimizer::new`], for a loss with terms that depend on the parameters directly: their gradient is
@@ -100,15 +103,13 @@ impl Optimizer {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        let (workgroup_size, parameter_gradients) =
-            (self.sizes.elementwise_workgroup, self.parameter_gradients);
-        let spec =
-            adam::Spec { workgroup_size, sh_degree, sparse: self.sparse, parameter_gradients, sums: false };
+        let spec = self.spec(sh_degree, false);
         let slot = &mut self.adam[sh_degree as usize];
         if slot.is_none() {
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         if let Some(slot @ None) = self.sums.as_mut().map(|sums| &mut sums[sh_degree as usize]) {
+            let adam::Spec { workgroup_size, parameter_gradients, .. } = spec;
             let add = add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients };
             let adam = adam::Spec { sums: true, ..spec };
             *slot = Some(SumKernels {
@@ -117,6 +118,25 @@ impl Optimizer {
             });
         }
         Ok(())
+    }
+
+    /// Builds the variant of [`Optimizer::record_unseen`] for an SH degree unless it exists.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_unseen(&mut self, sh_degree: u32) -> Result<()> {
+        let spec = self.spec(sh_degree, true);
+        let slot = &mut self.unseen[sh_degree as usize];
+        if slot.is_none() && !self.sparse {
+            *slot = Some(Kernel::new(&self.context, &spec)?);
+        }
+        Ok(())
+    }
+
+    fn spec(&self, sh_degree: u32, unseen: bool) -> adam::Spec {
+        let Self { sparse, parameter_gradients, .. } = *self;
+        let workgroup_size = self.sizes.elementwise_workgroup;
+        adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums: false, unseen }
     }
 
     fn sum_kernels(&self, sh_degree: u32) -> &SumKernels {
@@ -201,6 +221,19 @@ impl Optimizer {
         self.record_adam(r, kernel, inputs, moments, direct, step);
     }
 
+    /// Records the part of a step that [`Backward::record_with_step`](crate::backward::Backward::record_with_step)
+    /// leaves: Gaussians outside the view, which move with a gradient of 0. None with sparse Adam. The caller
+    /// places barriers before and after.
+    pub fn record_unseen(&self, r: &mut Recorder, inputs: &FrameInputs, moments: &Moments, step: &Step) {
+        if self.sparse {
+            return;
+        }
+        let Some(kernel) = &self.unseen[inputs.sh_degree as usize] else {
+            panic!("Optimizer::prepare_unseen was not called for SH degree {}", inputs.sh_degree);
+        };
+        self.record_adam(r, kernel, inputs, moments, None, step);
+    }
+
     /// `direct`: gradients in the layout of the scene's planes, if the kernel reads any.
     fn record_adam(
         &self,
@@ -245,7 +278,7 @@ impl Optimizer {
     }
 }
 
-fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push {
+pub(crate) fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push {
     let correction = |beta: f64, steps: u64| match steps {
         0 => 1.0,
         steps => 1.0 - beta.powf(steps as f64),

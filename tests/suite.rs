@@ -1,5 +1,6 @@
 //! The test suite: one binary, one Vulkan context.
 
+mod absgrad;
 mod address_space;
 mod architecture;
 mod backends;
@@ -17,6 +18,7 @@ mod extremes;
 mod faults;
 mod filters;
 mod first_frames;
+mod fused;
 mod gradients;
 mod hard_cases;
 mod host;

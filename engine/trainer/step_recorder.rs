@@ -7,7 +7,8 @@ use super::model::Model;
 use super::photos::Photos;
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
-use super::strategy::{StepInputs, Strategy};
+use super::strategy::{Hooks, StepInputs, Strategy};
+use super::work::{Actions, Work};
 use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
 use crate::exposure::{Exposing, ExposureBuffers};
@@ -155,7 +156,23 @@ impl StepRecorder {
         if self.absolute.is_some() {
             self.backward.prepare_absolute(sh_degree, variant)?;
         }
+        if self.sizes.fused_adam {
+            self.backward.prepare_with_step(sh_degree, variant)?;
+            self.optimizer.prepare_unseen(sh_degree)?;
+        }
         self.optimizer.prepare(sh_degree)
+    }
+
+    /// Whether the backward pass of the projection makes the optimiser's step: where no one else needs the
+    /// gradients. Not in an iteration that densifies, in which the reference makes no step.
+    fn fuses(&self, work: &Work, hooks: Hooks) -> bool {
+        self.sizes.fused_adam
+            && work.optimizes
+            && !work.sums_gradients
+            && !work.actions.contains(Actions::DENSIFY)
+            && !hooks.statistics
+            && !self.targets.parameters
+            && !(work.accumulates && self.absolute.is_some())
     }
 
     /// The loss's buffers on the device for views of these sizes, one per view: scratch of the terms, the losses,
@@ -228,7 +245,15 @@ impl StepRecorder {
         let accumulate = plan.work.accumulates;
         let absolute = self.absolute.filter(|_| accumulate).map(|place| &model.statistics[place]);
         let statistics = Statistics { buffer: &model.statistics[0], accumulate, absolute };
-        self.backward.record(r, inputs, gradient, statistics);
+        let hooks = parts.strategy.records();
+        let fuses = self.fuses(&plan.work, hooks);
+        match fuses {
+            true => {
+                let moved = (&model.moments, &plan.step);
+                self.backward.record_with_step(r, inputs, gradient, statistics, moved);
+            }
+            false => self.backward.record(r, inputs, gradient, statistics),
+        }
         let step = StepInputs {
             frame: inputs,
             moments: &model.moments,
@@ -238,7 +263,6 @@ impl StepRecorder {
             settings: &parts.run.settings,
             scene_extent: parts.run.scene_extent,
         };
-        let hooks = parts.strategy.records();
         if hooks.statistics {
             r.barrier();
             parts.strategy.record_statistics(r, &step);
@@ -251,9 +275,10 @@ impl StepRecorder {
         }
         if plan.work.optimizes {
             r.barrier();
-            match plan.work.sums_gradients {
-                true => self.optimizer.record_sums(r, inputs, &model.moments, sums, &plan.step),
-                false => {
+            match (fuses, plan.work.sums_gradients) {
+                (true, _) => self.optimizer.record_unseen(r, inputs, &model.moments, &plan.step),
+                (false, true) => self.optimizer.record_sums(r, inputs, &model.moments, sums, &plan.step),
+                (false, false) => {
                     let direct = &model.parameter_gradients;
                     self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
                 }

@@ -81,9 +81,9 @@ pub fn is_yardstick(kernel: &str) -> bool {
     is_kernel_of(kernel, "arithmetic")
 }
 
-/// Constants that the host uses to count workgroups. It sets them itself (from [`Limits::overridden`]), so
-/// that shader and host cannot differ.
-pub(super) const CHOSEN_BY_HOST: [&str; 11] = [
+/// Constants that the host uses to count workgroups and to choose kernels. It sets them itself (from
+/// [`Limits::overridden`]), so that shader and host cannot differ.
+pub(super) const CHOSEN_BY_HOST: [&str; 12] = [
     "WORKGROUP_SIZE",
     "SUBGROUP_SIZE",
     "ITEMS",
@@ -95,6 +95,7 @@ pub(super) const CHOSEN_BY_HOST: [&str; 11] = [
     "SIZE",
     "STRIDE",
     "ROWS",
+    "UNSEEN",
 ];
 
 impl Limits {

@@ -27,14 +27,22 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // A Gaussian with more instances is summed by its whole subgroup.
 layout(constant_id = 3) const uint LANE_INSTANCES = 64;
+#ifdef ADAM
+const bool ABSOLUTE = false;
+#else
 // Also the statistic of the absolute gradients of the 2D mean.
 layout(constant_id = 4) const bool ABSOLUTE = false;
+#endif
 // Whether Gaussians have a 3D filter: see projection.glsl.
 layout(constant_id = 5) const bool FILTER_3D = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
+#ifdef ADAM
+layout(set = 0, binding = 1, scalar) buffer State { uint state[]; };
+#else
 layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
+#endif
 UINT_READS(2, VisibleList, visible_list);
 UVEC4_READS(3, Footprints, footprints);
 UINT_READS(4, FirstInstances, first_instances);
@@ -42,12 +50,21 @@ VEC4_READS(5, ConicOpacity, conic_opacity);
 VEC4_READS(6, InstanceGradientsA, instance_gradients_a);
 VEC4_READS(7, InstanceGradientsB, instance_gradients_b);
 VEC2_READS(8, InstanceGradientsC, instance_gradients_c);
-layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
+#ifdef ADAM
+// The same memory as `parameters` and the moments that are read. Each invocation reads its own elements before it writes them.
+VEC4_WRITES(9, NewParameters, new_parameters);
+VEC4_WRITES(12, Moments1, moments_1);
+VEC4_WRITES(13, Moments2, moments_2);
+VEC4_READS(14, OldMoments1, old_moments_1);
+VEC4_READS(15, OldMoments2, old_moments_2);
+#else
+layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 // Only used with ABSOLUTE.
 VEC2_READS(12, InstanceGradientsD, instance_gradients_d);
 layout(set = 0, binding = 13, scalar) buffer AbsoluteStatistics { float absolute_statistics[]; };
+#endif
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
@@ -59,6 +76,23 @@ layout(push_constant, scalar) uniform Push {
     // Stride of the gradient planes, and whether to update the statistics.
     uint gradient_stride;
     uint accumulate;
+#ifdef ADAM
+    // As in adam.comp.
+    vec3 push_camera_position;
+    float beta_1;
+    float beta_2;
+    float one_minus_beta_1;
+    float one_minus_beta_2;
+    float epsilon;
+    float rate_mean;
+    float rate_opacity;
+    float rate_quat;
+    float rate_log_scale;
+    float rate_sh_dc;
+    float rate_sh_rest;
+    float inverse_bias_2;
+    float inverse_bias_2_opacity;
+#endif
 };
 
 #include "camera_block.glsl"
@@ -69,6 +103,13 @@ layout(push_constant, scalar) uniform Push {
 #include "projection.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
+#ifdef ADAM
+#include "sh_gradient.glsl"
+#define OLD_PARAMETERS parameters
+#define NEW_PARAMETERS new_parameters
+#define SH_GRADIENT(PLANE, AT) sh_plane_gradient(PLANE, basis, d_color)
+#include "adam_step.glsl"
+#endif
 
 struct Sums {
     vec4 a;
@@ -85,9 +126,11 @@ void add_instance(inout Sums sums, uint at) {
     sums.a += VEC4_AT(instance_gradients_a, at);
     sums.b += VEC4_AT(instance_gradients_b, at);
     sums.c += VEC2_AT(instance_gradients_c, at);
+#ifndef ADAM
     if (ABSOLUTE) {
         sums.absolute += VEC2_AT(instance_gradients_d, at);
     }
+#endif
 }
 
 Sums subgroup_sum(Sums sums) {
@@ -250,11 +293,26 @@ void main() {
     }
     d_mean += (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
 
+#ifdef ADAM
+    if (exists && state[STATE_OVERFLOW] == 0) {
+        vec4 d_mean_opacity = vec4(d_mean, d_logit);
+        if (finite(d_mean_opacity) && finite(d_quat) && finite(vec4(d_log_scale, 0.0)) && finite(vec4(d_color, 0.0))) {
+            // As adam.comp computes it.
+            float step_basis[16];
+            sh_basis(normalize(mean_opacity.xyz - push_camera_position), step_basis);
+            update_all(index, d_mean_opacity, d_quat, vec4(d_log_scale, 0.0), d_color, step_basis);
+        } else {
+            atomicAdd(state[STATE_NON_FINITE], 1);
+        }
+    }
+#endif
     if (exists) {
+#ifndef ADAM
         gradients[GRADIENT_MEAN_OPACITY * gradient_stride + visible] = vec4(d_mean, d_logit);
         gradients[GRADIENT_QUAT * gradient_stride + visible] = d_quat;
         gradients[GRADIENT_LOG_SCALE * gradient_stride + visible] = vec4(d_log_scale, d_mean2d.x);
         gradients[GRADIENT_COLOR * gradient_stride + visible] = vec4(d_color, d_mean2d.y);
+#endif
         if (accumulate != 0 && state[STATE_OVERFLOW] == 0) {
             vec2 ndc = d_mean2d * 0.5 * vec2(image_width, image_height);
             float norm = length(ndc);
@@ -262,9 +320,11 @@ void main() {
             // A norm that is not finite would spoil the statistics for good, so it is skipped.
             bool counts = is_finite(norm) && is_finite(absolute_norm);
             statistics[gaussian] += counts ? vec2(norm, 1.0) : vec2(0.0);
+#ifndef ADAM
             if (ABSOLUTE) {
                 absolute_statistics[gaussian] += counts ? absolute_norm : 0.0;
             }
+#endif
         }
     }
 }

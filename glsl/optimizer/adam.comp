@@ -26,6 +26,8 @@ layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SPARSE = false;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
 layout(constant_id = 5) const bool SUMS = false;
+// Only Gaussians outside the view: project_adam.comp has done the others.
+layout(constant_id = 6) const bool UNSEEN = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_WRITES(0, Parameters, parameters);
@@ -69,19 +71,10 @@ layout(push_constant, scalar) uniform Push {
 #include "sh.glsl"
 #include "sh_gradient.glsl"
 
-void update(uint at, vec4 g, vec4 rate, vec4 inverse_bias) {
-    vec4 m = beta_1 * VEC4_AT(old_moments_1, at) + one_minus_beta_1 * g;
-    vec4 v = beta_2 * VEC4_AT(old_moments_2, at) + one_minus_beta_2 * g * g;
-    VEC4_PUT(moments_1, at, m);
-    VEC4_PUT(moments_2, at, v);
-    vec4 p = VEC4_AT(old_parameters, at) - rate * (m / (sqrt(v) * inverse_bias + epsilon));
-    VEC4_PUT(parameters, at, p);
-}
-
-bool finite(vec4 g) {
-    uvec4 exponent = floatBitsToUint(g) & 0x7F800000u;
-    return all(notEqual(exponent, uvec4(0x7F800000u)));
-}
+#define OLD_PARAMETERS old_parameters
+#define NEW_PARAMETERS parameters
+#define SH_GRADIENT(PLANE, AT) (SUMS ? VEC4_AT(parameter_gradients, AT) : sh_plane_gradient(PLANE, basis, d_color))
+#include "adam_step.glsl"
 
 void main() {
     uint index = linear_invocation();
@@ -90,7 +83,7 @@ void main() {
     }
     uint visible = UINT_AT(visible_index, first + index);
     bool seen = visible != NOT_VISIBLE;
-    if (SPARSE && !seen) {
+    if ((SPARSE && !seen) || (UNSEEN && seen)) {
         return;
     }
     uint row = seen ? visible : 0;
@@ -127,15 +120,5 @@ void main() {
     // NaN times 0 would be NaN.
     sh_basis(seen ? normalize(mean - camera_position) : vec3(0.0), basis);
 
-    vec4 bias = vec4(inverse_bias_2);
-    update(plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians), d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),
-        vec4(bias.xyz, inverse_bias_2_opacity));
-    update(plane_at(PLANE_QUAT, index, chunk_gaussians), d_quat, vec4(rate_quat), bias);
-    update(plane_at(PLANE_LOG_SCALE, index, chunk_gaussians), d_log_scale, vec4(vec3(rate_log_scale), 0.0), bias);
-    [[unroll]] for (uint plane = 0; plane < SH_PLANES; ++plane) {
-        vec4 rate = plane == 0 ? vec4(vec3(rate_sh_dc), rate_sh_rest) : vec4(rate_sh_rest);
-        uint at = plane_at(PLANE_SH + plane, index, chunk_gaussians);
-        vec4 g = SUMS ? VEC4_AT(parameter_gradients, at) : sh_plane_gradient(plane, basis, d_color.xyz);
-        update(at, g, rate, bias);
-    }
+    update_all(index, d_mean_opacity, d_quat, d_log_scale, d_color.xyz, basis);
 }

@@ -41,6 +41,7 @@ mod nearest_depths;
 mod photo_to_rows;
 mod picture_to_rows;
 mod project;
+mod project_adam;
 mod project_backward;
 mod ranges;
 mod regularize;
