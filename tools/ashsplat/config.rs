@@ -90,8 +90,7 @@ impl TrainOverrides {
             OptionKind::Number => argument.value_name("X").value_parser(value_parser!(f64)),
             OptionKind::Choice(names) => {
                 let earlier = |name: &str| {
-                    let of = EARLIER_NAMES.iter().filter(move |of| (of.0, of.2) == (option.name, name));
-                    of.map(|of| of.1).collect::<Vec<_>>()
+                    EARLIER_NAMES.iter().find(|of| (of.0, of.2) == (option.name, name)).map(|of| of.1)
                 };
                 let values = names.iter().map(|name| PossibleValue::new(name).aliases(earlier(name)));
                 argument.value_name("NAME").value_parser(PossibleValuesParser::new(values))
@@ -386,14 +385,12 @@ mod tests {
         let command = TrainOverrides::augment_args(Command::new("train"));
         let matches = command.try_get_matches_from(["train", "--strategy", "default"]).expect("accepted");
         let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
-        let settings = Settings::from_table(overrides.0).expect("settings");
-        assert_eq!(settings, Settings::default());
+        assert_eq!(Settings::from_table(overrides.0).expect("settings"), Settings::default());
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("my.toml");
         std::fs::write(&path, "strategy = \"default\"\n").expect("written");
         let read = Settings::resolve(Some(&path), &Overrides::default()).expect("settings");
         assert_eq!(read.train.strategy, StrategyType::Reference);
-        assert!(read.to_toml().expect("a dump").contains("strategy = \"reference\""));
     }
 
     /// Options, files and checkpoints have the same names and kinds of values.
