@@ -109,11 +109,11 @@ fn background(run: &Run, iteration: u32) -> [f32; 3] {
 
 fn optimizer_step(run: &Run, iteration: u32, progress: &Progress, work: &Work) -> Step {
     let s = &run.settings;
-    let others = s.rate_factor(iteration);
+    let others = s.rate_factor();
     let rates = Rates {
         mean: s.position_lr(iteration) * f64::from(run.scene_extent),
         opacity: if work.optimizes_opacity { s.opacity_lr * others } else { 0.0 },
-        quat: s.rotation_lr * others,
+        quat: s.rotation_lr,
         log_scale: s.scaling_lr * others,
         sh_dc: s.feature_lr * others,
         sh_rest: s.feature_rest_lr() * others,

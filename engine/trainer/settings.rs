@@ -67,8 +67,8 @@ options! {
         /// Count what concerns the whole run in shares of 30,000 iterations: position_lr_max_steps, densify_from_iter,
         /// densify_until_iter and the groups of multi_step are multiplied by iterations / 30000 (budget: true)
         scale_schedule: bool = false, Bounds::None;
-        /// Larger learning rates at the start of runs of fewer than 30,000 iterations: position_lr_init times 30000 /
-        /// iterations, at most 10; others times its root, at most 2, falling to the inverse at the end (budget: true)
+        /// Larger learning rates in runs of fewer than 30,000 iterations: position_lr_init times 30000 / iterations, at most
+        /// 10; those of scales, opacities and colours times its root, at most 2 (budget: true)
         scale_rates: bool = false, Bounds::None;
         /// Densification starts after this iteration
         densify_from_iter: u32 = 500, Bounds::None;
@@ -263,15 +263,10 @@ impl TrainSettings {
         if self.scale_rates { self.shorter().min(10.0) } else { 1.0 }
     }
 
-    /// Factor of all other learning rates at an iteration: with `scale_rates` log-linear from f at the start to
-    /// 1/f at the end of the run, where f is the root of 30,000 / `iterations`, 1 to 2. It is 1 in a run of
-    /// 30,000.
-    pub fn rate_factor(&self, iteration: u32) -> f64 {
-        if !self.scale_rates {
-            return 1.0;
-        }
-        let first = self.shorter().sqrt().min(2.0);
-        log_linear([first, first.recip()], iteration, self.iterations)
+    /// Factor of the learning rates of scales, opacities and colours: with `scale_rates` the root of 30,000 /
+    /// `iterations`, 1 to 2. By measurement (tools/strategies.md).
+    pub fn rate_factor(&self) -> f64 {
+        if self.scale_rates { self.shorter().sqrt().min(2.0) } else { 1.0 }
     }
 
     /// How many times shorter than 30,000 iterations the run is, at least 1.
@@ -400,15 +395,13 @@ mod tests {
         };
         for settings in [of(30_000, true), of(60_000, true), of(2000, false)] {
             assert_eq!(settings.position_factor(), 1.0);
-            assert!([0, 1000, 60_000].iter().all(|&i| settings.rate_factor(i) == 1.0));
+            assert_eq!(settings.rate_factor(), 1.0);
         }
         let short = of(6000, true);
         assert_eq!([short.position_factor(), of(1, true).position_factor()], [5.0, 10.0]);
         assert!((short.position_lr(0) - 8e-4).abs() < 1e-15);
         assert!((short.position_lr(6000) - 1.6e-6).abs() < 1e-15);
-        for (iteration, factor) in [(0, 2.0), (3000, 1.0), (6000, 0.5), (9000, 0.5)] {
-            assert!((short.rate_factor(iteration) - factor).abs() < 1e-12);
-        }
+        assert_eq!([short.rate_factor(), of(15_000, true).rate_factor()], [2.0, 2.0_f64.sqrt()]);
     }
 
     #[test]
