@@ -109,7 +109,7 @@ fn background(run: &Run, iteration: u32) -> [f32; 3] {
 
 fn optimizer_step(run: &Run, iteration: u32, progress: &Progress, work: &Work) -> Step {
     let s = &run.settings;
-    let [_, others] = s.rate_factors();
+    let others = s.rate_factor(iteration);
     let rates = Rates {
         mean: s.position_lr(iteration) * f64::from(run.scene_extent),
         opacity: if work.optimizes_opacity { s.opacity_lr * others } else { 0.0 },

@@ -67,8 +67,8 @@ options! {
         /// Count what concerns the whole run in shares of 30,000 iterations: position_lr_max_steps, densify_from_iter,
         /// densify_until_iter and the groups of multi_step are multiplied by iterations / 30000 (budget: true)
         scale_schedule: bool = false, Bounds::None;
-        /// Larger learning rates in runs of fewer than 30,000 iterations: position_lr_init times 30000 / iterations, at most 10,
-        /// and all others but position_lr_final times its root, at most 2 (budget: true)
+        /// Larger learning rates at the start of runs of fewer than 30,000 iterations: position_lr_init times 30000 /
+        /// iterations, at most 10; others times its root, at most 2, falling to the inverse at the end (budget: true)
         scale_rates: bool = false, Bounds::None;
         /// Densification starts after this iteration
         densify_from_iter: u32 = 500, Bounds::None;
@@ -227,11 +227,11 @@ impl TrainSettings {
     }
 
     /// Learning rate of the means at an iteration, in units of the scene's extent (multiply by it): log-linear
-    /// from `position_lr_init`, times the first of the [factors](Self::rate_factors), at 0 to
+    /// from `position_lr_init`, times [`Self::position_factor`], at 0 to
     /// `position_lr_final` at `position_lr_max_steps` ([scaled](Self::scaled)), constant after that.
     pub fn position_lr(&self, iteration: u32) -> f64 {
         let end = self.scaled(self.position_lr_max_steps).max(1);
-        let first = self.position_lr_init * self.rate_factors()[0];
+        let first = self.position_lr_init * self.position_factor();
         log_linear([first, self.position_lr_final], iteration, end)
     }
 
@@ -257,17 +257,26 @@ impl TrainSettings {
         delay * rate
     }
 
-    /// Factors of the learning rates of the means at the start, and of all other parameters: with `scale_rates` a
-    /// shorter run takes larger steps, so that means can travel as far in it; the means' last rate stays, which
-    /// is the precision that they end with. Both are 1 at 30,000 iterations and above. The bounds are by
-    /// measurement (tools/strategies.md).
-    pub fn rate_factors(&self) -> [f64; 2] {
-        const MOST: [f64; 2] = [10.0, 2.0];
-        let shorter = (f64::from(SCHEDULE_ITERATIONS) / f64::from(self.iterations.max(1))).max(1.0);
-        match self.scale_rates {
-            true => [shorter.min(MOST[0]), shorter.sqrt().min(MOST[1])],
-            false => [1.0; 2],
+    /// Factor of the means' first learning rate: with `scale_rates` 30,000 / `iterations`, 1 to 10, so that means
+    /// can travel as far in a short run. Their last rate stays: it is the precision that they end with.
+    pub fn position_factor(&self) -> f64 {
+        if self.scale_rates { self.shorter().min(10.0) } else { 1.0 }
+    }
+
+    /// Factor of all other learning rates at an iteration: with `scale_rates` log-linear from f at the start to
+    /// 1/f at the end of the run, where f is the root of 30,000 / `iterations`, 1 to 2. It is 1 in a run of
+    /// 30,000.
+    pub fn rate_factor(&self, iteration: u32) -> f64 {
+        if !self.scale_rates {
+            return 1.0;
         }
+        let first = self.shorter().sqrt().min(2.0);
+        log_linear([first, first.recip()], iteration, self.iterations)
+    }
+
+    /// How many times shorter than 30,000 iterations the run is, at least 1.
+    fn shorter(&self) -> f64 {
+        (f64::from(SCHEDULE_ITERATIONS) / f64::from(self.iterations.max(1))).max(1.0)
     }
 
     /// Learning rate of the SH coefficients of degree 1 and above.
@@ -383,17 +392,23 @@ mod tests {
 
     #[test]
     fn shorter_runs_take_larger_steps() {
-        let factors = |iterations, scale_rates| {
-            TrainSettings { iterations, scale_rates, ..Default::default() }.rate_factors()
+        let of = |iterations, scale_rates| TrainSettings {
+            iterations,
+            scale_rates,
+            scale_schedule: true,
+            ..Default::default()
         };
-        assert_eq!([factors(30_000, true), factors(60_000, true), factors(2000, false)], [[1.0; 2]; 3]);
-        assert_eq!(factors(6000, true), [5.0, 2.0]);
-        assert_eq!(factors(15_000, true), [2.0, 2.0_f64.sqrt()]);
-        assert_eq!(factors(1, true), [10.0, 2.0]);
-        let settings =
-            TrainSettings { scale_rates: true, scale_schedule: true, iterations: 6000, ..Default::default() };
-        assert!((settings.position_lr(0) - 8e-4).abs() < 1e-15);
-        assert!((settings.position_lr(6000) - 1.6e-6).abs() < 1e-15);
+        for settings in [of(30_000, true), of(60_000, true), of(2000, false)] {
+            assert_eq!(settings.position_factor(), 1.0);
+            assert!([0, 1000, 60_000].iter().all(|&i| settings.rate_factor(i) == 1.0));
+        }
+        let short = of(6000, true);
+        assert_eq!([short.position_factor(), of(1, true).position_factor()], [5.0, 10.0]);
+        assert!((short.position_lr(0) - 8e-4).abs() < 1e-15);
+        assert!((short.position_lr(6000) - 1.6e-6).abs() < 1e-15);
+        for (iteration, factor) in [(0, 2.0), (3000, 1.0), (6000, 0.5), (9000, 0.5)] {
+            assert!((short.rate_factor(iteration) - factor).abs() < 1e-12);
+        }
     }
 
     #[test]
