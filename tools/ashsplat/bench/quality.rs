@@ -127,10 +127,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let context = arguments.device.context()?;
     let data = arguments.data();
     // What is found is of these photos, this device and this program.
-    let setup = |job: &Job| Setup::new(&data, arguments.points, &job.settings, &context);
+    let program = machine::program();
+    let setup = |job: &Job| Setup::new((&data, arguments.points), &job.settings, &context, &program);
     let folder = &arguments.out;
-    atomic::create_folder(folder)?;
-    let _lock = FolderLock::take(folder, &MEASURING)?;
     let mut done: Vec<Run> = Vec::new();
     for job in &jobs {
         done.extend(runs::read(&runs::file(folder, &job.strategy, job.seed), &setup(job)?)?);
@@ -149,6 +148,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             quiet: arguments.quiet,
             stop: &stop,
         };
+        // Nothing but the device or the disk can fail any more.
+        atomic::create_folder(folder)?;
+        let _lock = FolderLock::take(folder, &MEASURING)?;
         for job in &jobs {
             if done.iter().any(|run| run.strategy == job.strategy && run.seed == job.seed) {
                 continue;
