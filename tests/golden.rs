@@ -1,5 +1,6 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod antialias;
 mod gpu;
 mod gpu_training;
 mod lpips;
@@ -30,6 +31,8 @@ enum Kind {
     Regularizers,
     Relocation,
     Lpips,
+    Antialias,
+    Filter3d,
     Other,
 }
 
@@ -38,6 +41,8 @@ impl Kind {
         let has = |name: &str| fields.iter().any(|field| field == name);
         match () {
             () if has("it1_image") => Kind::Train,
+            () if has("fused_log_scales") => Kind::Filter3d,
+            () if has("detached") && has("kernel") => Kind::Antialias,
             () if has("means") && has("cam_K") && has("image") => Kind::Rendering,
             () if has("img") && has("gt") && has("d_img") => Kind::Loss,
             () if has("xyz_p0") => Kind::Adam,
@@ -92,7 +97,10 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Lpips);
+    let exists = |kind: Kind| {
+        use Kind::{Antialias, Filter3d, Lpips, Regularizers, Relocation};
+        matches!(kind, Regularizers | Relocation | Lpips | Antialias | Filter3d)
+    };
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

@@ -13,6 +13,7 @@ mod comparators;
 mod determinism;
 mod extremes;
 mod faults;
+mod filters;
 mod first_frames;
 mod gradients;
 mod hard_cases;

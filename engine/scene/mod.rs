@@ -2,6 +2,7 @@
 
 pub mod camera;
 pub mod cut;
+pub mod filter_3d;
 pub mod gaussians;
 pub mod lens;
 pub mod orbit;
@@ -16,6 +17,7 @@ pub mod view;
 
 pub use camera::{Camera, Intrinsics, scene_extent};
 pub use cut::{Cut, CutLimits};
+pub use filter_3d::filtered;
 pub use gaussians::{GaussianStatistics, Gaussians};
 pub use orbit::Orbit;
 pub use photo::Photo;

@@ -44,6 +44,9 @@ pub struct Checkpoint {
     pub second_moments: Gaussians,
     /// Per Gaussian: sum of the 2D mean's gradient norms (NDC), number of views.
     pub statistics: Vec<[f32; 2]>,
+    /// The sizes of the 3D filter, world units, one per Gaussian; none without
+    /// [`TrainSettings::filter_3d`].
+    pub filters: Vec<f32>,
     /// What the strategy keeps besides.
     pub strategy: StrategyState,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
@@ -153,6 +156,10 @@ impl Checkpoint {
         let shape = vec![self.statistics.len(), 2];
         let bytes = bytemuck::cast_slice(&self.statistics);
         tensors.push(Tensor { name: "statistics".into(), shape, bytes });
+        if !self.filters.is_empty() {
+            let (shape, bytes) = (vec![self.filters.len()], bytemuck::cast_slice(&self.filters));
+            tensors.push(Tensor { name: Self::FILTERS.into(), shape, bytes });
+        }
         for StrategyStatistic { name, floats, values } in &self.strategy.statistics {
             let shape = vec![values.len() / (*floats).max(1) as usize, *floats as usize];
             let name = format!("{}{name}", Self::STRATEGY);
@@ -163,6 +170,9 @@ impl Checkpoint {
 
     /// Prefixes of the tensors' names: parameters, first and second moments.
     pub const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
+
+    /// Name of the tensor of the filter's sizes, as in Mip-Splatting's PLY.
+    pub const FILTERS: &str = "filter_3D";
 
     /// Prefix of the strategy's own statistics, and of its values in the metadata.
     pub const STRATEGY: &str = "strategy.";
@@ -191,6 +201,10 @@ impl Checkpoint {
         };
         if self.statistics.len() != self.gaussians.len() || !self.strategy.statistics.iter().all(rows) {
             return Err(Error::argument("statistics", "are of another number than the Gaussians"));
+        }
+        let filters = if self.settings.filter_3d { self.gaussians.len() } else { 0 };
+        if self.filters.len() != filters {
+            return Err(Error::argument(Self::FILTERS, "is of another number than the Gaussians"));
         }
         if self.gaussians.sh_degree != self.settings.sh_degree {
             return Err(Error::argument("sh_degree", "of the Gaussians and of the settings differ"));

@@ -9,6 +9,7 @@ use super::step_recorder::StepRecorder;
 use super::strategy::Strategy;
 use super::{TrainParts, TrainView};
 use crate::error::Result;
+use crate::forward::Filter3d;
 use crate::loss::{LossTerm, Photometric};
 use crate::vk::Context;
 
@@ -68,7 +69,7 @@ impl Kit {
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
         all.extend(terms);
         all.extend(strategy.loss_terms(context, settings)?);
-        let recorder = StepRecorder::new(context, all, settings.optimizer_type)?;
+        let recorder = StepRecorder::new(context, all, settings)?;
         let rows = RowMemory::new(strategy.statistics(), recorder.targets().parameters);
         Ok(Self { strategy, recorder, rows })
     }
@@ -89,7 +90,13 @@ impl Kit {
             photos,
             photo_bytes: photos::device_bytes(context, photos, photo_memory)?,
             rows: &self.rows,
-            loss: &|sizes| self.recorder.device_requests(sizes),
+            loss: &|sizes| {
+                let mut requests = self.recorder.device_requests(sizes);
+                if settings.filter_3d {
+                    requests.extend(Filter3d::requests(sizes.len()));
+                }
+                requests
+            },
             losses: self.recorder.readback_request(),
             count,
             sh_degree: settings.sh_degree,

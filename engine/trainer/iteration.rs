@@ -43,6 +43,8 @@ pub(super) struct IterationPlan {
     pub sh_degree: u32,
     pub settings: RenderSettings,
     pub step: Step,
+    /// Whether the sizes of the 3D filter are computed anew after the step.
+    pub computes_filters: bool,
 }
 
 impl IterationPlan {
@@ -81,6 +83,7 @@ impl Schedule {
                 ..run.render_settings()
             },
             step: optimizer_step(run, iteration, progress, &work),
+            computes_filters: s.computes_filters_at(iteration),
         }
     }
 }

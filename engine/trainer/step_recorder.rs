@@ -5,11 +5,11 @@ use super::iteration::IterationPlan;
 use super::model::Model;
 use super::photos::Photos;
 use super::run::Run;
-use super::settings::OptimizerType;
+use super::settings::{OptimizerType, TrainSettings};
 use super::strategy::{StepInputs, Strategy};
-use crate::backward::{Backward, Statistics};
+use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
-use crate::forward::FrameInputs;
+use crate::forward::{Filter3d, FrameInputs, RenderSettings};
 use crate::loss::{LossTerm, Targets, TermInputs};
 use crate::optimizer::Optimizer;
 use crate::pixels::PixelBorder;
@@ -25,6 +25,8 @@ pub(super) struct StepRecorder {
     border: Option<PixelBorder>,
     sizes: LaunchSizes,
     backward: Backward,
+    /// How frames are drawn, apart from the inverse depth.
+    drawn: RenderSettings,
     optimizer: Optimizer,
 }
 
@@ -62,6 +64,8 @@ pub(super) struct StepParts<'a> {
     pub photos: &'a Photos,
     pub memory: &'a LossMemory,
     pub strategy: &'a dyn Strategy,
+    /// None without a 3D filter.
+    pub filter: Option<&'a Filter3d>,
     pub plan: &'a IterationPlan,
 }
 
@@ -83,9 +87,9 @@ impl StepRecorder {
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, optimizer: OptimizerType) -> Result<Self> {
+    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, settings: &TrainSettings) -> Result<Self> {
         let targets = terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()));
-        let sparse = optimizer == OptimizerType::SparseAdam;
+        let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
         let optimizer = match targets.parameters {
             true => Optimizer::with_parameter_gradients(context, sparse),
             false => Optimizer::new(context, sparse),
@@ -94,6 +98,7 @@ impl StepRecorder {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             backward: Backward::new(context),
+            drawn: settings.render_settings(),
             terms,
             targets,
             optimizer,
@@ -115,9 +120,14 @@ impl StepRecorder {
         self.targets
     }
 
+    /// How frames are drawn, without the random background.
+    pub fn drawn(&self) -> RenderSettings {
+        RenderSettings { inverse_depth: self.targets.inverse_depth, ..self.drawn }
+    }
+
     /// Builds the kernels for an SH degree unless they exist.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        self.backward.prepare(sh_degree, self.targets.inverse_depth)?;
+        self.backward.prepare(sh_degree, BackwardVariant::of(&self.drawn()))?;
         self.optimizer.prepare(sh_degree)
     }
 
@@ -203,6 +213,10 @@ impl StepRecorder {
                 r.barrier();
                 parts.strategy.record_update(r, &step);
             }
+        }
+        if let Some(filter) = parts.filter.filter(|_| plan.computes_filters) {
+            r.barrier();
+            filter.record(r, inputs.scene, &inputs.frame.state);
         }
         r.copy(&parts.memory.losses, losses);
     }

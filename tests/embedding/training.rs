@@ -112,7 +112,18 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
     // And once with the other strategy, which adds noise in the step.
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
-    for (push_descriptors, settings) in [(true, settings()), (false, weighted), (true, mcmc)] {
+    // And once with filters, whose sizes are computed anew between steps and in them.
+    let filtered = TrainSettings {
+        antialiasing: true,
+        kernel_size: 0.1,
+        filter_3d: true,
+        densify_until_iter: 90,
+        iterations: 1000,
+        ..settings()
+    };
+    for (push_descriptors, settings) in
+        [(true, settings()), (false, weighted), (true, mcmc), (true, filtered)]
+    {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }

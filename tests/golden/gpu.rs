@@ -7,7 +7,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, gpu_training, lpips, mcmc, trial};
+use super::{Kind, SetFile, antialias, gpu_training, lpips, mcmc, trial};
 use crate::common::engine::{camera, gaussians, renderer, settings, widen};
 use crate::common::{assert_silent, context};
 use crate::reference::types::Extent;
@@ -28,6 +28,8 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
         ],
         Kind::Relocation => vec![of_file(set, "relocation", mcmc::relocation_of_device)],
         Kind::Lpips => vec![of_file(set, "distance", lpips::of_device)],
+        Kind::Antialias => vec![of_file(set, "antialias", antialias::of_device)],
+        Kind::Filter3d => vec![of_file(set, "filter", antialias::filter_of_device)],
         Kind::Other => vec![],
     }
 }

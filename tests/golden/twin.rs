@@ -4,7 +4,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, lpips, mcmc, training, trial};
+use super::{Kind, SetFile, antialias, lpips, mcmc, training, trial};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
@@ -41,6 +41,12 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
             })]
         }
         Kind::Lpips => vec![trial(format!("golden_twin_{name}"), move || lpips::of_twin(&file.path))],
+        Kind::Antialias => {
+            vec![trial(format!("golden_twin_antialias_{name}"), move || antialias::of_twin(&file.path))]
+        }
+        Kind::Filter3d => {
+            vec![trial(format!("golden_twin_filter_{name}"), move || antialias::filter_of_twin(&file.path))]
+        }
         Kind::Other => vec![],
     }
 }
