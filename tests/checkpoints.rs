@@ -151,6 +151,8 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         gaussians: one,
         statistics: vec![[0.5, 2.0]],
         filters: vec![0.25],
+        gradient_sums: None,
+        exposures: Default::default(),
         skipped: 2,
         room: Room::default(),
     };

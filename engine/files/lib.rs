@@ -11,6 +11,8 @@ pub mod colmap;
 mod cost;
 pub mod dataset;
 pub mod decimate;
+pub mod depth_fit;
+pub mod exposure_json;
 pub mod host_memory;
 pub mod images;
 pub mod init;

@@ -7,7 +7,7 @@ use super::photos::{self, PhotoSize};
 use super::settings::TrainSettings;
 use super::step_recorder::StepRecorder;
 use super::strategy::Strategy;
-use super::{TrainParts, TrainView};
+use super::{InverseDepth, TrainParts, TrainView};
 use crate::error::Result;
 use crate::forward::Filter3d;
 use crate::loss::{LossTerm, Photometric};
@@ -67,10 +67,14 @@ impl Kit {
         let any_masked = photos.iter().any(|photo| photo.masked);
         let mut all: Vec<Box<dyn LossTerm>> =
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
+        if photos.iter().any(|photo| photo.inverse_depth) {
+            all.push(Box::new(InverseDepth::new(context, settings)?));
+        }
         all.extend(terms);
         all.extend(strategy.loss_terms(context, settings)?);
-        let recorder = StepRecorder::new(context, all, settings)?;
-        let rows = RowMemory::new(strategy.statistics(), recorder.targets().parameters);
+        let parameter_gradients = StepRecorder::targets_of(&all).parameters;
+        let rows = RowMemory::new(strategy.statistics(), parameter_gradients);
+        let recorder = StepRecorder::new(context, all, (settings, strategy.records().sums), rows.absolute())?;
         Ok(Self { strategy, recorder, rows })
     }
 
@@ -111,11 +115,12 @@ impl Kit {
 
 /// The views' photographs, by the views' indices.
 pub(super) fn sizes_of(views: &[TrainView]) -> Vec<PhotoSize> {
-    let size = |(index, TrainView { photo, .. }): (usize, &TrainView)| PhotoSize {
+    let size = |(index, TrainView { photo, inverse_depth, .. }): (usize, &TrainView)| PhotoSize {
         name: format!("view {index}"),
         width: photo.width,
         height: photo.height,
         masked: photo.is_masked(),
+        inverse_depth: inverse_depth.is_some(),
     };
     views.iter().enumerate().map(size).collect()
 }

@@ -5,6 +5,7 @@ use super::random::{self, ViewOrder};
 use super::run::Run;
 use super::settings::OptimizerType;
 use super::work::{Actions, Work};
+use crate::exposure::ExposureStep;
 use crate::forward::RenderSettings;
 use crate::optimizer::{Rates, Step};
 
@@ -17,6 +18,8 @@ pub(super) struct Progress {
     /// so.
     pub steps: u64,
     pub opacity_steps: u64,
+    /// Views whose gradients were added up since the last step.
+    pub summed: u32,
     /// Work before the next iteration.
     pub due: Actions,
 }
@@ -24,11 +27,12 @@ pub(super) struct Progress {
 impl Progress {
     /// The progress after an iteration.
     pub fn after(&self, plan: &IterationPlan) -> Self {
-        let Work { optimizes, optimizes_opacity, actions, .. } = plan.work;
+        let Work { optimizes, optimizes_opacity, sums_gradients, actions, .. } = plan.work;
         Self {
             iteration: plan.iteration,
             steps: self.steps + u64::from(optimizes),
             opacity_steps: self.opacity_steps + u64::from(optimizes && optimizes_opacity),
+            summed: if optimizes { 0 } else { self.summed + u32::from(sums_gradients) },
             due: actions,
         }
     }
@@ -40,17 +44,21 @@ pub(super) struct IterationPlan {
     pub iteration: u32,
     pub view: usize,
     pub work: Work,
+    /// Views whose gradients were added up before.
+    pub summed: u32,
     pub sh_degree: u32,
     pub settings: RenderSettings,
     pub step: Step,
     /// Whether the sizes of the 3D filter are computed anew after the step.
     pub computes_filters: bool,
+    pub exposure: ExposureStep,
 }
 
 impl IterationPlan {
-    /// A plan with the optimiser's step, for some view: for a recording that is never executed.
-    pub fn rehearsal(self, view: usize) -> Self {
-        Self { view, work: Work { optimizes: true, ..self.work }, ..self }
+    /// A plan with the optimiser's step and the statistics, for some view: for a recording that is never executed.
+    pub fn rehearsal(self, view: usize, sums_gradients: bool) -> Self {
+        let work = Work { optimizes: true, accumulates: true, sums_gradients, ..self.work };
+        Self { view, work, ..self }
     }
 }
 
@@ -72,10 +80,13 @@ impl Schedule {
         let s = &run.settings;
         // The reference's last iteration only saves.
         work.optimizes &= iteration < s.iterations;
+        // What was added up before belongs into this step too.
+        work.sums_gradients = (work.sums_gradients || progress.summed > 0) && iteration < s.iterations;
         IterationPlan {
             iteration,
             view: self.order.view(iteration),
             work,
+            summed: progress.summed,
             sh_degree: s.sh_degree_at(iteration),
             settings: RenderSettings {
                 background: background(run, iteration),
@@ -84,6 +95,7 @@ impl Schedule {
             },
             step: optimizer_step(run, iteration, progress, &work),
             computes_filters: s.computes_filters_at(iteration),
+            exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1 },
         }
     }
 }

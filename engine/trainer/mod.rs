@@ -7,6 +7,7 @@
 
 mod budget;
 pub mod checkpoint;
+mod depth_maps;
 mod forecast;
 mod iteration;
 mod model;
@@ -28,14 +29,14 @@ mod terms;
 pub mod verify;
 mod work;
 
-pub use checkpoint::{Checkpoint, Room};
+pub use checkpoint::{Checkpoint, ExposureState, Room};
 pub use forecast::Forecast;
 pub use photos::PhotoSize;
 pub use population::{Growth, Population};
 pub use record::{RecordedStep, StepReservation};
 pub use report::{Maintenance, StepOutcome, StepReport};
-pub use settings::{OptimizerType, StrategyType, TrainSettings};
-pub use strategies::{Fixed, Mcmc, Reference};
+pub use settings::{ImportanceType, OptimizerType, SplitType, StrategyType, TrainSettings};
+pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, Reference, quantile};
 pub use strategy::Strategy;
 pub use terms::*;
 pub use work::{Actions, Densified};
@@ -49,10 +50,12 @@ use crate::renderer::{Frame, FrameRunner, FrameStore, PixelReport, TileReport};
 use crate::scene::StoredPhoto;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Context};
+use depth_maps::DepthMaps;
 use forecast::Kit;
 use model::{Model, RowMemory, State};
 use photos::Photos;
 use run::Run;
+use std::sync::Arc;
 use step_recorder::{LossMemory, StepRecorder};
 
 /// A photograph and its camera.
@@ -64,12 +67,22 @@ pub struct TrainView {
     /// The photo, kept on the device with 8 bits per channel. Masked pixels carry no loss. Photos in a file
     /// are read ahead of the iterations that need them.
     pub photo: StoredPhoto,
+    /// The inverse depth that the photo's pixels should have, row by row: the sum of blending weights / z, 1 / world
+    /// units. Pixels from [`MAP_NOTHING`](crate::kernels::constants::MAP_NOTHING) on, as infinity, do not count. A view
+    /// with one adds [`InverseDepth`] to the loss.
+    pub inverse_depth: Option<Arc<[f32]>>,
 }
 
 impl TrainView {
     /// A view to train on.
     pub fn new(camera: Camera, photo: impl Into<StoredPhoto>) -> Self {
-        Self { camera, photo: photo.into() }
+        Self { camera, photo: photo.into(), inverse_depth: None }
+    }
+
+    /// The view with an inverse-depth map: [`TrainView::inverse_depth`].
+    #[must_use]
+    pub fn with_inverse_depth(self, map: Option<Arc<[f32]>>) -> Self {
+        Self { inverse_depth: map, ..self }
     }
 }
 
@@ -114,6 +127,7 @@ pub struct Trainer {
     context: Context,
     run: Run,
     photos: Photos,
+    maps: DepthMaps,
     schedule: iteration::Schedule,
     strategy: Box<dyn Strategy>,
     recorder: StepRecorder,
@@ -197,6 +211,7 @@ impl Trainer {
         let targets = recorder.targets();
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
+        let maps = DepthMaps::new(context, &views, &photo_sizes)?;
         let views_fingerprint = resume::fingerprint_of(&views);
         drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, sh_degree)?;
@@ -204,7 +219,11 @@ impl Trainer {
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&cameras);
         runner.expect_pictures(pictures);
-        if let Some(frame) = room.and_then(|room| room.frame(pictures)) {
+        let absolute = rows.absolute().is_some();
+        if absolute {
+            runner.expect_absolute();
+        }
+        if let Some(frame) = room.and_then(|room| room.frame(pictures, absolute)) {
             runner.restore(frame)?;
         }
         let run = Run { settings, scene_extent, cameras, views_fingerprint };
@@ -216,6 +235,7 @@ impl Trainer {
             context: context.clone(),
             run,
             photos,
+            maps,
             strategy,
             recorder,
             runner,

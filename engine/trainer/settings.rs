@@ -24,13 +24,43 @@ pub enum OptimizerType {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum StrategyType {
-    /// That of the reference implementation: clone, split, prune, opacity reset.
+    /// That of the reference implementation: clone, split, prune, opacity reset. Files may also call it
+    /// `default`, its name in earlier versions.
     #[default]
-    Default,
+    #[cfg_attr(feature = "serde", serde(alias = "default"))]
+    Reference,
     /// None: the Gaussians of the beginning are optimised, and their number stays.
     Fixed,
     /// 3DGS-MCMC's: relocation, growth to `cap_max`, noise. [`TrainSettings::of_strategy`] has its values.
     Mcmc,
+    /// Budgeted growth after Improved-GS: the Gaussians that matter most for the edges of the photographs are
+    /// split along their long axis, up to a number that grows to `cap_max`. [`TrainSettings::of_strategy`] has
+    /// its values.
+    Budget,
+}
+
+/// How a Gaussian is split.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "kebab-case"))]
+pub enum SplitType {
+    /// Two means drawn from it, scales divided by 1.6 (the reference's).
+    #[default]
+    Sample,
+    /// Two along its longest axis, at ± 1.35 of that scale (Improved-GS).
+    LongAxis,
+}
+
+/// What the chance to be split follows, among the candidates of the strategy `budget`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum ImportanceType {
+    /// The blending weights at the photographs' edges, over several views (Improved-GS).
+    #[default]
+    Edges,
+    /// The statistic that made the candidates.
+    Statistic,
+    /// Nothing: all have the same chance.
+    None,
 }
 
 options! {
@@ -71,9 +101,9 @@ options! {
         opacity_reg: f64 = 0.0, Bounds::NotNegative;
         /// Weight of the mean scale in the loss (mcmc: 0.01)
         scale_reg: f64 = 0.0, Bounds::NotNegative;
-        /// Density control: the reference's, none, or 3DGS-MCMC's, which sets other defaults of some options
-        strategy: StrategyType = StrategyType::Default, Bounds::None;
-        /// Most Gaussians that strategy mcmc grows to
+        /// Density control: the reference's, none, 3DGS-MCMC's, or budgeted growth; the last two set other defaults
+        strategy: StrategyType = StrategyType::Reference, Bounds::None;
+        /// Most Gaussians that the strategies mcmc and budget grow to
         cap_max: u32 = 1_000_000, Bounds::AtLeast(1);
         /// Rate of mcmc's noise on the means, times their learning rate
         noise_lr: f64 = 5e5, Bounds::NotNegative;
@@ -85,12 +115,41 @@ options! {
         densification_interval: u32 = 100, Bounds::AtLeast(1);
         /// Iterations between opacity resets
         opacity_reset_interval: u32 = 3000, Bounds::AtLeast(1);
+        /// Count what concerns the whole run in shares of 30,000 iterations: position_lr_max_steps, densify_from_iter,
+        /// densify_until_iter and the groups of multi_step are multiplied by iterations / 30000 (budget: true)
+        scale_schedule: bool = false, Bounds::None;
         /// Densification starts after this iteration
         densify_from_iter: u32 = 500, Bounds::None;
         /// Densification, and the collection of its statistics, end before this iteration (mcmc: 25000)
         densify_until_iter: u32 = 15_000, Bounds::None;
         /// Mean norm of the 2D mean's gradient (NDC) from which a Gaussian is densified
         densify_grad_threshold: f64 = 2e-4, Bounds::NotNegative;
+        /// That norm of sums of absolute values over pixels, so that opposite gradients do not cancel (AbsGS; budget: true)
+        absgrad: bool = false, Bounds::None;
+        /// Split a Gaussian into two drawn from it, or along its longest axis (budget: long-axis)
+        split: SplitType = SplitType::Sample, Bounds::None;
+        /// What the chance to be split follows with strategy budget: edges of the photographs, the gradient's statistic, nothing
+        importance: ImportanceType = ImportanceType::Edges, Bounds::None;
+        /// Grow to cap_max along a square root, not at once (budget: true)
+        growth_curve: bool = false, Bounds::None;
+        /// Prune what does not recover from opacity resets, which are milder (budget: true)
+        recovery: bool = false, Bounds::None;
+        /// Add up the gradients of several views before a step in the last third of the run (budget: true)
+        multi_step: bool = false, Bounds::None;
+        /// Learn the exposure of each photo: a 3x4 matrix that changes the rendered colours before they are compared
+        exposure: bool = false, Bounds::None;
+        /// Learning rate of the exposures at the start
+        exposure_lr_init: f64 = 0.01, Bounds::Positive;
+        /// Learning rate of the exposures at the end
+        exposure_lr_final: f64 = 0.001, Bounds::Positive;
+        /// Iterations over which the exposures' learning rate rises from exposure_lr_delay_mult of it to all of it
+        exposure_lr_delay_steps: u32 = 0, Bounds::None;
+        /// Share of the exposures' learning rate at the start of that rise
+        exposure_lr_delay_mult: f64 = 0.0, Bounds::Share;
+        /// Weight of the inverse-depth maps in the loss at the start, for views that have one
+        depth_l1_weight_init: f64 = 1.0, Bounds::Positive;
+        /// Weight of the inverse-depth maps in the loss at the end
+        depth_l1_weight_final: f64 = 0.01, Bounds::Positive;
         /// Gaussians of a smaller opacity are pruned at a densification
         min_opacity: f64 = 0.005, Bounds::Share;
         /// White background instead of black
@@ -114,16 +173,37 @@ options! {
 
 /// Opacity of the first Gaussians in the reference.
 const INITIAL_OPACITY: f64 = 0.1;
+/// Iterations of the run that schedules are given for.
+const SCHEDULE_ITERATIONS: u32 = 30_000;
 /// The SH coefficients above degree 0 learn at this share of `feature_lr`.
 const FEATURE_REST_SHARE: f64 = 1.0 / 20.0;
 
+/// From the first value at iteration 0 to the second one after `steps`, log-linear; constant after that.
+fn log_linear([first, last]: [f64; 2], iteration: u32, steps: u32) -> f64 {
+    let progress = (f64::from(iteration) / f64::from(steps)).min(1.0);
+    (first.ln() * (1.0 - progress) + last.ln() * progress).exp()
+}
+
 impl TrainSettings {
     /// The defaults with a strategy. Those of 3DGS-MCMC differ in rates, initial values, regularisers and the end
-    /// of densification (its README and `train.py`).
+    /// of densification (its README and `train.py`). Those of budgeted growth differ in the means' rates and in
+    /// the threshold (Improved-GS, `arguments/__init__.py`), have all parts of it, and scale its schedule.
     pub fn of_strategy(strategy: StrategyType) -> Self {
         let usual = Self { strategy, ..Self::default() };
         match strategy {
-            StrategyType::Default | StrategyType::Fixed => usual,
+            StrategyType::Reference | StrategyType::Fixed => usual,
+            StrategyType::Budget => Self {
+                position_lr_init: 4e-5,
+                position_lr_final: 2e-6,
+                densify_grad_threshold: 3e-4,
+                scale_schedule: true,
+                absgrad: true,
+                split: SplitType::LongAxis,
+                growth_curve: true,
+                recovery: true,
+                multi_step: true,
+                ..usual
+            },
             StrategyType::Mcmc => Self {
                 opacity_lr: 0.05,
                 opacity_reg: 0.01,
@@ -134,6 +214,21 @@ impl TrainSettings {
                 ..usual
             },
         }
+    }
+
+    /// Refuses options that the strategy does not have, where they differ from their defaults.
+    pub(super) fn refuse(&self, strategy: &str, names: &[&str]) -> Result<()> {
+        let usual = Self::default();
+        for option in Self::OPTIONS.iter().filter(|option| names.contains(&option.name)) {
+            let value = (option.value)(self);
+            if value != (option.value)(&usual) {
+                let problem = format!(
+                    "is {value}, but the strategy {strategy} has no such part; leave it out, or take strategy budget"
+                );
+                return Err(Error::argument(option.name, problem));
+            }
+        }
+        Ok(())
     }
 
     /// Gives Gaussians of the reference's opacity and scale those of the settings.
@@ -165,11 +260,46 @@ impl TrainSettings {
         }
     }
 
+    /// An iteration of the schedule in this run: the same, or with `scale_schedule` multiplied by `iterations`
+    /// / 30,000 and rounded, so that it keeps its share of the run. Intervals and what follows an opacity reset
+    /// are not scaled: statistics need as many views, and opacities as many steps, in a short run.
+    pub fn scaled(&self, iteration: u32) -> u32 {
+        if !self.scale_schedule {
+            return iteration;
+        }
+        let whole = u64::from(SCHEDULE_ITERATIONS);
+        let scaled = (u64::from(iteration) * u64::from(self.iterations) + whole / 2) / whole;
+        scaled.min(u32::MAX.into()) as u32
+    }
+
     /// Learning rate of the means at an iteration, in units of the scene's extent (multiply by it): log-linear
-    /// from `position_lr_init` at 0 to `position_lr_final` at `position_lr_max_steps`, constant after that.
+    /// from `position_lr_init` at 0 to `position_lr_final` at `position_lr_max_steps`
+    /// ([scaled](Self::scaled)), constant after that.
     pub fn position_lr(&self, iteration: u32) -> f64 {
-        let progress = (f64::from(iteration) / f64::from(self.position_lr_max_steps)).min(1.0);
-        (self.position_lr_init.ln() * (1.0 - progress) + self.position_lr_final.ln() * progress).exp()
+        let end = self.scaled(self.position_lr_max_steps).max(1);
+        log_linear([self.position_lr_init, self.position_lr_final], iteration, end)
+    }
+
+    /// Weight of the inverse-depth maps at an iteration: log-linear from `depth_l1_weight_init` at 0 to
+    /// `depth_l1_weight_final` at the last iteration.
+    pub fn depth_l1_weight(&self, iteration: u32) -> f64 {
+        log_linear([self.depth_l1_weight_init, self.depth_l1_weight_final], iteration, self.iterations)
+    }
+
+    /// Learning rate of the exposures at an iteration: log-linear from `exposure_lr_init` at 0 to
+    /// `exposure_lr_final` at the last iteration, less during the first `exposure_lr_delay_steps` (the
+    /// reference's `get_expon_lr_func`).
+    pub fn exposure_lr(&self, iteration: u32) -> f64 {
+        let rate = log_linear([self.exposure_lr_init, self.exposure_lr_final], iteration, self.iterations);
+        let delay = match self.exposure_lr_delay_steps {
+            0 => 1.0,
+            steps => {
+                let risen = (f64::from(iteration) / f64::from(steps)).min(1.0);
+                let from = self.exposure_lr_delay_mult;
+                from + (1.0 - from) * (risen * std::f64::consts::FRAC_PI_2).sin()
+            }
+        };
+        delay * rate
     }
 
     /// Learning rate of the SH coefficients of degree 1 and above.
@@ -184,13 +314,13 @@ impl TrainSettings {
 
     /// Whether statistics for densification are collected at an iteration (1-based).
     pub fn collects_statistics_at(&self, iteration: u32) -> bool {
-        iteration < self.densify_until_iter
+        iteration < self.scaled(self.densify_until_iter)
     }
 
     /// Whether an iteration (1-based) ends with a densification.
     pub fn densifies_at(&self, iteration: u32) -> bool {
-        iteration > self.densify_from_iter
-            && iteration < self.densify_until_iter
+        iteration > self.scaled(self.densify_from_iter)
+            && iteration < self.scaled(self.densify_until_iter)
             && iteration.is_multiple_of(self.densification_interval)
     }
 
@@ -214,9 +344,9 @@ impl TrainSettings {
     /// Whether an iteration (1-based) ends with an opacity reset. Over white, the reference also resets once
     /// at `densify_from_iter`.
     pub fn resets_opacity_at(&self, iteration: u32) -> bool {
-        iteration < self.densify_until_iter
+        iteration < self.scaled(self.densify_until_iter)
             && (iteration.is_multiple_of(self.opacity_reset_interval)
-                || (self.white_background && iteration == self.densify_from_iter))
+                || (self.white_background && iteration == self.scaled(self.densify_from_iter)))
     }
 }
 
@@ -231,6 +361,20 @@ mod tests {
         assert!((settings.position_lr(15_000) - 1.6e-5).abs() < 1e-16);
         assert!((settings.position_lr(30_000) - 1.6e-6).abs() < 1e-18);
         assert_eq!(settings.position_lr(30_001), settings.position_lr(30_000));
+    }
+
+    #[test]
+    fn exposure_lr_is_log_linear_behind_its_delay() {
+        let settings = TrainSettings { iterations: 100, ..Default::default() };
+        for (iteration, rate) in [(0, 0.01), (50, 0.01 / 10f64.sqrt()), (100, 0.001), (200, 0.001)] {
+            assert!((settings.exposure_lr(iteration) / rate - 1.0).abs() < 1e-12, "{iteration}");
+        }
+        let late =
+            TrainSettings { exposure_lr_delay_steps: 10, exposure_lr_delay_mult: 0.2, ..settings.clone() };
+        assert!((late.exposure_lr(0) - 0.002).abs() < 1e-15);
+        let share = 0.2 + 0.8 * 0.5f64.sqrt();
+        assert!((late.exposure_lr(5) - share * settings.exposure_lr(5)).abs() < 1e-15);
+        assert_eq!(late.exposure_lr(10), settings.exposure_lr(10));
     }
 
     #[test]
@@ -250,6 +394,23 @@ mod tests {
         let computed: Vec<u32> = (1..=30_000).filter(|&i| settings.computes_filters_at(i)).collect();
         assert_eq!((computed.first(), computed.last(), computed.len()), (Some(&15_100), Some(&29_800), 148));
         assert!((1..=30_000).all(|i| !TrainSettings::default().computes_filters_at(i)));
+    }
+
+    #[test]
+    fn a_scaled_schedule_keeps_its_shares_of_the_run() {
+        let scaled = |iterations| TrainSettings { iterations, scale_schedule: true, ..Default::default() };
+        let (whole, short) = (scaled(30_000), scaled(2000));
+        for iteration in [0, 1, 499, 15_000, 29_999] {
+            assert_eq!(whole.scaled(iteration), iteration);
+            assert_eq!(whole.position_lr(iteration), TrainSettings::default().position_lr(iteration));
+        }
+        assert_eq!([500, 15_000, 30_000].map(|i| short.scaled(i)), [33, 1000, 2000]);
+        assert!((short.position_lr(2000) - 1.6e-6).abs() < 1e-18);
+        let densified: Vec<u32> = (1..=2000).filter(|&i| short.densifies_at(i)).collect();
+        assert_eq!(densified, [100, 200, 300, 400, 500, 600, 700, 800, 900]);
+        // Not even a run of one iteration divides by zero.
+        assert!(scaled(1).position_lr(1).is_finite());
+        assert_eq!(TrainSettings { iterations: 2000, ..Default::default() }.scaled(500), 500);
     }
 
     #[test]

@@ -39,7 +39,7 @@ impl Trainer {
         let progress = self.state.progress;
         let before = Progress { iteration: progress.iteration - 1, ..progress };
         let plan = self.plan_after(&before);
-        if !plan.work.optimizes {
+        if !plan.work.optimizes && !plan.work.sums_gradients {
             return Ok(());
         }
         let plan = IterationPlan { work: Work { accumulates: false, ..plan.work }, ..plan };
@@ -142,8 +142,10 @@ impl Trainer {
                 runner: &mut self.runner,
                 pictures: &mut self.pictures,
                 model: &mut self.state.model,
+                photos: &self.photos,
                 most_instances: &mut self.state.most_instances,
                 iteration: self.state.progress.iteration,
+                summed: &mut self.state.progress.summed,
             };
             let changes = self.strategy.between_steps(&mut population, due.first())?;
             if changes.densified.is_some() {
@@ -179,8 +181,9 @@ impl Trainer {
     fn run_step(&mut self, plan: &IterationPlan) -> Result<Ran, Failed> {
         self.recorder.prepare(plan.sh_degree)?;
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
-        let (photos, memory, filter) = (&self.photos, &self.losses, self.filter.as_ref());
-        let parts = StepParts { run, model, photos, memory, strategy, filter, plan };
+        let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
+        let filter = self.filter.as_ref();
+        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, plan };
         self.runner.run(&parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
             Ok(())

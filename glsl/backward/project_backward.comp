@@ -4,11 +4,12 @@
 // invocation: one visible Gaussian; subgroup: adds the instances of a Gaussian with many tiles together, over the lanes in a
 // fixed order, so that results do not depend on scheduling
 // in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, first_instances, conic_opacity,
-//      instance_gradients_a, instance_gradients_b, instance_gradients_c
+//      instance_gradients_a, instance_gradients_b, instance_gradients_c, with ABSOLUTE instance_gradients_d
 // out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
 //      (d colour before its clamp at 0, dL/dy px)
 // in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) if `accumulate` is set, nothing overflowed
-//         and the norm is finite
+//         and the norm is finite; with ABSOLUTE absolute_statistics[Gaussian] += (norm of the sums of |dL/d(mean2d)| in NDC),
+//         and both norms must be finite
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -26,8 +27,10 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // A Gaussian with more instances is summed by its whole subgroup.
 layout(constant_id = 3) const uint LANE_INSTANCES = 64;
+// Also the statistic of the absolute gradients of the 2D mean.
+layout(constant_id = 4) const bool ABSOLUTE = false;
 // Whether Gaussians have a 3D filter: see projection.glsl.
-layout(constant_id = 4) const bool FILTER_3D = false;
+layout(constant_id = 5) const bool FILTER_3D = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -42,6 +45,9 @@ VEC2_READS(8, InstanceGradientsC, instance_gradients_c);
 layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
+// Only used with ABSOLUTE.
+VEC2_READS(12, InstanceGradientsD, instance_gradients_d);
+layout(set = 0, binding = 13, scalar) buffer AbsoluteStatistics { float absolute_statistics[]; };
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
@@ -68,19 +74,32 @@ struct Sums {
     vec4 a;
     vec4 b;
     vec2 c;
+    vec2 absolute;
 };
 
+Sums no_sums() {
+    return Sums(vec4(0.0), vec4(0.0), vec2(0.0), vec2(0.0));
+}
+
+void add_instance(inout Sums sums, uint at) {
+    sums.a += VEC4_AT(instance_gradients_a, at);
+    sums.b += VEC4_AT(instance_gradients_b, at);
+    sums.c += VEC2_AT(instance_gradients_c, at);
+    if (ABSOLUTE) {
+        sums.absolute += VEC2_AT(instance_gradients_d, at);
+    }
+}
+
 Sums subgroup_sum(Sums sums) {
-    return Sums(subgroupAdd(sums.a), subgroupAdd(sums.b), subgroupAdd(sums.c));
+    vec2 absolute = ABSOLUTE ? subgroupAdd(sums.absolute) : vec2(0.0);
+    return Sums(subgroupAdd(sums.a), subgroupAdd(sums.b), subgroupAdd(sums.c), absolute);
 }
 
 Sums sum_instances(uint begin, uint count, bool exists) {
-    Sums sums = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
+    Sums sums = no_sums();
     uint alone = count <= LANE_INSTANCES ? count : 0;
     for (uint k = 0; k < alone; ++k) {
-        sums.a += VEC4_AT(instance_gradients_a, begin + k);
-        sums.b += VEC4_AT(instance_gradients_b, begin + k);
-        sums.c += VEC2_AT(instance_gradients_c, begin + k);
+        add_instance(sums, begin + k);
     }
     uvec4 large = subgroupBallot(exists && count > LANE_INSTANCES);
     for (uint word = 0; word < BALLOT_WORDS; ++word) {
@@ -90,11 +109,9 @@ Sums sum_instances(uint begin, uint count, bool exists) {
             bits &= bits - 1;
             uint their_begin = subgroupShuffle(begin, lane);
             uint their_count = subgroupShuffle(count, lane);
-            Sums share = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
+            Sums share = no_sums();
             for (uint k = gl_SubgroupInvocationID; k < their_count; k += SUBGROUP_SIZE) {
-                share.a += VEC4_AT(instance_gradients_a, their_begin + k);
-                share.b += VEC4_AT(instance_gradients_b, their_begin + k);
-                share.c += VEC2_AT(instance_gradients_c, their_begin + k);
+                add_instance(share, their_begin + k);
             }
             share = subgroup_sum(share);
             if (gl_SubgroupInvocationID == lane) {
@@ -241,8 +258,13 @@ void main() {
         if (accumulate != 0 && state[STATE_OVERFLOW] == 0) {
             vec2 ndc = d_mean2d * 0.5 * vec2(image_width, image_height);
             float norm = length(ndc);
+            float absolute_norm = ABSOLUTE ? length(sums.absolute * 0.5 * vec2(image_width, image_height)) : 0.0;
             // A norm that is not finite would spoil the statistics for good, so it is skipped.
-            statistics[gaussian] += is_finite(norm) ? vec2(norm, 1.0) : vec2(0.0);
+            bool counts = is_finite(norm) && is_finite(absolute_norm);
+            statistics[gaussian] += counts ? vec2(norm, 1.0) : vec2(0.0);
+            if (ABSOLUTE) {
+                absolute_statistics[gaussian] += counts ? absolute_norm : 0.0;
+            }
         }
     }
 }

@@ -5,10 +5,11 @@
 // Without SPARSE, Gaussians outside the view have a zero gradient, and their moments still decay. With SPARSE they do not
 // change. SH gradients are computed here from the colour's gradient. Planes above the active degree have neither gradient
 // nor moments. A Gaussian with a gradient that is not finite does not change, and is counted. If the frame overflowed,
-// nothing changes.
+// nothing changes. With SUMS all gradients are sums over several views (add_gradients.comp), in the planes that otherwise have
+// those of the parameters themselves.
 //
 // invocation: one Gaussian
-// in: visible_index, gradients (PerVisible planes), state
+// in: visible_index, gradients (PerVisible planes), parameter_gradients (PerGaussian planes), state
 // in/out: parameters, moments_1, moments_2 (PerGaussian planes), each bound a second time for reads;
 //     state[STATE_NON_FINITE] counts the skipped Gaussians
 // shared: none; any subgroup size
@@ -24,6 +25,7 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SPARSE = false;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
+layout(constant_id = 5) const bool SUMS = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_WRITES(0, Parameters, parameters);
@@ -100,7 +102,16 @@ void main() {
     d_quat = seen ? d_quat : vec4(0.0);
     d_log_scale = seen ? d_log_scale : vec4(0.0);
     d_color = seen ? d_color : vec4(0.0);
-    if (PARAMETER_GRADIENTS) {
+    if (SUMS) {
+        d_mean_opacity = VEC4_AT(parameter_gradients, geometry_at(PLANE_MEAN_OPACITY, index));
+        d_quat = VEC4_AT(parameter_gradients, geometry_at(PLANE_QUAT, index));
+        d_log_scale = VEC4_AT(parameter_gradients, geometry_at(PLANE_LOG_SCALE, index));
+        d_color = vec4(0.0);
+        [[unroll]] for (uint plane = 0; plane < SH_PLANES; ++plane) {
+            vec4 g = VEC4_AT(parameter_gradients, plane_at(PLANE_SH + plane, index, chunk_gaussians));
+            d_color = finite(g) ? d_color : g;
+        }
+    } else if (PARAMETER_GRADIENTS) {
         d_mean_opacity += VEC4_AT(parameter_gradients, geometry_at(PLANE_MEAN_OPACITY, index));
         d_quat += VEC4_AT(parameter_gradients, geometry_at(PLANE_QUAT, index));
         d_log_scale.xyz += VEC4_AT(parameter_gradients, geometry_at(PLANE_LOG_SCALE, index)).xyz;
@@ -123,6 +134,8 @@ void main() {
     update(plane_at(PLANE_LOG_SCALE, index, chunk_gaussians), d_log_scale, vec4(vec3(rate_log_scale), 0.0), bias);
     [[unroll]] for (uint plane = 0; plane < SH_PLANES; ++plane) {
         vec4 rate = plane == 0 ? vec4(vec3(rate_sh_dc), rate_sh_rest) : vec4(rate_sh_rest);
-        update(plane_at(PLANE_SH + plane, index, chunk_gaussians), sh_plane_gradient(plane, basis, d_color.xyz), rate, bias);
+        uint at = plane_at(PLANE_SH + plane, index, chunk_gaussians);
+        vec4 g = SUMS ? VEC4_AT(parameter_gradients, at) : sh_plane_gradient(plane, basis, d_color.xyz);
+        update(at, g, rate, bias);
     }
 }

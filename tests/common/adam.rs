@@ -41,7 +41,7 @@ pub struct Step {
 
 fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool, parameter_gradients: bool) -> Kernel<adam::Interface> {
     let workgroup_size = gpu.workgroup(64);
-    gpu.kernel(&adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients })
+    gpu.kernel(&adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums: false })
 }
 
 /// Parameters and moments on the device.

@@ -2,7 +2,7 @@
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, with_host};
-use ashsplat::trainer::{StepOutcome, StepReservation, StrategyType, Trainer};
+use ashsplat::trainer::{SplitType, StepOutcome, StepReservation, StrategyType, Trainer};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, LimitsOverride};
 use ashsplat::{
     Blending, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings,
@@ -121,9 +121,31 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         iterations: 1000,
         ..settings()
     };
-    for (push_descriptors, settings) in
-        [(true, settings()), (false, weighted), (true, mcmc), (true, filtered)]
-    {
+    // And with budgeted growth, which adds up gradients over several steps after 133 and 160.
+    let budget = TrainSettings {
+        strategy: StrategyType::Budget,
+        scale_schedule: true,
+        densify_from_iter: 3000,
+        densify_until_iter: 19_500,
+        cap_max: 600,
+        absgrad: true,
+        split: SplitType::LongAxis,
+        growth_curve: true,
+        recovery: true,
+        multi_step: true,
+        ..settings()
+    };
+    // And with exposures, whose optimiser has a step of its own.
+    let exposed = TrainSettings { exposure: true, ..settings() };
+    for (push_descriptors, settings) in [
+        (true, settings()),
+        (false, weighted),
+        (true, mcmc),
+        (true, filtered),
+        (true, exposed),
+        (true, budget.clone()),
+        (false, budget),
+    ] {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }

@@ -78,11 +78,23 @@ fn random_sums(random: &mut Random, splat: &Splat) -> [f64; 10] {
 
 /// What the kernel leaves: gradient planes and statistics.
 fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32; 4]>, Vec<[f32; 2]>) {
+    let (gradients, statistics, _) = run_with(gpu, scene, (accumulate, overflow), None);
+    (gradients, statistics)
+}
+
+/// The same with the instances' absolute gradients; at last the absolute statistics.
+fn run_with(
+    gpu: &Gpu,
+    scene: &Scene,
+    (accumulate, overflow): (bool, bool),
+    absolute: Option<&[[f32; 2]]>,
+) -> (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<f32>) {
     let spec = Spec {
         workgroup_size: gpu.workgroup(64),
         subgroup_size: gpu.subgroup(),
         sh_degree: scene.view.sh_degree,
         filter_3d: scene.view.filter_3d > 0.0,
+        absolute: absolute.is_some(),
         ..Spec::default()
     };
     let kernel = gpu.kernel::<Interface>(&spec);
@@ -119,6 +131,9 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
     let instance_gradients_c = gpu.buffer("instance_gradients_c", &instance_gradients_c);
     let gradients = gpu.untouched::<[f32; 4]>("gradients", GRADIENT_PLANES as usize * gradient_stride);
     let statistics = gpu.buffer("statistics", &vec![[2.0_f32, 3.0]; size]);
+    let absolute_statistics = gpu.buffer("absolute_statistics", &vec![5.0_f32; size]);
+    let instance_gradients_d =
+        absolute.map_or_else(|| instance_gradients_c.clone(), |d| gpu.buffer("instance_gradients_d", d));
     let bind = Bind {
         parameters: &parameters,
         state: &state,
@@ -130,8 +145,10 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
         instance_gradients_a: &instance_gradients_a,
         instance_gradients_b: &instance_gradients_b,
         instance_gradients_c: &instance_gradients_c,
+        instance_gradients_d: &instance_gradients_d,
         gradients: &gradients,
         statistics: &statistics,
+        absolute_statistics: &absolute_statistics,
         camera_block: &gpu.buffer("camera_block", &[camera_block(&scene.view)]),
     };
     let push = Push {
@@ -145,7 +162,8 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
     gpu.run(|recorder| {
         recorder.dispatch(&kernel, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1)
     });
-    (gpu.read(&gradients, GRADIENT_PLANES as usize * gradient_stride), gpu.read(&statistics, size))
+    let gradients = gpu.read(&gradients, GRADIENT_PLANES as usize * gradient_stride);
+    (gradients, gpu.read(&statistics, size), gpu.read(&absolute_statistics, size))
 }
 
 fn check(gpu: &Gpu, scene: &Scene) {
@@ -249,4 +267,44 @@ fn project_backward_leaves_statistics_alone_unless_told() {
         let (_, statistics) = run(&gpu, &scene, accumulate, overflow);
         assert!(statistics.iter().all(|&s| s == [2.0, 3.0]), "accumulate {accumulate}, overflow {overflow}");
     }
+}
+
+/// Beside the usual gradients and statistics, which keep their bits.
+#[test]
+fn project_backward_adds_up_absolute_statistics() {
+    let gpu = Gpu::new();
+    let mut scene = Scene::random(300, small_view([53, 37]), 9);
+    let instances = scene.sums.iter().map(Vec::len).sum();
+    let mut random = Random::new(5);
+    let mut absolute: Vec<[f32; 2]> =
+        (0..instances).map(|_| [0; 2].map(|_| 1e-3 * random.signed().abs() as f32)).collect();
+    // One whose sums are not finite, and one whose signed ones are not.
+    let first_of = |place: usize| scene.sums[..place].iter().map(Vec::len).sum::<usize>();
+    let with_instances: Vec<usize> = (0..scene.sums.len()).filter(|&i| !scene.sums[i].is_empty()).collect();
+    let [infinite, signed] = [with_instances[3], with_instances[7]];
+    absolute[first_of(infinite)] = [f32::INFINITY, 0.0];
+    scene.sums[signed][0][1] = f64::INFINITY;
+    let (planes, statistics, sums) = run_with(&gpu, &scene, (true, false), Some(&absolute));
+    let (usual, usual_statistics) = run(&gpu, &scene, true, false);
+    let bits = |planes: &[[f32; 4]]| planes.as_flattened().iter().map(|x| x.to_bits()).collect::<Vec<u32>>();
+    assert!(bits(&planes) == bits(&usual));
+    let mut wanted = vec![5.0; scene.gaussians.len()];
+    let mut begin = 0;
+    for (place, (&gaussian, own)) in scene.visible.iter().zip(&scene.sums).enumerate() {
+        let own = &absolute[begin..begin + own.len()];
+        begin += own.len();
+        let at = gaussian as usize;
+        if place == infinite || place == signed {
+            assert_eq!(statistics[at], [2.0, 3.0]);
+            continue;
+        }
+        let sum = [0, 1].map(|axis| own.iter().map(|d| f64::from(d[axis])).sum::<f64>());
+        wanted[at] += mean2d_statistic(&scene.view, sum);
+        assert_eq!(statistics[at], usual_statistics[at]);
+    }
+    for (i, (&actual, wanted)) in sums.iter().zip(&wanted).enumerate() {
+        assert!((f64::from(actual) - wanted).abs() <= 3e-6 * wanted, "{i}: {actual}, {wanted}");
+    }
+    let (_, _, sums) = run_with(&gpu, &scene, (true, true), Some(&absolute));
+    assert!(sums.iter().all(|&sum| sum == 5.0));
 }

@@ -1,8 +1,10 @@
 //! `ashsplat eval`, and the measurement of held-out views that training and the demo share.
 
 mod perceptual;
+mod protocol;
 
 pub use perceptual::{LpipsArguments, Perceptual};
+pub use protocol::Protocol;
 
 use crate::args::DeviceArguments;
 use crate::config::DataSettings;
@@ -10,8 +12,8 @@ use crate::model::Model;
 use crate::progress::{counting, thousands};
 use crate::{output, render, session};
 use ashsplat::lpips::Network;
-use ashsplat::scene::Camera;
-use ashsplat::{Error, Frame, RenderSettings, Renderer, Result};
+use ashsplat::{Camera, Error, Frame, RenderSettings, Renderer, Result};
+use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::metrics;
 use ashsplat_files::{Gallery, Photo, View};
 use clap::Args;
@@ -22,6 +24,9 @@ use std::time::Instant;
 
 /// PSNR and SSIM of a trained scene on a data set, LPIPS where weights are given; its Gaussians, its bytes and the time of a
 /// frame. What masks hide does not count.
+///
+/// Photos with an exposure in the model folder's exposure.json are compared under it: those that were trained on. Held-out
+/// ones have one after a training with --train-test-exp only, and then their right half counts.
 ///
 /// For a model folder the data set, the size of the photos and the split are those of its training; results go
 /// to its results.json and per_view.json.
@@ -201,6 +206,7 @@ impl Pictures {
 /// Renders the views, measures them and, if asked, saves them. One view is held at a time.
 pub fn evaluate<V: Borrow<View>>(
     views: impl Iterator<Item = Result<V>>,
+    protocol: &Protocol,
     More { mut pictures, mut lpips, frame_times }: More,
     mut draw: impl FnMut(&Camera) -> Result<Frame>,
 ) -> Result<Evaluation> {
@@ -213,15 +219,16 @@ pub fn evaluate<V: Borrow<View>>(
             continue;
         }
         let index = results.len();
-        let frame = draw(&view.camera)?;
-        let mut result = measure(view, &frame)?;
+        let (measured, frame) = protocol.prepared(view, draw(&view.camera)?)?;
+        let mut result = measure(&measured, &frame)?;
         if let Some(lpips) = &mut lpips {
-            result.lpips = lpips.measure(view, &frame)?;
+            result.lpips = lpips.measure(&measured, &frame)?;
         }
         if frame_times {
             result.frame_ms = Some(frame_ms(|| draw(&view.camera))?);
         }
         results.push(result);
+        let view = measured;
         if let Some(pictures) = &mut pictures {
             pictures.save("renders", index, &output::to_photo(&frame)?);
             let photo = view.photo.photo()?;
@@ -302,6 +309,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gallery = session::open(&data, &options, &stop)?;
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
+    let protocol = protocol(&model, &gallery)?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
     let look = arguments.look.settings(&model.settings, &scene.header)?;
@@ -314,7 +322,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut lpips = Perceptual::new(&context, &weights)?;
     let views = views.inspect(|_| bar.inc(1));
     let more = More { lpips: lpips.as_mut(), frame_times: true, ..Default::default() };
-    let mut evaluation = evaluate(views, more, |camera| renderer.render(camera, &settings))?;
+    let mut evaluation = evaluate(views, &protocol, more, |camera| renderer.render(camera, &settings))?;
     bar.finish_and_clear();
     evaluation.scene = Some(SceneSize { gaussians: scene.gaussians.len() as u64, bytes });
     if let (Some((folder, iteration)), false) = (&model.folder, arguments.all) {
@@ -323,6 +331,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     print_results(arguments.json, &evaluation, context.device_name());
     arguments.device.report_validation(&context);
     Ok(())
+}
+
+/// The exposures of a model folder, and the halves that its training left.
+fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
+    let Some((folder, _)) = &model.folder else { return Ok(Protocol::default()) };
+    let file = folder.join(EXPOSURE_FILE);
+    let halves = model.settings.data.train_test_exp;
+    if !halves && !file.is_file() {
+        return Ok(Protocol::default());
+    }
+    let cameras = gallery.cameras().into_iter().zip(gallery.held_out());
+    let held_out = cameras.filter(|(_, held_out)| halves && **held_out).map(|(named, _)| named.name);
+    Ok(Protocol { exposures: exposure_json::read(&file)?, halves: held_out.collect() })
 }
 
 /// Which views are measured.

@@ -114,6 +114,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .transpose()?;
     let host = &arguments.device.host;
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;
+    // Only training looks at them.
+    options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let gallery = session::open(&settings.data, &options, &stop)?;
     check_fits(&context, &gallery, &settings.train, start.as_ref().map(Start::checkpoint))?;
@@ -168,6 +170,8 @@ pub fn say_what_next(model: &Path) {
 pub struct Run {
     settings: Settings,
     trainer: Trainer,
+    /// The names of the views that are trained on, in the trainer's order.
+    trained: Vec<String>,
     test: Vec<View>,
     /// Whether `test` was held out, or is a sample of the training views.
     held_out: bool,
@@ -217,7 +221,8 @@ impl Run {
         let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
         let lock = folder::begin(&settings, &data.cameras, Some(&points))?;
         let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
-        Ok(Run::new(context, settings, trainer, (log, lock), (data.test, data.held_out), quiet))
+        let views = (data.trained, data.test, data.held_out);
+        Ok(Run::new(context, settings, trainer, (log, lock), views, quiet))
     }
 
     /// As [`Run::prepare`], from a checkpoint.
@@ -232,7 +237,8 @@ impl Run {
         let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
         let lock = folder::begin(&settings, &data.cameras, None)?;
         let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
-        Ok(Run::new(context, settings, trainer, (log, lock), (data.test, data.held_out), quiet))
+        let views = (data.trained, data.test, data.held_out);
+        Ok(Run::new(context, settings, trainer, (log, lock), views, quiet))
     }
 
     fn new(
@@ -240,7 +246,7 @@ impl Run {
         settings: Settings,
         trainer: Trainer,
         (log, lock): (TrainLog, FolderLock),
-        (test, held_out): (Vec<View>, bool),
+        (trained, test, held_out): (Vec<String>, Vec<View>, bool),
         quiet: bool,
     ) -> Run {
         let iterations = settings.train.iterations;
@@ -250,6 +256,7 @@ impl Run {
             log,
             settings,
             trainer,
+            trained,
             tracking: Tracking::new(&test, iterations, tracking::SHARE),
             test,
             held_out,

@@ -9,8 +9,8 @@ use super::{LOG_FILE, Run};
 use crate::config::Settings;
 use crate::eval::{self, Evaluation, More};
 use crate::html::{self, escape, section};
+use crate::output;
 use crate::progress::thousands;
-use crate::{output, render};
 use ashsplat::Result;
 use ashsplat::scene::Gaussians;
 use ashsplat_files::View;
@@ -118,8 +118,9 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
 /// A few of the views, evenly spread, and their quality.
 fn measure_some(run: &mut Run) -> Result<(Vec<View>, Evaluation)> {
     let views: Vec<View> = views::spread(&run.test.iter().collect::<Vec<_>>()).into_iter().cloned().collect();
-    let settings = render::settings_of(&run.settings);
-    let evaluation = eval::evaluate(views.iter().map(Ok), More::default(), |camera| {
+    let settings = run.trainer.render_settings();
+    let protocol = run.protocol()?;
+    let evaluation = eval::evaluate(views.iter().map(Ok), &protocol, More::default(), |camera| {
         run.trainer.render(camera, &settings)
     })?;
     Ok((views, evaluation))
@@ -200,7 +201,7 @@ fn sheet(out: &mut String, run: &mut Run, evaluation: &Evaluation, all: &[View])
     section(out, "Contact sheet", &note);
     out.push_str(&views::key());
     out.push_str("<div class=\"sheet\">\n");
-    let settings = render::settings_of(&run.settings);
+    let settings = run.trainer.render_settings();
     for result in shown.into_iter().map(|place| &evaluation.views[place]) {
         let Some(view) = all.iter().find(|view| view.name == result.name) else { continue };
         let frame = run.trainer.render(&view.camera, &settings)?;

@@ -5,6 +5,7 @@ use super::Run;
 use crate::measure::Stopwatch;
 use crate::{model, output};
 use ashsplat::{Error, Result};
+use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::{ply, splats};
 use std::time::{Duration, Instant};
 
@@ -136,6 +137,11 @@ impl Run {
             true => splats::write(path, &gaussians, &options),
             false => ply::write_filtered(path, &gaussians, &filters, antialiased),
         })?;
+        let exposures = self.trainer.exposures()?;
+        if !exposures.is_empty() {
+            let named = self.trained.iter().map(String::as_str).zip(&exposures);
+            exposure_json::write(folder.join(EXPOSURE_FILE), named)?;
+        }
         model::note_saved(folder, iteration)?;
         self.saved = Some(iteration);
         self.progress.note(&format!("{reason}saved {}", path.display()));

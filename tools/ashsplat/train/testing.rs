@@ -3,10 +3,9 @@
 use super::Run;
 use super::saving::attempt;
 use crate::args::HostArguments;
-use crate::eval::{self, Evaluation, LpipsArguments, More, Perceptual, Pictures, SceneSize};
+use crate::eval::{self, Evaluation, LpipsArguments, More, Perceptual, Pictures, Protocol, SceneSize};
 use crate::model::point_cloud_path;
 use crate::progress::thousands;
-use crate::render;
 use ashsplat::lpips::Weights;
 use ashsplat::scene::Camera;
 use ashsplat::{Error, Result};
@@ -63,6 +62,15 @@ impl Run {
         Ok(psnr)
     }
 
+    /// How the test views are compared: those that are trained on under their exposures; of those whose left half is, the
+    /// right one.
+    pub(super) fn protocol(&self) -> Result<Protocol> {
+        let exposures = self.trained.iter().cloned().zip(self.trainer.exposures()?);
+        let halves = self.settings.data.train_test_exp && self.held_out;
+        let names = self.test.iter().filter(|_| halves).map(|view| view.name.clone());
+        Ok(Protocol { exposures: exposures.collect(), halves: names.collect() })
+    }
+
     /// Measures, after the last iteration also what takes its time, and whether the pictures were saved.
     fn evaluate(&mut self, iteration: u32) -> Result<(Evaluation, Result<()>)> {
         if iteration < self.settings.train.iterations || self.lpips.weights.is_empty() {
@@ -91,7 +99,8 @@ impl Run {
     ) -> Result<(Evaluation, Result<()>)> {
         let folder = self.settings.data.model_path.join("test").join(format!("ours_{iteration}"));
         let mut pictures = self.held_out.then(|| Pictures::new(folder));
-        let settings = render::settings_of(&self.settings);
+        let settings = self.trainer.render_settings();
+        let protocol = self.protocol()?;
         let trainer = &mut self.trainer;
         let more = More {
             pictures: pictures.as_mut(),
@@ -99,7 +108,7 @@ impl Run {
             frame_times: iteration == self.settings.train.iterations,
         };
         let draw = |camera: &Camera| trainer.render(camera, &settings);
-        let mut evaluation = eval::evaluate(self.test.iter().map(Ok), more, draw)?;
+        let mut evaluation = eval::evaluate(self.test.iter().map(Ok), &protocol, more, draw)?;
         let file = std::fs::metadata(point_cloud_path(&self.settings.data.model_path, iteration)).ok();
         let bytes = file.filter(|_| self.saved == Some(iteration)).map(|file| file.len());
         evaluation.scene = Some(SceneSize { gaussians: u64::from(self.gaussians), bytes });

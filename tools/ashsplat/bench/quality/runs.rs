@@ -48,6 +48,7 @@ impl Setup {
         let mut add = |name: &str, value: Value| drop(setup.insert(name.into(), value));
         add("data set", json!(path));
         add("images", json!(data.images));
+        add("depths", json!(data.depths));
         add("resolution", json!(data.resolution));
         add("points", json!(points));
         add("device", json!(context.description().name));
