@@ -71,7 +71,6 @@ pub struct Arguments {
     /// time, 0.001 to 0.9; 0 measures only after --test-iterations
     #[arg(long, value_name = "SHARE", default_value_t = tracking::SHARE, value_parser = tracking::share)]
     eval_share: f64,
-    /// The last test measures it.
     #[command(flatten)]
     lpips: LpipsArguments,
     #[command(flatten)]
