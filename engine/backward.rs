@@ -6,7 +6,7 @@
 //! the same bits.
 
 use crate::error::Result;
-use crate::forward::{FrameInputs, block_of, range_arguments, record_passes};
+use crate::forward::{FrameInputs, RenderSettings, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
 };
@@ -20,9 +20,36 @@ const LANE_INSTANCES: u32 = 64;
 pub struct Backward {
     context: Context,
     sizes: LaunchSizes,
-    blend: [Option<Blend>; 2],
-    project: [Option<Kernel<project_backward::Interface>>; 4],
+    blend: [Option<Blend>; 4],
+    /// By SH degree, without and with a 3D filter.
+    project: [[Option<Kernel<project_backward::Interface>>; 4]; 2],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
+}
+
+/// What the backward pass of a frame needs besides gradients of the colours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BackwardVariant {
+    /// Gradients of the inverse depth.
+    pub inverse_depth: bool,
+    /// As [`BlendVariant::steep`](crate::forward::BlendVariant::steep).
+    pub steep: bool,
+    /// Gaussians have a 3D filter.
+    pub filter_3d: bool,
+}
+
+impl BackwardVariant {
+    /// That of a frame.
+    pub fn of(settings: &RenderSettings) -> Self {
+        Self {
+            inverse_depth: settings.inverse_depth,
+            steep: settings.is_steep(),
+            filter_3d: settings.filter_3d,
+        }
+    }
+
+    fn index(self, sizes: &LaunchSizes) -> usize {
+        usize::from(self.inverse_depth) | usize::from(self.steep && sizes.incremental_exp) << 1
+    }
 }
 
 /// The kernel of the backward blending: one subgroup per region of a tile, or one per tile.
@@ -91,17 +118,19 @@ impl Backward {
         }
     }
 
-    /// Builds the variants for an SH degree, and with or without inverse depth, unless they exist.
+    /// Builds the kernels for an SH degree and a variant, unless they exist.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
+    pub fn prepare(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
         let subgroup_size = self.context.limits().subgroup_size;
-        let built = &mut self.blend[usize::from(inverse_depth)];
+        let BackwardVariant { inverse_depth, steep, filter_3d } = variant;
+        let built = &mut self.blend[variant.index(&self.sizes)];
         if built.is_none() {
             let LaunchSizes {
                 tile, incremental_exp, blend_backward_subgroup_per_tile: alone, strips, ..
             } = self.sizes;
+            let incremental_exp = incremental_exp && !steep;
             *built = Some(if alone {
                 let workgroup_size = subgroup_size;
                 let spec = blend_backward_subgroup_per_tile::Spec {
@@ -125,7 +154,7 @@ impl Backward {
                 Blend::Regions(Kernel::new(&self.context, &spec)?)
             });
         }
-        let built = &mut self.project[sh_degree as usize];
+        let built = &mut self.project[usize::from(filter_3d)][sh_degree as usize];
         if built.is_none() {
             let spec = project_backward::Spec {
                 // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
@@ -134,6 +163,7 @@ impl Backward {
                 subgroup_size,
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
+                filter_3d,
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
@@ -176,8 +206,9 @@ impl Backward {
     }
 
     fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
-        let Some(kernel) = &self.blend[usize::from(inputs.settings.inverse_depth)] else {
-            panic!("Backward::prepare was not called for inverse depth");
+        let variant = BackwardVariant::of(inputs.settings);
+        let Some(kernel) = &self.blend[variant.index(&self.sizes)] else {
+            panic!("Backward::prepare was not called for {variant:?}");
         };
         record_passes(r, inputs, &self.sizes, |r, pass, tiles| match kernel {
             Blend::Regions(kernel) => {
@@ -200,7 +231,8 @@ impl Backward {
 
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics) {
         let f = inputs.frame;
-        let Some(kernel) = &self.project[inputs.sh_degree as usize] else {
+        let filtered = usize::from(inputs.settings.filter_3d);
+        let Some(kernel) = &self.project[filtered][inputs.sh_degree as usize] else {
             panic!("Backward::prepare was not called for SH degree {}", inputs.sh_degree);
         };
         for range in inputs.scene.plan.ranges(inputs.scene.count) {
@@ -210,7 +242,7 @@ impl Backward {
             let push = project_backward::Push {
                 first: range.first,
                 chunk_gaussians: inputs.scene.plan.chunk_gaussians,
-                antialias: inputs.settings.antialias.into(),
+                antialias: inputs.settings.antialias_bits(),
                 splat_stride: f.splats().stride,
                 gradient_stride: inputs.capacity.gaussians,
                 accumulate: statistics.accumulate.into(),

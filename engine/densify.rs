@@ -271,7 +271,8 @@ impl Densify {
                     moments_1: &moments.first[range.chunk],
                     moments_2: &moments.second[range.chunk],
                 };
-                let push = reset_opacity::Push { count: range.count, max_logit };
+                let push =
+                    reset_opacity::Push { count: range.count, max_opacity: RESET_OPACITY as f32, max_logit };
                 r.dispatch(
                     &self.reset,
                     &bind,

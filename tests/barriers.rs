@@ -1,6 +1,6 @@
 //! Every barrier of a training step is needed, and the hazard checker notices the absence of any one.
 
-use ashsplat::backward::{Backward, Statistics};
+use ashsplat::backward::{Backward, BackwardVariant, Statistics};
 use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers};
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
@@ -96,7 +96,8 @@ impl Training {
         };
         let variant = BlendVariant { inverse_depth: true, backward: true, ..BlendVariant::default() };
         training.forward.prepare_variant(SH_DEGREE, variant).expect("kernels");
-        training.backward.prepare(SH_DEGREE, true).expect("kernels");
+        let variant = BackwardVariant { inverse_depth: true, ..BackwardVariant::default() };
+        training.backward.prepare(SH_DEGREE, variant).expect("kernels");
         training.backward.prepare_expand(SH_DEGREE).expect("kernels");
         training.optimizer.prepare(SH_DEGREE).expect("kernels");
         training

@@ -137,7 +137,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         version: "1".into(),
         device: "d".into(),
         driver: "r".into(),
-        settings: TrainSettings { sh_degree: 0, ..TrainSettings::default() },
+        settings: TrainSettings { sh_degree: 0, filter_3d: true, ..TrainSettings::default() },
         views: 3,
         views_fingerprint: 77,
         scene_extent: 1.5,
@@ -151,6 +151,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         gaussians: one,
         statistics: vec![[0.5, 2.0]],
         exposures: Default::default(),
+        filters: vec![0.25],
         skipped: 2,
         room: Room::default(),
     };

@@ -1,5 +1,6 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod antialias;
 mod depth;
 mod exposure;
 mod gpu;
@@ -32,6 +33,8 @@ enum Kind {
     Relocation,
     Exposure,
     Depth,
+    Antialias,
+    Filter3d,
     Other,
 }
 
@@ -41,6 +44,8 @@ impl Kind {
         match () {
             () if has("it1_image") => Kind::Train,
             () if has("obs_inv_z") => Kind::Depth,
+            () if has("fused_log_scales") => Kind::Filter3d,
+            () if has("detached") && has("kernel") => Kind::Antialias,
             () if has("means") && has("cam_K") && has("image") => Kind::Rendering,
             () if has("adam_E") => Kind::Exposure,
             () if has("img") && has("gt") && has("d_img") => Kind::Loss,
@@ -96,7 +101,10 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
     let exists =
-        |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Exposure | Kind::Depth);
+        |kind: Kind| {
+            let earlier = matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Exposure | Kind::Depth);
+            earlier || matches!(kind, Kind::Antialias | Kind::Filter3d)
+        };
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

@@ -14,6 +14,7 @@ mod determinism;
 mod exposures;
 mod extremes;
 mod faults;
+mod filters;
 mod first_frames;
 mod gradients;
 mod hard_cases;

@@ -184,6 +184,10 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         first_moments: gaussians(&tensors, Checkpoint::SETS[1])?,
         second_moments: gaussians(&tensors, Checkpoint::SETS[2])?,
         statistics: values(&tensors, "statistics", &[2])?,
+        filters: match tensors.tensor(Checkpoint::FILTERS) {
+            Ok(_) => values(&tensors, Checkpoint::FILTERS, &[])?,
+            Err(_) => Vec::new(),
+        },
         strategy: StrategyState {
             name: metadata.optional(STRATEGY_NAME)?.unwrap_or_default(),
             terms: metadata.terms(),

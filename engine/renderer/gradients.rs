@@ -1,7 +1,7 @@
 //! Differentiable rendering: the gradient of any function of the image with respect to all parameters.
 
 use super::{Failed, Renderer, Request};
-use crate::backward::Statistics;
+use crate::backward::{BackwardVariant, Statistics};
 use crate::error::{Error, Result};
 use crate::forward::RenderSettings;
 use crate::pixels::PixelBorder;
@@ -49,7 +49,7 @@ impl Renderer {
         }
         let scene = self.scene.clone().ok_or_else(super::no_scene)?;
         let sh_degree = scene.active_degree(settings);
-        self.backward.prepare(sh_degree, settings.inverse_depth)?;
+        self.backward.prepare(sh_degree, BackwardVariant::of(settings))?;
         self.backward.prepare_expand(sh_degree)?;
         let border = match &mut self.border {
             Some(border) => border,

@@ -44,6 +44,9 @@ pub struct Checkpoint {
     pub second_moments: Gaussians,
     /// Per Gaussian: sum of the 2D mean's gradient norms (NDC), number of views.
     pub statistics: Vec<[f32; 2]>,
+    /// The sizes of the 3D filter, world units, one per Gaussian; none without
+    /// [`TrainSettings::filter_3d`].
+    pub filters: Vec<f32>,
     /// What the strategy keeps besides.
     pub strategy: StrategyState,
     /// The exposures of the views' photographs, if they are learned.
@@ -167,6 +170,10 @@ impl Checkpoint {
         let shape = vec![self.statistics.len(), 2];
         let bytes = bytemuck::cast_slice(&self.statistics);
         tensors.push(Tensor { name: "statistics".into(), shape, bytes });
+        if !self.filters.is_empty() {
+            let (shape, bytes) = (vec![self.filters.len()], bytemuck::cast_slice(&self.filters));
+            tensors.push(Tensor { name: Self::FILTERS.into(), shape, bytes });
+        }
         for StrategyStatistic { name, floats, values } in &self.strategy.statistics {
             let shape = vec![values.len() / (*floats).max(1) as usize, *floats as usize];
             let name = format!("{}{name}", Self::STRATEGY);
@@ -187,6 +194,8 @@ impl Checkpoint {
 
     /// Name of the exposures' tensor, and of that of their moments behind the prefixes.
     pub const EXPOSURES: &str = "exposures";
+    /// Name of the tensor of the filter's sizes, as in Mip-Splatting's PLY.
+    pub const FILTERS: &str = "filter_3D";
 
     /// Prefix of the strategy's own statistics, and of its values in the metadata.
     pub const STRATEGY: &str = "strategy.";
@@ -220,6 +229,10 @@ impl Checkpoint {
         let ExposureState { values, first_moments, second_moments } = &self.exposures;
         if [values, first_moments, second_moments].iter().any(|set| set.len() as u64 != exposures) {
             return Err(Error::argument("exposures", format!("are not those of {exposures} photographs")));
+        }
+        let filters = if self.settings.filter_3d { self.gaussians.len() } else { 0 };
+        if self.filters.len() != filters {
+            return Err(Error::argument(Self::FILTERS, "is of another number than the Gaussians"));
         }
         if self.gaussians.sh_degree != self.settings.sh_degree {
             return Err(Error::argument("sh_degree", "of the Gaussians and of the settings differ"));

@@ -9,6 +9,7 @@ use super::step_recorder::StepRecorder;
 use super::strategy::Strategy;
 use super::{InverseDepth, TrainParts, TrainView};
 use crate::error::Result;
+use crate::forward::Filter3d;
 use crate::loss::{LossTerm, Photometric};
 use crate::vk::Context;
 
@@ -92,7 +93,13 @@ impl Kit {
             photos,
             photo_bytes: photos::device_bytes(context, photos, photo_memory)?,
             rows: &self.rows,
-            loss: &|sizes| self.recorder.device_requests(sizes),
+            loss: &|sizes| {
+                let mut requests = self.recorder.device_requests(sizes);
+                if settings.filter_3d {
+                    requests.extend(Filter3d::requests(sizes.len()));
+                }
+                requests
+            },
             losses: self.recorder.readback_request(),
             count,
             sh_degree: settings.sh_degree,

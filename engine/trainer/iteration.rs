@@ -45,6 +45,8 @@ pub(super) struct IterationPlan {
     pub settings: RenderSettings,
     pub step: Step,
     pub exposure: ExposureStep,
+    /// Whether the sizes of the 3D filter are computed anew after the step.
+    pub computes_filters: bool,
 }
 
 impl IterationPlan {
@@ -84,6 +86,7 @@ impl Schedule {
             },
             step: optimizer_step(run, iteration, progress, &work),
             exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1 },
+            computes_filters: s.computes_filters_at(iteration),
         }
     }
 }

@@ -42,7 +42,7 @@ pub use terms::*;
 pub use work::{Actions, Densified};
 
 use crate::error::{Error, Result};
-use crate::forward::{Blending, RenderSettings, SceneBuffers};
+use crate::forward::{Blending, Filter3d, RenderSettings, SceneBuffers};
 use crate::loss::LossTerm;
 use crate::plan::PictureCapacity;
 use crate::planes;
@@ -137,6 +137,8 @@ pub struct Trainer {
     pictures: FrameStore,
     rows: RowMemory,
     state: State,
+    /// The 3D filter, if the settings want one.
+    filter: Option<Filter3d>,
     recording: record::Recording,
 }
 
@@ -221,7 +223,8 @@ impl Trainer {
             runner.restore(frame)?;
         }
         let run = Run { settings, scene_extent, cameras, views_fingerprint };
-        Ok(Self {
+        let filter = run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras)).transpose()?;
+        let trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             schedule: iteration::Schedule::new(&run, targets.inverse_depth),
             pictures: FrameStore::new(context)?,
@@ -234,8 +237,11 @@ impl Trainer {
             runner,
             rows,
             state,
+            filter,
             recording: record::Recording::default(),
-        })
+        };
+        trainer.compute_filters()?;
+        Ok(trainer)
     }
 
     /// The device that it trains on.
@@ -368,6 +374,32 @@ impl Trainer {
     pub fn gaussians(&self) -> Result<Gaussians> {
         self.check_readable()?;
         planes::download(&self.context, &self.state.model.scene)
+    }
+
+    /// Downloads the Gaussians, with the 3D filter, if there is one, as a part of scales and opacities: as any renderer
+    /// draws them.
+    ///
+    /// # Errors
+    /// As [`Trainer::gaussians`].
+    pub fn baked_gaussians(&self) -> Result<Gaussians> {
+        let mut gaussians = self.gaussians()?;
+        if self.filter.is_some() {
+            gaussians.bake_filters(&self.filters()?)?;
+        }
+        Ok(gaussians)
+    }
+
+    /// The sizes of Mip-Splatting's 3D filter, world units, one per Gaussian; none without
+    /// [`TrainSettings::filter_3d`].
+    ///
+    /// # Errors
+    /// As [`Trainer::gaussians`].
+    pub fn filters(&self) -> Result<Vec<f32>> {
+        self.check_readable()?;
+        match self.filter {
+            Some(_) => planes::download_filters(&self.context, &self.state.model.scene),
+            None => Ok(Vec::new()),
+        }
     }
 
     /// Bytes of device memory in use by all arenas of the context.

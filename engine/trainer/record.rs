@@ -182,7 +182,8 @@ impl Trainer {
     ) -> Result<()> {
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
         let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
-        let parts = StepParts { run, model, photos, maps, memory, strategy, plan };
+        let filter = self.filter.as_ref();
+        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, plan };
         self.runner.record(r, &parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, losses);
             r.barrier();
@@ -338,8 +339,8 @@ impl Trainer {
     /// dispatches. Recordings that are never submitted create all objects that are made on first use.
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
         let gaussians = self.state.model.scene.plan.capacity;
-        let inverse_depth = self.recorder.targets().inverse_depth;
-        self.runner.reserve(gaussians, &self.run.cameras[0], self.run.settings.sh_degree, inverse_depth)?;
+        let drawn = self.recorder.drawn();
+        self.runner.reserve(gaussians, &self.run.cameras[0], self.run.settings.sh_degree, &drawn)?;
         let frame = self.runner.frame()?;
         self.context.run("clear state", |r| {
             r.fill(&frame.state, 0);

@@ -58,6 +58,7 @@ impl Trainer {
             first_moments: planes_of(&model.moments.first)?,
             second_moments: planes_of(&model.moments.second)?,
             statistics: bytemuck::cast_slice(&gradient).to_vec(),
+            filters: self.filters()?,
             strategy: StrategyState {
                 name: self.strategy.name().to_owned(),
                 terms: self.recorder.terms().map(str::to_owned).collect(),
@@ -127,6 +128,9 @@ impl Trainer {
         if let Some(exposures) = &trainer.losses.exposures {
             let ExposureState { values, first_moments, second_moments } = &from.exposures;
             exposures.upload(context, [values, first_moments, second_moments])?;
+        }
+        if trainer.filter.is_some() {
+            planes::upload_filters(context, &trainer.state.model.scene, &from.filters)?;
         }
         let state = &mut trainer.state;
         state.progress = Progress {

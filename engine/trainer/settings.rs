@@ -113,6 +113,12 @@ options! {
         random_background: bool = false, Bounds::None;
         /// Compensate the opacity for the screen-space dilation (Mip-Splatting's 2D filter)
         antialiasing: bool = false, Bounds::None;
+        /// Take that compensation as a constant in gradients
+        antialiasing_detached: bool = false, Bounds::None;
+        /// Low-pass filter of the projection: variance that it adds, square pixels (Mip-Splatting: 0.1)
+        kernel_size: f64 = 0.3, Bounds::Positive;
+        /// Widen Gaussians to what the nearest camera resolves (Mip-Splatting's 3D filter)
+        filter_3d: bool = false, Bounds::None;
         /// Adam on all Gaussians, or on those seen only
         optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
         /// Seed of everything random: order of the views, split positions, random backgrounds
@@ -235,6 +241,17 @@ impl TrainSettings {
         iteration > self.opacity_reset_interval
     }
 
+    /// Whether the sizes of the 3D filter are computed anew after an iteration's step (1-based), besides at the start and
+    /// after each densification: every hundred iterations once densification has ended, but not in the last hundred
+    /// (Mip-Splatting's train.py).
+    pub fn computes_filters_at(&self, iteration: u32) -> bool {
+        const INTERVAL: u32 = 100;
+        self.filter_3d
+            && iteration > self.densify_until_iter
+            && iteration.is_multiple_of(INTERVAL)
+            && iteration < self.iterations.saturating_sub(INTERVAL)
+    }
+
     /// Whether an iteration (1-based) ends with an opacity reset. Over white, the reference also resets once
     /// at `densify_from_iter`.
     pub fn resets_opacity_at(&self, iteration: u32) -> bool {
@@ -279,6 +296,14 @@ mod tests {
         assert_eq!(resets, [3000, 6000, 9000, 12_000]);
         assert_eq!([1, 999, 1000, 2999, 3000, 30_000].map(|i| settings.sh_degree_at(i)), [0, 0, 1, 2, 3, 3]);
         assert!(!settings.prunes_large_at(3000) && settings.prunes_large_at(3100));
+    }
+
+    #[test]
+    fn schedule_of_the_3d_filter() {
+        let settings = TrainSettings { filter_3d: true, ..Default::default() };
+        let computed: Vec<u32> = (1..=30_000).filter(|&i| settings.computes_filters_at(i)).collect();
+        assert_eq!((computed.first(), computed.last(), computed.len()), (Some(&15_100), Some(&29_800), 148));
+        assert!((1..=30_000).all(|i| !TrainSettings::default().computes_filters_at(i)));
     }
 
     #[test]

@@ -107,8 +107,17 @@ impl Trainer {
         self.runner.forget();
         let scene = planes::upload(&self.context, "scene", &gaussians, count, plan.sh_degree)?;
         self.state.model = Model::new(&self.context, scene, &self.rows)?;
+        self.compute_filters()?;
         self.state.broken = false;
         Ok(true)
+    }
+
+    /// Gives all Gaussians the sizes of the 3D filter, if there is one.
+    pub(super) fn compute_filters(&self) -> Result<()> {
+        match &self.filter {
+            Some(filter) => filter.run(&self.context, &self.state.model.scene),
+            None => Ok(()),
+        }
     }
 
     /// The plan of the next iteration.
@@ -137,6 +146,9 @@ impl Trainer {
                 iteration: self.state.progress.iteration,
             };
             let changes = self.strategy.between_steps(&mut population, due.first())?;
+            if changes.densified.is_some() {
+                self.compute_filters()?;
+            }
             done.densified = changes.densified.or(done.densified);
             done.opacities_reset |= changes.opacities_reset;
             self.state.progress.due = due.without(due.first());
@@ -168,7 +180,8 @@ impl Trainer {
         self.recorder.prepare(plan.sh_degree)?;
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
         let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
-        let parts = StepParts { run, model, photos, maps, memory, strategy, plan };
+        let filter = self.filter.as_ref();
+        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, plan };
         self.runner.run(&parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
             Ok(())

@@ -8,10 +8,10 @@ use super::photos::Photos;
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
 use super::strategy::{StepInputs, Strategy};
-use crate::backward::{Backward, Statistics};
+use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
 use crate::exposure::{Exposing, ExposureBuffers};
-use crate::forward::FrameInputs;
+use crate::forward::{Filter3d, FrameInputs, RenderSettings};
 use crate::loss::{LossTerm, Targets, TermInputs};
 use crate::optimizer::Optimizer;
 use crate::pixels::PixelBorder;
@@ -28,6 +28,8 @@ pub(super) struct StepRecorder {
     sizes: LaunchSizes,
     exposing: Option<Exposing>,
     backward: Backward,
+    /// How frames are drawn, apart from the inverse depth.
+    drawn: RenderSettings,
     optimizer: Optimizer,
 }
 
@@ -68,6 +70,8 @@ pub(super) struct StepParts<'a> {
     pub maps: &'a DepthMaps,
     pub memory: &'a LossMemory,
     pub strategy: &'a dyn Strategy,
+    /// None without a 3D filter.
+    pub filter: Option<&'a Filter3d>,
     pub plan: &'a IterationPlan,
 }
 
@@ -101,6 +105,7 @@ impl StepRecorder {
             sizes: LaunchSizes::new(context.limits()),
             exposing: settings.exposure.then(|| Exposing::new(context, true)).transpose()?,
             backward: Backward::new(context),
+            drawn: settings.render_settings(),
             terms,
             targets,
             optimizer,
@@ -122,9 +127,14 @@ impl StepRecorder {
         self.targets
     }
 
+    /// How frames are drawn, without the random background.
+    pub fn drawn(&self) -> RenderSettings {
+        RenderSettings { inverse_depth: self.targets.inverse_depth, ..self.drawn }
+    }
+
     /// Builds the kernels for an SH degree unless they exist.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        self.backward.prepare(sh_degree, self.targets.inverse_depth)?;
+        self.backward.prepare(sh_degree, BackwardVariant::of(&self.drawn()))?;
         self.optimizer.prepare(sh_degree)
     }
 
@@ -223,6 +233,10 @@ impl StepRecorder {
                 let of = (exposures, &inputs.frame.state);
                 exposing.record_step(r, of, plan.view as u32, &plan.exposure);
             }
+        }
+        if let Some(filter) = parts.filter.filter(|_| plan.computes_filters) {
+            r.barrier();
+            filter.record(r, inputs.scene, &inputs.frame.state);
         }
         r.copy(&parts.memory.losses, losses);
     }

@@ -26,6 +26,8 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // A Gaussian with more instances is summed by its whole subgroup.
 layout(constant_id = 3) const uint LANE_INSTANCES = 64;
+// Whether Gaussians have a 3D filter: see projection.glsl.
+layout(constant_id = 4) const bool FILTER_3D = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -115,10 +117,11 @@ void covariance_backward(Projection p, vec3 d_conic, float d_opacity, float opac
     float d_xy = s * cov.y - 0.5 * d_conic.y / p.det;
     float d_yy = d_conic.x / p.det - s * cov.x;
     float ratio = p.det_raw / p.det;
-    if (antialias != 0 && ratio > ANTIALIAS_MIN_RATIO) {
+    bool through_ratio = (antialias & (ANTIALIAS_COMPENSATED | ANTIALIAS_DETACHED)) == ANTIALIAS_COMPENSATED;
+    if (through_ratio && ratio > ANTIALIAS_MIN_RATIO) {
         // opacity = raw sqrt(det_raw / det).
         float d_ratio = d_opacity * opacity_raw * 0.5 * inversesqrt(ratio);
-        vec3 raw = p.cov2d - vec3(DILATION_PX2, 0.0, DILATION_PX2);
+        vec3 raw = p.cov2d - vec3(shape_dilation_px2, 0.0, shape_dilation_px2);
         d_xx += d_ratio * (raw.z - ratio * p.cov2d.z) / p.det;
         d_yy += d_ratio * (raw.x - ratio * p.cov2d.x) / p.det;
         d_xy += d_ratio * (ratio - 1.0) * p.cov2d.y / p.det;
@@ -156,7 +159,8 @@ void main() {
     vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
     vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
     vec4 conic = VEC4_AT(conic_opacity, splat_at(clamped_visible, SPLAT_CONIC_OPACITY));
-    Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
+    Filtered filtered = filter_3d(log_scale, mean_opacity.w);
+    Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
 
     // Moments to gradients of mean, conic and opacity.
     float m_1 = sums.a.x, m_x = sums.a.y, m_y = sums.a.z, m_xx = sums.a.w, m_xy = sums.b.x, m_yy = sums.b.y;
@@ -166,14 +170,24 @@ void main() {
     vec3 d_conic = vec3(-0.5 * m_xx, -m_xy, -0.5 * m_yy);
     float d_opacity = m_1 / max(conic.w, 1e-20);
 
-    float opacity_raw = sigmoid(mean_opacity.w);
-    float compensation = antialias != 0 ? sqrt(max(ANTIALIAS_MIN_RATIO, p.det_raw / p.det)) : 1.0;
+    float opacity_raw = sigmoid(filtered.opacity_logit);
+    bool compensated = (antialias & ANTIALIAS_COMPENSATED) != 0;
+    float compensation = compensated ? sqrt(max(ANTIALIAS_MIN_RATIO, p.det_raw / p.det)) : 1.0;
     float d_logit = d_opacity * compensation * opacity_raw * (1.0 - opacity_raw);
 
     vec3 d_row_x;
     vec3 d_row_y;
     covariance_backward(p, d_conic, d_opacity, opacity_raw, d_row_x, d_row_y);
     vec3 d_log_scale = d_row_x * p.row_x + d_row_y * p.row_y;
+    if (FILTER_3D && log_scale.w > 0.0) {
+        // From the filtered parameters to the stored ones; the filter's size is a constant.
+        vec3 ratio = exp(log_scale.xyz) / log_scale.w;
+        vec3 share = 1.0 / (1.0 + ratio * ratio);
+        float d_opacity_filtered = d_opacity * compensation;
+        d_log_scale = d_log_scale * (1.0 - share) + d_opacity_filtered * opacity_raw * share;
+        float stored = sigmoid(mean_opacity.w);
+        d_logit = d_opacity_filtered * filtered.shrink * stored * (1.0 - stored);
+    }
 
     // The rows of M are J times the scaled axes.
     d_row_x *= p.scale;

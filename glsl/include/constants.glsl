@@ -14,6 +14,11 @@ const float QUAT_NORM_MIN = 1e-12;
 // Opacity of the faintest Gaussians that are drawn as ellipsoids.
 const float ELLIPSOID_LEAST_OPACITY = 0.2;
 
+// Antialiasing, bits: opacities are compensated for the dilation (Mip-Splatting's 2D filter); the compensation is a constant
+// for gradients.
+const uint ANTIALIAS_COMPENSATED = 1;
+const uint ANTIALIAS_DETACHED = 2;
+
 // Extent modes: how a Gaussian's tiles are found.
 const uint EXTENT_EXACT = 0;
 const uint EXTENT_REFERENCE = 1;

@@ -114,8 +114,17 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
     // And with exposures, whose optimiser has a step of its own.
     let exposed = TrainSettings { exposure: true, ..settings() };
+    // And once with filters, whose sizes are computed anew between steps and in them.
+    let filtered = TrainSettings {
+        antialiasing: true,
+        kernel_size: 0.1,
+        filter_3d: true,
+        densify_until_iter: 90,
+        iterations: 1000,
+        ..settings()
+    };
     for (push_descriptors, settings) in
-        [(true, settings()), (false, weighted), (true, mcmc), (true, exposed)]
+        [(true, settings()), (false, weighted), (true, mcmc), (true, exposed), (true, filtered)]
     {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }

@@ -7,7 +7,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, depth, exposure, gpu_training, mcmc, trial};
+use super::{Kind, SetFile, antialias, depth, exposure, gpu_training, mcmc, trial};
 use crate::common::engine::{camera, gaussians, renderer, settings, widen};
 use crate::common::{assert_silent, context};
 use crate::reference::types::Extent;
@@ -29,6 +29,8 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
         Kind::Relocation => vec![of_file(set, "relocation", mcmc::relocation_of_device)],
         Kind::Exposure => vec![of_file(set, "exposure", exposure::of_device)],
         Kind::Depth => vec![of_file(set, "depth", depth::of_device)],
+        Kind::Antialias => vec![of_file(set, "antialias", antialias::of_device)],
+        Kind::Filter3d => vec![of_file(set, "filter", antialias::filter_of_device)],
         Kind::Other => vec![],
     }
 }

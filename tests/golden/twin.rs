@@ -4,7 +4,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, depth, exposure, mcmc, training, trial};
+use super::{Kind, SetFile, antialias, depth, exposure, mcmc, training, trial};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
@@ -49,6 +49,12 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
                 trial(format!("golden_twin_depth_{name}"), move || depth::of_twin(&file.path)),
                 trial(format!("golden_host_depth_{name}"), move || depth::of_host(&host.path)),
             ]
+        }
+        Kind::Antialias => {
+            vec![trial(format!("golden_twin_antialias_{name}"), move || antialias::of_twin(&file.path))]
+        }
+        Kind::Filter3d => {
+            vec![trial(format!("golden_twin_filter_{name}"), move || antialias::filter_of_twin(&file.path))]
         }
         Kind::Other => vec![],
     }

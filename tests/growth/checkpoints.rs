@@ -41,6 +41,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
         second_moments: gaussians.clone(),
         gaussians,
         statistics: vec![[0.0; 2]; count],
+        filters: Vec::new(),
         strategy: StrategyState {
             name: "a strategy".into(),
             terms: (0..own).map(|index| format!("term {index}")).collect(),

@@ -6,11 +6,11 @@ use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBL
 use super::blend_backward::from_moments;
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{camera_block, pack, room};
+use crate::common::layout::{antialias_word, camera_block, pack_filtered, room};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::project::{color, project};
 use crate::reference::project_backward::{mean2d_statistic, project_backward};
-use crate::reference::types::{Extent, Gaussian, Gradient, Splat, SplatGradient, View};
+use crate::reference::types::{Drawn, Extent, Gaussian, Gradient, Splat, SplatGradient, View};
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 const QUATS: GradientTolerance = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };
@@ -82,6 +82,7 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
         workgroup_size: gpu.workgroup(64),
         subgroup_size: gpu.subgroup(),
         sh_degree: scene.view.sh_degree,
+        filter_3d: scene.view.filter_3d > 0.0,
         ..Spec::default()
     };
     let kernel = gpu.kernel::<Interface>(&spec);
@@ -105,7 +106,7 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
         .iter()
         .map(|s| [s.conic[0], s.conic[1], s.conic[2], s.opacity].map(|x| x as f32))
         .collect();
-    let parameters = gpu.buffer("parameters", &pack(&scene.gaussians, room));
+    let parameters = gpu.buffer("parameters", &pack_filtered(&scene.gaussians, room, scene.view.filter_3d));
     let state = gpu.buffer("state", &words);
     let visible_ranges = gpu.buffer("visible_ranges", &[[0; 4], [0, count as u32, 0, 0]]);
     let visible_list = gpu.buffer("visible_list", &scene.visible);
@@ -136,7 +137,7 @@ fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32;
     let push = Push {
         first: 0,
         chunk_gaussians: room as u32,
-        antialias: scene.view.antialias.into(),
+        antialias: antialias_word(&scene.view),
         splat_stride: 1,
         gradient_stride: gradient_stride as u32,
         accumulate: accumulate.into(),
@@ -225,6 +226,17 @@ fn project_backward_equals_its_twin_in_every_mode() {
             center_px: [31.0, 11.0],
             ..small_view([53, 37])
         };
+        check(&gpu, &Scene::random(300, view, 50));
+    }
+}
+
+/// Mip-Splatting's filters; the compensation differentiated, and as a constant.
+#[test]
+fn project_backward_equals_its_twin_with_filters() {
+    let gpu = Gpu::new();
+    for (filter_3d, antialias_detached) in [(0.0, true), (0.0078125, false), (0.125, true)] {
+        let drawn = Drawn { dilation_px2: f64::from(0.1_f32), ..Drawn::AS_THEY_ARE };
+        let view = View { filter_3d, antialias: true, antialias_detached, drawn, ..small_view([53, 37]) };
         check(&gpu, &Scene::random(300, view, 50));
     }
 }

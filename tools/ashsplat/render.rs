@@ -95,6 +95,9 @@ pub struct LookArguments {
     /// Compensate the opacity for the screen-space dilation (Mip-Splatting) [default: as in training, or as the file says]
     #[arg(long)]
     antialiasing: bool,
+    /// Low-pass filter: variance added on the screen, square pixels [default: as in training, else 0.3]
+    #[arg(long, value_name = "PX2")]
+    kernel_size: Option<f32>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -124,6 +127,15 @@ impl LookArguments {
         }
         settings.sh_degree = self.sh_degree;
         settings.antialias |= self.antialiasing || header.antialiased;
+        if let Some(kernel_size) = self.kernel_size {
+            settings.dilation_px2 = kernel_size;
+            settings.check().map_err(|_| {
+                let problem = format!(
+                    "{kernel_size} is not a positive number: the reference has 0.3, Mip-Splatting 0.1"
+                );
+                Error::argument("--kernel-size", problem)
+            })?;
+        }
         settings.extent = match self.extent {
             ExtentName::Exact => Extent::Exact,
             ExtentName::Reference => Extent::Reference,
@@ -137,8 +149,8 @@ const FILM_RATE: u32 = 30;
 
 /// How a scene was drawn in its training.
 pub fn settings_of(trained: &Settings) -> RenderSettings {
-    let background = if trained.train.white_background { [1.0; 3] } else { [0.0; 3] };
-    RenderSettings { background, antialias: trained.train.antialiasing, ..Default::default() }
+    // Reading a scene has made its 3D filter a part of it.
+    RenderSettings { filter_3d: false, ..trained.train.render_settings() }
 }
 
 /// Three numbers with commas between them.

@@ -71,6 +71,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         optimizer_steps: 5,
         opacity_steps: 5,
         due: Default::default(),
+        filters: Vec::new(),
         strategy: Default::default(),
         first_moments: gaussians.clone(),
         second_moments: gaussians.clone(),
