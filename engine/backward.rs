@@ -15,13 +15,16 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// A Gaussian with more tiles has its instances added by a whole subgroup.
 const LANE_INSTANCES: u32 = 64;
+/// A subgroup's sums for the camera's pose: two vec3.
+const POSE_SUM_BYTES: u64 = 24;
 
 /// The kernels of the backward pass.
 pub struct Backward {
     context: Context,
     sizes: LaunchSizes,
     blend: [Option<Blend>; 2],
-    project: [Option<Kernel<project_backward::Interface>>; 4],
+    /// Without and with the gradient of the camera's pose.
+    project: [[Option<Kernel<project_backward::Interface>>; 4]; 2],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
 }
 
@@ -96,6 +99,11 @@ impl Backward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
+        self.prepare_blend(inverse_depth)?;
+        self.prepare_project(sh_degree, false)
+    }
+
+    fn prepare_blend(&mut self, inverse_depth: bool) -> Result<()> {
         let subgroup_size = self.context.limits().subgroup_size;
         let built = &mut self.blend[usize::from(inverse_depth)];
         if built.is_none() {
@@ -125,15 +133,29 @@ impl Backward {
                 Blend::Regions(Kernel::new(&self.context, &spec)?)
             });
         }
-        let built = &mut self.project[sh_degree as usize];
+        Ok(())
+    }
+
+    /// As [`Backward::prepare`], for [`Backward::record_with_pose`].
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_with_pose(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
+        self.prepare_blend(inverse_depth)?;
+        self.prepare_project(sh_degree, true)
+    }
+
+    fn prepare_project(&mut self, sh_degree: u32, pose_gradient: bool) -> Result<()> {
+        let built = &mut self.project[usize::from(pose_gradient)][sh_degree as usize];
         if built.is_none() {
             let spec = project_backward::Spec {
                 // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
                 // workgroup's size.
                 workgroup_size: self.sizes.elementwise_workgroup,
-                subgroup_size,
+                subgroup_size: self.context.limits().subgroup_size,
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
+                pose_gradient,
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
@@ -170,9 +192,35 @@ impl Backward {
         image_gradient: &Buffer,
         statistics: Statistics,
     ) {
+        self.record_all(r, inputs, image_gradient, statistics, false);
+    }
+
+    /// As [`Backward::record`], and the sums that [`PoseGradient`](crate::poses::PoseGradient) makes the gradient of the
+    /// camera's pose from. The scene must have the scale 1.
+    pub fn record_with_pose(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        image_gradient: &Buffer,
+        statistics: Statistics,
+    ) {
+        // Subgroups without a visible Gaussian write no sum.
+        let sums = inputs.scene.count.div_ceil(self.context.limits().subgroup_size);
+        r.fill(&inputs.frame.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
+        self.record_all(r, inputs, image_gradient, statistics, true);
+    }
+
+    fn record_all(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        image_gradient: &Buffer,
+        statistics: Statistics,
+        pose: bool,
+    ) {
         r.scope("blend backward", |r| self.record_blend(r, inputs, image_gradient));
         r.barrier();
-        r.scope("project backward", |r| self.record_project(r, inputs, statistics));
+        r.scope("project backward", |r| self.record_project(r, inputs, statistics, pose));
     }
 
     fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
@@ -198,9 +246,9 @@ impl Backward {
         });
     }
 
-    fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics) {
+    fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics, pose: bool) {
         let f = inputs.frame;
-        let Some(kernel) = &self.project[inputs.sh_degree as usize] else {
+        let Some(kernel) = &self.project[usize::from(pose)][inputs.sh_degree as usize] else {
             panic!("Backward::prepare was not called for SH degree {}", inputs.sh_degree);
         };
         for range in inputs.scene.plan.ranges(inputs.scene.count) {
@@ -228,6 +276,8 @@ impl Backward {
                 instance_gradients_c: &f.instance_gradients_c,
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
+                // Without a gradient of the pose nothing is written to it.
+                pose_sums: f.pose_sums(),
                 camera_block: &block_of(f, 0),
             };
             r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));

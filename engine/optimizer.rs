@@ -1,7 +1,7 @@
 //! Adam over all parameters in one pass.
 
 use crate::error::Result;
-use crate::forward::{FrameInputs, SceneBuffers};
+use crate::forward::{FrameInputs, SceneBuffers, block_of};
 use crate::kernels::optimizer::adam;
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
@@ -56,6 +56,7 @@ pub struct Optimizer {
     sizes: LaunchSizes,
     sparse: bool,
     parameter_gradients: bool,
+    moved_cameras: bool,
     adam: [Option<Kernel<adam::Interface>>; 4],
 }
 
@@ -64,13 +65,26 @@ impl Optimizer {
     pub fn new(context: &Context, sparse: bool) -> Self {
         let sizes = LaunchSizes::new(context.limits());
         let context = context.clone();
-        Self { context, sizes, sparse, parameter_gradients: false, adam: Default::default() }
+        Self {
+            context,
+            sizes,
+            sparse,
+            parameter_gradients: false,
+            moved_cameras: false,
+            adam: Default::default(),
+        }
     }
 
     /// As [`Optimizer::new`], for a loss with terms that depend on the parameters directly: their gradient is
     /// passed to [`Optimizer::record`].
     pub fn with_parameter_gradients(context: &Context, sparse: bool) -> Self {
         Self { parameter_gradients: true, ..Self::new(context, sparse) }
+    }
+
+    /// For frames whose cameras the device has moved: [`FrameInputs::pose`].
+    #[must_use]
+    pub fn with_moved_cameras(self) -> Self {
+        Self { moved_cameras: true, ..self }
     }
 
     /// Builds the variant for an SH degree unless it exists.
@@ -85,6 +99,7 @@ impl Optimizer {
                 sh_degree,
                 sparse: self.sparse,
                 parameter_gradients: self.parameter_gradients,
+                moved_camera: self.moved_cameras,
             };
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
@@ -128,6 +143,7 @@ impl Optimizer {
                         true => &parameter_gradients[range.chunk],
                         false => &inputs.frame.gradients,
                     },
+                    camera_block: &block_of(inputs.frame, 0),
                 };
                 let push = push(inputs, step, range.first, range.count);
                 r.dispatch(

@@ -1,6 +1,6 @@
 //! A run that goes on from a checkpoint ends with the same bits as one that was never interrupted.
 
-use ashsplat::trainer::{Checkpoint, OptimizerType, Room, TrainView, Trainer};
+use ashsplat::trainer::{Checkpoint, OptimizerType, PoseState, Room, TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Gaussians, TrainSettings};
 use ashsplat_files::{CheckpointFile, Photo};
@@ -150,6 +150,11 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         second_moments: one.clone(),
         gaussians: one,
         statistics: vec![[0.5, 2.0]],
+        poses: Some(PoseState {
+            parameters: vec![[0.1; 6]; 3],
+            first_moments: vec![[0.2; 6]; 3],
+            second_moments: vec![[0.3; 6]; 3],
+        }),
         skipped: 2,
         room: Room::default(),
     };

@@ -3,6 +3,7 @@
 mod gpu;
 mod gpu_training;
 mod mcmc;
+mod poses;
 mod rendering;
 mod sets;
 mod training;
@@ -28,6 +29,7 @@ enum Kind {
     Train,
     Regularizers,
     Relocation,
+    Poses,
     Other,
 }
 
@@ -43,6 +45,7 @@ impl Kind {
             () if has("in_grad_accum") && has("out_kind") => Kind::Densify,
             () if has("reg_loss") => Kind::Regularizers,
             () if has("u_relocate") => Kind::Relocation,
+            () if has("d_pose") => Kind::Poses,
             () if has("logits") && has("out") => Kind::ResetOpacity,
             () => Kind::Other,
         }
@@ -89,7 +92,7 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation);
+    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Poses);
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

@@ -46,6 +46,8 @@ pub struct Checkpoint {
     pub statistics: Vec<[f32; 2]>,
     /// What the strategy keeps besides.
     pub strategy: StrategyState,
+    /// The poses of the views, if they are optimised.
+    pub poses: Option<PoseState>,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
     pub skipped: u32,
     /// Allocated capacities.
@@ -74,6 +76,17 @@ pub struct StrategyStatistic {
     pub floats: u32,
     /// The values, Gaussian by Gaussian.
     pub values: Vec<f32>,
+}
+
+/// Optimised poses, one row per view: see [`Twist`](crate::scene::Twist).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseState {
+    /// What each camera has been moved by: ξ = (ν, ω), world units and radians.
+    pub parameters: Vec<[f32; 6]>,
+    /// Adam's first moments.
+    pub first_moments: Vec<[f32; 6]>,
+    /// Adam's second moments.
+    pub second_moments: Vec<[f32; 6]>,
 }
 
 /// A part of a checkpoint.
@@ -158,11 +171,20 @@ impl Checkpoint {
             let name = format!("{}{name}", Self::STRATEGY);
             tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(values) });
         }
+        if let Some(PoseState { parameters, first_moments, second_moments }) = &self.poses {
+            for (name, rows) in Self::POSES.iter().zip([parameters, first_moments, second_moments]) {
+                let (name, shape) = ((*name).to_owned(), vec![rows.len(), 6]);
+                tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(rows) });
+            }
+        }
         tensors
     }
 
     /// Prefixes of the tensors' names: parameters, first and second moments.
     pub const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
+
+    /// Names of the poses' tensors: parameters, first and second moments. Only of runs that optimise them.
+    pub const POSES: [&str; 3] = ["pose", "first_moment.pose", "second_moment.pose"];
 
     /// Prefix of the strategy's own statistics, and of its values in the metadata.
     pub const STRATEGY: &str = "strategy.";
@@ -191,6 +213,14 @@ impl Checkpoint {
         };
         if self.statistics.len() != self.gaussians.len() || !self.strategy.statistics.iter().all(rows) {
             return Err(Error::argument("statistics", "are of another number than the Gaussians"));
+        }
+        let views = |poses: &PoseState| {
+            [&poses.parameters, &poses.first_moments, &poses.second_moments]
+                .iter()
+                .all(|rows| rows.len() as u64 == self.views)
+        };
+        if !self.poses.as_ref().is_none_or(views) {
+            return Err(Error::argument("poses", "are of another number than the views"));
         }
         if self.gaussians.sh_degree != self.settings.sh_degree {
             return Err(Error::argument("sh_degree", "of the Gaussians and of the settings differ"));

@@ -4,6 +4,7 @@ use super::budget::Before;
 use super::checkpoint::Room;
 use super::model::RowMemory;
 use super::photos::{self, PhotoSize};
+use super::poses;
 use super::settings::TrainSettings;
 use super::step_recorder::StepRecorder;
 use super::strategy::Strategy;
@@ -68,7 +69,7 @@ impl Kit {
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
         all.extend(terms);
         all.extend(strategy.loss_terms(context, settings)?);
-        let recorder = StepRecorder::new(context, all, settings.optimizer_type)?;
+        let recorder = StepRecorder::new(context, all, settings.optimizer_type, settings.pose_opt)?;
         let rows = RowMemory::new(strategy.statistics(), recorder.targets().parameters);
         Ok(Self { strategy, recorder, rows })
     }
@@ -91,6 +92,7 @@ impl Kit {
             rows: &self.rows,
             loss: &|sizes| self.recorder.device_requests(sizes),
             losses: self.recorder.readback_request(),
+            poses: poses::requests(settings, photos.len()),
             count,
             sh_degree: settings.sh_degree,
         };

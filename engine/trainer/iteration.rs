@@ -7,6 +7,7 @@ use super::settings::OptimizerType;
 use super::work::{Actions, Work};
 use crate::forward::RenderSettings;
 use crate::optimizer::{Rates, Step};
+use crate::poses::PoseStep;
 
 /// Progress of a run between two iterations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,6 +44,8 @@ pub(super) struct IterationPlan {
     pub sh_degree: u32,
     pub settings: RenderSettings,
     pub step: Step,
+    /// Of the poses, if they are optimised.
+    pub pose_step: PoseStep,
 }
 
 impl IterationPlan {
@@ -81,6 +84,8 @@ impl Schedule {
                 ..run.render_settings()
             },
             step: optimizer_step(run, iteration, progress, &work),
+            // Where the Gaussians make a step, the poses do.
+            pose_step: PoseStep { rate: s.pose_lr(iteration), count: progress.steps + 1 },
         }
     }
 }

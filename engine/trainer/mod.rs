@@ -5,6 +5,7 @@
 //! next step, so that between steps the scene is what the reference would save. A step whose frame overflowed
 //! its buffers changes nothing, and is run again with a larger capacity.
 
+mod align;
 mod budget;
 pub mod checkpoint;
 mod forecast;
@@ -13,6 +14,7 @@ mod model;
 pub mod options;
 mod photos;
 mod population;
+mod poses;
 mod random;
 mod record;
 mod report;
@@ -28,7 +30,7 @@ mod terms;
 pub mod verify;
 mod work;
 
-pub use checkpoint::{Checkpoint, Room};
+pub use checkpoint::{Checkpoint, PoseState, Room};
 pub use forecast::Forecast;
 pub use photos::PhotoSize;
 pub use population::{Growth, Population};
@@ -45,13 +47,14 @@ use crate::forward::{Blending, RenderSettings, SceneBuffers};
 use crate::loss::LossTerm;
 use crate::plan::PictureCapacity;
 use crate::planes;
-use crate::renderer::{Frame, FrameRunner, FrameStore, PixelReport, TileReport};
+use crate::renderer::{Aligner, Frame, FrameRunner, FrameStore, PixelReport, TileReport};
 use crate::scene::StoredPhoto;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Context};
 use forecast::Kit;
 use model::{Model, RowMemory, State};
 use photos::Photos;
+use poses::Poses;
 use run::Run;
 use step_recorder::{LossMemory, StepRecorder};
 
@@ -118,6 +121,10 @@ pub struct Trainer {
     strategy: Box<dyn Strategy>,
     recorder: StepRecorder,
     losses: LossMemory,
+    /// None unless they are optimised.
+    poses: Option<Poses>,
+    /// Built with the first alignment.
+    aligner: Option<Aligner>,
     runner: FrameRunner,
     /// Buffers of the frames that are drawn between steps. Training does not depend on them.
     pictures: FrameStore,
@@ -195,6 +202,7 @@ impl Trainer {
         let targets = recorder.targets();
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
+        let poses = Poses::new(context, &settings, &cameras)?;
         let views_fingerprint = resume::fingerprint_of(&views);
         drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, sh_degree)?;
@@ -208,6 +216,8 @@ impl Trainer {
         let run = Run { settings, scene_extent, cameras, views_fingerprint };
         Ok(Self {
             losses: recorder.allocate(context, &sizes)?,
+            poses,
+            aligner: None,
             schedule: iteration::Schedule::new(&run, targets.inverse_depth),
             pictures: FrameStore::new(context)?,
             context: context.clone(),

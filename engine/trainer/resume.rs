@@ -64,6 +64,7 @@ impl Trainer {
                 statistics,
                 values: self.strategy.state(),
             },
+            poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
             skipped: self.state.skipped,
             room: self.room(),
         })
@@ -123,6 +124,10 @@ impl Trainer {
             return Err(Error::argument("checkpoint", problem));
         }
         trainer.restore_statistics(from)?;
+        if let Some(poses) = &trainer.poses {
+            let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
+            poses.restore(context, from.poses.as_ref().ok_or_else(lacks)?)?;
+        }
         let state = &mut trainer.state;
         state.progress = Progress {
             iteration: from.iteration,

@@ -99,6 +99,10 @@ options! {
         random_background: bool = false, Bounds::None;
         /// Compensate the opacity for the screen-space dilation (Mip-Splatting's 2D filter)
         antialiasing: bool = false, Bounds::None;
+        /// Optimise the poses of the training views with the scene; held-out ones are aligned to it before they are measured
+        pose_opt: bool = false, Bounds::None;
+        /// Learning rate of the poses at the start, world units and radians; a hundredth of it at the end
+        pose_lr: f64 = 1e-5, Bounds::NotNegative;
         /// Adam on all Gaussians, or on those seen only
         optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
         /// Seed of everything random: order of the views, split positions, random backgrounds
@@ -164,6 +168,11 @@ impl TrainSettings {
     pub fn position_lr(&self, iteration: u32) -> f64 {
         let progress = (f64::from(iteration) / f64::from(self.position_lr_max_steps)).min(1.0);
         (self.position_lr_init.ln() * (1.0 - progress) + self.position_lr_final.ln() * progress).exp()
+    }
+
+    /// Learning rate of the poses at an iteration: from `pose_lr` at 0 to a hundredth of it at the last, log-linear.
+    pub fn pose_lr(&self, iteration: u32) -> f64 {
+        self.pose_lr * 0.01_f64.powf(f64::from(iteration) / f64::from(self.iterations))
     }
 
     /// Learning rate of the SH coefficients of degree 1 and above.

@@ -4,6 +4,7 @@
 use super::iteration::IterationPlan;
 use super::model::Model;
 use super::photos::Photos;
+use super::poses::Poses;
 use super::run::Run;
 use super::settings::OptimizerType;
 use super::strategy::{StepInputs, Strategy};
@@ -26,6 +27,7 @@ pub(super) struct StepRecorder {
     sizes: LaunchSizes,
     backward: Backward,
     optimizer: Optimizer,
+    poses: bool,
 }
 
 /// The memory of the loss.
@@ -62,6 +64,7 @@ pub(super) struct StepParts<'a> {
     pub photos: &'a Photos,
     pub memory: &'a LossMemory,
     pub strategy: &'a dyn Strategy,
+    pub poses: Option<&'a Poses>,
     pub plan: &'a IterationPlan,
 }
 
@@ -71,6 +74,7 @@ impl<'a> StepParts<'a> {
         Request {
             scene: &self.model.scene,
             camera: &self.run.cameras[self.plan.view],
+            pose: self.poses.map(|poses| poses.camera(self.plan.view)),
             settings: &self.plan.settings,
             sh_degree: self.plan.sh_degree,
             backward: true,
@@ -83,13 +87,19 @@ impl StepRecorder {
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, optimizer: OptimizerType) -> Result<Self> {
+    pub fn new(
+        context: &Context,
+        terms: Vec<Box<dyn LossTerm>>,
+        optimizer: OptimizerType,
+        poses: bool,
+    ) -> Result<Self> {
         let targets = terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()));
         let sparse = optimizer == OptimizerType::SparseAdam;
         let optimizer = match targets.parameters {
             true => Optimizer::with_parameter_gradients(context, sparse),
             false => Optimizer::new(context, sparse),
         };
+        let optimizer = if poses { optimizer.with_moved_cameras() } else { optimizer };
         Ok(Self {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
@@ -97,6 +107,7 @@ impl StepRecorder {
             terms,
             targets,
             optimizer,
+            poses,
         })
     }
 
@@ -117,7 +128,10 @@ impl StepRecorder {
 
     /// Builds the kernels for an SH degree unless they exist.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        self.backward.prepare(sh_degree, self.targets.inverse_depth)?;
+        match self.poses {
+            true => self.backward.prepare_with_pose(sh_degree, self.targets.inverse_depth)?,
+            false => self.backward.prepare(sh_degree, self.targets.inverse_depth)?,
+        }
         self.optimizer.prepare(sh_degree)
     }
 
@@ -181,7 +195,10 @@ impl StepRecorder {
         self.record_loss(r, inputs, parts, gradient);
         r.barrier();
         let statistics = Statistics { buffer: &model.statistics[0], accumulate: plan.work.accumulates };
-        self.backward.record(r, inputs, gradient, statistics);
+        match parts.poses {
+            Some(_) => self.backward.record_with_pose(r, inputs, gradient, statistics),
+            None => self.backward.record(r, inputs, gradient, statistics),
+        }
         let step = StepInputs {
             frame: inputs,
             moments: &model.moments,
@@ -202,6 +219,10 @@ impl StepRecorder {
             if hooks.update {
                 r.barrier();
                 parts.strategy.record_update(r, &step);
+            }
+            // The frame has its own copy of its camera.
+            if let Some(poses) = parts.poses {
+                poses.record(r, inputs, plan.view, &plan.pose_step);
             }
         }
         r.copy(&parts.memory.losses, losses);

@@ -9,6 +9,9 @@
 //      (d colour before its clamp at 0, dL/dy px)
 // in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) if `accumulate` is set, nothing overflowed
 //         and the norm is finite
+// out, with POSE_GRADIENT: pose_sums[subgroup] = sums of dL/d(nu), dL/d(omega) over the subgroup's Gaussians. They are dL/d(delta)
+//         at delta = 0 of the pose exp(delta^) T, delta = (nu, omega), T from world to camera. A turn about the camera's
+//         centre leaves the directions of the colours as they are. Gaussians with a contribution that is not finite are left out.
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -26,6 +29,8 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // A Gaussian with more instances is summed by its whole subgroup.
 layout(constant_id = 3) const uint LANE_INSTANCES = 64;
+// Whether the camera's pose has a gradient.
+layout(constant_id = 4) const bool POSE_GRADIENT = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -40,6 +45,7 @@ VEC2_READS(8, InstanceGradientsC, instance_gradients_c);
 layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
+layout(set = 0, binding = 12, scalar) writeonly buffer PoseSums { vec3 pose_sums[]; };
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
@@ -138,6 +144,24 @@ vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
     return (g - q * dot(q, g)) * inverse_norm;
 }
 
+bool all_finite(vec3 v) {
+    return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
+}
+
+// The sums of the subgroup that begins at this visible Gaussian go to the place of its subgroup among those of all Gaussians:
+// the visible ones of a range are at most as many as the range has.
+void write_pose_sums(vec3 d_moved, vec3 d_turned, bool exists, uint end) {
+    bool counts = exists && all_finite(d_moved) && all_finite(d_turned);
+    vec3 moved = subgroupAdd(counts ? d_moved : vec3(0.0));
+    vec3 turned = subgroupAdd(counts ? d_turned : vec3(0.0));
+    uint begin = linear_workgroup() * WORKGROUP_SIZE + gl_SubgroupID * SUBGROUP_SIZE;
+    if (gl_SubgroupInvocationID == 0 && begin < end) {
+        uint at = (first + begin) / SUBGROUP_SIZE;
+        pose_sums[2 * at] = moved;
+        pose_sums[2 * at + 1] = turned;
+    }
+}
+
 void main() {
     // A workgroup has the size of a culling block.
     uvec4 visible_range = UVEC4_AT(visible_ranges, 2 * (first / WORKGROUP_SIZE) + 1);
@@ -217,7 +241,16 @@ void main() {
     for (uint k = 0; k < 16; ++k) {
         d_direction += derivative[k] * dot(sh[k], d_color);
     }
-    d_mean += (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
+    vec3 d_towards = (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
+    d_mean += d_towards;
+
+    if (POSE_GRADIENT) {
+        vec3 d_turned = cross(p.mean_camera, d_camera);
+        for (uint axis = 0; axis < 3; ++axis) {
+            d_turned += cross(p.axes_camera[axis], d_axes[axis]);
+        }
+        write_pose_sums(d_camera + to_camera(d_towards), d_turned, exists, visible_range.y - visible_range.x);
+    }
 
     if (exists) {
         gradients[GRADIENT_MEAN_OPACITY * gradient_stride + visible] = vec4(d_mean, d_logit);

@@ -8,7 +8,7 @@
 // nothing changes.
 //
 // invocation: one Gaussian
-// in: visible_index, gradients (PerVisible planes), state
+// in: visible_index, gradients (PerVisible planes), state, camera block
 // in/out: parameters, moments_1, moments_2 (PerGaussian planes), each bound a second time for reads;
 //     state[STATE_NON_FINITE] counts the skipped Gaussians
 // shared: none; any subgroup size
@@ -24,6 +24,8 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SPARSE = false;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
+// The camera is where the camera block says, and not where the push constants do: the device has moved it.
+layout(constant_id = 5) const bool MOVED_CAMERA = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_WRITES(0, Parameters, parameters);
@@ -62,10 +64,17 @@ layout(push_constant, scalar) uniform Push {
     float inverse_bias_2_opacity;
 };
 
+#include "camera_block.glsl"
 #include "dispatch.glsl"
 #include "planes.glsl"
 #include "sh.glsl"
 #include "sh_gradient.glsl"
+
+vec3 position_of_camera() {
+    vec3 t = camera_translation;
+    vec3 moved = -(camera_row_x * t.x + camera_row_y * t.y + camera_row_z * t.z) * inverse_scale_squared;
+    return MOVED_CAMERA ? moved : camera_position;
+}
 
 void update(uint at, vec4 g, vec4 rate, vec4 inverse_bias) {
     vec4 m = beta_1 * VEC4_AT(old_moments_1, at) + one_minus_beta_1 * g;
@@ -114,7 +123,7 @@ void main() {
     float basis[16];
     // Outside the view the colour has no gradient. A Gaussian at the camera's position has no direction: without this test
     // NaN times 0 would be NaN.
-    sh_basis(seen ? normalize(mean - camera_position) : vec3(0.0), basis);
+    sh_basis(seen ? normalize(mean - position_of_camera()) : vec3(0.0), basis);
 
     vec4 bias = vec4(inverse_bias_2);
     update(plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians), d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),

@@ -20,6 +20,7 @@ pub mod lenses;
 pub mod loss;
 pub mod npz;
 pub mod page;
+pub mod poses;
 pub mod regularizers;
 pub mod running;
 pub mod scenes;

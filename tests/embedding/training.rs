@@ -112,7 +112,10 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
     // And once with the other strategy, which adds noise in the step.
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
-    for (push_descriptors, settings) in [(true, settings()), (false, weighted), (true, mcmc)] {
+    // And once with cameras that the device moves.
+    let poses = TrainSettings { pose_opt: true, pose_lr: 1e-3, ..settings() };
+    let kinds = [(true, settings()), (false, weighted), (true, mcmc), (false, poses)];
+    for (push_descriptors, settings) in kinds {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }

@@ -7,7 +7,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, gpu_training, mcmc, trial};
+use super::{Kind, SetFile, gpu_training, mcmc, poses, trial};
 use crate::common::engine::{camera, gaussians, renderer, settings, widen};
 use crate::common::{assert_silent, context};
 use crate::reference::types::Extent;
@@ -27,6 +27,7 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
             of_file(set, "noise", mcmc::noise_of_device),
         ],
         Kind::Relocation => vec![of_file(set, "relocation", mcmc::relocation_of_device)],
+        Kind::Poses => vec![of_file(set, "poses", poses::of_device)],
         Kind::Other => vec![],
     }
 }

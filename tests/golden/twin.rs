@@ -4,7 +4,7 @@ use libtest_mimic::Trial;
 
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, mcmc, training, trial};
+use super::{Kind, SetFile, mcmc, poses, training, trial};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
@@ -40,6 +40,7 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
                 mcmc::relocation_of_twin(&file.path)
             })]
         }
+        Kind::Poses => vec![trial(format!("golden_twin_poses_{name}"), move || poses::of_twin(&file.path))],
         Kind::Other => vec![],
     }
 }

@@ -47,6 +47,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
             statistics: (0..own).map(statistic).collect(),
             values: (0..own).map(|index| (format!("value {index:06}"), "1".into())).collect(),
         },
+        poses: None,
         skipped: 0,
         room: Room::default(),
     }

@@ -25,6 +25,8 @@ mod loss_reduce;
 mod multiply_add;
 mod photo_to_rows;
 mod picture_to_rows;
+mod pose_gradient;
+mod pose_step;
 mod project;
 mod project_backward;
 mod ranges;

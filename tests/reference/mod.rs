@@ -31,6 +31,8 @@ pub mod multiply_add;
 pub mod photo_to_rows;
 pub mod picture_to_rows;
 pub mod pipeline;
+pub mod pose_gradient;
+pub mod pose_step;
 pub mod project;
 pub mod project_backward;
 pub mod ranges;

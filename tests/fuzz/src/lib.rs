@@ -76,6 +76,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         second_moments: gaussians.clone(),
         statistics: vec![[0.0; 2]; gaussians.len()],
         gaussians,
+        poses: None,
         skipped: 1,
         room: Room::default(),
     }
