@@ -15,46 +15,43 @@ use glam::DVec3;
 /// How a camera is aligned: photometric optimisation of its pose with the scene fixed, as BARF (Lin et al. 2021,
 /// section 4.2) and later work without poses do with held-out views.
 ///
-/// Adam (ε 1e-8, no weight decay) on the pose's six parameters, [`Twist`], from 0. The rates fall log-linearly to a
-/// hundredth at the last step. The loss is that of training.
+/// Adam (ε 1e-8, no weight decay) on the six parameters of a [`Twist`], from 0, with the loss of training. Its turns are
+/// about the point in the middle of the picture at the mean depth of what is seen: about the camera's centre, a turn and a
+/// displacement look nearly the same, and Adam would take many more steps to tell them apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {
     /// Number of steps; each takes about as long as an iteration of training.
     pub steps: u32,
-    /// Learning rate of turns at the beginning, radians.
-    pub rotation_lr: f64,
-    /// Learning rate of displacements at the beginning, world units.
-    pub translation_lr: f64,
+    /// Learning rate at the beginning: of turns, radians; of displacements, times the mean depth. It falls log-linearly to a
+    /// hundredth at the last step.
+    pub lr: f64,
     /// Weight of 1 - SSIM in the loss; L1 takes the rest.
     pub lambda_dssim: f32,
 }
 
-impl Alignment {
-    /// 100 steps, which reach about a degree and a hundredth of the scene's extent (world units).
-    pub fn of_extent(scene_extent: f32) -> Self {
-        let rotation_lr = 1e-3;
-        Self {
-            steps: 100,
-            rotation_lr,
-            translation_lr: rotation_lr * f64::from(scene_extent),
-            lambda_dssim: 0.2,
-        }
+impl Default for Alignment {
+    /// 100 steps, which reach about 2.5 degrees.
+    fn default() -> Self {
+        Self { steps: 100, lr: 2e-3, lambda_dssim: 0.2 }
     }
+}
 
+impl Alignment {
     fn check(&self) -> Result<()> {
-        let sound = |rate: f64| rate.is_finite() && rate >= 0.0;
-        if sound(self.rotation_lr) && sound(self.translation_lr) && (0.0..=1.0).contains(&self.lambda_dssim) {
+        if self.lr.is_finite() && self.lr >= 0.0 && (0.0..=1.0).contains(&self.lambda_dssim) {
             return Ok(());
         }
-        Err(Error::argument("alignment", "its rates must be finite and not negative, lambda_dssim 0 to 1"))
+        Err(Error::argument("alignment", "its rate must be finite and not negative, lambda_dssim 0 to 1"))
     }
 
-    /// Adam's steps from gradients: (moments, ξ) after one more.
+    /// One step of Adam; `gradient` is about the camera's centre.
     fn step(&self, adam: &mut Adam, gradient: Twist) {
         adam.steps += 1;
         let progress = f64::from(adam.steps) / f64::from(self.steps.max(1));
         let decay = 0.01_f64.powf(progress);
-        let gradient = adam.moved.gradient_of(gradient);
+        let pivot = DVec3::new(0.0, 0.0, adam.depth);
+        let about_pivot = Twist { omega: gradient.omega - pivot.cross(gradient.nu), ..gradient };
+        let gradient = adam.moved.gradient_of(about_pivot);
         let correct = |beta: f64| 1.0 - beta.powi(adam.steps as i32);
         let update = |m: &mut DVec3, v: &mut DVec3, g: DVec3, rate: f64| {
             *m = BETA_1 * *m + (1.0 - BETA_1) * g;
@@ -63,18 +60,37 @@ impl Alignment {
             let root = DVec3::new(corrected.x.sqrt(), corrected.y.sqrt(), corrected.z.sqrt());
             rate * decay * (*m / correct(BETA_1)) / (root + EPSILON)
         };
-        let Adam { moved, first, second, .. } = adam;
-        moved.nu -= update(&mut first.nu, &mut second.nu, gradient.nu, self.translation_lr);
-        moved.omega -= update(&mut first.omega, &mut second.omega, gradient.omega, self.rotation_lr);
+        let Adam { moved, first, second, depth, .. } = adam;
+        moved.nu -= update(&mut first.nu, &mut second.nu, gradient.nu, self.lr * *depth);
+        moved.omega -= update(&mut first.omega, &mut second.omega, gradient.omega, self.lr);
     }
 }
 
-#[derive(Default)]
+/// The state of an alignment.
 struct Adam {
+    /// About the pivot.
     moved: Twist,
     first: Twist,
     second: Twist,
     steps: u32,
+    /// Of the pivot, world units.
+    depth: f64,
+}
+
+impl Adam {
+    fn new(depth: f64) -> Self {
+        let zero = Twist::default();
+        Self { moved: zero, first: zero, second: zero, steps: 0, depth }
+    }
+
+    fn applied_to(&self, camera: &Camera) -> Camera {
+        let pivot = DVec3::new(0.0, 0.0, self.depth);
+        let about = |by: DVec3, camera: &Camera| Twist { nu: by, omega: DVec3::ZERO }.applied_to(camera);
+        match self.moved == Twist::default() {
+            true => *camera,
+            false => about(pivot, &self.moved.applied_to(&about(-pivot, camera))),
+        }
+    }
 }
 
 /// The kernels of an alignment.
@@ -139,7 +155,7 @@ impl Aligner {
         };
         let texels = photo_on_device(windowing, width, height, masked, photo.texels()?);
         self.context.upload(target, &texels)?;
-        let mut adam = Adam::default();
+        let mut adam = Adam::new(mean_depth(runner, request)?);
         let mut moved = *camera;
         for _ in 0..alignment.steps {
             let request = Request { scene, camera: &moved, pose: None, settings, sh_degree, backward: true };
@@ -171,11 +187,22 @@ impl Aligner {
             let g: [f32; 6] = bytemuck::pod_read_unaligned(&bytes);
             if g.iter().all(|x| x.is_finite()) {
                 alignment.step(&mut adam, Twist::from_array(g.map(f64::from)));
-                moved = adam.moved.applied_to(camera);
+                moved = adam.applied_to(camera);
             }
         }
         Ok(moved)
     }
+}
+
+/// Harmonic mean of the depth over what is seen, world units; 1 where nothing is.
+fn mean_depth(runner: &mut FrameRunner, request: &AlignRequest) -> Result<f64> {
+    let AlignRequest { scene, camera, settings, sh_degree, .. } = *request;
+    let settings = RenderSettings { inverse_depth: true, sh_degree: Some(sh_degree), ..*settings };
+    let frame = runner.render(scene, camera, &settings)?;
+    let weight: f64 = frame.transmittance.iter().map(|&t| 1.0 - f64::from(t)).sum();
+    let inverse: f64 = frame.inverse_depth.iter().flatten().map(|&x| f64::from(x)).sum();
+    let depth = weight / inverse;
+    Ok(if depth.is_finite() && depth > 0.0 { depth } else { 1.0 })
 }
 
 fn check(request: &AlignRequest) -> Result<()> {
@@ -228,16 +255,18 @@ mod tests {
     /// The minimum of a quadratic function is found, within the reach of the rates.
     #[test]
     fn adam_finds_a_minimum() {
-        let alignment = Alignment { steps: 300, ..Alignment::of_extent(2.0) };
+        let alignment = Alignment { steps: 300, ..Alignment::default() };
         let wanted = Twist { nu: DVec3::new(0.02, -0.01, 0.03), omega: DVec3::new(0.01, 0.015, -0.005) };
-        let mut adam = Adam::default();
+        let mut adam = Adam::new(3.0);
         for _ in 0..300 {
             let (nu, omega) = (adam.moved.nu - wanted.nu, adam.moved.omega - wanted.omega);
+            // About the camera's centre.
+            let omega = omega + DVec3::new(0.0, 0.0, 3.0).cross(nu);
             alignment.step(&mut adam, Twist { nu, omega });
         }
         let far = (adam.moved.nu - wanted.nu).length() + (adam.moved.omega - wanted.omega).length();
         assert!(far < 2e-3, "{far}");
-        let refused = Alignment { rotation_lr: f64::NAN, ..alignment }.check().expect_err("refused");
+        let refused = Alignment { lr: f64::NAN, ..alignment }.check().expect_err("refused");
         assert!(refused.to_string().starts_with("alignment: "), "{refused}");
     }
 }

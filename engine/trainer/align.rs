@@ -4,7 +4,7 @@ use super::Trainer;
 use crate::error::Result;
 use crate::forward::RenderSettings;
 use crate::renderer::{AlignRequest, Aligner, Alignment};
-use crate::scene::{Camera, StoredPhoto};
+use crate::scene::{Camera, StoredPhoto, Twist};
 
 impl Trainer {
     /// The cameras of the training views as they are now, in the views' order: where they were given, or where
@@ -19,6 +19,23 @@ impl Trainer {
             None => Ok(self.run.cameras.clone()),
             Some(poses) => poses.moved(&self.context, &self.run.cameras),
         }
+    }
+
+    /// What each camera of the training views has been moved by, in the views' order: 0 without
+    /// [`pose_opt`](super::TrainSettings::pose_opt).
+    ///
+    /// # Errors
+    /// As [`Trainer::cameras`].
+    pub fn pose_changes(&self) -> Result<Vec<Twist>> {
+        self.check_readable()?;
+        let Some(poses) = &self.poses else { return Ok(vec![Twist::default(); self.run.cameras.len()]) };
+        let parameters = poses.state(&self.context)?.parameters;
+        Ok(parameters.iter().map(|xi| Twist::from_array(xi.map(f64::from))).collect())
+    }
+
+    /// The scene's extent that training was given, world units.
+    pub fn scene_extent(&self) -> f32 {
+        self.run.scene_extent
     }
 
     /// As [`Renderer::align`](crate::Renderer::align), with the current scene. If `settings.sh_degree` is None, it uses the SH

@@ -1,17 +1,19 @@
 //! `ashsplat eval`, and the measurement of held-out views that training and the demo share.
 
 use crate::args::DeviceArguments;
-use crate::config::DataSettings;
+use crate::config::{CAMERAS_FILE, DataSettings};
 use crate::model::Model;
 use crate::progress::counting;
 use crate::{output, render, session};
 use ashsplat::scene::Camera;
-use ashsplat::{Error, Frame, RenderSettings, Renderer, Result};
+use ashsplat::{Alignment, Error, Frame, RenderSettings, Renderer, Result, TrainSettings};
+use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::metrics;
 use ashsplat_files::{Gallery, Photo, View};
 use clap::Args;
 use serde_json::{Map, Value, json};
 use std::borrow::Borrow;
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 /// PSNR and SSIM of a trained scene on a data set. What masks hide does not count.
@@ -63,6 +65,8 @@ pub struct ViewResult {
 #[derive(Clone)]
 pub struct Evaluation {
     pub views: Vec<ViewResult>,
+    /// The same views with their cameras aligned to the scene, if the poses of the training views were optimised.
+    pub aligned: Option<Box<Evaluation>>,
 }
 
 impl Evaluation {
@@ -82,15 +86,24 @@ impl Evaluation {
 
     /// Both means in words.
     pub fn describe(&self) -> String {
-        match self.views.is_empty() {
+        let own = match self.views.is_empty() {
             true => "PSNR and SSIM not measured".into(),
             false => format!("PSNR {:.2} dB, SSIM {:.4}", self.psnr(), self.ssim()),
+        };
+        match self.aligned.as_ref().filter(|aligned| !aligned.views.is_empty()) {
+            None => own,
+            Some(aligned) => format!("{own} (cameras aligned: {})", aligned.describe()),
         }
     }
 
     /// The reference's entry in results.json.
     pub fn summary(&self) -> Value {
-        json!({ "SSIM": self.ssim(), "PSNR": self.psnr() })
+        let mut entry = json!({ "SSIM": self.ssim(), "PSNR": self.psnr() });
+        if let (Some(aligned), Some(entry)) = (&self.aligned, entry.as_object_mut()) {
+            entry.insert("SSIM_aligned".into(), json!(aligned.ssim()));
+            entry.insert("PSNR_aligned".into(), json!(aligned.psnr()));
+        }
+        entry
     }
 
     /// The reference's entry in per_view.json, whose views are named after their saved renders.
@@ -99,7 +112,13 @@ impl Evaluation {
             let named = |(index, view): (usize, &ViewResult)| (format!("{index:05}.png"), json!(value(view)));
             self.views.iter().enumerate().map(named).collect()
         };
-        json!({ "SSIM": by_view(|view| view.ssim), "PSNR": by_view(|view| view.psnr) })
+        let mut entry = json!({ "SSIM": by_view(|view| view.ssim), "PSNR": by_view(|view| view.psnr) });
+        if let (Some(aligned), Some(entry)) = (&self.aligned, entry.as_object_mut())
+            && let Value::Object(of_aligned) = aligned.per_view()
+        {
+            entry.extend(of_aligned.into_iter().map(|(name, values)| (format!("{name}_aligned"), values)));
+        }
+        entry
     }
 }
 
@@ -151,7 +170,7 @@ pub fn evaluate<V: Borrow<View>>(
             pictures.save("gt", index, &photo);
         }
     }
-    Ok(Evaluation { views: results })
+    Ok(Evaluation { views: results, aligned: None })
 }
 
 /// Whether a view's mask hides all of it.
@@ -215,15 +234,41 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     renderer.upload(&scene.gaussians)?;
     let look = arguments.look.settings(&model.settings, &scene.header)?;
     let settings = RenderSettings { inverse_depth: false, ..look };
-    let bar = counting("views", chosen.len() as u64, arguments.quiet);
-    let views = chosen.into_iter().filter_map(|index| match session::check(&stop) {
-        Ok(()) => gallery.view(index),
+    // Where poses were optimised, training views have their own; those that were held out are aligned.
+    let pose_opt = model.settings.train.pose_opt;
+    let moved = match (&model.folder, pose_opt) {
+        (Some((folder, _)), true) => cameras_json::read(folder.join(CAMERAS_FILE))?,
+        _ => Vec::new(),
+    };
+    let bar = counting("views", chosen.len() as u64 * if pose_opt { 2 } else { 1 }, arguments.quiet);
+    let view = |&index: &usize| match session::check(&stop) {
+        Ok(()) => Some(gallery.view(index)?.map(|view| at_its_place(view, &moved))),
         Err(interrupted) => Some(Err(interrupted)),
-    });
-    let evaluation = evaluate(views, None, |camera| {
+    };
+    let mut evaluation = evaluate(chosen.iter().filter_map(view), None, |camera| {
         bar.inc(1);
         renderer.render(camera, &settings)
     })?;
+    if pose_opt {
+        let renderer = RefCell::new(renderer);
+        let alignment = alignment_of(&model.settings.train);
+        let held_out = gallery.held_out();
+        let aligned = chosen.iter().filter_map(|index| {
+            let view = view(index)?;
+            if !held_out[*index] {
+                return Some(view);
+            }
+            Some(view.and_then(|view| {
+                let aligned = renderer.borrow_mut().align(&view.camera, &view.photo, &settings, &alignment);
+                Ok(View { camera: aligned?, ..view })
+            }))
+        });
+        let aligned = evaluate(aligned, None, |camera| {
+            bar.inc(1);
+            renderer.borrow_mut().render(camera, &settings)
+        })?;
+        evaluation.aligned = Some(Box::new(aligned));
+    }
     bar.finish_and_clear();
     if let (Some((folder, iteration)), false) = (&model.folder, arguments.all) {
         write_results(folder, *iteration, &evaluation)?;
@@ -231,6 +276,22 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     print_results(arguments.json, &evaluation, scene.gaussians.len())?;
     arguments.device.report_validation(&context);
     Ok(())
+}
+
+/// How cameras are aligned to a scene: with training's loss.
+pub fn alignment_of(settings: &TrainSettings) -> Alignment {
+    Alignment { lambda_dssim: settings.lambda_dssim as f32, ..Alignment::default() }
+}
+
+/// A view with the pose that a list of cameras has for it, if any.
+pub fn at_its_place(view: View, cameras: &[NamedCamera]) -> View {
+    match cameras.iter().find(|named| named.name == view.name) {
+        None => view,
+        Some(NamedCamera { camera: at, .. }) => {
+            let camera = Camera::with_pose(at.camera_from_world, at.translation, view.camera.intrinsics());
+            View { camera, ..view }
+        }
+    }
 }
 
 /// Which views are measured.
@@ -254,6 +315,8 @@ fn print_results(json: bool, evaluation: &Evaluation, gaussians: usize) -> Resul
         let value = json!({
             "gaussians": gaussians,
             "mean": evaluation.summary(),
+            "aligned_views": evaluation.aligned.as_ref().map(|aligned| json!(aligned.views.iter()
+                .map(|v| json!({"name": v.name, "PSNR": v.psnr, "SSIM": v.ssim})).collect::<Vec<_>>())),
             "views": evaluation.views.iter().map(|v| json!({"name": v.name, "PSNR": v.psnr, "SSIM": v.ssim})).collect::<Vec<_>>(),
         });
         say!("{value:#}");
@@ -269,5 +332,8 @@ fn print_results(json: bool, evaluation: &Evaluation, gaussians: usize) -> Resul
     }
     let mean = format!("mean of {}", evaluation.views.len());
     say!("{mean:<28} {:>8.3} {:>8.4}", evaluation.psnr(), evaluation.ssim());
+    if let Some(aligned) = &evaluation.aligned {
+        say!("{:<28} {:>8.3} {:>8.4}", "  with cameras aligned", aligned.psnr(), aligned.ssim());
+    }
     Ok(())
 }

@@ -5,6 +5,7 @@ mod checkpoints;
 mod folder;
 mod live;
 mod log;
+mod poses;
 mod prepared;
 mod report;
 mod saving;
@@ -20,6 +21,7 @@ use crate::lock::FolderLock;
 use crate::measure::{Cost, Stopwatch};
 use crate::progress::{State, TrainProgress, thousands};
 use crate::session;
+use ashsplat::scene::Camera;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -164,6 +166,8 @@ pub struct Run {
     settings: Settings,
     trainer: Trainer,
     test: Vec<View>,
+    /// Of all views as they were given, held-out ones first.
+    cameras: Vec<(String, Camera)>,
     /// Whether `test` was held out, or is a sample of the training views.
     held_out: bool,
     progress: TrainProgress,
@@ -211,7 +215,8 @@ impl Run {
         let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
         let lock = folder::begin(&settings, &data.cameras, Some(&points))?;
         let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
-        Ok(Run::new(context, settings, trainer, (log, lock), (data.test, data.held_out), quiet))
+        let views = (data.test, data.cameras, data.held_out);
+        Ok(Run::new(context, settings, trainer, (log, lock), views, quiet))
     }
 
     /// As [`Run::prepare`], from a checkpoint.
@@ -226,7 +231,10 @@ impl Run {
         let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
         let lock = folder::begin(&settings, &data.cameras, None)?;
         let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
-        Ok(Run::new(context, settings, trainer, (log, lock), (data.test, data.held_out), quiet))
+        let views = (data.test, data.cameras, data.held_out);
+        let run = Run::new(context, settings, trainer, (log, lock), views, quiet);
+        run.save_poses(run.started)?;
+        Ok(run)
     }
 
     fn new(
@@ -234,7 +242,7 @@ impl Run {
         settings: Settings,
         trainer: Trainer,
         (log, lock): (TrainLog, FolderLock),
-        (test, held_out): (Vec<View>, bool),
+        (test, cameras, held_out): (Vec<View>, Vec<(String, Camera)>, bool),
         quiet: bool,
     ) -> Run {
         let iterations = settings.train.iterations;
@@ -246,6 +254,7 @@ impl Run {
             trainer,
             tracking: Tracking::new(&test, iterations, tracking::SHARE),
             test,
+            cameras,
             held_out,
             first: None,
             total: None,
@@ -389,6 +398,9 @@ impl Run {
         }
         if let Some(total) = self.total {
             say!("all {} iterations: {total}, {:.1} s", total.iterations, total.seconds);
+        }
+        if let Ok(Some(moved)) = self.moved() {
+            say!("{}", moved.describe());
         }
         if self.skipped > 0 {
             say!("{} iterations were left out: their frames were too large", thousands(self.skipped.into()));

@@ -132,6 +132,7 @@ impl Run {
         let antialiased = self.settings.train.antialiasing;
         let options = splats::WriteOptions { antialiased, ..Default::default() };
         output::in_folder(&path, |path| splats::write(path, &gaussians, &options))?;
+        self.save_poses(iteration)?;
         model::note_saved(folder, iteration)?;
         self.saved = Some(iteration);
         self.progress.note(&format!("{reason}saved {}", path.display()));

@@ -6,6 +6,7 @@ use crate::eval::{self, Evaluation, Pictures};
 use crate::progress::thousands;
 use crate::render;
 use ashsplat::Result;
+use ashsplat::scene::Camera;
 
 /// The test after an iteration.
 pub struct Tested {
@@ -45,10 +46,20 @@ impl Run {
         let folder = self.settings.data.model_path.join("test").join(format!("ours_{iteration}"));
         let mut pictures = self.held_out.then(|| Pictures::new(folder));
         let settings = render::settings_of(&self.settings);
+        self.follow_cameras()?;
         let trainer = &mut self.trainer;
-        let evaluation = eval::evaluate(self.test.iter().map(Ok), pictures.as_mut(), |camera| {
+        let mut evaluation = eval::evaluate(self.test.iter().map(Ok), pictures.as_mut(), |camera| {
             trainer.render(camera, &settings)
         })?;
+        if self.settings.train.pose_opt && self.held_out {
+            let alignment = eval::alignment_of(&self.settings.train);
+            let mut aligned = self.test.clone();
+            for view in &mut aligned {
+                view.camera = trainer.align(&view.camera, &view.photo, &settings, &alignment)?;
+            }
+            let draw = |camera: &Camera| trainer.render(camera, &settings);
+            evaluation.aligned = Some(Box::new(eval::evaluate(aligned.iter().map(Ok), None, draw)?));
+        }
         Ok((evaluation, pictures.map_or(Ok(()), Pictures::saved)))
     }
 

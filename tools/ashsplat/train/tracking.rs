@@ -86,6 +86,15 @@ impl Tracking {
         }
     }
 
+    /// Takes the cameras of these views, by their names.
+    pub(super) fn follow(&mut self, test: &[View]) {
+        for view in &mut self.views {
+            if let Some(moved) = test.iter().find(|other| other.name == view.name) {
+                view.camera = moved.camera;
+            }
+        }
+    }
+
     /// The mean over the views as they stand, dB; none where masks hide them all.
     fn measure(&self, trainer: &mut Trainer, settings: &RenderSettings) -> Result<Option<f64>> {
         let mut values = Vec::new();
@@ -137,7 +146,8 @@ impl Run {
     fn measure_now(&mut self, iteration: u32) -> Option<f64> {
         let start = Instant::now();
         let settings = render::settings_of(&self.settings);
-        let measured = self.tracking.measure(&mut self.trainer, &settings);
+        let followed = self.follow_cameras();
+        let measured = followed.and_then(|()| self.tracking.measure(&mut self.trainer, &settings));
         self.tracking.measured(iteration, start.elapsed());
         measured.unwrap_or_else(|error| {
             self.tracking.allowance = None;

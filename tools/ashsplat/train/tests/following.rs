@@ -24,7 +24,7 @@ fn the_same_few_views_are_followed() {
         let followed = i % 4 == 0;
         ViewResult { name: view.name.clone(), psnr: if followed { 30.0 } else { 10.0 }, ssim: 1.0 }
     };
-    let evaluation = eval::Evaluation { views: all.iter().enumerate().map(result).collect() };
+    let evaluation = eval::Evaluation { views: all.iter().enumerate().map(result).collect(), aligned: None };
     assert_eq!(tracking.among(&evaluation), Some(30.0));
 }
 
