@@ -133,7 +133,8 @@ fn poses_of_the_device_agree_with_the_twin() {
 #[test]
 fn poses_of_a_scene_in_several_buffers() {
     let limits = LimitsOverride { max_storage_buffer_range: Some(100_000), ..LimitsOverride::default() };
-    let context = Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device");
+    let context =
+        Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device");
     let mut renderer = Renderer::new(&context).expect("a renderer");
     compare_with_device(&mut renderer, &small_view([60, 40]), (1200, 7));
     crate::common::assert_silent(&context);

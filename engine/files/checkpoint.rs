@@ -5,9 +5,7 @@ use crate::{atomic, cost};
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::trainer::checkpoint::{
-    Checkpoint, PoseState, Room, StrategyState, StrategyStatistic, Tensor,
-};
+use ashsplat::trainer::checkpoint::{Checkpoint, PoseState, Room, StrategyState, StrategyStatistic, Tensor};
 use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
 use bytemuck::Pod;

@@ -125,7 +125,8 @@ mod tests {
             xi[axis] += by;
             Twist::from_array(xi)
         };
-        let difference = |of: &dyn Fn(f64) -> (DMat3, DVec3)| (value(of(step)) - value(of(-step))) / (2.0 * step);
+        let difference =
+            |of: &dyn Fn(f64) -> (DMat3, DVec3)| (value(of(step)) - value(of(-step))) / (2.0 * step);
         let (rotation, translation) = TWIST.exp();
         let g = [0, 1, 2, 3, 4, 5].map(|axis| {
             difference(&|by| {

@@ -57,8 +57,7 @@ impl Trainer {
         };
         let aligned = self.drawing(|runner, scene| {
             let sh_degree = scene.active_degree(&settings);
-            let request =
-                AlignRequest { scene, camera, photo, settings: &settings, sh_degree, alignment };
+            let request = AlignRequest { scene, camera, photo, settings: &settings, sh_degree, alignment };
             aligner.align(runner, &request)
         });
         self.aligner = Some(aligner);

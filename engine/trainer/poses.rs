@@ -91,8 +91,7 @@ impl Poses {
 
     pub fn state(&self, context: &Context) -> Result<PoseState> {
         let parameters = context.download(&self.buffers.parameters)?;
-        let moments: Vec<[f32; 6]> =
-            bytemuck::pod_collect_to_vec(&context.download(&self.buffers.moments)?);
+        let moments: Vec<[f32; 6]> = bytemuck::pod_collect_to_vec(&context.download(&self.buffers.moments)?);
         let every_second = |first: usize| moments.iter().skip(first).step_by(2).copied().collect();
         Ok(PoseState {
             parameters: bytemuck::pod_collect_to_vec(&parameters),

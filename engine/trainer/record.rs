@@ -182,7 +182,8 @@ impl Trainer {
     ) -> Result<()> {
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
         let poses = self.poses.as_ref();
-        let parts = StepParts { run, model, photos: &self.photos, memory: &self.losses, strategy, poses, plan };
+        let parts =
+            StepParts { run, model, photos: &self.photos, memory: &self.losses, strategy, poses, plan };
         self.runner.record(r, &parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, losses);
             r.barrier();

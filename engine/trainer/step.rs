@@ -168,7 +168,8 @@ impl Trainer {
         self.recorder.prepare(plan.sh_degree)?;
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
         let poses = self.poses.as_ref();
-        let parts = StepParts { run, model, photos: &self.photos, memory: &self.losses, strategy, poses, plan };
+        let parts =
+            StepParts { run, model, photos: &self.photos, memory: &self.losses, strategy, poses, plan };
         self.runner.run(&parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
             Ok(())

@@ -8,8 +8,8 @@ use super::gpu::Gpu;
 /// What `poses/pose_gradient` leaves: g and dL/dξ.
 pub fn pose_gradient(gpu: &Gpu, sums: &[[f32; 6]], parameters: &[[f32; 6]], image: u32) -> [[f64; 6]; 2] {
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
-    let kernel = gpu
-        .kernel::<pose_gradient::Interface>(&pose_gradient::Spec { workgroup_size, subgroup_size });
+    let kernel =
+        gpu.kernel::<pose_gradient::Interface>(&pose_gradient::Spec { workgroup_size, subgroup_size });
     let gradient = gpu.untouched::<[f32; 6]>("pose_gradient", 2);
     let bind = pose_gradient::Bind {
         pose_sums: &gpu.buffer("pose_sums", sums),

@@ -79,7 +79,10 @@ fn random_sums(random: &mut Random, splat: &Splat) -> [f64; 10] {
 /// What the kernel leaves: gradient planes and statistics.
 fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32; 4]>, Vec<[f32; 2]>) {
     let (planes, statistics, sums) = run_variant(gpu, scene, [accumulate, overflow, false]);
-    assert!(sums.as_flattened().iter().all(|x| x.to_bits() == UNTOUCHED), "a pose without being asked for it");
+    assert!(
+        sums.as_flattened().iter().all(|x| x.to_bits() == UNTOUCHED),
+        "a pose without being asked for it"
+    );
     (planes, statistics)
 }
 

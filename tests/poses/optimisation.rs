@@ -66,7 +66,11 @@ fn apart(cameras: &[Camera], others: &[Camera]) -> (f64, f64) {
     let mut most = (0.0_f64, 0.0_f64);
     for (camera, other) in cameras.iter().zip(others) {
         let turn = camera.camera_from_world.as_dmat3() * other.camera_from_world.as_dmat3().transpose();
-        let axis = DVec3::new(turn.y_axis.z - turn.z_axis.y, turn.z_axis.x - turn.x_axis.z, turn.x_axis.y - turn.y_axis.x);
+        let axis = DVec3::new(
+            turn.y_axis.z - turn.z_axis.y,
+            turn.z_axis.x - turn.x_axis.z,
+            turn.x_axis.y - turn.y_axis.x,
+        );
         let angle = (0.5 * axis.length()).asin().to_degrees();
         let distance = camera.exact_position().distance(other.exact_position()) / f64::from(extent());
         most = (most.0.max(angle), most.1.max(distance));
@@ -156,7 +160,9 @@ fn poses_and_scene_together_are_better_than_the_scene_alone() {
     let ((without, same), (with, moved)) = (train(false), train(true));
     assert_eq!(same, perturbed());
     let (degrees, share) = apart(&moved, &cameras());
-    println!("PSNR of the training views: {without:.2} dB, with poses {with:.2} dB; left: {degrees:.3} degrees, {share:.5}");
+    println!(
+        "PSNR of the training views: {without:.2} dB, with poses {with:.2} dB; left: {degrees:.3} degrees, {share:.5}"
+    );
     assert!(with > without + 3.0, "{without} dB, with poses {with} dB");
 }
 
@@ -208,7 +214,9 @@ fn poses_are_resumed_to_the_bit() {
     let gpu = Gpu::new();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("c.safetensors");
-    for settings in [short(), TrainSettings { optimizer_type: ashsplat::trainer::OptimizerType::SparseAdam, ..short() }] {
+    for settings in
+        [short(), TrainSettings { optimizer_type: ashsplat::trainer::OptimizerType::SparseAdam, ..short() }]
+    {
         let mut whole = new(&gpu, &settings);
         (0..40).for_each(|_| drop(whole.step().expect("a step")));
         let end = whole.checkpoint().expect("the end");
@@ -278,13 +286,19 @@ fn poses_stay_unless_asked_for() {
 #[test]
 fn poses_count_among_the_memory() {
     let needed = |pose_opt: bool, photos: usize| {
-        let context = Context::new(&ContextOptions { max_memory: Some(1 << 20), ..options() }).expect("a device");
+        let context =
+            Context::new(&ContextOptions { max_memory: Some(1 << 20), ..options() }).expect("a device");
         let photos: Vec<PhotoSize> = (0..photos)
             .map(|i| PhotoSize { name: format!("{i}.png"), width: 300, height: 200, masked: false })
             .collect();
         let settings = TrainSettings { pose_opt, ..TrainSettings::default() };
-        let forecast =
-            Forecast { settings: &settings, photos: &photos, photo_memory: None, gaussians: 1000, room: None };
+        let forecast = Forecast {
+            settings: &settings,
+            photos: &photos,
+            photo_memory: None,
+            gaussians: 1000,
+            room: None,
+        };
         match forecast.check(&context).expect_err("too much") {
             Error::TooLarge { needed, .. } => needed,
             other => panic!("{other}"),

@@ -29,7 +29,9 @@ impl Moved {
         };
         Moved {
             degrees: mean_and_most(&mut changes.iter().map(angle)),
-            shares: mean_and_most(&mut changes.iter().map(|change| distance(change) / f64::from(scene_extent))),
+            shares: mean_and_most(
+                &mut changes.iter().map(|change| distance(change) / f64::from(scene_extent)),
+            ),
         }
     }
 

@@ -168,7 +168,10 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> R
         let ([degrees, most], [share, most_share]) = (moved.degrees, moved.shares);
         cards.push((format!("{degrees:.3}°"), format!("poses turned, mean (most {most:.3}°)")));
         let most_share = 100.0 * most_share;
-        cards.push((format!("{:.3} %", 100.0 * share), format!("of the extent moved, mean (most {most_share:.3} %)")));
+        cards.push((
+            format!("{:.3} %", 100.0 * share),
+            format!("of the extent moved, mean (most {most_share:.3} %)"),
+        ));
         let last = run.evaluations.last().and_then(|tested| tested.evaluation.aligned.as_ref());
         if let Some(aligned) = last.filter(|aligned| !aligned.views.is_empty()) {
             cards.push((format!("{:.2} dB", aligned.psnr()), "PSNR, held out, cameras aligned".into()));
