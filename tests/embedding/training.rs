@@ -137,6 +137,8 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     };
     // And with exposures, whose optimiser has a step of its own.
     let exposed = TrainSettings { exposure: true, ..settings() };
+    // And once with cameras that the device moves.
+    let poses = TrainSettings { pose_opt: true, pose_lr: 1e-3, ..settings() };
     for (push_descriptors, settings) in [
         (true, settings()),
         (false, weighted),
@@ -145,6 +147,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         (true, exposed),
         (true, budget.clone()),
         (false, budget),
+        (false, poses),
     ] {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
