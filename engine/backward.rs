@@ -225,7 +225,12 @@ impl Backward {
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn prepare_with_pose(&mut self, sh_degree: u32, variant: BackwardVariant, absolute: bool) -> Result<()> {
+    pub fn prepare_with_pose(
+        &mut self,
+        sh_degree: u32,
+        variant: BackwardVariant,
+        absolute: bool,
+    ) -> Result<()> {
         self.prepare_blend(if absolute { Sums::Absolute } else { Sums::Gradients }, variant)?;
         self.prepare_project(sh_degree, variant, [absolute, true])
     }

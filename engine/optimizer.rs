@@ -152,7 +152,15 @@ impl Optimizer {
     fn spec(&self, sh_degree: u32, unseen: bool) -> adam::Spec {
         let Self { sparse, parameter_gradients, moved_cameras: moved_camera, .. } = *self;
         let workgroup_size = self.sizes.elementwise_workgroup;
-        adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums: false, unseen, moved_camera }
+        adam::Spec {
+            workgroup_size,
+            sh_degree,
+            sparse,
+            parameter_gradients,
+            sums: false,
+            unseen,
+            moved_camera,
+        }
     }
 
     fn sum_kernels(&self, sh_degree: u32) -> &SumKernels {

@@ -113,7 +113,7 @@ impl Training {
         training.backward.prepare(SH_DEGREE, variant).expect("kernels");
         training.backward.prepare_expand(SH_DEGREE).expect("kernels");
         training.optimizer.prepare(SH_DEGREE).expect("kernels");
-        training.backward.prepare_with_pose(SH_DEGREE, true).expect("kernels");
+        training.backward.prepare_with_pose(SH_DEGREE, variant, false).expect("kernels");
         training.moved_optimizer.prepare(SH_DEGREE).expect("kernels");
         training
     }

@@ -7,8 +7,8 @@ mod commands;
 mod convert;
 mod inspect;
 mod layouts;
-mod lpips;
 mod light;
+mod lpips;
 // The stand-ins are scripts of a shell.
 #[cfg(unix)]
 mod poses;

@@ -10,7 +10,7 @@ use crate::common::{child, context};
 
 /// What the child processes run: sort and scan (integers, equal to the twins to the bit), blending, its backward, the
 /// projection's backward (floats, within the tolerances), the loss, and whole frames with gradients.
-const SELECTION: [&str; 19] = [
+const SELECTION: [&str; 20] = [
     "subgroup_size_is_the_one_asked_for_in_a_child",
     "kernels::scan_apply::scan_apply_equals_its_twin",
     "kernels::scan_spine",

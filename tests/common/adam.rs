@@ -104,8 +104,9 @@ impl<'a> AdamState<'a> {
     pub fn of_unseen(self, sh_degree: u32) -> AdamState<'a> {
         let workgroup_size = self.gpu.workgroup(64);
         let (sparse, parameter_gradients) = (false, false);
-        let (sums, unseen) = (false, true);
-        let spec = adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen };
+        let (sums, unseen, moved_camera) = (false, true, false);
+        let spec =
+            adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen, moved_camera };
         AdamState { kernel: self.gpu.kernel(&spec), ..self }
     }
 
@@ -126,7 +127,9 @@ impl<'a> AdamState<'a> {
     /// With the camera's position in the camera block only.
     pub fn with_moved_camera(self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
         let (workgroup_size, parameter_gradients) = (self.workgroup, self.parameter_gradients.is_some());
-        let spec = adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, moved_camera: true };
+        let (sums, unseen, moved_camera) = (false, false, true);
+        let spec =
+            adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen, moved_camera };
         AdamState { kernel: self.gpu.kernel(&spec), moved_camera: true, ..self }
     }
 

@@ -8,7 +8,8 @@ use libtest_mimic::Trial;
 use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
 use super::sets::RenderingSet;
 use super::{
-    Kind, SetFile, absgrad, antialias, budget, depth, exposure, gpu_training, importance, lpips, mcmc, poses, trial,
+    Kind, SetFile, absgrad, antialias, budget, depth, exposure, gpu_training, importance, lpips, mcmc, poses,
+    trial,
 };
 use crate::common::engine::{camera, gaussians, renderer, settings, widen};
 use crate::common::{assert_silent, context};

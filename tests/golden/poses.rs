@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::sets::gaussians;
+use super::sets::{self, gaussians};
 use crate::common::compare::elementwise;
 use crate::common::engine::{self, camera, renderer, settings};
 use crate::common::gpu::Gpu;
@@ -14,7 +14,7 @@ use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::pose_gradient::gradient_of_parameters;
 use crate::reference::pose_step::{moved, pose_step as twin_step};
-use crate::reference::types::{Drawn, Extent, View};
+use crate::reference::types::{Extent, View};
 
 /// Of the largest entry of a gradient.
 const TWIN: f64 = 1e-6;
@@ -22,27 +22,14 @@ const DEVICE: f64 = 1e-4;
 
 /// The cameras of a set: at its pose, and moved by ξ.
 fn views(npz: &Npz, extent: Extent) -> Vec<[View; 2]> {
-    let (intrinsics, backgrounds) = (npz.rows::<4>("cam_K"), npz.rows::<3>("bg"));
-    let sizes = npz.rows::<2>("size_wh");
-    let pose = |rotation: &str, translation: &str| {
-        let rotations = npz.rows::<9>(rotation);
-        rotations.into_iter().zip(npz.rows::<3>(translation)).collect::<Vec<_>>()
+    let (rotations, translations) = (npz.rows::<9>("R_xi"), npz.rows::<3>("t_xi"));
+    let both = |(index, view): (usize, View)| {
+        let given = View { extent, ..view };
+        let camera_from_world = rows(&rotations[index]).try_into().expect("3×3");
+        let moved = View { camera_from_world, translation: translations[index], ..given.clone() };
+        [given, moved]
     };
-    let at = |index: usize, (rotation, translation): &([f64; 9], [f64; 3])| View {
-        camera_from_world: rows(rotation).try_into().expect("3×3"),
-        translation: *translation,
-        focal_px: [intrinsics[index][0], intrinsics[index][1]],
-        center_px: [intrinsics[index][2], intrinsics[index][3]],
-        size_px: sizes[index].map(|side| side as u32),
-        background: backgrounds[index],
-        sh_degree: npz.scalar("deg") as u32,
-        antialias: false,
-        symmetric_limit: false,
-        extent,
-        drawn: Drawn::AS_THEY_ARE,
-    };
-    let (given, moved) = (pose("cam_R", "cam_t"), pose("R_xi", "t_xi"));
-    (0..given.len()).map(|index| [at(index, &given[index]), at(index, &moved[index])]).collect()
+    sets::views(npz).into_iter().enumerate().map(both).collect()
 }
 
 const EXTENTS: [(Extent, &str); 2] = [(Extent::Exact, ""), (Extent::Reference, "ref_")];

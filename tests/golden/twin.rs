@@ -5,7 +5,8 @@ use libtest_mimic::Trial;
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
 use super::{
-    Kind, SetFile, absgrad, antialias, budget, depth, exposure, importance, lpips, mcmc, poses, training, trial,
+    Kind, SetFile, absgrad, antialias, budget, depth, exposure, importance, lpips, mcmc, poses, training,
+    trial,
 };
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;

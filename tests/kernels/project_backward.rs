@@ -151,11 +151,7 @@ pub fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[
 }
 
 /// And the sums for the camera's pose per subgroup, if it has a gradient.
-fn run_variant(
-    gpu: &Gpu,
-    scene: &Scene,
-    modes: [bool; 3],
-) -> (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<[f32; 6]>) {
+fn run_variant(gpu: &Gpu, scene: &Scene, modes: [bool; 3]) -> (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<[f32; 6]>) {
     let (gradients, statistics, _, sums) = run_with(gpu, scene, modes, None);
     (gradients, statistics, sums)
 }
@@ -403,7 +399,7 @@ fn project_backward_adds_up_absolute_statistics() {
     let [infinite, signed] = [with_instances[3], with_instances[7]];
     absolute[first_of(infinite)] = [f32::INFINITY, 0.0];
     scene.sums[signed][0][1] = f64::INFINITY;
-    let (planes, statistics, sums) = run_with(&gpu, &scene, (true, false), Some(&absolute));
+    let (planes, statistics, sums, _) = run_with(&gpu, &scene, [true, false, false], Some(&absolute));
     let (usual, usual_statistics) = run(&gpu, &scene, true, false);
     let bits = |planes: &[[f32; 4]]| planes.as_flattened().iter().map(|x| x.to_bits()).collect::<Vec<u32>>();
     assert!(bits(&planes) == bits(&usual));
@@ -424,6 +420,6 @@ fn project_backward_adds_up_absolute_statistics() {
     for (i, (&actual, wanted)) in sums.iter().zip(&wanted).enumerate() {
         assert!((f64::from(actual) - wanted).abs() <= 3e-6 * wanted, "{i}: {actual}, {wanted}");
     }
-    let (_, _, sums) = run_with(&gpu, &scene, (true, true), Some(&absolute));
+    let (_, _, sums, _) = run_with(&gpu, &scene, [true, true, false], Some(&absolute));
     assert!(sums.iter().all(|&sum| sum == 5.0));
 }
