@@ -109,13 +109,14 @@ fn background(run: &Run, iteration: u32) -> [f32; 3] {
 
 fn optimizer_step(run: &Run, iteration: u32, progress: &Progress, work: &Work) -> Step {
     let s = &run.settings;
+    let [_, others] = s.rate_factors();
     let rates = Rates {
         mean: s.position_lr(iteration) * f64::from(run.scene_extent),
-        opacity: if work.optimizes_opacity { s.opacity_lr } else { 0.0 },
-        quat: s.rotation_lr,
-        log_scale: s.scaling_lr,
-        sh_dc: s.feature_lr,
-        sh_rest: s.feature_rest_lr(),
+        opacity: if work.optimizes_opacity { s.opacity_lr * others } else { 0.0 },
+        quat: s.rotation_lr * others,
+        log_scale: s.scaling_lr * others,
+        sh_dc: s.feature_lr * others,
+        sh_rest: s.feature_rest_lr() * others,
     };
     match s.optimizer_type {
         OptimizerType::SparseAdam => Step { rates, count: 0, opacity_count: 0 },

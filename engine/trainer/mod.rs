@@ -7,6 +7,7 @@
 
 mod budget;
 pub mod checkpoint;
+mod choices;
 mod depth_maps;
 mod forecast;
 mod iteration;

@@ -1,6 +1,7 @@
 //! Options of training, declared once: see [`super::TrainSettings`].
 
-use super::settings::{ImportanceType, OptimizerType, SplitType, StrategyType, TrainSettings};
+use super::choices::{ImportanceType, OptimizerType, SplitType, StrategyType};
+use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 
 /// Values that an option may have.

@@ -4,64 +4,12 @@
 //! line, the TOML file, the checkpoint and the C API follow from the declaration, through
 //! [`TrainSettings::OPTIONS`] or serde.
 
+pub use super::choices::{ImportanceType, OptimizerType, SplitType, StrategyType};
+
 use super::options::{Bounds, OptionValue, TrainOption, options};
 use crate::scene::Gaussians;
 use crate::scene::gaussians::MAX_SH_DEGREE;
 use crate::{Error, Result};
-
-/// The optimiser of the parameters.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
-pub enum OptimizerType {
-    /// Adam on every Gaussian in every iteration (the reference's `default`).
-    #[default]
-    Default,
-    /// Adam on the Gaussians seen in the iteration's view only, without bias correction (`sparse_adam`).
-    SparseAdam,
-}
-
-/// The strategy of density control. A host can hand in one of its own: [`super::TrainParts`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
-pub enum StrategyType {
-    /// That of the reference implementation: clone, split, prune, opacity reset. Files may also call it
-    /// `default`, its name in earlier versions.
-    #[default]
-    #[cfg_attr(feature = "serde", serde(alias = "default"))]
-    Reference,
-    /// None: the Gaussians of the beginning are optimised, and their number stays.
-    Fixed,
-    /// 3DGS-MCMC's: relocation, growth to `cap_max`, noise. [`TrainSettings::of_strategy`] has its values.
-    Mcmc,
-    /// Budgeted growth after Improved-GS: the Gaussians that matter most for the edges of the photographs are
-    /// split along their long axis, up to a number that grows to `cap_max`. [`TrainSettings::of_strategy`] has
-    /// its values.
-    Budget,
-}
-
-/// How a Gaussian is split.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "kebab-case"))]
-pub enum SplitType {
-    /// Two means drawn from it, scales divided by 1.6 (the reference's).
-    #[default]
-    Sample,
-    /// Two along its longest axis, at ± 1.35 of that scale (Improved-GS).
-    LongAxis,
-}
-
-/// What the chance to be split follows, among the candidates of the strategy `budget`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
-pub enum ImportanceType {
-    /// The blending weights at the photographs' edges, over several views (Improved-GS).
-    #[default]
-    Edges,
-    /// The statistic that made the candidates.
-    Statistic,
-    /// Nothing: all have the same chance.
-    None,
-}
 
 options! {
     /// Everything that shapes a training run, apart from the data: the arguments of the reference
@@ -103,8 +51,9 @@ options! {
         scale_reg: f64 = 0.0, Bounds::NotNegative;
         /// Density control: the reference's, none, 3DGS-MCMC's, or budgeted growth; the last two set other defaults
         strategy: StrategyType = StrategyType::Reference, Bounds::None;
-        /// Most Gaussians that the strategies mcmc and budget grow to
-        cap_max: u32 = 1_000_000, Bounds::AtLeast(1);
+        /// Most Gaussians that the strategies mcmc and budget grow to; budget with 0: ten times those of the start, times the
+        /// cube root of iterations / 30000, rounded down (budget: 0)
+        cap_max: u32 = 1_000_000, Bounds::None;
         /// Rate of mcmc's noise on the means, times their learning rate
         noise_lr: f64 = 5e5, Bounds::NotNegative;
         /// Opacity of the first Gaussians (mcmc: 0.5)
@@ -118,6 +67,9 @@ options! {
         /// Count what concerns the whole run in shares of 30,000 iterations: position_lr_max_steps, densify_from_iter,
         /// densify_until_iter and the groups of multi_step are multiplied by iterations / 30000 (budget: true)
         scale_schedule: bool = false, Bounds::None;
+        /// Larger learning rates in runs of fewer than 30,000 iterations: position_lr_init times 30000 / iterations, at most 10,
+        /// and all others but position_lr_final times its root, at most 2 (budget: true)
+        scale_rates: bool = false, Bounds::None;
         /// Densification starts after this iteration
         densify_from_iter: u32 = 500, Bounds::None;
         /// Densification, and the collection of its statistics, end before this iteration (mcmc: 25000)
@@ -196,7 +148,9 @@ impl TrainSettings {
                 position_lr_init: 4e-5,
                 position_lr_final: 2e-6,
                 densify_grad_threshold: 3e-4,
+                cap_max: 0,
                 scale_schedule: true,
+                scale_rates: true,
                 absgrad: true,
                 split: SplitType::LongAxis,
                 growth_curve: true,
@@ -273,11 +227,12 @@ impl TrainSettings {
     }
 
     /// Learning rate of the means at an iteration, in units of the scene's extent (multiply by it): log-linear
-    /// from `position_lr_init` at 0 to `position_lr_final` at `position_lr_max_steps`
-    /// ([scaled](Self::scaled)), constant after that.
+    /// from `position_lr_init`, times the first of the [factors](Self::rate_factors), at 0 to
+    /// `position_lr_final` at `position_lr_max_steps` ([scaled](Self::scaled)), constant after that.
     pub fn position_lr(&self, iteration: u32) -> f64 {
         let end = self.scaled(self.position_lr_max_steps).max(1);
-        log_linear([self.position_lr_init, self.position_lr_final], iteration, end)
+        let first = self.position_lr_init * self.rate_factors()[0];
+        log_linear([first, self.position_lr_final], iteration, end)
     }
 
     /// Weight of the inverse-depth maps at an iteration: log-linear from `depth_l1_weight_init` at 0 to
@@ -300,6 +255,19 @@ impl TrainSettings {
             }
         };
         delay * rate
+    }
+
+    /// Factors of the learning rates of the means at the start, and of all other parameters: with `scale_rates` a
+    /// shorter run takes larger steps, so that means can travel as far in it; the means' last rate stays, which
+    /// is the precision that they end with. Both are 1 at 30,000 iterations and above. The bounds are by
+    /// measurement (tools/strategies.md).
+    pub fn rate_factors(&self) -> [f64; 2] {
+        const MOST: [f64; 2] = [10.0, 2.0];
+        let shorter = (f64::from(SCHEDULE_ITERATIONS) / f64::from(self.iterations.max(1))).max(1.0);
+        match self.scale_rates {
+            true => [shorter.min(MOST[0]), shorter.sqrt().min(MOST[1])],
+            false => [1.0; 2],
+        }
     }
 
     /// Learning rate of the SH coefficients of degree 1 and above.
@@ -411,6 +379,21 @@ mod tests {
         // Not even a run of one iteration divides by zero.
         assert!(scaled(1).position_lr(1).is_finite());
         assert_eq!(TrainSettings { iterations: 2000, ..Default::default() }.scaled(500), 500);
+    }
+
+    #[test]
+    fn shorter_runs_take_larger_steps() {
+        let factors = |iterations, scale_rates| {
+            TrainSettings { iterations, scale_rates, ..Default::default() }.rate_factors()
+        };
+        assert_eq!([factors(30_000, true), factors(60_000, true), factors(2000, false)], [[1.0; 2]; 3]);
+        assert_eq!(factors(6000, true), [5.0, 2.0]);
+        assert_eq!(factors(15_000, true), [2.0, 2.0_f64.sqrt()]);
+        assert_eq!(factors(1, true), [10.0, 2.0]);
+        let settings =
+            TrainSettings { scale_rates: true, scale_schedule: true, iterations: 6000, ..Default::default() };
+        assert!((settings.position_lr(0) - 8e-4).abs() < 1e-15);
+        assert!((settings.position_lr(6000) - 1.6e-6).abs() < 1e-15);
     }
 
     #[test]

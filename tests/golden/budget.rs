@@ -127,7 +127,7 @@ pub fn schedule_of_engine(path: &Path) -> Result<(), String> {
         |values: &[f64], share: f64| quantile(&values.iter().map(|&x| x as f32).collect::<Vec<f32>>(), share);
     for scale_schedule in [true, false] {
         settings.scale_schedule = scale_schedule;
-        let schedule = GrowthSchedule::of(&settings);
+        let schedule = GrowthSchedule::of(&settings, 1);
         let budget = |i: u32| f64::from(schedule.budget(i));
         compare_schedule(&npz, budget, |i| schedule.steps_at(i), of_device)?;
     }

@@ -40,7 +40,12 @@ pub struct Budget {
     importance: Option<Importance>,
     absolute: bool,
     sums: bool,
+    /// Gaussians before the first change of the set.
+    start: Option<u32>,
 }
+
+/// Name of [`Budget::start`] in the checkpoint.
+const START: &str = "start";
 
 impl Budget {
     /// Builds the kernels for these settings.
@@ -57,6 +62,7 @@ impl Budget {
             importance: edges.then(|| Importance::new(context)).transpose()?,
             absolute: settings.absgrad,
             sums: settings.multi_step,
+            start: None,
         })
     }
 }
@@ -68,7 +74,7 @@ impl Strategy for Budget {
 
     fn check(&self, settings: &TrainSettings, gaussians: u32) -> Result<()> {
         let cap = settings.cap_max;
-        if gaussians > cap {
+        if cap > 0 && gaussians > cap {
             let problem = format!(
                 "{cap} is less than the {gaussians} Gaussians of the start; raise it, or start from fewer"
             );
@@ -83,7 +89,7 @@ impl Strategy for Budget {
     }
 
     fn work(&self, settings: &TrainSettings, iteration: u32) -> Work {
-        let schedule = GrowthSchedule::of(settings);
+        let schedule = GrowthSchedule::of(settings, 0);
         let densifies = settings.densifies_at(iteration);
         let resets = settings.resets_opacity_at(iteration);
         let actions = Actions::DENSIFY
@@ -110,8 +116,9 @@ impl Strategy for Budget {
     }
 
     fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes> {
+        let start = *self.start.get_or_insert(population.count());
         let densified = match action {
-            Actions::DENSIFY => self.densify(population)?,
+            Actions::DENSIFY => self.densify(population, start)?,
             PRUNE_FAINT => self.prune_below(population, |_| FAINT)?,
             PRUNE_RANKS => self.prune_below(population, |opacities| quantile(opacities, FAINTEST_SHARE))?,
             _ => {
@@ -126,16 +133,31 @@ impl Strategy for Budget {
         };
         Ok(Changes { densified: Some(densified), ..Changes::default() })
     }
+
+    fn state(&self) -> Vec<(String, String)> {
+        self.start.iter().map(|start| (START.to_owned(), start.to_string())).collect()
+    }
+
+    fn restore(&mut self, state: &[(String, String)]) -> Result<()> {
+        for (name, value) in state {
+            let start = value.parse().ok().filter(|_| name == START);
+            self.start = Some(start.ok_or_else(|| {
+                let problem = format!("has '{name}' of '{value}', which the strategy budget does not know");
+                Error::argument("checkpoint", problem)
+            })?);
+        }
+        Ok(())
+    }
 }
 
 impl Budget {
     /// Draws the Gaussians to split, within budget, memory and device, and gathers the new set. Without memory
     /// for it the set stays as it is.
-    fn densify(&self, population: &mut Population) -> Result<Densified> {
+    fn densify(&self, population: &mut Population, start: u32) -> Result<Densified> {
         population.release_pictures();
         let before = population.count();
         let unchanged = Densified { before, kept: before, limited: true, ..Densified::default() };
-        let schedule = GrowthSchedule::of(population.settings());
+        let schedule = GrowthSchedule::of(population.settings(), start);
         let budget = schedule.budget(population.iteration());
         let settings = DensifySettings {
             // The criterion is the selection.
@@ -189,7 +211,8 @@ impl Budget {
     fn importance(&self, population: &mut Population) -> Result<Option<Option<Buffer>>> {
         let Some(kernels) = &self.importance else { return Ok(Some(None)) };
         let (seed, views) = (population.settings().seed, population.cameras().len());
-        let (first, count) = GrowthSchedule::of(population.settings()).views(population.iteration(), views);
+        let (first, count) =
+            GrowthSchedule::of(population.settings(), 0).views(population.iteration(), views);
         let drawn = pool_views(seed, views, first..first + count as u64);
         Ok(population.importance(kernels, &drawn)?.map(Some))
     }

@@ -2,6 +2,8 @@
 
 use crate::trainer::settings::TrainSettings;
 
+/// Gaussians of a run of 30,000 iterations without [`TrainSettings::cap_max`], for each of the start.
+const MOST_PER_START: f64 = 10.0;
 /// Improved-GS ends its growth at 14,500 of the 15,000 iterations with densification.
 const CURVE_SHARE: f64 = 14_500.0 / 15_000.0;
 /// From these iterations of 30,000 on, so many views share a step.
@@ -18,26 +20,36 @@ const VIEWS: usize = 10;
 #[derive(Clone, Copy, Debug)]
 pub struct GrowthSchedule<'a> {
     settings: &'a TrainSettings,
+    /// The most Gaussians of the run.
+    cap: u32,
 }
 
 impl<'a> GrowthSchedule<'a> {
-    /// The schedule of a run.
-    pub fn of(settings: &'a TrainSettings) -> Self {
-        Self { settings }
+    /// The schedule of a run that began with so many Gaussians.
+    pub fn of(settings: &'a TrainSettings, start: u32) -> Self {
+        let cap = match settings.cap_max {
+            0 => {
+                let share = f64::from(settings.iterations) / 30_000.0;
+                let cap = f64::from(start) * MOST_PER_START * share.cbrt();
+                (cap.min(f64::from(u32::MAX)) as u32).max(start)
+            }
+            cap => cap,
+        };
+        Self { settings, cap }
     }
 
     /// The most Gaussians after the densification of an iteration (1-based): with
-    /// [`TrainSettings::growth_curve`] ⌊√t · cap_max⌋, at least 1, where t rises linearly from 0 at the start of
+    /// [`TrainSettings::growth_curve`] ⌊√t · cap⌋, at least 1, where t rises linearly from 0 at the start of
     /// densification to 1 shortly before its end.
     pub fn budget(&self, iteration: u32) -> u32 {
         let s = self.settings;
         if !s.growth_curve {
-            return s.cap_max;
+            return self.cap;
         }
         let start = f64::from(s.scaled(s.densify_from_iter));
         let end = f64::from(s.scaled(s.densify_until_iter)) * CURVE_SHARE;
         let t = ((f64::from(iteration) - start) / (end - start).max(1.0)).clamp(0.0, 1.0);
-        ((t.sqrt() * f64::from(s.cap_max)).floor() as u32).max(1)
+        ((t.sqrt() * f64::from(self.cap)).floor() as u32).max(1)
     }
 
     /// Number of views that share a step at an iteration (1-based): 1 without [`TrainSettings::multi_step`].
@@ -122,14 +134,14 @@ mod tests {
 
     fn all(iterations: u32, holds: impl Fn(&GrowthSchedule, u32) -> bool) -> Vec<u32> {
         let settings = settings(iterations);
-        let schedule = GrowthSchedule::of(&settings);
+        let schedule = GrowthSchedule::of(&settings, 1);
         (1..=iterations).filter(|&i| holds(&schedule, i)).collect()
     }
 
     #[test]
     fn schedule_of_the_paper() {
         let settings = settings(30_000);
-        let schedule = GrowthSchedule::of(&settings);
+        let schedule = GrowthSchedule::of(&settings, 1);
         assert_eq!(
             [100, 600, 14_400, 14_500, 14_900].map(|i| schedule.budget(i)),
             [1, 5070, 59_785, 60_000, 60_000]
@@ -154,13 +166,23 @@ mod tests {
             (&[&(1321..=1332).collect::<Vec<_>>()[..], &[1335, 1340]].concat()[..], Some(&1980))
         );
         let short = settings(2000);
-        let schedule = GrowthSchedule::of(&short);
+        let schedule = GrowthSchedule::of(&short, 1);
         assert_eq!([33, 967, 1000].map(|i| schedule.budget(i)), [1, 60_000, 60_000]);
         for iterations in 1..20 {
             let settings = settings(iterations);
-            let schedule = GrowthSchedule::of(&settings);
+            let schedule = GrowthSchedule::of(&settings, 1);
             (1..=iterations).for_each(|i| assert!(schedule.budget(i) >= 1 && schedule.group(i) >= 1));
         }
+    }
+
+    #[test]
+    fn without_a_cap_it_follows_from_the_start() {
+        let cap = |iterations, start| {
+            let settings = TrainSettings { cap_max: 0, growth_curve: false, ..settings(iterations) };
+            GrowthSchedule::of(&settings, start).budget(1)
+        };
+        assert_eq!([cap(30_000, 100), cap(240_000, 100), cap(3750, 100)], [1000, 2000, 500]);
+        assert_eq!([cap(1, 100), cap(30_000, u32::MAX), cap(30_000, 0)], [100, u32::MAX, 0]);
     }
 
     #[test]
