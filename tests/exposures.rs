@@ -16,7 +16,8 @@ use crate::reference::types::View;
 const EXTENT: f32 = 5.0;
 const VIEWS: usize = 10;
 /// View, and the known gains of its channels. Their mean is 1, as that of all exposures stays.
-const CHANGED: [(usize, [f32; 3]); 3] = [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
+const CHANGED: [(usize, [f32; 3]); 3] =
+    [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
 
 fn cameras() -> Vec<Camera> {
     let turned = |i: usize| View {
@@ -38,12 +39,18 @@ fn truth() -> Gaussians {
     gaussians(&scene)
 }
 
-/// The same scene, gray and faint.
+/// A third of the same scene, gray and faint: it cannot show the photographs as they are.
 fn gray() -> Gaussians {
-    let mut gaussians = truth();
-    gaussians.sh.iter_mut().for_each(|c| *c = [0.0; 3]);
-    gaussians.opacity_logits.fill(1.0);
-    gaussians
+    let all = truth();
+    let kept: Vec<usize> = (0..all.len()).filter(|i| i % 3 == 0).collect();
+    Gaussians {
+        sh_degree: 0,
+        means: kept.iter().map(|&i| all.means[i]).collect(),
+        quats: kept.iter().map(|&i| all.quats[i]).collect(),
+        log_scales: kept.iter().map(|&i| all.log_scales[i]).collect(),
+        opacity_logits: vec![1.0; kept.len()],
+        sh: vec![[0.0; 3]; kept.len()],
+    }
 }
 
 fn photographs(gpu: &Gpu) -> Vec<Photo> {
@@ -62,11 +69,14 @@ fn photographs(gpu: &Gpu) -> Vec<Photo> {
 
 fn settings(exposure: bool) -> TrainSettings {
     TrainSettings {
-        iterations: 600,
+        iterations: 1200,
         sh_degree: 0,
         feature_lr: 0.02,
         opacity_lr: 0.05,
-        position_lr_init: 1e-5,
+        // Slower than the scene at first, and still at the end.
+        exposure_lr_init: 0.005,
+        exposure_lr_final: 2e-4,
+        exposure_lr_delay_steps: 300,
         densify_until_iter: 0,
         opacity_reset_interval: 100_000,
         exposure,
@@ -106,15 +116,22 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     assert!(none.is_empty());
     let (ignored, _) = train(&gpu, &taken, &shown, false);
     let (learnt, exposures) = train(&gpu, &taken, &shown, true);
+    // What the exposure makes of the photograph's mean colour.
     let mut worst: f32 = 0.0;
     for (view, gains) in CHANGED {
+        let pixels = shown[view].to_f32();
+        let mean = |k: usize| pixels.iter().map(|c| c[k]).sum::<f32>() / pixels.len() as f32;
+        let mean = [mean(0), mean(1), mean(2)];
+        let exposed = exposures[view].of(mean);
         for k in 0..3 {
-            worst = worst.max((exposures[view].rows[k][k] / gains[k] - 1.0).abs());
+            worst = worst.max((exposed[k] / mean[k] / gains[k] - 1.0).abs());
         }
     }
-    println!("unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4}");
+    println!(
+        "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4}"
+    );
     assert!(worst < 0.02, "a gain is off by {worst}");
-    assert!(learnt > unchanged - 0.3 && ignored < unchanged - 3.0, "{learnt}, {ignored}: {unchanged}");
+    assert!(learnt > unchanged - 0.3 && ignored < learnt, "{learnt}, {ignored}: {unchanged}");
     let mut mean = [[0.0_f64; 4]; 3];
     for exposure in &exposures {
         let sums = mean.as_flattened_mut().iter_mut().zip(exposure.rows.as_flattened());
@@ -130,8 +147,9 @@ fn exposures_resume_to_the_bit() {
     let gpu = Gpu::new();
     for optimizer_type in [OptimizerType::Default, OptimizerType::SparseAdam] {
         let settings = TrainSettings { exposure: true, optimizer_type, ..small_settings() };
-        let new =
-            || Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, settings.clone()).expect("a trainer");
+        let new = || {
+            Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, settings.clone()).expect("a trainer")
+        };
         let mut whole = new();
         (0..40).for_each(|_| drop(whole.step().expect("a step")));
         let end = whole.checkpoint().expect("the end");

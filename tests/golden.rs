@@ -100,11 +100,10 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists =
-        |kind: Kind| {
-            let earlier = matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Exposure | Kind::Depth);
-            earlier || matches!(kind, Kind::Antialias | Kind::Filter3d)
-        };
+    let exists = |kind: Kind| {
+        let earlier = matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Exposure | Kind::Depth);
+        earlier || matches!(kind, Kind::Antialias | Kind::Filter3d)
+    };
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

@@ -105,8 +105,13 @@ fn orientations_of_earlier_frames_change_no_bit() {
 fn orientations_that_do_not_fit_are_named_with_their_own_bytes() {
     let context = narrow_context();
     let (width, height) = (320, 128);
-    let photo =
-        |name: &str, [width, height]: [u32; 2]| PhotoSize { name: name.into(), width, height, masked: false, inverse_depth: false };
+    let photo = |name: &str, [width, height]: [u32; 2]| PhotoSize {
+        name: name.into(),
+        width,
+        height,
+        masked: false,
+        inverse_depth: false,
+    };
     let photos = [photo("a.jpg", WIDE), photo("sky/b.jpg", [width, height]), photo("c.jpg", HIGH)];
     let settings = settings();
     let check = |photos: &[PhotoSize]| {

@@ -5,7 +5,9 @@ use crate::{atomic, cost};
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::trainer::checkpoint::{Checkpoint, ExposureState, Room, StrategyState, StrategyStatistic, Tensor};
+use ashsplat::trainer::checkpoint::{
+    Checkpoint, ExposureState, Room, StrategyState, StrategyStatistic, Tensor,
+};
 use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
 use bytemuck::Pod;

@@ -123,7 +123,8 @@ pub struct View {
 impl View {
     /// The view with a mask on its right half: on the columns from ⌊width / 2⌋ on.
     fn left_half(&self) -> Result<Self> {
-        let (width, pixels) = (self.photo.width as usize, self.photo.width as usize * self.photo.height as usize);
+        let (width, pixels) =
+            (self.photo.width as usize, self.photo.width as usize * self.photo.height as usize);
         let own = self.photo.mask()?;
         let counts = |pixel: usize| own.as_ref().is_none_or(|mask| mask[pixel] != 0);
         let mask = |pixel: usize| u8::from(pixel % width < width / 2 && counts(pixel)) * 255;
@@ -211,7 +212,8 @@ impl Dataset {
             .map(|((planned, &held_out), map)| {
                 progress.check()?;
                 let mut view = planned.load(options)?;
-                let map_of = |photo: &StoredPhoto| map.as_ref().map(|map| map.load(photo, options)).transpose();
+                let map_of =
+                    |photo: &StoredPhoto| map.as_ref().map(|map| map.load(photo, options)).transpose();
                 let mut half = None;
                 if options.copies(held_out) > 1 {
                     let mut view = view.left_half()?;
@@ -233,7 +235,11 @@ impl Dataset {
     fn assemble(gallery: &Gallery, views: Vec<(View, Option<View>)>, mut warnings: Vec<String>) -> Self {
         let (mut train, mut test) = (Vec::new(), Vec::new());
         for ((view, half), held_out) in views.into_iter().zip(&gallery.held_out) {
-            if *held_out { test.push(view) } else { train.push(view) }
+            if *held_out {
+                test.push(view)
+            } else {
+                train.push(view)
+            }
             train.extend(half);
         }
         let mut extent = scene_extent(train.iter().map(|view: &View| view.camera.position()));

@@ -91,7 +91,8 @@ impl DepthFit {
         let path = path.as_ref();
         host_memory::check_text_file(path)?;
         let text = fs::read(path).map_err(|source| Error::io(path, "read", source))?;
-        let remedy = "expected {\"photo\": {\"scale\": 1.5, \"offset\": 0.1}, …}; without the file, they are fitted";
+        let remedy =
+            "expected {\"photo\": {\"scale\": 1.5, \"offset\": 0.1}, …}; without the file, they are fitted";
         let fits: BTreeMap<String, Self> = serde_json::from_slice(&text)
             .map_err(|e| Error::input(path, format!("is not a list of depth parameters: {e}"), remedy))?;
         let finite = |fit: &Self| fit.scale.is_finite() && fit.offset.is_finite();

@@ -19,8 +19,8 @@ use ashsplat::{Error, Result};
 pub use ashsplat::scene::photo::Photo;
 pub use ashsplat::scene::stored_photo::{PhotoFile, StoredPhoto};
 pub use decode::photo_size;
-pub use depth_map::DepthMap;
 pub(crate) use decode::{Decoded, Header, Request, header};
+pub use depth_map::DepthMap;
 use scale::RowScaler;
 pub use undistort::undistort;
 

@@ -280,7 +280,8 @@ mod tests {
         for (iteration, rate) in [(0, 0.01), (50, 0.01 / 10f64.sqrt()), (100, 0.001), (200, 0.001)] {
             assert!((settings.exposure_lr(iteration) / rate - 1.0).abs() < 1e-12, "{iteration}");
         }
-        let late = TrainSettings { exposure_lr_delay_steps: 10, exposure_lr_delay_mult: 0.2, ..settings.clone() };
+        let late =
+            TrainSettings { exposure_lr_delay_steps: 10, exposure_lr_delay_mult: 0.2, ..settings.clone() };
         assert!((late.exposure_lr(0) - 0.002).abs() < 1e-15);
         let share = 0.2 + 0.8 * 0.5f64.sqrt();
         assert!((late.exposure_lr(5) - share * settings.exposure_lr(5)).abs() < 1e-15);

@@ -132,7 +132,8 @@ impl Mapped {
         std::fs::remove_dir_all(&folder).expect("removed");
         std::fs::create_dir_all(&folder).expect("created");
         let lens = view(0);
-        let camera = format!("1 PINHOLE {} {} {} {} {} {}\n", SIZE[0], SIZE[1], lens.fx, lens.fy, lens.cx, lens.cy);
+        let camera =
+            format!("1 PINHOLE {} {} {} {} {} {}\n", SIZE[0], SIZE[1], lens.fx, lens.fy, lens.cx, lens.cy);
         std::fs::write(folder.join("cameras.txt"), camera).expect("written");
         let points = wall_points();
         let (mut images, mut rows) = (String::new(), String::new());
@@ -197,7 +198,8 @@ fn depth_maps_are_scaled_and_trained_on() {
     assert_eq!(losses(&at("fitted")), ["photometric", "inverse_depth"]);
     assert_ne!(depth_of(&at("plain")), depth_of(&at("fitted")));
     // Parameters of a file count instead, and these are the right ones: the scene is nearly the same.
-    let entry = |index: u32| format!("\"{:02}\": {{\"scale\": {}, \"offset\": 0.1}}", index + 1, scale_of(index));
+    let entry =
+        |index: u32| format!("\"{:02}\": {{\"scale\": {}, \"offset\": 0.1}}", index + 1, scale_of(index));
     let entries: Vec<String> = (0..VIEWS).map(entry).collect();
     std::fs::write(mapped.params(), format!("{{{}}}", entries.join(", "))).expect("written");
     train(&data, &at("given"), &["--depths", "depths"]);
@@ -232,6 +234,8 @@ fn depth_maps_that_lack_something_are_refused() {
     // Without observations nothing tells the scale.
     write_dataset(&mapped.data());
     let text_parts = ["cameras.txt", "images.txt", "points3D.txt"];
-    text_parts.iter().for_each(|part| std::fs::remove_file(mapped.data().join("sparse/0").join(part)).expect("removed"));
+    text_parts
+        .iter()
+        .for_each(|part| std::fs::remove_file(mapped.data().join("sparse/0").join(part)).expect("removed"));
     mapped.refuses("depths", &["depths", "none of the depth maps", "depth_params.json"]);
 }

@@ -39,8 +39,15 @@ pub fn views() -> Vec<TrainView> {
     (0..4).map(view).collect()
 }
 
+/// With another weight of inverse-depth maps than usual, all views but one have such maps.
 pub fn trainer(context: &Context, settings: TrainSettings) -> Trainer {
-    Trainer::new(context, views(), &cloud(300, 5), 4.0, settings).expect("a trainer")
+    let mapped = settings.depth_l1_weight_init < 1.0;
+    let with_map = |(number, view): (usize, TrainView)| {
+        let pixels = view.photo.width as usize * view.photo.height as usize;
+        view.with_inverse_depth((mapped && number != 1).then(|| vec![0.25; pixels].into()))
+    };
+    let views = views().into_iter().enumerate().map(with_map).collect();
+    Trainer::new(context, views, &cloud(300, 5), 4.0, settings).expect("a trainer")
 }
 
 fn done(trainer: &mut Trainer, slot: u32) -> StepReport {
@@ -112,8 +119,8 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
     // And once with the other strategy, which adds noise in the step.
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
-    // And with exposures, whose optimiser has a step of its own.
-    let exposed = TrainSettings { exposure: true, ..settings() };
+    // And with exposures, whose optimiser has a step of its own, and inverse-depth maps.
+    let exposed = TrainSettings { exposure: true, depth_l1_weight_init: 0.5, ..settings() };
     // And once with filters, whose sizes are computed anew between steps and in them.
     let filtered = TrainSettings {
         antialiasing: true,

@@ -34,13 +34,7 @@ fn judge(npz: &Npz, prefix: &str, computed: &Computed, tolerance: &Tolerance) ->
     let unstable = npz.flags("pix_unstable");
     pixels("inverse depth", &computed.inverse_depth, field("inv_depth"), &unstable, tolerance.image)?;
     elementwise("loss", &[computed.loss], field("loss"), 0.0, 1e-5)?;
-    gradient(
-        "d_inv_depth",
-        &computed.of_inverse_depth,
-        field("d_inv_depth"),
-        &unstable,
-        tolerance.gradient,
-    )?;
+    gradient("d_inv_depth", &computed.of_inverse_depth, field("d_inv_depth"), &unstable, tolerance.gradient)?;
     let names = ["dx_means", "dx_quats", "dx_log_scales", "dx_opacity_logits"];
     for (name, values) in names.into_iter().zip(&computed.gradients) {
         let expected = field(name);

@@ -65,9 +65,8 @@ fn exposure_step_equals_its_twin() {
         [1, 3, workgroup - 1, workgroup, 3 * workgroup + 5].into_iter().flat_map(|n| [(n, true), (n, false)])
     {
         let mut random = Random::new(photographs as u64);
-        let steps: Vec<_> = (0..7)
-            .map(|step| ((5 * step % photographs) as u32, parts(&mut random), false))
-            .collect();
+        let steps: Vec<_> =
+            (0..7).map(|step| ((5 * step % photographs) as u32, parts(&mut random), false)).collect();
         let actual = run(&gpu, photographs, center, &steps);
         let mut twin = Exposures::new(photographs);
         for (step, (view, parts, _)) in steps.iter().enumerate() {

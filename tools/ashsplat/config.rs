@@ -232,10 +232,7 @@ impl Settings {
         if data.train_test_exp {
             all.insert("exposure".into(), true.into());
         }
-        Ok(Settings {
-            data,
-            train: all.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?,
-        })
+        Ok(Settings { data, train: all.try_into().map_err(|e: toml::de::Error| e.message().to_owned())? })
     }
 
     /// The dump that `--config` reads back.

@@ -58,7 +58,8 @@ pub(super) fn plan(
     let maps: Vec<_> = maps.collect();
     let left_out = maps.iter().filter(|map| map.is_none()).count();
     if left_out == maps.len() {
-        let problem = "none of the depth maps could be scaled: their photos show too few of the sparse points";
+        let problem =
+            "none of the depth maps could be scaled: their photos show too few of the sparse points";
         return Err(Error::input(folder, problem, format!("write {}, or train without -d", file.display())));
     }
     if left_out > 0 {
@@ -103,7 +104,11 @@ fn given(file: &Path, views: &[PlannedView]) -> Result<Vec<DepthFit>> {
     let of = |view: &PlannedView| {
         all.get(&stem(&view.name)).copied().ok_or_else(|| {
             let problem = format!("has no scale and offset for photo {}", view.name);
-            Error::input(file, problem, "add them, or remove the file: then all are fitted to the sparse points")
+            Error::input(
+                file,
+                problem,
+                "add them, or remove the file: then all are fitted to the sparse points",
+            )
         })
     };
     views.iter().map(of).collect()
@@ -154,9 +159,11 @@ impl PlannedMap {
 #[cfg(test)]
 mod tests {
     use super::stem;
+    use crate::growth::turn;
 
     #[test]
     fn names_lose_their_last_ending() {
+        let _turn = turn();
         for (name, expected) in [("a.b.jpg", "a.b"), ("x\\y.png", "x/y"), ("a.d/b", "a.d/b"), ("c", "c")] {
             assert_eq!(stem(name), expected);
         }

@@ -74,7 +74,13 @@ impl Gallery {
         let train = all.filter(|((_, held_out), _)| halves || !**held_out);
         let size = |((view, held_out), map): ((&PlannedView, &bool), &Option<PlannedMap>)| {
             let (width, height) = view.size(&self.options).map_err(|error| self.unpacked.name(error))?;
-            Ok(PhotoSize { name: view.name.clone(), width, height, masked: *held_out, inverse_depth: map.is_some() })
+            Ok(PhotoSize {
+                name: view.name.clone(),
+                width,
+                height,
+                masked: *held_out,
+                inverse_depth: map.is_some(),
+            })
         };
         train.map(size).collect()
     }
@@ -88,9 +94,8 @@ impl Gallery {
     pub(super) fn map_bytes(&self) -> u64 {
         // A float per pixel is as much as a texel.
         let all = self.views.iter().zip(&self.held_out).zip(&self.maps);
-        let kept = all.filter(|((_, held_out), map)| {
-            map.is_some() && (!**held_out || self.options.train_test_exp)
-        });
+        let kept =
+            all.filter(|((_, held_out), map)| map.is_some() && (!**held_out || self.options.train_test_exp));
         kept.map(|((view, _), _)| view.texel_bytes(&self.options)).sum()
     }
 

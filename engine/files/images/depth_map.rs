@@ -78,7 +78,8 @@ impl DepthMap {
     /// The map at another size, linear between its pixels, whose centres are at halves.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
-        let of = |at: u32, size: u32, own: u32| (f64::from(at) + 0.5) * f64::from(own) / f64::from(size) - 0.5;
+        let of =
+            |at: u32, size: u32, own: u32| (f64::from(at) + 0.5) * f64::from(own) / f64::from(size) - 0.5;
         let row = |y: u32| {
             let y = of(y, height, self.height);
             (0..width).map(move |x| self.sample(of(x, width, self.width), y) as f32)

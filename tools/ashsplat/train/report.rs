@@ -112,8 +112,9 @@ fn measure_some(run: &mut Run) -> Result<(Vec<View>, Evaluation)> {
     let views: Vec<View> = views::spread(&run.test.iter().collect::<Vec<_>>()).into_iter().cloned().collect();
     let settings = render::settings_of(&run.settings);
     let protocol = run.protocol()?;
-    let evaluation =
-        eval::evaluate(views.iter().map(Ok), &protocol, None, |camera| run.trainer.render(camera, &settings))?;
+    let evaluation = eval::evaluate(views.iter().map(Ok), &protocol, None, |camera| {
+        run.trainer.render(camera, &settings)
+    })?;
     Ok((views, evaluation))
 }
 
