@@ -26,6 +26,7 @@
 //!   its images.
 //! - [`forward`], [`backward`], [`loss`], [`exposure`], [`optimizer`], [`densify`] only *record*, into a [`vk::Recorder`].
 //! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`]; [`arithmetic`] measures a device.
+//! - [`lpips`] measures how different two pictures look, by the features of a network.
 //! - [`scene`] knows no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
 //!
 //! Sizes are planned in [`plan`] as pure arithmetic. How many Gaussians are visible and how many instances they make is
@@ -43,6 +44,7 @@ pub mod forward;
 pub mod guide;
 pub mod kernels;
 pub mod loss;
+pub mod lpips;
 pub mod optimizer;
 pub mod pixels;
 pub mod plan;

@@ -109,6 +109,24 @@ pub fn upload_filters(context: &Context, scene: &SceneBuffers, filters: &[f32]) 
     Ok(())
 }
 
+/// Downloads the opacity logits of a scene.
+///
+/// # Errors
+/// When the device is lost.
+pub fn download_logits(context: &Context, scene: &SceneBuffers) -> Result<Vec<f32>> {
+    let mut logits = Vec::with_capacity(scene.count as usize);
+    for range in scene.plan.ranges(scene.count) {
+        // The geometry comes first in a chunk, row by row.
+        let rows = u64::from(range.count.div_ceil(c::PLANE_ROW));
+        let bytes = rows * u64::from(c::PLANE_ROW) * u64::from(c::PLANE_SH) * 16;
+        let bytes = context.download(&scene.chunks[range.chunk].range(0, bytes))?;
+        let words: &[[f32; 4]] = &bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes);
+        let logit = |i: usize| words[scene.plan.place(c::PLANE_MEAN_OPACITY, i)][3];
+        logits.extend((0..range.count as usize).map(logit));
+    }
+    Ok(logits)
+}
+
 /// Packs the Gaussians of `range`, from index `begin` on, into a chunk. The chunk's other Gaussians are zero.
 pub(crate) fn pack(
     g: &Gaussians,

@@ -108,7 +108,7 @@ fn architecture_unsafe_only_under_vk() {
 
 // ---- dependencies between modules ---------------------------------------------------------------------------------
 
-const STAGES: [&str; 12] = [
+const STAGES: [&str; 13] = [
     "scan",
     "sort",
     "arithmetic",
@@ -119,6 +119,7 @@ const STAGES: [&str; 12] = [
     "compose",
     "loss",
     "exposure",
+    "lpips",
     "optimizer",
     "densify",
 ];

@@ -64,6 +64,7 @@ impl Training {
             pictures: PictureCapacity::of(SIZE[0], SIZE[1]),
             blend_passes: 2,
             backward: true,
+            absolute: false,
         };
         let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("frame", &requests, MemoryKind::Device).expect("a frame");
@@ -122,7 +123,7 @@ impl Training {
         else {
             unreachable!("as many as were asked for")
         };
-        let statistics = Statistics { buffer: statistics, accumulate: true };
+        let statistics = Statistics { buffer: statistics, accumulate: true, absolute: None };
         self.forward.record(recorder, &inputs);
         recorder.barrier();
         if kind == Kind::Gradients {

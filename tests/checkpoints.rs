@@ -150,8 +150,9 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         second_moments: one.clone(),
         gaussians: one,
         statistics: vec![[0.5, 2.0]],
-        exposures: Default::default(),
         filters: vec![0.25],
+        gradient_sums: None,
+        exposures: Default::default(),
         skipped: 2,
         room: Room::default(),
     };

@@ -8,6 +8,7 @@ mod convert;
 mod inspect;
 mod layouts;
 mod light;
+mod lpips;
 // The stand-ins are scripts of a shell.
 #[cfg(unix)]
 mod poses;

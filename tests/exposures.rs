@@ -73,10 +73,9 @@ fn settings(exposure: bool) -> TrainSettings {
         sh_degree: 0,
         feature_lr: 0.02,
         opacity_lr: 0.05,
-        // Slower than the scene at first, and still at the end.
-        exposure_lr_init: 0.005,
-        exposure_lr_final: 2e-4,
-        exposure_lr_delay_steps: 300,
+        // Slower than the defaults, which are for 30,000 iterations.
+        exposure_lr_init: 0.003,
+        exposure_lr_final: 1e-4,
         densify_until_iter: 0,
         opacity_reset_interval: 100_000,
         exposure,

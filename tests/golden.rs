@@ -1,13 +1,18 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod absgrad;
 mod antialias;
+mod budget;
 mod depth;
 mod exposure;
 mod gpu;
 mod gpu_training;
+mod importance;
+mod lpips;
 mod mcmc;
 mod rendering;
 mod sets;
+mod stages;
 mod training;
 mod twin;
 
@@ -31,10 +36,15 @@ enum Kind {
     Train,
     Regularizers,
     Relocation,
-    Exposure,
-    Depth,
     Antialias,
     Filter3d,
+    AbsoluteGradient,
+    EdgeImportance,
+    LongAxisSplit,
+    GrowthSchedule,
+    Exposure,
+    Depth,
+    Lpips,
     Other,
 }
 
@@ -43,9 +53,9 @@ impl Kind {
         let has = |name: &str| fields.iter().any(|field| field == name);
         match () {
             () if has("it1_image") => Kind::Train,
-            () if has("obs_inv_z") => Kind::Depth,
             () if has("fused_log_scales") => Kind::Filter3d,
             () if has("detached") && has("kernel") => Kind::Antialias,
+            () if has("obs_inv_z") => Kind::Depth,
             () if has("means") && has("cam_K") && has("image") => Kind::Rendering,
             () if has("adam_E") => Kind::Exposure,
             () if has("img") && has("gt") && has("d_img") => Kind::Loss,
@@ -54,6 +64,11 @@ impl Kind {
             () if has("in_grad_accum") && has("out_kind") => Kind::Densify,
             () if has("reg_loss") => Kind::Regularizers,
             () if has("u_relocate") => Kind::Relocation,
+            () if has("xy_abs_pix") => Kind::AbsoluteGradient,
+            () if has("edge_raw") => Kind::EdgeImportance,
+            () if has("opacity_factor") => Kind::LongAxisSplit,
+            () if has("budget_iteration") => Kind::GrowthSchedule,
+            () if has("alex_layers") && has("vgg_layers") => Kind::Lpips,
             () if has("logits") && has("out") => Kind::ResetOpacity,
             () => Kind::Other,
         }
@@ -100,10 +115,8 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists = |kind: Kind| {
-        let earlier = matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Exposure | Kind::Depth);
-        earlier || matches!(kind, Kind::Antialias | Kind::Filter3d)
-    };
+    // Kinds that older sets have too are those of features that wait.
+    let exists = |kind: Kind| !matches!(kind, Kind::Other | Kind::Rendering | Kind::Loss | Kind::Densify);
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

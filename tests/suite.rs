@@ -1,11 +1,13 @@
 //! The test suite: one binary, one Vulkan context.
 
+mod absgrad;
 mod address_space;
 mod architecture;
 mod backends;
 mod barriers;
 mod bench;
 mod blending_forms;
+mod budget;
 mod checkpoints;
 mod cli;
 mod common;
@@ -16,18 +18,21 @@ mod extremes;
 mod faults;
 mod filters;
 mod first_frames;
+mod fused;
 mod gradients;
 mod hard_cases;
 mod host;
 mod invariants;
 mod kernels;
 mod limits;
+mod lpips;
 mod mcmc;
 mod orientations;
 mod parts;
 mod photos;
 mod profile;
 mod properties;
+mod quality;
 mod reference;
 mod scan;
 mod soak;

@@ -16,6 +16,7 @@ pub mod exposure_json;
 pub mod host_memory;
 pub mod images;
 pub mod init;
+pub mod lpips_weights;
 pub mod metrics;
 mod names;
 pub mod ply;
@@ -29,6 +30,7 @@ pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
 pub use host_memory::HostMemory;
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;
+pub use lpips_weights::WeightsFile;
 pub use names::{has_photo_ending, has_video_ending, quoted};
 pub use progress::Progress;
 

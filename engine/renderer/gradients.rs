@@ -79,7 +79,8 @@ impl Renderer {
             r.barrier();
             border.record_gradient(r, inputs, &extra[2], &extra[3], false);
             r.barrier();
-            backward.record(r, inputs, &extra[3], Statistics { buffer: &extra[1], accumulate: false });
+            let statistics = Statistics { buffer: &extra[1], accumulate: false, absolute: None };
+            backward.record(r, inputs, &extra[3], statistics);
             r.barrier();
             backward.record_expand_gradients(r, inputs, &planes, &extra[0]);
             Ok(())

@@ -142,6 +142,11 @@ impl FrameRunner {
         self.store.expect_pictures(pictures);
     }
 
+    /// See [`FrameStore::expect_absolute`].
+    pub fn expect_absolute(&mut self) {
+        self.store.expect_absolute();
+    }
+
     /// Allocates buffers with backward for a camera and the expected pictures, and builds the kernels of these settings up
     /// to an SH degree, for [`FrameRunner::record`].
     pub fn reserve(

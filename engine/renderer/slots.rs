@@ -235,6 +235,7 @@ impl Slot {
             pictures,
             blend_passes: wanted.blend_passes,
             backward: false,
+            absolute: false,
         };
         check_grids(context.limits(), &capacity, sizes)?;
         let frame = context.allocate("frame slot", &frame_requests(&capacity, sizes), MemoryKind::Device)?;

@@ -49,6 +49,8 @@ pub struct Checkpoint {
     pub filters: Vec<f32>,
     /// What the strategy keeps besides.
     pub strategy: StrategyState,
+    /// Gradients that were added up since the last step.
+    pub gradient_sums: Option<GradientSums>,
     /// The exposures of the views' photographs, if they are learned.
     pub exposures: ExposureState,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
@@ -80,6 +82,15 @@ pub struct StrategyState {
     pub statistics: Vec<StrategyStatistic>,
     /// Names and values of its state on the host.
     pub values: Vec<(String, String)>,
+}
+
+/// Sums of the gradients of several views, of which a later step makes use.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GradientSums {
+    /// Number of the views.
+    pub views: u32,
+    /// The sums, shaped like the parameters.
+    pub sums: Gaussians,
 }
 
 /// A statistic of a strategy.
@@ -156,7 +167,8 @@ impl Checkpoint {
     pub fn tensors(&self) -> Vec<Tensor<'_>> {
         let mut tensors = Vec::new();
         let sets = [&self.gaussians, &self.first_moments, &self.second_moments];
-        for (prefix, set) in Self::SETS.iter().zip(sets) {
+        let sums = self.gradient_sums.iter().map(|sums| (&Self::GRADIENT_SUMS, &sums.sums));
+        for (prefix, set) in Self::SETS.iter().zip(sets).chain(sums) {
             let (n, k) = (set.len(), sh_coefficients(set.sh_degree));
             let mut add = |name: &str, shape: &[usize], bytes| {
                 tensors.push(Tensor { name: format!("{prefix}{name}"), shape: shape.to_vec(), bytes });
@@ -192,10 +204,14 @@ impl Checkpoint {
     /// Prefixes of the tensors' names: parameters, first and second moments.
     pub const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
 
-    /// Name of the exposures' tensor, and of that of their moments behind the prefixes.
-    pub const EXPOSURES: &str = "exposures";
     /// Name of the tensor of the filter's sizes, as in Mip-Splatting's PLY.
     pub const FILTERS: &str = "filter_3D";
+
+    /// Prefix of the names of [`Checkpoint::gradient_sums`].
+    pub const GRADIENT_SUMS: &str = "gradient_sum.";
+
+    /// Name of the exposures' tensor, and of that of their moments behind the prefixes.
+    pub const EXPOSURES: &str = "exposures";
 
     /// Prefix of the strategy's own statistics, and of its values in the metadata.
     pub const STRATEGY: &str = "strategy.";
@@ -213,10 +229,12 @@ impl Checkpoint {
     /// [`Error::Argument`] naming the set.
     pub fn check_shapes(&self) -> Result<()> {
         self.gaussians.check_shapes()?;
-        for moments in [&self.first_moments, &self.second_moments] {
-            moments.check_shapes()?;
-            if (moments.len(), moments.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
-                return Err(Error::argument("moments", "are of another number or degree than the Gaussians"));
+        let sums = self.gradient_sums.iter().map(|sums| ("gradient sums", &sums.sums));
+        let moments = [("moments", &self.first_moments), ("moments", &self.second_moments)];
+        for (name, set) in moments.into_iter().chain(sums) {
+            set.check_shapes()?;
+            if (set.len(), set.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
+                return Err(Error::argument(name, "are of another number or degree than the Gaussians"));
             }
         }
         let rows = |statistic: &StrategyStatistic| {
@@ -225,14 +243,14 @@ impl Checkpoint {
         if self.statistics.len() != self.gaussians.len() || !self.strategy.statistics.iter().all(rows) {
             return Err(Error::argument("statistics", "are of another number than the Gaussians"));
         }
+        let filters = if self.settings.filter_3d { self.gaussians.len() } else { 0 };
+        if self.filters.len() != filters {
+            return Err(Error::argument(Self::FILTERS, "is of another number than the Gaussians"));
+        }
         let exposures = if self.settings.exposure { self.views } else { 0 };
         let ExposureState { values, first_moments, second_moments } = &self.exposures;
         if [values, first_moments, second_moments].iter().any(|set| set.len() as u64 != exposures) {
             return Err(Error::argument("exposures", format!("are not those of {exposures} photographs")));
-        }
-        let filters = if self.settings.filter_3d { self.gaussians.len() } else { 0 };
-        if self.filters.len() != filters {
-            return Err(Error::argument(Self::FILTERS, "is of another number than the Gaussians"));
         }
         if self.gaussians.sh_degree != self.settings.sh_degree {
             return Err(Error::argument("sh_degree", "of the Gaussians and of the settings differ"));

@@ -72,8 +72,9 @@ impl Kit {
         }
         all.extend(terms);
         all.extend(strategy.loss_terms(context, settings)?);
-        let recorder = StepRecorder::new(context, all, settings)?;
-        let rows = RowMemory::new(strategy.statistics(), recorder.targets().parameters);
+        let parameter_gradients = StepRecorder::targets_of(&all).parameters;
+        let rows = RowMemory::new(strategy.statistics(), parameter_gradients);
+        let recorder = StepRecorder::new(context, all, (settings, strategy.records().sums), rows.absolute())?;
         Ok(Self { strategy, recorder, rows })
     }
 

@@ -7,6 +7,7 @@
 
 mod budget;
 pub mod checkpoint;
+mod choices;
 mod depth_maps;
 mod forecast;
 mod iteration;
@@ -35,8 +36,8 @@ pub use photos::PhotoSize;
 pub use population::{Growth, Population};
 pub use record::{RecordedStep, StepReservation};
 pub use report::{Maintenance, StepOutcome, StepReport};
-pub use settings::{OptimizerType, StrategyType, TrainSettings};
-pub use strategies::{Fixed, Mcmc, Reference};
+pub use settings::{ImportanceType, OptimizerType, SplitType, StrategyType, TrainSettings};
+pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, Reference, quantile};
 pub use strategy::Strategy;
 pub use terms::*;
 pub use work::{Actions, Densified};
@@ -219,7 +220,11 @@ impl Trainer {
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&cameras);
         runner.expect_pictures(pictures);
-        if let Some(frame) = room.and_then(|room| room.frame(pictures)) {
+        let absolute = rows.absolute().is_some();
+        if absolute {
+            runner.expect_absolute();
+        }
+        if let Some(frame) = room.and_then(|room| room.frame(pictures, absolute)) {
             runner.restore(frame)?;
         }
         let run = Run { settings, scene_extent, cameras, views_fingerprint };

@@ -195,6 +195,26 @@ impl Photos {
         }
     }
 
+    /// Bytes of the place that [`Photos::between_steps`] needs.
+    pub fn place_bytes(&self) -> u64 {
+        match self {
+            Self::Resident { .. } => 0,
+            Self::Streamed(stream) => stream.places.iter().map(Buffer::bytes).max().unwrap_or(0),
+        }
+    }
+
+    /// The texels of any view, between steps: those on the device, or read from their file into `place`.
+    pub fn between_steps(&self, context: &Context, view: usize, place: &Buffer) -> Result<Buffer> {
+        match self {
+            Self::Resident { texels, .. } => Ok(texels[view].clone()),
+            Self::Streamed(stream) => {
+                let texels = on_device(windowing_of(context), &stream.photos[view])?;
+                context.upload(&place.range(0, texels.len() as u64), &texels)?;
+                Ok(place.clone())
+            }
+        }
+    }
+
     /// Whether a view has masked pixels.
     pub fn is_masked(&self, view: usize) -> bool {
         match self {

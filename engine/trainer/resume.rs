@@ -1,9 +1,11 @@
 //! Conversion of a trainer to a [`Checkpoint`], and back.
 
-use super::checkpoint::{Checkpoint, ExposureState, Room, StrategyState, StrategyStatistic, Wanted};
+use super::checkpoint::{
+    Checkpoint, ExposureState, GradientSums, Room, StrategyState, StrategyStatistic, Wanted,
+};
 use super::iteration::Progress;
 use super::settings::TrainSettings;
-use super::{TrainParts, TrainView, Trainer};
+use super::{TrainParts, TrainView, Trainer, strategies};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
@@ -65,6 +67,10 @@ impl Trainer {
                 statistics,
                 values: self.strategy.state(),
             },
+            gradient_sums: match progress.summed {
+                0 => None,
+                views => Some(GradientSums { views, sums: planes_of(&model.spare)? }),
+            },
             exposures: self.exposure_state()?,
             skipped: self.state.skipped,
             room: self.room(),
@@ -107,7 +113,7 @@ impl Trainer {
             views_fingerprint: fingerprint_of(&views),
             scene_extent,
         })?;
-        let (there, here) = (from.strategy.name.as_str(), parts.strategy.name());
+        let (there, here) = (strategies::present_name(&from.strategy.name), parts.strategy.name());
         if !there.is_empty() && there != here {
             let problem = format!("was made with the strategy '{there}', here it is '{here}'");
             return Err(Error::argument("checkpoint", problem));
@@ -125,25 +131,27 @@ impl Trainer {
             return Err(Error::argument("checkpoint", problem));
         }
         trainer.restore_statistics(from)?;
+        if trainer.filter.is_some() {
+            planes::upload_filters(context, &trainer.state.model.scene, &from.filters)?;
+        }
         if let Some(exposures) = &trainer.losses.exposures {
             let ExposureState { values, first_moments, second_moments } = &from.exposures;
             exposures.upload(context, [values, first_moments, second_moments])?;
-        }
-        if trainer.filter.is_some() {
-            planes::upload_filters(context, &trainer.state.model.scene, &from.filters)?;
         }
         let state = &mut trainer.state;
         state.progress = Progress {
             iteration: from.iteration,
             steps: from.optimizer_steps,
             opacity_steps: from.opacity_steps,
+            summed: from.gradient_sums.as_ref().map_or(0, |sums| sums.views),
             due: from.due,
         };
         let moments = [
             (&state.model.moments.first, &from.first_moments),
             (&state.model.moments.second, &from.second_moments),
         ];
-        for (chunks, values) in moments {
+        let sums = from.gradient_sums.iter().map(|sums| (&state.model.spare, &sums.sums));
+        for (chunks, values) in moments.into_iter().chain(sums) {
             let scene = SceneBuffers { chunks: chunks.clone(), ..state.model.scene.clone() };
             planes::fill(context, &scene, values)?;
         }
@@ -213,8 +221,9 @@ impl Trainer {
 }
 
 impl Room {
-    /// The capacity of a frame, for these pictures; None without a frame.
-    pub(super) fn frame(&self, pictures: PictureCapacity) -> Option<FrameCapacity> {
+    /// The capacity of a frame, for these pictures, with room for absolute gradients or not; None without a
+    /// frame.
+    pub(super) fn frame(&self, pictures: PictureCapacity, absolute: bool) -> Option<FrameCapacity> {
         (self.frame_width > 0).then_some(FrameCapacity {
             gaussians: self.frame_gaussians,
             instances: self.frame_instances,
@@ -222,6 +231,7 @@ impl Room {
             pictures,
             blend_passes: self.blend_passes.max(1),
             backward: self.backward != 0,
+            absolute: absolute && self.backward != 0,
         })
     }
 }

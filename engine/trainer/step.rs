@@ -39,7 +39,7 @@ impl Trainer {
         let progress = self.state.progress;
         let before = Progress { iteration: progress.iteration - 1, ..progress };
         let plan = self.plan_after(&before);
-        if !plan.work.optimizes {
+        if !plan.work.optimizes && !plan.work.sums_gradients {
             return Ok(());
         }
         let plan = IterationPlan { work: Work { accumulates: false, ..plan.work }, ..plan };
@@ -142,8 +142,10 @@ impl Trainer {
                 runner: &mut self.runner,
                 pictures: &mut self.pictures,
                 model: &mut self.state.model,
+                photos: &self.photos,
                 most_instances: &mut self.state.most_instances,
                 iteration: self.state.progress.iteration,
+                summed: &mut self.state.progress.summed,
             };
             let changes = self.strategy.between_steps(&mut population, due.first())?;
             if changes.densified.is_some() {

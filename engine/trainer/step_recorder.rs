@@ -7,13 +7,14 @@ use super::model::Model;
 use super::photos::Photos;
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
-use super::strategy::{StepInputs, Strategy};
+use super::strategy::{Hooks, StepInputs, Strategy};
+use super::work::{Actions, Work};
 use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
 use crate::exposure::{Exposing, ExposureBuffers};
 use crate::forward::{Filter3d, FrameInputs, RenderSettings};
 use crate::loss::{LossTerm, Targets, TermInputs};
-use crate::optimizer::Optimizer;
+use crate::optimizer::{GradientSums, Optimizer};
 use crate::pixels::PixelBorder;
 use crate::plan::LaunchSizes;
 use crate::renderer::Request;
@@ -30,6 +31,8 @@ pub(super) struct StepRecorder {
     backward: Backward,
     /// How frames are drawn, apart from the inverse depth.
     drawn: RenderSettings,
+    /// The place of the absolute statistic among the strategy's.
+    absolute: Option<usize>,
     optimizer: Optimizer,
 }
 
@@ -89,27 +92,41 @@ impl<'a> StepParts<'a> {
 }
 
 impl StepRecorder {
-    /// The first of the terms writes the picture's gradient.
+    /// The first of the terms writes the picture's gradient. `sums`: whether gradients of several views may be
+    /// added up. `absolute`: the place of [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all
+    /// statistics.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context, terms: Vec<Box<dyn LossTerm>>, settings: &TrainSettings) -> Result<Self> {
-        let targets = terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()));
+    pub fn new(
+        context: &Context,
+        terms: Vec<Box<dyn LossTerm>>,
+        (settings, sums): (&TrainSettings, bool),
+        absolute: Option<usize>,
+    ) -> Result<Self> {
+        let targets = Self::targets_of(&terms);
         let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
         let optimizer = match targets.parameters {
             true => Optimizer::with_parameter_gradients(context, sparse),
             false => Optimizer::new(context, sparse),
         };
+        let optimizer = if sums { optimizer.with_sums() } else { optimizer };
         Ok(Self {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             exposing: settings.exposure.then(|| Exposing::new(context, true)).transpose()?,
             backward: Backward::new(context),
             drawn: settings.render_settings(),
+            absolute,
             terms,
             targets,
             optimizer,
         })
+    }
+
+    /// The gradients that terms add to.
+    pub fn targets_of(terms: &[Box<dyn LossTerm>]) -> Targets {
+        terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()))
     }
 
     /// The names of the terms.
@@ -134,8 +151,28 @@ impl StepRecorder {
 
     /// Builds the kernels for an SH degree unless they exist.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        self.backward.prepare(sh_degree, BackwardVariant::of(&self.drawn()))?;
+        let variant = BackwardVariant::of(&self.drawn());
+        self.backward.prepare(sh_degree, variant)?;
+        if self.absolute.is_some() {
+            self.backward.prepare_absolute(sh_degree, variant)?;
+        }
+        if self.sizes.fused_adam {
+            self.backward.prepare_with_step(sh_degree, variant)?;
+            self.optimizer.prepare_unseen(sh_degree)?;
+        }
         self.optimizer.prepare(sh_degree)
+    }
+
+    /// Whether the backward pass of the projection makes the optimiser's step: where no one else needs the
+    /// gradients. Not in an iteration that densifies, in which the reference makes no step.
+    fn fuses(&self, work: &Work, hooks: Hooks) -> bool {
+        self.sizes.fused_adam
+            && work.optimizes
+            && !work.sums_gradients
+            && !work.actions.contains(Actions::DENSIFY)
+            && !hooks.statistics
+            && !self.targets.parameters
+            && !(work.accumulates && self.absolute.is_some())
     }
 
     /// The loss's buffers on the device for views of these sizes, one per view: scratch of the terms, the losses,
@@ -205,8 +242,18 @@ impl StepRecorder {
         r.barrier();
         self.record_loss(r, inputs, parts, gradient);
         r.barrier();
-        let statistics = Statistics { buffer: &model.statistics[0], accumulate: plan.work.accumulates };
-        self.backward.record(r, inputs, gradient, statistics);
+        let accumulate = plan.work.accumulates;
+        let absolute = self.absolute.filter(|_| accumulate).map(|place| &model.statistics[place]);
+        let statistics = Statistics { buffer: &model.statistics[0], accumulate, absolute };
+        let hooks = parts.strategy.records();
+        let fuses = self.fuses(&plan.work, hooks);
+        match fuses {
+            true => {
+                let moved = (&model.moments, &plan.step);
+                self.backward.record_with_step(r, inputs, gradient, statistics, moved);
+            }
+            false => self.backward.record(r, inputs, gradient, statistics),
+        }
         let step = StepInputs {
             frame: inputs,
             moments: &model.moments,
@@ -216,14 +263,26 @@ impl StepRecorder {
             settings: &parts.run.settings,
             scene_extent: parts.run.scene_extent,
         };
-        let hooks = parts.strategy.records();
         if hooks.statistics {
             r.barrier();
             parts.strategy.record_statistics(r, &step);
         }
+        let sums = &model.spare;
+        if plan.work.sums_gradients {
+            r.barrier();
+            let to = GradientSums { sums, starts: plan.summed == 0 };
+            self.optimizer.record_add(r, inputs, &model.parameter_gradients, to);
+        }
         if plan.work.optimizes {
             r.barrier();
-            self.optimizer.record(r, inputs, &model.moments, &model.parameter_gradients, &plan.step);
+            match (fuses, plan.work.sums_gradients) {
+                (true, _) => self.optimizer.record_unseen(r, inputs, &model.moments, &plan.step),
+                (false, true) => self.optimizer.record_sums(r, inputs, &model.moments, sums, &plan.step),
+                (false, false) => {
+                    let direct = &model.parameter_gradients;
+                    self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
+                }
+            }
             if hooks.update {
                 r.barrier();
                 parts.strategy.record_update(r, &step);

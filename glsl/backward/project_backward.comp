@@ -4,11 +4,12 @@
 // invocation: one visible Gaussian; subgroup: adds the instances of a Gaussian with many tiles together, over the lanes in a
 // fixed order, so that results do not depend on scheduling
 // in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, first_instances, conic_opacity,
-//      instance_gradients_a, instance_gradients_b, instance_gradients_c
+//      instance_gradients_a, instance_gradients_b, instance_gradients_c, with ABSOLUTE instance_gradients_d
 // out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
 //      (d colour before its clamp at 0, dL/dy px)
 // in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) if `accumulate` is set, nothing overflowed
-//         and the norm is finite
+//         and the norm is finite; with ABSOLUTE absolute_statistics[Gaussian] += (norm of the sums of |dL/d(mean2d)| in NDC),
+//         and both norms must be finite
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -26,12 +27,22 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // A Gaussian with more instances is summed by its whole subgroup.
 layout(constant_id = 3) const uint LANE_INSTANCES = 64;
+#ifdef ADAM
+const bool ABSOLUTE = false;
+#else
+// Also the statistic of the absolute gradients of the 2D mean.
+layout(constant_id = 4) const bool ABSOLUTE = false;
+#endif
 // Whether Gaussians have a 3D filter: see projection.glsl.
-layout(constant_id = 4) const bool FILTER_3D = false;
+layout(constant_id = 5) const bool FILTER_3D = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
+#ifdef ADAM
+layout(set = 0, binding = 1, scalar) buffer State { uint state[]; };
+#else
 layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
+#endif
 UINT_READS(2, VisibleList, visible_list);
 UVEC4_READS(3, Footprints, footprints);
 UINT_READS(4, FirstInstances, first_instances);
@@ -39,9 +50,21 @@ VEC4_READS(5, ConicOpacity, conic_opacity);
 VEC4_READS(6, InstanceGradientsA, instance_gradients_a);
 VEC4_READS(7, InstanceGradientsB, instance_gradients_b);
 VEC2_READS(8, InstanceGradientsC, instance_gradients_c);
-layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
+#ifdef ADAM
+// The same memory as `parameters` and the moments that are read. Each invocation reads its own elements before it writes them.
+VEC4_WRITES(9, NewParameters, new_parameters);
+VEC4_WRITES(12, Moments1, moments_1);
+VEC4_WRITES(13, Moments2, moments_2);
+VEC4_READS(14, OldMoments1, old_moments_1);
+VEC4_READS(15, OldMoments2, old_moments_2);
+#else
+layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
+// Only used with ABSOLUTE.
+VEC2_READS(12, InstanceGradientsD, instance_gradients_d);
+layout(set = 0, binding = 13, scalar) buffer AbsoluteStatistics { float absolute_statistics[]; };
+#endif
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
@@ -53,6 +76,23 @@ layout(push_constant, scalar) uniform Push {
     // Stride of the gradient planes, and whether to update the statistics.
     uint gradient_stride;
     uint accumulate;
+#ifdef ADAM
+    // As in adam.comp.
+    vec3 push_camera_position;
+    float beta_1;
+    float beta_2;
+    float one_minus_beta_1;
+    float one_minus_beta_2;
+    float epsilon;
+    float rate_mean;
+    float rate_opacity;
+    float rate_quat;
+    float rate_log_scale;
+    float rate_sh_dc;
+    float rate_sh_rest;
+    float inverse_bias_2;
+    float inverse_bias_2_opacity;
+#endif
 };
 
 #include "camera_block.glsl"
@@ -63,24 +103,46 @@ layout(push_constant, scalar) uniform Push {
 #include "projection.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
+#ifdef ADAM
+#include "sh_gradient.glsl"
+#define OLD_PARAMETERS parameters
+#define NEW_PARAMETERS new_parameters
+#define SH_GRADIENT(PLANE, AT) sh_plane_gradient(PLANE, basis, d_color)
+#include "adam_step.glsl"
+#endif
 
 struct Sums {
     vec4 a;
     vec4 b;
     vec2 c;
+    vec2 absolute;
 };
 
+Sums no_sums() {
+    return Sums(vec4(0.0), vec4(0.0), vec2(0.0), vec2(0.0));
+}
+
+void add_instance(inout Sums sums, uint at) {
+    sums.a += VEC4_AT(instance_gradients_a, at);
+    sums.b += VEC4_AT(instance_gradients_b, at);
+    sums.c += VEC2_AT(instance_gradients_c, at);
+#ifndef ADAM
+    if (ABSOLUTE) {
+        sums.absolute += VEC2_AT(instance_gradients_d, at);
+    }
+#endif
+}
+
 Sums subgroup_sum(Sums sums) {
-    return Sums(subgroupAdd(sums.a), subgroupAdd(sums.b), subgroupAdd(sums.c));
+    vec2 absolute = ABSOLUTE ? subgroupAdd(sums.absolute) : vec2(0.0);
+    return Sums(subgroupAdd(sums.a), subgroupAdd(sums.b), subgroupAdd(sums.c), absolute);
 }
 
 Sums sum_instances(uint begin, uint count, bool exists) {
-    Sums sums = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
+    Sums sums = no_sums();
     uint alone = count <= LANE_INSTANCES ? count : 0;
     for (uint k = 0; k < alone; ++k) {
-        sums.a += VEC4_AT(instance_gradients_a, begin + k);
-        sums.b += VEC4_AT(instance_gradients_b, begin + k);
-        sums.c += VEC2_AT(instance_gradients_c, begin + k);
+        add_instance(sums, begin + k);
     }
     uvec4 large = subgroupBallot(exists && count > LANE_INSTANCES);
     for (uint word = 0; word < BALLOT_WORDS; ++word) {
@@ -90,11 +152,9 @@ Sums sum_instances(uint begin, uint count, bool exists) {
             bits &= bits - 1;
             uint their_begin = subgroupShuffle(begin, lane);
             uint their_count = subgroupShuffle(count, lane);
-            Sums share = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
+            Sums share = no_sums();
             for (uint k = gl_SubgroupInvocationID; k < their_count; k += SUBGROUP_SIZE) {
-                share.a += VEC4_AT(instance_gradients_a, their_begin + k);
-                share.b += VEC4_AT(instance_gradients_b, their_begin + k);
-                share.c += VEC2_AT(instance_gradients_c, their_begin + k);
+                add_instance(share, their_begin + k);
             }
             share = subgroup_sum(share);
             if (gl_SubgroupInvocationID == lane) {
@@ -233,16 +293,38 @@ void main() {
     }
     d_mean += (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
 
+#ifdef ADAM
+    if (exists && state[STATE_OVERFLOW] == 0) {
+        vec4 d_mean_opacity = vec4(d_mean, d_logit);
+        if (finite(d_mean_opacity) && finite(d_quat) && finite(vec4(d_log_scale, 0.0)) && finite(vec4(d_color, 0.0))) {
+            // As adam.comp computes it.
+            float step_basis[16];
+            sh_basis(normalize(mean_opacity.xyz - push_camera_position), step_basis);
+            update_all(index, d_mean_opacity, d_quat, vec4(d_log_scale, 0.0), d_color, step_basis);
+        } else {
+            atomicAdd(state[STATE_NON_FINITE], 1);
+        }
+    }
+#endif
     if (exists) {
+#ifndef ADAM
         gradients[GRADIENT_MEAN_OPACITY * gradient_stride + visible] = vec4(d_mean, d_logit);
         gradients[GRADIENT_QUAT * gradient_stride + visible] = d_quat;
         gradients[GRADIENT_LOG_SCALE * gradient_stride + visible] = vec4(d_log_scale, d_mean2d.x);
         gradients[GRADIENT_COLOR * gradient_stride + visible] = vec4(d_color, d_mean2d.y);
+#endif
         if (accumulate != 0 && state[STATE_OVERFLOW] == 0) {
             vec2 ndc = d_mean2d * 0.5 * vec2(image_width, image_height);
             float norm = length(ndc);
+            float absolute_norm = ABSOLUTE ? length(sums.absolute * 0.5 * vec2(image_width, image_height)) : 0.0;
             // A norm that is not finite would spoil the statistics for good, so it is skipped.
-            statistics[gaussian] += is_finite(norm) ? vec2(norm, 1.0) : vec2(0.0);
+            bool counts = is_finite(norm) && is_finite(absolute_norm);
+            statistics[gaussian] += counts ? vec2(norm, 1.0) : vec2(0.0);
+#ifndef ADAM
+            if (ABSOLUTE) {
+                absolute_statistics[gaussian] += counts ? absolute_norm : 0.0;
+            }
+#endif
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, with_host};
-use ashsplat::trainer::{StepOutcome, StepReservation, StrategyType, Trainer};
+use ashsplat::trainer::{SplitType, StepOutcome, StepReservation, StrategyType, Trainer};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, LimitsOverride};
 use ashsplat::{
     Blending, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings,
@@ -39,14 +39,9 @@ pub fn views() -> Vec<TrainView> {
     (0..4).map(view).collect()
 }
 
-/// With another weight of inverse-depth maps than usual, all views but one have such maps.
 pub fn trainer(context: &Context, settings: TrainSettings) -> Trainer {
-    let mapped = settings.depth_l1_weight_init < 1.0;
-    let with_map = |(number, view): (usize, TrainView)| {
-        let pixels = view.photo.width as usize * view.photo.height as usize;
-        view.with_inverse_depth((mapped && number != 1).then(|| vec![0.25; pixels].into()))
-    };
-    let views = views().into_iter().enumerate().map(with_map).collect();
+    let mut views = views();
+    views[1].inverse_depth = settings.exposure.then(|| vec![0.25; 48 * 36].into());
     Trainer::new(context, views, &cloud(300, 5), 4.0, settings).expect("a trainer")
 }
 
@@ -119,8 +114,6 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
     // And once with the other strategy, which adds noise in the step.
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
-    // And with exposures, whose optimiser has a step of its own, and inverse-depth maps.
-    let exposed = TrainSettings { exposure: true, depth_l1_weight_init: 0.5, ..settings() };
     // And once with filters, whose sizes are computed anew between steps and in them.
     let filtered = TrainSettings {
         antialiasing: true,
@@ -130,9 +123,31 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         iterations: 1000,
         ..settings()
     };
-    for (push_descriptors, settings) in
-        [(true, settings()), (false, weighted), (true, mcmc), (true, exposed), (true, filtered)]
-    {
+    // And with budgeted growth, which adds up gradients over several steps after 133 and 160.
+    let budget = TrainSettings {
+        strategy: StrategyType::Budget,
+        scale_schedule: true,
+        densify_from_iter: 3000,
+        densify_until_iter: 19_500,
+        cap_max: 600,
+        absgrad: true,
+        split: SplitType::LongAxis,
+        growth_curve: true,
+        recovery: true,
+        multi_step: true,
+        ..settings()
+    };
+    // And with exposures, whose optimiser has a step of its own, and a map of inverse depths.
+    let exposed = TrainSettings { exposure: true, ..settings() };
+    for (push_descriptors, settings) in [
+        (true, settings()),
+        (false, weighted),
+        (true, mcmc),
+        (true, filtered),
+        (true, exposed),
+        (true, budget.clone()),
+        (false, budget),
+    ] {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }

@@ -48,6 +48,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
             statistics: (0..own).map(statistic).collect(),
             values: (0..own).map(|index| (format!("value {index:06}"), "1".into())).collect(),
         },
+        gradient_sums: None,
         exposures: Default::default(),
         skipped: 0,
         room: Room::default(),

@@ -151,6 +151,8 @@ pub struct SplatGradient {
     pub color: [f64; 3],
     /// dL/d(1/z) through the inverse-depth image.
     pub inverse_depth: f64,
+    /// Sum over pixels of |dL/d(centre in pixels)| through each pixel alone.
+    pub absolute_px: [f64; 2],
 }
 
 /// Gradient with respect to a Gaussian's raw parameters.

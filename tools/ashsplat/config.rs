@@ -1,12 +1,15 @@
 //! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
 
-use ashsplat::trainer::options::{OptionKind, OptionValue, TrainOption};
+mod train_overrides;
+
+pub use train_overrides::{TrainOverrides, strategies};
+
 use ashsplat::trainer::{StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
-use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, value_parser};
+use clap::Args;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use toml::{Table, Value};
+use toml::Table;
 
 /// Name of the dump that `--config` reads back.
 pub const SETTINGS_FILE: &str = "settings.toml";
@@ -58,75 +61,6 @@ pub struct Overrides {
     #[command(flatten)]
     #[serde(flatten)]
     train: TrainOverrides,
-}
-
-/// The settings of training that are given on the command line, by their names. The options follow from
-/// [`TrainSettings::OPTIONS`].
-#[derive(Clone, Debug, Default, Serialize)]
-#[serde(transparent)]
-pub struct TrainOverrides(Table);
-
-/// Options that also have a letter, as in the reference.
-const LETTERS: [(&str, char); 1] = [("white_background", 'w')];
-
-impl TrainOverrides {
-    fn argument(option: &TrainOption) -> Arg {
-        let about = option.about.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ");
-        let default = match option.default_value() {
-            OptionValue::Switch(false) => String::new(),
-            value => format!(" [default: {value}]"),
-        };
-        let argument = Arg::new(option.name).long(option.name.replace('_', "-")).help(about + &default);
-        let argument = match LETTERS.iter().find(|(name, _)| *name == option.name) {
-            Some((_, letter)) => argument.short(*letter),
-            None => argument,
-        };
-        match option.kind {
-            OptionKind::Integer => argument.value_name("N").value_parser(value_parser!(u32)),
-            OptionKind::Number => argument.value_name("X").value_parser(value_parser!(f64)),
-            OptionKind::Choice(names) => argument.value_name("NAME").value_parser(names.to_vec()),
-            OptionKind::Switch => argument
-                .value_name("BOOL")
-                .num_args(0..=1)
-                .require_equals(true)
-                .default_missing_value("true")
-                .value_parser(value_parser!(bool)),
-        }
-    }
-}
-
-impl Args for TrainOverrides {
-    fn augment_args(command: Command) -> Command {
-        command.args(TrainSettings::OPTIONS.iter().map(Self::argument))
-    }
-
-    fn augment_args_for_update(command: Command) -> Command {
-        Self::augment_args(command)
-    }
-}
-
-impl FromArgMatches for TrainOverrides {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        let mut overrides = Self::default();
-        overrides.update_from_arg_matches(matches)?;
-        Ok(overrides)
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        for option in TrainSettings::OPTIONS {
-            let name = option.name;
-            let given: Option<Value> = match option.kind {
-                OptionKind::Integer => matches.get_one::<u32>(name).map(|&value| i64::from(value).into()),
-                OptionKind::Number => matches.get_one::<f64>(name).map(|&value| value.into()),
-                OptionKind::Choice(_) => matches.get_one::<String>(name).map(|value| value.clone().into()),
-                OptionKind::Switch => matches.get_one::<bool>(name).map(|&value| value.into()),
-            };
-            if let Some(value) = given {
-                self.0.insert(name.into(), value);
-            }
-        }
-        Ok(())
-    }
 }
 
 /// An iteration; -1, with which scripts for the reference say "never", becomes 0, which never comes.
@@ -314,6 +248,9 @@ fn python_string(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ashsplat::trainer::options::OptionKind;
+    use clap::{Command, FromArgMatches};
+    use toml::Value;
 
     #[test]
     fn dump_reads_back() {
@@ -352,6 +289,22 @@ mod tests {
         overrides.train.0.insert("strategy".into(), "mcm".into());
         let message = Settings::resolve(None, &overrides).expect_err("refused").to_string();
         assert!(message.contains("mcm") && message.contains("mcmc"), "{message}");
+    }
+
+    /// `default` was the name of the reference's strategy.
+    #[test]
+    fn a_strategy_is_known_by_its_earlier_name() {
+        let command = TrainOverrides::augment_args(Command::new("train"));
+        let matches = command.try_get_matches_from(["train", "--strategy", "default"]).expect("accepted");
+        let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
+        let settings = Settings::from_table(overrides.0).expect("settings");
+        assert_eq!(settings, Settings::default());
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("my.toml");
+        std::fs::write(&path, "strategy = \"default\"\n").expect("written");
+        let read = Settings::resolve(Some(&path), &Overrides::default()).expect("settings");
+        assert_eq!(read.train.strategy, StrategyType::Reference);
+        assert!(read.to_toml().expect("a dump").contains("strategy = \"reference\""));
     }
 
     /// Options, files and checkpoints have the same names and kinds of values.

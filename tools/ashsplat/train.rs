@@ -16,6 +16,7 @@ mod verify;
 
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING, bytes};
 use crate::config::{Overrides, Settings};
+use crate::eval::LpipsArguments;
 use crate::lock::FolderLock;
 use crate::measure::{Cost, Stopwatch};
 use crate::progress::{State, TrainProgress, thousands};
@@ -33,7 +34,7 @@ use report::KernelTimes;
 use saving::Unsaved;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use testing::Tested;
+use testing::{FinalLpips, Tested};
 use tracking::Tracking;
 
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
@@ -71,6 +72,8 @@ pub struct Arguments {
     #[arg(long, value_name = "SHARE", default_value_t = tracking::SHARE, value_parser = tracking::share)]
     eval_share: f64,
     #[command(flatten)]
+    lpips: LpipsArguments,
+    #[command(flatten)]
     live: LiveArguments,
     #[command(flatten)]
     device: DeviceArguments,
@@ -96,6 +99,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             return Err(Error::argument(name, "is missing; give it here or in --config FILE"));
         }
     }
+    let lpips = FinalLpips::read(&arguments.lpips, &arguments.device.host)?;
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
     let doors = match arguments.verify_determinism {
@@ -140,6 +144,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     run.repeat(&arguments.device, arguments.photo_memory);
     run.track_within(arguments.eval_share);
+    run.lpips = lpips;
     run.look_on(doors, &context, gallery)?;
     // Nothing is lost yet.
     session::check(&stop)?;
@@ -180,6 +185,7 @@ pub struct Run {
     tracking: Tracking,
     /// How many of them are in the results' files.
     results: usize,
+    lpips: FinalLpips,
     gaussians: u32,
     non_finite: u64,
     /// Whether it was said that there is no more room.
@@ -258,6 +264,7 @@ impl Run {
             total: None,
             evaluations: Vec::new(),
             results: 0,
+            lpips: FinalLpips::default(),
             gaussians: 0,
             non_finite: 0,
             limited: false,

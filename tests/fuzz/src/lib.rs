@@ -77,6 +77,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         second_moments: gaussians.clone(),
         statistics: vec![[0.0; 2]; gaussians.len()],
         gaussians,
+        gradient_sums: None,
         exposures: Default::default(),
         skipped: 1,
         room: Room::default(),

@@ -5,7 +5,6 @@ use super::Run;
 use super::allowance::Allowance;
 use crate::eval::{self, Evaluation, Protocol};
 use crate::measure::Stopwatch;
-use crate::render;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::{RenderSettings, Result};
 use ashsplat_files::View;
@@ -142,7 +141,7 @@ impl Run {
 
     fn measure_now(&mut self, iteration: u32) -> Option<f64> {
         let start = Instant::now();
-        let settings = render::settings_of(&self.settings);
+        let settings = self.trainer.render_settings();
         let measured = self
             .protocol()
             .and_then(|protocol| self.tracking.measure(&mut self.trainer, &settings, &protocol));
