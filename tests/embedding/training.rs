@@ -139,15 +139,9 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     };
     // And with exposures, whose optimiser has a step of its own, and a map of inverse depths.
     let exposed = TrainSettings { exposure: true, ..settings() };
-    for (push_descriptors, settings) in [
-        (true, settings()),
-        (false, weighted),
-        (true, mcmc),
-        (true, filtered),
-        (true, exposed),
-        (true, budget.clone()),
-        (false, budget),
-    ] {
+    let plain = [weighted, budget.clone()].map(|settings| (false, settings));
+    let usual = [settings(), mcmc, filtered, exposed, budget].map(|settings| (true, settings));
+    for (push_descriptors, settings) in usual.into_iter().chain(plain) {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }
