@@ -7,6 +7,7 @@ mod commands;
 mod convert;
 mod inspect;
 mod layouts;
+mod pose_opt;
 // The stand-ins are scripts of a shell.
 #[cfg(unix)]
 mod poses;
