@@ -9,6 +9,7 @@ mod inspect;
 mod layouts;
 mod light;
 mod lpips;
+mod pose_opt;
 // The stand-ins are scripts of a shell.
 #[cfg(unix)]
 mod poses;
