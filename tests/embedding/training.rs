@@ -137,9 +137,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         multi_step: true,
         ..settings()
     };
-    // And with exposures and a map of inverse depths.
     let exposed = TrainSettings { exposure: true, ..settings() };
-    // With cameras that the device moves.
     let poses = TrainSettings { pose_opt: true, pose_lr: 1e-3, ..settings() };
     let plain = [weighted, poses, budget.clone()].map(|settings| (false, settings));
     let usual = [settings(), mcmc, filtered, exposed, budget].map(|settings| (true, settings));
