@@ -127,13 +127,9 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let budget = TrainSettings {
         strategy: StrategyType::Budget,
         scale_schedule: true,
-        densify_from_iter: 3000,
         densify_until_iter: 19_500,
-        cap_max: 600,
         absgrad: true,
         split: SplitType::LongAxis,
-        growth_curve: true,
-        recovery: true,
         multi_step: true,
         ..settings()
     };

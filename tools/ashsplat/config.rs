@@ -297,14 +297,12 @@ mod tests {
         let command = TrainOverrides::augment_args(Command::new("train"));
         let matches = command.try_get_matches_from(["train", "--strategy", "default"]).expect("accepted");
         let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
-        let settings = Settings::from_table(overrides.0).expect("settings");
-        assert_eq!(settings, Settings::default());
+        assert_eq!(Settings::from_table(overrides.0).expect("settings"), Settings::default());
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("my.toml");
         std::fs::write(&path, "strategy = \"default\"\n").expect("written");
         let read = Settings::resolve(Some(&path), &Overrides::default()).expect("settings");
         assert_eq!(read.train.strategy, StrategyType::Reference);
-        assert!(read.to_toml().expect("a dump").contains("strategy = \"reference\""));
     }
 
     /// Options, files and checkpoints have the same names and kinds of values.
