@@ -5,10 +5,12 @@
 //! sums, and project_backward adds a Gaussian's instances in order. The same inputs on the same device give
 //! the same bits.
 
+mod step;
+
 use crate::error::Result;
-use crate::forward::{FrameInputs, block_of, range_arguments, record_passes};
+use crate::forward::{FrameInputs, RenderSettings, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
-    blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
+    blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_adam, project_backward,
 };
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
@@ -22,16 +24,62 @@ const POSE_SUM_BYTES: u64 = 24;
 pub struct Backward {
     context: Context,
     sizes: LaunchSizes,
-    blend: [Option<Blend>; 2],
-    /// Without and with the gradient of the camera's pose.
-    project: [[Option<Kernel<project_backward::Interface>>; 4]; 2],
+    /// By [`Sums`] and variant.
+    blend: [[Option<Blend>; 4]; 3],
+    /// By the 3D filter and the absolute statistic, by the gradient of the camera's pose, by SH degree.
+    project: [[[Option<Kernel<project_backward::Interface>>; 4]; 2]; 4],
+    /// By the 3D filter, by SH degree.
+    project_adam: [[Option<Kernel<project_adam::Interface>>; 4]; 2],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
+}
+
+/// What the backward pass of a frame needs besides gradients of the colours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BackwardVariant {
+    /// Gradients of the inverse depth.
+    pub inverse_depth: bool,
+    /// As [`BlendVariant::steep`](crate::forward::BlendVariant::steep).
+    pub steep: bool,
+    /// Gaussians have a 3D filter.
+    pub filter_3d: bool,
+}
+
+impl BackwardVariant {
+    /// That of a frame.
+    pub fn of(settings: &RenderSettings) -> Self {
+        Self {
+            inverse_depth: settings.inverse_depth,
+            steep: settings.is_steep(),
+            filter_3d: settings.filter_3d,
+        }
+    }
+
+    fn index(self, sizes: &LaunchSizes) -> usize {
+        usize::from(self.inverse_depth) | usize::from(self.steep && sizes.incremental_exp) << 1
+    }
 }
 
 /// The kernel of the backward blending: one subgroup per region of a tile, or one per tile.
 enum Blend {
     Regions(Kernel<blend_backward::Interface>),
     Alone(Kernel<blend_backward_subgroup_per_tile::Interface>),
+}
+
+/// What the backward blending sums up per (tile, Gaussian) instance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sums {
+    /// What the gradients of all parameters need.
+    Gradients,
+    /// The same, and the absolute gradients of the 2D mean.
+    Absolute,
+    /// The Gaussian's weights alone.
+    Weights,
+}
+
+impl Sums {
+    fn of(statistics: &Statistics) -> Self {
+        if statistics.absolute.is_some() { Self::Absolute } else { Self::Gradients }
+    }
 }
 
 /// The densification statistics: per Gaussian, the sum of NDC gradient norms and the number of views.
@@ -41,6 +89,10 @@ pub struct Statistics<'a> {
     pub buffer: &'a Buffer,
     /// Whether to update it.
     pub accumulate: bool,
+    /// f32 per Gaussian: the sum of the norms of (W/2 Σ|g_x|, H/2 Σ|g_y|), with g = dL/d(2D mean in pixels) of
+    /// each pixel alone (AbsGS, Ye et al. 2024). Needs [`Backward::prepare_absolute`] and a frame with
+    /// [`FrameCapacity::absolute`](crate::plan::FrameCapacity::absolute); is updated with `buffer`.
+    pub absolute: Option<&'a Buffer>,
 }
 
 /// The buffers and push constants of the backward blending, the same in both kernels: blend_gradient.glsl.
@@ -63,6 +115,7 @@ macro_rules! blend_backward_arguments {
             instance_gradients_a: &f.instance_gradients_a,
             instance_gradients_b: &f.instance_gradients_b,
             instance_gradients_c: &f.instance_gradients_c,
+            instance_gradients_d: f.absolute_gradients($inputs.capacity.absolute),
             state: &f.state,
         };
         let push = $kernel::Push {
@@ -82,6 +135,11 @@ macro_rules! blend_backward_arguments {
     }};
 }
 
+/// Place of a kernel in [`Backward::project`].
+fn project_index(filter_3d: bool, absolute: bool) -> usize {
+    usize::from(filter_3d) | usize::from(absolute) << 1
+}
+
 impl Backward {
     /// Prepares for a device. [`Backward::prepare`] builds the kernels.
     pub fn new(context: &Context) -> Self {
@@ -90,26 +148,69 @@ impl Backward {
             sizes: LaunchSizes::new(context.limits()),
             blend: Default::default(),
             project: Default::default(),
+            project_adam: Default::default(),
             expand: Default::default(),
         }
     }
 
-    /// Builds the variants for an SH degree, and with or without inverse depth, unless they exist.
+    /// Builds the kernels for an SH degree and a variant, unless they exist.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn prepare(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
-        self.prepare_blend(inverse_depth)?;
-        self.prepare_project(sh_degree, false)
+    pub fn prepare(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
+        self.prepare_blend(Sums::Gradients, variant)?;
+        self.prepare_project(sh_degree, variant, [false, false])
     }
 
-    fn prepare_blend(&mut self, inverse_depth: bool) -> Result<()> {
+    /// As [`Backward::prepare`], for [`Statistics::absolute`].
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_absolute(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
+        self.prepare_blend(Sums::Absolute, variant)?;
+        self.prepare_project(sh_degree, variant, [true, false])
+    }
+
+    /// As [`Backward::prepare`], for [`Backward::record_with_pose`]; `absolute`: also as
+    /// [`Backward::prepare_absolute`].
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_with_pose(
+        &mut self,
+        sh_degree: u32,
+        variant: BackwardVariant,
+        absolute: bool,
+    ) -> Result<()> {
+        self.prepare_blend(Sums::Gradients, variant)?;
+        self.prepare_project(sh_degree, variant, [false, true])?;
+        if absolute {
+            self.prepare_blend(Sums::Absolute, variant)?;
+            self.prepare_project(sh_degree, variant, [true, true])?;
+        }
+        Ok(())
+    }
+
+    /// Builds the kernels of [`Backward::record_weights`], for any dilation, unless they exist.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_weights(&mut self) -> Result<()> {
+        [false, true].into_iter().try_for_each(|steep| {
+            self.prepare_blend(Sums::Weights, BackwardVariant { steep, ..BackwardVariant::default() })
+        })
+    }
+
+    fn prepare_blend(&mut self, sums: Sums, variant: BackwardVariant) -> Result<()> {
         let subgroup_size = self.context.limits().subgroup_size;
-        let built = &mut self.blend[usize::from(inverse_depth)];
+        let BackwardVariant { inverse_depth, steep, .. } = variant;
+        let built = &mut self.blend[sums as usize][variant.index(&self.sizes)];
+        let (absolute, weights) = (sums == Sums::Absolute, sums == Sums::Weights);
         if built.is_none() {
             let LaunchSizes {
                 tile, incremental_exp, blend_backward_subgroup_per_tile: alone, strips, ..
             } = self.sizes;
+            let incremental_exp = incremental_exp && !steep;
             *built = Some(if alone {
                 let workgroup_size = subgroup_size;
                 let spec = blend_backward_subgroup_per_tile::Spec {
@@ -119,6 +220,8 @@ impl Backward {
                     incremental_exp,
                     count_hits: false,
                     strips,
+                    absolute,
+                    weights,
                 };
                 Blend::Alone(Kernel::new(&self.context, &spec)?)
             } else {
@@ -129,6 +232,8 @@ impl Backward {
                     incremental_exp,
                     count_hits: false,
                     strips,
+                    absolute,
+                    weights,
                 };
                 Blend::Regions(Kernel::new(&self.context, &spec)?)
             });
@@ -136,17 +241,15 @@ impl Backward {
         Ok(())
     }
 
-    /// As [`Backward::prepare`], for [`Backward::record_with_pose`].
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
-    pub fn prepare_with_pose(&mut self, sh_degree: u32, inverse_depth: bool) -> Result<()> {
-        self.prepare_blend(inverse_depth)?;
-        self.prepare_project(sh_degree, true)
-    }
-
-    fn prepare_project(&mut self, sh_degree: u32, pose_gradient: bool) -> Result<()> {
-        let built = &mut self.project[usize::from(pose_gradient)][sh_degree as usize];
+    fn prepare_project(
+        &mut self,
+        sh_degree: u32,
+        variant: BackwardVariant,
+        [absolute, pose_gradient]: [bool; 2],
+    ) -> Result<()> {
+        let filter_3d = variant.filter_3d;
+        let built = &mut self.project[project_index(filter_3d, absolute)][usize::from(pose_gradient)]
+            [sh_degree as usize];
         if built.is_none() {
             let spec = project_backward::Spec {
                 // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
@@ -155,6 +258,8 @@ impl Backward {
                 subgroup_size: self.context.limits().subgroup_size,
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
+                filter_3d,
+                absolute,
                 pose_gradient,
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
@@ -218,14 +323,25 @@ impl Backward {
         statistics: Statistics,
         pose: bool,
     ) {
-        r.scope("blend backward", |r| self.record_blend(r, inputs, image_gradient));
+        r.scope("blend backward", |r| {
+            self.record_blend(r, inputs, image_gradient, Sums::of(&statistics));
+        });
         r.barrier();
         r.scope("project backward", |r| self.record_project(r, inputs, statistics, pose));
     }
 
-    fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
-        let Some(kernel) = &self.blend[usize::from(inputs.settings.inverse_depth)] else {
-            panic!("Backward::prepare was not called for inverse depth");
+    /// Records the weights of the Gaussians in the frame that was recorded into the same buffers: per instance
+    /// before the tile sort, the sum over the tile's pixels of e α T, with `image_gradient` = (e, …) per pixel in
+    /// the native layout. It is the first word of each entry of `frame.instance_gradients_c`. The frame must be
+    /// without inverse depth. The caller places a barrier before; it ends without one.
+    pub fn record_weights(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
+        r.scope("blend weights", |r| self.record_blend(r, inputs, image_gradient, Sums::Weights));
+    }
+
+    fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer, sums: Sums) {
+        let variant = BackwardVariant::of(inputs.settings);
+        let Some(kernel) = &self.blend[sums as usize][variant.index(&self.sizes)] else {
+            panic!("Backward: the kernels of {sums:?} for {variant:?} were not prepared");
         };
         record_passes(r, inputs, &self.sizes, |r, pass, tiles| match kernel {
             Blend::Regions(kernel) => {
@@ -248,7 +364,8 @@ impl Backward {
 
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics, pose: bool) {
         let f = inputs.frame;
-        let Some(kernel) = &self.project[usize::from(pose)][inputs.sh_degree as usize] else {
+        let place = project_index(inputs.settings.filter_3d, statistics.absolute.is_some());
+        let Some(kernel) = &self.project[place][usize::from(pose)][inputs.sh_degree as usize] else {
             panic!("Backward::prepare was not called for SH degree {}", inputs.sh_degree);
         };
         for range in inputs.scene.plan.ranges(inputs.scene.count) {
@@ -258,7 +375,7 @@ impl Backward {
             let push = project_backward::Push {
                 first: range.first,
                 chunk_gaussians: inputs.scene.plan.chunk_gaussians,
-                antialias: inputs.settings.antialias.into(),
+                antialias: inputs.settings.antialias_bits(),
                 splat_stride: f.splats().stride,
                 gradient_stride: inputs.capacity.gaussians,
                 accumulate: statistics.accumulate.into(),
@@ -274,8 +391,11 @@ impl Backward {
                 instance_gradients_a: &f.instance_gradients_a,
                 instance_gradients_b: &f.instance_gradients_b,
                 instance_gradients_c: &f.instance_gradients_c,
+                instance_gradients_d: f.absolute_gradients(inputs.capacity.absolute),
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
+                // Without it nothing is written there.
+                absolute_statistics: statistics.absolute.unwrap_or(statistics.buffer),
                 // Without a gradient of the pose nothing is written to it.
                 pose_sums: f.pose_sums(),
                 camera_block: &block_of(f, 0),

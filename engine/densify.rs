@@ -6,15 +6,21 @@
 //! ([`Densify::record_order`]). Random numbers are keyed by (seed, iteration, Gaussian, half), so the result
 //! does not depend on scheduling.
 
+mod importance;
 mod order;
 mod relocation;
+mod selection;
 
+pub use importance::{EdgePhoto, Importance, ImportanceBuffers};
 pub use order::{Curve, OrderBuffers};
 pub use relocation::{Draw, DrawBuffers, Relocation};
+pub use selection::{Candidates, Chances, Selection, SelectionBuffers, SelectionDraw};
 
 use crate::error::Result;
 use crate::forward::SceneBuffers;
+use crate::kernels::constants::{CRITERION_ABSOLUTE, CRITERION_GRADIENT, CRITERION_SELECTED};
 use crate::kernels::densify::{classify, gather, reset_opacity, scatter_sources, zorder};
+use crate::optimizer::Moments;
 use crate::plan::{LaunchSizes, blocks};
 use crate::scan::Scan;
 use crate::sort::RadixSort;
@@ -22,6 +28,27 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Largest opacity after the reset.
 pub const RESET_OPACITY: f64 = 0.01;
+
+/// The forms of densification's kernels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DensifyForm {
+    /// Whether Gaussians are split along their longest axis (long_axis.glsl).
+    pub long_axis: bool,
+    /// What chooses those that are cloned or split.
+    pub criterion: Criterion,
+}
+
+/// What densification chooses by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Criterion {
+    /// The mean gradient norm.
+    #[default]
+    Gradient,
+    /// The mean of norms of absolute values: one f32 per Gaussian, their sum over the views of the statistics.
+    Absolute,
+    /// A selection: one u32 per Gaussian, not 0 for those that are split. None is cloned.
+    Selected,
+}
 
 /// Thresholds of a densification.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -107,8 +134,18 @@ pub struct Gather<'a> {
     pub sources: &'a Buffer,
 }
 
+/// What [`Densify::record_classify_by`] reads.
+#[derive(Clone, Copy)]
+pub struct ClassifyInputs<'a> {
+    /// vec2 per Gaussian: sum of gradient norms, views.
+    pub statistics: &'a Buffer,
+    /// The values of the form's [`Criterion`]; None for [`Criterion::Gradient`].
+    pub criteria: Option<&'a Buffer>,
+}
+
 /// The kernels of densification.
 pub struct Densify {
+    form: DensifyForm,
     sizes: LaunchSizes,
     scan: Scan,
     classify: Kernel<classify::Interface>,
@@ -122,18 +159,34 @@ pub struct Densify {
 }
 
 impl Densify {
-    /// Builds the kernels.
+    /// Builds the kernels in the reference's form.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
+        Self::with_form(context, DensifyForm::default())
+    }
+
+    /// Builds the kernels.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn with_form(context: &Context, form: DensifyForm) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
-        let gather = gather::Spec { workgroup_size, moments: false, explicit_noise: false };
+        let long_axis = form.long_axis;
+        let gather = gather::Spec { workgroup_size, moments: false, explicit_noise: false, long_axis };
+        let criterion = match form.criterion {
+            Criterion::Gradient => CRITERION_GRADIENT,
+            Criterion::Absolute => CRITERION_ABSOLUTE,
+            Criterion::Selected => CRITERION_SELECTED,
+        };
+        let classify = classify::Spec { workgroup_size, subgroup_size, long_axis, criterion };
         Ok(Self {
+            form,
             sizes,
             scan: Scan::new(context)?,
-            classify: Kernel::new(context, &classify::Spec { workgroup_size, subgroup_size })?,
+            classify: Kernel::new(context, &classify)?,
             scatter_sources: Kernel::new(context, &scatter_sources::Spec { workgroup_size, subgroup_size })?,
             gather_parameters: Kernel::new(context, &gather)?,
             gather_explicit: Kernel::new(context, &gather::Spec { explicit_noise: true, ..gather })?,
@@ -144,8 +197,8 @@ impl Densify {
         })
     }
 
-    /// Records the classification: the decisions, and in `buffers.totals` the numbers of Gaussians that stay,
-    /// are cloned and are split.
+    /// Records the classification by the mean gradient norm: the decisions, and in `buffers.totals` the numbers
+    /// of Gaussians that stay, are cloned and are split.
     pub fn record_classify(
         &self,
         r: &mut Recorder,
@@ -154,6 +207,25 @@ impl Densify {
         buffers: &DensifyBuffers,
         settings: &DensifySettings,
     ) {
+        let inputs = ClassifyInputs { statistics, criteria: None };
+        self.record_classify_by(r, scene, inputs, buffers, settings);
+    }
+
+    /// As [`Densify::record_classify`], by the form's [`Criterion`].
+    ///
+    /// # Panics
+    /// Without the values that the form needs.
+    pub fn record_classify_by(
+        &self,
+        r: &mut Recorder,
+        scene: &SceneBuffers,
+        inputs: ClassifyInputs,
+        buffers: &DensifyBuffers,
+        settings: &DensifySettings,
+    ) {
+        let needs_criteria = self.form.criterion != Criterion::Gradient;
+        assert_eq!(inputs.criteria.is_some(), needs_criteria, "the values of {:?}", self.form.criterion);
+        let statistics = inputs.statistics;
         let all_blocks = scene.count.div_ceil(self.sizes.elementwise_workgroup);
         r.scope("classify", |r| {
             for range in scene.plan.ranges(scene.count) {
@@ -165,6 +237,7 @@ impl Densify {
                     statistics,
                     decisions: &buffers.decisions,
                     block_counts: &buffers.blocks,
+                    criteria: inputs.criteria.unwrap_or(statistics),
                 };
                 let push = classify::Push {
                     first: range.first,
@@ -261,9 +334,14 @@ impl Densify {
         }
     }
 
-    /// Records the opacity reset.
-    pub fn record_reset(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &crate::optimizer::Moments) {
-        let max_logit = (RESET_OPACITY / (1.0 - RESET_OPACITY)).ln() as f32;
+    /// Records the opacity reset to [`RESET_OPACITY`].
+    pub fn record_reset(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments) {
+        self.record_reset_to(r, scene, moments, RESET_OPACITY);
+    }
+
+    /// Records an opacity reset: opacities above `most` become `most`, between 0 and 1.
+    pub fn record_reset_to(&self, r: &mut Recorder, scene: &SceneBuffers, moments: &Moments, most: f64) {
+        let max_logit = (most / (1.0 - most)).ln() as f32;
         r.scope("reset opacity", |r| {
             for range in scene.plan.ranges(scene.count) {
                 let bind = reset_opacity::Bind {
@@ -271,7 +349,7 @@ impl Densify {
                     moments_1: &moments.first[range.chunk],
                     moments_2: &moments.second[range.chunk],
                 };
-                let push = reset_opacity::Push { count: range.count, max_logit };
+                let push = reset_opacity::Push { count: range.count, max_opacity: most as f32, max_logit };
                 r.dispatch(
                     &self.reset,
                     &bind,

@@ -8,6 +8,7 @@
 mod blend_forms;
 mod blending;
 mod camera_block;
+mod filter_3d;
 mod inputs;
 mod settings;
 mod shape;
@@ -17,6 +18,7 @@ pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
 pub use camera_block::POSE_BYTES;
 pub(crate) use camera_block::block_of;
+pub use filter_3d::Filter3d;
 pub use inputs::{FrameInputs, PlacedScene, SceneBuffers};
 pub use settings::{Extent, JacobianLimit, RenderSettings};
 pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
@@ -37,11 +39,13 @@ pub struct Forward {
     pub(crate) sizes: LaunchSizes,
     scan: Scan,
     sort: RadixSort,
-    cull: Kernel<cull::Interface>,
+    /// Without and with a 3D filter.
+    cull: [Option<Kernel<cull::Interface>>; 2],
     compact: Kernel<compact::Interface>,
     write_indirect_args: Kernel<write_indirect_args::Interface>,
     write_visible_ranges: Kernel<write_visible_ranges::Interface>,
-    project: [Option<Kernel<project::Interface>>; 4],
+    /// By SH degree, without and with a 3D filter.
+    project: [[Option<Kernel<project::Interface>>; 4]; 2],
     count: Kernel<count::Interface>,
     /// For rendering alone, and for frames with backward.
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
@@ -73,7 +77,7 @@ impl Forward {
             sizes,
             scan: Scan::new(context)?,
             sort: RadixSort::new(context)?,
-            cull: Kernel::new(context, &cull::Spec { workgroup_size, subgroup_size })?,
+            cull: Default::default(),
             // Its blocks are the culling blocks.
             compact: Kernel::new(
                 context,
@@ -105,9 +109,17 @@ impl Forward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
-        let built = &mut self.project[sh_degree as usize];
+        let filter_3d = variant.filter_3d;
+        let workgroup_size = self.sizes.elementwise_workgroup;
+        let cull = &mut self.cull[usize::from(filter_3d)];
+        if cull.is_none() {
+            let subgroup_size = self.context.limits().subgroup_size;
+            let spec = cull::Spec { workgroup_size, subgroup_size, filter_3d };
+            *cull = Some(Kernel::new(&self.context, &spec)?);
+        }
+        let built = &mut self.project[usize::from(filter_3d)][sh_degree as usize];
         if built.is_none() {
-            let spec = project::Spec { workgroup_size: self.sizes.elementwise_workgroup, sh_degree };
+            let spec = project::Spec { workgroup_size, sh_degree, filter_3d };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
         self.blend.prepare(&self.context, &self.sizes, variant)
@@ -115,7 +127,8 @@ impl Forward {
 
     /// Whether all kernels for an SH degree and a variant of blending are built.
     pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
-        self.project[sh_degree as usize].is_some() && self.blend.is_prepared(&self.sizes, variant)
+        let built = &self.project[usize::from(variant.filter_3d)][sh_degree as usize];
+        built.is_some() && self.blend.is_prepared(&self.sizes, variant)
     }
 
     /// Sets the form of blending, instead of [`Blending::of_device`]. Call it before [`Forward::prepare`].
@@ -161,6 +174,9 @@ impl Forward {
             r.fill(&f.visible_flags.range(u64::from(first) * 4, u64::from(count) * 4), 0);
         }
         let [extent, antialias] = inputs.settings.modes();
+        let Some(kernel) = &self.cull[usize::from(inputs.settings.filter_3d)] else {
+            panic!("Forward::prepare was not called for this filter");
+        };
         for part in inputs.parts() {
             let GaussianRange { chunk, first, count } = part.range;
             let chunk_gaussians = part.scene.plan.chunk_gaussians;
@@ -173,7 +189,7 @@ impl Forward {
             };
             r.barrier();
             let workgroups = blocks(count.into(), self.sizes.elementwise_workgroup.into());
-            r.dispatch(&self.cull, &bind, &push, workgroups);
+            r.dispatch(kernel, &bind, &push, workgroups);
         }
         r.barrier();
         let (count, subgroup_size) = (inputs.index_count(), self.context.limits().subgroup_size);
@@ -255,7 +271,8 @@ impl Forward {
         let f = inputs.frame;
         let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
         for (index, part) in inputs.parts().enumerate() {
-            let Some(kernel) = &self.project[part.sh_degree as usize] else {
+            let filtered = usize::from(inputs.settings.filter_3d);
+            let Some(kernel) = &self.project[filtered][part.sh_degree as usize] else {
                 panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
             };
             let range = part.range;

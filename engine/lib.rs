@@ -24,8 +24,9 @@
 //! - [`Renderer`] and [`Trainer`] own their submissions: they record, submit, wait and read back.
 //! - [`Renderer::record`] and [`Trainer::record_step`] are the doors for a host engine: its device, its command buffer,
 //!   its images.
-//! - [`forward`], [`backward`], [`loss`], [`optimizer`], [`densify`] only *record*, into a [`vk::Recorder`].
+//! - [`forward`], [`backward`], [`loss`], [`exposure`], [`optimizer`], [`densify`] only *record*, into a [`vk::Recorder`].
 //! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`]; [`arithmetic`] measures a device.
+//! - [`lpips`] measures how different two pictures look, by the features of a network.
 //! - [`scene`] knows no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
 //!
 //! Sizes are planned in [`plan`] as pure arithmetic. How many Gaussians are visible and how many instances they make is
@@ -37,11 +38,13 @@ pub mod backward;
 pub mod compose;
 pub mod densify;
 pub mod error;
+pub mod exposure;
 pub mod fingerprint;
 pub mod forward;
 pub mod guide;
 pub mod kernels;
 pub mod loss;
+pub mod lpips;
 pub mod optimizer;
 pub mod pixels;
 pub mod plan;

@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::forward::{FrameInputs, SceneBuffers, block_of};
-use crate::kernels::optimizer::adam;
+use crate::kernels::optimizer::{adam, add_gradients};
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -58,6 +58,25 @@ pub struct Optimizer {
     parameter_gradients: bool,
     moved_cameras: bool,
     adam: [Option<Kernel<adam::Interface>>; 4],
+    /// Of Gaussians outside the view alone.
+    unseen: [Option<Kernel<adam::Interface>>; 4],
+    /// Kernels of steps from sums.
+    sums: Option<[Option<SumKernels>; 4]>,
+}
+
+/// The kernels for an SH degree of steps from sums of several views' gradients.
+struct SumKernels {
+    add: Kernel<add_gradients::Interface>,
+    adam: Kernel<adam::Interface>,
+}
+
+/// A view's place in a sum of gradients.
+#[derive(Clone, Copy)]
+pub struct GradientSums<'a> {
+    /// The sums, laid out like the scene's planes, one buffer per chunk.
+    pub sums: &'a [Buffer],
+    /// Whether the view is the first: what the buffers had before does not count.
+    pub starts: bool,
 }
 
 impl Optimizer {
@@ -65,14 +84,9 @@ impl Optimizer {
     pub fn new(context: &Context, sparse: bool) -> Self {
         let sizes = LaunchSizes::new(context.limits());
         let context = context.clone();
-        Self {
-            context,
-            sizes,
-            sparse,
-            parameter_gradients: false,
-            moved_cameras: false,
-            adam: Default::default(),
-        }
+        let (adam, unseen) = Default::default();
+        let (parameter_gradients, moved_cameras) = (false, false);
+        Self { context, sizes, sparse, parameter_gradients, moved_cameras, adam, unseen, sums: None }
     }
 
     /// As [`Optimizer::new`], for a loss with terms that depend on the parameters directly: their gradient is
@@ -87,23 +101,122 @@ impl Optimizer {
         Self { moved_cameras: true, ..self }
     }
 
+    /// Also builds the kernels for [`Optimizer::record_add`] and [`Optimizer::record_sums`].
+    pub fn with_sums(self) -> Self {
+        Self { sums: Some(Default::default()), ..self }
+    }
+
     /// Builds the variant for an SH degree unless it exists.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
+        let spec = self.spec(sh_degree, false);
         let slot = &mut self.adam[sh_degree as usize];
         if slot.is_none() {
-            let spec = adam::Spec {
-                workgroup_size: self.sizes.elementwise_workgroup,
-                sh_degree,
-                sparse: self.sparse,
-                parameter_gradients: self.parameter_gradients,
-                moved_camera: self.moved_cameras,
-            };
+            *slot = Some(Kernel::new(&self.context, &spec)?);
+        }
+        if let Some(slot @ None) = self.sums.as_mut().map(|sums| &mut sums[sh_degree as usize]) {
+            let adam::Spec { workgroup_size, parameter_gradients, .. } = spec;
+            let add = add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients };
+            let adam = adam::Spec { sums: true, ..spec };
+            *slot = Some(SumKernels {
+                add: Kernel::new(&self.context, &add)?,
+                adam: Kernel::new(&self.context, &adam)?,
+            });
+        }
+        Ok(())
+    }
+
+    /// Builds the variant of [`Optimizer::record_unseen`] for an SH degree unless it exists.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_unseen(&mut self, sh_degree: u32) -> Result<()> {
+        let spec = self.spec(sh_degree, true);
+        let slot = &mut self.unseen[sh_degree as usize];
+        if slot.is_none() && !self.sparse {
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         Ok(())
+    }
+
+    fn spec(&self, sh_degree: u32, unseen: bool) -> adam::Spec {
+        let Self { sparse, parameter_gradients, moved_cameras: moved_camera, .. } = *self;
+        let workgroup_size = self.sizes.elementwise_workgroup;
+        adam::Spec {
+            workgroup_size,
+            sh_degree,
+            sparse,
+            parameter_gradients,
+            sums: false,
+            unseen,
+            moved_camera,
+        }
+    }
+
+    fn sum_kernels(&self, sh_degree: u32) -> &SumKernels {
+        match self.sums.as_ref().map(|sums| &sums[sh_degree as usize]) {
+            Some(Some(kernels)) => kernels,
+            _ => panic!("Optimizer::prepare was not called for sums at SH degree {sh_degree}"),
+        }
+    }
+
+    /// Records the addition of `frame.gradients`, and of `parameter_gradients` as in [`Optimizer::record`], to
+    /// sums. The caller places barriers before and after.
+    pub fn record_add(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        parameter_gradients: &[Buffer],
+        to: GradientSums,
+    ) {
+        let kernel = &self.sum_kernels(inputs.sh_degree).add;
+        let scene: &SceneBuffers = inputs.scene;
+        r.scope("add gradients", |r| {
+            for range in scene.plan.ranges(scene.count) {
+                if range.chunk > 0 {
+                    r.barrier();
+                }
+                let bind = add_gradients::Bind {
+                    sums: &to.sums[range.chunk],
+                    parameters: &scene.chunks[range.chunk],
+                    visible_index: &inputs.frame.visible_index,
+                    gradients: &inputs.frame.gradients,
+                    state: &inputs.frame.state,
+                    old_sums: &to.sums[range.chunk],
+                    parameter_gradients: match self.parameter_gradients {
+                        true => &parameter_gradients[range.chunk],
+                        false => &inputs.frame.gradients,
+                    },
+                };
+                let push = add_gradients::Push {
+                    camera_position: inputs.camera.position().to_array(),
+                    first: range.first,
+                    count: range.count,
+                    chunk_gaussians: scene.plan.chunk_gaussians,
+                    gradient_stride: inputs.capacity.gaussians,
+                    planes: scene.plan.planes,
+                    starts: to.starts.into(),
+                };
+                let groups = blocks(range.count.into(), self.sizes.elementwise_workgroup.into());
+                r.dispatch(kernel, &bind, &push, groups);
+            }
+        });
+    }
+
+    /// Records one step from sums of several views' gradients, the frame's among them. The caller places
+    /// barriers before and after.
+    pub fn record_sums(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        moments: &Moments,
+        sums: &[Buffer],
+        step: &Step,
+    ) {
+        let kernel = &self.sum_kernels(inputs.sh_degree).adam;
+        self.record_adam(r, kernel, inputs, moments, Some(sums), step);
     }
 
     /// Records one step from `frame.gradients`, and from `parameter_gradients`
@@ -120,6 +233,33 @@ impl Optimizer {
         let Some(kernel) = &self.adam[inputs.sh_degree as usize] else {
             panic!("Optimizer::prepare was not called for SH degree {}", inputs.sh_degree);
         };
+        let direct = self.parameter_gradients.then_some(parameter_gradients);
+        self.record_adam(r, kernel, inputs, moments, direct, step);
+    }
+
+    /// Records the part of a step that [`Backward::record_with_step`](crate::backward::Backward::record_with_step)
+    /// leaves: Gaussians outside the view, which move with a gradient of 0. None with sparse Adam. The caller
+    /// places barriers before and after.
+    pub fn record_unseen(&self, r: &mut Recorder, inputs: &FrameInputs, moments: &Moments, step: &Step) {
+        if self.sparse {
+            return;
+        }
+        let Some(kernel) = &self.unseen[inputs.sh_degree as usize] else {
+            panic!("Optimizer::prepare_unseen was not called for SH degree {}", inputs.sh_degree);
+        };
+        self.record_adam(r, kernel, inputs, moments, None, step);
+    }
+
+    /// `direct`: gradients in the layout of the scene's planes, if the kernel reads any.
+    fn record_adam(
+        &self,
+        r: &mut Recorder,
+        kernel: &Kernel<adam::Interface>,
+        inputs: &FrameInputs,
+        moments: &Moments,
+        direct: Option<&[Buffer]>,
+        step: &Step,
+    ) {
         let scene: &SceneBuffers = inputs.scene;
         r.scope("adam", |r| {
             for range in scene.plan.ranges(scene.count) {
@@ -139,10 +279,8 @@ impl Optimizer {
                     old_moments_1: moments_1,
                     old_moments_2: moments_2,
                     // Without such terms nothing is read from it.
-                    parameter_gradients: match self.parameter_gradients {
-                        true => &parameter_gradients[range.chunk],
-                        false => &inputs.frame.gradients,
-                    },
+                    parameter_gradients: direct
+                        .map_or(&inputs.frame.gradients, |gradients| &gradients[range.chunk]),
                     camera_block: &block_of(inputs.frame, 0),
                 };
                 let push = push(inputs, step, range.first, range.count);
@@ -157,7 +295,7 @@ impl Optimizer {
     }
 }
 
-fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push {
+pub(crate) fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push {
     let correction = |beta: f64, steps: u64| match steps {
         0 => 1.0,
         steps => 1.0 - beta.powf(steps as f64),

@@ -161,6 +161,8 @@ pub struct FrameCapacity {
     pub blend_passes: u32,
     /// Whether the frame has the buffers of the backward pass.
     pub backward: bool,
+    /// Whether these have room for the absolute gradients of the 2D means.
+    pub absolute: bool,
 }
 
 /// Number of tiles of an image: (per row, rows).

@@ -78,6 +78,55 @@ pub fn download(context: &Context, scene: &SceneBuffers) -> Result<Gaussians> {
     Ok(out)
 }
 
+/// Downloads the sizes of the 3D filter: see [`Filter3d`](crate::forward::Filter3d).
+///
+/// # Errors
+/// When the device is lost.
+pub fn download_filters(context: &Context, scene: &SceneBuffers) -> Result<Vec<f32>> {
+    let mut filters = Vec::with_capacity(scene.count as usize);
+    for range in scene.plan.ranges(scene.count) {
+        let bytes = context.download(&scene.chunks[range.chunk])?;
+        let words: &[[f32; 4]] = &bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes);
+        let size = |i: u32| words[scene.plan.place(c::PLANE_LOG_SCALE, i as usize)][3];
+        filters.extend((0..range.count).map(size));
+    }
+    Ok(filters)
+}
+
+/// Uploads the sizes of the 3D filter, one per Gaussian.
+///
+/// # Errors
+/// When the device is lost.
+pub fn upload_filters(context: &Context, scene: &SceneBuffers, filters: &[f32]) -> Result<()> {
+    for range in scene.plan.ranges(scene.count) {
+        let mut words: Vec<[f32; 4]> =
+            bytemuck::pod_collect_to_vec(&context.download(&scene.chunks[range.chunk])?);
+        for (i, size) in filters[range.first as usize..][..range.count as usize].iter().enumerate() {
+            words[scene.plan.place(c::PLANE_LOG_SCALE, i)][3] = *size;
+        }
+        context.upload(&scene.chunks[range.chunk], bytemuck::cast_slice(&words))?;
+    }
+    Ok(())
+}
+
+/// Downloads the opacity logits of a scene.
+///
+/// # Errors
+/// When the device is lost.
+pub fn download_logits(context: &Context, scene: &SceneBuffers) -> Result<Vec<f32>> {
+    let mut logits = Vec::with_capacity(scene.count as usize);
+    for range in scene.plan.ranges(scene.count) {
+        // The geometry comes first in a chunk, row by row.
+        let rows = u64::from(range.count.div_ceil(c::PLANE_ROW));
+        let bytes = rows * u64::from(c::PLANE_ROW) * u64::from(c::PLANE_SH) * 16;
+        let bytes = context.download(&scene.chunks[range.chunk].range(0, bytes))?;
+        let words: &[[f32; 4]] = &bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes);
+        let logit = |i: usize| words[scene.plan.place(c::PLANE_MEAN_OPACITY, i)][3];
+        logits.extend((0..range.count as usize).map(logit));
+    }
+    Ok(logits)
+}
+
 /// Packs the Gaussians of `range`, from index `begin` on, into a chunk. The chunk's other Gaussians are zero.
 pub(crate) fn pack(
     g: &Gaussians,

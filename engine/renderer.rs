@@ -29,7 +29,7 @@ pub use updates::Update;
 use crate::backward::Backward;
 use crate::compose::Compose;
 use crate::error::{Error, Result};
-use crate::forward::{Blending, RenderSettings, SceneBuffers};
+use crate::forward::{Blending, Filter3d, RenderSettings, SceneBuffers};
 use crate::pixels::PixelBorder;
 use crate::planes;
 use crate::scene::{Camera, Gaussians};
@@ -186,6 +186,25 @@ impl Renderer {
     /// command buffer then need [`Renderer::reserve`] again, once none is in flight: it builds the kernels.
     pub fn set_blending(&mut self, blending: Blending) {
         self.runner.set_blending(blending);
+    }
+
+    /// Gives the scene's Gaussians the sizes of Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1), which follow from
+    /// the cameras that the scene is trained with. [`RenderSettings::filter_3d`] draws with them.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] without a scene or cameras; memory or device failures.
+    pub fn compute_filters(&mut self, cameras: &[Camera]) -> Result<()> {
+        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
+        let filter = Filter3d::new(&self.context, cameras)?;
+        filter.run(&self.context, scene)
+    }
+
+    /// The sizes of the 3D filter, world units, one per Gaussian; 0 where there is none.
+    ///
+    /// # Errors
+    /// As [`Renderer::gaussians`].
+    pub fn filters(&self) -> Result<Vec<f32>> {
+        planes::download_filters(&self.context, self.scene.as_ref().ok_or_else(no_scene)?)
     }
 
     /// Renders the scene.

@@ -67,6 +67,9 @@ pub struct Tuning {
     pub loss_strip: u32,
     /// Whether kernels that exist in both forms read texels (buffers.glsl), where buffers have few enough texels.
     pub reads_texels: bool,
+    /// Whether the backward pass of the projection makes Adam's step on the visible Gaussians, where nobody else needs their
+    /// gradients.
+    pub fused_adam: bool,
     /// Largest subgroup with which pictures between blending and loss lie in strips; None: row by row.
     pub strips_up_to_lanes: Option<u32>,
     /// Whether commands of a recording run one after the other, so that the top of the pipe is the end of all commands before.
@@ -99,6 +102,7 @@ impl Tuning {
         loss_workgroup: WorkgroupRule::Invocations(64),
         loss_strip: 4,
         reads_texels: true,
+        fused_adam: false,
         strips_up_to_lanes: Some(16),
         runs_in_order: true,
         heap_is_bound: false,
@@ -121,6 +125,8 @@ impl Tuning {
         // Wide enough to fill a workgroup.
         loss_strip: 2,
         reads_texels: false,
+        // A fifth of both kernels' traffic.
+        fused_adam: true,
         strips_up_to_lanes: None,
         runs_in_order: false,
         heap_is_bound: true,

@@ -108,7 +108,7 @@ fn architecture_unsafe_only_under_vk() {
 
 // ---- dependencies between modules ---------------------------------------------------------------------------------
 
-const STAGES: [&str; 12] = [
+const STAGES: [&str; 14] = [
     "scan",
     "sort",
     "arithmetic",
@@ -119,6 +119,8 @@ const STAGES: [&str; 12] = [
     "backward",
     "compose",
     "loss",
+    "exposure",
+    "lpips",
     "optimizer",
     "densify",
 ];

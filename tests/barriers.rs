@@ -1,6 +1,6 @@
 //! Every barrier of a training step is needed, and the hazard checker notices the absence of any one.
 
-use ashsplat::backward::{Backward, Statistics};
+use ashsplat::backward::{Backward, BackwardVariant, Statistics};
 use ashsplat::forward::{BlendVariant, Forward, FrameInputs, POSE_BYTES, SceneBuffers};
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
@@ -71,6 +71,7 @@ impl Training {
             pictures: PictureCapacity::of(SIZE[0], SIZE[1]),
             blend_passes: 2,
             backward: true,
+            absolute: false,
         };
         let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("frame", &requests, MemoryKind::Device).expect("a frame");
@@ -108,10 +109,11 @@ impl Training {
         };
         let variant = BlendVariant { inverse_depth: true, backward: true, ..BlendVariant::default() };
         training.forward.prepare_variant(SH_DEGREE, variant).expect("kernels");
-        training.backward.prepare(SH_DEGREE, true).expect("kernels");
+        let variant = BackwardVariant { inverse_depth: true, ..BackwardVariant::default() };
+        training.backward.prepare(SH_DEGREE, variant).expect("kernels");
         training.backward.prepare_expand(SH_DEGREE).expect("kernels");
         training.optimizer.prepare(SH_DEGREE).expect("kernels");
-        training.backward.prepare_with_pose(SH_DEGREE, true).expect("kernels");
+        training.backward.prepare_with_pose(SH_DEGREE, variant, false).expect("kernels");
         training.moved_optimizer.prepare(SH_DEGREE).expect("kernels");
         training
     }
@@ -137,7 +139,7 @@ impl Training {
         else {
             unreachable!("as many as were asked for")
         };
-        let statistics = Statistics { buffer: statistics, accumulate: true };
+        let statistics = Statistics { buffer: statistics, accumulate: true, absolute: None };
         self.forward.record(recorder, &inputs);
         recorder.barrier();
         if kind == Kind::Gradients {

@@ -137,7 +137,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         version: "1".into(),
         device: "d".into(),
         driver: "r".into(),
-        settings: TrainSettings { sh_degree: 0, ..TrainSettings::default() },
+        settings: TrainSettings { sh_degree: 0, filter_3d: true, ..TrainSettings::default() },
         views: 3,
         views_fingerprint: 77,
         scene_extent: 1.5,
@@ -155,6 +155,9 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
             first_moments: vec![[0.2; 6]; 3],
             second_moments: vec![[0.3; 6]; 3],
         }),
+        filters: vec![0.25],
+        gradient_sums: None,
+        exposures: Default::default(),
         skipped: 2,
         room: Room::default(),
     };

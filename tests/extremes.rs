@@ -265,6 +265,7 @@ fn extremes_would_be_seen_by_the_guards() {
 /// drops what lies outside of what is bound.
 #[test]
 fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
+    use ashsplat::kernels::constants::CRITERION_GRADIENT;
     use ashsplat::kernels::densify::classify;
     use ashsplat::vk::{Kernel, MemoryKind};
     const ROWS: u32 = 256;
@@ -275,8 +276,12 @@ fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
     let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
     let [parameters, statistics, decisions, block_counts] = &buffers[..] else { unreachable!("four") };
     let limits = context.limits();
-    let spec =
-        classify::Spec { workgroup_size: limits.workgroup_size(256), subgroup_size: limits.subgroup_size };
+    let spec = classify::Spec {
+        workgroup_size: limits.workgroup_size(256),
+        subgroup_size: limits.subgroup_size,
+        long_axis: false,
+        criterion: CRITERION_GRADIENT,
+    };
     let kernel = Kernel::<classify::Interface>::new(&context, &spec).expect("a kernel");
     for (count, breached) in [(ROWS, &[][..]), (ROWS + 1, &["decisions"][..])] {
         let push = classify::Push {
@@ -294,7 +299,8 @@ fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
                     r.fill(buffer, 0);
                 }
                 r.barrier();
-                let bind = classify::Bind { parameters, statistics, decisions, block_counts };
+                let criteria = statistics;
+                let bind = classify::Bind { parameters, statistics, decisions, block_counts, criteria };
                 r.dispatch(&kernel, &bind, &push, count.div_ceil(spec.workgroup_size).into());
                 Ok(())
             })

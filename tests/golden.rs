@@ -1,11 +1,19 @@
 //! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
 
+mod absgrad;
+mod antialias;
+mod budget;
+mod depth;
+mod exposure;
 mod gpu;
 mod gpu_training;
+mod importance;
+mod lpips;
 mod mcmc;
 mod poses;
 mod rendering;
 mod sets;
+mod stages;
 mod training;
 mod twin;
 
@@ -30,6 +38,15 @@ enum Kind {
     Regularizers,
     Relocation,
     Poses,
+    Antialias,
+    Filter3d,
+    AbsoluteGradient,
+    EdgeImportance,
+    LongAxisSplit,
+    GrowthSchedule,
+    Exposure,
+    Depth,
+    Lpips,
     Other,
 }
 
@@ -38,7 +55,11 @@ impl Kind {
         let has = |name: &str| fields.iter().any(|field| field == name);
         match () {
             () if has("it1_image") => Kind::Train,
+            () if has("fused_log_scales") => Kind::Filter3d,
+            () if has("detached") && has("kernel") => Kind::Antialias,
+            () if has("obs_inv_z") => Kind::Depth,
             () if has("means") && has("cam_K") && has("image") => Kind::Rendering,
+            () if has("adam_E") => Kind::Exposure,
             () if has("img") && has("gt") && has("d_img") => Kind::Loss,
             () if has("xyz_p0") => Kind::Adam,
             () if has("lr_xyz") => Kind::Rates,
@@ -46,6 +67,11 @@ impl Kind {
             () if has("reg_loss") => Kind::Regularizers,
             () if has("u_relocate") => Kind::Relocation,
             () if has("d_pose") => Kind::Poses,
+            () if has("xy_abs_pix") => Kind::AbsoluteGradient,
+            () if has("edge_raw") => Kind::EdgeImportance,
+            () if has("opacity_factor") => Kind::LongAxisSplit,
+            () if has("budget_iteration") => Kind::GrowthSchedule,
+            () if has("alex_layers") && has("vgg_layers") => Kind::Lpips,
             () if has("logits") && has("out") => Kind::ResetOpacity,
             () => Kind::Other,
         }
@@ -92,7 +118,8 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     further.extend(list(&shared.join("golden/needles")));
     // Of the sets of training features those whose feature exists.
     let features = list(&shared.join("golden/training"));
-    let exists = |kind: Kind| matches!(kind, Kind::Regularizers | Kind::Relocation | Kind::Poses);
+    // Kinds that older sets have too are those of features that wait.
+    let exists = |kind: Kind| !matches!(kind, Kind::Other | Kind::Rendering | Kind::Loss | Kind::Densify);
     further.extend(features.into_iter().filter(|set| exists(set.kind)));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);

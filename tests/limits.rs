@@ -123,6 +123,7 @@ fn limits_of_images_are_those_of_the_picture_in_training_too() {
             pictures: PictureCapacity::of(width, height),
             blend_passes: 1,
             backward: true,
+            absolute: false,
         };
         for (name, bytes) in frame_requests(&capacity, &LaunchSizes::new(context.limits())) {
             assert!(bytes <= largest, "{width}x{height}: {name} has {bytes} bytes");

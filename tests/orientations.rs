@@ -105,8 +105,13 @@ fn orientations_of_earlier_frames_change_no_bit() {
 fn orientations_that_do_not_fit_are_named_with_their_own_bytes() {
     let context = narrow_context();
     let (width, height) = (320, 128);
-    let photo =
-        |name: &str, [width, height]: [u32; 2]| PhotoSize { name: name.into(), width, height, masked: false };
+    let photo = |name: &str, [width, height]: [u32; 2]| PhotoSize {
+        name: name.into(),
+        width,
+        height,
+        masked: false,
+        inverse_depth: false,
+    };
     let photos = [photo("a.jpg", WIDE), photo("sky/b.jpg", [width, height]), photo("c.jpg", HIGH)];
     let settings = settings();
     let check = |photos: &[PhotoSize]| {
@@ -145,6 +150,7 @@ fn orientations_need_the_memory_that_is_forecast() {
         width,
         height,
         masked: false,
+        inverse_depth: false,
     };
     let photos: Vec<_> = sizes.iter().enumerate().map(photo).collect();
     let with_memory = |bytes| Context::new(&ContextOptions { max_memory: Some(bytes), ..options() });

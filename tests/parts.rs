@@ -42,7 +42,7 @@ impl Strategy for RandomPrune {
 
     fn work(&self, _: &TrainSettings, iteration: u32) -> Work {
         let actions = PRUNE.when(iteration.is_multiple_of(4));
-        Work { accumulates: true, optimizes: true, optimizes_opacity: true, actions }
+        Work { accumulates: true, optimizes: true, sums_gradients: false, optimizes_opacity: true, actions }
     }
 
     fn statistics(&self) -> Vec<Statistic> {
@@ -50,7 +50,7 @@ impl Strategy for RandomPrune {
     }
 
     fn records(&self) -> Hooks {
-        Hooks { statistics: true, update: true }
+        Hooks { statistics: true, update: true, ..Hooks::default() }
     }
 
     fn record_statistics(&self, r: &mut Recorder, step: &StepInputs) {
@@ -148,7 +148,13 @@ impl Strategy for Wrong {
     }
 
     fn work(&self, _: &TrainSettings, _: u32) -> Work {
-        Work { accumulates: false, optimizes: true, optimizes_opacity: true, actions: PRUNE }
+        Work {
+            accumulates: false,
+            optimizes: true,
+            sums_gradients: false,
+            optimizes_opacity: true,
+            actions: PRUNE,
+        }
     }
 
     fn between_steps(&mut self, population: &mut Population, _: Actions) -> Result<Changes> {
@@ -194,9 +200,9 @@ fn the_fixed_strategy_keeps_the_number_of_gaussians() {
         (0..6).for_each(|_| drop(trainer.step().expect("a step")));
         trainer.gaussians().expect("Gaussians").len()
     };
-    use ashsplat::trainer::StrategyType::{Default, Fixed};
+    use ashsplat::trainer::StrategyType::{Fixed, Reference};
     assert_eq!(count(Fixed), start().len());
-    assert!(count(Default) > start().len());
+    assert!(count(Reference) > start().len());
 }
 
 /// Means of opacities and scales.

@@ -28,7 +28,7 @@ fn held_bytes(views: &[TrainView], held: u64) -> u64 {
 }
 
 /// The views with their photographs in a file, of which so many may be held at a time.
-fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
+pub fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
     let memory = PhotoMemory { bytes: held_bytes(views, held), folder: std::env::temp_dir() };
     let file = memory.create_file().expect("a file");
     let stored = |view: &TrainView| file.store(&view.photo).expect("stored");

@@ -10,10 +10,11 @@ use crate::common::{child, context};
 
 /// What the child processes run: sort and scan (integers, equal to the twins to the bit), blending, its backward, the
 /// projection's backward (floats, within the tolerances), the loss, and whole frames with gradients.
-const SELECTION: [&str; 19] = [
+const SELECTION: [&str; 20] = [
     "subgroup_size_is_the_one_asked_for_in_a_child",
     "kernels::scan_apply::scan_apply_equals_its_twin",
     "kernels::scan_spine",
+    "kernels::convolve::convolve_equals_its_twin",
     "kernels::sort_spine",
     "kernels::sort_downsweep::sort_scatter_equals_its_twin",
     "kernels::sort_upsweep_serial",

@@ -120,7 +120,7 @@ impl Twin {
         }
         if s.resets_opacity_at(iteration) {
             for (gaussian, moments) in self.gaussians.iter_mut().zip(&mut self.moments) {
-                gaussian.opacity_logit = reset_opacity(gaussian.opacity_logit);
+                gaussian.opacity_logit = reset_opacity(gaussian.opacity_logit, 1.0);
                 moments[OPACITY] = Parameter::default();
             }
         }

@@ -5,7 +5,9 @@ use crate::{atomic, cost};
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::trainer::checkpoint::{Checkpoint, PoseState, Room, StrategyState, StrategyStatistic, Tensor};
+use ashsplat::trainer::checkpoint::{
+    Checkpoint, ExposureState, GradientSums, PoseState, Room, StrategyState, StrategyStatistic, Tensor,
+};
 use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
 use bytemuck::Pod;
@@ -20,6 +22,8 @@ const FORMAT: &str = "ashsplat-checkpoint/2";
 const FINGERPRINT: &str = "metadata_fingerprint";
 /// Present only if memory was bounded.
 const MAX_MEMORY: &str = "room_max_memory";
+/// [`GradientSums::views`]. Present only if there are any.
+const SUMMED_VIEWS: &str = "gradient_sum_views";
 /// [`Checkpoint::skipped`], under the name that files have had from the beginning. The oldest files lack it.
 const SKIPPED: &str = "left_out";
 /// The actions of [`Checkpoint::due`] that every version knows, each by its name.
@@ -130,11 +134,12 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         ("view_order_epoch", (u64::from(checkpoint.iteration) / views).to_string()),
         ("view_order_position", (u64::from(checkpoint.iteration) % views).to_string()),
     ];
+    let summed = checkpoint.gradient_sums.as_ref().map(|sums| (SUMMED_VIEWS, sums.views.to_string()));
     let max_memory = max_memory.map(|bytes| (MAX_MEMORY, bytes.to_string()));
     let due = DUE.map(|(name, action)| (name, checkpoint.due.contains(action).to_string()));
     let others = DUE.iter().fold(checkpoint.due, |due, (_, action)| due.without(*action));
     let others = (!others.is_empty()).then(|| (OTHERS_DUE, others.0.to_string()));
-    let named = pairs.into_iter().chain(due).chain(others).chain(max_memory);
+    let named = pairs.into_iter().chain(due).chain(others).chain(max_memory).chain(summed);
     let own = checkpoint.strategy.values.iter();
     let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
     Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
@@ -184,6 +189,10 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         first_moments: gaussians(&tensors, Checkpoint::SETS[1])?,
         second_moments: gaussians(&tensors, Checkpoint::SETS[2])?,
         statistics: values(&tensors, "statistics", &[2])?,
+        filters: match tensors.tensor(Checkpoint::FILTERS) {
+            Ok(_) => values(&tensors, Checkpoint::FILTERS, &[])?,
+            Err(_) => Vec::new(),
+        },
         strategy: StrategyState {
             name: metadata.optional(STRATEGY_NAME)?.unwrap_or_default(),
             terms: metadata.terms(),
@@ -191,6 +200,17 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             values: metadata.strategy(),
         },
         poses: poses(&tensors)?,
+        gradient_sums: match metadata.optional(SUMMED_VIEWS)? {
+            None | Some(0) => None,
+            Some(views) => {
+                Some(GradientSums { views, sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)? })
+            }
+        },
+        exposures: ExposureState {
+            values: exposures(&tensors, Checkpoint::SETS[0])?,
+            first_moments: exposures(&tensors, Checkpoint::SETS[1])?,
+            second_moments: exposures(&tensors, Checkpoint::SETS[2])?,
+        },
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
         room: Room {
             gaussians: metadata.parsed("room_gaussians")?,
@@ -298,6 +318,15 @@ fn strategy_statistics(
         all.push(StrategyStatistic { name: own.to_owned(), floats, values });
     }
     Ok(all)
+}
+
+/// None where they are not learned, and in older files.
+fn exposures(tensors: &SafeTensors, prefix: &str) -> Result<Vec<[[f32; 4]; 3]>, String> {
+    let name = format!("{prefix}{}", Checkpoint::EXPOSURES);
+    match tensors.tensor(&name) {
+        Ok(_) => values(tensors, &name, &[3, 4]),
+        Err(_) => Ok(Vec::new()),
+    }
 }
 
 fn gaussians(tensors: &SafeTensors, prefix: &str) -> Result<Gaussians, String> {

@@ -1,5 +1,6 @@
 //! A data set to train on: photographs with their cameras, and initial points.
 
+mod depths;
 mod exif_orientation;
 mod gallery;
 mod inspect;
@@ -9,6 +10,7 @@ mod plan;
 mod scaling;
 mod unpacked;
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -35,10 +37,16 @@ pub struct DatasetOptions {
     /// Name of the subfolder with the photos. In one called `…_2`, `…_4` or `…_8`, as benchmark data sets
     /// use, the photos may have that fraction of their cameras' size.
     pub images: String,
+    /// Folder of inverse-depth maps, within the data set or anywhere: a 16-bit PNG per photo, of the photo's name. Their
+    /// scale and offset are in the model's `depth_params.json`; without that file, they are fitted to the sparse points.
+    pub depths: Option<PathBuf>,
     /// Whether photos are rotated by their metadata.
     pub orientation: PhotoOrientation,
     /// Whether every `test_every`-th view by name is held out.
     pub eval: bool,
+    /// Whether the left half of held-out views (columns below ⌊width / 2⌋) is trained on as well. Their views are then in
+    /// both lists, in [`Dataset::train`] with a mask on the right half.
+    pub train_test_exp: bool,
     /// Distance of the held-out views; 8 in the reference implementation and the literature.
     pub test_every: u32,
     /// Whether transparent pixels of a photo become white instead of black.
@@ -56,8 +64,10 @@ impl Default for DatasetOptions {
         Self {
             resolution: Resolution::Auto,
             images: "images".into(),
+            depths: None,
             orientation: PhotoOrientation::Auto,
             eval: false,
+            train_test_exp: false,
             test_every: 8,
             white_background: false,
             photo_memory: None,
@@ -82,6 +92,11 @@ impl DatasetOptions {
         }
     }
 
+    /// Photos that are kept of a view.
+    fn copies(&self, held_out: bool) -> u64 {
+        1 + u64::from(held_out && self.train_test_exp)
+    }
+
     fn is_test(&self, index: usize) -> bool {
         self.eval && index.is_multiple_of(self.test_every.max(1) as usize)
     }
@@ -100,6 +115,23 @@ pub struct View {
     pub original_camera: Camera,
     /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and its mask.
     pub photo: StoredPhoto,
+    /// The inverse depth that its pixels should have: [`TrainView::inverse_depth`](ashsplat::TrainView::inverse_depth).
+    /// Only with [`DatasetOptions::depths`], and of views that are trained on.
+    pub inverse_depth: Option<Arc<[f32]>>,
+}
+
+impl View {
+    /// The view with a mask on its right half: on the columns from ⌊width / 2⌋ on.
+    fn left_half(&self) -> Result<Self> {
+        let (width, pixels) =
+            (self.photo.width as usize, self.photo.width as usize * self.photo.height as usize);
+        let own = self.photo.mask()?;
+        let counts = |pixel: usize| own.as_ref().is_none_or(|mask| mask[pixel] != 0);
+        let mask = |pixel: usize| u8::from(pixel % width < width / 2 && counts(pixel)) * 255;
+        let photo = Arc::unwrap_or_clone(self.photo.photo()?);
+        let photo = StoredPhoto::new(photo, Some((0..pixels).map(mask).collect()));
+        Ok(Self { photo, ..self.clone() })
+    }
 }
 
 /// A data set in memory.
@@ -150,9 +182,9 @@ impl Dataset {
         let Gallery { options, views: planned, held_out, .. } = gallery;
         plan::check_split(&gallery.list, held_out)?;
         let mut warnings = gallery.warnings.clone();
-        let needed = planned.iter().map(|view| view.texel_bytes(options)).sum();
+        let needed = gallery.texel_bytes();
         let file = photo_file(needed, options, &mut warnings)?;
-        let kept = if file.is_some() { 0 } else { needed };
+        let kept = gallery.map_bytes() + if file.is_some() { 0 } else { needed };
         let what = || {
             format!(
                 "{}: keeping its {} photos in memory (-r makes them smaller)",
@@ -167,25 +199,48 @@ impl Dataset {
         let done = AtomicUsize::new(0);
         let total = planned.len();
         progress.step(0, total);
+        let stored = |mut view: View| -> Result<View> {
+            if let Some(file) = &file {
+                view.photo = file.store(&view.photo)?;
+            }
+            Ok(view)
+        };
         let views = planned
             .par_iter()
-            .map(|planned| {
+            .zip(held_out)
+            .zip(&gallery.maps)
+            .map(|((planned, &held_out), map)| {
                 progress.check()?;
                 let mut view = planned.load(options)?;
-                if let Some(file) = &file {
-                    view.photo = file.store(&view.photo)?;
+                let map_of =
+                    |photo: &StoredPhoto| map.as_ref().map(|map| map.load(photo, options)).transpose();
+                let mut half = None;
+                if options.copies(held_out) > 1 {
+                    let mut view = view.left_half()?;
+                    view.inverse_depth = map_of(&view.photo)?;
+                    half = Some(stored(view)?);
                 }
+                if !held_out {
+                    view.inverse_depth = map_of(&view.photo)?;
+                }
+                let view = stored(view)?;
                 progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-                Ok(view)
+                Ok((view, half))
             })
             .collect::<Result<Vec<_>>>()?;
         Ok(Self::assemble(gallery, views, warnings))
     }
 
-    fn assemble(gallery: &Gallery, views: Vec<View>, mut warnings: Vec<String>) -> Self {
+    /// `views`: each with the half that is trained on, if it is held out.
+    fn assemble(gallery: &Gallery, views: Vec<(View, Option<View>)>, mut warnings: Vec<String>) -> Self {
         let (mut train, mut test) = (Vec::new(), Vec::new());
-        for (view, held_out) in views.into_iter().zip(&gallery.held_out) {
-            if *held_out { test.push(view) } else { train.push(view) }
+        for ((view, half), held_out) in views.into_iter().zip(&gallery.held_out) {
+            if *held_out {
+                test.push(view)
+            } else {
+                train.push(view)
+            }
+            train.extend(half);
         }
         let mut extent = scene_extent(train.iter().map(|view: &View| view.camera.position()));
         if extent == 0.0 {
@@ -209,8 +264,10 @@ impl Dataset {
 
     /// All views by name, including held-out ones.
     pub fn views(&self) -> Vec<&View> {
-        let mut views: Vec<&View> = self.train.iter().chain(&self.test).collect();
+        let mut views: Vec<&View> = self.test.iter().chain(&self.train).collect();
+        // Stable: of two of one name, the whole one is first.
         views.sort_by(|a, b| a.name.cmp(&b.name));
+        views.dedup_by(|b, a| a.name == b.name);
         views
     }
 
@@ -247,7 +304,9 @@ impl Dataset {
     /// # Errors
     /// As [`cameras_json::write()`].
     pub fn write_cameras_json(&self, path: impl AsRef<Path>) -> Result<()> {
-        let views = self.test.iter().chain(&self.train);
+        let held_out: HashSet<&str> = self.test.iter().map(|view| view.name.as_str()).collect();
+        let others = self.train.iter().filter(|view| !held_out.contains(view.name.as_str()));
+        let views = self.test.iter().chain(others);
         cameras_json::write(path, views.map(|view| (view.name.as_str(), &view.original_camera)))
     }
 

@@ -1,6 +1,7 @@
 //! Photographs: decoding, checking, scaling.
 
 mod decode;
+mod depth_map;
 mod jpeg;
 mod png_rows;
 mod scale;
@@ -19,6 +20,7 @@ pub use ashsplat::scene::photo::Photo;
 pub use ashsplat::scene::stored_photo::{PhotoFile, StoredPhoto};
 pub use decode::photo_size;
 pub(crate) use decode::{Decoded, Header, Request, header};
+pub use depth_map::DepthMap;
 use scale::RowScaler;
 pub use undistort::undistort;
 

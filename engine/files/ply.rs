@@ -14,7 +14,7 @@ mod write;
 
 pub use header::Encoding;
 pub use read::{PlyOptions, PlyScene, read, read_points};
-pub use write::{write, write_points};
+pub use write::{write, write_filtered, write_points};
 
 pub(super) use compressed::CompressedPly;
 pub(super) use compressed_write::write_blocks as write_compressed_blocks;

@@ -1,13 +1,13 @@
 //! Blending, in two forms.
 
-use super::FrameInputs;
 use super::blend_forms::Blending;
+use super::{FrameInputs, RenderSettings};
 use crate::error::Result;
 use crate::kernels::forward::{blend, blend_shared};
 use crate::plan::{LaunchSizes, tile_grid};
 use crate::vk::{Context, Kernel, Limits, Recorder};
 
-/// What is blended in addition to colours.
+/// The variant of a frame's kernels: what is blended in addition to colours, and how.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BlendVariant {
     /// The sum of weights / z, or of weights * z with `linear_depth`.
@@ -21,9 +21,22 @@ pub struct BlendVariant {
     /// Splats may be steeper than [`DILATION_PX2`](crate::kernels::constants::DILATION_PX2) leaves them, as
     /// ellipsoids are. The products of INCREMENTAL_EXP would underflow (glsl/include/blending.glsl).
     pub steep: bool,
+    /// Gaussians have a 3D filter: this concerns culling and projection.
+    pub filter_3d: bool,
 }
 
 impl BlendVariant {
+    /// That of a frame of one scene, in a buffer of its own.
+    pub fn of(settings: &RenderSettings, backward: bool) -> Self {
+        Self {
+            inverse_depth: settings.inverse_depth,
+            backward,
+            steep: settings.is_steep(),
+            filter_3d: settings.filter_3d,
+            ..Self::default()
+        }
+    }
+
     fn strips(self, sizes: &LaunchSizes) -> bool {
         self.backward && sizes.strips
     }

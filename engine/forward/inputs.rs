@@ -64,6 +64,7 @@ impl FrameInputs<'_> {
             depth_limit: self.depth_limits.is_some(),
             backward: self.backward,
             steep: self.settings.is_steep(),
+            filter_3d: self.settings.filter_3d,
         }
     }
 }

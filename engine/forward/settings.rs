@@ -37,6 +37,15 @@ pub struct RenderSettings {
     pub jacobian_limit: JacobianLimit,
     /// Opacity compensation for the low-pass filter (Mip-Splatting's 2D filter).
     pub antialias: bool,
+    /// Gradients take that compensation as a constant (gsplat's and Mip-Splatting's kernels differentiate it).
+    pub antialias_detached: bool,
+    /// The low-pass filter: variance that the projection adds along both axes, square pixels. The reference has 0.3,
+    /// Mip-Splatting 0.1 (its `kernel_size`).
+    pub dilation_px2: f32,
+    /// Draws Gaussians with Mip-Splatting's 3D filter, whose sizes
+    /// [`Renderer::compute_filters`](crate::Renderer::compute_filters) gives them. Gaussians without a size are drawn as they
+    /// are.
+    pub filter_3d: bool,
     /// Background colour, linear in the space of training.
     pub background: [f32; 3],
     /// Highest evaluated SH degree; `None` for all stored degrees.
@@ -57,6 +66,9 @@ impl Default for RenderSettings {
             extent: Extent::default(),
             jacobian_limit: JacobianLimit::default(),
             antialias: false,
+            antialias_detached: false,
+            dilation_px2: c::DILATION_PX2,
+            filter_3d: false,
             background: [0.0; 3],
             sh_degree: None,
             inverse_depth: false,
@@ -71,12 +83,16 @@ impl RenderSettings {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a scale modifier that is negative or not finite, a background that is not finite, or a
-    /// cut that makes no sense.
+    /// [`Error::Argument`] for a scale modifier that is negative or not finite, a dilation that is not positive and
+    /// finite, a background that is not finite, or a cut that makes no sense.
     pub fn check(&self) -> Result<()> {
         if !(self.scale_modifier.is_finite() && self.scale_modifier >= 0.0) {
             let problem = format!("is {}, must be finite and not negative", self.scale_modifier);
             return Err(Error::argument("scale modifier", problem));
+        }
+        if !(self.dilation_px2.is_finite() && self.dilation_px2 > 0.0) {
+            let problem = format!("is {}, must be finite and positive", self.dilation_px2);
+            return Err(Error::argument("dilation_px2", problem));
         }
         if self.background.iter().any(|channel| !channel.is_finite()) {
             return Err(Error::argument("background", format!("{:?} is not finite", self.background)));
@@ -91,12 +107,18 @@ impl RenderSettings {
 
     /// Whether splats may be steeper than the low-pass filter leaves them.
     pub(crate) fn is_steep(&self) -> bool {
-        self.shape == Shape::Ellipsoid
+        self.shape == Shape::Ellipsoid || self.dilation_px2 < c::DILATION_PX2
     }
 
     /// What culling and projection branch on: extent and antialias.
     pub(super) fn modes(&self) -> [u32; 2] {
-        [self.extent_word(), self.antialias.into()]
+        [self.extent_word(), self.antialias_bits()]
+    }
+
+    /// The bits of ANTIALIAS_.
+    pub(crate) fn antialias_bits(&self) -> u32 {
+        let bit = |on: bool, bit: u32| if on { bit } else { 0 };
+        bit(self.antialias, c::ANTIALIAS_COMPENSATED) | bit(self.antialias_detached, c::ANTIALIAS_DETACHED)
     }
 
     pub(super) fn extent_word(&self) -> u32 {

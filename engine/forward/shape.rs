@@ -1,7 +1,6 @@
 //! How each Gaussian is drawn, and the scalars for it.
 
 use super::RenderSettings;
-use crate::kernels::constants as c;
 
 /// How each Gaussian is drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -42,16 +41,16 @@ pub(super) struct DrawnShape {
 
 impl DrawnShape {
     pub fn of(settings: &RenderSettings) -> Self {
-        let scale_modifier = settings.scale_modifier;
+        let RenderSettings { scale_modifier, dilation_px2, .. } = *settings;
         match settings.shape {
-            Shape::Gaussian => Self { scale: scale_modifier, dilation_px2: c::DILATION_PX2, opacity: 0.0 },
+            Shape::Gaussian => Self { scale: scale_modifier, dilation_px2, opacity: 0.0 },
             Shape::Ellipsoid => {
                 // Standard deviations at which alpha is about one half.
                 let reach = (2.0 * (STEEPNESS + 0.5f32.recip().ln())).sqrt();
                 let shrink = ELLIPSOID_SIGMAS / reach;
                 Self {
                     scale: scale_modifier * shrink,
-                    dilation_px2: c::DILATION_PX2 * shrink * shrink,
+                    dilation_px2: dilation_px2 * shrink * shrink,
                     // Negative: excludes Gaussians of low opacity.
                     opacity: -STEEPNESS.exp(),
                 }

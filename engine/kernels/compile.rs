@@ -104,7 +104,9 @@ impl IncludeHandler for Includer<'_> {
         let from = if includer.is_empty() { self.file.to_owned() } else { root.join(includer) };
         let path = resolve(self.glsl, &from, name).or_else(|| resolve(self.glsl, self.file, name))?;
         let shown = path.strip_prefix(root).unwrap_or(&path).display().to_string().replace('\\', "/");
-        Some(IncludeResult { name: shown, data: fs::read_to_string(path).ok()? })
+        // A shader may be another one with a macro: its own version comes first.
+        let data = fs::read_to_string(path).ok()?.replacen("#version 460\n", "\n", 1);
+        Some(IncludeResult { name: shown, data })
     }
 }
 

@@ -19,6 +19,11 @@ pub struct TermInputs<'a> {
     pub image_gradient: &'a Buffer,
     /// Whether the photograph has a mask.
     pub photo_is_masked: bool,
+    /// The view's inverse-depth map ([`TrainView::inverse_depth`](crate::TrainView::inverse_depth)), if it has one: a
+    /// float per pixel, row by row.
+    pub inverse_depth_map: Option<&'a Buffer>,
+    /// The iteration, from 1.
+    pub iteration: u32,
     /// Per chunk of the scene: dL/d(mean, opacity logit), dL/d(quaternion), dL/d(log-scale), laid out like the
     /// scene's first three planes. Empty unless a term has [`Targets::parameters`].
     pub parameter_gradients: &'a [Buffer],

@@ -56,6 +56,8 @@ struct FrameSizes {
     apart: u64,
     /// Capacity in instances of the buffers for the backward pass; 0 without it.
     backward_instances: u64,
+    /// The same of what the absolute gradients need.
+    absolute_instances: u64,
     pixels: u64,
     /// Values of one plane in strips; 0 without strips.
     strips: u64,
@@ -89,6 +91,7 @@ impl FrameSizes {
             splat_stride: if together { SPLAT_PLANES.into() } else { 1 },
             apart: u64::from(!together),
             backward_instances: backward * instances,
+            absolute_instances: backward * u64::from(capacity.absolute) * instances,
             pixels,
             strips: backward * u64::from(block.strips) * strip_values,
             backward,
@@ -181,6 +184,8 @@ frame_requests! {
     pub instance_gradients_b: |s| s.backward_instances * 16;
     /// Per instance before the tile sort: d blue, d inverse depth.
     pub instance_gradients_c: |s| s.backward_instances * 8;
+    /// [`Self::absolute_gradients`].
+    instance_gradients_d: |s| s.absolute_instances * 8;
     /// Per visible Gaussian: planes named GRADIENT_*.
     pub gradients: |s| s.backward * s.gaussians * 16 * u64::from(GRADIENT_PLANES);
 }
@@ -306,6 +311,12 @@ impl FrameBuffers {
     /// otherwise [`Self::accumulated`].
     pub fn rendered(&self, block: &LaunchSizes) -> &Buffer {
         if block.strips { &self.composited } else { &self.accumulated }
+    }
+
+    /// Per instance before the tile sort: absolute gradients of the 2D mean. Without room for them another buffer
+    /// that nothing is read from or written to in its place.
+    pub fn absolute_gradients(&self, absolute: bool) -> &Buffer {
+        if absolute { &self.instance_gradients_d } else { &self.instance_gradients_c }
     }
 
     /// The attributes of the visible Gaussians.

@@ -1,7 +1,7 @@
 //! Moves a camera until the picture of a fixed scene agrees with a photograph.
 
 use super::{Failed, FrameRunner, Renderer, Request};
-use crate::backward::{Backward, Statistics};
+use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::{Error, Result};
 use crate::forward::{RenderSettings, SceneBuffers};
 use crate::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes, photo_on_device};
@@ -130,7 +130,7 @@ impl Aligner {
         let AlignRequest { scene, camera, photo, settings, sh_degree, alignment } = *request;
         check(request)?;
         let settings = &RenderSettings { inverse_depth: false, ..*settings };
-        self.backward.prepare_with_pose(sh_degree, false)?;
+        self.backward.prepare_with_pose(sh_degree, BackwardVariant::of(settings), false)?;
         let masked = photo.is_masked();
         let loss = match &mut self.losses[usize::from(masked)] {
             Some(loss) => loss,
@@ -176,7 +176,7 @@ impl Aligner {
                 r.fill(parameters, 0);
                 loss.record(r, &loss_inputs);
                 r.barrier();
-                let statistics = Statistics { buffer: statistics, accumulate: false };
+                let statistics = Statistics { buffer: statistics, accumulate: false, absolute: None };
                 self.backward.record_with_pose(r, inputs, &inputs.frame.image_gradient, statistics);
                 r.barrier();
                 self.gradient.record(r, inputs, (parameters, 0), gradient);

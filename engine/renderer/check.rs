@@ -43,6 +43,7 @@ impl Renderer {
             depth_limit: frame.occluder.is_some(),
             backward: false,
             steep: frame.settings.is_steep(),
+            filter_3d: frame.settings.filter_3d,
         };
         if !reserved.variants().contains(&variant) {
             let problem = format!("{variant:?} was not reserved: see Reservation");

@@ -17,6 +17,8 @@ pub struct FrameStore {
     readback: Buffer,
     /// Pictures that the buffers hold in any case.
     expected: PictureCapacity,
+    /// Whether frames with backward have room for absolute gradients.
+    absolute: bool,
     /// What the last frame asked for. Earlier ones may have needed more.
     asked: FrameCapacity,
     capacity: FrameCapacity,
@@ -67,6 +69,7 @@ const NOTHING: FrameCapacity = FrameCapacity {
     pictures: PictureCapacity::NONE,
     blend_passes: 1,
     backward: false,
+    absolute: false,
 };
 
 impl FrameStore {
@@ -86,6 +89,7 @@ impl FrameStore {
             sizes,
             readback,
             expected: PictureCapacity::NONE,
+            absolute: false,
             asked: NOTHING,
             capacity: NOTHING,
             frame: None,
@@ -95,6 +99,11 @@ impl FrameStore {
     /// From now on buffers are allocated for these pictures at once, and not only when their frames come.
     pub fn expect_pictures(&mut self, pictures: PictureCapacity) {
         self.expected = pictures;
+    }
+
+    /// From now on frames with backward have room for absolute gradients.
+    pub fn expect_absolute(&mut self) {
+        self.absolute = true;
     }
 
     /// Buffers for a scene and a camera. Reallocates them if the current ones are too small. If they then do not
@@ -114,8 +123,12 @@ impl FrameStore {
         let wanted = own.and(self.expected);
         let pictures = if backward { wanted } else { wanted.without_backward() };
         let instances = initial_instances(self.context.limits(), gaussians, &pictures);
-        self.asked = FrameCapacity { gaussians, instances, pictures, backward, ..NOTHING };
-        let fits = gaussians <= old.gaussians && old.pictures.holds(&pictures) && backward <= old.backward;
+        let absolute = backward && self.absolute;
+        self.asked = FrameCapacity { gaussians, instances, pictures, backward, absolute, ..NOTHING };
+        let fits = gaussians <= old.gaussians
+            && old.pictures.holds(&pictures)
+            && backward <= old.backward
+            && absolute <= old.absolute;
         if let (Some(frame), true) = (&self.frame, fits) {
             return Ok((frame.clone(), old));
         }
@@ -124,6 +137,7 @@ impl FrameStore {
             instances: if old.instances > 0 { old.instances } else { instances },
             pictures: pictures.and(old.pictures),
             backward: backward || old.backward,
+            absolute: absolute || old.absolute,
             ..old
         };
         let (mut estimated, mut own_alone) = (old.instances == 0, capacity == self.asked);

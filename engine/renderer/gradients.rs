@@ -1,7 +1,7 @@
 //! Differentiable rendering: the gradient of any function of the image with respect to all parameters.
 
 use super::{Failed, Renderer, Request};
-use crate::backward::Statistics;
+use crate::backward::{BackwardVariant, Statistics};
 use crate::error::{Error, Result};
 use crate::forward::RenderSettings;
 use crate::pixels::PixelBorder;
@@ -80,13 +80,14 @@ impl Renderer {
         }
         let scene = self.scene.clone().ok_or_else(super::no_scene)?;
         let sh_degree = scene.active_degree(settings);
+        let variant = BackwardVariant::of(settings);
         let pose_gradient = match with_pose {
             true => {
-                self.backward.prepare_with_pose(sh_degree, settings.inverse_depth)?;
+                self.backward.prepare_with_pose(sh_degree, variant, false)?;
                 Some(PoseGradient::new(&self.context)?)
             }
             false => {
-                self.backward.prepare(sh_degree, settings.inverse_depth)?;
+                self.backward.prepare(sh_degree, variant)?;
                 None
             }
         };
@@ -122,7 +123,7 @@ impl Renderer {
             r.barrier();
             border.record_gradient(r, inputs, &extra[2], &extra[3], false);
             r.barrier();
-            let statistics = Statistics { buffer: &extra[1], accumulate: false };
+            let statistics = Statistics { buffer: &extra[1], accumulate: false, absolute: None };
             match &pose_gradient {
                 None => backward.record(r, inputs, &extra[3], statistics),
                 Some(gradient) => {

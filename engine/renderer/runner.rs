@@ -105,11 +105,7 @@ impl FrameRunner {
         let Request { scene, camera, settings, sh_degree, backward, .. } = *request;
         camera.check()?;
         settings.check()?;
-        let inverse_depth = settings.inverse_depth;
-        self.forward.prepare_variant(
-            sh_degree,
-            BlendVariant { inverse_depth, backward, steep: settings.is_steep(), ..BlendVariant::default() },
-        )?;
+        self.forward.prepare_variant(sh_degree, BlendVariant::of(settings, backward))?;
         let mut retries = 0;
         loop {
             let (frame, capacity) = self.store.ensure(scene.plan.capacity, camera, backward)?;
@@ -149,16 +145,21 @@ impl FrameRunner {
         self.store.expect_pictures(pictures);
     }
 
-    /// Allocates buffers with backward for a camera and the expected pictures, and builds the kernels up to an SH
-    /// degree, with or without inverse depth, for [`FrameRunner::record`].
+    /// See [`FrameStore::expect_absolute`].
+    pub fn expect_absolute(&mut self) {
+        self.store.expect_absolute();
+    }
+
+    /// Allocates buffers with backward for a camera and the expected pictures, and builds the kernels of these settings up
+    /// to an SH degree, for [`FrameRunner::record`].
     pub fn reserve(
         &mut self,
         gaussians: u32,
         camera: &Camera,
         sh_degree: u32,
-        inverse_depth: bool,
+        settings: &RenderSettings,
     ) -> Result<()> {
-        let variant = BlendVariant { backward: true, inverse_depth, ..BlendVariant::default() };
+        let variant = BlendVariant::of(settings, true);
         for degree in 0..=sh_degree {
             self.forward.prepare_variant(degree, variant)?;
         }

@@ -38,6 +38,8 @@ pub struct Reservation {
     pub expected_depth: bool,
     /// Whether frames will read a host's depth image.
     pub occlusion: bool,
+    /// Whether frames will draw scenes with a 3D filter ([`RenderSettings::filter_3d`](crate::RenderSettings::filter_3d)).
+    pub filter_3d: bool,
     /// Bytes of staging memory for the [`super::Update`]s of a frame: see [`Reservation::update_bytes`].
     pub staging_bytes: u64,
 }
@@ -57,6 +59,7 @@ impl Reservation {
             inverse_depth: false,
             expected_depth: false,
             occlusion: false,
+            filter_3d: false,
             staging_bytes: 0,
         }
     }
@@ -121,6 +124,10 @@ impl Reservation {
         // Any frame may draw ellipsoids.
         let steep = variants.clone().into_iter();
         variants.extend(steep.map(|v| BlendVariant { steep: true, ..v }));
+        if self.filter_3d {
+            let filtered = variants.clone().into_iter();
+            variants.extend(filtered.map(|v| BlendVariant { filter_3d: true, ..v }));
+        }
         variants
     }
 
@@ -228,6 +235,7 @@ impl Slot {
             pictures,
             blend_passes: wanted.blend_passes,
             backward: false,
+            absolute: false,
         };
         check_grids(context.limits(), &capacity, sizes)?;
         let frame = context.allocate("frame slot", &frame_requests(&capacity, sizes), MemoryKind::Device)?;

@@ -2,6 +2,8 @@
 
 pub mod camera;
 pub mod cut;
+pub mod exposure;
+pub mod filter_3d;
 pub mod gaussians;
 pub mod lens;
 pub mod orbit;
@@ -17,6 +19,8 @@ pub mod view;
 
 pub use camera::{Camera, Intrinsics, scene_extent};
 pub use cut::{Cut, CutLimits};
+pub use exposure::Exposure;
+pub use filter_3d::filtered;
 pub use gaussians::{GaussianStatistics, Gaussians};
 pub use orbit::Orbit;
 pub use photo::Photo;

@@ -60,9 +60,10 @@ impl Before<'_> {
     }
 
     /// The first frame with this number of Gaussians, for these pictures.
-    fn first_frame(context: &Context, gaussians: u32, pictures: PictureCapacity) -> FrameCapacity {
+    fn first_frame(&self, context: &Context, gaussians: u32, pictures: PictureCapacity) -> FrameCapacity {
         let instances = initial_instances(context.limits(), gaussians, &pictures);
-        FrameCapacity { gaussians, instances, scenes: 1, pictures, blend_passes: 1, backward: true }
+        let absolute = self.rows.absolute().is_some();
+        FrameCapacity { gaussians, instances, scenes: 1, pictures, blend_passes: 1, backward: true, absolute }
     }
 
     /// Refuses photographs whose frames exceed a limit of the device, whatever the memory.
@@ -104,7 +105,7 @@ impl Before<'_> {
     fn check_size(&self, context: &Context, size: (u32, u32)) -> Result<()> {
         let limits = context.limits();
         let count = self.count.min(max_trained_gaussians(limits));
-        let frame = Self::first_frame(context, count, PictureCapacity::of(size.0, size.1));
+        let frame = self.first_frame(context, count, PictureCapacity::of(size.0, size.1));
         let launches = LaunchSizes::new(limits);
         let named = |arena: &'static str, requests: Requests| {
             requests.into_iter().map(move |(name, bytes)| (arena, name, bytes))
@@ -150,7 +151,7 @@ impl Before<'_> {
         let free = limit.saturating_sub(context.memory_total().bytes);
         let buffers = |capacity: u32| -> Result<u64> {
             let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
-            Ok(self.buffer_bytes(context, &plan, Some(Self::first_frame(context, capacity, self.pictures()))))
+            Ok(self.buffer_bytes(context, &plan, Some(self.first_frame(context, capacity, self.pictures()))))
         };
         let photos = photo_bytes.held + photo_bytes.staging;
         if buffers(wanted)? + photos <= free {
@@ -187,7 +188,7 @@ impl Before<'_> {
         let limits = context.limits();
         let Ok(plan) = ScenePlan::new(limits, room.gaussians, self.sh_degree) else { return false };
         let sizes = LaunchSizes::new(limits);
-        let frame = room.frame(self.pictures());
+        let frame = room.frame(self.pictures(), self.rows.absolute().is_some());
         let fits = frame.is_none_or(|frame| {
             let one = |(_, bytes): &(_, u64)| {
                 *bytes <= limits.max_storage_buffer_range.min(limits.max_allocation_bytes)

@@ -44,14 +44,33 @@ pub struct Checkpoint {
     pub second_moments: Gaussians,
     /// Per Gaussian: sum of the 2D mean's gradient norms (NDC), number of views.
     pub statistics: Vec<[f32; 2]>,
+    /// The sizes of the 3D filter, world units, one per Gaussian; none without
+    /// [`TrainSettings::filter_3d`].
+    pub filters: Vec<f32>,
     /// What the strategy keeps besides.
     pub strategy: StrategyState,
     /// The poses of the views, if they are optimised.
     pub poses: Option<PoseState>,
+    /// Gradients that were added up since the last step.
+    pub gradient_sums: Option<GradientSums>,
+    /// The exposures of the views' photographs, if they are learned.
+    pub exposures: ExposureState,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
     pub skipped: u32,
     /// Allocated capacities.
     pub room: Room,
+}
+
+/// Exposures of photographs, by the views' order: see [`Exposure`](crate::scene::Exposure). Empty where they are not
+/// learned.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ExposureState {
+    /// The matrices.
+    pub values: Vec<[[f32; 4]; 3]>,
+    /// Adam's first moments.
+    pub first_moments: Vec<[[f32; 4]; 3]>,
+    /// Adam's second moments.
+    pub second_moments: Vec<[[f32; 4]; 3]>,
 }
 
 /// The parts of a run, and the state of its strategy: see [`Strategy`](super::Strategy).
@@ -65,6 +84,15 @@ pub struct StrategyState {
     pub statistics: Vec<StrategyStatistic>,
     /// Names and values of its state on the host.
     pub values: Vec<(String, String)>,
+}
+
+/// Sums of the gradients of several views, of which a later step makes use.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GradientSums {
+    /// Number of the views.
+    pub views: u32,
+    /// The sums, shaped like the parameters.
+    pub sums: Gaussians,
 }
 
 /// A statistic of a strategy.
@@ -152,7 +180,8 @@ impl Checkpoint {
     pub fn tensors(&self) -> Vec<Tensor<'_>> {
         let mut tensors = Vec::new();
         let sets = [&self.gaussians, &self.first_moments, &self.second_moments];
-        for (prefix, set) in Self::SETS.iter().zip(sets) {
+        let sums = self.gradient_sums.iter().map(|sums| (&Self::GRADIENT_SUMS, &sums.sums));
+        for (prefix, set) in Self::SETS.iter().zip(sets).chain(sums) {
             let (n, k) = (set.len(), sh_coefficients(set.sh_degree));
             let mut add = |name: &str, shape: &[usize], bytes| {
                 tensors.push(Tensor { name: format!("{prefix}{name}"), shape: shape.to_vec(), bytes });
@@ -166,6 +195,10 @@ impl Checkpoint {
         let shape = vec![self.statistics.len(), 2];
         let bytes = bytemuck::cast_slice(&self.statistics);
         tensors.push(Tensor { name: "statistics".into(), shape, bytes });
+        if !self.filters.is_empty() {
+            let (shape, bytes) = (vec![self.filters.len()], bytemuck::cast_slice(&self.filters));
+            tensors.push(Tensor { name: Self::FILTERS.into(), shape, bytes });
+        }
         for StrategyStatistic { name, floats, values } in &self.strategy.statistics {
             let shape = vec![values.len() / (*floats).max(1) as usize, *floats as usize];
             let name = format!("{}{name}", Self::STRATEGY);
@@ -177,6 +210,13 @@ impl Checkpoint {
                 tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(rows) });
             }
         }
+        let ExposureState { values, first_moments, second_moments } = &self.exposures;
+        let sets = [values, first_moments, second_moments].into_iter().zip(Self::SETS);
+        tensors.extend(sets.filter(|(set, _)| !set.is_empty()).map(|(set, prefix)| Tensor {
+            name: format!("{prefix}{}", Self::EXPOSURES),
+            shape: vec![set.len(), 3, 4],
+            bytes: bytemuck::cast_slice(set),
+        }));
         tensors
     }
 
@@ -185,6 +225,14 @@ impl Checkpoint {
 
     /// Names of the poses' tensors: parameters, first and second moments. Only of runs that optimise them.
     pub const POSES: [&str; 3] = ["pose", "first_moment.pose", "second_moment.pose"];
+    /// Name of the tensor of the filter's sizes, as in Mip-Splatting's PLY.
+    pub const FILTERS: &str = "filter_3D";
+
+    /// Prefix of the names of [`Checkpoint::gradient_sums`].
+    pub const GRADIENT_SUMS: &str = "gradient_sum.";
+
+    /// Name of the exposures' tensor, and of that of their moments behind the prefixes.
+    pub const EXPOSURES: &str = "exposures";
 
     /// Prefix of the strategy's own statistics, and of its values in the metadata.
     pub const STRATEGY: &str = "strategy.";
@@ -202,10 +250,12 @@ impl Checkpoint {
     /// [`Error::Argument`] naming the set.
     pub fn check_shapes(&self) -> Result<()> {
         self.gaussians.check_shapes()?;
-        for moments in [&self.first_moments, &self.second_moments] {
-            moments.check_shapes()?;
-            if (moments.len(), moments.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
-                return Err(Error::argument("moments", "are of another number or degree than the Gaussians"));
+        let sums = self.gradient_sums.iter().map(|sums| ("gradient sums", &sums.sums));
+        let moments = [("moments", &self.first_moments), ("moments", &self.second_moments)];
+        for (name, set) in moments.into_iter().chain(sums) {
+            set.check_shapes()?;
+            if (set.len(), set.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
+                return Err(Error::argument(name, "are of another number or degree than the Gaussians"));
             }
         }
         let rows = |statistic: &StrategyStatistic| {
@@ -221,6 +271,15 @@ impl Checkpoint {
         };
         if !self.poses.as_ref().is_none_or(views) {
             return Err(Error::argument("poses", "are of another number than the views"));
+        }
+        let filters = if self.settings.filter_3d { self.gaussians.len() } else { 0 };
+        if self.filters.len() != filters {
+            return Err(Error::argument(Self::FILTERS, "is of another number than the Gaussians"));
+        }
+        let exposures = if self.settings.exposure { self.views } else { 0 };
+        let ExposureState { values, first_moments, second_moments } = &self.exposures;
+        if [values, first_moments, second_moments].iter().any(|set| set.len() as u64 != exposures) {
+            return Err(Error::argument("exposures", format!("are not those of {exposures} photographs")));
         }
         if self.gaussians.sh_degree != self.settings.sh_degree {
             return Err(Error::argument("sh_degree", "of the Gaussians and of the settings differ"));

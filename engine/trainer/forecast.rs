@@ -8,8 +8,9 @@ use super::poses;
 use super::settings::TrainSettings;
 use super::step_recorder::StepRecorder;
 use super::strategy::Strategy;
-use super::{TrainParts, TrainView};
+use super::{InverseDepth, TrainParts, TrainView};
 use crate::error::Result;
+use crate::forward::Filter3d;
 use crate::loss::{LossTerm, Photometric};
 use crate::vk::Context;
 
@@ -67,10 +68,14 @@ impl Kit {
         let any_masked = photos.iter().any(|photo| photo.masked);
         let mut all: Vec<Box<dyn LossTerm>> =
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
+        if photos.iter().any(|photo| photo.inverse_depth) {
+            all.push(Box::new(InverseDepth::new(context, settings)?));
+        }
         all.extend(terms);
         all.extend(strategy.loss_terms(context, settings)?);
-        let recorder = StepRecorder::new(context, all, settings.optimizer_type, settings.pose_opt)?;
-        let rows = RowMemory::new(strategy.statistics(), recorder.targets().parameters);
+        let parameter_gradients = StepRecorder::targets_of(&all).parameters;
+        let rows = RowMemory::new(strategy.statistics(), parameter_gradients);
+        let recorder = StepRecorder::new(context, all, (settings, strategy.records().sums), rows.absolute())?;
         Ok(Self { strategy, recorder, rows })
     }
 
@@ -90,7 +95,13 @@ impl Kit {
             photos,
             photo_bytes: photos::device_bytes(context, photos, photo_memory)?,
             rows: &self.rows,
-            loss: &|sizes| self.recorder.device_requests(sizes),
+            loss: &|sizes| {
+                let mut requests = self.recorder.device_requests(sizes);
+                if settings.filter_3d {
+                    requests.extend(Filter3d::requests(sizes.len()));
+                }
+                requests
+            },
             losses: self.recorder.readback_request(),
             poses: poses::requests(settings, photos.len()),
             count,
@@ -106,11 +117,12 @@ impl Kit {
 
 /// The views' photographs, by the views' indices.
 pub(super) fn sizes_of(views: &[TrainView]) -> Vec<PhotoSize> {
-    let size = |(index, TrainView { photo, .. }): (usize, &TrainView)| PhotoSize {
+    let size = |(index, TrainView { photo, inverse_depth, .. }): (usize, &TrainView)| PhotoSize {
         name: format!("view {index}"),
         width: photo.width,
         height: photo.height,
         masked: photo.is_masked(),
+        inverse_depth: inverse_depth.is_some(),
     };
     views.iter().enumerate().map(size).collect()
 }

@@ -3,8 +3,9 @@
 
 use super::random::{self, ViewOrder};
 use super::run::Run;
-use super::settings::OptimizerType;
+use super::settings::{OptimizerType, TrainSettings};
 use super::work::{Actions, Work};
+use crate::exposure::ExposureStep;
 use crate::forward::RenderSettings;
 use crate::optimizer::{Rates, Step};
 use crate::poses::PoseStep;
@@ -18,6 +19,8 @@ pub(super) struct Progress {
     /// so.
     pub steps: u64,
     pub opacity_steps: u64,
+    /// Views whose gradients were added up since the last step.
+    pub summed: u32,
     /// Work before the next iteration.
     pub due: Actions,
 }
@@ -25,11 +28,12 @@ pub(super) struct Progress {
 impl Progress {
     /// The progress after an iteration.
     pub fn after(&self, plan: &IterationPlan) -> Self {
-        let Work { optimizes, optimizes_opacity, actions, .. } = plan.work;
+        let Work { optimizes, optimizes_opacity, sums_gradients, actions, .. } = plan.work;
         Self {
             iteration: plan.iteration,
             steps: self.steps + u64::from(optimizes),
             opacity_steps: self.opacity_steps + u64::from(optimizes && optimizes_opacity),
+            summed: if optimizes { 0 } else { self.summed + u32::from(sums_gradients) },
             due: actions,
         }
     }
@@ -41,17 +45,23 @@ pub(super) struct IterationPlan {
     pub iteration: u32,
     pub view: usize,
     pub work: Work,
+    /// Views whose gradients were added up before.
+    pub summed: u32,
     pub sh_degree: u32,
     pub settings: RenderSettings,
     pub step: Step,
     /// Of the poses, if they are optimised.
     pub pose_step: PoseStep,
+    /// Whether the sizes of the 3D filter are computed anew after the step.
+    pub computes_filters: bool,
+    pub exposure: ExposureStep,
 }
 
 impl IterationPlan {
-    /// A plan with the optimiser's step, for some view: for a recording that is never executed.
-    pub fn rehearsal(self, view: usize) -> Self {
-        Self { view, work: Work { optimizes: true, ..self.work }, ..self }
+    /// A plan with the optimiser's step and the statistics, for some view: for a recording that is never executed.
+    pub fn rehearsal(self, view: usize, sums_gradients: bool) -> Self {
+        let work = Work { optimizes: true, accumulates: true, sums_gradients, ..self.work };
+        Self { view, work, ..self }
     }
 }
 
@@ -73,10 +83,13 @@ impl Schedule {
         let s = &run.settings;
         // The reference's last iteration only saves.
         work.optimizes &= iteration < s.iterations;
+        // What was added up before belongs into this step too.
+        work.sums_gradients = (work.sums_gradients || progress.summed > 0) && iteration < s.iterations;
         IterationPlan {
             iteration,
             view: self.order.view(iteration),
             work,
+            summed: progress.summed,
             sh_degree: s.sh_degree_at(iteration),
             settings: RenderSettings {
                 background: background(run, iteration),
@@ -85,9 +98,16 @@ impl Schedule {
             },
             step: optimizer_step(run, iteration, progress, &work),
             // Where the Gaussians make a step, the poses do.
-            pose_step: PoseStep { rate: s.pose_lr(iteration), count: progress.steps + 1 },
+            pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1 },
+            computes_filters: s.computes_filters_at(iteration),
+            exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1 },
         }
     }
+}
+
+/// Log-linear from `pose_lr` at 0 to a hundredth of it at the last iteration.
+fn pose_rate(s: &TrainSettings, iteration: u32) -> f64 {
+    s.pose_lr * 0.01_f64.powf(f64::from(iteration) / f64::from(s.iterations))
 }
 
 fn background(run: &Run, iteration: u32) -> [f32; 3] {
@@ -99,13 +119,14 @@ fn background(run: &Run, iteration: u32) -> [f32; 3] {
 
 fn optimizer_step(run: &Run, iteration: u32, progress: &Progress, work: &Work) -> Step {
     let s = &run.settings;
+    let others = s.rate_factor(iteration);
     let rates = Rates {
         mean: s.position_lr(iteration) * f64::from(run.scene_extent),
-        opacity: if work.optimizes_opacity { s.opacity_lr } else { 0.0 },
-        quat: s.rotation_lr,
-        log_scale: s.scaling_lr,
-        sh_dc: s.feature_lr,
-        sh_rest: s.feature_rest_lr(),
+        opacity: if work.optimizes_opacity { s.opacity_lr * others } else { 0.0 },
+        quat: s.rotation_lr * others,
+        log_scale: s.scaling_lr * others,
+        sh_dc: s.feature_lr * others,
+        sh_rest: s.feature_rest_lr() * others,
     };
     match s.optimizer_type {
         OptimizerType::SparseAdam => Step { rates, count: 0, opacity_count: 0 },

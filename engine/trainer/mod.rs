@@ -8,6 +8,8 @@
 mod align;
 mod budget;
 pub mod checkpoint;
+mod choices;
+mod depth_maps;
 mod forecast;
 mod iteration;
 mod model;
@@ -30,20 +32,20 @@ mod terms;
 pub mod verify;
 mod work;
 
-pub use checkpoint::{Checkpoint, PoseState, Room};
+pub use checkpoint::{Checkpoint, ExposureState, PoseState, Room};
 pub use forecast::Forecast;
 pub use photos::PhotoSize;
 pub use population::{Growth, Population};
 pub use record::{RecordedStep, StepReservation};
 pub use report::{Maintenance, StepOutcome, StepReport};
-pub use settings::{OptimizerType, StrategyType, TrainSettings};
-pub use strategies::{Fixed, Mcmc, Reference};
+pub use settings::{ImportanceType, OptimizerType, SplitType, StrategyType, TrainSettings};
+pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, Reference, quantile};
 pub use strategy::Strategy;
 pub use terms::*;
 pub use work::{Actions, Densified};
 
 use crate::error::{Error, Result};
-use crate::forward::{Blending, RenderSettings, SceneBuffers};
+use crate::forward::{Blending, Filter3d, RenderSettings, SceneBuffers};
 use crate::loss::LossTerm;
 use crate::plan::PictureCapacity;
 use crate::planes;
@@ -51,11 +53,13 @@ use crate::renderer::{Aligner, Frame, FrameRunner, FrameStore, PixelReport, Tile
 use crate::scene::StoredPhoto;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Context};
+use depth_maps::DepthMaps;
 use forecast::Kit;
 use model::{Model, RowMemory, State};
 use photos::Photos;
 use poses::Poses;
 use run::Run;
+use std::sync::Arc;
 use step_recorder::{LossMemory, StepRecorder};
 
 /// A photograph and its camera.
@@ -67,12 +71,22 @@ pub struct TrainView {
     /// The photo, kept on the device with 8 bits per channel. Masked pixels carry no loss. Photos in a file
     /// are read ahead of the iterations that need them.
     pub photo: StoredPhoto,
+    /// The inverse depth that the photo's pixels should have, row by row: the sum of blending weights / z, 1 / world
+    /// units. Pixels from [`MAP_NOTHING`](crate::kernels::constants::MAP_NOTHING) on, as infinity, do not count. A view
+    /// with one adds [`InverseDepth`] to the loss.
+    pub inverse_depth: Option<Arc<[f32]>>,
 }
 
 impl TrainView {
     /// A view to train on.
     pub fn new(camera: Camera, photo: impl Into<StoredPhoto>) -> Self {
-        Self { camera, photo: photo.into() }
+        Self { camera, photo: photo.into(), inverse_depth: None }
+    }
+
+    /// The view with an inverse-depth map: [`TrainView::inverse_depth`].
+    #[must_use]
+    pub fn with_inverse_depth(self, map: Option<Arc<[f32]>>) -> Self {
+        Self { inverse_depth: map, ..self }
     }
 }
 
@@ -117,6 +131,7 @@ pub struct Trainer {
     context: Context,
     run: Run,
     photos: Photos,
+    maps: DepthMaps,
     schedule: iteration::Schedule,
     strategy: Box<dyn Strategy>,
     recorder: StepRecorder,
@@ -130,6 +145,8 @@ pub struct Trainer {
     pictures: FrameStore,
     rows: RowMemory,
     state: State,
+    /// The 3D filter, if the settings want one.
+    filter: Option<Filter3d>,
     recording: record::Recording,
 }
 
@@ -203,6 +220,7 @@ impl Trainer {
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let poses = Poses::new(context, &settings, &cameras)?;
+        let maps = DepthMaps::new(context, &views, &photo_sizes)?;
         let views_fingerprint = resume::fingerprint_of(&views);
         drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, sh_degree)?;
@@ -210,11 +228,16 @@ impl Trainer {
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&cameras);
         runner.expect_pictures(pictures);
-        if let Some(frame) = room.and_then(|room| room.frame(pictures)) {
+        let absolute = rows.absolute().is_some();
+        if absolute {
+            runner.expect_absolute();
+        }
+        if let Some(frame) = room.and_then(|room| room.frame(pictures, absolute)) {
             runner.restore(frame)?;
         }
         let run = Run { settings, scene_extent, cameras, views_fingerprint };
-        Ok(Self {
+        let filter = run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras)).transpose()?;
+        let trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,
             aligner: None,
@@ -223,13 +246,17 @@ impl Trainer {
             context: context.clone(),
             run,
             photos,
+            maps,
             strategy,
             recorder,
             runner,
             rows,
             state,
+            filter,
             recording: record::Recording::default(),
-        })
+        };
+        trainer.compute_filters()?;
+        Ok(trainer)
     }
 
     /// The device that it trains on.
@@ -362,6 +389,32 @@ impl Trainer {
     pub fn gaussians(&self) -> Result<Gaussians> {
         self.check_readable()?;
         planes::download(&self.context, &self.state.model.scene)
+    }
+
+    /// Downloads the Gaussians, with the 3D filter, if there is one, as a part of scales and opacities: as any renderer
+    /// draws them.
+    ///
+    /// # Errors
+    /// As [`Trainer::gaussians`].
+    pub fn baked_gaussians(&self) -> Result<Gaussians> {
+        let mut gaussians = self.gaussians()?;
+        if self.filter.is_some() {
+            gaussians.bake_filters(&self.filters()?)?;
+        }
+        Ok(gaussians)
+    }
+
+    /// The sizes of Mip-Splatting's 3D filter, world units, one per Gaussian; none without
+    /// [`TrainSettings::filter_3d`].
+    ///
+    /// # Errors
+    /// As [`Trainer::gaussians`].
+    pub fn filters(&self) -> Result<Vec<f32>> {
+        self.check_readable()?;
+        match self.filter {
+            Some(_) => planes::download_filters(&self.context, &self.state.model.scene),
+            None => Ok(Vec::new()),
+        }
     }
 
     /// Bytes of device memory in use by all arenas of the context.

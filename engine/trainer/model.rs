@@ -2,7 +2,7 @@
 //! progress.
 
 use super::iteration::Progress;
-use super::work::{GRADIENT_STATISTIC, Statistic};
+use super::work::{ABSOLUTE_STATISTIC, GRADIENT_STATISTIC, Statistic};
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
 use crate::kernels::constants::PLANE_SH;
@@ -29,6 +29,11 @@ impl RowMemory {
     /// The statistics, the gradient's first.
     pub fn statistics(&self) -> &[Statistic] {
         &self.statistics
+    }
+
+    /// The place of [`ABSOLUTE_STATISTIC`] among the statistics.
+    pub fn absolute(&self) -> Option<usize> {
+        self.statistics.iter().position(|statistic| *statistic == ABSOLUTE_STATISTIC)
     }
 
     fn statistics_requests(&self, capacity: u32) -> Vec<(&'static str, u64)> {
@@ -79,7 +84,8 @@ impl RowMemory {
 pub(super) struct Model {
     pub scene: SceneBuffers,
     pub moments: Moments,
-    /// A fourth set of planes, the target of densification's gather.
+    /// A fourth set of planes, the target of densification's gather. Between two changes of the set it has the
+    /// sums of gradients ([`super::work::Work::sums_gradients`]).
     pub spare: Vec<Buffer>,
     /// Per Gaussian: see [`super::strategy::StepInputs::statistics`].
     pub statistics: Vec<Buffer>,

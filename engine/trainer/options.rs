@@ -1,6 +1,7 @@
 //! Options of training, declared once: see [`super::TrainSettings`].
 
-use super::settings::{OptimizerType, StrategyType, TrainSettings};
+use super::choices::{ImportanceType, OptimizerType, SplitType, StrategyType};
+use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 
 /// Values that an option may have.
@@ -149,9 +150,17 @@ macro_rules! choice {
 choice!(OptimizerType, "default" = OptimizerType::Default, "sparse_adam" = OptimizerType::SparseAdam);
 choice!(
     StrategyType,
-    "default" = StrategyType::Default,
+    "reference" = StrategyType::Reference,
     "fixed" = StrategyType::Fixed,
-    "mcmc" = StrategyType::Mcmc
+    "mcmc" = StrategyType::Mcmc,
+    "budget" = StrategyType::Budget
+);
+choice!(SplitType, "sample" = SplitType::Sample, "long-axis" = SplitType::LongAxis);
+choice!(
+    ImportanceType,
+    "edges" = ImportanceType::Edges,
+    "statistic" = ImportanceType::Statistic,
+    "none" = ImportanceType::None
 );
 
 /// Declares the settings: the fields with types, defaults, bounds and descriptions, and a table of them.

@@ -63,6 +63,8 @@ pub struct PhotoSize {
     pub height: u32,
     /// Whether it is known to have pixels that do not count.
     pub masked: bool,
+    /// Whether it has an inverse-depth map.
+    pub inverse_depth: bool,
 }
 
 impl PhotoSize {
@@ -77,7 +79,7 @@ impl PhotoSize {
 
 /// Bytes of device memory that the photographs take.
 pub(super) struct PhotoBytes {
-    /// Bytes of those that stay on the device.
+    /// Bytes of those that stay on the device, and of the inverse-depth maps.
     pub held: u64,
     /// Bytes of staging memory during an upload.
     pub staging: u64,
@@ -102,10 +104,11 @@ pub(super) fn device_bytes(
     file_memory: Option<u64>,
 ) -> Result<PhotoBytes> {
     let all = context.allocation_bytes(&requests(context, photos));
+    let maps = super::depth_maps::device_bytes(context, photos);
     Ok(match Residence::of(windowing_of(context), photos, file_memory)? {
-        Residence::All => PhotoBytes { held: all, staging: 0, all, budget: None },
+        Residence::All => PhotoBytes { held: all + maps, staging: 0, all, budget: None },
         Residence::Places { count, bytes } => PhotoBytes {
-            held: context.allocation_bytes(&vec![("photo", bytes); count]),
+            held: maps + context.allocation_bytes(&vec![("photo", bytes); count]),
             staging: context.staging_bytes(bytes),
             all: all.max(context.allocation_bytes(&vec![("photo", bytes); photos.len()])),
             budget: file_memory,
@@ -128,7 +131,7 @@ fn on_device(windowing: Windowing, photo: &StoredPhoto) -> Result<Vec<u8>> {
 
 /// Refuses views whose photographs do not have their cameras' sizes.
 pub(super) fn check(views: &[TrainView]) -> Result<()> {
-    for (index, TrainView { camera, photo }) in views.iter().enumerate() {
+    for (index, TrainView { camera, photo, inverse_depth }) in views.iter().enumerate() {
         camera.check()?;
         if (photo.width, photo.height) != (camera.width, camera.height) {
             let problem = format!(
@@ -138,6 +141,11 @@ pub(super) fn check(views: &[TrainView]) -> Result<()> {
             return Err(Error::argument(format!("view {index}"), problem));
         }
         photo.check().map_err(|problem| Error::argument(format!("view {index}"), problem))?;
+        let pixels = photo.width as usize * photo.height as usize;
+        if let Some(map) = inverse_depth.as_ref().filter(|map| map.len() != pixels) {
+            let problem = format!("the inverse-depth map has {} values for {pixels} pixels", map.len());
+            return Err(Error::argument(format!("view {index}"), problem));
+        }
     }
     Ok(())
 }
@@ -184,6 +192,26 @@ impl Photos {
                 Some(running) if running.at.view == view => &stream.places[running.at.place],
                 _ => panic!("view {view} is not the one that was prepared"),
             },
+        }
+    }
+
+    /// Bytes of the place that [`Photos::between_steps`] needs.
+    pub fn place_bytes(&self) -> u64 {
+        match self {
+            Self::Resident { .. } => 0,
+            Self::Streamed(stream) => stream.places.iter().map(Buffer::bytes).max().unwrap_or(0),
+        }
+    }
+
+    /// The texels of any view, between steps: those on the device, or read from their file into `place`.
+    pub fn between_steps(&self, context: &Context, view: usize, place: &Buffer) -> Result<Buffer> {
+        match self {
+            Self::Resident { texels, .. } => Ok(texels[view].clone()),
+            Self::Streamed(stream) => {
+                let texels = on_device(windowing_of(context), &stream.photos[view])?;
+                context.upload(&place.range(0, texels.len() as u64), &texels)?;
+                Ok(place.clone())
+            }
         }
     }
 

@@ -2,15 +2,16 @@
 
 use super::budget;
 use super::model::{Model, RowMemory};
+use super::photos::Photos;
 use super::run::Run;
 use super::settings::TrainSettings;
-use crate::densify::{Curve, Densify, Gather, RandomKey};
+use crate::densify::{Curve, Densify, EdgePhoto, Gather, Importance, ImportanceBuffers, RandomKey};
 use crate::error::{Error, Result};
-use crate::forward::SceneBuffers;
+use crate::forward::{RenderSettings, SceneBuffers};
 use crate::optimizer::Moments;
 use crate::plan::{FrameCapacity, PictureCapacity, ScenePlan};
 use crate::planes;
-use crate::renderer::{FrameRunner, FrameStore};
+use crate::renderer::{Failed, FrameRunner, FrameStore, Request};
 use crate::scene::Camera;
 use crate::scene::camera::middle;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
@@ -23,8 +24,11 @@ pub struct Population<'a> {
     pub(super) runner: &'a mut FrameRunner,
     pub(super) pictures: &'a mut FrameStore,
     pub(super) model: &'a mut Model,
+    pub(super) photos: &'a Photos,
     pub(super) most_instances: &'a mut u32,
     pub(super) iteration: u32,
+    /// See [`super::iteration::Progress::summed`].
+    pub(super) summed: &'a mut u32,
 }
 
 /// New planes for a set that exceeds its capacity; nothing for a set that fits.
@@ -86,6 +90,69 @@ impl Population<'_> {
     /// Frees what pictures drawn between steps have left.
     pub fn release_pictures(&mut self) {
         self.pictures.release();
+    }
+
+    /// The mean edge-weighted blending importance of each Gaussian over training views (indices of
+    /// [`Population::cameras`]), which are drawn one after the other: f32 per Gaussian from 0 to 1. None without
+    /// memory for it. In a view whose frame does not fit the memory, all have the importance 0.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] without views, or for one that does not exist; when a photograph cannot be read or the
+    /// device is lost.
+    pub fn importance(&mut self, kernels: &Importance, views: &[usize]) -> Result<Option<Buffer>> {
+        let (context, count) = (self.context, self.count());
+        let views_exist = !views.is_empty() && views.iter().all(|&view| view < self.run.cameras.len());
+        if !views_exist {
+            let problem = format!("{views:?} are not some of the {} there are", self.run.cameras.len());
+            return Err(Error::argument("views", problem));
+        }
+        let each = self.run.cameras.iter().map(|camera| u64::from(camera.width) * u64::from(camera.height));
+        let requests = ImportanceBuffers::requests(count, each.max().unwrap_or(0));
+        let own = [("importance", u64::from(count) * 4)];
+        let place = [("photo", self.photos.place_bytes())];
+        let allocate = |requests: &[_]| or_none(context.allocate("importance", requests, MemoryKind::Device));
+        let (Some(own), Some(place), Some(buffers)) =
+            (allocate(&own)?, allocate(&place)?, allocate(&requests)?)
+        else {
+            return Ok(None);
+        };
+        let (importance, place) = (&own[0], &place[0]);
+        let buffers = ImportanceBuffers::from_allocated(buffers);
+        context.run("clear importance", |r| {
+            r.fill(importance, 0);
+            Ok(())
+        })?;
+        // The weights do not depend on colours.
+        let settings = RenderSettings { inverse_depth: false, ..self.run.render_settings() };
+        let share = 1.0 / views.len() as f32;
+        for &view in views {
+            let camera = &self.run.cameras[view];
+            let texels = &self.photos.between_steps(context, view, place)?;
+            let photo = EdgePhoto {
+                texels,
+                size: (camera.width, camera.height),
+                masked: self.photos.is_masked(view),
+            };
+            let request = Request {
+                scene: &self.model.scene,
+                camera,
+                // A moved camera sees nearly the same.
+                pose: None,
+                settings: &settings,
+                sh_degree: 0,
+                backward: true,
+            };
+            let ran = self.runner.run(&request, |r, inputs| {
+                let gradient = &inputs.frame.image_gradient;
+                r.barrier();
+                kernels.record_edges(r, &photo, &buffers, gradient);
+                r.barrier();
+                kernels.record_view(r, inputs, gradient, &buffers, (importance, share));
+                Ok(())
+            });
+            or_none(ran.map_err(Failed::error))?;
+        }
+        Ok(Some(importance.clone()))
     }
 
     /// The space-filling curve along which Gaussians are stored.
@@ -206,6 +273,8 @@ impl Population<'_> {
             statistics: statistics.clone(),
             parameter_gradients: parameter_gradients.clone(),
         };
+        // The sums are in the planes that are the spare set no longer, in the order of the old set.
+        *self.summed = 0;
         *self.most_instances = budget::remembered_instances(*self.most_instances, before, rows);
         Ok(())
     }

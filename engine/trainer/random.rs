@@ -7,6 +7,7 @@ use rand_chacha::ChaCha8Rng;
 /// Random streams of a run, all derived from its seed.
 const STREAM_VIEWS: u64 = 1;
 const STREAM_BACKGROUND: u64 = 2;
+const STREAM_POOL: u64 = 3;
 
 /// Each view once per epoch, in random order.
 #[derive(Clone)]
@@ -49,8 +50,45 @@ fn generator(seed: u32, stream: u64, counter: u64) -> ChaCha8Rng {
     rng
 }
 
+/// Views from a pool that is all views in random order, and then all of them in another order: those at these
+/// places.
+pub(super) fn pool_views(seed: u32, views: usize, places: std::ops::Range<u64>) -> Vec<usize> {
+    let views = views as u64;
+    let mut order: Option<(u64, Vec<usize>)> = None;
+    let view = |place: u64| {
+        let epoch = place / views;
+        if order.as_ref().is_none_or(|(of, _)| *of != epoch) {
+            let mut rng = generator(seed, STREAM_POOL, epoch);
+            let mut all: Vec<usize> = (0..views as usize).collect();
+            all.shuffle(&mut rng);
+            order = Some((epoch, all));
+        }
+        order.as_ref().map_or(0, |(_, order)| order[(place % views) as usize])
+    };
+    places.map(view).collect()
+}
+
 /// A random background for an iteration: r, g, b.
 pub(super) fn background(seed: u32, iteration: u32) -> [f32; 3] {
     let mut rng = generator(seed, STREAM_BACKGROUND, iteration.into());
     [rng.random(), rng.random(), rng.random()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::pool_views;
+
+    #[test]
+    fn a_pool_is_used_up_before_it_is_refilled() {
+        let drawn = pool_views(7, 6, 0..18);
+        for epoch in drawn.chunks(6) {
+            let mut sorted = epoch.to_vec();
+            sorted.sort_unstable();
+            assert_eq!(sorted, [0, 1, 2, 3, 4, 5]);
+        }
+        assert!(drawn[..6] != drawn[6..12] || drawn[..6] != drawn[12..]);
+        assert_eq!(pool_views(7, 6, 4..9), drawn[4..9]);
+        assert!(pool_views(8, 6, 0..18) != drawn);
+        assert_eq!(pool_views(7, 1, 3..5), [0, 0]);
+    }
 }

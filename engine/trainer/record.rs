@@ -181,9 +181,9 @@ impl Trainer {
         [state, losses]: [&Buffer; 2],
     ) -> Result<()> {
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
-        let poses = self.poses.as_ref();
-        let parts =
-            StepParts { run, model, photos: &self.photos, memory: &self.losses, strategy, poses, plan };
+        let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
+        let (filter, poses) = (self.filter.as_ref(), self.poses.as_ref());
+        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, poses, plan };
         self.runner.record(r, &parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, losses);
             r.barrier();
@@ -339,8 +339,8 @@ impl Trainer {
     /// dispatches. Recordings that are never submitted create all objects that are made on first use.
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
         let gaussians = self.state.model.scene.plan.capacity;
-        let inverse_depth = self.recorder.targets().inverse_depth;
-        self.runner.reserve(gaussians, &self.run.cameras[0], self.run.settings.sh_degree, inverse_depth)?;
+        let drawn = self.recorder.drawn();
+        self.runner.reserve(gaussians, &self.run.cameras[0], self.run.settings.sh_degree, &drawn)?;
         let frame = self.runner.frame()?;
         self.context.run("clear state", |r| {
             r.fill(&frame.state, 0);
@@ -357,9 +357,16 @@ impl Trainer {
         let views = if every_view { 0..self.run.cameras.len() } else { plan.view..plan.view + 1 };
         if let Some(slot) = self.recording.slots.first() {
             for view in views {
-                let mut recorder = self.context.begin("rehearsal")?;
-                self.record_plan(&mut recorder, &plan.rehearsal(view), [&slot.state, &slot.losses])?;
-                recorder.check()?;
+                let sums: &[bool] = if self.strategy.records().sums { &[false, true] } else { &[false] };
+                for &sums in sums {
+                    let mut recorder = self.context.begin("rehearsal")?;
+                    self.record_plan(
+                        &mut recorder,
+                        &plan.rehearsal(view, sums),
+                        [&slot.state, &slot.losses],
+                    )?;
+                    recorder.check()?;
+                }
             }
         }
         self.recording.frame_is_ready = true;
@@ -369,11 +376,11 @@ impl Trainer {
     /// Most dispatches of a step.
     fn step_dispatches(&self) -> usize {
         const PER_STEP: u32 = 64;
-        // Per chunk of parameters: culling, projection, its backward pass, the optimiser.
+        // Per chunk of parameters: culling, projection, its backward pass, the sums of gradients, the optimiser.
         let frame = self.runner.capacity();
         let blending =
             LaunchSizes::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
-        (PER_STEP + 4 * self.state.model.scene.plan.chunks + 2 * blending) as usize
+        (PER_STEP + 5 * self.state.model.scene.plan.chunks + 2 * blending) as usize
     }
 
     /// The Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps.

@@ -1,15 +1,17 @@
 //! Conversion of a trainer to a [`Checkpoint`], and back.
 
-use super::checkpoint::{Checkpoint, Room, StrategyState, StrategyStatistic, Wanted};
+use super::checkpoint::{
+    Checkpoint, ExposureState, GradientSums, Room, StrategyState, StrategyStatistic, Wanted,
+};
 use super::iteration::Progress;
 use super::settings::TrainSettings;
-use super::{TrainParts, TrainView, Trainer};
+use super::{TrainParts, TrainView, Trainer, strategies};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
 use crate::plan::{FrameCapacity, PictureCapacity};
 use crate::planes;
-use crate::scene::Camera;
+use crate::scene::{Camera, Exposure};
 use crate::vk::{Buffer, Context};
 
 impl Trainer {
@@ -58,6 +60,7 @@ impl Trainer {
             first_moments: planes_of(&model.moments.first)?,
             second_moments: planes_of(&model.moments.second)?,
             statistics: bytemuck::cast_slice(&gradient).to_vec(),
+            filters: self.filters()?,
             strategy: StrategyState {
                 name: self.strategy.name().to_owned(),
                 terms: self.recorder.terms().map(str::to_owned).collect(),
@@ -65,6 +68,11 @@ impl Trainer {
                 values: self.strategy.state(),
             },
             poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
+            gradient_sums: match progress.summed {
+                0 => None,
+                views => Some(GradientSums { views, sums: planes_of(&model.spare)? }),
+            },
+            exposures: self.exposure_state()?,
             skipped: self.state.skipped,
             room: self.room(),
         })
@@ -106,7 +114,7 @@ impl Trainer {
             views_fingerprint: fingerprint_of(&views),
             scene_extent,
         })?;
-        let (there, here) = (from.strategy.name.as_str(), parts.strategy.name());
+        let (there, here) = (strategies::present_name(&from.strategy.name), parts.strategy.name());
         if !there.is_empty() && there != here {
             let problem = format!("was made with the strategy '{there}', here it is '{here}'");
             return Err(Error::argument("checkpoint", problem));
@@ -128,18 +136,27 @@ impl Trainer {
             let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
             poses.restore(context, from.poses.as_ref().ok_or_else(lacks)?)?;
         }
+        if trainer.filter.is_some() {
+            planes::upload_filters(context, &trainer.state.model.scene, &from.filters)?;
+        }
+        if let Some(exposures) = &trainer.losses.exposures {
+            let ExposureState { values, first_moments, second_moments } = &from.exposures;
+            exposures.upload(context, [values, first_moments, second_moments])?;
+        }
         let state = &mut trainer.state;
         state.progress = Progress {
             iteration: from.iteration,
             steps: from.optimizer_steps,
             opacity_steps: from.opacity_steps,
+            summed: from.gradient_sums.as_ref().map_or(0, |sums| sums.views),
             due: from.due,
         };
         let moments = [
             (&state.model.moments.first, &from.first_moments),
             (&state.model.moments.second, &from.second_moments),
         ];
-        for (chunks, values) in moments {
+        let sums = from.gradient_sums.iter().map(|sums| (&state.model.spare, &sums.sums));
+        for (chunks, values) in moments.into_iter().chain(sums) {
             let scene = SceneBuffers { chunks: chunks.clone(), ..state.model.scene.clone() };
             planes::fill(context, &scene, values)?;
         }
@@ -172,6 +189,22 @@ impl Trainer {
 }
 
 impl Trainer {
+    fn exposure_state(&self) -> Result<ExposureState> {
+        let Some(exposures) = &self.losses.exposures else { return Ok(ExposureState::default()) };
+        let [values, first_moments, second_moments] = exposures.download(&self.context)?;
+        Ok(ExposureState { values, first_moments, second_moments })
+    }
+
+    /// The exposures of the views' photographs in their order, if they are learned ([`TrainSettings::exposure`]);
+    /// otherwise none.
+    ///
+    /// # Errors
+    /// As [`Trainer::checkpoint`].
+    pub fn exposures(&self) -> Result<Vec<Exposure>> {
+        self.check_readable()?;
+        Ok(self.exposure_state()?.values.into_iter().map(|rows| Exposure { rows }).collect())
+    }
+
     fn room(&self) -> Room {
         let frame = self.runner.capacity();
         let largest = |side: fn(&Camera) -> u32| match frame.pictures {
@@ -193,8 +226,9 @@ impl Trainer {
 }
 
 impl Room {
-    /// The capacity of a frame, for these pictures; None without a frame.
-    pub(super) fn frame(&self, pictures: PictureCapacity) -> Option<FrameCapacity> {
+    /// The capacity of a frame, for these pictures, with room for absolute gradients or not; None without a
+    /// frame.
+    pub(super) fn frame(&self, pictures: PictureCapacity, absolute: bool) -> Option<FrameCapacity> {
         (self.frame_width > 0).then_some(FrameCapacity {
             gaussians: self.frame_gaussians,
             instances: self.frame_instances,
@@ -202,6 +236,7 @@ impl Room {
             pictures,
             blend_passes: self.blend_passes.max(1),
             backward: self.backward != 0,
+            absolute: absolute && self.backward != 0,
         })
     }
 }
@@ -216,6 +251,7 @@ pub(super) fn fingerprint_of(views: &[TrainView]) -> u64 {
         print.add(bytemuck::cast_slice(&[fx, fy, cx, cy]));
         print.add(bytemuck::cast_slice(&[width, height]));
         print.add(bytemuck::bytes_of(&view.photo.fingerprint()));
+        view.inverse_depth.iter().for_each(|map| print.add(bytemuck::cast_slice(map)));
         print.finish()
     };
     // Photographs have many megabytes: each thread hashes a share of them.

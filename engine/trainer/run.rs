@@ -17,9 +17,19 @@ pub(super) struct Run {
 impl Run {
     /// The render settings of training, without the random background.
     pub fn render_settings(&self) -> RenderSettings {
+        self.settings.render_settings()
+    }
+}
+
+impl TrainSettings {
+    /// The render settings of training, without the random background.
+    pub fn render_settings(&self) -> RenderSettings {
         RenderSettings {
-            antialias: self.settings.antialiasing,
-            background: [f32::from(u8::from(self.settings.white_background)); 3],
+            antialias: self.antialiasing,
+            antialias_detached: self.antialiasing_detached,
+            dilation_px2: self.kernel_size as f32,
+            filter_3d: self.filter_3d,
+            background: [f32::from(u8::from(self.white_background)); 3],
             ..RenderSettings::default()
         }
     }

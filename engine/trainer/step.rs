@@ -39,7 +39,7 @@ impl Trainer {
         let progress = self.state.progress;
         let before = Progress { iteration: progress.iteration - 1, ..progress };
         let plan = self.plan_after(&before);
-        if !plan.work.optimizes {
+        if !plan.work.optimizes && !plan.work.sums_gradients {
             return Ok(());
         }
         let plan = IterationPlan { work: Work { accumulates: false, ..plan.work }, ..plan };
@@ -107,8 +107,17 @@ impl Trainer {
         self.runner.forget();
         let scene = planes::upload(&self.context, "scene", &gaussians, count, plan.sh_degree)?;
         self.state.model = Model::new(&self.context, scene, &self.rows)?;
+        self.compute_filters()?;
         self.state.broken = false;
         Ok(true)
+    }
+
+    /// Gives all Gaussians the sizes of the 3D filter, if there is one.
+    pub(super) fn compute_filters(&self) -> Result<()> {
+        match &self.filter {
+            Some(filter) => filter.run(&self.context, &self.state.model.scene),
+            None => Ok(()),
+        }
     }
 
     /// The plan of the next iteration.
@@ -133,10 +142,15 @@ impl Trainer {
                 runner: &mut self.runner,
                 pictures: &mut self.pictures,
                 model: &mut self.state.model,
+                photos: &self.photos,
                 most_instances: &mut self.state.most_instances,
                 iteration: self.state.progress.iteration,
+                summed: &mut self.state.progress.summed,
             };
             let changes = self.strategy.between_steps(&mut population, due.first())?;
+            if changes.densified.is_some() {
+                self.compute_filters()?;
+            }
             done.densified = changes.densified.or(done.densified);
             done.opacities_reset |= changes.opacities_reset;
             self.state.progress.due = due.without(due.first());
@@ -167,9 +181,9 @@ impl Trainer {
     fn run_step(&mut self, plan: &IterationPlan) -> Result<Ran, Failed> {
         self.recorder.prepare(plan.sh_degree)?;
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
-        let poses = self.poses.as_ref();
-        let parts =
-            StepParts { run, model, photos: &self.photos, memory: &self.losses, strategy, poses, plan };
+        let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
+        let (filter, poses) = (self.filter.as_ref(), self.poses.as_ref());
+        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, poses, plan };
         self.runner.run(&parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
             Ok(())

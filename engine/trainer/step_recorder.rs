@@ -1,18 +1,21 @@
 //! Records an iteration: its frame, the terms of the loss, the backward pass, the optimiser's step, and what
 //! the strategy adds.
 
+use super::depth_maps::DepthMaps;
 use super::iteration::IterationPlan;
 use super::model::Model;
 use super::photos::Photos;
 use super::poses::Poses;
 use super::run::Run;
-use super::settings::OptimizerType;
-use super::strategy::{StepInputs, Strategy};
-use crate::backward::{Backward, Statistics};
+use super::settings::{OptimizerType, TrainSettings};
+use super::strategy::{Hooks, StepInputs, Strategy};
+use super::work::{Actions, Work};
+use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
-use crate::forward::FrameInputs;
+use crate::exposure::{Exposing, ExposureBuffers};
+use crate::forward::{Filter3d, FrameInputs, RenderSettings};
 use crate::loss::{LossTerm, Targets, TermInputs};
-use crate::optimizer::Optimizer;
+use crate::optimizer::{GradientSums, Optimizer};
 use crate::pixels::PixelBorder;
 use crate::plan::LaunchSizes;
 use crate::renderer::Request;
@@ -25,7 +28,12 @@ pub(super) struct StepRecorder {
     /// For terms that read pictures by rows.
     border: Option<PixelBorder>,
     sizes: LaunchSizes,
+    exposing: Option<Exposing>,
     backward: Backward,
+    /// How frames are drawn, apart from the inverse depth.
+    drawn: RenderSettings,
+    /// The place of the absolute statistic among the strategy's.
+    absolute: Option<usize>,
     optimizer: Optimizer,
     poses: bool,
 }
@@ -39,6 +47,8 @@ pub(super) struct LossMemory {
     image_gradient: Option<Buffer>,
     /// For terms that read pictures by rows.
     rows: Option<PixelRows>,
+    /// Matrices and moments outlive the iteration.
+    pub exposures: Option<ExposureBuffers>,
     pub readback: Buffer,
 }
 
@@ -62,9 +72,12 @@ pub(super) struct StepParts<'a> {
     pub run: &'a Run,
     pub model: &'a Model,
     pub photos: &'a Photos,
+    pub maps: &'a DepthMaps,
     pub memory: &'a LossMemory,
     pub strategy: &'a dyn Strategy,
     pub poses: Option<&'a Poses>,
+    /// None without a 3D filter.
+    pub filter: Option<&'a Filter3d>,
     pub plan: &'a IterationPlan,
 }
 
@@ -83,32 +96,44 @@ impl<'a> StepParts<'a> {
 }
 
 impl StepRecorder {
-    /// The first of the terms writes the picture's gradient.
+    /// The first of the terms writes the picture's gradient. `sums`: whether gradients of several views may be
+    /// added up. `absolute`: the place of [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all
+    /// statistics.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(
         context: &Context,
         terms: Vec<Box<dyn LossTerm>>,
-        optimizer: OptimizerType,
-        poses: bool,
+        (settings, sums): (&TrainSettings, bool),
+        absolute: Option<usize>,
     ) -> Result<Self> {
-        let targets = terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()));
-        let sparse = optimizer == OptimizerType::SparseAdam;
+        let targets = Self::targets_of(&terms);
+        let sparse = settings.optimizer_type == OptimizerType::SparseAdam;
         let optimizer = match targets.parameters {
             true => Optimizer::with_parameter_gradients(context, sparse),
             false => Optimizer::new(context, sparse),
         };
+        let optimizer = if sums { optimizer.with_sums() } else { optimizer };
+        let poses = settings.pose_opt;
         let optimizer = if poses { optimizer.with_moved_cameras() } else { optimizer };
         Ok(Self {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
+            exposing: settings.exposure.then(|| Exposing::new(context, true)).transpose()?,
             backward: Backward::new(context),
+            drawn: settings.render_settings(),
+            absolute,
             terms,
             targets,
             optimizer,
             poses,
         })
+    }
+
+    /// The gradients that terms add to.
+    pub fn targets_of(terms: &[Box<dyn LossTerm>]) -> Targets {
+        terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()))
     }
 
     /// The names of the terms.
@@ -126,16 +151,44 @@ impl StepRecorder {
         self.targets
     }
 
+    /// How frames are drawn, without the random background.
+    pub fn drawn(&self) -> RenderSettings {
+        RenderSettings { inverse_depth: self.targets.inverse_depth, ..self.drawn }
+    }
+
     /// Builds the kernels for an SH degree unless they exist.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        match self.poses {
-            true => self.backward.prepare_with_pose(sh_degree, self.targets.inverse_depth)?,
-            false => self.backward.prepare(sh_degree, self.targets.inverse_depth)?,
+        let variant = BackwardVariant::of(&self.drawn());
+        if self.poses {
+            self.backward.prepare_with_pose(sh_degree, variant, self.absolute.is_some())?;
+            return self.optimizer.prepare(sh_degree);
+        }
+        self.backward.prepare(sh_degree, variant)?;
+        if self.absolute.is_some() {
+            self.backward.prepare_absolute(sh_degree, variant)?;
+        }
+        if self.sizes.fused_adam {
+            self.backward.prepare_with_step(sh_degree, variant)?;
+            self.optimizer.prepare_unseen(sh_degree)?;
         }
         self.optimizer.prepare(sh_degree)
     }
 
-    /// The loss's buffers on the device for views of these sizes: scratch of the terms, and the losses.
+    /// Whether the backward pass of the projection makes the optimiser's step: where no one else needs the
+    /// gradients. Not in an iteration that densifies, in which the reference makes no step.
+    fn fuses(&self, work: &Work, hooks: Hooks) -> bool {
+        self.sizes.fused_adam
+            && !self.poses
+            && work.optimizes
+            && !work.sums_gradients
+            && !work.actions.contains(Actions::DENSIFY)
+            && !hooks.statistics
+            && !self.targets.parameters
+            && !(work.accumulates && self.absolute.is_some())
+    }
+
+    /// The loss's buffers on the device for views of these sizes, one per view: scratch of the terms, the losses,
+    /// and the exposures.
     pub fn device_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
         let mut requests: Vec<_> = self.terms.iter().flat_map(|term| term.scratch_requests(sizes)).collect();
         requests.push(("losses", self.losses_bytes()));
@@ -151,6 +204,9 @@ impl StepRecorder {
                 ("gradient_rows", 16 * pixels),
                 ("photo_rows", 4 * pixels),
             ]);
+        }
+        if self.exposing.is_some() {
+            requests.extend(ExposureBuffers::requests(sizes));
         }
         requests
     }
@@ -174,13 +230,17 @@ impl StepRecorder {
         match (device.next(), <[Buffer; 1]>::try_from(host)) {
             (Some(losses), Ok([readback])) => {
                 let image_gradient = self.targets.inverse_depth.then(|| device.next()).flatten();
-                let rows = match [device.next(), device.next(), device.next()] {
-                    [Some(picture), Some(gradient), Some(photo)] => {
-                        Some(PixelRows { picture, gradient, photo })
-                    }
-                    _ => None,
+                let mut buffers = |count: usize| device.by_ref().take(count).collect::<Vec<_>>();
+                let rows = if self.targets.rows() { buffers(3) } else { Vec::new() };
+                let rows = <[Buffer; 3]>::try_from(rows).ok();
+                let rows = rows.map(|[picture, gradient, photo]| PixelRows { picture, gradient, photo });
+                let exposures = match &self.exposing {
+                    Some(_) => buffers(ExposureBuffers::COUNT).try_into().ok(),
+                    None => None,
                 };
-                Ok(LossMemory { scratch, losses, image_gradient, rows, readback })
+                let exposures = exposures.map(ExposureBuffers::from_allocated);
+                exposures.iter().try_for_each(|exposures| exposures.reset(context))?;
+                Ok(LossMemory { scratch, losses, image_gradient, rows, exposures, readback })
             }
             _ => unreachable!("one buffer per request"),
         }
@@ -194,10 +254,18 @@ impl StepRecorder {
         r.barrier();
         self.record_loss(r, inputs, parts, gradient);
         r.barrier();
-        let statistics = Statistics { buffer: &model.statistics[0], accumulate: plan.work.accumulates };
-        match parts.poses {
-            Some(_) => self.backward.record_with_pose(r, inputs, gradient, statistics),
-            None => self.backward.record(r, inputs, gradient, statistics),
+        let accumulate = plan.work.accumulates;
+        let absolute = self.absolute.filter(|_| accumulate).map(|place| &model.statistics[place]);
+        let statistics = Statistics { buffer: &model.statistics[0], accumulate, absolute };
+        let hooks = parts.strategy.records();
+        let fuses = self.fuses(&plan.work, hooks);
+        match fuses {
+            true => {
+                let moved = (&model.moments, &plan.step);
+                self.backward.record_with_step(r, inputs, gradient, statistics, moved);
+            }
+            false if self.poses => self.backward.record_with_pose(r, inputs, gradient, statistics),
+            false => self.backward.record(r, inputs, gradient, statistics),
         }
         let step = StepInputs {
             frame: inputs,
@@ -208,14 +276,26 @@ impl StepRecorder {
             settings: &parts.run.settings,
             scene_extent: parts.run.scene_extent,
         };
-        let hooks = parts.strategy.records();
         if hooks.statistics {
             r.barrier();
             parts.strategy.record_statistics(r, &step);
         }
+        let sums = &model.spare;
+        if plan.work.sums_gradients {
+            r.barrier();
+            let to = GradientSums { sums, starts: plan.summed == 0 };
+            self.optimizer.record_add(r, inputs, &model.parameter_gradients, to);
+        }
         if plan.work.optimizes {
             r.barrier();
-            self.optimizer.record(r, inputs, &model.moments, &model.parameter_gradients, &plan.step);
+            match (fuses, plan.work.sums_gradients) {
+                (true, _) => self.optimizer.record_unseen(r, inputs, &model.moments, &plan.step),
+                (false, true) => self.optimizer.record_sums(r, inputs, &model.moments, sums, &plan.step),
+                (false, false) => {
+                    let direct = &model.parameter_gradients;
+                    self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
+                }
+            }
             if hooks.update {
                 r.barrier();
                 parts.strategy.record_update(r, &step);
@@ -224,6 +304,15 @@ impl StepRecorder {
             if let Some(poses) = parts.poses {
                 poses.record(r, inputs, plan.view, &plan.pose_step);
             }
+            if let Some((exposing, exposures)) = self.exposing.as_ref().zip(parts.memory.exposures.as_ref()) {
+                r.barrier();
+                let of = (exposures, &inputs.frame.state);
+                exposing.record_step(r, of, plan.view as u32, &plan.exposure);
+            }
+        }
+        if let Some(filter) = parts.filter.filter(|_| plan.computes_filters) {
+            r.barrier();
+            filter.record(r, inputs.scene, &inputs.frame.state);
         }
         r.copy(&parts.memory.losses, losses);
     }
@@ -246,6 +335,11 @@ impl StepRecorder {
             r.barrier();
         }
         let native = (inputs.frame.rendered(&self.sizes), photo, gradient);
+        let exposing = self.exposing.as_ref().zip(memory.exposures.as_ref());
+        if let Some((exposing, exposures)) = exposing {
+            exposing.record(r, inputs, exposures, plan.view as u32);
+            r.barrier();
+        }
         for (row, (term, scratch)) in self.terms.iter().zip(&memory.scratch).enumerate() {
             if row > 0 {
                 r.barrier();
@@ -255,15 +349,21 @@ impl StepRecorder {
                 r.fill(&rows.gradient, 0);
                 r.barrier();
             }
-            let (picture, photo, image_gradient) = match by_rows {
-                Some((_, rows)) => (&rows.picture, &rows.photo, &rows.gradient),
-                None => native,
+            // Only the photometric term, which comes first, compares with a photograph.
+            let exposing = exposing.filter(|_| row == 0);
+            let (picture, photo, image_gradient) = match (by_rows, exposing) {
+                (Some((_, rows)), _) => (&rows.picture, &rows.photo, &rows.gradient),
+                (None, Some((_, exposures))) => (&exposures.picture, native.1, native.2),
+                (None, None) => native,
             };
+            let frame = inputs;
             let inputs = TermInputs {
-                frame: inputs,
+                frame,
                 picture,
                 photo,
                 photo_is_masked,
+                inverse_depth_map: parts.maps.of(plan.view),
+                iteration: plan.iteration,
                 image_gradient,
                 parameter_gradients: &model.parameter_gradients,
                 scratch,
@@ -271,6 +371,10 @@ impl StepRecorder {
                 row: row as u32,
             };
             term.record(r, &inputs);
+            if let Some((exposing, exposures)) = exposing {
+                r.barrier();
+                exposing.record_backward(r, frame, exposures, plan.view as u32, gradient);
+            }
             if let Some((border, rows)) = by_rows {
                 r.barrier();
                 border.record_gradient(r, inputs.frame, &rows.gradient, gradient, true);

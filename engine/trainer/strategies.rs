@@ -1,9 +1,12 @@
 //! The strategies of density control that the library has.
 
+mod budget;
 mod fixed;
 mod mcmc;
+mod rebuild;
 mod reference;
 
+pub use budget::{Budget, GrowthSchedule, quantile};
 pub use fixed::Fixed;
 pub use mcmc::Mcmc;
 pub use reference::Reference;
@@ -13,14 +16,23 @@ use super::strategy::Strategy;
 use crate::error::Result;
 use crate::vk::Context;
 
+/// Options of densification by gradients, which other strategies do not have.
+const NOT_IN_OTHERS: [&str; 6] = ["absgrad", "split", "importance", "growth_curve", "recovery", "multi_step"];
+
 /// The strategy that the settings name.
 ///
 /// # Errors
 /// When the device refuses a pipeline.
 pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Box<dyn Strategy>> {
     Ok(match settings.strategy {
-        StrategyType::Default => Box::new(Reference::new(context)?),
+        StrategyType::Reference => Box::new(Reference::of_settings(context, settings)?),
         StrategyType::Fixed => Box::new(Fixed),
         StrategyType::Mcmc => Box::new(Mcmc::new(context)?),
+        StrategyType::Budget => Box::new(Budget::new(context, settings)?),
     })
+}
+
+/// The name of a strategy that a checkpoint names: earlier versions called the reference's `default`.
+pub(super) fn present_name(name: &str) -> &str {
+    if name == "default" { "reference" } else { name }
 }

@@ -4,7 +4,7 @@
 //! what it adds to the parameters and to the loss, and what of it belongs into memory and checkpoint.
 //! [`Reference`](super::Reference) is that of Kerbl et al. 2023.
 
-pub use super::work::{Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work};
+pub use super::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, GRADIENT_STATISTIC, Statistic, Work};
 
 use super::population::Population;
 use super::settings::TrainSettings;
@@ -19,8 +19,11 @@ use crate::vk::{Buffer, Context, Recorder};
 pub struct Hooks {
     /// Whether [`Strategy::record_statistics`] is called.
     pub statistics: bool,
-    /// Whether [`Strategy::record_update`] is called, after steps of the optimiser.
+    /// Whether [`Strategy::record_update`] is called, after steps of the optimiser. The gradients of the step are
+    /// then not there on every device ([`Tuning::fused_adam`](crate::tuning::Tuning::fused_adam)).
     pub update: bool,
+    /// Whether [`Work::sums_gradients`] may be set. The sums take no memory of their own, but kernels.
+    pub sums: bool,
 }
 
 /// A step on the device, for what a strategy records into it.
@@ -70,7 +73,7 @@ pub trait Strategy: Send {
     }
 
     /// Its statistics, besides [`GRADIENT_STATISTIC`]. The trainer counts and allocates their memory, and
-    /// keeps them in the checkpoint.
+    /// keeps them in the checkpoint. The backward pass accumulates [`ABSOLUTE_STATISTIC`] if it is among them.
     fn statistics(&self) -> Vec<Statistic> {
         Vec::new()
     }

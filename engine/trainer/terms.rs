@@ -1,7 +1,9 @@
 //! The terms of the loss that the settings can add to the photometric one.
 
+mod inverse_depth;
 mod regularizers;
 
+pub use inverse_depth::InverseDepth;
 pub use regularizers::Regularizers;
 
 use super::settings::TrainSettings;

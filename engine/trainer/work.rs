@@ -55,6 +55,9 @@ pub struct Work {
     pub accumulates: bool,
     /// Whether the optimiser makes a step.
     pub optimizes: bool,
+    /// Whether the gradients of this iteration add to those since the last step, and a step of this iteration
+    /// takes the sum. A change of the set of Gaussians drops the sum. See [`Hooks::sums`](super::strategy::Hooks::sums).
+    pub sums_gradients: bool,
     /// Whether that step moves the opacities.
     pub optimizes_opacity: bool,
     /// Work before the next iteration.
@@ -105,6 +108,12 @@ pub struct Statistic {
 /// The norm of the 2D mean's gradient (NDC) summed over views, and the number of views: what the backward pass
 /// accumulates if [`Work::accumulates`] is set. The first of every trainer's statistics.
 pub const GRADIENT_STATISTIC: Statistic = Statistic { name: "statistics", floats: 2 };
+
+/// The norm of the absolute gradients of the 2D mean (NDC), summed over the same views: ‖(W/2 Σ|g_x|, H/2 Σ|g_y|)‖,
+/// where g is the gradient with respect to the 2D mean in pixels through one pixel alone (AbsGS, Ye et al. 2024).
+/// A strategy that lists it in [`Strategy::statistics`](super::Strategy::statistics) need not record it: the
+/// backward pass accumulates it beside [`GRADIENT_STATISTIC`].
+pub const ABSOLUTE_STATISTIC: Statistic = Statistic { name: "absolute_statistics", floats: 1 };
 
 #[cfg(test)]
 mod tests {

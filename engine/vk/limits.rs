@@ -81,9 +81,9 @@ pub fn is_yardstick(kernel: &str) -> bool {
     is_kernel_of(kernel, "arithmetic")
 }
 
-/// Constants that the host uses to count workgroups. It sets them itself (from [`Limits::overridden`]), so
-/// that shader and host cannot differ.
-pub(super) const CHOSEN_BY_HOST: [&str; 8] = [
+/// Constants that the host uses to count workgroups and to choose kernels. It sets them itself (from
+/// [`Limits::overridden`]), so that shader and host cannot differ.
+pub(super) const CHOSEN_BY_HOST: [&str; 12] = [
     "WORKGROUP_SIZE",
     "SUBGROUP_SIZE",
     "ITEMS",
@@ -92,6 +92,10 @@ pub(super) const CHOSEN_BY_HOST: [&str; 8] = [
     "REGIONS_PER_SUBGROUP",
     "BLOCK",
     "FOR_BACKWARD",
+    "SIZE",
+    "STRIDE",
+    "ROWS",
+    "UNSEEN",
 ];
 
 impl Limits {

@@ -4,6 +4,8 @@
 //   R <- R - T alpha s,   dL/dalpha = T s - R / (1 - alpha),   dL/dpower = alpha dL/dalpha (0 where alpha is clamped).
 // An instance's sums over its pixels, with (dx, dy) = mean - pixel and p = dL/dpower:
 //   sum p (1, dx, dy, dx^2, dx dy, dy^2), sum T alpha g (r, g, b, inverse depth).
+// With ABSOLUTE also the sum of |dL/d(mean2d)|, x and y, the absolute value taken for each pixel alone (AbsGS, Ye et al. 2024).
+// With WEIGHTS only the sum of T alpha dL/dr: the Gaussian's share of a picture whose pixels weigh dL/dr.
 // project_backward turns the moments into gradients of mean, conic and opacity. The sums are stored at the instance's index
 // before the tile sort. These indices are contiguous per Gaussian, so the sum over tiles has one fixed order.
 //
@@ -12,10 +14,11 @@
 // in: tile_ranges, sorted_visible, sorted_instances, PerVisible attributes; PerPixel: accumulated, inverse_depth,
 //     last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
 // out, PerInstance: instance_gradients_a (1, dx, dy, dx dx), instance_gradients_b (dx dy, dy dy, r, g),
-//     instance_gradients_c (b, inverse depth)
+//     instance_gradients_c (b, inverse depth), with ABSOLUTE instance_gradients_d; with WEIGHTS only
+//     instance_gradients_c (weight, 0)
 // in/out, PerPixel: backward_state (T, R) between passes over very long tiles, see blend; with COUNT_HITS also
 //     state[STATE_BLEND_BACKWARD_HITS]
-// shared: BATCH * REGIONS * INSTANCE_SUMS words and masks; subgroup sizes 4 to 128
+// shared: BATCH * REGIONS * SUMS words and masks; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -37,6 +40,9 @@ layout(constant_id = 3) const bool INCREMENTAL_EXP = false;
 layout(constant_id = 4) const bool COUNT_HITS = false;
 // See blend_gradient.glsl. Only for subgroups of at most 16.
 layout(constant_id = 5) const bool STRIPS = false;
+// Other sums: see above. At most one of the two.
+layout(constant_id = 6) const bool ABSOLUTE = false;
+layout(constant_id = 7) const bool WEIGHTS = false;
 layout(local_size_x_id = 0) in;
 
 #include "blend_gradient.glsl"
@@ -47,8 +53,10 @@ layout(local_size_x_id = 0) in;
 const uint BATCH = SUBGROUP_SIZE > 32 ? SUBGROUP_SIZE : 32;
 const uint STEPS = BATCH / SUBGROUP_SIZE;
 const uint MASK_WORDS = BATCH / 32;
+// Sums per entry and region.
+const uint SUMS = WEIGHTS ? 1 : ABSOLUTE ? ABSOLUTE_SUMS : INSTANCE_SUMS;
 
-shared float partial[BATCH * REGIONS * INSTANCE_SUMS];
+shared float partial[BATCH * REGIONS * SUMS];
 shared uint touched[REGIONS * MASK_WORDS];
 shared uint region_last[REGIONS];
 
@@ -66,14 +74,27 @@ float add_across(float value, uint first_bit) {
     return value;
 }
 
-// Adds ten values over the subgroup and stores the sums at partial[base]. Each exchange halves the values per lane, so ten
-// sums cost about as many shuffles as two sums that are added one by one.
+// Adds ten values over the subgroup, with ABSOLUTE twelve, and stores the sums at partial[base]. Each exchange halves the
+// values per lane, so ten sums cost about as many shuffles as two sums that are added one by one.
 void store_sums(uint base, Sums s) {
     uint lane = gl_SubgroupInvocationID;
+    if (WEIGHTS) {
+        float weight = s.value.x + subgroupShuffleXor(s.value.x, 1);
+        weight += subgroupShuffleXor(weight, 2);
+        weight = add_across(weight, 4);
+        if (lane == 0) {
+            partial[base] = weight;
+        }
+        return;
+    }
     float a = keep_or_give(keep_or_give(s.linear.x, s.linear.y, 1), keep_or_give(s.linear.z, s.quadratic.x, 1), 2);
     float b = keep_or_give(keep_or_give(s.quadratic.y, s.quadratic.z, 1), keep_or_give(s.value.x, s.value.y, 1), 2);
     float c = keep_or_give(s.value.z, s.value.w, 1);
-    c += subgroupShuffleXor(c, 2);
+    if (ABSOLUTE) {
+        c = keep_or_give(c, keep_or_give(s.absolute.x, s.absolute.y, 1), 2);
+    } else {
+        c += subgroupShuffleXor(c, 2);
+    }
     c = add_across(c, 4);
     if (SUBGROUP_SIZE == 4) {
         partial[base + lane] = a;
@@ -84,7 +105,7 @@ void store_sums(uint base, Sums s) {
             partial[base + lane] = both;
         }
     }
-    if (lane < 2) {
+    if (lane < SUMS - 8) {
         partial[base + 8 + lane] = c;
     }
 }
@@ -140,7 +161,7 @@ void main() {
                     Splat splat = shuffled(own, lane);
                     uint place = batch + step * SUBGROUP_SIZE + lane + 1;
                     Sums sums = blend_backward(splat, place, corner_px, pixels);
-                    uint base = ((step * SUBGROUP_SIZE + lane) * REGIONS + gl_SubgroupID) * INSTANCE_SUMS;
+                    uint base = ((step * SUBGROUP_SIZE + lane) * REGIONS + gl_SubgroupID) * SUMS;
                     store_sums(base, sums);
                     if (bits == 0) {
                         break;
@@ -153,20 +174,21 @@ void main() {
             uint member = round + gl_LocalInvocationID.x;
             uint entry = batch + member;
             if (member < BATCH && entry < end) {
-                float sums[INSTANCE_SUMS];
-                [[unroll]] for (uint k = 0; k < INSTANCE_SUMS; ++k) {
+                float sums[ABSOLUTE_SUMS];
+                [[unroll]] for (uint k = 0; k < ABSOLUTE_SUMS; ++k) {
                     sums[k] = 0.0;
                 }
                 [[unroll]] for (uint region = 0; region < REGIONS; ++region) {
                     bool hit = (touched[region * MASK_WORDS + member / 32] >> (member % 32) & 1) != 0;
-                    uint base = (member * REGIONS + region) * INSTANCE_SUMS;
-                    [[unroll]] for (uint k = 0; k < INSTANCE_SUMS; ++k) {
+                    uint base = (member * REGIONS + region) * SUMS;
+                    [[unroll]] for (uint k = 0; k < SUMS; ++k) {
                         float value = partial[base + k];
                         sums[k] += hit ? value : 0.0;
                     }
                 }
+                vec4 value = WEIGHTS ? vec4(sums[0]) : vec4(sums[6], sums[7], sums[8], sums[9]);
                 store_instance(range.x + entry, Sums(vec3(sums[0], sums[1], sums[2]), vec3(sums[3], sums[4], sums[5]),
-                    vec4(sums[6], sums[7], sums[8], sums[9])));
+                    value, vec2(sums[10], sums[11])));
             }
         }
         barrier();

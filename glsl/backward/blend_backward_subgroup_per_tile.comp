@@ -27,6 +27,9 @@ layout(constant_id = 3) const bool INCREMENTAL_EXP = false;
 layout(constant_id = 4) const bool COUNT_HITS = false;
 // See blend_gradient.glsl. Only for subgroups of at most 16.
 layout(constant_id = 5) const bool STRIPS = false;
+// See blend_backward.comp.
+layout(constant_id = 6) const bool ABSOLUTE = false;
+layout(constant_id = 7) const bool WEIGHTS = false;
 layout(local_size_x_id = 0) in;
 
 #include "blend_gradient.glsl"
@@ -66,16 +69,22 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
             Splat splat = shuffled(own, lane);
             Sums sums = blend_backward(splat, batch + lane + 1, corner_px, pixels);
             bool mine = gl_SubgroupInvocationID == lane;
-            add_if(mine, own_sums.linear.x, sums.linear.x);
-            add_if(mine, own_sums.linear.y, sums.linear.y);
-            add_if(mine, own_sums.linear.z, sums.linear.z);
-            add_if(mine, own_sums.quadratic.x, sums.quadratic.x);
-            add_if(mine, own_sums.quadratic.y, sums.quadratic.y);
-            add_if(mine, own_sums.quadratic.z, sums.quadratic.z);
             add_if(mine, own_sums.value.x, sums.value.x);
-            add_if(mine, own_sums.value.y, sums.value.y);
-            add_if(mine, own_sums.value.z, sums.value.z);
+            if (!WEIGHTS) {
+                add_if(mine, own_sums.linear.x, sums.linear.x);
+                add_if(mine, own_sums.linear.y, sums.linear.y);
+                add_if(mine, own_sums.linear.z, sums.linear.z);
+                add_if(mine, own_sums.quadratic.x, sums.quadratic.x);
+                add_if(mine, own_sums.quadratic.y, sums.quadratic.y);
+                add_if(mine, own_sums.quadratic.z, sums.quadratic.z);
+                add_if(mine, own_sums.value.y, sums.value.y);
+                add_if(mine, own_sums.value.z, sums.value.z);
+            }
             if (INVERSE_DEPTH) add_if(mine, own_sums.value.w, sums.value.w);
+            if (ABSOLUTE) {
+                add_if(mine, own_sums.absolute.x, sums.absolute.x);
+                add_if(mine, own_sums.absolute.y, sums.absolute.y);
+            }
             if (bits == 0) {
                 break;
             }

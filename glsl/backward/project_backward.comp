@@ -4,11 +4,12 @@
 // invocation: one visible Gaussian; subgroup: adds the instances of a Gaussian with many tiles together, over the lanes in a
 // fixed order, so that results do not depend on scheduling
 // in: parameters (PerGaussian planes), visible_ranges, visible_list, footprints, first_instances, conic_opacity,
-//      instance_gradients_a, instance_gradients_b, instance_gradients_c
+//      instance_gradients_a, instance_gradients_b, instance_gradients_c, with ABSOLUTE instance_gradients_d
 // out: gradients, PerVisible planes: (d mean, d opacity logit), d quaternion, (d log-scale, dL/dx px),
 //      (d colour before its clamp at 0, dL/dy px)
 // in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) if `accumulate` is set, nothing overflowed
-//         and the norm is finite
+//         and the norm is finite; with ABSOLUTE absolute_statistics[Gaussian] += (norm of the sums of |dL/d(mean2d)| in NDC),
+//         and both norms must be finite
 // out, with POSE_GRADIENT: pose_sums[subgroup] = sums of dL/d(nu), dL/d(omega) over the subgroup's Gaussians. They are dL/d(delta)
 //         at delta = 0 of the pose exp(delta^) T, delta = (nu, omega), T from world to camera. A turn about the camera's
 //         centre leaves the directions of the colours as they are. Gaussians with a contribution that is not finite are left out.
@@ -29,12 +30,24 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // A Gaussian with more instances is summed by its whole subgroup.
 layout(constant_id = 3) const uint LANE_INSTANCES = 64;
+#ifdef ADAM
+const bool ABSOLUTE = false;
+#else
+// Also the statistic of the absolute gradients of the 2D mean.
+layout(constant_id = 4) const bool ABSOLUTE = false;
 // Whether the camera's pose has a gradient.
-layout(constant_id = 4) const bool POSE_GRADIENT = false;
+layout(constant_id = 6) const bool POSE_GRADIENT = false;
+#endif
+// Whether Gaussians have a 3D filter: see projection.glsl.
+layout(constant_id = 5) const bool FILTER_3D = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
+#ifdef ADAM
+layout(set = 0, binding = 1, scalar) buffer State { uint state[]; };
+#else
 layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
+#endif
 UINT_READS(2, VisibleList, visible_list);
 UVEC4_READS(3, Footprints, footprints);
 UINT_READS(4, FirstInstances, first_instances);
@@ -42,10 +55,22 @@ VEC4_READS(5, ConicOpacity, conic_opacity);
 VEC4_READS(6, InstanceGradientsA, instance_gradients_a);
 VEC4_READS(7, InstanceGradientsB, instance_gradients_b);
 VEC2_READS(8, InstanceGradientsC, instance_gradients_c);
-layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
-layout(set = 0, binding = 12, scalar) writeonly buffer PoseSums { vec3 pose_sums[]; };
+#ifdef ADAM
+// The same memory as `parameters` and the moments that are read. Each invocation reads its own elements before it writes them.
+VEC4_WRITES(9, NewParameters, new_parameters);
+VEC4_WRITES(12, Moments1, moments_1);
+VEC4_WRITES(13, Moments2, moments_2);
+VEC4_READS(14, OldMoments1, old_moments_1);
+VEC4_READS(15, OldMoments2, old_moments_2);
+#else
+layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
+// Only used with ABSOLUTE.
+VEC2_READS(12, InstanceGradientsD, instance_gradients_d);
+layout(set = 0, binding = 13, scalar) buffer AbsoluteStatistics { float absolute_statistics[]; };
+layout(set = 0, binding = 14, scalar) writeonly buffer PoseSums { vec3 pose_sums[]; };
+#endif
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
@@ -57,6 +82,23 @@ layout(push_constant, scalar) uniform Push {
     // Stride of the gradient planes, and whether to update the statistics.
     uint gradient_stride;
     uint accumulate;
+#ifdef ADAM
+    // As in adam.comp.
+    vec3 push_camera_position;
+    float beta_1;
+    float beta_2;
+    float one_minus_beta_1;
+    float one_minus_beta_2;
+    float epsilon;
+    float rate_mean;
+    float rate_opacity;
+    float rate_quat;
+    float rate_log_scale;
+    float rate_sh_dc;
+    float rate_sh_rest;
+    float inverse_bias_2;
+    float inverse_bias_2_opacity;
+#endif
 };
 
 #include "camera_block.glsl"
@@ -67,24 +109,46 @@ layout(push_constant, scalar) uniform Push {
 #include "projection.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
+#ifdef ADAM
+#include "sh_gradient.glsl"
+#define OLD_PARAMETERS parameters
+#define NEW_PARAMETERS new_parameters
+#define SH_GRADIENT(PLANE, AT) sh_plane_gradient(PLANE, basis, d_color)
+#include "adam_step.glsl"
+#endif
 
 struct Sums {
     vec4 a;
     vec4 b;
     vec2 c;
+    vec2 absolute;
 };
 
+Sums no_sums() {
+    return Sums(vec4(0.0), vec4(0.0), vec2(0.0), vec2(0.0));
+}
+
+void add_instance(inout Sums sums, uint at) {
+    sums.a += VEC4_AT(instance_gradients_a, at);
+    sums.b += VEC4_AT(instance_gradients_b, at);
+    sums.c += VEC2_AT(instance_gradients_c, at);
+#ifndef ADAM
+    if (ABSOLUTE) {
+        sums.absolute += VEC2_AT(instance_gradients_d, at);
+    }
+#endif
+}
+
 Sums subgroup_sum(Sums sums) {
-    return Sums(subgroupAdd(sums.a), subgroupAdd(sums.b), subgroupAdd(sums.c));
+    vec2 absolute = ABSOLUTE ? subgroupAdd(sums.absolute) : vec2(0.0);
+    return Sums(subgroupAdd(sums.a), subgroupAdd(sums.b), subgroupAdd(sums.c), absolute);
 }
 
 Sums sum_instances(uint begin, uint count, bool exists) {
-    Sums sums = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
+    Sums sums = no_sums();
     uint alone = count <= LANE_INSTANCES ? count : 0;
     for (uint k = 0; k < alone; ++k) {
-        sums.a += VEC4_AT(instance_gradients_a, begin + k);
-        sums.b += VEC4_AT(instance_gradients_b, begin + k);
-        sums.c += VEC2_AT(instance_gradients_c, begin + k);
+        add_instance(sums, begin + k);
     }
     uvec4 large = subgroupBallot(exists && count > LANE_INSTANCES);
     for (uint word = 0; word < BALLOT_WORDS; ++word) {
@@ -94,11 +158,9 @@ Sums sum_instances(uint begin, uint count, bool exists) {
             bits &= bits - 1;
             uint their_begin = subgroupShuffle(begin, lane);
             uint their_count = subgroupShuffle(count, lane);
-            Sums share = Sums(vec4(0.0), vec4(0.0), vec2(0.0));
+            Sums share = no_sums();
             for (uint k = gl_SubgroupInvocationID; k < their_count; k += SUBGROUP_SIZE) {
-                share.a += VEC4_AT(instance_gradients_a, their_begin + k);
-                share.b += VEC4_AT(instance_gradients_b, their_begin + k);
-                share.c += VEC2_AT(instance_gradients_c, their_begin + k);
+                add_instance(share, their_begin + k);
             }
             share = subgroup_sum(share);
             if (gl_SubgroupInvocationID == lane) {
@@ -121,10 +183,11 @@ void covariance_backward(Projection p, vec3 d_conic, float d_opacity, float opac
     float d_xy = s * cov.y - 0.5 * d_conic.y / p.det;
     float d_yy = d_conic.x / p.det - s * cov.x;
     float ratio = p.det_raw / p.det;
-    if (antialias != 0 && ratio > ANTIALIAS_MIN_RATIO) {
+    bool through_ratio = (antialias & (ANTIALIAS_COMPENSATED | ANTIALIAS_DETACHED)) == ANTIALIAS_COMPENSATED;
+    if (through_ratio && ratio > ANTIALIAS_MIN_RATIO) {
         // opacity = raw sqrt(det_raw / det).
         float d_ratio = d_opacity * opacity_raw * 0.5 * inversesqrt(ratio);
-        vec3 raw = p.cov2d - vec3(DILATION_PX2, 0.0, DILATION_PX2);
+        vec3 raw = p.cov2d - vec3(shape_dilation_px2, 0.0, shape_dilation_px2);
         d_xx += d_ratio * (raw.z - ratio * p.cov2d.z) / p.det;
         d_yy += d_ratio * (raw.x - ratio * p.cov2d.x) / p.det;
         d_xy += d_ratio * (ratio - 1.0) * p.cov2d.y / p.det;
@@ -144,6 +207,7 @@ vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
     return (g - q * dot(q, g)) * inverse_norm;
 }
 
+#ifndef ADAM
 bool all_finite(vec3 v) {
     return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
 }
@@ -161,6 +225,7 @@ void write_pose_sums(vec3 d_moved, vec3 d_turned, bool exists, uint end) {
         pose_sums[2 * at + 1] = turned;
     }
 }
+#endif
 
 void main() {
     // A workgroup has the size of a culling block.
@@ -180,7 +245,8 @@ void main() {
     vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
     vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
     vec4 conic = VEC4_AT(conic_opacity, splat_at(clamped_visible, SPLAT_CONIC_OPACITY));
-    Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
+    Filtered filtered = filter_3d(log_scale, mean_opacity.w);
+    Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
 
     // Moments to gradients of mean, conic and opacity.
     float m_1 = sums.a.x, m_x = sums.a.y, m_y = sums.a.z, m_xx = sums.a.w, m_xy = sums.b.x, m_yy = sums.b.y;
@@ -190,14 +256,24 @@ void main() {
     vec3 d_conic = vec3(-0.5 * m_xx, -m_xy, -0.5 * m_yy);
     float d_opacity = m_1 / max(conic.w, 1e-20);
 
-    float opacity_raw = sigmoid(mean_opacity.w);
-    float compensation = antialias != 0 ? sqrt(max(ANTIALIAS_MIN_RATIO, p.det_raw / p.det)) : 1.0;
+    float opacity_raw = sigmoid(filtered.opacity_logit);
+    bool compensated = (antialias & ANTIALIAS_COMPENSATED) != 0;
+    float compensation = compensated ? sqrt(max(ANTIALIAS_MIN_RATIO, p.det_raw / p.det)) : 1.0;
     float d_logit = d_opacity * compensation * opacity_raw * (1.0 - opacity_raw);
 
     vec3 d_row_x;
     vec3 d_row_y;
     covariance_backward(p, d_conic, d_opacity, opacity_raw, d_row_x, d_row_y);
     vec3 d_log_scale = d_row_x * p.row_x + d_row_y * p.row_y;
+    if (FILTER_3D && log_scale.w > 0.0) {
+        // From the filtered parameters to the stored ones; the filter's size is a constant.
+        vec3 ratio = exp(log_scale.xyz) / log_scale.w;
+        vec3 share = 1.0 / (1.0 + ratio * ratio);
+        float d_opacity_filtered = d_opacity * compensation;
+        d_log_scale = d_log_scale * (1.0 - share) + d_opacity_filtered * opacity_raw * share;
+        float stored = sigmoid(mean_opacity.w);
+        d_logit = d_opacity_filtered * filtered.shrink * stored * (1.0 - stored);
+    }
 
     // The rows of M are J times the scaled axes.
     d_row_x *= p.scale;
@@ -244,6 +320,7 @@ void main() {
     vec3 d_towards = (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
     d_mean += d_towards;
 
+#ifndef ADAM
     if (POSE_GRADIENT) {
         vec3 d_turned = cross(p.mean_camera, d_camera);
         for (uint axis = 0; axis < 3; ++axis) {
@@ -251,17 +328,40 @@ void main() {
         }
         write_pose_sums(d_camera + to_camera(d_towards), d_turned, exists, visible_range.y - visible_range.x);
     }
+#endif
 
+#ifdef ADAM
+    if (exists && state[STATE_OVERFLOW] == 0) {
+        vec4 d_mean_opacity = vec4(d_mean, d_logit);
+        if (finite(d_mean_opacity) && finite(d_quat) && finite(vec4(d_log_scale, 0.0)) && finite(vec4(d_color, 0.0))) {
+            // As adam.comp computes it.
+            float step_basis[16];
+            sh_basis(normalize(mean_opacity.xyz - push_camera_position), step_basis);
+            update_all(index, d_mean_opacity, d_quat, vec4(d_log_scale, 0.0), d_color, step_basis);
+        } else {
+            atomicAdd(state[STATE_NON_FINITE], 1);
+        }
+    }
+#endif
     if (exists) {
+#ifndef ADAM
         gradients[GRADIENT_MEAN_OPACITY * gradient_stride + visible] = vec4(d_mean, d_logit);
         gradients[GRADIENT_QUAT * gradient_stride + visible] = d_quat;
         gradients[GRADIENT_LOG_SCALE * gradient_stride + visible] = vec4(d_log_scale, d_mean2d.x);
         gradients[GRADIENT_COLOR * gradient_stride + visible] = vec4(d_color, d_mean2d.y);
+#endif
         if (accumulate != 0 && state[STATE_OVERFLOW] == 0) {
             vec2 ndc = d_mean2d * 0.5 * vec2(image_width, image_height);
             float norm = length(ndc);
+            float absolute_norm = ABSOLUTE ? length(sums.absolute * 0.5 * vec2(image_width, image_height)) : 0.0;
             // A norm that is not finite would spoil the statistics for good, so it is skipped.
-            statistics[gaussian] += is_finite(norm) ? vec2(norm, 1.0) : vec2(0.0);
+            bool counts = is_finite(norm) && is_finite(absolute_norm);
+            statistics[gaussian] += counts ? vec2(norm, 1.0) : vec2(0.0);
+#ifndef ADAM
+            if (ABSOLUTE) {
+                absolute_statistics[gaussian] += counts ? absolute_norm : 0.0;
+            }
+#endif
         }
     }
 }

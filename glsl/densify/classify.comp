@@ -1,8 +1,12 @@
 // Adaptive density control, classification (paper, section 5.2; reference densify_and_prune): which Gaussians stay, are
 // cloned, or are split. Gaussians that the later pruning would remove are excluded here.
 //
+// With CRITERION_ABSOLUTE the mean gradient is that of absolute values over pixels (AbsGS, Ye et al. 2024). With
+// CRITERION_SELECTED the selected Gaussians are split whatever their scale, and none is cloned (Improved-GS).
+//
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
-// in: parameters (PerGaussian planes), statistics (sum of NDC gradient norms, views)
+// in: parameters (PerGaussian planes), statistics (sum of NDC gradient norms, views), criteria (per Gaussian: the sum of
+//     absolute norms as float bits, or whether it is selected; not read with CRITERION_GRADIENT)
 // out: decisions[Gaussian] = bit 0 stays, bit 1 cloned, bit 2 split into two;
 //      block_counts[decision * blocks + block], blocks = ceil(total / WORKGROUP_SIZE)
 // shared: one word per subgroup; any subgroup size
@@ -16,12 +20,16 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+// Children of a split are those of long_axis.glsl.
+layout(constant_id = 2) const bool LONG_AXIS = false;
+layout(constant_id = 3) const uint CRITERION = 0;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer Statistics { vec2 statistics[]; };
 layout(set = 0, binding = 2, scalar) writeonly buffer Decisions { uint decisions[]; };
 layout(set = 0, binding = 3, scalar) writeonly buffer BlockCounts { uint block_counts[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer Criteria { uint criteria[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint first;
@@ -36,6 +44,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
+#include "long_axis.glsl"
 #include "planes.glsl"
 #include "workgroup_scan.glsl"
 
@@ -47,17 +56,30 @@ void main() {
     vec3 scale = exp(parameters[geometry_at(PLANE_LOG_SCALE, index)].xyz);
     float largest = max(scale.x, max(scale.y, scale.z));
     vec2 statistic = statistics[first + index];
+    if (CRITERION == CRITERION_ABSOLUTE) {
+        statistic.x = uintBitsToFloat(criteria[first + index]);
+    }
     float gradient = statistic.y > 0.0 ? statistic.x / statistic.y : 0.0;
 
     bool grows = gradient >= gradient_threshold;
     bool splits = grows && largest > clone_scale;
+    if (CRITERION == CRITERION_SELECTED) {
+        grows = criteria[first + index] != 0;
+        splits = grows;
+    }
     bool clones = grows && !splits;
     bool faint = opacity < min_opacity;
     bool too_large = max_scale > 0.0 && largest > max_scale;
     bool child_too_large = max_scale > 0.0 && largest / SPLIT_FACTOR > max_scale;
+    bool child_faint = faint;
+    if (LONG_AXIS) {
+        vec3 child = exp(long_axis_log_scale(parameters[geometry_at(PLANE_LOG_SCALE, index)].xyz));
+        child_too_large = max_scale > 0.0 && max(child.x, max(child.y, child.z)) > max_scale;
+        child_faint = LONG_AXIS_OPACITY * opacity < min_opacity;
+    }
     uint stays = exists && !splits && !faint && !too_large ? 1 : 0;
     uint cloned = clones ? stays : 0;
-    uint split = exists && splits && !faint && !child_too_large ? 1 : 0;
+    uint split = exists && splits && !child_faint && !child_too_large ? 1 : 0;
     if (exists) {
         decisions[first + local] = stays | cloned << 1 | split << 2;
     }

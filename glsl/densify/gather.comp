@@ -1,5 +1,6 @@
 // Copies each row of the new set from its source in the old set. The halves of a split Gaussian get means drawn from it and
-// scales divided by SPLIT_FACTOR. Clones and halves start with zero moments (paper, section 5.2; reference densify_and_split).
+// scales divided by SPLIT_FACTOR; with LONG_AXIS they lie along its longest axis (long_axis.glsl). Clones and halves start with
+// zero moments (paper, section 5.2; reference densify_and_split).
 //
 // invocation: one row of the new set; it returns at once if the row's source lies outside the bound range
 // in: sources[row], from (PerGaussian planes, or moments); out: to (PerGaussian planes)
@@ -15,6 +16,7 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const bool MOMENTS = false;
 // The normal numbers come from `noise`[child * noise_stride + Gaussian] instead of the generator. For comparisons.
 layout(constant_id = 3) const bool EXPLICIT_NOISE = false;
+layout(constant_id = 4) const bool LONG_AXIS = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Sources { uint sources[]; };
@@ -36,6 +38,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
+#include "long_axis.glsl"
 #include "planes.glsl"
 #include "random.glsl"
 
@@ -70,11 +73,19 @@ void main() {
         vec4 quat = from[plane_at(PLANE_QUAT, index, from_chunk_gaussians)];
         vec4 log_scale = from[plane_at(PLANE_LOG_SCALE, index, from_chunk_gaussians)];
         uint child = kind == KIND_SPLIT_1 ? 1 : 0;
-        vec3 normal = EXPLICIT_NOISE ? noise[child * noise_stride + gaussian]
-                                     : random_normal(uvec4(seed, iteration, gaussian, child));
-        if (split) {
-            mean_opacity.xyz += rotate(quat, normal * exp(log_scale.xyz));
-            log_scale.xyz -= LOG_SPLIT_FACTOR;
+        if (LONG_AXIS) {
+            if (split) {
+                vec3 offset = rotate(quat, long_axis_offset(log_scale.xyz));
+                mean_opacity = vec4(mean_opacity.xyz + (child == 0 ? offset : -offset), long_axis_logit(mean_opacity.w));
+                log_scale.xyz = long_axis_log_scale(log_scale.xyz);
+            }
+        } else {
+            vec3 normal = EXPLICIT_NOISE ? noise[child * noise_stride + gaussian]
+                                         : random_normal(uvec4(seed, iteration, gaussian, child));
+            if (split) {
+                mean_opacity.xyz += rotate(quat, normal * exp(log_scale.xyz));
+                log_scale.xyz -= LOG_SPLIT_FACTOR;
+            }
         }
         to[plane_at(PLANE_MEAN_OPACITY, row, to_chunk_gaussians)] = mean_opacity;
         to[plane_at(PLANE_QUAT, row, to_chunk_gaussians)] = quat;

@@ -1,4 +1,5 @@
-// Opacity reset (paper, section 5.2; reference reset_opacity): opacity <- min(opacity, 0.01), and zero moments.
+// Opacity reset (paper, section 5.2; reference reset_opacity): opacity <- min(opacity, 0.01), and zero moments. With a 3D
+// filter it is the opacity that is drawn (Mip-Splatting's reset_opacity).
 //
 // invocation: one Gaussian
 // in/out: parameters, moments_1, moments_2 (PerGaussian planes; only the opacity's component changes)
@@ -18,7 +19,8 @@ layout(set = 0, binding = 2, scalar) buffer Moments2 { vec4 moments_2[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint count;
-    // Logit of the largest opacity after the reset.
+    // Largest opacity after the reset, and its logit.
+    float max_opacity;
     float max_logit;
 };
 
@@ -31,7 +33,17 @@ void main() {
         return;
     }
     uint at = geometry_at(PLANE_MEAN_OPACITY, index);
-    parameters[at].w = min(parameters[at].w, max_logit);
+    float logit = parameters[at].w;
+    vec4 log_scale = parameters[geometry_at(PLANE_LOG_SCALE, index)];
+    float limit = max_logit;
+    if (log_scale.w > 0.0) {
+        vec3 ratio = exp(log_scale.xyz) / log_scale.w;
+        vec3 both = inversesqrt(1.0 + ratio * ratio);
+        float shrink = ratio.x * ratio.y * ratio.z * both.x * both.y * both.z;
+        // Where no opacity is drawn with more than the largest, none is bounded.
+        limit = shrink > max_opacity ? -log(shrink / max_opacity - 1.0) : logit;
+    }
+    parameters[at].w = min(logit, limit);
     moments_1[at].w = 0.0;
     moments_2[at].w = 0.0;
 }

@@ -16,6 +16,8 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+// Whether Gaussians have a 3D filter: see projection.glsl.
+layout(constant_id = 3) const bool FILTER_3D = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -27,8 +29,7 @@ layout(push_constant, scalar) uniform Push {
     uint first;
     uint count;
     uint chunk_gaussians;
-    // `extent` is EXTENT_EXACT or EXTENT_REFERENCE. `antialias` != 0 turns on the opacity compensation of Mip-Splatting's 2D
-    // filter.
+    // `extent` is EXTENT_EXACT or EXTENT_REFERENCE, `antialias` of ANTIALIAS_ bits.
     uint extent;
     uint antialias;
 };
@@ -55,8 +56,9 @@ void main() {
     vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
     vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
     vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
-    Projection p = project_gaussian(mean_opacity.xyz, quat, log_scale.xyz);
-    Footprint f = footprint_of(p, mean_opacity.w);
+    Filtered filtered = filter_3d(log_scale, mean_opacity.w);
+    Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
+    Footprint f = footprint_of(p, filtered.opacity_logit);
     bool visible = f.visible && kept(mean_opacity.xyz, log_scale.xyz, mean_opacity.w);
     uint flag = exists && visible ? 1 : 0;
     if (exists) {

@@ -3,7 +3,7 @@
 // derivative.
 //
 // Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see blend_io.glsl),
-// GL_KHR_shader_subgroup_basic and _shuffle.
+// ABSOLUTE, WEIGHTS (see blend_backward.comp), GL_KHR_shader_subgroup_basic and _shuffle.
 
 // Training draws splats only, with inverse depth: no host depth image, no linear depth.
 const bool DEPTH_LIMIT = false;
@@ -27,6 +27,8 @@ layout(set = 0, binding = 12, scalar) writeonly buffer InstanceGradientsB { vec4
 layout(set = 0, binding = 13, scalar) writeonly buffer InstanceGradientsC { vec2 instance_gradients_c[]; };
 
 layout(set = 0, binding = 14, scalar) buffer State { uint state[]; };
+// Only written with ABSOLUTE.
+layout(set = 0, binding = 15, scalar) writeonly buffer InstanceGradientsD { vec2 instance_gradients_d[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint image_width;
@@ -54,6 +56,8 @@ layout(push_constant, scalar) uniform Push {
 // Most pixels of a lane in a region. A literal for the same reason as MAX_COLUMN_ROWS.
 const uint MAX_PIXELS = 16;
 
+const float LN_2 = 0.6931471805599453;
+
 // With COUNT_HITS: Gaussians blended over a region.
 uint hit_count = 0;
 
@@ -77,8 +81,10 @@ struct Sums {
     // dL/dpower times 1, dx, dy; dx^2, dx dy, dy^2.
     vec3 linear;
     vec3 quadratic;
-    // r, g, b, inverse depth.
+    // r, g, b, inverse depth. With WEIGHTS the first is the sum of weight * r, and nothing else counts.
     vec4 value;
+    // With ABSOLUTE: |dL/d(mean2d)|, x and y, of each pixel alone.
+    vec2 absolute;
 };
 
 bool is_pixel(uvec2 at) {
@@ -141,7 +147,7 @@ uint load_pixels(uvec2 corner, bool tile_exists, out GradientPixel pixels[MAX_PI
         bool inside = tile_exists && is_pixel(at);
         uint index = inside ? at.y * image_width + at.x : 0;
         vec4 gradient = handed[k].gradient;
-        float rest = dot(gradient.xyz, handed[k].color);
+        float rest = WEIGHTS ? 0.0 : dot(gradient.xyz, handed[k].color);
         if (INVERSE_DEPTH) {
             rest += gradient.w * FLOAT_AT(inverse_depth, index);
         }
@@ -177,6 +183,7 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, inout GradientPixel
     vec2 d0 = splat.mean - corner_px;
     float sum_1 = 0.0, sum_x = 0.0, sum_y = 0.0, sum_xx = 0.0, sum_xy = 0.0, sum_yy = 0.0;
     vec4 sum_value = vec4(0.0);
+    vec2 sum_absolute = vec2(0.0);
     [[unroll]] for (uint column = 0; column < COLUMNS; ++column) {
         float dx = d0.x - float(column * LANES_X);
         float alphas[MAX_COLUMN_ROWS];
@@ -189,17 +196,26 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, inout GradientPixel
             float alpha = min(ALPHA_MAX, unclamped);
             float transmittance = pixels[k].transmittance;
             float weight = alpha * transmittance;
+            precise float next = transmittance * (1.0 - alpha);
+            pixels[k].transmittance = next;
+            sum_value += weight * pixels[k].gradient;
+            if (WEIGHTS) {
+                continue;
+            }
             float shade_gradient = dot(pixels[k].gradient, value);
             float rest = pixels[k].rest - weight * shade_gradient;
             pixels[k].rest = rest;
             float d_alpha = transmittance * shade_gradient - rest / (1.0 - alpha);
             float d_power = unclamped <= ALPHA_MAX ? alpha * d_alpha : 0.0;
-            precise float next = transmittance * (1.0 - alpha);
-            pixels[k].transmittance = next;
-            sum_value += weight * pixels[k].gradient;
             column_1 += d_power;
             column_y += d_power * dy;
             column_yy += d_power * dy * dy;
+            if (ABSOLUTE) {
+                // dL/d(mean2d) of this pixel is dL/dpower times -conic (dx, dy): the form has the conic times -log2(e).
+                vec3 form = splat.form;
+                vec2 slope = vec2(2.0 * form.x * dx + form.y * dy, form.y * dx + 2.0 * form.z * dy);
+                sum_absolute += abs(d_power) * abs(slope);
+            }
         }
         sum_1 += column_1;
         sum_x += column_1 * dx;
@@ -208,17 +224,25 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, inout GradientPixel
         sum_xy += column_y * dx;
         sum_yy += column_yy;
     }
-    return Sums(vec3(sum_1, sum_x, sum_y), vec3(sum_xx, sum_xy, sum_yy), sum_value);
+    return Sums(vec3(sum_1, sum_x, sum_y), vec3(sum_xx, sum_xy, sum_yy), sum_value, LN_2 * sum_absolute);
 }
 
-// Writes to the instance's index before the tile sort: (1, dx, dy, dx dx), (dx dy, dy dy, r, g), (b, inverse depth).
+// Writes to the instance's index before the tile sort: (1, dx, dy, dx dx), (dx dy, dy dy, r, g), (b, inverse depth), and the
+// absolute gradients; or (weight, 0) in place of the third.
 void store_instance(uint place, Sums sums) {
     uint target = UINT_AT(sorted_instances, place);
+    if (WEIGHTS) {
+        instance_gradients_c[target] = vec2(sums.value.x, 0.0);
+        return;
+    }
     instance_gradients_a[target] = vec4(sums.linear, sums.quadratic.x);
     instance_gradients_b[target] = vec4(sums.quadratic.yz, sums.value.xy);
     instance_gradients_c[target] = sums.value.zw;
+    if (ABSOLUTE) {
+        instance_gradients_d[target] = sums.absolute;
+    }
 }
 
 Sums no_sums() {
-    return Sums(vec3(0.0), vec3(0.0), vec4(0.0));
+    return Sums(vec3(0.0), vec3(0.0), vec4(0.0), vec2(0.0));
 }

@@ -14,6 +14,11 @@ const float QUAT_NORM_MIN = 1e-12;
 // Opacity of the faintest Gaussians that are drawn as ellipsoids.
 const float ELLIPSOID_LEAST_OPACITY = 0.2;
 
+// Antialiasing, bits: opacities are compensated for the dilation (Mip-Splatting's 2D filter); the compensation is a constant
+// for gradients.
+const uint ANTIALIAS_COMPENSATED = 1;
+const uint ANTIALIAS_DETACHED = 2;
+
 // Extent modes: how a Gaussian's tiles are found.
 const uint EXTENT_EXACT = 0;
 const uint EXTENT_REFERENCE = 1;
@@ -80,6 +85,14 @@ const uint ZORDER_BITS = 30;
 
 // Densification divides the scales of a split Gaussian's halves by this.
 const float SPLIT_FACTOR = 1.6;
+// A split along the longest axis (Improved-GS): the children lie at three times this share of the scale, which shrinks by
+// it, and they have this share of the opacity.
+const float LONG_AXIS_SHARE = 0.45;
+const float LONG_AXIS_OPACITY = 0.6;
+// What densification chooses by: the mean gradient norm, that of absolute values, or a selection made before.
+const uint CRITERION_GRADIENT = 0;
+const uint CRITERION_ABSOLUTE = 1;
+const uint CRITERION_SELECTED = 2;
 // Kind of a row of the new set at densification.
 const uint KIND_KEPT = 0;
 const uint KIND_CLONE = 1;
@@ -92,14 +105,29 @@ const uint RELOCATION_MOST = 51;
 const float RELOCATION_LEAST_OPACITY = 0.005;
 const float RELOCATION_MOST_OPACITY = 0.99999988;
 
+// A draw without replacement (draw_keys.comp): what the chances are in proportion to, the key of those that cannot be drawn, and
+// words of its totals.
+const uint CHANCE_IMPORTANCE = 0;
+const uint CHANCE_STATISTIC = 1;
+const uint CHANCE_EQUAL = 2;
+const uint NOT_DRAWN = 0xFFFFFFFF;
+const uint TOTAL_GAUSSIANS = 0;
+const uint TOTAL_CANDIDATES = 1;
+const uint TOTAL_DRAWN = 2;
+
 // Rows of a strip: see strips.glsl.
 const uint STRIP_ROWS = 8;
 
-// Sums of one (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth.
+// Sums of one (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth; and with the absolute
+// gradient of the 2D mean.
 const uint INSTANCE_SUMS = 10;
+const uint ABSOLUTE_SUMS = 12;
 
 // Workgroups, and so partial sums, of a term of the loss that is a mean over Gaussians.
 const uint TERM_PARTIALS = 256;
+
+// From this value on, a pixel of an inverse-depth map does not count.
+const float MAP_NOTHING = 1e30;
 
 // Arithmetic benchmark: independent chains per invocation, and steps of each chain per round.
 const uint MULTIPLY_ADD_CHAINS = 8;

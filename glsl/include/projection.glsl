@@ -1,15 +1,14 @@
 // EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and the backward
 // pass. Needs constants.glsl, camera_block.glsl and `parameters`.
+// Needs FILTER_3D, and the push constant `antialias`, of ANTIALIAS_ bits.
 // Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES, need tile_span.glsl and the push
-// constants `extent` and `antialias`, and have footprint_of.
+// constant `extent`, and have footprint_of.
 
 #ifdef DRAWS_SHAPES
 #define SCALE_MODIFIER shape_scale
-#define SCREEN_DILATION_PX2 shape_dilation_px2
 #else
-// Only Gaussians themselves are differentiated, so these are constants there.
+// Only Gaussians themselves are differentiated, so this is a constant there.
 #define SCALE_MODIFIER 1.0
-#define SCREEN_DILATION_PX2 DILATION_PX2
 #endif
 
 struct Projection {
@@ -20,7 +19,7 @@ struct Projection {
     float inverse_norm;    // 1 / |q|, or 0 for a zero quaternion
     vec2 slope;            // x/z and y/z, clamped to the Jacobian limits
     bvec2 clamped;
-    // Rows of M = J R R(q) S: cov2d = M M^T + 0.3 I.
+    // Rows of M = J R R(q) S: cov2d = M M^T + dilation I.
     vec3 row_x;
     vec3 row_y;
     vec3 cov2d;            // (xx, xy, yy) with the dilation, px^2
@@ -77,13 +76,37 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     float yy = dot(p.row_y, p.row_y);
     vec3 minors = cross(p.row_x, p.row_y);
     p.det_raw = dot(minors, minors);
-    p.cov2d = vec3(xx + SCREEN_DILATION_PX2, dot(p.row_x, p.row_y), yy + SCREEN_DILATION_PX2);
-    p.det = p.det_raw + SCREEN_DILATION_PX2 * (xx + yy + SCREEN_DILATION_PX2);
+    p.cov2d = vec3(xx + shape_dilation_px2, dot(p.row_x, p.row_y), yy + shape_dilation_px2);
+    p.det = p.det_raw + shape_dilation_px2 * (xx + yy + shape_dilation_px2);
     return p;
 }
 
 float sigmoid(float logit) {
     return 1.0 / (1.0 + exp(-logit));
+}
+
+// Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1): a Gaussian is convolved with one of the standard deviation
+// log_scale.w, world units. `shrink` is the factor of its opacity.
+struct Filtered {
+    vec3 log_scale;
+    float opacity_logit;
+    float shrink;
+};
+
+Filtered filter_3d(vec4 log_scale, float opacity_logit) {
+    Filtered f = Filtered(log_scale.xyz, opacity_logit, 1.0);
+    if (FILTER_3D && log_scale.w > 0.0) {
+        // Of the ratio to the filter, which neither overflows nor vanishes where the scale's square would.
+        vec3 ratio = exp(log_scale.xyz) / log_scale.w;
+        vec3 both = 1.0 + ratio * ratio;
+        f.log_scale = log(log_scale.w) + 0.5 * log(both);
+        f.shrink = ratio.x * ratio.y * ratio.z * inversesqrt(both.x) * inversesqrt(both.y) * inversesqrt(both.z);
+        // logit(s(x) c) = -log((1 + exp(-x)) / c - 1); with x < 0 the exponential is taken out.
+        float e = exp(-abs(opacity_logit));
+        float numerator = opacity_logit < 0.0 ? e * f.shrink : f.shrink;
+        f.opacity_logit = log(numerator / (1.0 + e - numerator));
+    }
+    return f;
 }
 
 bool is_finite(float x) {
@@ -105,7 +128,8 @@ Footprint footprint_of(Projection p, float opacity_logit) {
     Footprint f;
     float ratio = p.det_raw / p.det;
     float opacity = sigmoid(opacity_logit);
-    f.opacity = opacity * (antialias != 0 ? sqrt(max(ANTIALIAS_MIN_RATIO, ratio)) : 1.0);
+    bool compensated = (antialias & ANTIALIAS_COMPENSATED) != 0;
+    f.opacity = opacity * (compensated ? sqrt(max(ANTIALIAS_MIN_RATIO, ratio)) : 1.0);
     // Of the members of the camera block, values to select from: see there.
     float least_opacity = shape_opacity > 0.0 ? 0.0 : ELLIPSOID_LEAST_OPACITY;
     float drawn_opacity = abs(shape_opacity);

@@ -5,10 +5,11 @@
 // Without SPARSE, Gaussians outside the view have a zero gradient, and their moments still decay. With SPARSE they do not
 // change. SH gradients are computed here from the colour's gradient. Planes above the active degree have neither gradient
 // nor moments. A Gaussian with a gradient that is not finite does not change, and is counted. If the frame overflowed,
-// nothing changes.
+// nothing changes. With SUMS all gradients are sums over several views (add_gradients.comp), in the planes that otherwise have
+// those of the parameters themselves.
 //
 // invocation: one Gaussian
-// in: visible_index, gradients (PerVisible planes), state, camera block
+// in: visible_index, gradients (PerVisible planes), parameter_gradients (PerGaussian planes), state, camera block
 // in/out: parameters, moments_1, moments_2 (PerGaussian planes), each bound a second time for reads;
 //     state[STATE_NON_FINITE] counts the skipped Gaussians
 // shared: none; any subgroup size
@@ -24,8 +25,11 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SPARSE = false;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
+layout(constant_id = 5) const bool SUMS = false;
+// Only Gaussians outside the view: project_adam.comp has done the others.
+layout(constant_id = 6) const bool UNSEEN = false;
 // The camera is where the camera block says, and not where the push constants do: the device has moved it.
-layout(constant_id = 5) const bool MOVED_CAMERA = false;
+layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_WRITES(0, Parameters, parameters);
@@ -76,19 +80,10 @@ vec3 position_of_camera() {
     return MOVED_CAMERA ? moved : camera_position;
 }
 
-void update(uint at, vec4 g, vec4 rate, vec4 inverse_bias) {
-    vec4 m = beta_1 * VEC4_AT(old_moments_1, at) + one_minus_beta_1 * g;
-    vec4 v = beta_2 * VEC4_AT(old_moments_2, at) + one_minus_beta_2 * g * g;
-    VEC4_PUT(moments_1, at, m);
-    VEC4_PUT(moments_2, at, v);
-    vec4 p = VEC4_AT(old_parameters, at) - rate * (m / (sqrt(v) * inverse_bias + epsilon));
-    VEC4_PUT(parameters, at, p);
-}
-
-bool finite(vec4 g) {
-    uvec4 exponent = floatBitsToUint(g) & 0x7F800000u;
-    return all(notEqual(exponent, uvec4(0x7F800000u)));
-}
+#define OLD_PARAMETERS old_parameters
+#define NEW_PARAMETERS parameters
+#define SH_GRADIENT(PLANE, AT) (SUMS ? VEC4_AT(parameter_gradients, AT) : sh_plane_gradient(PLANE, basis, d_color))
+#include "adam_step.glsl"
 
 void main() {
     uint index = linear_invocation();
@@ -97,7 +92,7 @@ void main() {
     }
     uint visible = UINT_AT(visible_index, first + index);
     bool seen = visible != NOT_VISIBLE;
-    if (SPARSE && !seen) {
+    if ((SPARSE && !seen) || (UNSEEN && seen)) {
         return;
     }
     uint row = seen ? visible : 0;
@@ -109,7 +104,16 @@ void main() {
     d_quat = seen ? d_quat : vec4(0.0);
     d_log_scale = seen ? d_log_scale : vec4(0.0);
     d_color = seen ? d_color : vec4(0.0);
-    if (PARAMETER_GRADIENTS) {
+    if (SUMS) {
+        d_mean_opacity = VEC4_AT(parameter_gradients, geometry_at(PLANE_MEAN_OPACITY, index));
+        d_quat = VEC4_AT(parameter_gradients, geometry_at(PLANE_QUAT, index));
+        d_log_scale = VEC4_AT(parameter_gradients, geometry_at(PLANE_LOG_SCALE, index));
+        d_color = vec4(0.0);
+        [[unroll]] for (uint plane = 0; plane < SH_PLANES; ++plane) {
+            vec4 g = VEC4_AT(parameter_gradients, plane_at(PLANE_SH + plane, index, chunk_gaussians));
+            d_color = finite(g) ? d_color : g;
+        }
+    } else if (PARAMETER_GRADIENTS) {
         d_mean_opacity += VEC4_AT(parameter_gradients, geometry_at(PLANE_MEAN_OPACITY, index));
         d_quat += VEC4_AT(parameter_gradients, geometry_at(PLANE_QUAT, index));
         d_log_scale.xyz += VEC4_AT(parameter_gradients, geometry_at(PLANE_LOG_SCALE, index)).xyz;
@@ -125,13 +129,5 @@ void main() {
     // NaN times 0 would be NaN.
     sh_basis(seen ? normalize(mean - position_of_camera()) : vec3(0.0), basis);
 
-    vec4 bias = vec4(inverse_bias_2);
-    update(plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians), d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),
-        vec4(bias.xyz, inverse_bias_2_opacity));
-    update(plane_at(PLANE_QUAT, index, chunk_gaussians), d_quat, vec4(rate_quat), bias);
-    update(plane_at(PLANE_LOG_SCALE, index, chunk_gaussians), d_log_scale, vec4(vec3(rate_log_scale), 0.0), bias);
-    [[unroll]] for (uint plane = 0; plane < SH_PLANES; ++plane) {
-        vec4 rate = plane == 0 ? vec4(vec3(rate_sh_dc), rate_sh_rest) : vec4(rate_sh_rest);
-        update(plane_at(PLANE_SH + plane, index, chunk_gaussians), sh_plane_gradient(plane, basis, d_color.xyz), rate, bias);
-    }
+    update_all(index, d_mean_opacity, d_quat, d_log_scale, d_color.xyz, basis);
 }

@@ -87,10 +87,11 @@ fn architecture_no_return_before_a_barrier() {
 }
 
 /// Kernels that compute what another one computes, in another way: they share its twin.
-const ALIKE: [(&str, &str); 5] = [
+const ALIKE: [(&str, &str); 6] = [
     ("blend_backward_subgroup_per_tile", "blend_backward"),
     ("blend_shared", "blend"),
     ("compose_rgba16f", "compose_rgba32f"),
+    ("project_adam", "project_backward"),
     ("ssim_backward_sweep", "ssim_backward"),
     ("ssim_forward_sweep", "ssim_forward"),
 ];

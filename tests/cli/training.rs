@@ -14,7 +14,7 @@ use tempfile::tempdir;
 
 /// A data set, and a model trained on it for a few iterations; made once.
 pub(super) struct Trained {
-    data: PathBuf,
+    pub(super) data: PathBuf,
     pub(super) model: PathBuf,
     stdout: String,
 }

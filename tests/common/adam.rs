@@ -42,7 +42,16 @@ pub struct Step {
 
 fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool, parameter_gradients: bool) -> Kernel<adam::Interface> {
     let workgroup_size = gpu.workgroup(64);
-    gpu.kernel(&adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, moved_camera: false })
+    let (sums, unseen, moved_camera) = (false, false, false);
+    gpu.kernel(&adam::Spec {
+        workgroup_size,
+        sh_degree,
+        sparse,
+        parameter_gradients,
+        sums,
+        unseen,
+        moved_camera,
+    })
 }
 
 /// Parameters and moments on the device.
@@ -52,9 +61,9 @@ pub struct AdamState<'a> {
     workgroup: u32,
     count: usize,
     coefficients: usize,
-    room: usize,
-    parameters: Buffer,
-    moments: [Buffer; 2],
+    pub room: usize,
+    pub parameters: Buffer,
+    pub moments: [Buffer; 2],
     parameter_gradients: Option<Buffer>,
     moved_camera: bool,
 }
@@ -91,6 +100,17 @@ impl<'a> AdamState<'a> {
         }
     }
 
+    /// As the variant that leaves Gaussians within the view alone.
+    pub fn of_unseen(self, sh_degree: u32) -> AdamState<'a> {
+        let workgroup_size = self.gpu.workgroup(64);
+        let (sparse, parameter_gradients) = (false, false);
+        let (sums, unseen) = (false, true);
+        let moved_camera = false;
+        let spec =
+            adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen, moved_camera };
+        AdamState { kernel: self.gpu.kernel(&spec), ..self }
+    }
+
     /// With gradients of the parameters themselves: means, quaternions, scales and opacities of `direct`.
     pub fn with_parameter_gradients(
         self,
@@ -108,7 +128,14 @@ impl<'a> AdamState<'a> {
     /// With the camera's position in the camera block only.
     pub fn with_moved_camera(self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
         let (workgroup_size, parameter_gradients) = (self.workgroup, self.parameter_gradients.is_some());
-        let spec = adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, moved_camera: true };
+        let spec = adam::Spec {
+            workgroup_size,
+            sh_degree,
+            sparse,
+            parameter_gradients,
+            moved_camera: true,
+            ..adam::Spec::default()
+        };
         AdamState { kernel: self.gpu.kernel(&spec), moved_camera: true, ..self }
     }
 
@@ -141,7 +168,8 @@ impl<'a> AdamState<'a> {
         self.gpu.read::<u32>(state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]
     }
 
-    fn push(&self, step: &Step) -> Push {
+    /// The kernel's push constants for a step.
+    pub fn push(&self, step: &Step) -> Push {
         let (beta_1, beta_2) = (0.9, 0.999);
         let correction = |beta: f64| if step.count == 0 { 1.0 } else { 1.0 - f64::powi(beta, step.count) };
         let rate = |rate: f64| (rate / correction(beta_1)) as f32;

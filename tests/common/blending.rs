@@ -20,8 +20,20 @@ pub struct Blended {
 
 /// Sums of each instance.
 pub struct SlotSums {
-    /// 1, dx, dy, dx², dx·dy, dy², r, g, b, inverse depth.
+    /// 1, dx, dy, dx², dx·dy, dy², r, g, b, inverse depth. The weight in place of b, if only that is summed.
     pub sums: Vec<[f64; 10]>,
+    /// |dL/d(mean2d)| of each pixel.
+    pub absolute: Vec<[f64; 2]>,
+}
+
+/// What the backward kernels sum up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OtherSums {
+    None,
+    /// ABSOLUTE: absolute gradients besides.
+    Absolute,
+    /// WEIGHTS: weights alone.
+    Weights,
 }
 
 /// What the forms of blending leave: to the bit on processors. Another compiler may fuse sums of products in one kernel and not in the other.
@@ -99,6 +111,7 @@ pub struct How {
     pub entries_per_pass: u32,
     /// STRIPS: pictures and gradients are planes in strips.
     pub strips: bool,
+    pub sums: OtherSums,
 }
 
 /// How the planes of a view lie.
@@ -113,8 +126,14 @@ pub fn has_strips(gpu: &Gpu) -> bool {
 }
 
 /// With inverse depth and in one pass.
-pub const CHAINED: How =
-    How { inverse_depth: true, incremental_exp: true, parts: 1, entries_per_pass: u32::MAX, strips: false };
+pub const CHAINED: How = How {
+    inverse_depth: true,
+    incremental_exp: true,
+    parts: 1,
+    entries_per_pass: u32::MAX,
+    strips: false,
+    sums: OtherSums::None,
+};
 /// The same with an exponential for each opacity.
 pub const UNCHAINED: How = How { incremental_exp: false, ..CHAINED };
 /// Chained, with planes in strips.
@@ -133,7 +152,7 @@ pub fn forward_limited(
     linear_depth: bool,
     limits: Option<&Buffer>,
 ) -> Blended {
-    let How { inverse_depth, incremental_exp, parts, entries_per_pass, strips } = how;
+    let How { inverse_depth, incremental_exp, parts, entries_per_pass, strips, .. } = how;
     let spec = blend::Spec {
         workgroup_size: workgroup(gpu) / parts,
         subgroup_size: gpu.subgroup(),
@@ -179,7 +198,7 @@ pub fn forward_shared_limited(
 macro_rules! backward_of_lists {
     ($kernel:ident, $gpu:expr, $lists:expr, $blended:expr, $gradient:expr, $how:expr, $workgroup_size:expr) => {{
         let (gpu, lists, blended) = ($gpu, $lists, $blended);
-        let How { inverse_depth, incremental_exp, entries_per_pass, strips, .. } = $how;
+        let How { inverse_depth, incremental_exp, entries_per_pass, strips, sums, .. } = $how;
         let (workgroup_size, subgroup_size) = ($workgroup_size, gpu.subgroup());
         let count_hits = false;
         let spec = $kernel::Spec {
@@ -189,6 +208,8 @@ macro_rules! backward_of_lists {
             incremental_exp,
             count_hits,
             strips,
+            absolute: sums == OtherSums::Absolute,
+            weights: sums == OtherSums::Weights,
         };
         let kernel = gpu.kernel::<$kernel::Interface>(&spec);
         let (pixels, instances) = (lists.view.pixels(), lists.instances.len());
@@ -202,7 +223,8 @@ macro_rules! backward_of_lists {
         let backward_state = gpu.untouched::<[f32; 2]>("backward_state", pixels);
         let [instance_gradients_a, instance_gradients_b] = ["instance_gradients_a", "instance_gradients_b"]
             .map(|name| gpu.untouched::<[f32; 4]>(name, instances));
-        let instance_gradients_c = gpu.untouched::<[f32; 2]>("instance_gradients_c", instances);
+        let [instance_gradients_c, instance_gradients_d] = ["instance_gradients_c", "instance_gradients_d"]
+            .map(|name| gpu.untouched::<[f32; 2]>(name, instances));
         let bind = $kernel::Bind {
             tile_ranges: &lists.tile_ranges,
             sorted_visible: &lists.sorted_visible,
@@ -218,6 +240,7 @@ macro_rules! backward_of_lists {
             instance_gradients_a: &instance_gradients_a,
             instance_gradients_b: &instance_gradients_b,
             instance_gradients_c: &instance_gradients_c,
+            instance_gradients_d: &instance_gradients_d,
             state: &lists.state,
         };
         let [tiles_per_row, rows] = lists.view.tiles();
@@ -251,7 +274,8 @@ macro_rules! backward_of_lists {
                 std::array::from_fn(|k| f64::from(all[k]))
             })
             .collect();
-        SlotSums { sums }
+        let d = gpu.read::<[f32; 2]>(&instance_gradients_d, instances);
+        SlotSums { sums, absolute: d.into_iter().map(|sum| sum.map(f64::from)).collect() }
     }};
 }
 

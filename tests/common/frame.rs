@@ -5,7 +5,9 @@ use ashsplat::kernels::forward::project;
 use ashsplat::vk::Buffer;
 
 use super::gpu::{Gpu, UNTOUCHED};
-use super::layout::{SplatPlanes, camera_block, extent_word, pack, pack_splats, room, rounded};
+use super::layout::{
+    SplatPlanes, antialias_word, camera_block, extent_word, pack_filtered, pack_splats, room, rounded,
+};
 use super::scenes::{Random, mixed_scene};
 use crate::reference::project as twin;
 use crate::reference::tiles::{touched, touches_by_pixels};
@@ -48,13 +50,14 @@ impl Projected {
     /// Projects a scene. Each output has room for one more than the visible.
     pub fn new(gpu: &Gpu, gaussians: &[Gaussian], view: &View) -> Projected {
         // The degree may be below what is stored.
-        let spec = project::Spec { workgroup_size: gpu.workgroup(64), sh_degree: view.sh_degree };
+        let (sh_degree, filter_3d) = (view.sh_degree, view.filter_3d > 0.0);
+        let spec = project::Spec { workgroup_size: gpu.workgroup(64), sh_degree, filter_3d };
         let kernel = gpu.kernel::<project::Interface>(&spec);
         let splats: Vec<Option<Splat>> = gaussians.iter().map(|g| twin::project(g, view)).collect();
         let visible: Vec<u32> =
             (0..gaussians.len() as u32).filter(|&i| splats[i as usize].is_some()).collect();
         let (room, count) = (room(gaussians.len()), visible.len());
-        let parameters = gpu.buffer("parameters", &pack(gaussians, room));
+        let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, room, view.filter_3d));
         // Two in front that do not belong to this range.
         let list = gpu.buffer("visible_list", &[&[UNTOUCHED; 2], visible.as_slice()].concat());
         let ranges = gpu.buffer("visible_ranges", &[[0; 4], [2, 2 + count as u32, 0, 0]]);
@@ -79,7 +82,7 @@ impl Projected {
             first: 0,
             chunk_gaussians: room as u32,
             extent: extent_word(view),
-            antialias: view.antialias.into(),
+            antialias: antialias_word(view),
             splat_stride: 1,
         };
         let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;

@@ -1,7 +1,9 @@
 //! How the kernels see Gaussians, cameras and splats (documented in the shaders and `constants.glsl`).
 
 use ashsplat::kernels::blocks::CameraBlock;
-use ashsplat::kernels::constants::{PLANE_LOG_SCALE, PLANE_MEAN_OPACITY, PLANE_QUAT, PLANE_SH};
+use ashsplat::kernels::constants::{
+    ANTIALIAS_COMPENSATED, ANTIALIAS_DETACHED, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY, PLANE_QUAT, PLANE_SH,
+};
 
 use crate::reference::project::slope_limits;
 use crate::reference::tiles::half_extent_px;
@@ -48,6 +50,19 @@ pub fn pack(gaussians: &[Gaussian], room: usize) -> Vec<[f32; 4]> {
         }
     }
     packed
+}
+
+/// As [`pack`], all with a 3D filter of this size; 0 for none.
+pub fn pack_filtered(gaussians: &[Gaussian], room: usize, size: f64) -> Vec<[f32; 4]> {
+    let mut packed = pack(gaussians, room);
+    (0..gaussians.len()).for_each(|i| packed[place(PLANE_LOG_SCALE, i, room)][3] = size as f32);
+    packed
+}
+
+/// The word of ANTIALIAS_ bits.
+pub fn antialias_word(view: &View) -> u32 {
+    let bit = |on: bool, bit: u32| if on { bit } else { 0 };
+    bit(view.antialias, ANTIALIAS_COMPENSATED) | bit(view.antialias_detached, ANTIALIAS_DETACHED)
 }
 
 /// The inverse of [`pack`].

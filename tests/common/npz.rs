@@ -46,6 +46,17 @@ impl Npz {
         Npz { arrays }
     }
 
+    /// The same with the arrays of a prefix in place of those without.
+    pub fn with_prefix(&self, prefix: &str) -> Npz {
+        let mut arrays = self.arrays.clone();
+        for (name, array) in &self.arrays {
+            if let Some(plain) = name.strip_prefix(prefix) {
+                arrays.insert(plain.to_owned(), array.clone());
+            }
+        }
+        Npz { arrays }
+    }
+
     /// Whether there is an array of this name.
     pub fn has(&self, name: &str) -> bool {
         self.arrays.contains_key(name)

@@ -59,6 +59,8 @@ pub fn small_view(size_px: [u32; 2]) -> View {
         background: [0.25, 0.5, 0.125],
         sh_degree: 3,
         antialias: false,
+        antialias_detached: false,
+        filter_3d: 0.0,
         symmetric_limit: false,
         extent: Extent::Exact,
         drawn: Drawn::AS_THEY_ARE,

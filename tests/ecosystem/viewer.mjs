@@ -180,6 +180,8 @@ async function cuts(page) {
         seen.add((await picture(page)).places);
     }
     assert.equal(seen.size, 4);
+    await page.waitForSelector('#cut-count');
+    const stay = Number((await page.textContent('#cut-count')).split(' ')[0].replaceAll(',', ''));
     await page.locator('#command').scrollIntoViewIfNeeded();
     await shot(page, 'filter');
     for (const format of ['ply', 'spz']) {
@@ -187,6 +189,8 @@ async function cuts(page) {
         assert.equal(saved.suggestedFilename(), `model_cut.${format}`);
         await saved.saveAs(join(folder, `exported.${format}`));
     }
+    const rows = readFileSync(join(folder, 'exported.ply'), 'latin1').match(/element vertex (\d+)/)[1];
+    assert.equal(stay, Number(rows), 'the page counts what the file holds');
     // Off, on, and gone.
     await page.keyboard.press('x');
     await page.waitForSelector('#command', { state: 'hidden' });

@@ -2,7 +2,7 @@
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, with_host};
-use ashsplat::trainer::{StepOutcome, StepReservation, StrategyType, Trainer};
+use ashsplat::trainer::{SplitType, StepOutcome, StepReservation, StrategyType, Trainer};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, LimitsOverride};
 use ashsplat::{
     Blending, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings,
@@ -112,10 +112,43 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
     // And once with the other strategy, which adds noise in the step.
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
-    // And once with cameras that the device moves.
+    // And once with filters, whose sizes are computed anew between steps and in them.
+    let filtered = TrainSettings {
+        antialiasing: true,
+        kernel_size: 0.1,
+        filter_3d: true,
+        densify_until_iter: 90,
+        iterations: 1000,
+        ..settings()
+    };
+    // And with budgeted growth, which adds up gradients over several steps after 133 and 160.
+    let budget = TrainSettings {
+        strategy: StrategyType::Budget,
+        scale_schedule: true,
+        densify_from_iter: 3000,
+        densify_until_iter: 19_500,
+        cap_max: 600,
+        absgrad: true,
+        split: SplitType::LongAxis,
+        growth_curve: true,
+        recovery: true,
+        multi_step: true,
+        ..settings()
+    };
+    // And with exposures, whose optimiser has a step of its own.
+    let exposed = TrainSettings { exposure: true, ..settings() };
+    // And with cameras that the device moves.
     let poses = TrainSettings { pose_opt: true, pose_lr: 1e-3, ..settings() };
-    let kinds = [(true, settings()), (false, weighted), (true, mcmc), (false, poses)];
-    for (push_descriptors, settings) in kinds {
+    for (push_descriptors, settings) in [
+        (true, settings()),
+        (false, weighted),
+        (true, mcmc),
+        (true, filtered),
+        (true, exposed),
+        (false, poses),
+        (true, budget.clone()),
+        (false, budget),
+    ] {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }

@@ -7,7 +7,10 @@ use libtest_mimic::Trial;
 
 use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_picture};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, gpu_training, mcmc, poses, trial};
+use super::{
+    Kind, SetFile, absgrad, antialias, budget, depth, exposure, gpu_training, importance, lpips, mcmc, poses,
+    trial,
+};
 use crate::common::engine::{camera, gaussians, renderer, settings, widen};
 use crate::common::{assert_silent, context};
 use crate::reference::types::Extent;
@@ -28,6 +31,15 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
         ],
         Kind::Relocation => vec![of_file(set, "relocation", mcmc::relocation_of_device)],
         Kind::Poses => vec![of_file(set, "poses", poses::of_device)],
+        Kind::Antialias => vec![of_file(set, "antialias", antialias::of_device)],
+        Kind::Filter3d => vec![of_file(set, "filter", antialias::filter_of_device)],
+        Kind::AbsoluteGradient => vec![of_file(set, "absgrad", absgrad::of_device)],
+        Kind::EdgeImportance => vec![of_file(set, "importance", importance::of_device)],
+        Kind::LongAxisSplit => vec![of_file(set, "long_axis_split", budget::split_of_device)],
+        Kind::GrowthSchedule => vec![of_file(set, "growth_schedule", budget::schedule_of_engine)],
+        Kind::Exposure => vec![of_file(set, "exposure", exposure::of_device)],
+        Kind::Depth => vec![of_file(set, "depth", depth::of_device)],
+        Kind::Lpips => vec![of_file(set, "distance", lpips::of_device)],
         Kind::Other => vec![],
     }
 }

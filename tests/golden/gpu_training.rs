@@ -28,7 +28,7 @@ use crate::reference::{schedule, sh};
 const ROUNDING: f64 = 1e-6;
 
 /// Loss, L1, SSIM and gradient of a picture against float ground truth.
-fn device_loss(
+pub(super) fn device_loss(
     gpu: &Gpu,
     windowing: Windowing,
     [image, truth]: [&[f64]; 2],

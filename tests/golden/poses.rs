@@ -37,6 +37,8 @@ fn views(npz: &Npz, extent: Extent) -> Vec<[View; 2]> {
         background: backgrounds[index],
         sh_degree: npz.scalar("deg") as u32,
         antialias: false,
+        antialias_detached: false,
+        filter_3d: 0.0,
         symmetric_limit: false,
         extent,
         drawn: Drawn::AS_THEY_ARE,

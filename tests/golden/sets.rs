@@ -26,6 +26,14 @@ impl RenderingSet {
         RenderingSet { exact: exact.map(Npz::read), gaussians, view, npz }
     }
 
+    /// Reads a set of a training feature: results of both extents in one file, and the first of its cameras.
+    pub fn of_feature(path: &Path) -> RenderingSet {
+        let exact = Npz::read(path);
+        let (gaussians, npz) = (gaussians(&exact, ""), exact.with_prefix("ref_"));
+        let view = views(&exact).swap_remove(0);
+        RenderingSet { exact: Some(exact), gaussians, view, npz }
+    }
+
     /// The results with an extent.
     pub fn results(&self, extent: Extent) -> &Npz {
         match extent {
@@ -52,6 +60,9 @@ impl RenderingSet {
 
     /// Flags of a Gaussian: see the bits in the README of the vectors.
     pub fn gaussian_flag(&self, bit: u8) -> Vec<bool> {
+        if !self.npz.has("g_unstable") {
+            return vec![false; self.gaussians.len()];
+        }
         self.npz.values("g_unstable").iter().map(|&flags| flags as u8 & bit != 0).collect()
     }
 }
@@ -78,20 +89,35 @@ pub fn gaussians(npz: &Npz, prefix: &str) -> Vec<Gaussian> {
 
 /// The camera of an archive.
 pub fn view(npz: &Npz) -> View {
-    let k = npz.values("cam_K");
-    let size = npz.values("size_wh");
+    views(npz).swap_remove(0)
+}
+
+/// The cameras of an archive.
+pub fn views(npz: &Npz) -> Vec<View> {
+    (0..npz.values("cam_t").len() / 3).map(|index| view_of(npz, index)).collect()
+}
+
+fn view_of(npz: &Npz, index: usize) -> View {
+    let part = |name: &str, count: usize| &npz.values(name)[count * index..][..count];
+    let k = part("cam_K", 4);
+    let size = part("size_wh", 2);
     let flag = |name: &str| npz.has(name) && npz.scalar(name) != 0.0;
     View {
-        camera_from_world: rows(npz.values("cam_R")).try_into().expect("3×3"),
-        translation: rows(npz.values("cam_t"))[0],
+        camera_from_world: rows(part("cam_R", 9)).try_into().expect("3×3"),
+        translation: rows(part("cam_t", 3))[0],
         focal_px: [k[0], k[1]],
         center_px: [k[2], k[3]],
         size_px: [size[0] as u32, size[1] as u32],
-        background: rows(npz.values("bg"))[0],
+        background: rows(part("bg", 3))[0],
         sh_degree: if npz.has("deg") { npz.scalar("deg") as u32 } else { 0 },
         antialias: flag("antialias"),
+        antialias_detached: flag("detached"),
+        filter_3d: 0.0,
         symmetric_limit: flag("lim_sym"),
         extent: Extent::Reference,
-        drawn: Drawn::AS_THEY_ARE,
+        drawn: match npz.has("kernel") {
+            true => Drawn { dilation_px2: npz.scalar("kernel"), ..Drawn::AS_THEY_ARE },
+            false => Drawn::AS_THEY_ARE,
+        },
     }
 }

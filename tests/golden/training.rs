@@ -133,7 +133,8 @@ pub fn densify(path: &Path) -> Result<(), String> {
 
 pub fn reset_opacity(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
-    let out: Vec<f64> = npz.values("logits").iter().map(|&logit| reset_twin::reset_opacity(logit)).collect();
+    let out: Vec<f64> =
+        npz.values("logits").iter().map(|&logit| reset_twin::reset_opacity(logit, 1.0)).collect();
     elementwise("logit", &out, npz.values("out"), ROUNDING, ROUNDING)?;
     Ok(())
 }

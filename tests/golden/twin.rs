@@ -4,7 +4,10 @@ use libtest_mimic::Trial;
 
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
-use super::{Kind, SetFile, mcmc, poses, training, trial};
+use super::{
+    Kind, SetFile, absgrad, antialias, budget, depth, exposure, importance, lpips, mcmc, poses, training,
+    trial,
+};
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
@@ -41,6 +44,39 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
             })]
         }
         Kind::Poses => vec![trial(format!("golden_twin_poses_{name}"), move || poses::of_twin(&file.path))],
+        Kind::Antialias => {
+            vec![trial(format!("golden_twin_antialias_{name}"), move || antialias::of_twin(&file.path))]
+        }
+        Kind::Filter3d => {
+            vec![trial(format!("golden_twin_filter_{name}"), move || antialias::filter_of_twin(&file.path))]
+        }
+        Kind::AbsoluteGradient => {
+            vec![trial(format!("golden_twin_absgrad_{name}"), move || absgrad::of_twin(&file.path))]
+        }
+        Kind::EdgeImportance => {
+            vec![trial(format!("golden_twin_importance_{name}"), move || importance::of_twin(&file.path))]
+        }
+        Kind::LongAxisSplit => {
+            vec![trial(format!("golden_twin_long_axis_split_{name}"), move || {
+                budget::split_of_twin(&file.path)
+            })]
+        }
+        Kind::GrowthSchedule => {
+            vec![trial(format!("golden_twin_growth_schedule_{name}"), move || {
+                budget::schedule_of_twin(&file.path)
+            })]
+        }
+        Kind::Exposure => {
+            vec![trial(format!("golden_twin_exposure_{name}"), move || exposure::of_twin(&file.path))]
+        }
+        Kind::Depth => {
+            let host = file.clone();
+            vec![
+                trial(format!("golden_twin_depth_{name}"), move || depth::of_twin(&file.path)),
+                trial(format!("golden_host_depth_{name}"), move || depth::of_host(&host.path)),
+            ]
+        }
+        Kind::Lpips => vec![trial(format!("golden_twin_{name}"), move || lpips::of_twin(&file.path))],
         Kind::Other => vec![],
     }
 }

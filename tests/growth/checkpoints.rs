@@ -41,6 +41,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
         second_moments: gaussians.clone(),
         gaussians,
         statistics: vec![[0.0; 2]; count],
+        filters: Vec::new(),
         strategy: StrategyState {
             name: "a strategy".into(),
             terms: (0..own).map(|index| format!("term {index}")).collect(),
@@ -48,6 +49,8 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
             values: (0..own).map(|index| (format!("value {index:06}"), "1".into())).collect(),
         },
         poses: None,
+        gradient_sums: None,
+        exposures: Default::default(),
         skipped: 0,
         room: Room::default(),
     }

@@ -12,6 +12,7 @@ mod files;
 mod images;
 mod init;
 mod lens;
+mod lpips_weights;
 mod metrics;
 mod mutations;
 mod names;

@@ -1,7 +1,7 @@
 //! `backward/blend_backward` against its twin.
 
 use crate::common::blending::{
-    Blended, CHAINED, How, IN_STRIPS, SlotSums, UNCHAINED, backward, forward, has_strips,
+    Blended, CHAINED, How, IN_STRIPS, OtherSums, SlotSums, UNCHAINED, backward, forward, has_strips,
 };
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::Gpu;
@@ -46,6 +46,7 @@ pub fn from_moments(splat: &Splat, sums: [f64; 10]) -> SplatGradient {
         opacity: one / splat.opacity,
         color: [r, g, b],
         inverse_depth,
+        ..SplatGradient::default()
     }
 }
 
@@ -128,6 +129,44 @@ pub fn of_nothing(kernel: Kernel) {
     let blended = forward(&gpu, &lists, CHAINED);
     let sums = kernel(&gpu, &lists, &blended, None, CHAINED);
     assert!(sums.sums.iter().flatten().all(|&sum| sum == 0.0));
+}
+
+/// The variants with other sums: the absolute gradients beside the usual sums, which keep their bits, and the weights alone.
+pub fn with_other_sums(kernel: Kernel) {
+    let gpu = Gpu::new();
+    for (entries, size, entries_per_pass) in [(1, [17, 5], u32::MAX), (33, [37, 21], 64), (300, [37, 21], 96)]
+    {
+        let lists = Lists::long(&gpu, entries, [0.02, 0.9], &small_view(size));
+        let d_pixels = image_gradient(&lists);
+        let expected = expected(&lists, &d_pixels);
+        // The weights of red alone.
+        let edges: Vec<[f32; 4]> = d_pixels.iter().map(|d| [d[0].abs(), 0.0, 0.0, 0.0]).collect();
+        let weights = self::expected(&lists, &edges);
+        let hows = [UNCHAINED, CHAINED].into_iter().chain(has_strips(&gpu).then_some(IN_STRIPS));
+        for how in hows.map(|how| How { entries_per_pass, ..how }) {
+            let blended = forward(&gpu, &lists, how);
+            let usual = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
+            let how = How { sums: OtherSums::Absolute, ..how };
+            let absolute = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
+            assert!(usual.sums == absolute.sums, "{how:?}: other bits");
+            let of_instances: Vec<f64> =
+                lists.instances.iter().flat_map(|&at| absolute.absolute[at as usize]).collect();
+            let twin: Vec<f64> = expected.iter().flat_map(|d| d.absolute_px).collect();
+            let skip = vec![false; expected.len()];
+            gradient("absolute", &of_instances, &twin, &skip, TOLERANCE).expect("absolute gradients");
+            let how = How { inverse_depth: false, sums: OtherSums::Weights, ..how };
+            let sums = kernel(&gpu, &lists, &blended, Some(&edges), how);
+            let of_instances: Vec<f64> =
+                lists.instances.iter().map(|&at| sums.sums[at as usize][8]).collect();
+            let twin: Vec<f64> = weights.iter().map(|d| d.color[0]).collect();
+            gradient("weights", &of_instances, &twin, &skip, TOLERANCE).expect("weights");
+        }
+    }
+}
+
+#[test]
+fn blend_backward_with_other_sums_equals_its_twin() {
+    with_other_sums(backward);
 }
 
 #[test]

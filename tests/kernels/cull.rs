@@ -4,7 +4,7 @@ use ashsplat::kernels::forward::cull::{Bind, Interface, Push, Spec};
 use ashsplat::vk::Buffer;
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{camera_block, extent_word, pack, room};
+use crate::common::layout::{antialias_word, camera_block, extent_word, pack, pack_filtered, room};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::cull::cull;
 use crate::reference::project::project;
@@ -26,7 +26,7 @@ fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
 
 /// Culls `size` Gaussians. Returns flags and counts of blocks, each with two words more that must stay untouched.
 fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>; 2] {
-    let spec = spec(gpu);
+    let spec = Spec { filter_3d: view.filter_3d > 0.0, ..spec(gpu) };
     let blocks = size.div_ceil(spec.workgroup_size as usize);
     let flags = gpu.untouched::<u32>("visible_flags", size + 2);
     let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
@@ -44,7 +44,7 @@ fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>
 }
 
 fn spec(gpu: &Gpu) -> Spec {
-    Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() }
+    Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), filter_3d: false }
 }
 
 fn push(view: &View, count: usize) -> Push {
@@ -53,7 +53,7 @@ fn push(view: &View, count: usize) -> Push {
         count: count as u32,
         chunk_gaussians: room(count) as u32,
         extent: extent_word(view),
-        antialias: view.antialias.into(),
+        antialias: antialias_word(view),
     }
 }
 
@@ -80,6 +80,25 @@ fn cull_equals_its_twin() {
         let mut counted: Vec<u32> = flags[..size].chunks(block).map(|flags| flags.iter().sum()).collect();
         counted.extend([UNTOUCHED; 2]);
         assert_eq!(counts, counted, "{extent:?} {size}");
+    }
+}
+
+/// Fainter and wider than they are stored, behind a narrower low-pass filter.
+#[test]
+fn cull_equals_its_twin_with_a_3d_filter() {
+    let gpu = Gpu::new();
+    let size = 700;
+    let gaussians = mixed_scene(&mut Random::new(13), size, 1);
+    let unfiltered = cull(&gaussians, &small_view([53, 37]));
+    for filter_3d in [0.0078125, 0.125] {
+        let drawn = Drawn { dilation_px2: f64::from(0.1_f32), ..Drawn::AS_THEY_ARE };
+        let view = View { filter_3d, antialias: true, drawn, ..small_view([53, 37]) };
+        let parameters = gpu.buffer("parameters", &pack_filtered(&gaussians, room(size), filter_3d));
+        let [flags, _] = culled(&gpu, &view, &parameters, size);
+        let expected = cull(&gaussians, &view);
+        let differ = |&i: &usize| flags[i] != u32::from(expected[i]) && !may_differ(&gaussians[i], &view);
+        assert_eq!((0..size).find(differ), None, "{filter_3d}");
+        assert_ne!(expected, unfiltered, "it changes what is visible");
     }
 }
 

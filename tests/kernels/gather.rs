@@ -7,7 +7,7 @@ use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, sizes};
 use crate::common::layout::{pack, planes, room, unpack};
 use crate::common::scenes::{Random, mixed_scene};
-use crate::reference::gather::{child_of, random_normal};
+use crate::reference::gather::{child_of, long_axis_child, random_normal};
 use crate::reference::types::Gaussian;
 
 const COEFFICIENTS: usize = 9;
@@ -65,7 +65,7 @@ impl Rows {
 }
 
 fn spec(gpu: &Gpu) -> Spec {
-    Spec { workgroup_size: gpu.workgroup(64), moments: false, explicit_noise: false }
+    Spec { workgroup_size: gpu.workgroup(64), moments: false, explicit_noise: false, long_axis: false }
 }
 
 /// `error` bounds what the noise is off by, in standard deviations.
@@ -109,6 +109,38 @@ fn gather_with_explicit_noise() {
         noise[child as usize * rows.gaussians.len() + gaussian as usize].map(f64::from)
     };
     compare(&rows, &actual, of, 0.0);
+}
+
+#[test]
+fn gather_of_splits_along_the_long_axis() {
+    let gpu = Gpu::new();
+    for size in sizes(gpu.workgroup(64) as usize) {
+        let mut rows = Rows::random(size);
+        // Ties, needles, and opacities that round to 0 and 1.
+        for (gaussian, (logit, log_scale)) in rows.gaussians.iter_mut().zip([
+            (-90.0, [0.5; 3]),
+            (90.0, [-1.0, 0.5, 0.5]),
+            (15.0, [-7.0, -7.0, 2.0]),
+            (-15.0, [2.0, -7.0, 2.0]),
+        ]) {
+            (gaussian.opacity_logit, gaussian.log_scale) = (logit, log_scale);
+        }
+        let actual = rows.gathered(&gpu, Spec { long_axis: true, ..spec(&gpu) }, None);
+        for ((source, gaussian, kind), actual) in rows.each().zip(&actual) {
+            if kind < 2 {
+                assert_eq!(actual, source, "row of {gaussian}");
+                continue;
+            }
+            let expected = long_axis_child(source, kind - 2);
+            let largest = source.log_scale.iter().copied().fold(f64::NEG_INFINITY, f64::max).exp();
+            elementwise("mean", &actual.mean, &expected.mean, 1e-6 + 4e-6 * largest, 1e-6).expect("means");
+            elementwise("log-scale", &actual.log_scale, &expected.log_scale, 2e-6, 1e-6).expect("log-scales");
+            // Of an opacity near 1 the twin's form has few digits.
+            let (logit, expected) = ([actual.opacity_logit], [expected.opacity_logit]);
+            elementwise("logit", &logit, &expected, 3e-6, 1e-6).expect("logits");
+            assert_eq!((actual.quat, &actual.sh), (source.quat, &source.sh), "row of {gaussian}");
+        }
+    }
 }
 
 #[test]

@@ -5,7 +5,7 @@ use crate::common::gpu::{Gpu, sizes};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::tile_list::{is_listed, listed_tiles, tiles_met};
 use crate::reference::tiles::{half_extent_px, reference_square, touched};
-use crate::reference::types::{Extent, Splat, View};
+use crate::reference::types::{Drawn, Extent, Splat, View};
 
 /// What the kernel writes of each visible Gaussian.
 struct Output {
@@ -151,6 +151,18 @@ fn project_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
         for (extent, antialias) in [(Extent::Exact, false), (Extent::Exact, true), (Extent::Reference, true)]
         {
             check(&gpu, 500, &View { drawn, extent, antialias, ..small_view([53, 37]) });
+        }
+    }
+}
+
+/// Mip-Splatting's filters.
+#[test]
+fn project_equals_its_twin_with_filters() {
+    let gpu = Gpu::new();
+    for (filter_3d, dilation) in [(0.0, 0.1_f32), (0.0078125, 0.1), (0.125, 0.3)] {
+        let drawn = Drawn { dilation_px2: dilation.into(), ..Drawn::AS_THEY_ARE };
+        for antialias in [false, true] {
+            check(&gpu, 500, &View { filter_3d, antialias, drawn, ..small_view([53, 37]) });
         }
     }
 }

@@ -2,32 +2,33 @@
 
 use ashsplat::kernels::backward::project_backward::{Bind, Interface, Push, Spec};
 use ashsplat::kernels::constants::{GRADIENT_PLANES, STATE_OVERFLOW, STATE_VISIBLE, STATE_WORDS};
+use ashsplat::vk::Buffer;
 
 use super::blend_backward::from_moments;
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::layout::{camera_block, pack, room};
+use crate::common::layout::{antialias_word, camera_block, pack_filtered, room};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::project::{color, project};
 use crate::reference::project_backward::{mean2d_statistic, pose_gradient, project_backward};
-use crate::reference::types::{Extent, Gaussian, Gradient, Splat, SplatGradient, View};
+use crate::reference::types::{Drawn, Extent, Gaussian, Gradient, Splat, SplatGradient, View};
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 const QUATS: GradientTolerance = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };
 
 /// A scene with the sums that the blending left for each visible Gaussian.
-struct Scene {
-    view: View,
-    gaussians: Vec<Gaussian>,
-    visible: Vec<u32>,
+pub struct Scene {
+    pub view: View,
+    pub gaussians: Vec<Gaussian>,
+    pub visible: Vec<u32>,
     splats: Vec<Splat>,
     /// Per visible Gaussian, its instances' sums.
-    sums: Vec<Vec<[f64; 10]>>,
+    pub sums: Vec<Vec<[f64; 10]>>,
 }
 
 impl Scene {
     /// Every `many`-th Gaussian has more instances than one lane adds alone.
-    fn random(size: usize, view: View, many: usize) -> Scene {
+    pub fn random(size: usize, view: View, many: usize) -> Scene {
         let mut random = Random::new(size as u64);
         let mut gaussians = mixed_scene(&mut random, size, 16);
         for gaussian in &mut gaussians {
@@ -67,6 +68,69 @@ impl Scene {
     }
 }
 
+/// What the kernel reads.
+pub struct Inputs {
+    pub parameters: Buffer,
+    pub state: Buffer,
+    pub visible_ranges: Buffer,
+    pub visible_list: Buffer,
+    pub footprints: Buffer,
+    pub first_instances: Buffer,
+    pub conic_opacity: Buffer,
+    pub instance_gradients_a: Buffer,
+    pub instance_gradients_b: Buffer,
+    pub instance_gradients_c: Buffer,
+}
+
+impl Scene {
+    /// Uploads it, as a frame that overflowed or not.
+    pub fn upload(&self, gpu: &Gpu, overflow: bool) -> Inputs {
+        let (size, count) = (self.gaussians.len(), self.visible.len());
+        let mut words = vec![0; STATE_WORDS as usize];
+        words[STATE_VISIBLE as usize] = count as u32;
+        words[STATE_OVERFLOW as usize] = u32::from(overflow);
+        let mut begins = Vec::new();
+        let mut flat: Vec<[f64; 10]> = Vec::new();
+        for sums in &self.sums {
+            begins.push(flat.len() as u32);
+            flat.extend(sums);
+        }
+        let footprints: Vec<[u32; 4]> = self.sums.iter().map(|sums| [0, 0, 0, sums.len() as u32]).collect();
+        let part = |from: usize| {
+            flat.iter().map(|s| std::array::from_fn(|k| s[from + k] as f32)).collect::<Vec<[f32; 4]>>()
+        };
+        let conic: Vec<[f32; 4]> = self
+            .splats
+            .iter()
+            .map(|s| [s.conic[0], s.conic[1], s.conic[2], s.opacity].map(|x| x as f32))
+            .collect();
+        let parameters =
+            gpu.buffer("parameters", &pack_filtered(&self.gaussians, room(size), self.view.filter_3d));
+        let state = gpu.buffer("state", &words);
+        let visible_ranges = gpu.buffer("visible_ranges", &[[0; 4], [0, count as u32, 0, 0]]);
+        let visible_list = gpu.buffer("visible_list", &self.visible);
+        let footprints = gpu.buffer("footprints", &footprints);
+        let first_instances = gpu.buffer("first_instances", &begins);
+        let conic_opacity = gpu.buffer("conic_opacity", &conic);
+        let (instance_gradients_a, instance_gradients_b) =
+            (gpu.buffer("instance_gradients_a", &part(0)), gpu.buffer("instance_gradients_b", &part(4)));
+        let instance_gradients_c: Vec<[f32; 2]> = flat.iter().map(|s| [s[8] as f32, s[9] as f32]).collect();
+        let instance_gradients_c = gpu.buffer("instance_gradients_c", &instance_gradients_c);
+        Inputs {
+            parameters,
+            state,
+            visible_ranges,
+            visible_list,
+            footprints,
+            first_instances,
+            conic_opacity,
+            instance_gradients_a,
+            instance_gradients_b,
+            instance_gradients_c,
+        }
+    }
+}
+
 /// Moments of the size that pixels within the splat give, rounded to float32.
 fn random_sums(random: &mut Random, splat: &Splat) -> [f64; 10] {
     let [xx, xy, yy] = splat.cov2d;
@@ -77,85 +141,77 @@ fn random_sums(random: &mut Random, splat: &Splat) -> [f64; 10] {
 }
 
 /// What the kernel leaves: gradient planes and statistics.
-fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32; 4]>, Vec<[f32; 2]>) {
-    let (planes, statistics, sums) = run_variant(gpu, scene, [accumulate, overflow, false]);
-    assert!(
-        sums.as_flattened().iter().all(|x| x.to_bits() == UNTOUCHED),
-        "a pose without being asked for it"
-    );
-    (planes, statistics)
+pub fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32; 4]>, Vec<[f32; 2]>) {
+    let (gradients, statistics, _) = run_with(gpu, scene, (accumulate, overflow), None);
+    (gradients, statistics)
 }
+
+/// The same with the instances' absolute gradients; at last the absolute statistics.
+fn run_with(
+    gpu: &Gpu,
+    scene: &Scene,
+    (accumulate, overflow): (bool, bool),
+    absolute: Option<&[[f32; 2]]>,
+) -> (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<f32>) {
+    let (statistics, sums) = run_variant(gpu, scene, [accumulate, overflow, false], absolute);
+    let untouched = sums.as_flattened().iter().all(|x| x.to_bits() == UNTOUCHED);
+    assert!(untouched, "a pose without being asked for it");
+    statistics
+}
+
+/// Gradient planes, statistics and absolute statistics.
+type Left = (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<f32>);
 
 /// And the sums for the camera's pose per subgroup, if it has a gradient.
 fn run_variant(
     gpu: &Gpu,
     scene: &Scene,
     [accumulate, overflow, pose_gradient]: [bool; 3],
-) -> (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<[f32; 6]>) {
+    absolute: Option<&[[f32; 2]]>,
+) -> (Left, Vec<[f32; 6]>) {
     let spec = Spec {
         workgroup_size: gpu.workgroup(64),
         subgroup_size: gpu.subgroup(),
         sh_degree: scene.view.sh_degree,
         pose_gradient,
+        filter_3d: scene.view.filter_3d > 0.0,
+        absolute: absolute.is_some(),
         ..Spec::default()
     };
     let kernel = gpu.kernel::<Interface>(&spec);
     let (size, count) = (scene.gaussians.len(), scene.visible.len());
-    let (room, gradient_stride) = (room(size), count + 5);
-    let mut words = vec![0; STATE_WORDS as usize];
-    words[STATE_VISIBLE as usize] = count as u32;
-    words[STATE_OVERFLOW as usize] = u32::from(overflow);
-    let mut begins = Vec::new();
-    let mut flat: Vec<[f64; 10]> = Vec::new();
-    for sums in &scene.sums {
-        begins.push(flat.len() as u32);
-        flat.extend(sums);
-    }
-    let footprints: Vec<[u32; 4]> = scene.sums.iter().map(|sums| [0, 0, 0, sums.len() as u32]).collect();
-    let part = |from: usize| {
-        flat.iter().map(|s| std::array::from_fn(|k| s[from + k] as f32)).collect::<Vec<[f32; 4]>>()
-    };
-    let conic: Vec<[f32; 4]> = scene
-        .splats
-        .iter()
-        .map(|s| [s.conic[0], s.conic[1], s.conic[2], s.opacity].map(|x| x as f32))
-        .collect();
-    let parameters = gpu.buffer("parameters", &pack(&scene.gaussians, room));
-    let state = gpu.buffer("state", &words);
-    let visible_ranges = gpu.buffer("visible_ranges", &[[0; 4], [0, count as u32, 0, 0]]);
-    let visible_list = gpu.buffer("visible_list", &scene.visible);
-    let footprints = gpu.buffer("footprints", &footprints);
-    let first_instances = gpu.buffer("first_instances", &begins);
-    let conic_opacity = gpu.buffer("conic_opacity", &conic);
-    let (instance_gradients_a, instance_gradients_b) =
-        (gpu.buffer("instance_gradients_a", &part(0)), gpu.buffer("instance_gradients_b", &part(4)));
-    let instance_gradients_c: Vec<[f32; 2]> = flat.iter().map(|s| [s[8] as f32, s[9] as f32]).collect();
-    let instance_gradients_c = gpu.buffer("instance_gradients_c", &instance_gradients_c);
+    let gradient_stride = count + 5;
+    let inputs = scene.upload(gpu, overflow);
     let gradients = gpu.untouched::<[f32; 4]>("gradients", GRADIENT_PLANES as usize * gradient_stride);
     let statistics = gpu.buffer("statistics", &vec![[2.0_f32, 3.0]; size]);
     // One more than there are, to see that it stays as it is.
     let subgroups = count.div_ceil(gpu.subgroup() as usize) + 1;
     let pose_sums = gpu.untouched::<[f32; 6]>("pose_sums", subgroups);
+    let absolute_statistics = gpu.buffer("absolute_statistics", &vec![5.0_f32; size]);
+    let instance_gradients_d = absolute
+        .map_or_else(|| inputs.instance_gradients_c.clone(), |d| gpu.buffer("instance_gradients_d", d));
     let bind = Bind {
-        parameters: &parameters,
-        state: &state,
-        visible_ranges: &visible_ranges,
-        visible_list: &visible_list,
-        footprints: &footprints,
-        first_instances: &first_instances,
-        conic_opacity: &conic_opacity,
-        instance_gradients_a: &instance_gradients_a,
-        instance_gradients_b: &instance_gradients_b,
-        instance_gradients_c: &instance_gradients_c,
+        parameters: &inputs.parameters,
+        state: &inputs.state,
+        visible_ranges: &inputs.visible_ranges,
+        visible_list: &inputs.visible_list,
+        footprints: &inputs.footprints,
+        first_instances: &inputs.first_instances,
+        conic_opacity: &inputs.conic_opacity,
+        instance_gradients_a: &inputs.instance_gradients_a,
+        instance_gradients_b: &inputs.instance_gradients_b,
+        instance_gradients_c: &inputs.instance_gradients_c,
+        instance_gradients_d: &instance_gradients_d,
         gradients: &gradients,
         statistics: &statistics,
         pose_sums: &pose_sums,
+        absolute_statistics: &absolute_statistics,
         camera_block: &gpu.buffer("camera_block", &[camera_block(&scene.view)]),
     };
     let push = Push {
         first: 0,
-        chunk_gaussians: room as u32,
-        antialias: scene.view.antialias.into(),
+        chunk_gaussians: room(size) as u32,
+        antialias: antialias_word(&scene.view),
         splat_stride: 1,
         gradient_stride: gradient_stride as u32,
         accumulate: accumulate.into(),
@@ -163,8 +219,9 @@ fn run_variant(
     gpu.run(|recorder| {
         recorder.dispatch(&kernel, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1)
     });
-    let planes = gpu.read(&gradients, GRADIENT_PLANES as usize * gradient_stride);
-    (planes, gpu.read(&statistics, size), gpu.read(&pose_sums, subgroups))
+    let gradients = gpu.read(&gradients, GRADIENT_PLANES as usize * gradient_stride);
+    let left = (gradients, gpu.read(&statistics, size), gpu.read(&absolute_statistics, size));
+    (left, gpu.read(&pose_sums, subgroups))
 }
 
 fn check(gpu: &Gpu, scene: &Scene) {
@@ -251,8 +308,8 @@ fn project_backward_equals_its_twin_in_every_mode() {
 
 /// The sums of each subgroup for the pose; all else as without them, to the bit.
 fn check_pose(gpu: &Gpu, scene: &Scene) {
-    let (planes, statistics, sums) = run_variant(gpu, scene, [true, false, true]);
-    assert!((planes, statistics) == run(gpu, scene, true, false));
+    let (left, sums) = run_variant(gpu, scene, [true, false, true], None);
+    assert!(left == run_with(gpu, scene, (true, false), None));
     let (wide, lanes) = (|x: f32| f64::from(x), gpu.subgroup() as usize);
     let (left_alone, sums) = sums.split_last().expect("one more");
     assert!(left_alone.iter().all(|x| x.to_bits() == UNTOUCHED));
@@ -300,14 +357,25 @@ fn project_backward_of_the_pose_equals_its_twin() {
 fn project_backward_leaves_out_of_the_pose_what_is_not_finite() {
     let gpu = Gpu::new();
     let mut scene = Scene::random(200, small_view([53, 37]), 9);
-    let (_, _, before) = run_variant(&gpu, &scene, [true, false, true]);
+    let (_, before) = run_variant(&gpu, &scene, [true, false, true], None);
     let place = (0..scene.sums.len()).find(|&place| !scene.sums[place].is_empty()).expect("a visible one");
     scene.sums[place][0][1] = f64::INFINITY;
-    let (_, _, after) = run_variant(&gpu, &scene, [true, false, true]);
+    let (_, after) = run_variant(&gpu, &scene, [true, false, true], None);
     let subgroup = place / gpu.subgroup() as usize;
     for (at, (before, after)) in before[..before.len() - 1].iter().zip(&after).enumerate() {
         assert!(after.iter().all(|x| x.is_finite()), "{at}");
         assert_eq!(before == after, at != subgroup, "{at}");
+    }
+}
+
+/// Mip-Splatting's filters; the compensation differentiated, and as a constant.
+#[test]
+fn project_backward_equals_its_twin_with_filters() {
+    let gpu = Gpu::new();
+    for (filter_3d, antialias_detached) in [(0.0, true), (0.0078125, false), (0.125, true)] {
+        let drawn = Drawn { dilation_px2: f64::from(0.1_f32), ..Drawn::AS_THEY_ARE };
+        let view = View { filter_3d, antialias: true, antialias_detached, drawn, ..small_view([53, 37]) };
+        check(&gpu, &Scene::random(300, view, 50));
     }
 }
 
@@ -319,4 +387,44 @@ fn project_backward_leaves_statistics_alone_unless_told() {
         let (_, statistics) = run(&gpu, &scene, accumulate, overflow);
         assert!(statistics.iter().all(|&s| s == [2.0, 3.0]), "accumulate {accumulate}, overflow {overflow}");
     }
+}
+
+/// Beside the usual gradients and statistics, which keep their bits.
+#[test]
+fn project_backward_adds_up_absolute_statistics() {
+    let gpu = Gpu::new();
+    let mut scene = Scene::random(300, small_view([53, 37]), 9);
+    let instances = scene.sums.iter().map(Vec::len).sum();
+    let mut random = Random::new(5);
+    let mut absolute: Vec<[f32; 2]> =
+        (0..instances).map(|_| [0; 2].map(|_| 1e-3 * random.signed().abs() as f32)).collect();
+    // One whose sums are not finite, and one whose signed ones are not.
+    let first_of = |place: usize| scene.sums[..place].iter().map(Vec::len).sum::<usize>();
+    let with_instances: Vec<usize> = (0..scene.sums.len()).filter(|&i| !scene.sums[i].is_empty()).collect();
+    let [infinite, signed] = [with_instances[3], with_instances[7]];
+    absolute[first_of(infinite)] = [f32::INFINITY, 0.0];
+    scene.sums[signed][0][1] = f64::INFINITY;
+    let (planes, statistics, sums) = run_with(&gpu, &scene, (true, false), Some(&absolute));
+    let (usual, usual_statistics) = run(&gpu, &scene, true, false);
+    let bits = |planes: &[[f32; 4]]| planes.as_flattened().iter().map(|x| x.to_bits()).collect::<Vec<u32>>();
+    assert!(bits(&planes) == bits(&usual));
+    let mut wanted = vec![5.0; scene.gaussians.len()];
+    let mut begin = 0;
+    for (place, (&gaussian, own)) in scene.visible.iter().zip(&scene.sums).enumerate() {
+        let own = &absolute[begin..begin + own.len()];
+        begin += own.len();
+        let at = gaussian as usize;
+        if place == infinite || place == signed {
+            assert_eq!(statistics[at], [2.0, 3.0]);
+            continue;
+        }
+        let sum = [0, 1].map(|axis| own.iter().map(|d| f64::from(d[axis])).sum::<f64>());
+        wanted[at] += mean2d_statistic(&scene.view, sum);
+        assert_eq!(statistics[at], usual_statistics[at]);
+    }
+    for (i, (&actual, wanted)) in sums.iter().zip(&wanted).enumerate() {
+        assert!((f64::from(actual) - wanted).abs() <= 3e-6 * wanted, "{i}: {actual}, {wanted}");
+    }
+    let (_, _, sums) = run_with(&gpu, &scene, (true, true), Some(&absolute));
+    assert!(sums.iter().all(|&sum| sum == 5.0));
 }

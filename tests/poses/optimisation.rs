@@ -289,7 +289,13 @@ fn poses_count_among_the_memory() {
         let context =
             Context::new(&ContextOptions { max_memory: Some(1 << 20), ..options() }).expect("a device");
         let photos: Vec<PhotoSize> = (0..photos)
-            .map(|i| PhotoSize { name: format!("{i}.png"), width: 300, height: 200, masked: false })
+            .map(|i| PhotoSize {
+                name: format!("{i}.png"),
+                width: 300,
+                height: 200,
+                masked: false,
+                inverse_depth: false,
+            })
             .collect();
         let settings = TrainSettings { pose_opt, ..TrainSettings::default() };
         let forecast = Forecast {

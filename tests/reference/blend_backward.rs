@@ -53,8 +53,11 @@ fn add_alpha(splat: &Splat, pixel: [u32; 2], alpha: f64, d_alpha: f64, gradient:
     let [a, b, c] = splat.conic;
     gradient.opacity += d_alpha * alpha / splat.opacity;
     let d_power = d_alpha * alpha;
-    gradient.mean2d_px[0] += d_power * (-a * dx - b * dy);
-    gradient.mean2d_px[1] += d_power * (-c * dy - b * dx);
+    let d_mean2d = [d_power * (-a * dx - b * dy), d_power * (-c * dy - b * dx)];
+    for axis in 0..2 {
+        gradient.mean2d_px[axis] += d_mean2d[axis];
+        gradient.absolute_px[axis] += d_mean2d[axis].abs();
+    }
     gradient.conic[0] += d_power * -0.5 * dx * dx;
     gradient.conic[1] += d_power * -dx * dy;
     gradient.conic[2] += d_power * -0.5 * dy * dy;

@@ -1,6 +1,6 @@
 //! What a Gaussian of the new set becomes, and the random numbers for it: the twin of `densify/gather`.
 
-use super::linear::{apply, normalize_quat, rotation};
+use super::linear::{apply, normalize_quat, rotation, sigmoid};
 use super::types::Gaussian;
 
 /// A half of a split Gaussian: scale / 1.6, position = mean + R(q)·(scale ∘ noise), everything else copied.
@@ -11,6 +11,31 @@ pub fn child_of(parent: &Gaussian, noise: [f64; 3]) -> Gaussian {
     Gaussian {
         mean: [0, 1, 2].map(|axis| parent.mean[axis] + offset[axis]),
         log_scale: scale.map(|s| (s / 1.6).ln()),
+        ..parent.clone()
+    }
+}
+
+/// A child of a split along the longest axis (Improved-GS): 0 lies in front along the axis, 1 behind.
+pub fn long_axis_child(parent: &Gaussian, child: u32) -> Gaussian {
+    const SHARE: f64 = 0.45;
+    let scale = parent.log_scale.map(f64::exp);
+    let longest =
+        (1..3).fold(
+            0,
+            |longest, axis| {
+                if parent.log_scale[axis] > parent.log_scale[longest] { axis } else { longest }
+            },
+        );
+    let mut along = [0.0; 3];
+    along[longest] = if child == 0 { 3.0 } else { -3.0 } * SHARE * scale[longest];
+    let offset = apply(&rotation(normalize_quat(parent.quat).0), along);
+    let opacity = 0.6 * sigmoid(parent.opacity_logit);
+    let others = (1.0 - SHARE * SHARE).sqrt();
+    Gaussian {
+        mean: [0, 1, 2].map(|axis| parent.mean[axis] + offset[axis]),
+        log_scale: [0, 1, 2]
+            .map(|axis| (scale[axis] * if axis == longest { 1.0 - SHARE } else { others }).ln()),
+        opacity_logit: (opacity / (1.0 - opacity)).ln(),
         ..parent.clone()
     }
 }

@@ -92,6 +92,7 @@ impl SplatGradient {
     pub fn add(&mut self, other: &SplatGradient) {
         for i in 0..2 {
             self.mean2d_px[i] += other.mean2d_px[i];
+            self.absolute_px[i] += other.absolute_px[i];
         }
         for i in 0..3 {
             self.conic[i] += other.conic[i];

@@ -1,5 +1,6 @@
 //! Projection of one Gaussian (spec: "Forward" 1–6), the twin of `forward/project`.
 
+use super::filter_sizes::filtered;
 use super::linear::{Mat3, apply, multiply, normalize_quat, rotation, sigmoid, transpose};
 use super::tiles;
 use super::types::{ALPHA_MIN, Extent, FAINT_OPACITY, Gaussian, NEAR, Splat, View};
@@ -28,6 +29,8 @@ pub struct Intermediate {
     pub opacity: f64,
     /// Factor on the opacity, and whether its floor acted.
     pub compensation: (f64, bool),
+    /// Added to both variances on the screen, px².
+    pub dilation_px2: f64,
 }
 
 /// Lower and upper limits of x/z and y/z in the Jacobian.
@@ -49,6 +52,7 @@ pub fn slope_limits(view: &View) -> [[f64; 2]; 2] {
 
 /// The part of the projection that needs no cull decision; `None` before the near plane.
 pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
+    let gaussian = &filtered(gaussian, view.filter_3d);
     let p = cull::camera_position(gaussian, view);
     if p[2] <= NEAR {
         return None;
@@ -93,6 +97,7 @@ pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
             _ => drawn.opacity.abs(),
         },
         compensation,
+        dilation_px2: drawn.dilation_px2,
     })
 }
 

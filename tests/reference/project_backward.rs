@@ -1,9 +1,10 @@
 //! The derivative of the projection (spec: "Backward"), the twin of `backward/project_backward`.
 
+use super::filter_sizes::filtered_backward;
 use super::linear::{Mat3, apply, cross, dot, multiply, rotation, rotation_backward, scale, transpose};
 use super::project::{Intermediate, color, intermediate, view_direction};
 use super::sh;
-use super::types::{DILATION, Gaussian, Gradient, SplatGradient, View};
+use super::types::{Gaussian, Gradient, SplatGradient, View};
 
 /// Gradient of the raw parameters of one visible Gaussian.
 pub fn project_backward(gaussian: &Gaussian, view: &View, d: &SplatGradient) -> Gradient {
@@ -19,6 +20,7 @@ pub fn project_backward(gaussian: &Gaussian, view: &View, d: &SplatGradient) -> 
         gradient.mean[i] += d_mean[i];
     }
     shape_backward(&on_the_way, &d_cov3d, &mut gradient);
+    filtered_backward(gaussian, view.filter_3d, d_opacity, &mut gradient);
     gradient
 }
 
@@ -42,8 +44,9 @@ pub fn pose_gradient(gaussian: &Gaussian, view: &View, d: &SplatGradient) -> [f6
 
 /// dL/d(position in the camera's frame) and dL/dΣ.
 fn geometry_backward(on_the_way: &Intermediate, view: &View, d: &SplatGradient) -> ([f64; 3], Mat3) {
-    let (_, d_cov_compensation) = opacity_backward(on_the_way, d.opacity);
-    let mut d_cov2d = conic_backward(on_the_way.cov2d_undilated, d.conic);
+    let (_, through_compensation) = opacity_backward(on_the_way, d.opacity);
+    let d_cov_compensation = if view.antialias_detached { [0.0; 3] } else { through_compensation };
+    let mut d_cov2d = conic_backward(on_the_way, d.conic);
     for i in 0..3 {
         d_cov2d[i] += d_cov_compensation[i];
     }
@@ -94,7 +97,7 @@ fn opacity_backward(on_the_way: &Intermediate, d_opacity: f64) -> (f64, [f64; 3]
     }
     let [a, b, c] = on_the_way.cov2d_undilated;
     let before = a * c - b * b;
-    let (dilated_a, dilated_c) = (a + DILATION, c + DILATION);
+    let (dilated_a, dilated_c) = (a + on_the_way.dilation_px2, c + on_the_way.dilation_px2);
     let after = dilated_a * dilated_c - b * b;
     let d_ratio = d_opacity * on_the_way.opacity / (2.0 * factor);
     let (d_before, d_after) = (d_ratio / after, -d_ratio * before / (after * after));
@@ -107,8 +110,9 @@ fn opacity_backward(on_the_way: &Intermediate, d_opacity: f64) -> (f64, [f64; 3]
 }
 
 /// (A, B, C) = (c, −b, a)/det → dL/d(a, b, c).
-fn conic_backward([a, b, c]: [f64; 3], [d_a, d_b, d_c]: [f64; 3]) -> [f64; 3] {
-    let (a, c) = (a + DILATION, c + DILATION);
+fn conic_backward(on_the_way: &Intermediate, [d_a, d_b, d_c]: [f64; 3]) -> [f64; 3] {
+    let [a, b, c] = on_the_way.cov2d_undilated;
+    let (a, c) = (a + on_the_way.dilation_px2, c + on_the_way.dilation_px2);
     let determinant = a * c - b * b;
     let inverse_square = 1.0 / (determinant * determinant);
     [

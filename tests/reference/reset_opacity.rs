@@ -2,8 +2,9 @@
 
 use super::linear::sigmoid;
 
-/// The new logit.
-pub fn reset_opacity(logit: f64) -> f64 {
-    let opacity = sigmoid(logit).min(0.01_f32.into());
+/// The new logit; `shrink` is the factor of the opacity that a 3D filter draws, 1 without one.
+pub fn reset_opacity(logit: f64, shrink: f64) -> f64 {
+    let drawn = sigmoid(logit) * shrink;
+    let opacity = drawn.min(0.01_f32.into()) / shrink;
     (opacity / (1.0 - opacity)).ln()
 }

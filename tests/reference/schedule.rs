@@ -11,6 +11,30 @@ pub fn position_rate(step: f64, scene_extent: f64) -> f64 {
     log_linear(step, 1.6e-4 * scene_extent, 1.6e-6 * scene_extent, 30_000.0)
 }
 
+/// Number of Gaussians that Improved-GS grows to by an iteration.
+pub fn growth_budget(iteration: f64, last: f64) -> f64 {
+    (((iteration - 500.0) / 14_000.0).clamp(0.0, 1.0).sqrt() * last).floor().max(1.0)
+}
+
+/// Whether Improved-GS makes a step: always, then every 5th, then every 20th iteration, not at the last.
+pub fn makes_step(iteration: u32) -> bool {
+    match iteration {
+        30_000 => false,
+        0..20_000 => true,
+        20_000..24_000 => iteration % 5 == 0,
+        _ => iteration % 20 == 0,
+    }
+}
+
+/// The quantile with linear interpolation between ranks.
+pub fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let place = share * (sorted.len() - 1) as f64;
+    let (low, high) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
+    low + place.fract() * (high - low)
+}
+
 /// Rate of the per-image exposure.
 pub fn exposure_rate(step: f64) -> f64 {
     log_linear(step, 0.01, 0.001, 30_000.0)

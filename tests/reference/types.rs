@@ -43,6 +43,10 @@ pub struct View {
     pub sh_degree: u32,
     /// Opacity compensation for the dilation.
     pub antialias: bool,
+    /// Gradients take that compensation as a constant.
+    pub antialias_detached: bool,
+    /// Standard deviation of the 3D filter of all Gaussians, world units; 0 for none.
+    pub filter_3d: f64,
     /// Jacobian limits ±1.3 tan(fov/2) instead of the image edges plus 0.3 tan(fov/2).
     pub symmetric_limit: bool,
     /// Which pixels a Gaussian may reach.
@@ -147,6 +151,8 @@ pub struct SplatGradient {
     pub color: [f64; 3],
     /// dL/d(1/z) through the inverse-depth image.
     pub inverse_depth: f64,
+    /// Sum over pixels of |dL/d(centre in pixels)| through each pixel alone.
+    pub absolute_px: [f64; 2],
 }
 
 /// Gradient with respect to a Gaussian's raw parameters.

@@ -71,6 +71,9 @@ fn viewer_cuts_as_convert_does() {
             assert!(body == std::fs::read(&converted).expect("a file"), "{options}: {format}");
             if format == Format::Ply {
                 let left = read(&converted);
+                let (code, head, body) = server.get(&format!("/count?{address}"), &[]);
+                let counts: Value = serde_json::from_slice(&body).expect("JSON");
+                assert_eq!((code, counts), (200, json!({ "kept": left.len(), "of": COUNT })), "{head}");
                 assert!(shown.rgb() == picture(&left, &camera), "{options}");
                 sizes.push(left.len());
             }
@@ -165,6 +168,9 @@ fn viewer_exports_what_it_understands_to_who_may_have_it() {
         ("/export/a.ply?token=sesame&low=1,2", 400),
         ("/export/a.ply?token=sesame&min_opacity=nan", 400),
         ("/export/a.ply?token=sesame&sh_degree=9", 400),
+        ("/count", 401),
+        ("/count?token=sesame&min_opacity=0.2", 200),
+        ("/count?token=sesame&min_opacity=2", 400),
     ] {
         assert_eq!(get(path, &[]), code, "{path}");
     }

@@ -1,4 +1,4 @@
-//! `ashsplat bench`: the time of every kernel, against the device's own copy bandwidth.
+//! `ashsplat bench`: the time of every kernel, against the device's own copy bandwidth; and what quality costs.
 
 mod arguments;
 pub mod compare;
@@ -9,6 +9,7 @@ pub mod machine;
 pub mod measure;
 pub mod plot;
 mod primitives;
+mod quality;
 mod samples;
 mod scaling;
 pub mod schema;
@@ -67,6 +68,8 @@ enum What {
     All(AllArguments),
     /// Two result files, kernel by kernel; exit code 1 where --fail-above finds something slower
     Compare(CompareArguments),
+    /// Trainings with several strategies and seeds: PSNR, SSIM, Gaussians, processor seconds and seconds along each
+    Quality(quality::Arguments),
     /// How each stage grows with the Gaussians and the pixels
     Scaling(scaling::Arguments),
 }
@@ -107,6 +110,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
             measure_all(&a.output, plan, |context| tasks::of_all(a, context.limits().tuning.is_slow))
         }
         What::Compare(files) => return compare_files(files),
+        What::Quality(a) => quality::run(a),
         What::Scaling(sweep) => scaling::run(sweep),
     }?;
     Ok(ExitCode::SUCCESS)

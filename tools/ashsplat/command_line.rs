@@ -86,6 +86,9 @@ fn summary(error: &clap::Error) -> String {
         (ErrorKind::UnknownArgument, Some(ContextValue::String(option))) => owners(option),
         _ => Vec::new(),
     };
+    if let Some(folder) = folder_of_training(error) {
+        return format!("{first}; did you mean '-s {folder}'? see --help");
+    }
     let suggestion = suggestion(error).map(|word| format!("; did you mean '{word}'?")).unwrap_or_default();
     // What was meant here is likelier than what another command has.
     if !suggestion.is_empty() || owners.is_empty() {
@@ -93,6 +96,17 @@ fn summary(error: &clap::Error) -> String {
         return format!("{first}{suggestion}{end} see --help");
     }
     format!("{first}: it is an option of `{}`; leave it out here, see --help", owners.join("`, `"))
+}
+
+/// What stands behind `train` without an option: other programs take the data set so.
+fn folder_of_training(error: &clap::Error) -> Option<&str> {
+    let usage = error.get(ContextKind::Usage)?.to_string();
+    match error.get(ContextKind::InvalidArg)? {
+        ContextValue::String(word) if !word.starts_with('-') && usage.contains("ashsplat train") => {
+            Some(word)
+        }
+        _ => None,
+    }
 }
 
 /// The option, command or value that is written nearly so.
@@ -155,6 +169,7 @@ mod tests {
         };
         assert!(said(&["train", "--iteration", "100"]).contains("did you mean '--iterations'?"));
         assert!(said(&["trian"]).ends_with("did you mean 'train'? see --help"), "{}", said(&["trian"]));
+        assert!(said(&["train", "my_scene"]).ends_with("; did you mean '-s my_scene'? see --help"));
         assert!(said(&["bench", "sort", "--xyzzy"]).ends_with("found; see --help"));
     }
 

@@ -1,12 +1,15 @@
 //! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
 
-use ashsplat::trainer::options::{OptionKind, OptionValue, TrainOption};
+mod train_overrides;
+
+pub use train_overrides::{TrainOverrides, strategies};
+
 use ashsplat::trainer::{StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
-use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, value_parser};
+use clap::Args;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use toml::{Table, Value};
+use toml::Table;
 
 /// Name of the dump that `--config` reads back.
 pub const SETTINGS_FILE: &str = "settings.toml";
@@ -28,6 +31,10 @@ pub struct Overrides {
     /// Folder of the photos within the data set [default: images]
     #[arg(short, long, value_name = "NAME")]
     images: Option<String>,
+    /// Folder of inverse-depth maps within the data set: a 16-bit PNG per photo, of its name; scale and offset are in
+    /// sparse/0/depth_params.json, or else are fitted to the sparse points
+    #[arg(short, long, value_name = "FOLDER")]
+    depths: Option<PathBuf>,
     /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider [default: -1]
     #[arg(short, long, value_name = "N", allow_negative_numbers = true)]
     resolution: Option<i32>,
@@ -38,6 +45,10 @@ pub struct Overrides {
     /// Hold out every 8th view (by name) for tests
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     eval: Option<bool>,
+    /// Train on the left half of the held-out views as well, and test on the right one under the exposure that was learned;
+    /// sets --exposure (the reference's protocol)
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
+    train_test_exp: Option<bool>,
     /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     test_iterations: Option<Vec<u32>>,
@@ -50,75 +61,6 @@ pub struct Overrides {
     #[command(flatten)]
     #[serde(flatten)]
     train: TrainOverrides,
-}
-
-/// The settings of training that are given on the command line, by their names. The options follow from
-/// [`TrainSettings::OPTIONS`].
-#[derive(Clone, Debug, Default, Serialize)]
-#[serde(transparent)]
-pub struct TrainOverrides(Table);
-
-/// Options that also have a letter, as in the reference.
-const LETTERS: [(&str, char); 1] = [("white_background", 'w')];
-
-impl TrainOverrides {
-    fn argument(option: &TrainOption) -> Arg {
-        let about = option.about.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ");
-        let default = match option.default_value() {
-            OptionValue::Switch(false) => String::new(),
-            value => format!(" [default: {value}]"),
-        };
-        let argument = Arg::new(option.name).long(option.name.replace('_', "-")).help(about + &default);
-        let argument = match LETTERS.iter().find(|(name, _)| *name == option.name) {
-            Some((_, letter)) => argument.short(*letter),
-            None => argument,
-        };
-        match option.kind {
-            OptionKind::Integer => argument.value_name("N").value_parser(value_parser!(u32)),
-            OptionKind::Number => argument.value_name("X").value_parser(value_parser!(f64)),
-            OptionKind::Choice(names) => argument.value_name("NAME").value_parser(names.to_vec()),
-            OptionKind::Switch => argument
-                .value_name("BOOL")
-                .num_args(0..=1)
-                .require_equals(true)
-                .default_missing_value("true")
-                .value_parser(value_parser!(bool)),
-        }
-    }
-}
-
-impl Args for TrainOverrides {
-    fn augment_args(command: Command) -> Command {
-        command.args(TrainSettings::OPTIONS.iter().map(Self::argument))
-    }
-
-    fn augment_args_for_update(command: Command) -> Command {
-        Self::augment_args(command)
-    }
-}
-
-impl FromArgMatches for TrainOverrides {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        let mut overrides = Self::default();
-        overrides.update_from_arg_matches(matches)?;
-        Ok(overrides)
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        for option in TrainSettings::OPTIONS {
-            let name = option.name;
-            let given: Option<Value> = match option.kind {
-                OptionKind::Integer => matches.get_one::<u32>(name).map(|&value| i64::from(value).into()),
-                OptionKind::Number => matches.get_one::<f64>(name).map(|&value| value.into()),
-                OptionKind::Choice(_) => matches.get_one::<String>(name).map(|value| value.clone().into()),
-                OptionKind::Switch => matches.get_one::<bool>(name).map(|&value| value.into()),
-            };
-            if let Some(value) = given {
-                self.0.insert(name.into(), value);
-            }
-        }
-        Ok(())
-    }
 }
 
 /// An iteration; -1, with which scripts for the reference say "never", becomes 0, which never comes.
@@ -136,12 +78,16 @@ pub struct DataSettings {
     pub model_path: PathBuf,
     /// Folder of the photos within the data set.
     pub images: String,
+    /// Folder of inverse-depth maps within the data set; empty: none.
+    pub depths: PathBuf,
     /// The reference's `-r`.
     pub resolution: i32,
     /// Whether photos are turned as their metadata say: auto, stored or upright.
     pub orientation: String,
     /// Hold out every 8th view.
     pub eval: bool,
+    /// Train on the left half of the held-out views, and test on the right one.
+    pub train_test_exp: bool,
     /// Iterations after which to test; the last is always one.
     pub test_iterations: Vec<u32>,
     /// Iterations after which to save; the last is always one.
@@ -156,9 +102,11 @@ impl Default for DataSettings {
             source_path: PathBuf::new(),
             model_path: PathBuf::new(),
             images: "images".into(),
+            depths: PathBuf::new(),
             resolution: -1,
             orientation: "auto".into(),
             eval: false,
+            train_test_exp: false,
             test_iterations: vec![7000, 30_000],
             save_iterations: vec![7000, 30_000],
             checkpoint_iterations: Vec::new(),
@@ -184,6 +132,10 @@ impl Settings {
         table.extend(given);
         let settings = Settings::from_table(table).map_err(|problem| Error::argument("settings", problem))?;
         settings.train.check()?;
+        if settings.data.train_test_exp && !settings.data.eval {
+            let problem = "is about held-out views: give --eval as well";
+            return Err(Error::argument("train_test_exp", problem));
+        }
         Ok(settings)
     }
 
@@ -210,10 +162,11 @@ impl Settings {
         let strategy = strategy.map_err(|e: toml::de::Error| e.message().to_owned())?.unwrap_or_default();
         let mut all = Table::try_from(TrainSettings::of_strategy(strategy)).map_err(|e| e.to_string())?;
         all.extend(train);
-        Ok(Settings {
-            data: data.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?,
-            train: all.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?,
-        })
+        let data: DataSettings = data.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?;
+        if data.train_test_exp {
+            all.insert("exposure".into(), true.into());
+        }
+        Ok(Settings { data, train: all.try_into().map_err(|e: toml::de::Error| e.message().to_owned())? })
     }
 
     /// The dump that `--config` reads back.
@@ -230,14 +183,16 @@ impl Settings {
         let python = |value: bool| if value { "True" } else { "False" };
         let quoted = |path: &Path| python_string(&absolute(path).to_string_lossy());
         format!(
-            "Namespace(sh_degree={}, source_path={}, model_path={}, images={}, depths='', resolution={}, \
-             white_background={}, train_test_exp=False, data_device='cuda', eval={})",
+            "Namespace(sh_degree={}, source_path={}, model_path={}, images={}, depths={}, resolution={}, \
+             white_background={}, train_test_exp={}, data_device='cuda', eval={})",
             self.train.sh_degree,
             quoted(&self.data.source_path),
             python_string(&self.data.model_path.to_string_lossy()),
             python_string(&self.data.images),
+            python_string(&self.data.depths.to_string_lossy()),
             self.data.resolution,
             python(self.train.white_background),
+            python(self.data.train_test_exp),
             python(self.data.eval),
         )
     }
@@ -256,6 +211,8 @@ impl Settings {
             settings.data.resolution = resolution;
         }
         settings.data.eval = flag_of("eval");
+        settings.data.train_test_exp = flag_of("train_test_exp");
+        settings.train.exposure = settings.data.train_test_exp;
         settings.train.white_background = flag_of("white_background");
         settings.train.antialiasing = flag_of("antialiasing");
         settings
@@ -291,6 +248,9 @@ fn python_string(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ashsplat::trainer::options::OptionKind;
+    use clap::{Command, FromArgMatches};
+    use toml::Value;
 
     #[test]
     fn dump_reads_back() {
@@ -329,6 +289,22 @@ mod tests {
         overrides.train.0.insert("strategy".into(), "mcm".into());
         let message = Settings::resolve(None, &overrides).expect_err("refused").to_string();
         assert!(message.contains("mcm") && message.contains("mcmc"), "{message}");
+    }
+
+    /// `default` was the name of the reference's strategy.
+    #[test]
+    fn a_strategy_is_known_by_its_earlier_name() {
+        let command = TrainOverrides::augment_args(Command::new("train"));
+        let matches = command.try_get_matches_from(["train", "--strategy", "default"]).expect("accepted");
+        let overrides = TrainOverrides::from_arg_matches(&matches).expect("overrides");
+        let settings = Settings::from_table(overrides.0).expect("settings");
+        assert_eq!(settings, Settings::default());
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("my.toml");
+        std::fs::write(&path, "strategy = \"default\"\n").expect("written");
+        let read = Settings::resolve(Some(&path), &Overrides::default()).expect("settings");
+        assert_eq!(read.train.strategy, StrategyType::Reference);
+        assert!(read.to_toml().expect("a dump").contains("strategy = \"reference\""));
     }
 
     /// Options, files and checkpoints have the same names and kinds of values.

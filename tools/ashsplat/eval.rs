@@ -1,22 +1,35 @@
 //! `ashsplat eval`, and the measurement of held-out views that training and the demo share.
 
+mod aligned;
+mod perceptual;
+mod protocol;
+
+pub use aligned::{alignment_of, at_its_place, evaluate_aligned};
+pub use perceptual::{LpipsArguments, Perceptual};
+pub use protocol::Protocol;
+
 use crate::args::DeviceArguments;
 use crate::config::{CAMERAS_FILE, DataSettings};
 use crate::model::Model;
-use crate::progress::counting;
+use crate::progress::{counting, thousands};
 use crate::{output, render, session};
-use ashsplat::scene::Camera;
-use ashsplat::{Alignment, Error, Frame, RenderSettings, Renderer, Result, TrainSettings};
-use ashsplat_files::cameras_json::{self, NamedCamera};
+use ashsplat::lpips::Network;
+use ashsplat::{Camera, Error, Frame, RenderSettings, Renderer, Result};
+use ashsplat_files::cameras_json;
+use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::metrics;
 use ashsplat_files::{Gallery, Photo, View};
 use clap::Args;
 use serde_json::{Map, Value, json};
 use std::borrow::Borrow;
-use std::cell::RefCell;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
-/// PSNR and SSIM of a trained scene on a data set. What masks hide does not count.
+/// PSNR and SSIM of a trained scene on a data set, LPIPS where weights are given; its Gaussians, its bytes and the time of a
+/// frame. What masks hide does not count.
+///
+/// Photos with an exposure in the model folder's exposure.json are compared under it: those that were trained on. Held-out
+/// ones have one after a training with --train-test-exp only, and then their right half counts.
 ///
 /// For a model folder the data set, the size of the photos and the split are those of its training; results go
 /// to its results.json and per_view.json.
@@ -37,6 +50,8 @@ pub struct Arguments {
     #[arg(long)]
     all: bool,
     #[command(flatten)]
+    lpips: LpipsArguments,
+    #[command(flatten)]
     look: render::LookArguments,
     #[command(flatten)]
     device: DeviceArguments,
@@ -54,19 +69,45 @@ pub const RESULTS_FILE: &str = "results.json";
 pub const PER_VIEW_FILE: &str = "per_view.json";
 
 /// Quality of one view.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub struct ViewResult {
     pub name: String,
     pub psnr: f64,
     pub ssim: f64,
+    /// One for each of [`Evaluation::measures`].
+    pub lpips: Vec<f64>,
+    /// Time of a frame, if asked: on the device where it has timestamps, else of the call.
+    pub frame_ms: Option<f64>,
+}
+
+/// What a scene takes.
+#[derive(Clone, Copy)]
+pub struct SceneSize {
+    pub gaussians: u64,
+    /// Of its file.
+    pub bytes: Option<u64>,
 }
 
 /// Quality of all views of a test.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub struct Evaluation {
     pub views: Vec<ViewResult>,
+    /// Names of the LPIPS that were measured.
+    pub measures: Vec<&'static str>,
+    pub scene: Option<SceneSize>,
     /// The same views with their cameras aligned to the scene, if the poses of the training views were optimised.
     pub aligned: Option<Box<Evaluation>>,
+}
+
+/// What is made of views besides PSNR and SSIM.
+#[derive(Default)]
+pub struct More<'a> {
+    /// Saves the pictures.
+    pub pictures: Option<&'a mut Pictures>,
+    /// Measures LPIPS.
+    pub lpips: Option<&'a mut Perceptual>,
+    /// Draws each frame once more, and takes the time.
+    pub frame_times: bool,
 }
 
 impl Evaluation {
@@ -80,45 +121,74 @@ impl Evaluation {
         self.mean(|view| view.ssim)
     }
 
+    /// Name and mean over the views of each LPIPS that was measured.
+    pub fn lpips(&self) -> impl Iterator<Item = (&'static str, f64)> {
+        self.measures.iter().enumerate().map(|(index, name)| (*name, self.mean(|view| view.lpips[index])))
+    }
+
+    /// Median over the views of the time of a frame, milliseconds, where it was taken.
+    pub fn frame_ms(&self) -> Option<f64> {
+        let mut times: Vec<f64> = self.views.iter().filter_map(|view| view.frame_ms).collect();
+        times.sort_by(f64::total_cmp);
+        let middle = times.len() / 2;
+        let upper = times.get(middle)?;
+        Some(if times.len().is_multiple_of(2) { (times[middle - 1] + upper) / 2.0 } else { *upper })
+    }
+
     fn mean(&self, value: impl Fn(&ViewResult) -> f64) -> f64 {
         self.views.iter().map(value).sum::<f64>() / self.views.len() as f64
     }
 
-    /// Both means in words.
+    /// The means in words.
     pub fn describe(&self) -> String {
-        let own = match self.views.is_empty() {
-            true => "PSNR and SSIM not measured".into(),
-            false => format!("PSNR {:.2} dB, SSIM {:.4}", self.psnr(), self.ssim()),
-        };
-        match self.aligned.as_ref().filter(|aligned| !aligned.views.is_empty()) {
-            None => own,
-            Some(aligned) => format!("{own} (cameras aligned: {})", aligned.describe()),
+        if self.views.is_empty() {
+            return "PSNR and SSIM not measured".into();
         }
+        let lpips: String = self.lpips().map(|(name, value)| format!(", {name} {value:.4}")).collect();
+        let aligned = self.aligned.as_ref().filter(|aligned| !aligned.views.is_empty());
+        let aligned = aligned.map_or_else(String::new, |a| format!(" (cameras aligned: {})", a.describe()));
+        format!("PSNR {:.2} dB, SSIM {:.4}{lpips}{aligned}", self.psnr(), self.ssim())
     }
 
-    /// The reference's entry in results.json.
+    /// The reference's entry in results.json, and what it has not. Its LPIPS is that of VGG16, unscaled.
     pub fn summary(&self) -> Value {
-        let mut entry = json!({ "SSIM": self.ssim(), "PSNR": self.psnr() });
-        if let (Some(aligned), Some(entry)) = (&self.aligned, entry.as_object_mut()) {
-            entry.insert("SSIM_aligned".into(), json!(aligned.ssim()));
-            entry.insert("PSNR_aligned".into(), json!(aligned.psnr()));
+        let mut summary = Map::new();
+        summary.insert("SSIM".into(), json!(self.ssim()));
+        summary.insert("PSNR".into(), json!(self.psnr()));
+        if let Some(aligned) = &self.aligned {
+            summary.insert("SSIM_aligned".into(), json!(aligned.ssim()));
+            summary.insert("PSNR_aligned".into(), json!(aligned.psnr()));
         }
-        entry
+        for (name, value) in self.lpips() {
+            if name == Network::Vgg16.measure() {
+                summary.insert("LPIPS".into(), json!(value));
+            }
+            summary.insert(name.into(), json!(value));
+        }
+        if let Some(scene) = self.scene {
+            summary.insert("gaussians".into(), json!(scene.gaussians));
+            scene.bytes.map(|bytes| summary.insert("scene_bytes".into(), json!(bytes)));
+        }
+        self.frame_ms().map(|time| summary.insert("frame_ms".into(), json!(time)));
+        Value::Object(summary)
     }
 
     /// The reference's entry in per_view.json, whose views are named after their saved renders.
     pub fn per_view(&self) -> Value {
-        let by_view = |value: fn(&ViewResult) -> f64| -> Map<String, Value> {
+        let by_view = |value: &dyn Fn(&ViewResult) -> f64| -> Value {
             let named = |(index, view): (usize, &ViewResult)| (format!("{index:05}.png"), json!(value(view)));
-            self.views.iter().enumerate().map(named).collect()
+            Value::Object(self.views.iter().enumerate().map(named).collect())
         };
-        let mut entry = json!({ "SSIM": by_view(|view| view.ssim), "PSNR": by_view(|view| view.psnr) });
-        if let (Some(aligned), Some(entry)) = (&self.aligned, entry.as_object_mut())
-            && let Value::Object(of_aligned) = aligned.per_view()
-        {
-            entry.extend(of_aligned.into_iter().map(|(name, values)| (format!("{name}_aligned"), values)));
+        let mut all = Map::new();
+        all.insert("SSIM".into(), by_view(&|view| view.ssim));
+        all.insert("PSNR".into(), by_view(&|view| view.psnr));
+        for (index, name) in self.measures.iter().enumerate() {
+            all.insert((*name).into(), by_view(&|view| view.lpips[index]));
         }
-        entry
+        if let Some(Value::Object(aligned)) = self.aligned.as_ref().map(|aligned| aligned.per_view()) {
+            all.extend(aligned.into_iter().map(|(name, values)| (format!("{name}_aligned"), values)));
+        }
+        Value::Object(all)
     }
 }
 
@@ -150,7 +220,8 @@ impl Pictures {
 /// Renders the views, measures them and, if asked, saves them. One view is held at a time.
 pub fn evaluate<V: Borrow<View>>(
     views: impl Iterator<Item = Result<V>>,
-    mut pictures: Option<&mut Pictures>,
+    protocol: &Protocol,
+    More { mut pictures, mut lpips, frame_times }: More,
     mut draw: impl FnMut(&Camera) -> Result<Frame>,
 ) -> Result<Evaluation> {
     let mut results = Vec::new();
@@ -162,15 +233,34 @@ pub fn evaluate<V: Borrow<View>>(
             continue;
         }
         let index = results.len();
-        let frame = draw(&view.camera)?;
-        results.push(measure(view, &frame)?);
+        let (measured, frame) = protocol.prepared(view, draw(&view.camera)?)?;
+        let mut result = measure(&measured, &frame)?;
+        if let Some(lpips) = &mut lpips {
+            result.lpips = lpips.measure(&measured, &frame)?;
+        }
+        if frame_times {
+            result.frame_ms = Some(frame_ms(|| draw(&view.camera))?);
+        }
+        results.push(result);
+        let view = measured;
         if let Some(pictures) = &mut pictures {
             pictures.save("renders", index, &output::to_photo(&frame)?);
             let photo = view.photo.photo()?;
             pictures.save("gt", index, &photo);
         }
     }
-    Ok(Evaluation { views: results, aligned: None })
+    let measures = lpips.map_or_else(Vec::new, |lpips| lpips.names());
+    Ok(Evaluation { views: results, measures, scene: None, aligned: None })
+}
+
+/// Time of a frame, for which everything is ready, milliseconds.
+fn frame_ms(draw: impl FnOnce() -> Result<Frame>) -> Result<f64> {
+    let start = Instant::now();
+    let frame = draw()?;
+    let wall = start.elapsed().as_secs_f64() * 1e3;
+    let stages = frame.stats.scopes.iter().filter(|scope| scope.depth == 0);
+    let device = stages.map(|scope| scope.nanoseconds).sum::<f64>() * 1e-6;
+    Ok(if device > 0.0 { device } else { wall })
 }
 
 /// Whether a view's mask hides all of it.
@@ -194,7 +284,8 @@ fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
         None => metrics::ssim(&frame.color, &photo, frame.width)?,
         Some(mask) => metrics::masked_ssim(&frame.color, &photo, &mask, frame.width)?,
     };
-    Ok(ViewResult { name: view.name.clone(), psnr: psnr(view, frame)?, ssim })
+    let name = view.name.clone();
+    Ok(ViewResult { name, psnr: psnr(view, frame)?, ssim, lpips: Vec::new(), frame_ms: None })
 }
 
 /// Adds an iteration's results to a model folder's results.json and per_view.json, keeping those of others.
@@ -222,6 +313,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut data = arguments.data.applied_to(&model.settings.data)?;
     // A bare PLY does not record its split: use the default one.
     data.eval |= model.folder.is_none();
+    let weights = arguments.lpips.read(&arguments.device.host)?;
+    let bytes = std::fs::metadata(&model.ply).ok().map(|file| file.len());
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let white = model.settings.train.white_background;
     let context = arguments.device.context()?;
@@ -230,6 +323,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gallery = session::open(&data, &options, &stop)?;
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
+    let protocol = protocol(&model, &gallery)?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
     let look = arguments.look.settings(&model.settings, &scene.header)?;
@@ -245,53 +339,39 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Ok(()) => Some(gallery.view(index)?.map(|view| at_its_place(view, &moved))),
         Err(interrupted) => Some(Err(interrupted)),
     };
-    let mut evaluation = evaluate(chosen.iter().filter_map(view), None, |camera| {
-        bar.inc(1);
-        renderer.render(camera, &settings)
-    })?;
+    let mut lpips = Perceptual::new(&context, &weights)?;
+    let views = chosen.iter().filter_map(view).inspect(|_| bar.inc(1));
+    let more = More { lpips: lpips.as_mut(), frame_times: true, ..Default::default() };
+    let mut evaluation = evaluate(views, &protocol, more, |camera| renderer.render(camera, &settings))?;
     if pose_opt {
-        let renderer = RefCell::new(renderer);
-        let alignment = alignment_of(&model.settings.train);
         let held_out = gallery.held_out();
-        let aligned = chosen.iter().filter_map(|index| {
-            let view = view(index)?;
-            if !held_out[*index] {
-                return Some(view);
-            }
-            Some(view.and_then(|view| {
-                let aligned = renderer.borrow_mut().align(&view.camera, &view.photo, &settings, &alignment);
-                Ok(View { camera: aligned?, ..view })
-            }))
-        });
-        let aligned = evaluate(aligned, None, |camera| {
-            bar.inc(1);
-            renderer.borrow_mut().render(camera, &settings)
-        })?;
+        let views = chosen.iter().filter_map(|index| Some((view(index)?, held_out[*index])));
+        let views = views.inspect(|_| bar.inc(1));
+        let alignment = alignment_of(&model.settings.train);
+        let aligned = evaluate_aligned(views, &protocol, renderer, (&settings, &alignment))?;
         evaluation.aligned = Some(Box::new(aligned));
     }
     bar.finish_and_clear();
+    evaluation.scene = Some(SceneSize { gaussians: scene.gaussians.len() as u64, bytes });
     if let (Some((folder, iteration)), false) = (&model.folder, arguments.all) {
         write_results(folder, *iteration, &evaluation)?;
     }
-    print_results(arguments.json, &evaluation, scene.gaussians.len())?;
+    print_results(arguments.json, &evaluation, context.device_name());
     arguments.device.report_validation(&context);
     Ok(())
 }
 
-/// How cameras are aligned to a scene: with training's loss.
-pub fn alignment_of(settings: &TrainSettings) -> Alignment {
-    Alignment { lambda_dssim: settings.lambda_dssim as f32, ..Alignment::default() }
-}
-
-/// A view with the pose that a list of cameras has for it, if any.
-pub fn at_its_place(view: View, cameras: &[NamedCamera]) -> View {
-    match cameras.iter().find(|named| named.name == view.name) {
-        None => view,
-        Some(NamedCamera { camera: at, .. }) => {
-            let camera = Camera::with_pose(at.camera_from_world, at.translation, view.camera.intrinsics());
-            View { camera, ..view }
-        }
+/// The exposures of a model folder, and the halves that its training left.
+fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
+    let Some((folder, _)) = &model.folder else { return Ok(Protocol::default()) };
+    let file = folder.join(EXPOSURE_FILE);
+    let halves = model.settings.data.train_test_exp;
+    if !halves && !file.is_file() {
+        return Ok(Protocol::default());
     }
+    let cameras = gallery.cameras().into_iter().zip(gallery.held_out());
+    let held_out = cameras.filter(|(_, held_out)| halves && **held_out).map(|(named, _)| named.name);
+    Ok(Protocol { exposures: exposure_json::read(&file)?, halves: held_out.collect() })
 }
 
 /// Which views are measured.
@@ -310,30 +390,58 @@ fn chosen_views(gallery: &Gallery, all: bool, data: &DataSettings) -> Result<Vec
     Ok(chosen)
 }
 
-fn print_results(json: bool, evaluation: &Evaluation, gaussians: usize) -> Result<()> {
+fn print_results(json: bool, evaluation: &Evaluation, device: &str) {
+    let scene = evaluation.scene;
     if json {
         let value = json!({
-            "gaussians": gaussians,
+            "gaussians": scene.map(|scene| scene.gaussians),
+            "scene_bytes": scene.and_then(|scene| scene.bytes),
+            "device": device,
             "mean": evaluation.summary(),
-            "aligned_views": evaluation.aligned.as_ref().map(|aligned| json!(aligned.views.iter()
-                .map(|v| json!({"name": v.name, "PSNR": v.psnr, "SSIM": v.ssim})).collect::<Vec<_>>())),
-            "views": evaluation.views.iter().map(|v| json!({"name": v.name, "PSNR": v.psnr, "SSIM": v.ssim})).collect::<Vec<_>>(),
+            "aligned_views": evaluation.aligned.as_ref().map(|aligned| {
+                aligned.views.iter().map(|view| json_of(view, &aligned.measures)).collect::<Vec<_>>()
+            }),
+            "views": evaluation.views.iter().map(|view| json_of(view, &evaluation.measures)).collect::<Vec<_>>(),
         });
         say!("{value:#}");
-        return Ok(());
+        return;
     }
-    say!("{:<28} {:>8} {:>8}", "view", "PSNR", "SSIM");
+    let columns = |values: &mut dyn Iterator<Item = (&str, String)>| -> String {
+        values.map(|(name, value)| format!(" {value:>0$}", name.len().max(8))).collect()
+    };
+    let heads = columns(&mut evaluation.measures.iter().map(|name| (*name, (*name).to_owned())));
+    say!("{:<28} {:>8} {:>8}{heads}", "view", "PSNR", "SSIM");
     for view in &evaluation.views {
-        say!("{:<28} {:>8.3} {:>8.4}", view.name, view.psnr, view.ssim);
+        let named = evaluation.measures.iter().zip(&view.lpips);
+        let lpips = columns(&mut named.map(|(name, value)| (*name, format!("{value:.4}"))));
+        say!("{:<28} {:>8.3} {:>8.4}{lpips}", view.name, view.psnr, view.ssim);
     }
     if evaluation.views.is_empty() {
         say!("no view was measured");
-        return Ok(());
+        return;
     }
     let mean = format!("mean of {}", evaluation.views.len());
-    say!("{mean:<28} {:>8.3} {:>8.4}", evaluation.psnr(), evaluation.ssim());
+    let lpips = columns(&mut evaluation.lpips().map(|(name, value)| (name, format!("{value:.4}"))));
+    say!("{mean:<28} {:>8.3} {:>8.4}{lpips}", evaluation.psnr(), evaluation.ssim());
     if let Some(aligned) = &evaluation.aligned {
         say!("{:<28} {:>8.3} {:>8.4}", "  with cameras aligned", aligned.psnr(), aligned.ssim());
     }
-    Ok(())
+    if let Some(SceneSize { gaussians, bytes }) = scene {
+        let file = bytes.map_or_else(String::new, |bytes| format!(", {:.2} MB", bytes as f64 * 1e-6));
+        let time = evaluation.frame_ms().unwrap_or(f64::NAN);
+        say!("{} Gaussians{file}, {time:.2} ms per frame on {device}", thousands(gaussians));
+    }
+}
+
+fn json_of(view: &ViewResult, measures: &[&str]) -> Value {
+    let mut value = Map::new();
+    value.insert("name".into(), json!(view.name));
+    value.insert("PSNR".into(), json!(view.psnr));
+    value.insert("SSIM".into(), json!(view.ssim));
+    measures
+        .iter()
+        .zip(&view.lpips)
+        .for_each(|(name, lpips)| drop(value.insert((*name).into(), json!(lpips))));
+    view.frame_ms.map(|time| value.insert("frame_ms".into(), json!(time)));
+    Value::Object(value)
 }

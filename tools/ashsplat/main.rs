@@ -15,6 +15,7 @@ macro_rules! tell {
 }
 
 mod args;
+mod axis;
 mod bench;
 mod child;
 mod command_line;

@@ -6,7 +6,9 @@ use crate::film_file::{self, Container, Frames};
 use crate::model::Model;
 use crate::output;
 use crate::progress::counting;
+use ashsplat::scene::Exposure;
 use ashsplat::{Error, Extent, Frame, RenderSettings, Renderer, Result};
+use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::splats;
 use clap::{Args, ValueEnum};
 use glam::Vec3;
@@ -49,6 +51,9 @@ pub struct Arguments {
     /// Frames per second of a film [default: 30]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=120))]
     fps: Option<u32>,
+    /// Render under the exposure of this photo, as the model folder's exposure.json has it
+    #[arg(long, value_name = "PHOTO")]
+    exposure_of: Option<String>,
     /// Which files to write
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
@@ -90,6 +95,9 @@ pub struct LookArguments {
     /// Compensate the opacity for the screen-space dilation (Mip-Splatting) [default: as in training, or as the file says]
     #[arg(long)]
     antialiasing: bool,
+    /// Low-pass filter: variance added on the screen, square pixels [default: as in training, else 0.3]
+    #[arg(long, value_name = "PX2")]
+    kernel_size: Option<f32>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -119,6 +127,15 @@ impl LookArguments {
         }
         settings.sh_degree = self.sh_degree;
         settings.antialias |= self.antialiasing || header.antialiased;
+        if let Some(kernel_size) = self.kernel_size {
+            settings.dilation_px2 = kernel_size;
+            settings.check().map_err(|_| {
+                let problem = format!(
+                    "{kernel_size} is not a positive number: the reference has 0.3, Mip-Splatting 0.1"
+                );
+                Error::argument("--kernel-size", problem)
+            })?;
+        }
         settings.extent = match self.extent {
             ExtentName::Exact => Extent::Exact,
             ExtentName::Reference => Extent::Reference,
@@ -132,8 +149,8 @@ const FILM_RATE: u32 = 30;
 
 /// How a scene was drawn in its training.
 pub fn settings_of(trained: &Settings) -> RenderSettings {
-    let background = if trained.train.white_background { [1.0; 3] } else { [0.0; 3] };
-    RenderSettings { background, antialias: trained.train.antialiasing, ..Default::default() }
+    // Reading a scene has made its 3D filter a part of it.
+    RenderSettings { filter_3d: false, ..trained.train.render_settings() }
 }
 
 /// Three numbers with commas between them.
@@ -151,6 +168,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
     let film = arguments.film()?;
     let model = Model::locate(path, arguments.iteration)?;
+    let exposure = arguments.exposure_of.as_deref().map(|name| exposure_of(&model, name)).transpose()?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let gaussians = &scene.gaussians;
     let views = arguments.views.choose(&model, gaussians, film)?;
@@ -172,7 +190,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut render = |index: usize| {
         let start = Instant::now();
         let named = &views.cameras[index];
-        let frame = renderer.render(&named.camera, &settings)?;
+        let mut frame = renderer.render(&named.camera, &settings)?;
+        if let Some(exposure) = &exposure {
+            exposure.apply(&mut frame.color);
+        }
         let milliseconds = start.elapsed().as_secs_f64() * 1e3;
         total += milliseconds;
         bar.inc(1);
@@ -210,6 +231,25 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     arguments.device.report_validation(&context);
     Ok(())
+}
+
+/// The exposure of a photo that a model was trained on.
+fn exposure_of(model: &Model, name: &str) -> Result<Exposure> {
+    let Some((folder, _)) = &model.folder else {
+        let problem = "needs a model folder with exposure.json; this is a file of Gaussians";
+        return Err(Error::argument("--exposure-of", problem));
+    };
+    let file = folder.join(EXPOSURE_FILE);
+    if !file.is_file() {
+        let remedy = "train with --exposure, or render without --exposure-of";
+        return Err(Error::input(&file, "does not exist: no exposures were learned", remedy));
+    }
+    let all = exposure_json::read(&file)?;
+    all.get(name).copied().ok_or_else(|| {
+        let known = all.keys().next().map_or_else(String::new, |first| format!(", {first} for example"));
+        let remedy = format!("name one of its {} photos{known}", all.len());
+        Error::input(&file, format!("has no photo '{name}'"), remedy)
+    })
 }
 
 fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> String {

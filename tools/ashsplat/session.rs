@@ -70,6 +70,7 @@ pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments
         images: data.images.clone(),
         orientation: data.orientation.parse()?,
         eval: data.eval,
+        train_test_exp: data.train_test_exp,
         white_background,
         host_memory: host.memory(),
         ..Default::default()

@@ -17,6 +17,7 @@ mod verify;
 
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING, bytes};
 use crate::config::{Overrides, Settings};
+use crate::eval::LpipsArguments;
 use crate::lock::FolderLock;
 use crate::measure::{Cost, Stopwatch};
 use crate::progress::{State, TrainProgress, thousands};
@@ -35,7 +36,7 @@ use report::KernelTimes;
 use saving::Unsaved;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use testing::Tested;
+use testing::{FinalLpips, Tested};
 use tracking::Tracking;
 
 /// Train a scene from a data set: photos with a COLMAP model or a transforms.json, or a ZIP of them.
@@ -73,6 +74,8 @@ pub struct Arguments {
     #[arg(long, value_name = "SHARE", default_value_t = tracking::SHARE, value_parser = tracking::share)]
     eval_share: f64,
     #[command(flatten)]
+    lpips: LpipsArguments,
+    #[command(flatten)]
     live: LiveArguments,
     #[command(flatten)]
     device: DeviceArguments,
@@ -98,6 +101,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             return Err(Error::argument(name, "is missing; give it here or in --config FILE"));
         }
     }
+    let lpips = FinalLpips::read(&arguments.lpips, &arguments.device.host)?;
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
     let doors = match arguments.verify_determinism {
@@ -112,6 +116,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .transpose()?;
     let host = &arguments.device.host;
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;
+    // Only training looks at them.
+    options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let gallery = session::open(&settings.data, &options, &stop)?;
     check_fits(&context, &gallery, &settings.train, start.as_ref().map(Start::checkpoint))?;
@@ -140,6 +146,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     run.repeat(&arguments.device, arguments.photo_memory);
     run.track_within(arguments.eval_share);
+    run.lpips = lpips;
     run.look_on(doors, &context, gallery)?;
     // Nothing is lost yet.
     session::check(&stop)?;
@@ -165,6 +172,8 @@ pub fn say_what_next(model: &Path) {
 pub struct Run {
     settings: Settings,
     trainer: Trainer,
+    /// The names of the views that are trained on, in the trainer's order.
+    trained: Vec<String>,
     test: Vec<View>,
     /// Of all views as they were given, held-out ones first.
     cameras: Vec<(String, Camera)>,
@@ -180,6 +189,7 @@ pub struct Run {
     tracking: Tracking,
     /// How many of them are in the results' files.
     results: usize,
+    lpips: FinalLpips,
     gaussians: u32,
     non_finite: u64,
     /// Whether it was said that there is no more room.
@@ -215,7 +225,7 @@ impl Run {
         let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
         let lock = folder::begin(&settings, &data.cameras, Some(&points))?;
         let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
-        let views = (data.test, data.cameras, data.held_out);
+        let views = (data.trained, data.test, data.cameras, data.held_out);
         Ok(Run::new(context, settings, trainer, (log, lock), views, quiet))
     }
 
@@ -231,7 +241,7 @@ impl Run {
         let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
         let lock = folder::begin(&settings, &data.cameras, None)?;
         let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
-        let views = (data.test, data.cameras, data.held_out);
+        let views = (data.trained, data.test, data.cameras, data.held_out);
         let run = Run::new(context, settings, trainer, (log, lock), views, quiet);
         run.save_poses(run.started)?;
         Ok(run)
@@ -242,7 +252,7 @@ impl Run {
         settings: Settings,
         trainer: Trainer,
         (log, lock): (TrainLog, FolderLock),
-        (test, cameras, held_out): (Vec<View>, Vec<(String, Camera)>, bool),
+        (trained, test, cameras, held_out): (Vec<String>, Vec<View>, Vec<(String, Camera)>, bool),
         quiet: bool,
     ) -> Run {
         let iterations = settings.train.iterations;
@@ -252,6 +262,7 @@ impl Run {
             log,
             settings,
             trainer,
+            trained,
             tracking: Tracking::new(&test, iterations, tracking::SHARE),
             test,
             cameras,
@@ -260,6 +271,7 @@ impl Run {
             total: None,
             evaluations: Vec::new(),
             results: 0,
+            lpips: FinalLpips::default(),
             gaussians: 0,
             non_finite: 0,
             limited: false,

@@ -9,6 +9,7 @@ use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::trainer::{Maintenance, StepOutcome, StepReservation};
 use ashsplat::{Error, Result, StepReport, TrainSettings, TrainView, Trainer};
 use ashsplat_files::{Photo, ply};
+use serde_json::{Value, json};
 use std::ffi::{c_char, c_void};
 
 /// Trains Gaussians on photographs.
@@ -139,7 +140,16 @@ pub unsafe extern "C" fn ashsplat_trainer_new(
 }
 
 fn settings_of(json: &str) -> Result<TrainSettings> {
-    serde_json::from_str(json).map_err(|error| Error::argument("settings_json", error.to_string()))
+    let problem = |error: serde_json::Error| Error::argument("settings_json", error.to_string());
+    let given: TrainSettings = serde_json::from_str(json).map_err(problem)?;
+    // What is not given has the default of the strategy.
+    let mut all = json!(TrainSettings::of_strategy(given.strategy));
+    if let (Value::Object(all), Value::Object(given)) =
+        (&mut all, serde_json::from_str(json).map_err(problem)?)
+    {
+        all.extend(given);
+    }
+    serde_json::from_value(all).map_err(problem)
 }
 
 /// # Safety

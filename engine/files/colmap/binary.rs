@@ -1,9 +1,11 @@
 //! Reading cameras.bin, images.bin and points3D.bin.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
+use super::observations::Observed;
 use super::types::{CameraModel, ColmapCamera, ColmapImage};
 use crate::{host_memory, sniff};
 use ashsplat::scene::PointCloud;
@@ -58,6 +60,52 @@ pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
         images.push(ColmapImage { id, camera_id, name, quat, translation });
     }
     Ok(images)
+}
+
+/// What each image shows.
+pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
+    let mut file = BinaryFile::open(path)?;
+    let count = file.count("images", MIN_IMAGE_BYTES, size_of::<Observed>())?;
+    host_memory::check_free(path, file.length)?;
+    let mut images = Vec::with_capacity(count);
+    for index in 0..count {
+        file.record = format!("image {index} of {count}");
+        let id = u32::from_le_bytes(file.take()?);
+        for _ in 0..7 {
+            file.double()?;
+        }
+        let _camera: [u8; 4] = file.take()?;
+        file.name()?;
+        let places = u64::from_le_bytes(file.take()?);
+        if places > file.remaining / OBSERVATION_BYTES {
+            return Err(file.error(&format!("says {places} observations, {} bytes are left", file.remaining)));
+        }
+        let place = |file: &mut BinaryFile| {
+            let at = [file.double()?, file.double()?];
+            // All ones for none.
+            let point = u64::from_le_bytes(file.take()?);
+            Ok((at, Some(point).filter(|&point| point != u64::MAX)))
+        };
+        let places: Vec<_> = (0..places).map(|_| place(&mut file)).collect::<Result<_>>()?;
+        images.push((id, places));
+    }
+    Ok(images)
+}
+
+/// The points' positions by their ids.
+pub(super) fn positions(path: &Path) -> Result<HashMap<u64, [f64; 3]>> {
+    let mut file = BinaryFile::open(path)?;
+    let count = file.count("points", POINT_BYTES, 2 * size_of::<(u64, [f64; 3])>())?;
+    file.record = format!("the {count} points");
+    let mut positions = HashMap::with_capacity(count);
+    for _ in 0..count {
+        let id = u64::from_le_bytes(file.take()?);
+        positions.insert(id, [file.double()?, file.double()?, file.double()?]);
+        let _color: [u8; 3] = file.take()?;
+        let _reprojection_error = file.double()?;
+        file.skip_list("track entries", TRACK_ENTRY_BYTES)?;
+    }
+    Ok(positions)
 }
 
 pub(super) fn points(path: &Path) -> Result<PointCloud> {

@@ -61,6 +61,11 @@ impl Model {
         self.source.folder.join(format!("{part}.{}", if self.source.text { "txt" } else { "bin" }))
     }
 
+    /// The file of the points, if there is one.
+    pub(super) fn points_file(&self) -> Option<PathBuf> {
+        points_file(&self.source)
+    }
+
     /// The camera with pose of an image, at the photo's size and without lens distortion.
     ///
     /// # Errors
@@ -176,18 +181,20 @@ pub fn undistort_command(model: &Path) -> String {
     )
 }
 
-fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<PointCloud> {
+fn points_file(source: &ModelFolder) -> Option<PathBuf> {
     let exists =
         |ending: &str| Some(source.folder.join(format!("points3D.{ending}"))).filter(|p| p.is_file());
     let in_text = source.text.then(|| exists("txt")).flatten();
-    let (mut points, file) = match (in_text, exists("bin"), exists("txt")) {
-        (None, Some(file), _) => (binary::points(&file)?, file),
-        (Some(file), ..) | (None, None, Some(file)) => (text::points(&file)?, file),
-        (None, None, None) => {
-            warnings.push(format!("{}: has no points3D file; no points are known", source.folder.display()));
-            return Ok(PointCloud::default());
-        }
+    in_text.or_else(|| exists("bin")).or_else(|| exists("txt"))
+}
+
+fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<PointCloud> {
+    let Some(file) = points_file(source) else {
+        warnings.push(format!("{}: has no points3D file; no points are known", source.folder.display()));
+        return Ok(PointCloud::default());
     };
+    let is_text = file.extension().is_some_and(|ending| ending == "txt");
+    let mut points = if is_text { text::points(&file)? } else { binary::points(&file)? };
     let all = points.len();
     let finite: Vec<bool> = points.positions.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
     let mut keep = finite.iter().copied();

@@ -1,10 +1,12 @@
 //! Reading cameras.txt, images.txt and points3D.txt.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::str::FromStr;
 
+use super::observations::Observed;
 use super::types::{CameraModel, ColmapCamera, ColmapImage};
 use crate::{cost, host_memory};
 use ashsplat::scene::PointCloud;
@@ -53,6 +55,43 @@ pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
         }
     }
     Ok(images)
+}
+
+/// What each image shows.
+pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
+    let mut file = TextFile::open(path)?;
+    let mut images = Vec::new();
+    while file.next_row()? {
+        let id = file.words().number("image id")?;
+        let mut places = Vec::new();
+        if file.next_line()? {
+            let mut words = file.words();
+            while !words.rest.is_empty() {
+                let at = [words.number("position")?, words.number("position")?];
+                // -1 for none.
+                let point: i64 = words.number("point id")?;
+                places.push((at, u64::try_from(point).ok()));
+            }
+        }
+        images.push((id, places));
+    }
+    Ok(images)
+}
+
+/// The points' positions by their ids.
+pub(super) fn positions(path: &Path) -> Result<HashMap<u64, [f64; 3]>> {
+    let mut file = TextFile::open(path)?;
+    let mut positions = HashMap::new();
+    while file.next_row()? {
+        let mut words = file.words();
+        let id = words.number("point id")?;
+        let mut position = [0.0; 3];
+        for p in &mut position {
+            *p = words.number("position")?;
+        }
+        positions.insert(id, position);
+    }
+    Ok(positions)
 }
 
 pub(super) fn points(path: &Path) -> Result<PointCloud> {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::depths::{self, PlannedMap};
 use super::plan::{Plan, PlannedView};
 use super::{Dataset, DatasetOptions, Unpacked, View, beyond_memory};
 use crate::cameras_json::NamedCamera;
@@ -16,6 +17,7 @@ pub struct Gallery {
     pub(super) options: DatasetOptions,
     pub(super) views: Vec<PlannedView>,
     pub(super) held_out: Vec<bool>,
+    pub(super) maps: Vec<Option<PlannedMap>>,
     pub(super) points: PointCloud,
     pub(super) warnings: Vec<String>,
     /// The folder of the COLMAP model, or the transforms.json.
@@ -38,9 +40,12 @@ impl Gallery {
         let Plan { views, points, source, list, warnings, .. } = plan;
         let views: Vec<PlannedView> =
             views.into_iter().collect::<Result<_>>().map_err(|error| unpacked.name(error))?;
+        let mut warnings = warnings;
+        let maps = depths::plan(unpacked.folder(), &views, options, &mut warnings);
+        let maps = maps.map_err(|error| unpacked.name(error))?;
         let warnings = warnings.iter().map(|warning| unpacked.name_in(warning)).collect();
         let source = unpacked.named(&source);
-        Ok(Self { unpacked, options: options.clone(), views, held_out, points, warnings, source, list })
+        Ok(Self { unpacked, options: options.clone(), views, held_out, maps, points, warnings, source, list })
     }
 
     /// Reads all photos: the whole data set, in parallel.
@@ -64,18 +69,42 @@ impl Gallery {
     /// As [`Gallery::open`], for a photo that has neither its camera's size nor the fraction of it that the folder's
     /// name says.
     pub fn train_photos(&self) -> Result<Vec<PhotoSize>> {
-        let train = self.views.iter().zip(&self.held_out).filter(|(_, held_out)| !*held_out);
-        let size = |(view, _): (&PlannedView, _)| {
+        let halves = self.options.train_test_exp;
+        let all = self.views.iter().zip(&self.held_out).zip(&self.maps);
+        let train = all.filter(|((_, held_out), _)| halves || !**held_out);
+        let size = |((view, held_out), map): ((&PlannedView, &bool), &Option<PlannedMap>)| {
             let (width, height) = view.size(&self.options).map_err(|error| self.unpacked.name(error))?;
-            Ok(PhotoSize { name: view.name.clone(), width, height, masked: false })
+            Ok(PhotoSize {
+                name: view.name.clone(),
+                width,
+                height,
+                masked: *held_out,
+                inverse_depth: map.is_some(),
+            })
         };
         train.map(size).collect()
     }
 
     /// The bound of the photos' memory, if they exceed it and will be kept in a file.
     pub fn file_memory(&self) -> Option<u64> {
-        let needed = self.views.iter().map(|view| view.texel_bytes(&self.options)).sum();
-        beyond_memory(needed, &self.options).map(|memory| memory.bytes)
+        beyond_memory(self.texel_bytes(), &self.options).map(|memory| memory.bytes)
+    }
+
+    /// Estimated bytes of the inverse-depth maps that are kept.
+    pub(super) fn map_bytes(&self) -> u64 {
+        // A float per pixel is as much as a texel.
+        let all = self.views.iter().zip(&self.held_out).zip(&self.maps);
+        let kept =
+            all.filter(|((_, held_out), map)| map.is_some() && (!**held_out || self.options.train_test_exp));
+        kept.map(|((view, _), _)| view.texel_bytes(&self.options)).sum()
+    }
+
+    /// Estimated bytes of all photos that are kept.
+    pub(super) fn texel_bytes(&self) -> u64 {
+        let bytes = |(view, held_out): (&PlannedView, &bool)| {
+            self.options.copies(*held_out) * view.texel_bytes(&self.options)
+        };
+        self.views.iter().zip(&self.held_out).map(bytes).sum()
     }
 
     /// Whether each view, by name, is held out; none is without [`DatasetOptions::eval`].

@@ -49,11 +49,11 @@ pub(super) struct Plan {
 /// A view whose photo is not loaded yet.
 pub(crate) struct PlannedView {
     pub(crate) name: String,
-    image_id: u32,
+    pub(super) image_id: u32,
     camera_from_world: Mat3,
     translation: Vec3,
     /// The camera of the photo, with its lens.
-    lens: Lens,
+    pub(super) lens: Lens,
     /// The pinhole camera that replaces it; the same without distortion.
     pinhole: Intrinsics,
     photo_path: PathBuf,
@@ -439,6 +439,7 @@ impl PlannedView {
             camera: original_camera.scaled_to(width, height),
             original_camera,
             photo: StoredPhoto::new(photo, mask),
+            inverse_depth: None,
         })
     }
 }

@@ -289,12 +289,12 @@ pub(super) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
     )
 }
 
-fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     fs::read(path).map_err(|source| Error::io(path, "read", source))
 }
 
 /// A decoder chosen by the content instead of the file's name, and the picture's size.
-fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<(impl ImageDecoder + 'a, (u32, u32))> {
+pub(super) fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<(impl ImageDecoder + 'a, (u32, u32))> {
     let mut reader = ImageReader::new(Cursor::new(bytes));
     let format =
         image::guess_format(bytes).ok().filter(|f| matches!(f, ImageFormat::Png | ImageFormat::Jpeg));

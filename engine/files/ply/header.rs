@@ -111,6 +111,8 @@ pub(crate) struct Header {
 /// The comment that marks the Gaussians of this crate's files as trained with antialiasing. PLY has no field
 /// for it.
 pub(crate) const ANTIALIASED: &str = "antialiased";
+/// The property with the sizes of Mip-Splatting's 3D filter.
+pub(crate) const FILTER: &str = "filter_3D";
 
 /// Reads the header. The reader is then at the first byte of the data.
 pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {

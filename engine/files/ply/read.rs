@@ -3,12 +3,12 @@
 use std::collections::HashSet;
 use std::path::Path;
 
-use super::header::Element;
+use super::header::{Element, FILTER};
 use super::rows::PlyFile;
 use crate::host_memory;
 use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Sink, Source};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
-use ashsplat::scene::{Gaussians, PointCloud};
+use ashsplat::scene::{Gaussians, PointCloud, filtered};
 use ashsplat::{Error, Result};
 
 /// How to read Gaussians.
@@ -30,7 +30,7 @@ pub struct PlyScene {
 }
 
 /// Reads Gaussians with any property order, encoding and scalar type. Additional properties and elements are
-/// ignored. The SH degree follows from the number of `f_rest` properties.
+/// ignored, but for `filter_3D`: Mip-Splatting's 3D filter becomes a part of scales and opacities. The SH degree follows from the number of `f_rest` properties.
 /// [`splats::read`](crate::splats::read) reads the other formats too.
 ///
 /// A parameter is unusable if it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), if a
@@ -96,7 +96,7 @@ impl Source for GaussianRows<'_> {
         let empty = || Gaussians::with_capacity(self.layout.sh_degree, BLOCK.min(capacity(&self.element)));
         let mut block = empty();
         self.file.for_each_row(&self.element, &self.layout.names, |_, row| {
-            push(row, &mut block);
+            push(row, self.layout.filtered, &mut block);
             if block.len() < BLOCK { Ok(()) } else { sink(std::mem::replace(&mut block, empty())) }
         })?;
         sink(block)
@@ -145,6 +145,8 @@ fn capacity(element: &Element) -> usize {
 struct Layout {
     names: Vec<String>,
     sh_degree: u32,
+    /// Whether the size of a 3D filter is the row's last value.
+    filtered: bool,
 }
 
 const OPACITY: usize = 3;
@@ -170,8 +172,9 @@ impl Layout {
         match (gap, degree) {
             (None, Some(sh_degree)) => {
                 let rest = (0..rest).map(|i| format!("f_rest_{i}"));
-                let names = REQUIRED.iter().map(|name| name.to_string()).chain(rest).collect();
-                Ok(Self { names, sh_degree })
+                let filter = element.has(FILTER).then(|| FILTER.to_owned());
+                let names = REQUIRED.iter().map(|name| name.to_string()).chain(rest).chain(filter).collect();
+                Ok(Self { names, sh_degree, filtered: element.has(FILTER) })
             }
             (Some(gap), _) => {
                 let problem = format!("property f_rest_{gap} is missing, though there are {rest} of f_rest");
@@ -185,12 +188,18 @@ impl Layout {
     }
 }
 
-/// Appends the Gaussian of a row; the names of its values are those of [`Layout`].
-fn push(row: &[f64], gaussians: &mut Gaussians) {
+/// Appends the Gaussian of a row; the names of its values are those of [`Layout`]. A 3D filter becomes a part of it.
+fn push(row: &[f64], with_filter: bool, gaussians: &mut Gaussians) {
+    let (row, size) = row.split_at(row.len() - usize::from(with_filter));
     let at = |column: usize| row[column] as f32;
     gaussians.means.push([at(0), at(1), at(2)]);
-    gaussians.opacity_logits.push(at(OPACITY));
-    gaussians.log_scales.push(std::array::from_fn(|axis| at(SCALE + axis)));
+    let (log_scale, logit) = (std::array::from_fn(|axis| at(SCALE + axis)), at(OPACITY));
+    let (log_scale, logit) = match size {
+        [] => (log_scale, logit),
+        size => filtered(log_scale, logit, size[0] as f32),
+    };
+    gaussians.opacity_logits.push(logit);
+    gaussians.log_scales.push(log_scale);
     gaussians.quats.push(std::array::from_fn(|i| at(QUATERNION + i)));
     gaussians.sh.push(std::array::from_fn(|channel| at(SH_DC + channel)));
     let per_channel = (row.len() - SH_REST) / 3;

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use super::header::ANTIALIASED;
+use super::header::{ANTIALIASED, FILTER};
 use crate::atomic;
 use crate::splats::{Outline, Produce, in_blocks};
 use ashsplat::scene::gaussians::sh_coefficients;
@@ -36,6 +36,38 @@ pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce
             (0..block.len()).for_each(|index| gaussian_row(&block, index, &mut rows));
             writer.write_all(&rows).map_err(io)
         })
+    })
+}
+
+/// Writes Gaussians with the sizes of Mip-Splatting's 3D filter as the property `filter_3D`, as its own trainer does.
+/// Reading makes the filter a part of scales and opacities.
+///
+/// # Errors
+/// As [`write`]; [`ashsplat::Error::Argument`] for another number of sizes.
+pub fn write_filtered(
+    path: impl AsRef<Path>,
+    gaussians: &Gaussians,
+    filters: &[f32],
+    antialiased: bool,
+) -> Result<()> {
+    gaussians.check_shapes()?;
+    if filters.len() != gaussians.len() {
+        let problem = format!("are {}, there are {} Gaussians", filters.len(), gaussians.len());
+        return Err(Error::argument("filters", problem));
+    }
+    let mut names = property_names(gaussians.sh_degree);
+    names.push(FILTER.to_owned());
+    atomic::write(path.as_ref(), |writer| {
+        let floats = names.iter().map(|name| ("float", name.as_str()));
+        write_header(&mut *writer, gaussians.len() as u64, antialiased, floats)?;
+        let mut row = Vec::new();
+        for (index, size) in filters.iter().enumerate() {
+            row.clear();
+            gaussian_row(gaussians, index, &mut row);
+            row.extend_from_slice(&size.to_le_bytes());
+            writer.write_all(&row)?;
+        }
+        Ok(())
     })
 }
 

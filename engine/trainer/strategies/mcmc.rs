@@ -36,6 +36,7 @@ impl Strategy for Mcmc {
     }
 
     fn check(&self, settings: &TrainSettings, gaussians: u32) -> Result<()> {
+        settings.refuse(self.name(), &super::NOT_IN_OTHERS)?;
         if gaussians <= settings.cap_max {
             return Ok(());
         }
@@ -51,13 +52,14 @@ impl Strategy for Mcmc {
         Work {
             accumulates: false,
             optimizes: true,
+            sums_gradients: false,
             optimizes_opacity: true,
             actions: Actions::DENSIFY.when(densifies),
         }
     }
 
     fn records(&self) -> Hooks {
-        Hooks { statistics: false, update: true }
+        Hooks { update: true, ..Hooks::default() }
     }
 
     fn record_update(&self, r: &mut Recorder, step: &StepInputs) {

@@ -1,36 +1,56 @@
 //! The reference's density control (Kerbl et al. 2023, section 5.2): clone and split where the gradient of the
 //! 2D mean is large, prune what is transparent or too large, reset opacities.
 
-use crate::densify::{Densify, DensifyBuffers, DensifySettings, OrderBuffers, RandomKey};
+use super::rebuild::{DecisionMemory, Decisions};
+use crate::densify::{ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings};
 use crate::error::Result;
-use crate::plan::LaunchSizes;
-use crate::trainer::population::{Population, or_none};
-use crate::trainer::settings::TrainSettings;
+use crate::trainer::population::Population;
+use crate::trainer::settings::{SplitType, TrainSettings};
 use crate::trainer::strategy::Strategy;
-use crate::trainer::work::{Actions, Changes, Densified, Work};
-use crate::vk::{Context, MemoryKind};
+use crate::trainer::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, Statistic, Work};
+use crate::vk::Context;
 
 /// Scales above this share of the scene's extent are pruned after the first opacity reset (reference).
 const LARGE_SCALE_SHARE: f64 = 0.1;
 
-/// Clone, split, prune and opacity reset, as the reference implementation does them.
+/// Clone, split, prune and opacity reset, as the reference implementation does them. Two parts can be exchanged:
+/// [`TrainSettings::absgrad`] densifies by the absolute statistic (as gsplat does: one threshold for clones and
+/// splits), [`TrainSettings::split`] splits otherwise.
 pub struct Reference {
     kernels: Densify,
+    absolute: bool,
 }
 
 impl Reference {
-    /// Builds the kernels.
+    /// Builds the kernels, with all parts as in the reference.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { kernels: Densify::new(context)? })
+        Self::of_settings(context, &TrainSettings::default())
+    }
+
+    /// Builds the kernels for these settings.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
+        let absolute = settings.absgrad;
+        let form = DensifyForm {
+            long_axis: settings.split == SplitType::LongAxis,
+            criterion: if absolute { Criterion::Absolute } else { Criterion::Gradient },
+        };
+        Ok(Self { kernels: Densify::with_form(context, form)?, absolute })
     }
 }
 
 impl Strategy for Reference {
     fn name(&self) -> &'static str {
-        "default"
+        "reference"
+    }
+
+    fn check(&self, settings: &TrainSettings, _: u32) -> Result<()> {
+        settings.refuse(self.name(), &["importance", "growth_curve", "recovery", "multi_step"])
     }
 
     fn work(&self, settings: &TrainSettings, iteration: u32) -> Work {
@@ -41,9 +61,14 @@ impl Strategy for Reference {
             // In the reference, densification replaces the parameters, which then have no gradient; a reset
             // does the same to the opacities.
             optimizes: !densifies,
+            sums_gradients: false,
             optimizes_opacity: !resets,
             actions: Actions::DENSIFY.when(densifies).and(Actions::RESET_OPACITY.when(resets)),
         }
+    }
+
+    fn statistics(&self) -> Vec<Statistic> {
+        if self.absolute { vec![ABSOLUTE_STATISTIC] } else { Vec::new() }
     }
 
     fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes> {
@@ -66,31 +91,24 @@ impl Reference {
         let before = population.count();
         population.release_pictures();
         let unchanged = Densified { before, kept: before, limited: true, ..Densified::default() };
-        let Some(buffers) = decision_buffers(population)? else { return Ok(unchanged) };
-        let wanted = self.classify(population, &buffers, &settings)?;
+        let Some(memory) = DecisionMemory::allocate(population, before)? else { return Ok(unchanged) };
+        let mut decisions = Decisions { kernels: &self.kernels, memory, settings };
+        let wanted = decisions.classify(population, self.inputs(population))?;
         let most = population.most_rows();
         let rows = wanted.rows().min(most);
-        // Allocated before the second set of planes. There is no fallback to another order: the bits would
-        // then depend on the free memory.
-        let Some(order) = order_buffers(population, rows)? else { return Ok(unchanged) };
-        let growth = population.make_room(rows)?;
+        let Some(growth) = decisions.make_room(population, rows)? else { return Ok(unchanged) };
         let room = population.capacity_with(&growth).min(most);
         let densified = match wanted.rows() <= room {
             true => wanted,
-            false => {
-                Densified { limited: true, ..self.decide_within(population, &buffers, &settings, room)? }
-            }
+            false => Densified { limited: true, ..self.decide_within(population, &mut decisions, room)? },
         };
-        let rows = densified.rows();
-        let key =
-            RandomKey { seed: population.settings().seed, iteration: population.iteration(), explicit: None };
-        let curve = population.curve();
-        population.rebuild(rows, growth, &self.kernels, &key, |r, scene| {
-            self.kernels.record_scatter_sources(r, scene.count, rows, &buffers);
-            r.barrier();
-            self.kernels.record_order(r, (scene, rows), &buffers, &order, &curve)
-        })?;
+        decisions.rebuild(population, densified, growth)?;
         Ok(densified)
+    }
+
+    fn inputs<'a>(&self, population: &'a Population) -> ClassifyInputs<'a> {
+        let statistics = population.statistics();
+        ClassifyInputs { statistics: &statistics[0], criteria: self.absolute.then(|| &statistics[1]) }
     }
 
     /// Classifies with a threshold that fits the capacity: bisection finds the lowest one, so that the
@@ -99,16 +117,16 @@ impl Reference {
     fn decide_within(
         &self,
         population: &Population,
-        buffers: &DensifyBuffers,
-        settings: &DensifySettings,
+        decisions: &mut Decisions,
         room: u32,
     ) -> Result<Densified> {
         const ROUNDS: u32 = 24;
         // Non-negative floats have the order of their bits. At infinity no Gaussian passes.
-        let (mut low, mut high) = (settings.gradient_threshold.abs().to_bits(), f32::INFINITY.to_bits());
-        let classify = |bits: u32| {
-            let gradient_threshold = f32::from_bits(bits);
-            self.classify(population, buffers, &DensifySettings { gradient_threshold, ..*settings })
+        let least = decisions.settings.gradient_threshold.abs();
+        let (mut low, mut high) = (least.to_bits(), f32::INFINITY.to_bits());
+        let mut classify = |bits: u32| {
+            decisions.settings.gradient_threshold = f32::from_bits(bits);
+            decisions.classify(population, self.inputs(population))
         };
         for _ in 0..ROUNDS {
             let middle = low + (high - low) / 2;
@@ -120,23 +138,6 @@ impl Reference {
             if rows <= room { high = middle } else { low = middle }
         }
         classify(high)
-    }
-
-    fn classify(
-        &self,
-        population: &Population,
-        buffers: &DensifyBuffers,
-        settings: &DensifySettings,
-    ) -> Result<Densified> {
-        let context = population.context();
-        context.run("densify: classify", |r| {
-            let statistics = &population.statistics()[0];
-            self.kernels.record_classify(r, population.scene(), statistics, buffers, settings);
-            Ok(())
-        })?;
-        let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&context.download(&buffers.totals)?);
-        let before = population.count();
-        Ok(Densified { before, kept: totals[0], cloned: totals[1], split: totals[2], limited: false })
     }
 }
 
@@ -150,22 +151,4 @@ fn settings_of(population: &Population) -> DensifySettings {
         min_opacity: s.min_opacity as f32,
         max_scale: if prunes_large { (LARGE_SCALE_SHARE * extent) as f32 } else { 0.0 },
     }
-}
-
-/// Buffers of the classification. None without memory for them: the set then stays as it is.
-fn decision_buffers(population: &Population) -> Result<Option<DensifyBuffers>> {
-    let sizes = LaunchSizes::new(population.context().limits());
-    let before = population.count();
-    // At most two rows per Gaussian: it stays and is cloned, or it is split into two.
-    let requests = DensifyBuffers::requests(&sizes, before, before.saturating_mul(2));
-    let buffers = or_none(population.context().allocate("densify", &requests, MemoryKind::Device))?;
-    Ok(buffers.map(DensifyBuffers::from_allocated))
-}
-
-/// Buffers for sorting `rows` rows along the curve. None without memory for them: the set then stays as it
-/// is.
-fn order_buffers(population: &Population, rows: u32) -> Result<Option<OrderBuffers>> {
-    let requests = OrderBuffers::requests(&LaunchSizes::new(population.context().limits()), rows);
-    let buffers = or_none(population.context().allocate("densify", &requests, MemoryKind::Device))?;
-    Ok(buffers.map(OrderBuffers::from_allocated))
 }

@@ -16,7 +16,7 @@ pub struct Panel {
     pub series: Vec<Series>,
 }
 
-const COLORS: [&str; 18] = [
+pub const COLORS: [&str; 18] = [
     "#222222", "#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#00a5a5", "#f032e6", "#808000",
     "#9a6324", "#808080", "#000075", "#5c0000", "#7fb800", "#e0a800", "#006b3c", "#b07aa1", "#0095ff",
 ];

@@ -67,6 +67,7 @@ impl Traffic {
                 pictures: PictureCapacity::of(counts.width, counts.height),
                 blend_passes: 1,
                 backward: true,
+                absolute: false,
             };
             frame_requests(&capacity, &blocks).into_iter().collect::<HashMap<_, _>>()
         };

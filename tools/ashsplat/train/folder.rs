@@ -7,6 +7,7 @@ use crate::lock::{FolderLock, Work};
 use crate::{eval, model, output};
 use ashsplat::Result;
 use ashsplat::scene::{Camera, PointCloud};
+use ashsplat_files::exposure_json::EXPOSURE_FILE;
 use ashsplat_files::{atomic, cameras_json, ply};
 use std::path::Path;
 
@@ -50,6 +51,7 @@ fn clear_up_after_others(folder: &Path) -> Result<()> {
     output::remove(&folder.join(eval::RESULTS_FILE))?;
     output::remove(&folder.join(eval::PER_VIEW_FILE))?;
     output::remove(&folder.join(POSES_FILE))?;
+    output::remove(&folder.join(EXPOSURE_FILE))?;
     checkpoints::forget_newest(folder)?;
     let older: Vec<String> =
         model::saved_iterations(folder).iter().map(|n| format!("iteration_{n}")).collect();

@@ -8,6 +8,7 @@ use ashsplat::vk::Context;
 use ashsplat_files::images::existing_folder;
 use ashsplat_files::init::RANDOM_POINTS;
 use ashsplat_files::{Dataset, Gallery, PhotoMemory, View};
+use std::collections::HashSet;
 use std::path::Path;
 
 /// Views of the training set that stand in for a test set where none is held out.
@@ -18,6 +19,8 @@ pub struct Prepared {
     /// Held-out ones first.
     pub cameras: Vec<(String, Camera)>,
     pub train: Vec<TrainView>,
+    /// The names of `train`.
+    pub trained: Vec<String>,
     pub test: Vec<View>,
     pub held_out: bool,
     pub scene_extent: f32,
@@ -27,11 +30,17 @@ impl Prepared {
     pub fn new(dataset: Dataset) -> Prepared {
         let Dataset { train, test, scene_extent, .. } = dataset;
         let own = |view: &View| (view.name.clone(), view.original_camera);
-        let cameras = test.iter().chain(&train).map(own).collect();
+        // A view may be trained on and held out, each for one half.
+        let held_out: HashSet<&str> = test.iter().map(|view| view.name.as_str()).collect();
+        let others = train.iter().filter(|view| !held_out.contains(view.name.as_str()));
+        let cameras = test.iter().chain(others).map(own).collect();
+        let trained = train.iter().map(|view| view.name.clone()).collect();
         let held_out = !test.is_empty();
         let test = if held_out { test } else { sample(&train) };
-        let train = train.into_iter().map(|view| TrainView::new(view.camera, view.photo));
-        Prepared { cameras, train: train.collect(), test, held_out, scene_extent }
+        let train = train
+            .into_iter()
+            .map(|view| TrainView::new(view.camera, view.photo).with_inverse_depth(view.inverse_depth));
+        Prepared { cameras, train: train.collect(), trained, test, held_out, scene_extent }
     }
 }
 

@@ -7,10 +7,10 @@ mod views;
 use super::log::Rows;
 use super::{LOG_FILE, Run};
 use crate::config::Settings;
-use crate::eval::{self, Evaluation};
+use crate::eval::{self, Evaluation, More};
 use crate::html::{self, escape, section};
+use crate::output;
 use crate::progress::thousands;
-use crate::{output, render};
 use ashsplat::Result;
 use ashsplat::scene::Gaussians;
 use ashsplat_files::View;
@@ -94,8 +94,16 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
     let note = format!("{} {kind} views, worst first", evaluation.views.len());
     section(&mut out, "Views", &note);
     out.push_str(&views::table(&evaluation));
-    let note =
-        "LPIPS is not computed: it needs the weights of a network, which do not come with this program.";
+    let note = match evaluation.measures.is_empty() {
+        true => {
+            "LPIPS is not computed: it needs the weights of a network, which do not come with this program: \
+             <code>--lpips-weights FILE</code>."
+        }
+        false => {
+            "LPIPS by the weights that were given: lpips_alex of AlexNet on values from −1 to 1, lpips_vgg_unscaled of \
+             VGG16 on values from 0 to 1."
+        }
+    };
     let _ = writeln!(out, "<p class=\"note\">{note}</p>");
     histograms(&mut out, &gaussians);
     section(&mut out, "Kernels", &run.kernels.note());
@@ -110,9 +118,11 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
 /// A few of the views, evenly spread, and their quality.
 fn measure_some(run: &mut Run) -> Result<(Vec<View>, Evaluation)> {
     let views: Vec<View> = views::spread(&run.test.iter().collect::<Vec<_>>()).into_iter().cloned().collect();
-    let settings = render::settings_of(&run.settings);
-    let evaluation =
-        eval::evaluate(views.iter().map(Ok), None, |camera| run.trainer.render(camera, &settings))?;
+    let settings = run.trainer.render_settings();
+    let protocol = run.protocol()?;
+    let evaluation = eval::evaluate(views.iter().map(Ok), &protocol, More::default(), |camera| {
+        run.trainer.render(camera, &settings)
+    })?;
     Ok((views, evaluation))
 }
 
@@ -155,7 +165,7 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> R
         _ => format!("{seconds:.1} s"),
     };
     let measured = |value: String| if evaluation.views.is_empty() { "not measured".into() } else { value };
-    let cards = [
+    let mut cards = vec![
         (measured(format!("{:.2} dB", evaluation.psnr())), format!("PSNR, {kind}")),
         (measured(format!("{:.4}", evaluation.ssim())), format!("SSIM, {kind}")),
         (thousands(gaussians as u64), "Gaussians".into()),
@@ -163,7 +173,14 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> R
         (format!("{speed:.1} it/s"), "on average".into()),
         (format!("{peak:.0} MiB"), "device memory, peak".into()),
     ];
-    let mut cards = cards.to_vec();
+    let lpips = evaluation.lpips().map(|(name, value)| (format!("{value:.4}"), format!("{name}, {kind}")));
+    cards.extend(lpips.filter(|_| !evaluation.views.is_empty()));
+    if let Some(bytes) = evaluation.scene.and_then(|scene| scene.bytes) {
+        cards.push((format!("{:.2} MB", bytes as f64 * 1e-6), "file of the scene".into()));
+    }
+    cards.extend(
+        evaluation.frame_ms().map(|time| (format!("{time:.2} ms"), "frame, median of the views".into())),
+    );
     if let Some(moved) = run.moved()? {
         let ([degrees, most], [share, most_share]) = (moved.degrees, moved.shares);
         cards.push((format!("{degrees:.3}°"), format!("poses turned, mean (most {most:.3}°)")));
@@ -197,7 +214,7 @@ fn sheet(out: &mut String, run: &mut Run, evaluation: &Evaluation, all: &[View])
     section(out, "Contact sheet", &note);
     out.push_str(&views::key());
     out.push_str("<div class=\"sheet\">\n");
-    let settings = render::settings_of(&run.settings);
+    let settings = run.trainer.render_settings();
     for result in shown.into_iter().map(|place| &evaluation.views[place]) {
         let Some(view) = all.iter().find(|view| view.name == result.name) else { continue };
         let frame = run.trainer.render(&view.camera, &settings)?;

@@ -5,7 +5,8 @@ use super::Run;
 use crate::measure::Stopwatch;
 use crate::{model, output};
 use ashsplat::{Error, Result};
-use ashsplat_files::splats;
+use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
+use ashsplat_files::{ply, splats};
 use std::time::{Duration, Instant};
 
 /// Until what could not be saved is tried again, while training goes on.
@@ -131,7 +132,16 @@ impl Run {
         let gaussians = self.trainer.gaussians()?;
         let antialiased = self.settings.train.antialiasing;
         let options = splats::WriteOptions { antialiased, ..Default::default() };
-        output::in_folder(&path, |path| splats::write(path, &gaussians, &options))?;
+        let filters = self.trainer.filters()?;
+        output::in_folder(&path, |path| match filters.is_empty() {
+            true => splats::write(path, &gaussians, &options),
+            false => ply::write_filtered(path, &gaussians, &filters, antialiased),
+        })?;
+        let exposures = self.trainer.exposures()?;
+        if !exposures.is_empty() {
+            let named = self.trained.iter().map(String::as_str).zip(&exposures);
+            exposure_json::write(folder.join(EXPOSURE_FILE), named)?;
+        }
         self.save_poses(iteration)?;
         model::note_saved(folder, iteration)?;
         self.saved = Some(iteration);

@@ -2,17 +2,38 @@
 
 use super::Run;
 use super::saving::attempt;
-use crate::eval::{self, Evaluation, Pictures};
+use crate::args::HostArguments;
+use crate::eval::{self, Evaluation, LpipsArguments, More, Perceptual, Pictures, Protocol, SceneSize};
+use crate::model::point_cloud_path;
 use crate::progress::thousands;
-use crate::render;
-use ashsplat::Result;
+use ashsplat::lpips::Weights;
 use ashsplat::scene::Camera;
+use ashsplat::{Error, Result};
+use ashsplat_files::quoted;
 
 /// The test after an iteration.
 pub struct Tested {
     pub(super) iteration: u32,
     pub(super) gaussians: u32,
     pub evaluation: Evaluation,
+}
+
+/// The LPIPS that the last test measures.
+#[derive(Default)]
+pub(super) struct FinalLpips {
+    weights: Vec<Weights>,
+    /// As they were typed, to type them again.
+    typed: String,
+}
+
+impl FinalLpips {
+    /// Reads the weights.
+    pub fn read(arguments: &LpipsArguments, host: &HostArguments) -> Result<FinalLpips> {
+        let file =
+            |path: &std::path::PathBuf| format!(" --lpips-weights {}", quoted(&path.to_string_lossy()));
+        let typed = arguments.files().iter().map(file).collect();
+        Ok(FinalLpips { weights: arguments.read(host)?, typed })
+    }
 }
 
 impl Run {
@@ -41,16 +62,54 @@ impl Run {
         Ok(psnr)
     }
 
-    /// Measures, and whether the pictures were saved.
+    /// How the test views are compared: those that are trained on under their exposures; of those whose left half is, the
+    /// right one.
+    pub(super) fn protocol(&self) -> Result<Protocol> {
+        let exposures = self.trained.iter().cloned().zip(self.trainer.exposures()?);
+        let halves = self.settings.data.train_test_exp && self.held_out;
+        let names = self.test.iter().filter(|_| halves).map(|view| view.name.clone());
+        Ok(Protocol { exposures: exposures.collect(), halves: names.collect() })
+    }
+
+    /// Measures, after the last iteration also what takes its time, and whether the pictures were saved.
     fn evaluate(&mut self, iteration: u32) -> Result<(Evaluation, Result<()>)> {
+        if iteration < self.settings.train.iterations || self.lpips.weights.is_empty() {
+            return self.evaluate_with(iteration, None);
+        }
+        let lpips = Perceptual::new(self.trainer.context(), &self.lpips.weights);
+        let measured = lpips.and_then(|mut lpips| self.evaluate_with(iteration, lpips.as_mut()));
+        match measured {
+            // Training has the memory. That is no reason to lose its results.
+            Err(error @ (Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. })) => {
+                let (model, typed) = (&self.settings.data.model_path, &self.lpips.typed);
+                let model = quoted(&model.to_string_lossy());
+                self.progress.warn(&format!(
+                    "warning: LPIPS is not measured beside the training: {error}; measure it with: ashsplat eval {model}{typed}"
+                ));
+                self.evaluate_with(iteration, None)
+            }
+            measured => measured,
+        }
+    }
+
+    fn evaluate_with(
+        &mut self,
+        iteration: u32,
+        lpips: Option<&mut Perceptual>,
+    ) -> Result<(Evaluation, Result<()>)> {
         let folder = self.settings.data.model_path.join("test").join(format!("ours_{iteration}"));
         let mut pictures = self.held_out.then(|| Pictures::new(folder));
-        let settings = render::settings_of(&self.settings);
         self.follow_cameras()?;
+        let settings = self.trainer.render_settings();
+        let protocol = self.protocol()?;
         let trainer = &mut self.trainer;
-        let mut evaluation = eval::evaluate(self.test.iter().map(Ok), pictures.as_mut(), |camera| {
-            trainer.render(camera, &settings)
-        })?;
+        let more = More {
+            pictures: pictures.as_mut(),
+            lpips,
+            frame_times: iteration == self.settings.train.iterations,
+        };
+        let draw = |camera: &Camera| trainer.render(camera, &settings);
+        let mut evaluation = eval::evaluate(self.test.iter().map(Ok), &protocol, more, draw)?;
         if self.settings.train.pose_opt && self.held_out {
             let alignment = eval::alignment_of(&self.settings.train);
             let mut aligned = self.test.clone();
@@ -58,8 +117,12 @@ impl Run {
                 view.camera = trainer.align(&view.camera, &view.photo, &settings, &alignment)?;
             }
             let draw = |camera: &Camera| trainer.render(camera, &settings);
-            evaluation.aligned = Some(Box::new(eval::evaluate(aligned.iter().map(Ok), None, draw)?));
+            let views = aligned.iter().map(Ok);
+            evaluation.aligned = Some(Box::new(eval::evaluate(views, &protocol, More::default(), draw)?));
         }
+        let file = std::fs::metadata(point_cloud_path(&self.settings.data.model_path, iteration)).ok();
+        let bytes = file.filter(|_| self.saved == Some(iteration)).map(|file| file.len());
+        evaluation.scene = Some(SceneSize { gaussians: u64::from(self.gaussians), bytes });
         Ok((evaluation, pictures.map_or(Ok(()), Pictures::saved)))
     }
 

@@ -3,9 +3,8 @@
 
 use super::Run;
 use super::allowance::Allowance;
-use crate::eval::{self, Evaluation};
+use crate::eval::{self, Evaluation, Protocol};
 use crate::measure::Stopwatch;
-use crate::render;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::{RenderSettings, Result};
 use ashsplat_files::View;
@@ -96,11 +95,17 @@ impl Tracking {
     }
 
     /// The mean over the views as they stand, dB; none where masks hide them all.
-    fn measure(&self, trainer: &mut Trainer, settings: &RenderSettings) -> Result<Option<f64>> {
+    fn measure(
+        &self,
+        trainer: &mut Trainer,
+        settings: &RenderSettings,
+        protocol: &Protocol,
+    ) -> Result<Option<f64>> {
         let mut values = Vec::new();
         for view in &self.views {
             if !eval::is_hidden(view)? {
-                values.push(eval::psnr(view, &trainer.render(&view.camera, settings)?)?);
+                let (view, frame) = protocol.prepared(view, trainer.render(&view.camera, settings)?)?;
+                values.push(eval::psnr(&view, &frame)?);
             }
         }
         Ok(mean(&values))
@@ -145,9 +150,11 @@ impl Run {
 
     fn measure_now(&mut self, iteration: u32) -> Option<f64> {
         let start = Instant::now();
-        let settings = render::settings_of(&self.settings);
-        let followed = self.follow_cameras();
-        let measured = followed.and_then(|()| self.tracking.measure(&mut self.trainer, &settings));
+        let settings = self.trainer.render_settings();
+        let measured = self
+            .follow_cameras()
+            .and_then(|()| self.protocol())
+            .and_then(|protocol| self.tracking.measure(&mut self.trainer, &settings, &protocol));
         self.tracking.measured(iteration, start.elapsed());
         measured.unwrap_or_else(|error| {
             self.tracking.allowance = None;

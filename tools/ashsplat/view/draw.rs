@@ -34,7 +34,7 @@ pub trait Painter {
 
 /// A painter whose methods of the same names draw.
 macro_rules! painter {
-    ($kind:ident, $shrink:expr, $iteration:expr) => {
+    ($kind:ident, $gaussians:expr, $shrink:expr, $iteration:expr) => {
         impl Painter for $kind {
             fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
                 $kind::render(self, camera, settings)
@@ -55,7 +55,7 @@ macro_rules! painter {
                 $kind::inspect(self, camera, settings, pixel)
             }
             fn gaussians(&self) -> Result<Gaussians> {
-                $kind::gaussians(self)
+                $gaussians(self)
             }
             fn shrink(&mut self) {
                 $shrink(self);
@@ -67,8 +67,10 @@ macro_rules! painter {
     };
 }
 
-painter!(Renderer, Renderer::shrink, |_: &Renderer| None);
-painter!(Trainer, Trainer::shrink_pictures, |trainer: &Trainer| Some(trainer.iteration()));
+painter!(Renderer, Renderer::gaussians, Renderer::shrink, |_: &Renderer| None);
+painter!(Trainer, Trainer::baked_gaussians, Trainer::shrink_pictures, |trainer: &Trainer| Some(
+    trainer.iteration()
+));
 
 /// A picture, and what there is to say about it.
 pub struct Drawn {

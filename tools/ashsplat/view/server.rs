@@ -182,6 +182,7 @@ fn router(site: Arc<Site>) -> Router {
         )
         .route("/film/{name}", get(film))
         .route("/export/{name}", get(export::export))
+        .route("/count", get(export::count))
         .route("/upload/{name}", post(opening::upload))
         .route("/open", post(opening::open))
         .fallback(asset)

@@ -91,20 +91,24 @@ pub fn key() -> String {
 
 /// The table, worst first.
 pub fn table(evaluation: &Evaluation) -> String {
-    let mut out = String::from(
-        "<table><tr><th>#</th><th class=\"name\">view</th><th>PSNR</th><th class=\"name bar\"></th><th>SSIM</th></tr>\n",
+    let cells = |values: &mut dyn Iterator<Item = f64>| -> String {
+        values.map(|value| format!("<td>{value:.4}</td>")).collect()
+    };
+    let heads: String = evaluation.measures.iter().map(|name| format!("<th>{name}</th>")).collect();
+    let mut out = format!(
+        "<table><tr><th>#</th><th class=\"name\">view</th><th>PSNR</th><th class=\"name bar\"></th><th>SSIM</th>{heads}</tr>\n",
     );
     let best = evaluation.views.iter().map(|v| v.psnr).filter(|p| p.is_finite()).fold(1.0, f64::max);
     for (rank, place) in worst_first(&evaluation.views).into_iter().enumerate() {
         let view = &evaluation.views[place];
         let _ = writeln!(
             out,
-            "<tr><td>{}</td><td class=\"name\">{}</td><td>{:.2}</td><td class=\"name bar\"><i style=\"width:{:.1}%\"></i></td><td>{:.4}</td></tr>",
+            "<tr><td>{}</td><td class=\"name\">{}</td><td>{:.2}</td><td class=\"name bar\"><i style=\"width:{:.1}%\"></i></td>{}</tr>",
             rank + 1,
             escape(&view.name),
             view.psnr,
             100.0 * view.psnr.clamp(0.0, best) / best,
-            view.ssim
+            cells(&mut std::iter::once(view.ssim).chain(view.lpips.iter().copied()))
         );
     }
     if evaluation.views.is_empty() {
@@ -112,9 +116,9 @@ pub fn table(evaluation: &Evaluation) -> String {
     }
     let _ = writeln!(
         out,
-        "<tr class=\"sum\"><td></td><td class=\"name\">mean</td><td>{:.2}</td><td></td><td>{:.4}</td></tr></table>",
+        "<tr class=\"sum\"><td></td><td class=\"name\">mean</td><td>{:.2}</td><td></td>{}</tr></table>",
         evaluation.psnr(),
-        evaluation.ssim()
+        cells(&mut std::iter::once(evaluation.ssim()).chain(evaluation.lpips().map(|(_, value)| value)))
     );
     out
 }

@@ -22,9 +22,11 @@ fn the_same_few_views_are_followed() {
     // Of a test of all views the same ones count: 000, 004, ..., 028.
     let result = |(i, view): (usize, &View)| {
         let followed = i % 4 == 0;
-        ViewResult { name: view.name.clone(), psnr: if followed { 30.0 } else { 10.0 }, ssim: 1.0 }
+        let psnr = if followed { 30.0 } else { 10.0 };
+        ViewResult { name: view.name.clone(), psnr, ssim: 1.0, ..Default::default() }
     };
-    let evaluation = eval::Evaluation { views: all.iter().enumerate().map(result).collect(), aligned: None };
+    let evaluation =
+        eval::Evaluation { views: all.iter().enumerate().map(result).collect(), ..Default::default() };
     assert_eq!(tracking.among(&evaluation), Some(30.0));
 }
 

@@ -18,7 +18,14 @@ pub(super) fn dataset(scene_extent: f32) -> Dataset {
     let (name, original_camera) = ("a.png".into(), camera);
     let positions = vec![[0.0; 3], [0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.2; 3]];
     Dataset {
-        train: vec![View { name, image_id: 1, camera, original_camera, photo: photo.into() }],
+        train: vec![View {
+            name,
+            image_id: 1,
+            camera,
+            original_camera,
+            photo: photo.into(),
+            inverse_depth: None,
+        }],
         test: Vec::new(),
         points: PointCloud { positions, colors: vec![[9; 3]; 4] },
         scene_extent,

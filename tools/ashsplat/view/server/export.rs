@@ -1,4 +1,4 @@
-//! The scene as a file: written beside the thread that renders, and sent as it is read.
+//! The scene as a file: written beside the thread that renders, and sent as it is read. And how much of it a cut leaves.
 
 use super::door::query_value;
 use super::seats::Seat;
@@ -12,11 +12,12 @@ use axum::Extension;
 use axum::extract::{Path as UrlPath, State};
 use axum::http::{StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
+use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 use tempfile::TempDir;
-use tokio::sync::oneshot;
+use tokio::sync::{OwnedSemaphorePermit, oneshot};
 
 /// Exports that are written or sent at once: each takes the scene's memory, then its file's room.
 pub(super) const MOST_EXPORTS: usize = 2;
@@ -42,19 +43,9 @@ pub async fn export(
         Ok(wanted) => wanted,
         Err(error) => return refusal(StatusCode::BAD_REQUEST, &error.to_string()),
     };
-    let busy = || {
-        let text = "503: other exports are being made: ask again in a while\n";
-        (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "1")], text).into_response()
-    };
-    let Ok(turn) = site.exports.clone().try_acquire_owned() else { return busy() };
-    let (answer, scene) = oneshot::channel();
-    if !site.hub.ask_for_scene(SceneRequest { answer }) {
-        return busy();
-    }
-    let scene = match seat.waits_for(tokio::time::timeout(PATIENCE, scene)).await {
-        Ok(Ok(Ok(scene))) => scene,
-        Ok(Ok(Err(problem))) => return refusal(StatusCode::UNPROCESSABLE_ENTITY, &problem),
-        _ => return busy(),
+    let (scene, turn) = match scene_of(&site, &seat).await {
+        Ok(given) => given,
+        Err(refused) => return refused,
     };
     // It counts to the end, also when the page that asked has gone.
     let work = move || wanted.write(&scene, format).map(|(folder, path)| (path, (folder, turn)));
@@ -72,6 +63,56 @@ pub async fn export(
         },
         Ok(Err(error)) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()),
         Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
+/// `/count?min_opacity=X&…`, as for an export: how many Gaussians it leaves, `{"kept":N,"of":N}`.
+pub async fn count(
+    State(site): State<Arc<Site>>,
+    Extension(seat): Extension<Arc<Seat>>,
+    uri: Uri,
+) -> Response {
+    let wanted = match Export::of_query(&uri) {
+        Ok(wanted) => wanted,
+        Err(error) => return refusal(StatusCode::BAD_REQUEST, &error.to_string()),
+    };
+    let (scene, turn) = match scene_of(&site, &seat).await {
+        Ok(given) => given,
+        Err(refused) => return refused,
+    };
+    let work = move || {
+        let _turn = turn;
+        let (limits, all) = (wanted.cut.cut().limits(), scene.gaussians.len());
+        let kept = (0..all).filter(|&index| limits.keeps(&scene.gaussians, index)).count();
+        json!({ "kept": kept, "of": all }).to_string()
+    };
+    match seat.waits_for(tokio::task::spawn_blocking(work)).await {
+        Ok(counts) => {
+            let kind = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
+            (kind, counts).into_response()
+        }
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
+/// The scene as it stands, and the turn that it takes until it is dropped; or what the page is told instead.
+async fn scene_of(
+    site: &Site,
+    seat: &Seat,
+) -> std::result::Result<(CurrentScene, OwnedSemaphorePermit), Response> {
+    let busy = || {
+        let text = "503: other exports are being made: ask again in a while\n";
+        (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "1")], text).into_response()
+    };
+    let turn = site.exports.clone().try_acquire_owned().map_err(|_| busy())?;
+    let (answer, scene) = oneshot::channel();
+    if !site.hub.ask_for_scene(SceneRequest { answer }) {
+        return Err(busy());
+    }
+    match seat.waits_for(tokio::time::timeout(PATIENCE, scene)).await {
+        Ok(Ok(Ok(scene))) => Ok((scene, turn)),
+        Ok(Ok(Err(problem))) => Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, &problem)),
+        _ => Err(busy()),
     }
 }
 

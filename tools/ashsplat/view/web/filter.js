@@ -9,6 +9,8 @@ const AXES = ['x', 'y', 'z'];
 const LEAST_SHARE = 1e-4;
 /** Steps of a side of the box. */
 const STEPS = 400;
+/** Milliseconds that a cut stays as it is before its Gaussians are counted: that takes longer than a frame. */
+const REST_MS = 400;
 
 /** A number of few digits, as the program has it. */
 const rounded = (value) => Math.fround(Number(value.toPrecision(4)));
@@ -143,10 +145,32 @@ export class Filter {
         this.shown = address;
         const command = convert && this.scene?.convert ? `${this.scene.convert} ${convert}` : '';
         find('command').hidden = !command;
+        this.count(convert ? address : null);
         if (find('command-text').textContent === command) return;
         // Lines end between words, not within options.
         const words = command.split(' ').map((word) => Object.assign(document.createElement('span'), { textContent: word }));
         find('command-text').replaceChildren(...words.flatMap((word, index) => (index ? [' ', word] : [word])));
+    }
+
+    /** Says how many Gaussians a cut leaves, once it rests; null for none. */
+    count(address) {
+        if (address === this.counted) return;
+        this.counted = address;
+        clearTimeout(this.timer);
+        find('cut-count').hidden = true;
+        if (address !== null) this.timer = setTimeout(() => this.ask(address), REST_MS);
+    }
+
+    async ask(address) {
+        const answer = await fetch(`/count?${address}`).catch(() => null);
+        if (address !== this.counted) return;
+        // Busy with exports: later.
+        if (answer?.status === 503) this.timer = setTimeout(() => this.ask(address), 5 * REST_MS);
+        if (!answer?.ok) return;
+        const { kept, of } = await answer.json();
+        if (address !== this.counted) return;
+        find('cut-count').textContent = `${kept.toLocaleString('en')} of ${of.toLocaleString('en')} Gaussians stay`;
+        find('cut-count').hidden = false;
     }
 
     async copy() {

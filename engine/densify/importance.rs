@@ -1,0 +1,175 @@
+//! Edge-weighted blending importance (Improved-GS): how much of a view's edges a Gaussian paints.
+//!
+//! A Gaussian's weight in a view is Σ e α T over its pixels, where e are the edges of the photograph from 0 to 1.
+//! That is the gradient of its red, before the clamp of colours, for a loss with the gradient e with respect to the
+//! red of the picture: the backward blending in the variant that adds up nothing else. The importance is the
+//! weight from 0 (the smallest of all Gaussians) to 1 (the largest), averaged over views.
+
+use crate::backward::Backward;
+use crate::error::Result;
+use crate::forward::FrameInputs;
+use crate::kernels::densify::{add_importance, edge_gradient, edge_response, sum_weights};
+use crate::pixels::PixelBorder;
+use crate::plan::{LaunchSizes, blocks};
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// A Gaussian with more tiles has its weights added by a whole subgroup.
+const LANE_INSTANCES: u32 = 64;
+
+/// Scratch of the importance of one view after the other.
+#[derive(Clone)]
+pub struct ImportanceBuffers {
+    /// Per pixel: the photograph, see [`PixelBorder::record_photo`].
+    pub rows: Buffer,
+    /// Per pixel: the response of the edges, 0 to 255.
+    pub responses: Buffer,
+    /// Smallest and largest response and weight: see edges.glsl.
+    pub ranges: Buffer,
+    /// Per Gaussian: its weight in the last view, f32.
+    pub weights: Buffer,
+}
+
+impl ImportanceBuffers {
+    /// Names and bytes, in the order of the fields, for so many Gaussians and pictures of up to so many pixels.
+    pub fn requests(gaussians: u32, pixels: u64) -> [(&'static str, u64); 4] {
+        [
+            ("photo_rows", 4 * pixels),
+            ("edge_responses", 4 * pixels),
+            ("importance_ranges", 16),
+            ("weights", 4 * u64::from(gaussians)),
+        ]
+    }
+
+    /// Assigns the buffers that were allocated for [`ImportanceBuffers::requests`].
+    ///
+    /// # Panics
+    /// If the number of buffers differs.
+    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+        let Ok([rows, responses, ranges, weights]) = <[Buffer; 4]>::try_from(buffers) else {
+            panic!("one buffer per request")
+        };
+        Self { rows, responses, ranges, weights }
+    }
+}
+
+/// A photograph on the device.
+#[derive(Clone, Copy)]
+pub struct EdgePhoto<'a> {
+    /// Its texels, see [`crate::loss::photo_on_device`].
+    pub texels: &'a Buffer,
+    /// Width and height, pixels.
+    pub size: (u32, u32),
+    /// Whether it has masked pixels. They have no edges.
+    pub masked: bool,
+}
+
+/// The kernels.
+pub struct Importance {
+    sizes: LaunchSizes,
+    border: PixelBorder,
+    backward: Backward,
+    response: Kernel<edge_response::Interface>,
+    gradient: Kernel<edge_gradient::Interface>,
+    sum: Kernel<sum_weights::Interface>,
+    add: Kernel<add_importance::Interface>,
+}
+
+impl Importance {
+    /// Builds the kernels.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let workgroup_size = sizes.elementwise_workgroup;
+        let subgroup_size = context.limits().subgroup_size;
+        let mut backward = Backward::new(context);
+        backward.prepare_weights()?;
+        let sum = sum_weights::Spec { workgroup_size, subgroup_size, lane_instances: LANE_INSTANCES };
+        let strips = sizes.strips;
+        Ok(Self {
+            border: PixelBorder::new(context)?,
+            backward,
+            response: Kernel::new(context, &edge_response::Spec { workgroup_size, subgroup_size })?,
+            gradient: Kernel::new(context, &edge_gradient::Spec { workgroup_size, strips })?,
+            sum: Kernel::new(context, &sum)?,
+            add: Kernel::new(context, &add_importance::Spec { workgroup_size })?,
+            sizes,
+        })
+    }
+
+    /// Records the edges of a photograph as the gradient of a picture: e as dL/dred, in the native layout. A
+    /// barrier must precede it; it ends without one.
+    pub fn record_edges(
+        &self,
+        r: &mut Recorder,
+        photo: &EdgePhoto,
+        buffers: &ImportanceBuffers,
+        image_gradient: &Buffer,
+    ) {
+        let (image_width, image_height) = photo.size;
+        let groups = self.groups(u64::from(image_width) * u64::from(image_height));
+        r.scope("edges", |r| {
+            r.fill(&buffers.ranges, 0);
+            self.border.record_photo(r, photo.size, photo.masked, photo.texels, &buffers.rows);
+            r.barrier();
+            let bind = edge_response::Bind {
+                rows: &buffers.rows,
+                responses: &buffers.responses,
+                ranges: &buffers.ranges,
+            };
+            let push = edge_response::Push { image_width, image_height, masked: photo.masked.into() };
+            r.dispatch(&self.response, &bind, &push, groups);
+            r.barrier();
+            let bind = edge_gradient::Bind {
+                responses: &buffers.responses,
+                ranges: &buffers.ranges,
+                image_gradient,
+            };
+            r.dispatch(&self.gradient, &bind, &edge_gradient::Push { image_width, image_height }, groups);
+        });
+    }
+
+    /// Records the weights of all Gaussians in the frame that was recorded into the same buffers, from the edges
+    /// in `image_gradient`, and adds `share` times their importance in this view to `importance`, f32 per
+    /// Gaussian. The frame must be one with backward and without inverse depth, and `buffers.ranges` 0 before the
+    /// edges. A barrier must precede it; it ends without one. If the frame overflowed, `importance` stays.
+    pub fn record_view(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        image_gradient: &Buffer,
+        buffers: &ImportanceBuffers,
+        (importance, share): (&Buffer, f32),
+    ) {
+        let (f, count) = (inputs.frame, inputs.scene.count);
+        self.backward.record_weights(r, inputs, image_gradient);
+        r.scope("importance", |r| {
+            r.barrier();
+            let splats = f.splats();
+            let bind = sum_weights::Bind {
+                state: &f.state,
+                visible_index: &f.visible_index,
+                footprints: splats.footprints,
+                first_instances: &f.first_instances,
+                instance_gradients_c: &f.instance_gradients_c,
+                weights: &buffers.weights,
+                ranges: &buffers.ranges,
+            };
+            let push = sum_weights::Push { count, splat_stride: splats.stride };
+            r.dispatch(&self.sum, &bind, &push, self.groups(count.into()));
+            r.barrier();
+            let bind = add_importance::Bind {
+                state: &f.state,
+                weights: &buffers.weights,
+                ranges: &buffers.ranges,
+                importance,
+            };
+            r.dispatch(&self.add, &bind, &add_importance::Push { count, share }, self.groups(count.into()));
+        });
+    }
+
+    fn groups(&self, n: u64) -> u64 {
+        blocks(n, self.sizes.elementwise_workgroup.into())
+    }
+}

@@ -1,0 +1,186 @@
+//! A draw of Gaussians without replacement, in proportion to their chances (Efraimidis and Spirakis 2006): a random
+//! key each, a sort, and the first of them. Random numbers are keyed by (seed, iteration, Gaussian), so the result
+//! does not depend on scheduling.
+
+use crate::error::Result;
+use crate::kernels::constants as c;
+use crate::kernels::densify::{draw_keys, mark_drawn};
+use crate::plan::{LaunchSizes, blocks};
+use crate::scan::Workgroups;
+use crate::sort::{RadixSort, SortBuffers, Values};
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// Gaussians that may be drawn: those that were seen, with a mean statistic of at least `threshold`.
+#[derive(Clone, Copy)]
+pub struct Candidates<'a> {
+    /// vec2 per Gaussian: sum of the signed norms, number of views.
+    pub statistics: &'a Buffer,
+    /// f32 per Gaussian: sum of the absolute norms, in place of the signed ones.
+    pub absolute: Option<&'a Buffer>,
+    /// Least mean over the views.
+    pub threshold: f32,
+}
+
+/// What the chances are in proportion to. Without a positive chance a Gaussian is never drawn.
+#[derive(Clone, Copy)]
+pub enum Chances<'a> {
+    /// These, f32 per Gaussian.
+    Importance(&'a Buffer),
+    /// The mean statistic of [`Candidates`].
+    Statistic,
+    /// All candidates alike.
+    Equal,
+}
+
+/// A draw.
+#[derive(Clone, Copy)]
+pub struct SelectionDraw<'a> {
+    /// Gaussians.
+    pub count: u32,
+    /// How many are drawn, or all candidates if they are fewer.
+    pub wanted: u32,
+    /// Who may be drawn.
+    pub candidates: Candidates<'a>,
+    /// In proportion to what.
+    pub chances: Chances<'a>,
+    /// Seed of the run.
+    pub seed: u32,
+    /// Iteration.
+    pub iteration: u32,
+    /// Uniform numbers within (0, 1) per Gaussian, in place of the generator, for comparisons with other
+    /// implementations.
+    pub explicit: Option<&'a Buffer>,
+}
+
+/// Scratch and result of a draw.
+#[derive(Clone)]
+pub struct SelectionBuffers {
+    /// Per Gaussian: 1 if it was drawn, otherwise 0.
+    pub selected: Buffer,
+    /// Numbers of Gaussians, of candidates with a positive chance, and of drawn ones: TOTAL_* of the constants.
+    pub totals: Buffer,
+    /// Sorting scratch: keys.
+    pub keys: [Buffer; 2],
+    /// Sorting scratch: Gaussians.
+    pub gaussians: [Buffer; 2],
+    /// Sorting scratch: counts per digit and block, and per digit and run.
+    pub histogram: Buffer,
+    /// Sorting scratch: keys per digit.
+    pub digit_totals: Buffer,
+}
+
+impl SelectionBuffers {
+    /// Assigns the buffers that were allocated for [`Selection::requests`].
+    ///
+    /// # Panics
+    /// If the number of buffers differs.
+    pub fn from_allocated(buffers: Vec<Buffer>) -> Self {
+        let Ok([selected, totals, keys_a, keys_b, a, b, histogram, digit_totals]) =
+            <[Buffer; 8]>::try_from(buffers)
+        else {
+            panic!("one buffer per request")
+        };
+        Self { selected, totals, keys: [keys_a, keys_b], gaussians: [a, b], histogram, digit_totals }
+    }
+}
+
+/// The kernels.
+pub struct Selection {
+    sizes: LaunchSizes,
+    sort: RadixSort,
+    /// Of the signed and of the absolute statistic; each from the generator and from explicit numbers.
+    keys: [[Kernel<draw_keys::Interface>; 2]; 2],
+    mark: Kernel<mark_drawn::Interface>,
+}
+
+impl Selection {
+    /// Builds the kernels.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
+        let keys = |absolute, explicit_uniforms| {
+            let spec = draw_keys::Spec { workgroup_size, subgroup_size, absolute, explicit_uniforms };
+            Kernel::new(context, &spec)
+        };
+        Ok(Self {
+            sort: RadixSort::new(context)?,
+            keys: [[keys(false, false)?, keys(false, true)?], [keys(true, false)?, keys(true, true)?]],
+            mark: Kernel::new(context, &mark_drawn::Spec { workgroup_size })?,
+            sizes,
+        })
+    }
+
+    /// Names and bytes of the buffers of [`SelectionBuffers::from_allocated`], for so many Gaussians.
+    pub fn requests(&self, gaussians: u32) -> Vec<(&'static str, u64)> {
+        let words = u64::from(gaussians) * 4;
+        vec![
+            ("selected", words),
+            ("selection_totals", 16),
+            ("selection_keys_a", words),
+            ("selection_keys_b", words),
+            ("selection_gaussians_a", words),
+            ("selection_gaussians_b", words),
+            ("selection_histogram", self.sort.histogram_words(gaussians.into(), u32::BITS) * 4),
+            ("selection_digit_totals", self.sort.digit_total_words() * 4),
+        ]
+    }
+
+    /// Records a draw: the `wanted` largest ln(u) / chance. A barrier must precede it; it ends with one.
+    pub fn record(&self, r: &mut Recorder, draw: &SelectionDraw, buffers: &SelectionBuffers) {
+        let SelectionDraw { count, candidates, chances, .. } = *draw;
+        let groups = blocks(count.into(), self.sizes.elementwise_workgroup.into());
+        r.scope("select", |r| {
+            // The words are apart, so that each can be filled in the same step.
+            let word = |word: u32, words: u64| buffers.totals.range(u64::from(word) * 4, words * 4);
+            r.fill(&word(c::TOTAL_GAUSSIANS, 1), count);
+            r.fill(&word(c::TOTAL_CANDIDATES, 3), 0);
+            r.barrier();
+            let (chances, importance) = match chances {
+                Chances::Importance(importance) => (c::CHANCE_IMPORTANCE, importance),
+                Chances::Statistic => (c::CHANCE_STATISTIC, candidates.statistics),
+                Chances::Equal => (c::CHANCE_EQUAL, candidates.statistics),
+            };
+            let of_statistic = &self.keys[usize::from(candidates.absolute.is_some())];
+            let kernel = &of_statistic[usize::from(draw.explicit.is_some())];
+            let bind = draw_keys::Bind {
+                statistics: candidates.statistics,
+                absolute_statistics: candidates.absolute.unwrap_or(candidates.statistics),
+                importance,
+                uniforms: draw.explicit.unwrap_or(candidates.statistics),
+                keys: &buffers.keys[0],
+                selected: &buffers.selected,
+                totals: &buffers.totals,
+            };
+            let push = draw_keys::Push {
+                count,
+                threshold: candidates.threshold,
+                chances,
+                seed: draw.seed,
+                iteration: draw.iteration,
+            };
+            r.dispatch(kernel, &bind, &push, groups);
+            r.barrier();
+            let pairs = SortBuffers {
+                counts: &buffers.totals,
+                count_index: c::TOTAL_GAUSSIANS,
+                keys: [&buffers.keys[0], &buffers.keys[1]],
+                values: [&buffers.gaussians[0], &buffers.gaussians[1]],
+                histogram: &buffers.histogram,
+                digit_totals: &buffers.digit_totals,
+            };
+            let elements = Workgroups::Elements(count.into());
+            let end = self.sort.record(r, &pairs, Values::Positions, u32::BITS, elements);
+            r.barrier();
+            let bind = mark_drawn::Bind {
+                sorted: &buffers.gaussians[end],
+                totals: &buffers.totals,
+                selected: &buffers.selected,
+            };
+            r.dispatch(&self.mark, &bind, &mark_drawn::Push { count, wanted: draw.wanted }, groups);
+            r.barrier();
+        });
+    }
+}

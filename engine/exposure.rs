@@ -1,0 +1,212 @@
+//! Exposures of the photographs, learned beside the Gaussians: the reference implementation's 3×4 matrix per image.
+//!
+//! The loss compares a photograph with the rendered picture under the photograph's [`Exposure`], so that a
+//! camera's automatic exposure and white balance do not end up in the Gaussians. Its own Adam treats the
+//! matrices of all photographs as one tensor.
+
+use crate::error::{Error, Result};
+use crate::forward::FrameInputs;
+use crate::kernels::constants::TERM_PARTIALS;
+use crate::kernels::exposure::{expose, expose_backward, exposure_step};
+use crate::optimizer::{BETA_1, BETA_2};
+use crate::plan::{LaunchSizes, STRIP_ROWS, Strips, blocks};
+use crate::scene::Exposure;
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// Adam's ε for exposures in the reference (the default of its library).
+pub const EPSILON: f64 = 1e-8;
+/// Bytes of a matrix.
+const MATRIX_BYTES: u64 = 48;
+
+/// One step of the exposures' optimiser.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExposureStep {
+    /// Learning rate.
+    pub rate: f64,
+    /// Number of steps including this one, from 1.
+    pub count: u64,
+}
+
+/// Matrices and moments of some photographs on the device, and scratch memory. A matrix is three rows of vec4.
+pub struct ExposureBuffers {
+    /// A matrix per photograph.
+    pub values: Buffer,
+    /// Adam's first moments, laid out like the matrices.
+    pub first_moments: Buffer,
+    /// Adam's second moments.
+    pub second_moments: Buffer,
+    /// The exposed picture, laid out like the rendered one.
+    pub picture: Buffer,
+    /// Parts of the gradient of a matrix.
+    pub partials: Buffer,
+}
+
+impl ExposureBuffers {
+    /// Number of [`ExposureBuffers::requests`].
+    pub const COUNT: usize = 5;
+
+    /// Names and bytes of the buffers, for photographs of these sizes (width, height).
+    pub fn requests(sizes: &[(u32, u32)]) -> [(&'static str, u64); Self::COUNT] {
+        let matrices = MATRIX_BYTES * sizes.len() as u64;
+        // Strips have at least as many values as the picture has pixels.
+        let picture = |&(width, height): &(u32, u32)| 16 * Strips { width, height }.values();
+        [
+            ("exposures", matrices),
+            ("exposure_moments_1", matrices),
+            ("exposure_moments_2", matrices),
+            ("exposed_picture", sizes.iter().map(picture).max().unwrap_or(0)),
+            ("exposure_partials", MATRIX_BYTES * u64::from(TERM_PARTIALS)),
+        ]
+    }
+
+    /// The buffers, in the order of [`ExposureBuffers::requests`].
+    pub fn from_allocated(buffers: [Buffer; Self::COUNT]) -> Self {
+        let [values, first_moments, second_moments, picture, partials] = buffers;
+        Self { values, first_moments, second_moments, picture, partials }
+    }
+
+    /// Number of photographs.
+    pub fn photographs(&self) -> usize {
+        (self.values.bytes() / MATRIX_BYTES) as usize
+    }
+
+    /// The identity for all photographs, with no moments.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn reset(&self, context: &Context) -> Result<()> {
+        let identity = vec![Exposure::IDENTITY.rows; self.photographs()];
+        let none = vec![[[0.0; 4]; 3]; self.photographs()];
+        self.upload(context, [&identity, &none, &none])
+    }
+
+    /// Uploads matrices and both moments.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when they are not of the number of the photographs; when the device is lost.
+    pub fn upload(&self, context: &Context, from: [&[[[f32; 4]; 3]]; 3]) -> Result<()> {
+        for (buffer, rows) in [&self.values, &self.first_moments, &self.second_moments].into_iter().zip(from)
+        {
+            if rows.len() != self.photographs() {
+                let problem = format!("are {}, for {} photographs", rows.len(), self.photographs());
+                return Err(Error::argument("exposures", problem));
+            }
+            context.upload(buffer, bytemuck::cast_slice(rows))?;
+        }
+        Ok(())
+    }
+
+    /// Downloads matrices and both moments.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn download(&self, context: &Context) -> Result<[Vec<[[f32; 4]; 3]>; 3]> {
+        let rows = |buffer: &Buffer| Ok(bytemuck::pod_collect_to_vec(&context.download(buffer)?));
+        Ok([rows(&self.values)?, rows(&self.first_moments)?, rows(&self.second_moments)?])
+    }
+}
+
+/// The kernels.
+pub struct Exposing {
+    sizes: LaunchSizes,
+    expose: Kernel<expose::Interface>,
+    backward: Kernel<expose_backward::Interface>,
+    step: Kernel<exposure_step::Interface>,
+}
+
+impl Exposing {
+    /// Builds the kernels. With `center`, each step of the optimiser brings the mean of all matrices back to
+    /// the identity: otherwise scene and exposures could drift against each other.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context, center: bool) -> Result<Self> {
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
+        let subgroup_size = context.limits().subgroup_size;
+        let backward = expose_backward::Spec { workgroup_size, subgroup_size, strips };
+        let step = exposure_step::Spec { workgroup_size, subgroup_size, center };
+        Ok(Self {
+            expose: Kernel::new(context, &expose::Spec { workgroup_size, strips })?,
+            backward: Kernel::new(context, &backward)?,
+            step: Kernel::new(context, &step)?,
+            sizes,
+        })
+    }
+
+    /// Records the exposed picture of a frame, for a photograph's index. The frame must be one with backward.
+    /// The caller places barriers before and after.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, buffers: &ExposureBuffers, view: u32) {
+        let (width, height) = (inputs.camera.width, inputs.camera.height);
+        let bind = expose::Bind {
+            rendered: inputs.frame.rendered(&self.sizes),
+            exposures: &buffers.values,
+            exposed: &buffers.picture,
+        };
+        let background = inputs.settings.background;
+        let push = expose::Push { image_width: width, image_height: height, background, view };
+        let rows = if self.sizes.strips { height.next_multiple_of(STRIP_ROWS) } else { height };
+        let pixels = u64::from(width) * u64::from(rows);
+        r.scope("exposure", |r| {
+            r.dispatch(&self.expose, &bind, &push, blocks(pixels, self.sizes.elementwise_workgroup.into()));
+        });
+    }
+
+    /// Records the backward pass: `image_gradient`, in the native layout, is that of the exposed picture
+    /// before and that of the rendered one afterwards; the gradient of the matrix stays in parts. The caller
+    /// places barriers before and after.
+    pub fn record_backward(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        buffers: &ExposureBuffers,
+        view: u32,
+        image_gradient: &Buffer,
+    ) {
+        let bind = expose_backward::Bind {
+            rendered: inputs.frame.rendered(&self.sizes),
+            exposures: &buffers.values,
+            image_gradient,
+            partials: &buffers.partials,
+        };
+        let push = expose_backward::Push {
+            image_width: inputs.camera.width,
+            image_height: inputs.camera.height,
+            background: inputs.settings.background,
+            view,
+        };
+        r.scope("exposure backward", |r| r.dispatch(&self.backward, &bind, &push, TERM_PARTIALS.into()));
+    }
+
+    /// Records a step of the optimiser over all matrices, of which that of `view` has the gradient of
+    /// [`Exposing::record_backward`]. If the frame overflowed, nothing changes. The caller places barriers
+    /// before and after.
+    pub fn record_step(
+        &self,
+        r: &mut Recorder,
+        (buffers, state): (&ExposureBuffers, &Buffer),
+        view: u32,
+        step: &ExposureStep,
+    ) {
+        let correction = |beta: f64| 1.0 - beta.powf(step.count as f64);
+        let bind = exposure_step::Bind {
+            partials: &buffers.partials,
+            state,
+            exposures: &buffers.values,
+            moments_1: &buffers.first_moments,
+            moments_2: &buffers.second_moments,
+        };
+        let push = exposure_step::Push {
+            photographs: buffers.photographs() as u32,
+            view,
+            beta_1: BETA_1 as f32,
+            beta_2: BETA_2 as f32,
+            one_minus_beta_1: (1.0 - BETA_1) as f32,
+            one_minus_beta_2: (1.0 - BETA_2) as f32,
+            epsilon: EPSILON as f32,
+            rate: (step.rate / correction(BETA_1)) as f32,
+            inverse_bias_2: correction(BETA_2).sqrt().recip() as f32,
+        };
+        r.scope("exposure step", |r| r.dispatch(&self.step, &bind, &push, 1));
+    }
+}

@@ -1,0 +1,169 @@
+//! The inverse-depth maps of a data set's photos.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::DatasetOptions;
+use super::plan::PlannedView;
+use crate::colmap::{self, Model};
+use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
+use crate::images::{DepthMap, StoredPhoto, header};
+use crate::names::{plain, stays_inside};
+use crate::transforms;
+use ashsplat::{Error, Result};
+
+/// A map that is read with its photo.
+#[derive(Clone, Debug)]
+pub(super) struct PlannedMap {
+    path: PathBuf,
+    /// None: the map's values are inverse depths.
+    fit: Option<DepthFit>,
+}
+
+/// The maps of the views, by their order; none for those that are left out.
+///
+/// # Errors
+/// [`Error::Input`] naming the folder, the map or the parameters that are missing.
+pub(super) fn plan(
+    dataset: &Path,
+    views: &[PlannedView],
+    options: &DatasetOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Option<PlannedMap>>> {
+    let Some(folder) = &options.depths else { return Ok(vec![None; views.len()]) };
+    let folder = dataset.join(folder);
+    if !folder.is_dir() {
+        let remedy = "give -d the folder of the maps within the data set, or train without it";
+        return Err(Error::input(folder, "is no folder with depth maps", remedy));
+    }
+    let paths: Vec<PathBuf> = views.iter().map(|view| map_of(&folder, view)).collect::<Result<_>>()?;
+    let planned = |path: PathBuf, fit| Some(PlannedMap { path, fit });
+    if transforms::find(dataset).is_some() && !colmap::exists(dataset) {
+        return Ok(paths.into_iter().map(|path| planned(path, None)).collect());
+    }
+    let model = Model::of_dataset(dataset)?;
+    let file = model.source.folder.join(DEPTH_PARAMS_FILE);
+    let fits = match file.is_file() {
+        true => given(&file, views)?,
+        false => fitted(&model, views, &paths, options)?,
+    };
+    let median = DepthFit::median_scale(&fits);
+    let maps = paths.into_iter().zip(fits).map(|(path, fit)| {
+        let fit = Some(fit).filter(|fit| fit.is_reliable(median))?;
+        planned(path, Some(fit))
+    });
+    let maps: Vec<_> = maps.collect();
+    let left_out = maps.iter().filter(|map| map.is_none()).count();
+    if left_out == maps.len() {
+        let problem =
+            "none of the depth maps could be scaled: their photos show too few of the sparse points";
+        return Err(Error::input(folder, problem, format!("write {}, or train without -d", file.display())));
+    }
+    if left_out > 0 {
+        warnings.push(format!(
+            "{}: {left_out} of {} depth maps are left out: their scale is far from the others', or too few sparse points tell it",
+            folder.display(),
+            maps.len()
+        ));
+    }
+    Ok(maps)
+}
+
+/// A photo's name without its ending, as the maps have it.
+fn stem(name: &str) -> String {
+    let name = plain(name);
+    let ending = name.rsplit_once('.').filter(|(_, ending)| !ending.contains('/'));
+    ending.map_or(name.clone(), |(stem, _)| stem.to_owned())
+}
+
+fn map_of(folder: &Path, view: &PlannedView) -> Result<PathBuf> {
+    let stem = stem(&view.name);
+    let stem = stem.strip_prefix("images/").unwrap_or(&stem);
+    let missing = |path: PathBuf| {
+        let problem = format!("the depth map of photo {} is missing", view.name);
+        Err(Error::input(path, problem, "compute it, or train without -d"))
+    };
+    let path = folder.join(format!("{stem}.png"));
+    if !stays_inside(stem) || !path.is_file() {
+        return missing(path);
+    }
+    if view.lens.is_distorted() {
+        let problem = format!("photo {} has lens distortion, which depth maps do not follow", view.name);
+        return Err(Error::input(path, problem, "undistort the photos first: colmap image_undistorter"));
+    }
+    header(&path)?;
+    Ok(path)
+}
+
+/// The parameters of a file.
+fn given(file: &Path, views: &[PlannedView]) -> Result<Vec<DepthFit>> {
+    let all: BTreeMap<String, DepthFit> = DepthFit::read_all(file)?;
+    let of = |view: &PlannedView| {
+        all.get(&stem(&view.name)).copied().ok_or_else(|| {
+            let problem = format!("has no scale and offset for photo {}", view.name);
+            Error::input(
+                file,
+                problem,
+                "add them, or remove the file: then all are fitted to the sparse points",
+            )
+        })
+    };
+    views.iter().map(of).collect()
+}
+
+/// Fits all maps to the sparse points that their photos show.
+fn fitted(
+    model: &Model,
+    views: &[PlannedView],
+    paths: &[PathBuf],
+    options: &DatasetOptions,
+) -> Result<Vec<DepthFit>> {
+    let observed = colmap::observations(model)?;
+    let sizes: HashMap<u32, (u32, u32)> = model
+        .images
+        .iter()
+        .filter_map(|image| {
+            let camera = model.cameras.get(&image.camera_id)?;
+            Some((image.id, (u32::try_from(camera.width).ok()?, u32::try_from(camera.height).ok()?)))
+        })
+        .collect();
+    let fit = |(view, path): (&PlannedView, &PathBuf)| {
+        let id = view.image_id;
+        let (Some(points), Some(size)) = (observed.get(&id), sizes.get(&id)) else {
+            return Ok(DepthFit::default());
+        };
+        Ok(DepthFit::of(&DepthMap::read(path, &options.host_memory)?, *size, points))
+    };
+    views.par_iter().zip(paths).map(fit).collect()
+}
+
+impl PlannedMap {
+    /// The inverse depths that the pixels of a photo should have: infinite where its mask says that they do not count.
+    pub(super) fn load(&self, photo: &StoredPhoto, options: &DatasetOptions) -> Result<Arc<[f32]>> {
+        let map = DepthMap::read(&self.path, &options.host_memory)?;
+        let mut values = map.resized(photo.width, photo.height).values;
+        if let Some(DepthFit { scale, offset }) = self.fit {
+            values.iter_mut().for_each(|value| *value = (scale * f64::from(*value) + offset) as f32);
+        }
+        if let Some(mask) = photo.mask()? {
+            let hidden = values.iter_mut().zip(mask.iter()).filter(|(_, counts)| **counts == 0);
+            hidden.for_each(|(value, _)| *value = f32::INFINITY);
+        }
+        Ok(values.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::stem;
+
+    #[test]
+    fn names_lose_their_last_ending() {
+        for (name, expected) in [("a.b.jpg", "a.b"), ("x\\y.png", "x/y"), ("a.d/b", "a.d/b"), ("c", "c")] {
+            assert_eq!(stem(name), expected);
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! `exposure.json`, the exposures of the photographs that the reference implementation writes next to a model: an
+//! object from each photograph's name to three rows of four numbers.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use super::{atomic, host_memory};
+use ashsplat::scene::Exposure;
+use ashsplat::{Error, Result};
+
+/// Name of the file in a model folder.
+pub const EXPOSURE_FILE: &str = "exposure.json";
+
+/// Writes exposures by the names of their photographs.
+///
+/// # Errors
+/// [`Error::Io`] naming the file.
+pub fn write<'a>(
+    path: impl AsRef<Path>,
+    exposures: impl IntoIterator<Item = (&'a str, &'a Exposure)>,
+) -> Result<()> {
+    let rows: BTreeMap<&str, [[f32; 4]; 3]> =
+        exposures.into_iter().map(|(name, exposure)| (name, exposure.rows)).collect();
+    atomic::write(path, |writer| Ok(serde_json::to_writer_pretty(writer, &rows)?))
+}
+
+/// Reads the exposures of [`write()`] or of the reference implementation.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or has a number that is not
+/// finite.
+pub fn read(path: impl AsRef<Path>) -> Result<BTreeMap<String, Exposure>> {
+    let path = path.as_ref();
+    host_memory::check_text_file(path)?;
+    let text = fs::read(path).map_err(|source| Error::io(path, "read", source))?;
+    let remedy = "expected {\"photo.jpg\": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], …}";
+    let rows: BTreeMap<String, [[f32; 4]; 3]> = serde_json::from_slice(&text)
+        .map_err(|e| Error::input(path, format!("is not a list of exposures: {e}"), remedy))?;
+    if let Some((name, _)) = rows.iter().find(|(_, rows)| !rows.as_flattened().iter().all(|x| x.is_finite()))
+    {
+        return Err(Error::input(path, format!("{name} has a number that is not finite"), remedy));
+    }
+    Ok(rows.into_iter().map(|(name, rows)| (name, Exposure { rows })).collect())
+}

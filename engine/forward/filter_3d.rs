@@ -1,0 +1,130 @@
+//! Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1): each Gaussian is convolved with one as large as what the
+//! nearest camera can resolve.
+//!
+//! A size is the fourth component of a Gaussian's log-scales on the device; 0 is none. Culling, projection and the backward
+//! pass read it where [`RenderSettings::filter_3d`](super::RenderSettings::filter_3d) is set.
+
+use super::SceneBuffers;
+use crate::error::{Error, Result};
+use crate::kernels::constants::STATE_WORDS;
+use crate::kernels::forward::{filter_sizes, nearest_depths};
+use crate::plan::{LaunchSizes, blocks, to_u32};
+use crate::scene::Camera;
+use crate::vk::{Buffer, Context, Kernel, MemoryKind, Recorder};
+
+/// A mean counts as seen up to this share of the picture's size outside it (compute_3D_filter).
+const MARGIN: f64 = 0.15;
+/// Variance of the filter, in squares of a pixel's size at the nearest depth.
+const VARIANCE_PX2: f64 = 0.2;
+/// vec4 per camera.
+const CAMERA_ROWS: usize = 4;
+
+/// The kernels, and the cameras.
+pub struct Filter3d {
+    sizes: LaunchSizes,
+    nearest: Kernel<nearest_depths::Interface>,
+    store: Kernel<filter_sizes::Interface>,
+    cameras: Buffer,
+    farthest: Buffer,
+    count: u32,
+    size_per_depth: f32,
+}
+
+impl Filter3d {
+    /// Names and bytes of the buffers for a number of cameras.
+    pub fn requests(cameras: usize) -> [(&'static str, u64); 2] {
+        [("filter_cameras", (cameras * CAMERA_ROWS * 16) as u64), ("farthest", 4)]
+    }
+
+    /// Builds the kernels and uploads the cameras from which a scene is trained.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] without cameras; memory or device failures.
+    pub fn new(context: &Context, cameras: &[Camera]) -> Result<Self> {
+        let longest = cameras.iter().map(|camera| camera.fx).fold(0.0, f32::max);
+        if longest <= 0.0 {
+            return Err(Error::argument("cameras", "there are none, and the 3D filter follows from them"));
+        }
+        let requests = Self::requests(cameras.len());
+        let buffers = context.allocate("filter", &requests, MemoryKind::Device)?;
+        let Ok([rows, farthest]) = <[Buffer; 2]>::try_from(buffers) else {
+            unreachable!("one buffer per request")
+        };
+        let values: Vec<[[f32; 4]; CAMERA_ROWS]> = cameras.iter().map(rows_of).collect();
+        context.upload(&rows, bytemuck::cast_slice(&values))?;
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
+        Ok(Self {
+            nearest: Kernel::new(context, &nearest_depths::Spec { workgroup_size, subgroup_size })?,
+            store: Kernel::new(context, &filter_sizes::Spec { workgroup_size })?,
+            sizes,
+            cameras: rows,
+            farthest,
+            count: to_u32(cameras.len() as u64)?,
+            size_per_depth: (VARIANCE_PX2.sqrt() / f64::from(longest)) as f32,
+        })
+    }
+
+    /// Records the computation of all sizes of a scene. The caller places barriers before and after. Nothing changes if
+    /// `state[STATE_OVERFLOW]` is set.
+    pub fn record(&self, r: &mut Recorder, scene: &SceneBuffers, state: &Buffer) {
+        r.scope("3D filter", |r| {
+            r.fill(&self.farthest, 0);
+            for range in scene.plan.ranges(scene.count) {
+                r.barrier();
+                let bind = nearest_depths::Bind {
+                    parameters: &scene.chunks[range.chunk],
+                    cameras: &self.cameras,
+                    state,
+                    farthest: &self.farthest,
+                };
+                let push = nearest_depths::Push { count: range.count, cameras_count: self.count };
+                r.dispatch(&self.nearest, &bind, &push, self.workgroups(range.count));
+            }
+            r.barrier();
+            for range in scene.plan.ranges(scene.count) {
+                let bind = filter_sizes::Bind {
+                    parameters: &scene.chunks[range.chunk],
+                    state,
+                    farthest: &self.farthest,
+                };
+                let push = filter_sizes::Push { count: range.count, size_per_depth: self.size_per_depth };
+                r.dispatch(&self.store, &bind, &push, self.workgroups(range.count));
+            }
+        });
+    }
+
+    /// Computes all sizes of a scene now.
+    ///
+    /// # Errors
+    /// Memory or device failures.
+    pub fn run(&self, context: &Context, scene: &SceneBuffers) -> Result<()> {
+        let buffers =
+            context.allocate("filter", &[("state", u64::from(STATE_WORDS) * 4)], MemoryKind::Device)?;
+        context.run("3D filter", |r| {
+            r.fill(&buffers[0], 0);
+            r.barrier();
+            self.record(r, scene, &buffers[0]);
+            Ok(())
+        })?;
+        Ok(())
+    }
+
+    fn workgroups(&self, count: u32) -> u64 {
+        blocks(count.into(), self.sizes.elementwise_workgroup.into())
+    }
+}
+
+/// (R | t) by rows, and the bounds of x/z and y/z within which a mean counts as seen.
+fn rows_of(camera: &Camera) -> [[f32; 4]; CAMERA_ROWS] {
+    let [x, y, z] = camera.camera_from_world.transpose().to_cols_array_2d();
+    let t = camera.translation;
+    let row = |[a, b, c]: [f32; 3], d: f32| [a, b, c, d];
+    let bounds = |focal: f32, center: f32, size: u32| {
+        let (focal, center, size) = (f64::from(focal), f64::from(center), f64::from(size));
+        [-MARGIN, 1.0 + MARGIN].map(|share| ((share * size - center) / focal) as f32)
+    };
+    let [left, right] = bounds(camera.fx, camera.cx, camera.width);
+    let [top, bottom] = bounds(camera.fy, camera.cy, camera.height);
+    [row(x, t.x), row(y, t.y), row(z, t.z), [left, right, top, bottom]]
+}

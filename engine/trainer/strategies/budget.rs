@@ -1,0 +1,276 @@
+//! Budgeted growth (Improved-GS, 2026): Gaussians are split along their long axis, those first that matter most for
+//! the edges of the photographs, up to a number that grows along a curve; opacity resets are mild, and what does
+//! not recover from them is pruned; late steps add up the gradients of several views.
+
+mod schedule;
+
+pub use schedule::{GrowthSchedule, quantile};
+
+use super::rebuild::{DecisionMemory, Decisions};
+use crate::densify::{
+    Candidates, Chances, ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings, Importance,
+    Selection, SelectionBuffers, SelectionDraw,
+};
+use crate::error::{Error, Result};
+use crate::planes;
+use crate::trainer::population::{Population, or_none};
+use crate::trainer::random::pool_views;
+use crate::trainer::settings::{ImportanceType, OptimizerType, SplitType, TrainSettings};
+use crate::trainer::strategy::{Hooks, Strategy};
+use crate::trainer::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, Statistic, Work};
+use crate::vk::{Buffer, Context, MemoryKind};
+
+/// Pruning of what the start left faint.
+const PRUNE_FAINT: Actions = Actions(1 << 2);
+/// Pruning of the faintest share after a reset.
+const PRUNE_RANKS: Actions = Actions(1 << 3);
+/// Opacity below which [`PRUNE_FAINT`] removes.
+const FAINT: f64 = 0.02;
+/// Share of the Gaussians that [`PRUNE_RANKS`] removes.
+const FAINTEST_SHARE: f64 = 0.2;
+/// Largest opacity after a reset that Gaussians are to recover from.
+const RECOVERABLE_OPACITY: f64 = 0.05;
+
+/// Budgeted growth to [`TrainSettings::cap_max`]. Each part has a switch: [`TrainSettings::absgrad`], `split`,
+/// `importance`, `growth_curve`, `recovery`, `multi_step`.
+pub struct Budget {
+    kernels: Densify,
+    selection: Selection,
+    /// Without [`ImportanceType::Edges`] there is none.
+    importance: Option<Importance>,
+    absolute: bool,
+    sums: bool,
+    /// Gaussians before the first change of the set.
+    start: Option<u32>,
+}
+
+/// Name of [`Budget::start`] in the checkpoint.
+const START: &str = "start";
+
+impl Budget {
+    /// Builds the kernels for these settings.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
+        let form =
+            DensifyForm { long_axis: settings.split == SplitType::LongAxis, criterion: Criterion::Selected };
+        let edges = settings.importance == ImportanceType::Edges;
+        Ok(Self {
+            kernels: Densify::with_form(context, form)?,
+            selection: Selection::new(context)?,
+            importance: edges.then(|| Importance::new(context)).transpose()?,
+            absolute: settings.absgrad,
+            sums: settings.multi_step,
+            start: None,
+        })
+    }
+}
+
+impl Strategy for Budget {
+    fn name(&self) -> &'static str {
+        "budget"
+    }
+
+    fn check(&self, settings: &TrainSettings, gaussians: u32) -> Result<()> {
+        let cap = settings.cap_max;
+        if cap > 0 && gaussians > cap {
+            let problem = format!(
+                "{cap} is less than the {gaussians} Gaussians of the start; raise it, or start from fewer"
+            );
+            return Err(Error::argument("cap_max", problem));
+        }
+        if settings.multi_step && settings.optimizer_type == OptimizerType::SparseAdam {
+            let problem =
+                "adds up views, and sparse_adam steps for what one view has seen; leave one of them out";
+            return Err(Error::argument("multi_step", problem));
+        }
+        Ok(())
+    }
+
+    fn work(&self, settings: &TrainSettings, iteration: u32) -> Work {
+        let schedule = GrowthSchedule::of(settings, 0);
+        let densifies = settings.densifies_at(iteration);
+        let resets = settings.resets_opacity_at(iteration);
+        let actions = Actions::DENSIFY
+            .when(densifies)
+            .and(Actions::RESET_OPACITY.when(resets))
+            .and(PRUNE_FAINT.when(schedule.prunes_faint_at(iteration)))
+            .and(PRUNE_RANKS.when(schedule.prunes_ranks_at(iteration)));
+        Work {
+            accumulates: settings.collects_statistics_at(iteration),
+            // The step precedes densification: the set that is split is the one that the step made.
+            optimizes: schedule.steps_at(iteration),
+            sums_gradients: schedule.group(iteration) > 1,
+            optimizes_opacity: true,
+            actions,
+        }
+    }
+
+    fn statistics(&self) -> Vec<Statistic> {
+        if self.absolute { vec![ABSOLUTE_STATISTIC] } else { Vec::new() }
+    }
+
+    fn records(&self) -> Hooks {
+        Hooks { sums: self.sums, ..Hooks::default() }
+    }
+
+    fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes> {
+        let start = *self.start.get_or_insert(population.count());
+        let densified = match action {
+            Actions::DENSIFY => self.densify(population, start)?,
+            PRUNE_FAINT => self.prune_below(population, |_| FAINT)?,
+            PRUNE_RANKS => self.prune_below(population, |opacities| quantile(opacities, FAINTEST_SHARE))?,
+            _ => {
+                let recovery = population.settings().recovery;
+                let most = if recovery { RECOVERABLE_OPACITY } else { crate::densify::RESET_OPACITY };
+                population.context().run("reset opacity", |r| {
+                    self.kernels.record_reset_to(r, population.scene(), population.moments(), most);
+                    Ok(())
+                })?;
+                return Ok(Changes { opacities_reset: true, ..Changes::default() });
+            }
+        };
+        Ok(Changes { densified: Some(densified), ..Changes::default() })
+    }
+
+    fn state(&self) -> Vec<(String, String)> {
+        self.start.iter().map(|start| (START.to_owned(), start.to_string())).collect()
+    }
+
+    fn restore(&mut self, state: &[(String, String)]) -> Result<()> {
+        for (name, value) in state {
+            let start = value.parse().ok().filter(|_| name == START);
+            self.start = Some(start.ok_or_else(|| {
+                let problem = format!("has '{name}' of '{value}', which the strategy budget does not know");
+                Error::argument("checkpoint", problem)
+            })?);
+        }
+        Ok(())
+    }
+}
+
+impl Budget {
+    /// Draws the Gaussians to split, within budget, memory and device, and gathers the new set. Without memory
+    /// for it the set stays as it is.
+    fn densify(&self, population: &mut Population, start: u32) -> Result<Densified> {
+        population.release_pictures();
+        let before = population.count();
+        let unchanged = Densified { before, kept: before, limited: true, ..Densified::default() };
+        let schedule = GrowthSchedule::of(population.settings(), start);
+        let budget = schedule.budget(population.iteration());
+        let settings = DensifySettings {
+            // The criterion is the selection.
+            gradient_threshold: 0.0,
+            clone_scale: 0.0,
+            min_opacity: schedule.min_opacity(population.iteration()) as f32,
+            max_scale: 0.0,
+        };
+        let most = population.most_rows();
+        let wanted = budget.min(most).saturating_sub(before);
+        let importance = match wanted {
+            0 => None,
+            _ => match self.importance(population)? {
+                Some(importance) => importance,
+                None => return Ok(unchanged),
+            },
+        };
+        let requests = self.selection.requests(before);
+        let buffers = population.context().allocate("densify", &requests, MemoryKind::Device);
+        let Some(buffers) = or_none(buffers)? else { return Ok(unchanged) };
+        let selection = SelectionBuffers::from_allocated(buffers);
+        let mut decisions = Decisions {
+            kernels: &self.kernels,
+            memory: match DecisionMemory::allocate(population, before)? {
+                Some(memory) => memory,
+                None => return Ok(unchanged),
+            },
+            settings,
+        };
+        let drawn = self.select(population, (importance.as_ref(), wanted), &selection)?;
+        let classify = |decisions: &Decisions, population: &Population| {
+            let inputs = ClassifyInputs {
+                statistics: &population.statistics()[0],
+                criteria: Some(&selection.selected),
+            };
+            decisions.classify(population, inputs)
+        };
+        let mut densified = classify(&decisions, population)?;
+        let Some(growth) = decisions.make_room(population, before + drawn)? else { return Ok(unchanged) };
+        let room = population.capacity_with(&growth);
+        if densified.rows() > room {
+            self.select(population, (importance.as_ref(), room - before), &selection)?;
+            densified = Densified { limited: true, ..classify(&decisions, population)? };
+        }
+        densified.limited |= budget > most && drawn == wanted && wanted > 0;
+        decisions.rebuild(population, densified, growth)?;
+        Ok(densified)
+    }
+
+    /// The chances to be split, if they are those of the photographs' edges. None without memory for them.
+    fn importance(&self, population: &mut Population) -> Result<Option<Option<Buffer>>> {
+        let Some(kernels) = &self.importance else { return Ok(Some(None)) };
+        let (seed, views) = (population.settings().seed, population.cameras().len());
+        let (first, count) =
+            GrowthSchedule::of(population.settings(), 0).views(population.iteration(), views);
+        let drawn = pool_views(seed, views, first..first + count as u64);
+        Ok(population.importance(kernels, &drawn)?.map(Some))
+    }
+
+    /// Selects up to `wanted` Gaussians, and returns how many.
+    fn select(
+        &self,
+        population: &Population,
+        (importance, wanted): (Option<&Buffer>, u32),
+        buffers: &SelectionBuffers,
+    ) -> Result<u32> {
+        let (context, settings) = (population.context(), population.settings());
+        if wanted == 0 {
+            context.run("select none", |r| {
+                r.fill(&buffers.selected, 0);
+                Ok(())
+            })?;
+            return Ok(0);
+        }
+        let draw = SelectionDraw {
+            count: population.count(),
+            wanted,
+            candidates: Candidates {
+                statistics: &population.statistics()[0],
+                absolute: self.absolute.then(|| &population.statistics()[1]),
+                threshold: settings.densify_grad_threshold as f32,
+            },
+            chances: match (importance, settings.importance) {
+                (Some(importance), _) => Chances::Importance(importance),
+                (None, ImportanceType::Statistic) => Chances::Statistic,
+                (None, _) => Chances::Equal,
+            },
+            seed: settings.seed,
+            iteration: population.iteration(),
+            explicit: None,
+        };
+        context.run("select", |r| {
+            self.selection.record(r, &draw, buffers);
+            Ok(())
+        })?;
+        let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&context.download(&buffers.totals)?);
+        Ok(totals[2])
+    }
+
+    /// Removes Gaussians below an opacity that follows from all opacities. Nothing is removed without memory for
+    /// it, and never all.
+    fn prune_below(&self, population: &mut Population, least: impl Fn(&[f32]) -> f64) -> Result<Densified> {
+        population.release_pictures();
+        let before = population.count();
+        let logits = planes::download_logits(population.context(), population.scene())?;
+        let opacity = |logit: f32| (1.0 / (1.0 + f64::from(-logit).exp())) as f32;
+        let opacities: Vec<f32> = logits.into_iter().map(opacity).collect();
+        let least = least(&opacities);
+        let faint = |index: &u32| f64::from(opacities[*index as usize]) < least;
+        let kept: Vec<u32> = (0..before).filter(|index| !faint(index)).collect();
+        let changes = !kept.is_empty() && kept.len() < opacities.len();
+        let pruned = changes && or_none(population.keep(&kept, &self.kernels))?.is_some();
+        let after = if pruned { kept.len() as u32 } else { before };
+        Ok(Densified { before, kept: after, limited: changes && !pruned, ..Densified::default() })
+    }
+}

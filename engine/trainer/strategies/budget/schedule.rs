@@ -1,0 +1,194 @@
+//! When budgeted growth does what: pure arithmetic of the settings.
+
+use crate::trainer::settings::TrainSettings;
+
+/// Gaussians of a run of 30,000 iterations without [`TrainSettings::cap_max`], for each of the start.
+const MOST_PER_START: f64 = 10.0;
+/// Improved-GS ends its growth at 14,500 of the 15,000 iterations with densification.
+const CURVE_SHARE: f64 = 14_500.0 / 15_000.0;
+/// From these iterations of 30,000 on, so many views share a step.
+const GROUPS: [(u32, u32); 2] = [(24_000, 20), (20_000, 5)];
+/// Iterations after which Gaussians that are still faint are pruned: after the start, and after a reset.
+const RECOVERY: u32 = 300;
+/// Resets that a pruning by rank follows.
+const RANKED_RESETS: u32 = 2;
+/// Views of an importance.
+const VIEWS: usize = 10;
+
+/// The schedule of the strategy `budget` (Improved-GS, `train.py`). At 30,000 iterations it is that of the paper's
+/// code; [`TrainSettings::scale_schedule`] says what changes in a shorter or longer run.
+#[derive(Clone, Copy, Debug)]
+pub struct GrowthSchedule<'a> {
+    settings: &'a TrainSettings,
+    /// The most Gaussians of the run.
+    cap: u32,
+}
+
+impl<'a> GrowthSchedule<'a> {
+    /// The schedule of a run that began with so many Gaussians.
+    pub fn of(settings: &'a TrainSettings, start: u32) -> Self {
+        let cap = match settings.cap_max {
+            0 => {
+                let share = f64::from(settings.iterations) / 30_000.0;
+                let cap = f64::from(start) * MOST_PER_START * share.cbrt();
+                (cap.min(f64::from(u32::MAX)) as u32).max(start)
+            }
+            cap => cap,
+        };
+        Self { settings, cap }
+    }
+
+    /// The most Gaussians after the densification of an iteration (1-based): with
+    /// [`TrainSettings::growth_curve`] ⌊√t · cap⌋, at least 1, where t rises linearly from 0 at the start of
+    /// densification to 1 shortly before its end.
+    pub fn budget(&self, iteration: u32) -> u32 {
+        let s = self.settings;
+        if !s.growth_curve {
+            return self.cap;
+        }
+        let start = f64::from(s.scaled(s.densify_from_iter));
+        let end = f64::from(s.scaled(s.densify_until_iter)) * CURVE_SHARE;
+        let t = ((f64::from(iteration) - start) / (end - start).max(1.0)).clamp(0.0, 1.0);
+        ((t.sqrt() * f64::from(self.cap)).floor() as u32).max(1)
+    }
+
+    /// Number of views that share a step at an iteration (1-based): 1 without [`TrainSettings::multi_step`].
+    pub fn group(&self, iteration: u32) -> u32 {
+        let s = self.settings;
+        let late = GROUPS.iter().find(|(from, _)| iteration >= s.scaled(*from));
+        match late {
+            Some((_, views)) if s.multi_step && !s.collects_statistics_at(iteration) => *views,
+            _ => 1,
+        }
+    }
+
+    /// Whether the optimiser makes a step at an iteration (1-based): at the last of each group, never at the
+    /// last of the run.
+    pub fn steps_at(&self, iteration: u32) -> bool {
+        iteration < self.settings.iterations && iteration.is_multiple_of(self.group(iteration))
+    }
+
+    /// The opacity below which a densification prunes: 0 at the last one.
+    pub fn min_opacity(&self, iteration: u32) -> f64 {
+        let s = self.settings;
+        let last = s.scaled(s.densify_until_iter).saturating_sub(s.densification_interval);
+        if iteration < last { s.min_opacity } else { 0.0 }
+    }
+
+    /// Whether an iteration (1-based) ends with the first pruning, of what the start left faint.
+    pub fn prunes_faint_at(&self, iteration: u32) -> bool {
+        self.settings.recovery && iteration == RECOVERY && self.settings.collects_statistics_at(iteration)
+    }
+
+    /// Whether an iteration (1-based) ends with a pruning of the faintest share: 300 after the first two resets.
+    pub fn prunes_ranks_at(&self, iteration: u32) -> bool {
+        self.settings.recovery && self.is_after_ranked_reset(iteration, RECOVERY)
+    }
+
+    /// Which of all densifications this one is, from 0.
+    fn densifications_before(&self, iteration: u32) -> u32 {
+        let s = self.settings;
+        let interval = s.densification_interval;
+        (iteration / interval).saturating_sub(s.scaled(s.densify_from_iter) / interval + 1)
+    }
+
+    /// The views from whose pool a densification draws the importance: where in the pool they begin, and how
+    /// many of `all`. All of them at the first densification after the faintest share was pruned.
+    pub fn views(&self, iteration: u32, all: usize) -> (u64, usize) {
+        let after_pruning = RECOVERY + self.settings.densification_interval;
+        let each = match self.settings.recovery && self.is_after_ranked_reset(iteration, after_pruning) {
+            true => all,
+            false => VIEWS.min(all),
+        };
+        (u64::from(self.densifications_before(iteration)) * VIEWS as u64, each)
+    }
+
+    fn is_after_ranked_reset(&self, iteration: u32, by: u32) -> bool {
+        let s = self.settings;
+        let Some(reset) = iteration.checked_sub(by).filter(|&reset| reset > 0) else { return false };
+        reset.is_multiple_of(s.opacity_reset_interval)
+            && reset / s.opacity_reset_interval <= RANKED_RESETS
+            && s.resets_opacity_at(reset)
+            && s.collects_statistics_at(iteration)
+    }
+}
+
+/// The quantile of some values by linear interpolation between ranks, as `torch.quantile` has it; 0 of none.
+pub fn quantile(values: &[f32], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let place = share * sorted.len().saturating_sub(1) as f64;
+    let (below, rest) = (place.floor() as usize, place.fract());
+    let at = |rank: usize| sorted.get(rank).or(sorted.last()).map_or(0.0, |&value| f64::from(value));
+    at(below) + rest * (at(below + 1) - at(below))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trainer::StrategyType;
+
+    fn settings(iterations: u32) -> TrainSettings {
+        TrainSettings { iterations, cap_max: 60_000, ..TrainSettings::of_strategy(StrategyType::Budget) }
+    }
+
+    fn all(iterations: u32, holds: impl Fn(&GrowthSchedule, u32) -> bool) -> Vec<u32> {
+        let settings = settings(iterations);
+        let schedule = GrowthSchedule::of(&settings, 1);
+        (1..=iterations).filter(|&i| holds(&schedule, i)).collect()
+    }
+
+    #[test]
+    fn schedule_of_the_paper() {
+        let settings = settings(30_000);
+        let schedule = GrowthSchedule::of(&settings, 1);
+        assert_eq!(
+            [100, 600, 14_400, 14_500, 14_900].map(|i| schedule.budget(i)),
+            [1, 5070, 59_785, 60_000, 60_000]
+        );
+        assert_eq!([19_999, 20_000, 23_999, 24_000].map(|i| schedule.group(i)), [1, 5, 5, 20]);
+        assert_eq!([14_800, 14_900].map(|i| schedule.min_opacity(i)), [0.005, 0.0]);
+        assert_eq!(all(30_000, |s, i| s.prunes_faint_at(i)), [300]);
+        assert_eq!(all(30_000, |s, i| s.prunes_ranks_at(i)), [3300, 6300]);
+        assert_eq!(all(30_000, |s, i| s.settings.densifies_at(i) && s.views(i, 99).1 == 99), [3400, 6400]);
+        assert_eq!([600, 700, 14_900].map(|i| schedule.views(i, 99).0), [0, 10, 1430]);
+        assert_eq!(schedule.views(600, 3).1, 3);
+    }
+
+    #[test]
+    fn schedule_of_short_runs() {
+        assert_eq!(all(2000, |s, i| s.prunes_ranks_at(i)), [0; 0]);
+        assert_eq!(all(7000, |s, i| s.prunes_ranks_at(i)), [3300]);
+        // At the end of every group, and none at the last iteration.
+        let late = all(2000, |s, i| s.steps_at(i) && i > 1320);
+        assert_eq!(
+            (&late[..14], late.last()),
+            (&[&(1321..=1332).collect::<Vec<_>>()[..], &[1335, 1340]].concat()[..], Some(&1980))
+        );
+        let short = settings(2000);
+        let schedule = GrowthSchedule::of(&short, 1);
+        assert_eq!([33, 967, 1000].map(|i| schedule.budget(i)), [1, 60_000, 60_000]);
+        for iterations in 1..20 {
+            let settings = settings(iterations);
+            let schedule = GrowthSchedule::of(&settings, 1);
+            (1..=iterations).for_each(|i| assert!(schedule.budget(i) >= 1 && schedule.group(i) >= 1));
+        }
+    }
+
+    #[test]
+    fn without_a_cap_it_follows_from_the_start() {
+        let cap = |iterations, start| {
+            let settings = TrainSettings { cap_max: 0, growth_curve: false, ..settings(iterations) };
+            GrowthSchedule::of(&settings, start).budget(1)
+        };
+        assert_eq!([cap(30_000, 100), cap(240_000, 100), cap(3750, 100)], [1000, 2000, 500]);
+        assert_eq!([cap(1, 100), cap(30_000, u32::MAX), cap(30_000, 0)], [100, u32::MAX, 0]);
+    }
+
+    #[test]
+    fn quantiles_lie_between_ranks() {
+        assert_eq!(quantile(&[3.0, 1.0, 2.0], 0.5), 2.0);
+        assert_eq!(quantile(&[4.0, 0.0], 0.25), 1.0);
+        assert_eq!([quantile(&[5.0], 0.2), quantile(&[], 0.2), quantile(&[1.0, 2.0], 1.0)], [5.0, 0.0, 2.0]);
+    }
+}

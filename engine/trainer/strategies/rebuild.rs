@@ -1,0 +1,80 @@
+//! What strategies that clone and split have in common: decisions per Gaussian, memory, and the new set from them.
+
+use crate::densify::{ClassifyInputs, Densify, DensifyBuffers, DensifySettings, OrderBuffers, RandomKey};
+use crate::error::Result;
+use crate::plan::LaunchSizes;
+use crate::trainer::population::{Growth, Population, or_none};
+use crate::trainer::work::Densified;
+use crate::vk::{Context, MemoryKind};
+
+/// Memory of a densification besides the planes.
+pub(super) struct DecisionMemory {
+    buffers: DensifyBuffers,
+    order: Option<OrderBuffers>,
+}
+
+impl DecisionMemory {
+    /// For a set that at most doubles. None without memory for it: the set then stays as it is.
+    pub fn allocate(population: &Population, before: u32) -> Result<Option<Self>> {
+        let sizes = LaunchSizes::new(population.context().limits());
+        // At most two rows per Gaussian: it stays and is cloned, or it is split into two.
+        let requests = DensifyBuffers::requests(&sizes, before, before.saturating_mul(2));
+        let buffers = or_none(population.context().allocate("densify", &requests, MemoryKind::Device))?;
+        Ok(buffers.map(|buffers| Self { buffers: DensifyBuffers::from_allocated(buffers), order: None }))
+    }
+}
+
+/// A densification by decisions.
+pub(super) struct Decisions<'a> {
+    pub kernels: &'a Densify,
+    pub memory: DecisionMemory,
+    pub settings: DensifySettings,
+}
+
+impl Decisions<'_> {
+    /// Decides what happens to each Gaussian.
+    pub fn classify(&self, population: &Population, inputs: ClassifyInputs) -> Result<Densified> {
+        let context = population.context();
+        context.run("densify: classify", |r| {
+            let scene = population.scene();
+            self.kernels.record_classify_by(r, scene, inputs, &self.memory.buffers, &self.settings);
+            Ok(())
+        })?;
+        let totals: Vec<u32> = bytemuck::pod_collect_to_vec(&context.download(&self.memory.buffers.totals)?);
+        let before = population.count();
+        Ok(Densified { before, kept: totals[0], cloned: totals[1], split: totals[2], limited: false })
+    }
+
+    /// Memory for a new set of up to `rows` rows, in its order along the curve. The room may fall short of them
+    /// ([`Population::capacity_with`]). None without memory for the order: the set then stays as it is.
+    pub fn make_room(&mut self, population: &mut Population, rows: u32) -> Result<Option<Growth>> {
+        // Allocated before the second set of planes. There is no fallback to another order: the bits would
+        // then depend on the free memory.
+        self.memory.order = order_buffers(population.context(), rows)?;
+        match self.memory.order {
+            Some(_) => Ok(Some(population.make_room(rows)?)),
+            None => Ok(None),
+        }
+    }
+
+    /// Replaces the set as decided, after [`Decisions::make_room`].
+    pub fn rebuild(&self, population: &mut Population, densified: Densified, growth: Growth) -> Result<()> {
+        let Some(order) = &self.memory.order else { unreachable!("room was made") };
+        let (rows, buffers) = (densified.rows(), &self.memory.buffers);
+        let key =
+            RandomKey { seed: population.settings().seed, iteration: population.iteration(), explicit: None };
+        let curve = population.curve();
+        population.rebuild(rows, growth, self.kernels, &key, |r, scene| {
+            self.kernels.record_scatter_sources(r, scene.count, rows, buffers);
+            r.barrier();
+            self.kernels.record_order(r, (scene, rows), buffers, order, &curve)
+        })
+    }
+}
+
+/// Buffers for sorting `rows` rows along the curve.
+fn order_buffers(context: &Context, rows: u32) -> Result<Option<OrderBuffers>> {
+    let requests = OrderBuffers::requests(&LaunchSizes::new(context.limits()), rows);
+    let buffers = or_none(context.allocate("densify", &requests, MemoryKind::Device))?;
+    Ok(buffers.map(OrderBuffers::from_allocated))
+}

@@ -1,0 +1,56 @@
+// The rendered picture under the exposure of its photograph: exposure.glsl. Nothing is clamped.
+//
+// invocation: one pixel, with STRIPS also of the rows that fill the last strip
+// in: rendered, exposures
+// out: exposed, laid out like `rendered`: with STRIPS three planes, 0 below the picture; otherwise (r, g, b, 0) per pixel
+// shared: none; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 2) const bool STRIPS = false;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Rendered { float rendered[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer Exposures { vec4 exposures[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer Exposed { float exposed[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint image_width;
+    uint image_height;
+    vec3 background;
+    uint view;
+};
+
+#include "constants.glsl"
+#include "dispatch.glsl"
+#include "strips.glsl"
+#include "exposure.glsl"
+
+void main() {
+    uint index = linear_invocation();
+    uint rows = STRIPS ? strips_of_image() * STRIP_ROWS : image_height;
+    if (index >= image_width * rows) {
+        return;
+    }
+    uvec2 at = uvec2(index % image_width, index / image_width);
+    vec3 color = vec3(0.0);
+    if (at.y < image_height) {
+        vec3 picture = rendered_color(index, at);
+        for (uint k = 0; k < 3; ++k) {
+            vec4 row = exposures[3 * view + k];
+            color += picture[k] * row.xyz;
+            color[k] += row.w;
+        }
+    }
+    if (STRIPS) {
+        for (uint plane = 0; plane < 3; ++plane) {
+            exposed[strip_value(plane, at)] = color[plane];
+        }
+    } else {
+        for (uint k = 0; k < 4; ++k) {
+            exposed[4 * index + k] = k < 3 ? color[k] : 0.0;
+        }
+    }
+}

@@ -1,0 +1,87 @@
+// Adam over the exposures of all photographs as one tensor: also those that the iteration does not see have their moments
+// decay, and move. Only the view's own has a gradient: the sum of the partials, or 0 where that is not finite.
+//
+// With CENTER, the mean over the photographs is then brought back to the identity: E <- E - mean(E) + [I | 0]. Otherwise the
+// scene could grow brighter while all exposures grow darker, and what is rendered without an exposure would drift.
+// If the frame overflowed, nothing changes.
+//
+// invocation: every WORKGROUP_SIZE-th photograph; one workgroup in all
+// in: partials[3 * TERM_PARTIALS], state
+// in/out: exposures, moments_1, moments_2: three rows per photograph
+// shared: three vec4 per subgroup; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(constant_id = 2) const bool CENTER = true;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Partials { vec4 partials[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
+layout(set = 0, binding = 2, scalar) buffer Exposures { vec4 exposures[]; };
+layout(set = 0, binding = 3, scalar) buffer Moments1 { vec4 moments_1[]; };
+layout(set = 0, binding = 4, scalar) buffer Moments2 { vec4 moments_2[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint photographs;
+    uint view;
+    float beta_1;
+    float beta_2;
+    // 1 - b, rounded once.
+    float one_minus_beta_1;
+    float one_minus_beta_2;
+    float epsilon;
+    // Already divided by 1 - b1^t.
+    float rate;
+    // 1 / sqrt(1 - b2^t).
+    float inverse_bias_2;
+};
+
+#include "exposure_sums.glsl"
+
+bool finite(vec4 g) {
+    uvec4 exponent = floatBitsToUint(g) & 0x7F800000u;
+    return all(notEqual(exponent, uvec4(0x7F800000u)));
+}
+
+void main() {
+    vec4 gradient[3] = vec4[3](vec4(0.0), vec4(0.0), vec4(0.0));
+    for (uint index = gl_LocalInvocationID.x; index < TERM_PARTIALS; index += WORKGROUP_SIZE) {
+        for (uint k = 0; k < 3; ++k) {
+            gradient[k] += partials[3 * index + k];
+        }
+    }
+    add_over_workgroup(gradient);
+    bool sound = finite(gradient[0]) && finite(gradient[1]) && finite(gradient[2]);
+    uint end = state[STATE_OVERFLOW] == 0 ? photographs : 0;
+    vec4 mean[3] = vec4[3](vec4(0.0), vec4(0.0), vec4(0.0));
+    for (uint photograph = gl_LocalInvocationID.x; photograph < end; photograph += WORKGROUP_SIZE) {
+        for (uint k = 0; k < 3; ++k) {
+            uint at = 3 * photograph + k;
+            vec4 g = photograph == view && sound ? gradient[k] : vec4(0.0);
+            vec4 m = beta_1 * moments_1[at] + one_minus_beta_1 * g;
+            vec4 v = beta_2 * moments_2[at] + one_minus_beta_2 * g * g;
+            moments_1[at] = m;
+            moments_2[at] = v;
+            vec4 e = exposures[at] - rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
+            exposures[at] = e;
+            // The distance from the identity: small numbers add up with small errors.
+            e[k] -= 1.0;
+            mean[k] += e;
+        }
+    }
+    if (CENTER) {
+        add_over_workgroup(mean);
+        for (uint photograph = gl_LocalInvocationID.x; photograph < end; photograph += WORKGROUP_SIZE) {
+            for (uint k = 0; k < 3; ++k) {
+                exposures[3 * photograph + k] -= mean[k] / float(photographs);
+            }
+        }
+    }
+}

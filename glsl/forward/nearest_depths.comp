@@ -1,0 +1,61 @@
+// The least depth of each Gaussian in the cameras that see it, for the size of Mip-Splatting's 3D filter (Yu et al. 2024,
+// section 5.1; its compute_3D_filter).
+//
+// invocation: one Gaussian of a chunk
+// in: cameras, four vec4 each: rows of (R | t), camera from world; least and largest x/z, least and largest y/z
+// in/out: parameters (PerGaussian planes): log_scale.w is the depth, or 0 if no camera sees the mean; farthest is the bits of
+//     the largest depth. Nothing changes if the frame overflowed.
+// shared: none; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+
+#include "constants.glsl"
+#include "buffers.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) buffer Parameters { vec4 parameters[]; };
+VEC4_READS(1, Cameras, cameras);
+UINT_READS(2, State, state);
+layout(set = 0, binding = 3, scalar) buffer Farthest { uint farthest[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint count;
+    uint cameras_count;
+};
+
+#include "dispatch.glsl"
+#include "planes.glsl"
+
+const float NONE = 3.4e38;
+
+void main() {
+    uint local = linear_invocation();
+    bool exists = local < count && UINT_AT(state, STATE_OVERFLOW) == 0;
+    uint index = exists ? local : 0;
+    vec4 mean = vec4(parameters[geometry_at(PLANE_MEAN_OPACITY, index)].xyz, 1.0);
+    float nearest = NONE;
+    for (uint camera = 0; camera < cameras_count; ++camera) {
+        vec3 position = vec3(dot(VEC4_AT(cameras, 4 * camera), mean), dot(VEC4_AT(cameras, 4 * camera + 1), mean),
+            dot(VEC4_AT(cameras, 4 * camera + 2), mean));
+        vec4 bounds = VEC4_AT(cameras, 4 * camera + 3);
+        vec2 slope = position.xy / position.z;
+        bool seen = position.z > NEAR_PLANE && slope.x >= bounds.x && slope.x <= bounds.y && slope.y >= bounds.z
+            && slope.y <= bounds.w;
+        nearest = seen ? min(nearest, position.z) : nearest;
+    }
+    nearest = exists && nearest < NONE ? nearest : 0.0;
+    // Positive floats have the order of their bits, and a maximum is the same in any order.
+    uint largest = subgroupMax(floatBitsToUint(nearest));
+    if (subgroupElect() && largest > 0) {
+        atomicMax(farthest[0], largest);
+    }
+    if (exists) {
+        parameters[geometry_at(PLANE_LOG_SCALE, index)].w = nearest;
+    }
+}

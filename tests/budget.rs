@@ -1,0 +1,321 @@
+//! Training with budgeted growth, and the parts of it that the reference's strategy can have.
+
+use ashsplat::densify::RESET_OPACITY;
+use ashsplat::trainer::{Checkpoint, ImportanceType, OptimizerType, SplitType, StrategyType, Trainer};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{Gaussians, TrainSettings};
+use ashsplat_files::CheckpointFile;
+
+use crate::checkpoints::{start, views};
+use crate::common::gpu::Gpu;
+use crate::common::options;
+
+const EXTENT: f32 = 5.0;
+const CAP: u32 = 260;
+
+/// Of 60 iterations as they are counted: densifies after 15, 20, … 35, resets opacities after 20 and 40.
+fn settings() -> TrainSettings {
+    TrainSettings {
+        iterations: 60,
+        sh_degree: 2,
+        sh_degree_interval: 12,
+        scale_schedule: false,
+        densify_from_iter: 10,
+        densification_interval: 5,
+        densify_until_iter: 38,
+        opacity_reset_interval: 20,
+        densify_grad_threshold: 1e-5,
+        cap_max: CAP,
+        seed: 6,
+        ..TrainSettings::of_strategy(StrategyType::Budget)
+    }
+}
+
+/// The last third, of 18 iterations, has steps of 5 and of 20 views: groups begin at 40 and at 48.
+fn in_groups() -> TrainSettings {
+    TrainSettings {
+        iterations: 60,
+        scale_schedule: true,
+        densify_from_iter: 5000,
+        densify_until_iter: 19_000,
+        ..settings()
+    }
+}
+
+fn trainer(context: &Context, settings: &TrainSettings) -> Trainer {
+    Trainer::new(context, views(4, 9), &start(), EXTENT, settings.clone()).expect("a trainer")
+}
+
+fn refused(settings: TrainSettings) -> String {
+    let gpu = Gpu::new();
+    let refused = Trainer::new(gpu.context, views(1, 9), &start(), EXTENT, settings);
+    let message = refused.err().expect("refused").to_string();
+    assert_eq!(message.lines().count(), 1, "{message}");
+    message
+}
+
+#[test]
+fn budget_splits_up_to_its_curve() {
+    let gpu = Gpu::new();
+    for importance in [ImportanceType::Edges, ImportanceType::Statistic, ImportanceType::None] {
+        let settings = TrainSettings { importance, ..settings() };
+        let mut trainer = trainer(gpu.context, &settings);
+        let (mut reports, mut split) = (vec![], 0);
+        for iteration in 1..=60 {
+            let report = trainer.step().expect("a step");
+            assert!(report.loss.is_finite() && report.skipped_non_finite == 0, "{iteration}");
+            if let Some(densified) = report.densified {
+                assert_eq!(densified.cloned, 0);
+                assert_eq!(densified.rows(), report.gaussians);
+                assert!(!densified.limited, "{iteration}");
+                split += densified.split;
+                reports.push((iteration - 1, densified));
+            }
+        }
+        let after: Vec<u32> = reports.iter().map(|(iteration, _)| *iteration).collect();
+        assert_eq!(after, [15, 20, 25, 30, 35]);
+        for (iteration, densified) in reports {
+            let schedule = ashsplat::trainer::GrowthSchedule::of(&settings, start().len() as u32);
+            let budget = schedule.budget(iteration).max(densified.before);
+            assert!(densified.rows() <= budget, "{iteration}: {densified:?}, {budget}");
+        }
+        assert!(split > 30, "{split} splits");
+    }
+}
+
+/// What a run of other parts ends with differs: each switch does something.
+#[test]
+fn budget_has_a_switch_for_each_part() {
+    let gpu = Gpu::new();
+    let end = |settings: TrainSettings| {
+        let mut trainer = trainer(gpu.context, &settings);
+        (0..60).for_each(|_| drop(trainer.step().expect("a step")));
+        trainer.gaussians().expect("Gaussians")
+    };
+    type Change = fn(&mut TrainSettings);
+    // By the statistic, which all parts have an effect on.
+    let by_statistic = || TrainSettings { importance: ImportanceType::Statistic, ..in_groups() };
+    let whole = end(by_statistic());
+    let changes: [Change; 9] = [
+        |s| s.absgrad = false,
+        |s| s.scale_rates = false,
+        |s| s.cap_max = 0,
+        |s| s.split = SplitType::Sample,
+        |s| s.importance = ImportanceType::Edges,
+        |s| s.importance = ImportanceType::None,
+        |s| s.growth_curve = false,
+        |s| s.recovery = false,
+        |s| s.multi_step = false,
+    ];
+    for (number, change) in changes.into_iter().enumerate() {
+        let mut settings = by_statistic();
+        change(&mut settings);
+        assert!(end(settings) != whole, "change {number} changes nothing");
+    }
+}
+
+#[test]
+fn budget_resumes_to_the_bit() {
+    let gpu = Gpu::new();
+    let run = |settings: &TrainSettings, stops: &[u32]| -> Checkpoint {
+        let mut trainer = trainer(gpu.context, settings);
+        for iteration in 1..=60 {
+            trainer.step().expect("a step");
+            if stops.contains(&iteration) {
+                let checkpoint = trainer.checkpoint().expect("a checkpoint");
+                let folder = tempfile::tempdir().expect("a temporary folder");
+                let path = folder.path().join("c.safetensors");
+                checkpoint.write(&path).expect("written");
+                let read = Checkpoint::read(&path).expect("read");
+                assert!(read == checkpoint, "the file of {iteration}");
+                let resumed = Trainer::resume(gpu.context, views(4, 9), EXTENT, settings.clone(), &read);
+                trainer = resumed.expect("resumed");
+            }
+        }
+        trainer.checkpoint().expect("the end")
+    };
+    let plain = settings();
+    let whole = run(&plain, &[]);
+    // Around densifications, between a reset and the next densification.
+    for stops in [[7, 15], [20, 23], [34, 35]] {
+        assert!(run(&plain, &stops) == whole, "interrupted after {stops:?}: other bits");
+    }
+    // Within sums: 40 and 45 make steps, 48 begins groups of 20.
+    let grouped = in_groups();
+    let whole = run(&grouped, &[]);
+    assert!(whole.gradient_sums.is_some(), "the last iteration makes no step");
+    for stops in [[41, 44], [45, 52], [59, 47]] {
+        assert!(run(&grouped, &stops) == whole, "interrupted after {stops:?}: other bits");
+    }
+}
+
+/// A step after several views is one of the optimiser with the sum of their gradients; between, nothing moves.
+#[test]
+fn budget_makes_one_step_of_several_views() {
+    let gpu = Gpu::new();
+    let mut trainer = trainer(gpu.context, &in_groups());
+    let mut moved = vec![];
+    let mut before = trainer.gaussians().expect("Gaussians");
+    for iteration in 1..=60 {
+        trainer.step().expect("a step");
+        let after = trainer.gaussians().expect("Gaussians");
+        if after != before {
+            moved.push(iteration);
+        }
+        before = after;
+    }
+    let expected: Vec<u32> = (1..=39).chain([40, 45]).collect();
+    assert_eq!(moved, expected);
+    let steps = trainer.checkpoint().expect("a checkpoint").optimizer_steps;
+    assert_eq!(steps, 41);
+}
+
+/// Resets are milder with `recovery`, and what is faint after them is pruned.
+#[test]
+fn budget_prunes_what_does_not_recover() {
+    let gpu = Gpu::new();
+    let settings = |recovery: bool| TrainSettings {
+        iterations: 1000,
+        densify_from_iter: 900,
+        densify_until_iter: 990,
+        densification_interval: 950,
+        opacity_reset_interval: 130,
+        recovery,
+        ..settings()
+    };
+    let most = |g: &Gaussians| g.opacity_logits.iter().copied().fold(f32::MIN, f32::max);
+    for (recovery, opacity) in [(true, 0.05), (false, RESET_OPACITY)] {
+        let mut trainer = trainer(gpu.context, &settings(recovery));
+        let mut counts = vec![];
+        for iteration in 1..=562 {
+            if iteration == 131 {
+                let checkpoint = trainer.checkpoint().expect("a checkpoint");
+                assert!(checkpoint.due == ashsplat::trainer::Actions::RESET_OPACITY);
+            }
+            let report = trainer.step().expect("a step");
+            if iteration == 131 {
+                let now = most(&trainer.gaussians().expect("Gaussians"));
+                let reset = (opacity / (1.0 - opacity)).ln() as f32;
+                assert!((now - reset).abs() < 0.2, "{now}, {reset}");
+            }
+            if let Some(densified) = report.densified {
+                assert_eq!((densified.cloned, densified.split), (0, 0));
+                counts.push((iteration - 1, densified.before, densified.kept));
+            }
+        }
+        if !recovery {
+            assert_eq!(counts, []);
+            continue;
+        }
+        // 300 after the start, then a fifth each time 300 after the first two resets.
+        let after: Vec<u32> = counts.iter().map(|count| count.0).collect();
+        assert_eq!(after, [300, 430, 560]);
+        // Fewer where many are as faint as each other: those that no view has seen since the reset.
+        for &(_, before, kept) in &counts[1..] {
+            assert!(kept < before && before - kept <= before / 5 + 1, "{counts:?}");
+        }
+    }
+}
+
+/// With too little memory it grows as far as it can, goes on, and still has the same bits each time.
+#[test]
+fn budget_grows_as_far_as_the_memory_allows() {
+    let many = crate::common::engine::gaussians(&crate::common::scenes::small_scene(
+        &mut crate::common::scenes::Random::new(31),
+        3000,
+        9,
+    ));
+    let settings = TrainSettings {
+        cap_max: 1_000_000,
+        growth_curve: false,
+        densify_grad_threshold: 1e-9,
+        min_opacity: 0.0,
+        recovery: false,
+        densification_interval: 2,
+        iterations: 24,
+        ..settings()
+    };
+    let run = |max_memory: Option<u64>| {
+        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let mut trainer =
+            Trainer::new(&context, views(5, 40), &many, EXTENT, settings.clone()).expect("a trainer");
+        let limited =
+            (0..24).filter(|_| trainer.step().expect("a step").densified.is_some_and(|d| d.limited));
+        let limited = limited.count();
+        (limited, trainer.checkpoint().expect("the end"), context.memory_total().peak_bytes)
+    };
+    let (none, free, peak) = run(None);
+    assert_eq!(none, 0);
+    let some = Some(peak * 3 / 4);
+    let ((limited, bounded, used), (_, again, _)) = (run(some), run(some));
+    assert!(limited > 0 && bounded == again && used <= peak * 3 / 4);
+    assert!((3000..free.gaussians.len()).contains(&bounded.gaussians.len()));
+}
+
+#[test]
+fn budget_refuses_what_contradicts_itself() {
+    let mcmc = TrainSettings { cap_max: 0, ..TrainSettings::of_strategy(StrategyType::Mcmc) };
+    assert!(refused(mcmc).contains("cap_max"));
+    let message = refused(TrainSettings { cap_max: 149, ..settings() });
+    assert!(message.contains("cap_max") && message.contains("149") && message.contains("150"), "{message}");
+    let sparse = OptimizerType::SparseAdam;
+    let message = refused(TrainSettings { optimizer_type: sparse, ..settings() });
+    assert!(message.contains("multi_step") && message.contains("sparse_adam"), "{message}");
+    // Parts that other strategies do not have.
+    let usual = TrainSettings::default();
+    for (name, strategy) in [
+        ("recovery", StrategyType::Reference),
+        ("recovery", StrategyType::Mcmc),
+        ("recovery", StrategyType::Fixed),
+    ] {
+        let message = refused(TrainSettings { recovery: true, strategy, ..usual.clone() });
+        assert!(message.contains(name) && message.contains("budget"), "{message}");
+    }
+    let message =
+        refused(TrainSettings { split: SplitType::LongAxis, strategy: StrategyType::Mcmc, ..usual });
+    assert!(message.contains("split") && message.contains("long-axis"), "{message}");
+}
+
+/// Both parts in the reference's strategy: other Gaussians, as reproducible, and back to the bit in between.
+#[test]
+fn the_reference_strategy_takes_other_statistics_and_splits() {
+    let gpu = Gpu::new();
+    let run = |absgrad: bool, split: SplitType, stop: Option<u32>| {
+        let settings = TrainSettings { absgrad, split, ..crate::checkpoints::settings() };
+        let mut trainer = trainer(gpu.context, &settings);
+        for iteration in 1..=40 {
+            trainer.step().expect("a step");
+            if stop == Some(iteration) {
+                let from = trainer.checkpoint().expect("a checkpoint");
+                trainer = Trainer::resume(gpu.context, views(4, 9), EXTENT, settings.clone(), &from)
+                    .expect("resumed");
+            }
+        }
+        trainer.checkpoint().expect("the end")
+    };
+    let usual = run(false, SplitType::Sample, None);
+    for (absgrad, split) in
+        [(true, SplitType::Sample), (false, SplitType::LongAxis), (true, SplitType::LongAxis)]
+    {
+        let whole = run(absgrad, split, None);
+        assert!(whole.gaussians != usual.gaussians, "{absgrad} {split:?}");
+        assert!(run(absgrad, split, Some(22)) == whole, "{absgrad} {split:?}: other bits");
+    }
+}
+
+/// Earlier versions called the reference's strategy `default`.
+#[test]
+fn checkpoints_of_the_strategy_default_go_on() {
+    let gpu = Gpu::new();
+    let settings = crate::checkpoints::settings();
+    let mut first = trainer(gpu.context, &settings);
+    (0..12).for_each(|_| drop(first.step().expect("a step")));
+    let mut from = first.checkpoint().expect("a checkpoint");
+    from.strategy.name = "default".into();
+    let mut second = Trainer::resume(gpu.context, views(4, 9), EXTENT, settings, &from).expect("resumed");
+    (0..8).for_each(|_| {
+        first.step().expect("a step");
+        second.step().expect("a step");
+    });
+    assert!(first.checkpoint().expect("a state") == second.checkpoint().expect("a state"));
+}

@@ -1,0 +1,181 @@
+//! Training that learns the exposures of its photographs.
+
+use ashsplat::scene::Exposure;
+use ashsplat::trainer::{Checkpoint, OptimizerType, Trainer};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{Camera, Gaussians, TrainSettings, TrainView};
+use ashsplat_files::{CheckpointFile, Photo, metrics};
+
+use crate::checkpoints::{settings as small_settings, start, views};
+use crate::common::engine::{camera, gaussians};
+use crate::common::gpu::Gpu;
+use crate::common::options;
+use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
+use crate::reference::types::View;
+
+const EXTENT: f32 = 5.0;
+const VIEWS: usize = 10;
+/// View, and the known gains of its channels. Their mean is 1, as that of all exposures stays.
+const CHANGED: [(usize, [f32; 3]); 3] =
+    [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
+
+fn cameras() -> Vec<Camera> {
+    let turned = |i: usize| View {
+        camera_from_world: rotation_about_y(0.11 * i as f64 - 0.5),
+        sh_degree: 0,
+        background: [0.0; 3],
+        ..small_view([64, 48])
+    };
+    (0..VIEWS).map(|i| camera(&turned(i))).collect()
+}
+
+/// What the photographs show, in colours that no gain makes white.
+fn truth() -> Gaussians {
+    let mut scene = small_scene(&mut Random::new(5), 260, 1);
+    for gaussian in &mut scene {
+        gaussian.opacity_logit = 3.0;
+        gaussian.sh[0] = gaussian.sh[0].map(|x| 0.9 * x);
+    }
+    gaussians(&scene)
+}
+
+/// The same scene, gray and faint.
+fn gray() -> Gaussians {
+    let mut gaussians = truth();
+    gaussians.sh.iter_mut().for_each(|c| *c = [0.0; 3]);
+    gaussians.opacity_logits.fill(1.0);
+    gaussians
+}
+
+fn photographs(gpu: &Gpu) -> Vec<Photo> {
+    let settings = settings(false);
+    let mut trainer =
+        Trainer::new(gpu.context, views(1, 9), &truth(), EXTENT, settings).expect("a renderer of the truth");
+    let render = trainer.render_settings();
+    cameras()
+        .iter()
+        .map(|camera| {
+            let frame = trainer.render(camera, &render).expect("a frame");
+            Photo::from_f32(frame.width, frame.height, &frame.color).expect("a photograph")
+        })
+        .collect()
+}
+
+fn settings(exposure: bool) -> TrainSettings {
+    TrainSettings {
+        iterations: 600,
+        sh_degree: 0,
+        feature_lr: 0.02,
+        opacity_lr: 0.05,
+        position_lr_init: 1e-5,
+        densify_until_iter: 0,
+        opacity_reset_interval: 100_000,
+        exposure,
+        seed: 2,
+        ..TrainSettings::default()
+    }
+}
+
+/// The mean PSNR over the views against the unchanged photographs, and the exposures.
+fn train(gpu: &Gpu, taken: &[Photo], shown: &[Photo], exposure: bool) -> (f64, Vec<Exposure>) {
+    let views = cameras().into_iter().zip(taken).map(|(camera, photo)| TrainView::new(camera, photo.clone()));
+    let mut trainer =
+        Trainer::new(gpu.context, views.collect(), &gray(), EXTENT, settings(exposure)).expect("a trainer");
+    let steps = trainer.settings().iterations;
+    (0..steps).for_each(|_| assert!(trainer.step().expect("a step").loss.is_finite()));
+    let render = trainer.render_settings();
+    let quality = cameras().into_iter().zip(shown).map(|(camera, photo)| {
+        let frame = trainer.render(&camera, &render).expect("a frame");
+        metrics::psnr(&frame.color, &photo.to_f32()).expect("a number")
+    });
+    let quality = quality.sum::<f64>() / VIEWS as f64;
+    (quality, trainer.exposures().expect("exposures"))
+}
+
+/// Three photographs under known gains: what is learnt of them are these gains, and the scene is as good as that of
+/// unchanged photographs. The exposures of the others are the measure: the mean of all is the identity.
+#[test]
+fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
+    let gpu = Gpu::new();
+    let shown = photographs(&gpu);
+    let mut taken = shown.clone();
+    for (view, gains) in CHANGED {
+        let pixels = shown[view].to_f32().into_iter().map(|c| [0, 1, 2].map(|k| c[k] * gains[k]));
+        taken[view] = Photo::from_f32(64, 48, &pixels.collect::<Vec<_>>()).expect("a photograph");
+    }
+    let (unchanged, none) = train(&gpu, &shown, &shown, false);
+    assert!(none.is_empty());
+    let (ignored, _) = train(&gpu, &taken, &shown, false);
+    let (learnt, exposures) = train(&gpu, &taken, &shown, true);
+    let mut worst: f32 = 0.0;
+    for (view, gains) in CHANGED {
+        for k in 0..3 {
+            worst = worst.max((exposures[view].rows[k][k] / gains[k] - 1.0).abs());
+        }
+    }
+    println!(
+        "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4}"
+    );
+    assert!(worst < 0.02, "a gain is off by {worst}");
+    assert!(learnt > unchanged - 0.3 && ignored < unchanged - 3.0, "{learnt}, {ignored}: {unchanged}");
+    let mut mean = [[0.0_f64; 4]; 3];
+    for exposure in &exposures {
+        let sums = mean.as_flattened_mut().iter_mut().zip(exposure.rows.as_flattened());
+        sums.for_each(|(sum, x)| *sum += f64::from(*x) / VIEWS as f64);
+    }
+    for (mean, identity) in mean.as_flattened().iter().zip(Exposure::IDENTITY.rows.as_flattened()) {
+        assert!((mean - f64::from(*identity)).abs() < 1e-5, "the mean exposure drifts: {mean}");
+    }
+}
+
+#[test]
+fn exposures_resume_to_the_bit() {
+    let gpu = Gpu::new();
+    for optimizer_type in [OptimizerType::Default, OptimizerType::SparseAdam] {
+        let settings = TrainSettings { exposure: true, optimizer_type, ..small_settings() };
+        let new = || {
+            Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, settings.clone()).expect("a trainer")
+        };
+        let mut whole = new();
+        (0..40).for_each(|_| drop(whole.step().expect("a step")));
+        let end = whole.checkpoint().expect("the end");
+        assert_eq!(end.exposures.values.len(), 3);
+        assert!(end.exposures.values.iter().all(|rows| *rows != Exposure::IDENTITY.rows));
+        for stop in [1, 15, 27] {
+            let mut trainer = new();
+            (0..stop).for_each(|_| drop(trainer.step().expect("a step")));
+            let folder = tempfile::tempdir().expect("a temporary folder");
+            let path = folder.path().join("a.safetensors");
+            trainer.checkpoint().expect("a checkpoint").write(&path).expect("written");
+            let read = Checkpoint::read(&path).expect("read back");
+            let resumed = Trainer::resume(gpu.context, views(3, 40), EXTENT, settings.clone(), &read);
+            let mut trainer = resumed.expect("resumed");
+            (stop..40).for_each(|_| drop(trainer.step().expect("a step")));
+            assert!(trainer.checkpoint().expect("the end") == end, "interrupted after {stop}: other bits");
+        }
+        let mut lacks = end.clone();
+        lacks.iteration -= 1;
+        lacks.exposures.first_moments.pop();
+        let refused = Trainer::resume(gpu.context, views(3, 40), EXTENT, settings.clone(), &lacks);
+        let message = refused.err().expect("refused").to_string();
+        assert!(message.contains("exposures") && message.contains('3'), "{message}");
+    }
+}
+
+/// What exposures take is known before training, and counted.
+#[test]
+fn exposures_are_within_the_memory() {
+    let peak = |exposure: bool, max_memory: Option<u64>| -> ashsplat::Result<u64> {
+        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let settings = TrainSettings { exposure, iterations: 3, ..small_settings() };
+        let mut trainer = Trainer::new(&context, views(3, 40), &start(), EXTENT, settings)?;
+        (0..3).try_for_each(|_| trainer.step().map(drop))?;
+        Ok(context.memory_total().peak_bytes)
+    };
+    let (without, with) = (peak(false, None).expect("trained"), peak(true, None).expect("trained"));
+    assert!(with > without);
+    // Just enough, and much too little.
+    assert!(peak(true, Some(with)).expect("trained") <= with);
+    let refused = peak(true, Some(50_000)).expect_err("too little").to_string();
+    assert!(refused.contains("bytes"), "{refused}");
+}

@@ -1,0 +1,144 @@
+//! Mip-Splatting's filters in training, in files and in pictures.
+
+use ashsplat::trainer::{Checkpoint, Trainer};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{Camera, RenderSettings, Renderer, TrainSettings};
+use ashsplat_files::ply;
+use tempfile::tempdir;
+
+use crate::checkpoints::{start, views};
+use crate::common::gpu::Gpu;
+use crate::common::options;
+
+const EXTENT: f32 = 5.0;
+
+/// Densifies after 15, 20, ... 35, resets opacities after 20, computes sizes anew after 100 and 200.
+fn settings() -> TrainSettings {
+    TrainSettings {
+        iterations: 320,
+        antialiasing: true,
+        kernel_size: 0.1,
+        filter_3d: true,
+        densification_interval: 5,
+        ..crate::checkpoints::settings()
+    }
+}
+
+fn cameras() -> Vec<Camera> {
+    views(3, 9).iter().map(|view| view.camera).collect()
+}
+
+/// The sizes that a renderer gives what is trained.
+fn fresh(gpu: &Gpu, trainer: &Trainer) -> Vec<f32> {
+    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
+    renderer.upload(&trainer.gaussians().expect("Gaussians")).expect("uploaded");
+    renderer.compute_filters(&cameras()).expect("sizes");
+    renderer.filters().expect("sizes")
+}
+
+#[test]
+fn filters_follow_the_gaussians_when_they_are_due() {
+    let gpu = Gpu::new();
+    let mut trainer =
+        Trainer::new(gpu.context, views(3, 9), &start(), EXTENT, settings()).expect("a trainer");
+    assert!(trainer.filters().expect("sizes") == fresh(&gpu, &trainer), "at the start");
+    assert!(trainer.filters().expect("sizes").iter().all(|&size| size > 0.0));
+    let mut computed = Vec::new();
+    for iteration in 1..=320 {
+        let before = trainer.filters().expect("sizes");
+        trainer.step().expect("a step");
+        let after = trainer.filters().expect("sizes");
+        if after != before {
+            computed.push(iteration);
+        }
+        if iteration >= 100 && after != before {
+            assert!(after == fresh(&gpu, &trainer), "{iteration}");
+        }
+    }
+    // The step after a densification does what is due before it begins.
+    assert_eq!(computed, [16, 21, 26, 31, 36, 100, 200]);
+}
+
+#[test]
+fn filters_resume_to_the_bit() {
+    let gpu = Gpu::new();
+    let run = |stops: &[u32]| -> Checkpoint {
+        let mut trainer =
+            Trainer::new(gpu.context, views(3, 9), &start(), EXTENT, settings()).expect("a trainer");
+        for iteration in 1..=220 {
+            trainer.step().expect("a step");
+            if stops.contains(&iteration) {
+                let checkpoint = trainer.checkpoint().expect("a checkpoint");
+                let resumed = Trainer::resume(gpu.context, views(3, 9), EXTENT, settings(), &checkpoint);
+                trainer = resumed.expect("resumed");
+            }
+        }
+        trainer.checkpoint().expect("the end")
+    };
+    let whole = run(&[]);
+    assert_eq!(whole.filters.len(), whole.gaussians.len());
+    for stops in [[7, 20], [99, 150], [100, 201]] {
+        assert!(run(&stops) == whole, "interrupted after {stops:?}: other bits");
+    }
+}
+
+#[test]
+fn filters_are_within_the_memory() {
+    let run = |max_memory: Option<u64>| {
+        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let mut trainer =
+            Trainer::new(&context, views(3, 9), &start(), EXTENT, settings()).expect("a trainer");
+        (0..40).for_each(|_| drop(trainer.step().expect("a step")));
+        (trainer.checkpoint().expect("a state"), context.memory_total().peak_bytes)
+    };
+    let (_, peak) = run(None);
+    let (first, used) = run(Some(peak * 3 / 4));
+    assert!(used <= peak * 3 / 4 && first == run(Some(peak * 3 / 4)).0);
+}
+
+/// A file keeps the sizes; who reads it has what the filter makes of the Gaussians.
+#[test]
+fn filters_are_baked_when_they_are_read() {
+    let gpu = Gpu::new();
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("a.ply");
+    let mut gaussians = start();
+    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
+    renderer.upload(&gaussians).expect("uploaded");
+    let (camera, plain) = (cameras()[0], RenderSettings { antialias: true, ..RenderSettings::default() });
+    let before = renderer.render(&camera, &plain).expect("a frame").color;
+    renderer.compute_filters(&cameras()).expect("sizes");
+    let sizes = renderer.filters().expect("sizes");
+    assert!(renderer.render(&camera, &plain).expect("a frame").color == before, "not asked for");
+    let settings = RenderSettings { filter_3d: true, ..plain };
+    let filtered = renderer.render(&camera, &settings).expect("a frame").color;
+    assert!(filtered != before);
+    ply::write_filtered(&path, &gaussians, &sizes, true).expect("written");
+    let text = String::from_utf8_lossy(&std::fs::read(&path).expect("a file")[..2000]).into_owned();
+    assert!(text.contains("property float filter_3D\nend_header") && text.contains("comment antialiased"));
+    let read = ply::read(&path, &ply::PlyOptions::default()).expect("a scene").gaussians;
+    gaussians.bake_filters(&sizes).expect("one each");
+    assert!(read == gaussians);
+    renderer.upload(&read).expect("uploaded");
+    let baked = renderer.render(&camera, &plain).expect("a frame").color;
+    let far = |(a, b): (&[f32; 3], &[f32; 3])| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
+    assert!(baked.iter().zip(&filtered).map(far).fold(0.0, f32::max) < 1e-4);
+}
+
+#[test]
+fn filters_need_cameras_and_one_size_each() {
+    let gpu = Gpu::new();
+    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
+    assert!(renderer.compute_filters(&cameras()).is_err(), "no scene");
+    renderer.upload(&start()).expect("uploaded");
+    let message = renderer.compute_filters(&[]).expect_err("no cameras").to_string();
+    assert!(message.contains("cameras"), "{message}");
+    let path = tempdir().expect("a temporary folder").path().join("a.ply");
+    assert!(ply::write_filtered(path, &start(), &[1.0], false).is_err());
+    for dilation_px2 in [0.0, -1.0, f32::NAN] {
+        let settings = RenderSettings { dilation_px2, ..RenderSettings::default() };
+        assert!(renderer.render(&cameras()[0], &settings).is_err(), "{dilation_px2}");
+    }
+    let settings = TrainSettings { kernel_size: 0.0, ..settings() };
+    assert!(settings.check().expect_err("refused").to_string().starts_with("kernel_size"));
+}

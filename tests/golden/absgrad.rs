@@ -1,0 +1,165 @@
+//! The statistics of signed and of absolute gradients of 2D means: twins and device against the vectors.
+
+use std::path::Path;
+
+use ashsplat::backward::Statistics;
+use ashsplat::pixels::PixelBorder;
+
+use super::rendering::{DOUBLE, SINGLE};
+use super::sets::gaussians;
+use super::stages::{Stages, field, views};
+use crate::common::compare::{GradientTolerance, elementwise, equal, gradient};
+use crate::common::gpu::Gpu;
+use crate::common::npz::Npz;
+use crate::reference::blend_backward::PixelGradient;
+use crate::reference::pipeline::{backward, render};
+use crate::reference::project_backward::mean2d_statistic;
+use crate::reference::types::{Extent, Gaussian, View};
+
+const EXTENTS: [Extent; 2] = [Extent::Exact, Extent::Reference];
+
+/// Per Gaussian: norms of the signed and of the absolute gradients, and whether it was visible.
+type Norms = Vec<(f64, f64, bool)>;
+
+/// Compares with a tolerance in parts of the largest value.
+fn relative(name: &str, actual: &[f64], expected: &[f64], part: f64) -> Result<(), String> {
+    let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+    elementwise(name, actual, expected, part * largest, 0.0).map(|_| ())
+}
+
+/// dL/dpixel of each view.
+fn image_gradients(npz: &Npz, views: &[View]) -> Vec<Vec<[f64; 3]>> {
+    let all = npz.rows::<3>("G");
+    all.chunks(all.len() / views.len()).map(<[_]>::to_vec).collect()
+}
+
+/// What a set says of each view, and of all of them.
+fn check(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64) -> Result<(), String> {
+    let of = |name: &str| npz.values(&field(extent, name));
+    let signed: Vec<f64> = views.iter().flatten().map(|norms| norms.0).collect();
+    let absolute: Vec<f64> = views.iter().flatten().map(|norms| norms.1).collect();
+    relative("signed norm", &signed, of("signed_norm"), part)?;
+    relative("absolute norm", &absolute, of("abs_norm"), part)?;
+    let visible: Vec<bool> = views.iter().flatten().map(|norms| norms.2).collect();
+    let expected = npz.flags(&field(extent, "visible"));
+    match extent {
+        Extent::Reference => equal("visible", &visible, &expected)?,
+        // By tiles more may be visible.
+        Extent::Exact if visible.iter().zip(&expected).any(|(own, expected)| *expected && !own) => {
+            return Err("visible: some are missing".into());
+        }
+        Extent::Exact => {}
+    }
+    let sum = |of: fn(&(f64, f64, bool)) -> f64| -> Vec<f64> {
+        (0..set.len()).map(|i| views.iter().map(|norms| of(&norms[i])).sum()).collect()
+    };
+    let (signed, absolute) = (sum(|norms| norms.0), sum(|norms| norms.1));
+    relative("sum of signed norms", &signed, of("acc_signed"), part)?;
+    relative("sum of absolute norms", &absolute, of("acc_abs"), part)?;
+    if extent == Extent::Reference {
+        let seen = sum(|norms| f64::from(u8::from(norms.2)));
+        equal("views", &seen, of("acc_views"))?;
+        decisions(npz, set, [&signed, &absolute, &seen])?;
+    }
+    Ok(())
+}
+
+/// Clone and split by the means over views: AbsGS's rule, and absolute ones for both.
+fn decisions(npz: &Npz, set: &[Gaussian], [signed, absolute, views]: [&[f64]; 3]) -> Result<(), String> {
+    let most = npz.scalar("percent_dense") * npz.scalar("extent");
+    let decide = |sum: &[f64], threshold: &str, large: bool| -> Vec<f64> {
+        let of = |(i, g): (usize, &Gaussian)| {
+            let grows = views[i] > 0.0 && sum[i] / views[i] >= npz.scalar(threshold);
+            let scale = g.log_scale.iter().fold(0.0, |most: f64, s| most.max(s.exp()));
+            f64::from(u8::from(grows && (scale > most) == large))
+        };
+        set.iter().enumerate().map(of).collect()
+    };
+    equal("clone", &decide(signed, "thr_signed", false), npz.values("clone"))?;
+    equal("split", &decide(absolute, "thr_abs", true), npz.values("split"))?;
+    equal("only_clone", &decide(absolute, "thr_abs_only", false), npz.values("only_clone"))?;
+    equal("only_split", &decide(absolute, "thr_abs_only", true), npz.values("only_split"))
+}
+
+pub fn of_twin(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let set = gaussians(&npz, "");
+    for extent in EXTENTS {
+        let views = views(&npz, extent);
+        let (mut signed, mut absolute, mut all) = (vec![], vec![], vec![]);
+        for (view, colors) in views.iter().zip(image_gradients(&npz, &views)) {
+            let frame = render(&set, view);
+            let d = colors.into_iter().map(|color| PixelGradient { color, inverse_depth: 0.0 });
+            let splats = backward(&set, view, &frame, &d.collect::<Vec<_>>()).splats;
+            signed.extend(splats.iter().flat_map(|d| d.mean2d_px));
+            absolute.extend(splats.iter().flat_map(|d| d.absolute_px));
+            let norm = |px| mean2d_statistic(view, px);
+            let visible = frame.tiles_touched.iter().map(|&tiles| tiles > 0);
+            let norms =
+                splats.iter().zip(visible).map(|(d, seen)| (norm(d.mean2d_px), norm(d.absolute_px), seen));
+            all.push(norms.collect());
+        }
+        let skip = vec![false; set.len() * views.len()];
+        let close = |name: &str, actual: &[f64], tolerance: GradientTolerance| {
+            gradient(name, actual, npz.values(&field(extent, name)), &skip, tolerance).map(|_| ())
+        };
+        close("xy_signed_pix", &signed, DOUBLE.gradient)?;
+        close("xy_abs_pix", &absolute, DOUBLE.gradient)?;
+        check(&npz, &set, extent, &all, 1e-6)?;
+    }
+    Ok(())
+}
+
+pub fn of_device(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let gpu = Gpu::new();
+    let set = gaussians(&npz, "");
+    let border = PixelBorder::new(gpu.context).expect("kernels");
+    for extent in EXTENTS {
+        let views = views(&npz, extent);
+        let stages = Stages::new(&gpu, &set, &views);
+        // Of one view after the other, and of all.
+        let sums = gpu.zeros::<[f32; 2]>("statistics", set.len());
+        let absolute_sums = gpu.zeros::<f32>("absolute_statistics", set.len());
+        let mut all: Vec<Norms> = Vec::new();
+        for (view, colors) in views.iter().zip(image_gradients(&npz, &views)) {
+            let rows: Vec<[f32; 4]> = colors
+                .iter()
+                .map(|color| {
+                    let [r, g, b] = color.map(|x| x as f32);
+                    [r, g, b, 0.0]
+                })
+                .collect();
+            let rows = gpu.buffer("rows", &rows);
+            let [width, height] = view.size_px;
+            let native = gpu.zeros::<u8>("native", PixelBorder::gradient_bytes(width, height) as usize);
+            let own = gpu.zeros::<[f32; 2]>("statistics", set.len());
+            let own_absolute = gpu.zeros::<f32>("absolute_statistics", set.len());
+            for (buffer, absolute) in [(&own, &own_absolute), (&sums, &absolute_sums)] {
+                stages.run(view, |r, inputs, backward| {
+                    border.record_gradient(r, inputs, &rows, &native, false);
+                    r.barrier();
+                    let statistics = Statistics { buffer, accumulate: true, absolute: Some(absolute) };
+                    backward.record(r, inputs, &native, statistics);
+                });
+            }
+            let own = gpu.read::<[f32; 2]>(&own, set.len());
+            let own_absolute = gpu.read::<f32>(&own_absolute, set.len());
+            let norms = own.iter().zip(own_absolute);
+            all.push(norms.map(|(&[signed, seen], a)| (signed.into(), a.into(), seen == 1.0)).collect());
+        }
+        let part = SINGLE.gradient.relative_l2;
+        check(&npz, &set, extent, &all, part)?;
+        let sums = gpu.read::<[f32; 2]>(&sums, set.len());
+        let absolute: Vec<f64> =
+            gpu.read::<f32>(&absolute_sums, set.len()).into_iter().map(f64::from).collect();
+        let signed: Vec<f64> = sums.iter().map(|sum| sum[0].into()).collect();
+        relative("sums of signed norms", &signed, npz.values(&field(extent, "acc_signed")), part)?;
+        relative("sums of absolute norms", &absolute, npz.values(&field(extent, "acc_abs")), part)?;
+        if extent == Extent::Reference {
+            let views: Vec<f64> = sums.iter().map(|sum| sum[1].into()).collect();
+            equal("views", &views, npz.values(&field(extent, "acc_views")))?;
+        }
+    }
+    Ok(())
+}

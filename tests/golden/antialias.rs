@@ -1,0 +1,231 @@
+//! Antialiasing: the low-pass filter's size, its compensation with both gradients, and the 3D filter (spec_training.md, 7).
+
+use std::path::Path;
+
+use ashsplat::scene::filtered as baked;
+use ashsplat::{RenderSettings, Renderer};
+
+use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture};
+use super::sets::{RenderingSet, views};
+use crate::common::compare::{elementwise, equal};
+use crate::common::engine::{camera, gaussians, renderer, settings, widen};
+use crate::common::{assert_silent, context};
+use crate::reference::blend_backward::PixelGradient;
+use crate::reference::filter_sizes::{filter_sizes, filtered, filtered_backward, shrink};
+use crate::reference::linear::sigmoid;
+use crate::reference::nearest_depths::nearest_depth;
+use crate::reference::pipeline::{Frame, FrameGradient, backward, render};
+use crate::reference::project::intermediate;
+use crate::reference::reset_opacity::reset_opacity;
+use crate::reference::types::{Extent, Gaussian, Gradient, View};
+
+const EXTENTS: [Extent; 2] = [Extent::Exact, Extent::Reference];
+const NAME: &str = "antialias";
+
+/// Pictures, gradients, factors and covariances of the twins.
+pub fn of_twin(path: &Path) -> Result<(), String> {
+    let set = RenderingSet::of_feature(path);
+    for extent in EXTENTS {
+        let view = set.view_with(extent);
+        let (frame, gradient) = rendered(&set, &set.gaussians, &view, extent);
+        judge(&set, extent, &frame, &gradient, &gradient.parameters)?;
+    }
+    check_factors(&set, &set.gaussians)
+}
+
+/// Pictures and gradients of the device.
+pub fn of_device(path: &Path) -> Result<(), String> {
+    let set = RenderingSet::of_feature(path);
+    let mut renderer = renderer();
+    renderer.upload(&gaussians(&set.gaussians)).map_err(|e| e.to_string())?;
+    EXTENTS.into_iter().try_for_each(|extent| {
+        let view = set.view_with(extent);
+        judge_device(&mut renderer, &set, extent, &settings(&view))
+    })
+}
+
+/// Sizes, what is drawn, its gradients and those of what is stored, the reset.
+pub fn filter_of_twin(path: &Path) -> Result<(), String> {
+    let set = RenderingSet::of_feature(path);
+    let npz = &set.npz;
+    let sizes = sizes_of_twin(&set);
+    relative("filter", &sizes, npz.values("filter"), 2e-7)?;
+    let stored = npz.values("filter");
+    let drawn: Vec<Gaussian> = set.gaussians.iter().zip(stored).map(|(g, &size)| filtered(g, size)).collect();
+    let log_scales: Vec<f64> = drawn.iter().flat_map(|g| g.log_scale).collect();
+    let logits: Vec<f64> = drawn.iter().map(|g| g.opacity_logit).collect();
+    let shrinks: Vec<f64> = set.gaussians.iter().zip(stored).map(|(g, &size)| shrink(g, size)).collect();
+    elementwise("coefficient", &shrinks, npz.values("coefficient"), 1e-7, 2e-7)?;
+    elementwise("fused_log_scales", &log_scales, npz.values("fused_log_scales"), 2e-7, 2e-7)?;
+    elementwise("fused_opacity_logits", &logits, npz.values("fused_opacity_logits"), 2e-7, 2e-7)?;
+    let reset: Vec<f64> = set
+        .gaussians
+        .iter()
+        .zip(&shrinks)
+        .map(|(g, &shrink)| reset_opacity(g.opacity_logit, shrink))
+        .collect();
+    elementwise("reset_opacity_logits", &reset, npz.values("reset_opacity_logits"), 2e-7, 2e-7)?;
+    for extent in EXTENTS {
+        let view = set.view_with(extent);
+        let (frame, gradient) = rendered(&set, &drawn, &view, extent);
+        if extent == Extent::Exact {
+            let results = set.results(extent);
+            let d_scales: Vec<f64> = gradient.parameters.iter().flat_map(|g| g.log_scale).collect();
+            let d_logits: Vec<f64> = gradient.parameters.iter().map(|g| g.opacity_logit).collect();
+            relative("df_log_scales", &d_scales, results.values("df_log_scales"), 1e-6)?;
+            relative("df_opacity_logits", &d_logits, results.values("df_opacity_logits"), 1e-6)?;
+        }
+        let through = |i: usize| -> Gradient {
+            let opacity = sigmoid(drawn[i].opacity_logit);
+            let mut d = gradient.parameters[i].clone();
+            let d_opacity = d.opacity_logit / (opacity * (1.0 - opacity));
+            filtered_backward(&set.gaussians[i], stored[i], d_opacity, &mut d);
+            d
+        };
+        let parameters: Vec<Gradient> = (0..drawn.len()).map(through).collect();
+        judge(&set, extent, &frame, &gradient, &parameters)?;
+    }
+    check_factors(&set, &drawn)
+}
+
+/// Sizes from all cameras, pictures and gradients of the device; what is baked on the host.
+pub fn filter_of_device(path: &Path) -> Result<(), String> {
+    let set = RenderingSet::of_feature(path);
+    let npz = &set.npz;
+    let cameras: Vec<_> = views(npz).iter().map(camera).collect();
+    let stored = gaussians(&set.gaussians);
+    let mut renderer = renderer();
+    renderer.upload(&stored).map_err(|e| e.to_string())?;
+    renderer.compute_filters(&cameras).map_err(|e| e.to_string())?;
+    let sizes = renderer.filters().map_err(|e| e.to_string())?;
+    let wide: Vec<f64> = sizes.iter().map(|&size| f64::from(size)).collect();
+    relative("filter", &wide, npz.values("filter"), 1e-6)?;
+    let mut drawn = stored.clone();
+    drawn.bake_filters(&sizes).map_err(|e| e.to_string())?;
+    let logits: Vec<f64> = drawn.opacity_logits.iter().map(|&x| f64::from(x)).collect();
+    elementwise("fused_log_scales", &widen(&drawn.log_scales), npz.values("fused_log_scales"), 1e-5, 1e-5)?;
+    elementwise("fused_opacity_logits", &logits, npz.values("fused_opacity_logits"), 1e-5, 1e-5)?;
+    assert_eq!(baked(stored.log_scales[0], stored.opacity_logits[0], sizes[0]).0, drawn.log_scales[0]);
+    for extent in EXTENTS {
+        let settings = RenderSettings { filter_3d: true, ..settings(&set.view_with(extent)) };
+        judge_device(&mut renderer, &set, extent, &settings)?;
+    }
+    // What is baked is drawn alike without a filter.
+    renderer.upload(&drawn).map_err(|e| e.to_string())?;
+    let settings = settings(&set.view_with(Extent::Exact));
+    let frame = renderer.render(&camera(&set.view), &settings).map_err(|e| e.to_string())?;
+    drop(renderer);
+    let picture = Picture {
+        color: widen(&frame.color),
+        transmittance: frame.transmittance.iter().map(|&x| f64::from(x)).collect(),
+        inverse_depth: None,
+    };
+    judge_picture(NAME, &set, Extent::Exact, &picture, SINGLE)
+}
+
+fn sizes_of_twin(set: &RenderingSet) -> Vec<f64> {
+    let cameras = views(&set.npz);
+    let nearest: Vec<Option<f64>> = set.gaussians.iter().map(|g| nearest_depth(g.mean, &cameras)).collect();
+    let seen: Vec<bool> = nearest.iter().map(Option::is_some).collect();
+    equal("seen", &seen, &set.npz.flags("seen")).expect("the same Gaussians are seen");
+    let longest = cameras.iter().map(|view| view.focal_px[0]).fold(0.0, f64::max);
+    filter_sizes(&nearest, longest)
+}
+
+/// A frame, and the gradient of the sum of its pixels times the set's.
+fn rendered(
+    set: &RenderingSet,
+    gaussians: &[Gaussian],
+    view: &View,
+    extent: Extent,
+) -> (Frame, FrameGradient) {
+    let frame = render(gaussians, view);
+    let (color, inverse_depth) = set.image_gradient(extent);
+    let d_pixels: Vec<PixelGradient> = color
+        .into_iter()
+        .zip(inverse_depth)
+        .map(|(color, inverse_depth)| PixelGradient { color, inverse_depth })
+        .collect();
+    let gradient = backward(gaussians, view, &frame, &d_pixels);
+    (frame, gradient)
+}
+
+fn judge(
+    set: &RenderingSet,
+    extent: Extent,
+    frame: &Frame,
+    gradient: &FrameGradient,
+    parameters: &[Gradient],
+) -> Result<(), String> {
+    let picture = Picture {
+        color: frame.pixels.iter().flat_map(|p| p.color).collect(),
+        transmittance: frame.pixels.iter().map(|p| p.transmittance).collect(),
+        inverse_depth: None,
+    };
+    judge_picture(NAME, set, extent, &picture, DOUBLE)?;
+    let actual = Gradients {
+        means: parameters.iter().flat_map(|g| g.mean).collect(),
+        quats: parameters.iter().flat_map(|g| g.quat).collect(),
+        log_scales: parameters.iter().flat_map(|g| g.log_scale).collect(),
+        opacity_logits: parameters.iter().map(|g| g.opacity_logit).collect(),
+        sh: parameters.iter().flat_map(|g| g.sh.concat()).collect(),
+        mean2d_px: None,
+        conic: None,
+        opacity: Some(gradient.splats.iter().map(|g| g.opacity).collect()),
+        color: None,
+    };
+    judge_gradients(NAME, set, extent, &actual, DOUBLE)
+}
+
+/// The opacities' factors and the covariances with the dilation, of what is drawn.
+fn check_factors(set: &RenderingSet, drawn: &[Gaussian]) -> Result<(), String> {
+    let (expected, cov2d) = (set.npz.values("factor"), set.npz.rows::<3>("cov2d"));
+    for (i, gaussian) in drawn.iter().enumerate() {
+        let Some(on_the_way) = intermediate(gaussian, &set.view) else { continue };
+        let [a, b, c] = on_the_way.cov2d_undilated;
+        let dilation = on_the_way.dilation_px2;
+        relative("factor", &[on_the_way.compensation.0], &expected[i..=i], 1e-6)?;
+        relative("cov2d", &[a + dilation, b, c + dilation], &cov2d[i], 1e-6)?;
+    }
+    Ok(())
+}
+
+fn judge_device(
+    renderer: &mut Renderer,
+    set: &RenderingSet,
+    extent: Extent,
+    settings: &RenderSettings,
+) -> Result<(), String> {
+    let settings = RenderSettings { inverse_depth: false, ..*settings };
+    let camera = camera(&set.view);
+    let frame = renderer.render(&camera, &settings).map_err(|e| e.to_string())?;
+    let picture = Picture {
+        color: widen(&frame.color),
+        transmittance: frame.transmittance.iter().map(|&x| f64::from(x)).collect(),
+        inverse_depth: None,
+    };
+    judge_picture(NAME, set, extent, &picture, SINGLE)?;
+    let color: Vec<[f32; 3]> = set.image_gradient(extent).0.iter().map(|c| c.map(|x| x as f32)).collect();
+    let gradients = renderer.gradients(&camera, &settings, &color, None).map_err(|e| e.to_string())?;
+    let parameters = gradients.parameters;
+    let actual = Gradients {
+        means: widen(&parameters.means),
+        quats: widen(&parameters.quats),
+        log_scales: widen(&parameters.log_scales),
+        opacity_logits: parameters.opacity_logits.iter().map(|&x| f64::from(x)).collect(),
+        sh: widen(&parameters.sh),
+        mean2d_px: None,
+        conic: None,
+        opacity: None,
+        color: None,
+    };
+    judge_gradients(NAME, set, extent, &actual, SINGLE)?;
+    assert_silent(context());
+    Ok(())
+}
+
+/// Errors relative to the largest entry.
+fn relative(what: &str, actual: &[f64], expected: &[f64], bound: f64) -> Result<(), String> {
+    let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+    elementwise(what, actual, expected, bound * largest, 0.0).map(drop)
+}

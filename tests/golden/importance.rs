@@ -1,0 +1,162 @@
+//! Edge-weighted blending importance and the draw by it: twins and device against the vectors.
+
+use std::path::Path;
+
+use ashsplat::densify::{
+    Candidates, Chances, EdgePhoto, Importance, ImportanceBuffers, Selection, SelectionBuffers, SelectionDraw,
+};
+use ashsplat::loss::{Windowing, photo_on_device};
+use ashsplat::pixels::PixelBorder;
+use ashsplat::vk::MemoryKind;
+
+use super::sets::gaussians;
+use super::stages::{Stages, field, views};
+use crate::common::compare::{elementwise, equal};
+use crate::common::gpu::Gpu;
+use crate::common::npz::{Npz, rows};
+use crate::reference::add_importance::importance;
+use crate::reference::blend_backward::PixelGradient;
+use crate::reference::draw_keys::key;
+use crate::reference::edge_gradient::edges;
+use crate::reference::edge_response::{gray, responses};
+use crate::reference::mark_drawn::mark;
+use crate::reference::pipeline::{backward, render};
+use crate::reference::types::{Extent, View};
+
+/// In parts of the largest value.
+const DEVICE: f64 = 1e-5;
+const TWIN: f64 = 1e-6;
+
+fn relative(name: &str, actual: &[f64], expected: &[f64], part: f64) -> Result<(), String> {
+    let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+    elementwise(name, actual, expected, part * largest, 0.0).map(|_| ())
+}
+
+/// The values of each view.
+fn by_view<'a>(npz: &'a Npz, name: &str, views: &[View]) -> Vec<&'a [f64]> {
+    let values = npz.values(name);
+    values.chunks(values.len() / views.len()).collect()
+}
+
+pub fn of_twin(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let set = gaussians(&npz, "");
+    for extent in [Extent::Exact, Extent::Reference] {
+        let views = views(&npz, extent);
+        let mut all = Vec::new();
+        for (i, view) in views.iter().enumerate() {
+            let of = |name: &str| by_view(&npz, name, &views)[i];
+            let grays: Vec<i64> =
+                rows::<3>(of("photo")).iter().map(|pixel| gray(pixel.map(|x| x as u8))).collect();
+            let wide = |values: &[i64]| values.iter().map(|&x| x as f64).collect::<Vec<f64>>();
+            equal("gray", &wide(&grays), of("gray"))?;
+            let raw = responses(&grays, view.size_px.map(|n| n as usize));
+            equal("edge_raw", &wide(&raw), of("edge_raw"))?;
+            elementwise("edge", &edges(&raw), of("edge"), 1e-6, 0.0)?;
+            let d =
+                of("edge_used").iter().map(|&e| PixelGradient { color: [e, 0.0, 0.0], inverse_depth: 0.0 });
+            let gradient = backward(&set, view, &render(&set, view), &d.collect::<Vec<_>>());
+            let weights: Vec<f64> = gradient.splats.iter().map(|splat| splat.color[0]).collect();
+            relative("weights", &weights, by_view(&npz, &field(extent, "weights"), &views)[i], TWIN)?;
+            all.push(weights);
+        }
+        relative("importance", &importance(&all), npz.values(&field(extent, "importance")), TWIN)?;
+    }
+    let candidates = npz.flags("candidate");
+    let keys = npz.values("importance").iter().zip(npz.values("u")).zip(&candidates);
+    let keys: Vec<_> = keys.map(|((&chance, &u), &may)| key(if may { chance } else { 0.0 }, u)).collect();
+    let selected: Vec<f64> = mark(&keys, npz.scalar("count") as usize).into_iter().map(f64::from).collect();
+    equal("selected", &selected, npz.values("selected"))
+}
+
+pub fn of_device(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let gpu = Gpu::new();
+    let set = gaussians(&npz, "");
+    let kernels = Importance::new(gpu.context).expect("kernels");
+    let border = PixelBorder::new(gpu.context).expect("kernels");
+    for extent in [Extent::Exact, Extent::Reference] {
+        let views = views(&npz, extent);
+        let stages = Stages::new(&gpu, &set, &views);
+        let pixels = views.iter().map(|view| view.pixels() as u64).max().expect("a view");
+        let requests = ImportanceBuffers::requests(set.len() as u32, pixels);
+        let buffers = gpu.context.allocate("test", &requests, MemoryKind::Device).expect("memory");
+        let buffers = ImportanceBuffers::from_allocated(buffers);
+        let sum = gpu.zeros::<f32>("importance", set.len());
+        for (i, view) in views.iter().enumerate() {
+            let of = |name: &str| by_view(&npz, name, &views)[i];
+            edges_of_device(&gpu, &kernels, &buffers, view, &of)?;
+            // The set's weights leave out pixels whose blending hangs on rounding.
+            let used: Vec<[f32; 4]> = of("edge_used").iter().map(|&e| [e as f32, 0.0, 0.0, 0.0]).collect();
+            let used = gpu.buffer("rows", &used);
+            let [width, height] = view.size_px;
+            let native = gpu.zeros::<u8>("native", PixelBorder::gradient_bytes(width, height) as usize);
+            stages.run(view, |r, inputs, _| {
+                r.fill(&buffers.ranges, 0);
+                border.record_gradient(r, inputs, &used, &native, false);
+                r.barrier();
+                kernels.record_view(r, inputs, &native, &buffers, (&sum, 1.0 / views.len() as f32));
+            });
+            let weights = gpu.read::<f32>(&buffers.weights, set.len());
+            let weights: Vec<f64> = weights.into_iter().map(f64::from).collect();
+            relative("weights", &weights, by_view(&npz, &field(extent, "weights"), &views)[i], DEVICE)?;
+        }
+        let sum: Vec<f64> = gpu.read::<f32>(&sum, set.len()).into_iter().map(f64::from).collect();
+        relative("importance", &sum, npz.values(&field(extent, "importance")), DEVICE)?;
+    }
+    selection_of_device(&gpu, &npz)
+}
+
+/// The edges of a photograph in the device's layout, as the gradient that blending reads.
+fn edges_of_device<'a>(
+    gpu: &Gpu,
+    kernels: &Importance,
+    buffers: &ImportanceBuffers,
+    view: &View,
+    of: &dyn Fn(&str) -> &'a [f64],
+) -> Result<(), String> {
+    let [width, height] = view.size_px;
+    let rgbm = rows::<3>(of("photo")).into_iter().flat_map(|[r, g, b]| [r, g, b, 255.0].map(|x| x as u8));
+    let windowing = Windowing::for_device(gpu.context.limits());
+    let texels = photo_on_device(windowing, width, height, false, rgbm.collect());
+    let texels = &gpu.buffer("photo", &texels);
+    let photo = EdgePhoto { texels, size: (width, height), masked: false };
+    let native = gpu.zeros::<u8>("native", PixelBorder::gradient_bytes(width, height) as usize);
+    gpu.run(|r| kernels.record_edges(r, &photo, buffers, &native));
+    let raw: Vec<f64> =
+        gpu.read::<u32>(&buffers.responses, view.pixels()).into_iter().map(f64::from).collect();
+    equal("edge_raw", &raw, of("edge_raw"))?;
+    let native = gpu.read::<f32>(&native, native.bytes() as usize / 4);
+    let strips = ashsplat::plan::Strips { width, height };
+    let place = |i: u32| match windowing {
+        Windowing::Blocks => 4 * i as usize,
+        Windowing::Sweeps => strips.index(0, i % width, i / width),
+    };
+    let edges: Vec<f64> = (0..width * height).map(|i| native[place(i)].into()).collect();
+    elementwise("edge", &edges, of("edge"), 1e-6, 0.0).map(|_| ())
+}
+
+fn selection_of_device(gpu: &Gpu, npz: &Npz) -> Result<(), String> {
+    let selection = Selection::new(gpu.context).expect("kernels");
+    let single = |name: &str| npz.values(name).iter().map(|&x| x as f32).collect::<Vec<f32>>();
+    let count = npz.values("u").len();
+    let buffers = gpu.context.allocate("test", &selection.requests(count as u32), MemoryKind::Device);
+    let buffers = SelectionBuffers::from_allocated(buffers.expect("memory"));
+    let statistics: Vec<[f32; 2]> =
+        single("candidate").into_iter().map(|candidate| [candidate, 1.0]).collect();
+    let (statistics, importance) =
+        (gpu.buffer("statistics", &statistics), gpu.buffer("c", &single("importance")));
+    let uniforms = gpu.buffer("uniforms", &single("u"));
+    let draw = SelectionDraw {
+        count: count as u32,
+        wanted: npz.scalar("count") as u32,
+        candidates: Candidates { statistics: &statistics, absolute: None, threshold: 0.5 },
+        chances: Chances::Importance(&importance),
+        seed: 0,
+        iteration: 0,
+        explicit: Some(&uniforms),
+    };
+    gpu.run(|r| selection.record(r, &draw, &buffers));
+    let selected: Vec<f64> = gpu.read::<u32>(&buffers.selected, count).into_iter().map(f64::from).collect();
+    equal("selected", &selected, npz.values("selected"))
+}

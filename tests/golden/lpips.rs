@@ -1,0 +1,72 @@
+//! LPIPS with weights by a formula: twin and device against the vectors.
+
+use std::path::Path;
+
+use ashsplat::lpips::{InputRange, Lpips, Network, Weights};
+
+use crate::common::compare::elementwise;
+use crate::common::gpu::Gpu;
+use crate::common::npz::Npz;
+use crate::reference::lpips::{ALEXNET, Step, VGG16, formula, lpips};
+
+const TWIN: f64 = 1e-6;
+const DEVICE: f64 = 1e-4;
+/// Name in the file, steps, first tag of the weights beyond that of the set.
+const NETWORKS: [(&str, &[Step], u32, Network); 2] =
+    [("alex", &ALEXNET, 0, Network::AlexNet), ("vgg", &VGG16, 64, Network::Vgg16)];
+
+/// A picture, and its width and height.
+fn picture(npz: &Npz, name: &str) -> (Vec<[f64; 3]>, [usize; 2]) {
+    let shape = &npz.array(name).shape;
+    let pixels = npz.rows::<3>(name).into_iter().map(|rgb| rgb.map(|x| x / 255.0)).collect();
+    (pixels, [shape[1], shape[0]])
+}
+
+fn compare(npz: &Npz, name: &str, parts: &[f64], tolerance: f64) -> Result<(), String> {
+    elementwise(&format!("parts of {name}"), parts, npz.values(&format!("{name}_layers")), 0.0, tolerance)?;
+    elementwise(name, &[parts.iter().sum()], npz.values(name), 0.0, tolerance)?;
+    super::report(|| {
+        let expected = npz.scalar(name);
+        format!("{name}: {:.1e} of {expected:.6}", (parts.iter().sum::<f64>() - expected).abs() / expected)
+    });
+    Ok(())
+}
+
+/// First tag of a set's weights.
+fn first_tag(npz: &Npz) -> u32 {
+    if npz.has("tag") { npz.scalar("tag") as u32 } else { 0 }
+}
+
+pub fn of_twin(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let ((a, size), (b, _)) = (picture(&npz, "a"), picture(&npz, "b"));
+    for (name, steps, tags, _) in NETWORKS {
+        let weights = formula(steps, first_tag(&npz) + tags);
+        let [a2, b2] = [&a, &b]
+            .map(|picture| picture.iter().map(|rgb| rgb.map(|x| 2.0 * x - 1.0)).collect::<Vec<[f64; 3]>>());
+        compare(&npz, name, &lpips(steps, &weights, [&a2, &b2], size), TWIN)?;
+        let unscaled = format!("{name}_unscaled");
+        compare(&npz, &unscaled, &lpips(steps, &weights, [&a, &b], size), TWIN)?;
+    }
+    Ok(())
+}
+
+pub fn of_device(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let gpu = Gpu::new();
+    let single = |name: &str| {
+        let (picture, [width, height]) = picture(&npz, name);
+        (picture.iter().map(|rgb| rgb.map(|x| x as f32)).collect::<Vec<_>>(), (width as u32, height as u32))
+    };
+    let ((a, size), (b, _)) = (single("a"), single("b"));
+    for (name, steps, tags, network) in NETWORKS {
+        let own = formula(steps, first_tag(&npz) + tags);
+        let weights = Weights { network, convolutions: own.convolutions, heads: own.heads };
+        let mut measure = Lpips::new(gpu.context, &weights).expect("kernels");
+        for (suffix, range) in [("", InputRange::MinusOneToOne), ("_unscaled", InputRange::ZeroToOne)] {
+            let parts = measure.distances([&a, &b], size, range).expect("a measurement");
+            compare(&npz, &format!("{name}{suffix}"), &parts, DEVICE)?;
+        }
+    }
+    Ok(())
+}

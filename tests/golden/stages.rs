@@ -1,0 +1,95 @@
+//! Frames with backward by the engine's stages, without a renderer: for what it does not hand out.
+
+use ashsplat::backward::{Backward, BackwardVariant};
+use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers};
+use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
+use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, frame_requests};
+use ashsplat::vk::{MemoryKind, Recorder};
+use ashsplat::{RenderSettings, planes};
+
+use super::sets;
+use crate::common::engine::{camera, gaussians, settings};
+use crate::common::gpu::Gpu;
+use crate::common::npz::Npz;
+use crate::reference::types::{Extent, Gaussian, View};
+
+/// The cameras of an archive with a row per view.
+pub fn views(npz: &Npz, extent: Extent) -> Vec<View> {
+    sets::views(npz).into_iter().map(|view| View { extent, ..view }).collect()
+}
+
+/// The field of an extent: the reference's have a prefix.
+pub fn field(extent: Extent, name: &str) -> String {
+    match extent {
+        Extent::Exact => name.to_owned(),
+        Extent::Reference => format!("ref_{name}"),
+    }
+}
+
+/// A scene, and a frame for its views.
+pub struct Stages<'a> {
+    pub gpu: &'a Gpu,
+    pub backward: Backward,
+    pub scene: SceneBuffers,
+    forward: Forward,
+    frame: FrameBuffers,
+    capacity: FrameCapacity,
+}
+
+impl<'a> Stages<'a> {
+    /// With the kernels for the views' SH degree.
+    pub fn new(gpu: &'a Gpu, set: &[Gaussian], views: &[View]) -> Stages<'a> {
+        let context = gpu.context;
+        let sh_degree = views[0].sh_degree;
+        let input = gaussians(set);
+        let scene = planes::upload(context, "test", &input, 0, input.sh_degree).expect("upload");
+        let cameras: Vec<_> = views.iter().map(camera).collect();
+        let pictures = PictureCapacity::of_cameras(&cameras);
+        let tiles = views.iter().map(|view| view.tiles()[0] * view.tiles()[1]).max().expect("a view");
+        let capacity = FrameCapacity {
+            gaussians: scene.plan.capacity,
+            instances: tiles * set.len() as u32 + 64,
+            scenes: 1,
+            pictures,
+            blend_passes: 1,
+            backward: true,
+            absolute: true,
+        };
+        let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
+        let frame = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
+        let mut forward = Forward::new(context).expect("kernels");
+        let variant = BlendVariant { backward: true, ..BlendVariant::default() };
+        forward.prepare_variant(sh_degree, variant).expect("kernels");
+        let mut backward = Backward::new(context);
+        backward.prepare(sh_degree, BackwardVariant::default()).expect("kernels");
+        backward.prepare_absolute(sh_degree, BackwardVariant::default()).expect("kernels");
+        Stages { gpu, backward, scene, forward, frame: FrameBuffers::from_allocated(frame), capacity }
+    }
+
+    /// Draws a view, and what is recorded behind it.
+    pub fn run(&self, view: &View, record: impl FnOnce(&mut Recorder, &FrameInputs, &Backward)) {
+        let settings = RenderSettings { inverse_depth: false, ..settings(view) };
+        let inputs = FrameInputs {
+            scene: &self.scene,
+            frame: &self.frame,
+            capacity: &self.capacity,
+            camera: &camera(view),
+            pose: None,
+            settings: &settings,
+            scale: 1.0,
+            sh_degree: view.sh_degree,
+            others: &[],
+            depth_limits: None,
+            linear_depth: false,
+            backward: true,
+            keeps_overflow: false,
+        };
+        self.gpu.run(|r| {
+            self.forward.record(r, &inputs);
+            r.barrier();
+            record(r, &inputs, &self.backward);
+        });
+        let state = self.gpu.read::<u32>(&self.frame.state, STATE_WORDS as usize);
+        assert_eq!(state[STATE_OVERFLOW as usize], 0, "the frame overflowed");
+    }
+}

@@ -1,0 +1,105 @@
+//! Reading of the weights of LPIPS.
+
+use std::path::{Path, PathBuf};
+
+use ashsplat::lpips::{Network, Weights};
+use ashsplat_files::{HostMemory, WeightsFile};
+
+use crate::common::lpips_files::{Tensor, alexnet, write};
+use crate::reference::lpips::{ALEXNET, formula, hash};
+
+fn read(path: &Path) -> Result<Weights, String> {
+    Weights::read(path, &HostMemory::default()).map_err(|e| e.to_string())
+}
+
+fn file(folder: &Path, tensors: &[Tensor]) -> PathBuf {
+    let path = folder.join("weights.safetensors");
+    write(&path, tensors);
+    path
+}
+
+/// The formula of the golden vectors, by its first numbers.
+#[test]
+fn lpips_weights_of_tests_are_those_of_the_vectors() {
+    assert_eq!([hash(0, 0), hash(0, 1)], [-1.0, -0.183_301_93]);
+    assert!((hash(0, 2) - 0.633_396_27).abs() < 1e-7);
+}
+
+#[test]
+fn lpips_weights_are_read_under_all_their_names() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let expected = formula(&ALEXNET, 7);
+    for prefix in ["net.", "features.", "net.slice3."] {
+        let mut tensors = alexnet(7);
+        for tensor in &mut tensors {
+            tensor.name = tensor.name.replace("net.", prefix);
+        }
+        // What the file has besides does not matter.
+        tensors.push(Tensor::new("scaling_layer.shift", &[1, 3, 1, 1], vec![0.5; 3]));
+        let weights = read(&file(folder.path(), &tensors)).expect("weights");
+        assert_eq!(weights.network, Network::AlexNet);
+        assert!(weights.convolutions == expected.convolutions && weights.heads == expected.heads, "{prefix}");
+    }
+}
+
+/// Each with what its message must say.
+#[test]
+fn lpips_weights_that_are_no_such_are_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let check = |spoil: &dyn Fn(&mut Vec<Tensor>), words: &[&str]| {
+        let mut tensors = alexnet(0);
+        spoil(&mut tensors);
+        let message = read(&file(folder.path(), &tensors)).expect_err("refused");
+        for word in words.iter().chain(&["weights.safetensors: ", "tools/lpips_weights.py"]) {
+            assert!(message.contains(word), "no '{word}' in: {message}");
+        }
+        assert!(!message.contains('\n'));
+    };
+    let at = |tensors: &[Tensor], name: &str| tensors.iter().position(|t| t.name == name).expect("there");
+    let of = |name: &'static str, change: fn(&mut Tensor)| {
+        move |tensors: &mut Vec<Tensor>| {
+            let place = at(tensors, name);
+            change(&mut tensors[place]);
+        }
+    };
+    check(&|tensors| drop(tensors.remove(at(tensors, "net.6.bias"))), &["lacks", "'net.6.bias'", "AlexNet"]);
+    check(&|tensors| drop(tensors.remove(at(tensors, "lin3.model.1.weight"))), &["'lin3.model.1.weight'"]);
+    check(&|tensors| tensors.retain(|t| t.name.starts_with("lin")), &["lacks", "'net.0.weight'"]);
+    check(
+        &|tensors| tensors.push(Tensor::new("features.3.bias", &[192], vec![0.0; 192])),
+        &["'features.3.bias'", "'net.3.bias'"],
+    );
+    // The heads of the other network.
+    check(
+        &of("lin1.model.1.weight", |t| *t = Tensor::new(&t.name, &[1, 128, 1, 1], vec![0.0; 128])),
+        &["'lin1.model.1.weight'", "[1, 128, 1, 1]", "[1, 192, 1, 1]"],
+    );
+    // Another network: that of SqueezeNet begins as VGG16 does, that of ResNet as neither.
+    check(
+        &of("net.0.weight", |t| *t = Tensor::new(&t.name, &[64, 3, 3, 3], vec![0.0; 1728])),
+        &["'net.2.weight'", "not the weights of VGG16"],
+    );
+    check(
+        &of("net.0.weight", |t| *t = Tensor::new(&t.name, &[64, 3, 7, 7], vec![0.0; 64 * 147])),
+        &["[64, 3, 7, 7]", "[64, 3, 11, 11] of AlexNet", "[64, 3, 3, 3] of VGG16"],
+    );
+    check(&of("net.8.bias", |t| t.values[17] = f32::NAN), &["'net.8.bias': value 17 is NaN"]);
+    check(&of("net.8.bias", |t| t.kind = "I32"), &["'net.8.bias' of I32 [256]"]);
+}
+
+#[test]
+fn lpips_weights_of_no_file_and_of_half_a_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let message = read(&folder.path().join("none.safetensors")).expect_err("nothing there");
+    assert!(message.contains("none.safetensors") && message.contains("cannot read"), "{message}");
+    let path = file(folder.path(), &alexnet(0));
+    let bytes = std::fs::read(&path).expect("a file");
+    for length in [0, 7, 9, bytes.len() / 2, bytes.len() - 1] {
+        std::fs::write(&path, &bytes[..length]).expect("written");
+        let message = read(&path).expect_err("refused");
+        assert!(message.contains("truncated"), "{length}: {message}");
+    }
+    std::fs::write(&path, &bytes).expect("written");
+    let few = Weights::read(&path, &HostMemory::new(1 << 20)).expect_err("too large").to_string();
+    assert!(few.contains("--max-host-memory"), "{few}");
+}

@@ -1,0 +1,109 @@
+//! `exposure/exposure_step` against its twin.
+
+use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS, TERM_PARTIALS};
+use ashsplat::kernels::exposure::exposure_step::{Bind, Interface, Push, Spec};
+
+use crate::common::compare::elementwise;
+use crate::common::exposures::wide;
+use crate::common::gpu::Gpu;
+use crate::common::scenes::Random;
+use crate::reference::expose::Matrix;
+use crate::reference::exposure_step::Exposures;
+
+type Rows = [[f32; 4]; 3];
+
+/// Steps of the device; each with its view, the parts of its gradient, and whether its frame overflowed.
+fn run(gpu: &Gpu, photographs: usize, center: bool, steps: &[(u32, Vec<Rows>, bool)]) -> [Vec<Rows>; 3] {
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), center };
+    let kernel = gpu.kernel::<Interface>(&spec);
+    let start: Vec<Rows> =
+        Exposures::new(photographs).values.iter().map(|m| m.map(|row| row.map(|x| x as f32))).collect();
+    let values = gpu.buffer("exposures", &start);
+    let moments = ["moments_1", "moments_2"].map(|name| gpu.zeros::<Rows>(name, photographs));
+    for (step, (view, parts, overflow)) in steps.iter().enumerate() {
+        let mut state = vec![0_u32; STATE_WORDS as usize];
+        state[STATE_OVERFLOW as usize] = u32::from(*overflow);
+        let state = gpu.buffer("state", &state);
+        let partials = gpu.buffer("partials", parts);
+        let bind = Bind {
+            partials: &partials,
+            state: &state,
+            exposures: &values,
+            moments_1: &moments[0],
+            moments_2: &moments[1],
+        };
+        let count = step as i32 + 1;
+        let push = Push {
+            photographs: photographs as u32,
+            view: *view,
+            beta_1: 0.9,
+            beta_2: 0.999,
+            one_minus_beta_1: 0.1,
+            one_minus_beta_2: 0.001,
+            epsilon: 1e-8,
+            rate: (0.01 / (1.0 - 0.9f64.powi(count))) as f32,
+            inverse_bias_2: (1.0 - 0.999f64.powi(count)).sqrt().recip() as f32,
+        };
+        gpu.run(|r| r.dispatch(&kernel, &bind, &push, 1));
+    }
+    [&values, &moments[0], &moments[1]].map(|buffer| gpu.read::<Rows>(buffer, photographs))
+}
+
+fn parts(random: &mut Random) -> Vec<Rows> {
+    (0..TERM_PARTIALS).map(|_| [[0.0; 4]; 3].map(|row| row.map(|_: f32| random.signed() as f32))).collect()
+}
+
+fn flat(all: &[Matrix]) -> Vec<f64> {
+    all.iter().flat_map(|matrix| matrix.as_flattened().to_vec()).collect()
+}
+
+#[test]
+fn exposure_step_equals_its_twin() {
+    let gpu = Gpu::new();
+    let workgroup = gpu.workgroup(64) as usize;
+    for (photographs, center) in
+        [1, 3, workgroup - 1, workgroup, 3 * workgroup + 5].into_iter().flat_map(|n| [(n, true), (n, false)])
+    {
+        let mut random = Random::new(photographs as u64);
+        let steps: Vec<_> =
+            (0..7).map(|step| ((5 * step % photographs) as u32, parts(&mut random), false)).collect();
+        let actual = run(&gpu, photographs, center, &steps);
+        let mut twin = Exposures::new(photographs);
+        for (step, (view, parts, _)) in steps.iter().enumerate() {
+            let mut gradient = [[0.0; 4]; 3];
+            for part in parts {
+                for (sum, x) in gradient.as_flattened_mut().iter_mut().zip(wide(part).as_flattened()) {
+                    *sum += x;
+                }
+            }
+            twin.step(*view as usize, &gradient, 0.01, step as i32 + 1, center);
+        }
+        let expected = [&twin.values, &twin.first, &twin.second];
+        for ((name, tolerance), (actual, expected)) in
+            [("values", 2e-6), ("first moments", 1e-5), ("second moments", 1e-4)]
+                .into_iter()
+                .zip(actual.iter().zip(expected))
+        {
+            let actual: Vec<Matrix> = actual.iter().map(wide).collect();
+            elementwise(name, &flat(&actual), &flat(expected), tolerance, tolerance)
+                .unwrap_or_else(|e| panic!("{photographs}, {center}: {e}"));
+        }
+    }
+}
+
+/// A frame that overflowed changes nothing; a gradient that is not finite is none, but moments still decay.
+#[test]
+fn exposure_step_survives_overflow_and_infinity() {
+    let gpu = Gpu::new();
+    let mut random = Random::new(3);
+    let first = (1, parts(&mut random), false);
+    let once = run(&gpu, 4, true, std::slice::from_ref(&first));
+    let again = run(&gpu, 4, true, &[first.clone(), (2, parts(&mut random), true)]);
+    assert_eq!(once, again);
+    let mut infinite = parts(&mut random);
+    infinite[7][1][2] = f32::INFINITY;
+    let none = vec![[[0.0; 4]; 3]; TERM_PARTIALS as usize];
+    let infinite = run(&gpu, 4, true, &[first.clone(), (2, infinite, false)]);
+    assert_eq!(infinite, run(&gpu, 4, true, &[first, (2, none, false)]));
+    assert_ne!(infinite, once);
+}

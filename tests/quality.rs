@@ -1,0 +1,150 @@
+//! `ashsplat bench quality`: trainings with several strategies and seeds.
+
+use std::path::Path;
+
+use ashsplat::TrainSettings;
+use ashsplat::trainer::options::OptionKind;
+use serde_json::Value;
+use tempfile::tempdir;
+
+use crate::cli::{assert_refused, finish, program, succeed, text, write_dataset};
+use crate::common::running::Running;
+
+/// The default strategy's name, and another's.
+fn strategies() -> [&'static str; 2] {
+    let option = TrainSettings::OPTIONS.iter().find(|option| option.name == "strategy").expect("there");
+    let OptionKind::Choice(names) = option.kind else { panic!("{:?}", option.kind) };
+    [names[0], "mcmc"]
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).expect("a file")).expect("JSON")
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+}
+
+#[test]
+fn bench_quality_measures_what_training_gives_and_goes_on() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, out, model) =
+        (folder.path().join("data"), folder.path().join("out"), folder.path().join("model"));
+    write_dataset(&data);
+    let names = strategies();
+    let both = names.join(",");
+    let schedule = ["--sh-degree", "1", "--densify-from-iter", "2", "--densification-interval", "3"];
+    let quality = ["bench", "quality", text(&data), "-o", text(&out), "--strategies", &both, "--quiet"];
+    let of_seeds = |seeds| {
+        [&quality[..], &schedule, &["--iterations", "12", "--points", "3", "--seeds", seeds]].concat()
+    };
+    let until = ["--until", "3", "--until", "99"];
+    let said = succeed(&[&of_seeds("0..2")[..], &until].concat());
+    assert!(said.contains("3 dB: by 2 of 2") && said.contains("99 dB: not reached"), "{said}");
+
+    let report = json(&out.join("quality.json"));
+    let runs = report["runs"].as_array().expect("runs");
+    let order: Vec<(&str, u64)> = runs
+        .iter()
+        .map(|run| (run["strategy"].as_str().expect("a name"), run["seed"].as_u64().expect("a seed")))
+        .collect();
+    assert_eq!(order, [(names[0], 0), (names[1], 0), (names[0], 1), (names[1], 1)], "in turn");
+    for run in runs {
+        let points = run["points"].as_array().expect("points");
+        assert_eq!(points.iter().map(|p| p["iteration"].as_u64()).collect::<Vec<_>>(), [4, 8, 12].map(Some));
+        let rises = |name: &str| points.windows(2).all(|p| number(&p[0][name]) < number(&p[1][name]));
+        assert!(rises("seconds") && (cfg!(not(target_os = "linux")) || rises("cpu_seconds")), "{run}");
+    }
+    for (curve, name) in report["summary"]["curves"].as_array().expect("curves").iter().zip(names) {
+        assert_eq!(curve["strategy"], name);
+        let ends =
+            runs.iter().filter(|run| run["strategy"] == name).map(|run| number(&run["points"][2]["psnr"]));
+        let ends: Vec<f64> = ends.collect();
+        assert!((number(&curve["places"][2]["psnr"]["mean"]) - (ends[0] + ends[1]) / 2.0).abs() < 1e-9);
+        assert_ne!(ends[0], ends[1], "seeds differ");
+    }
+    let csv = std::fs::read_to_string(out.join("quality.csv")).expect("a table");
+    assert_eq!(csv.lines().count(), 1 + 4 * 3);
+    let svg = std::fs::read_to_string(out.join("quality.svg")).expect("a plot");
+    assert!(svg.starts_with("<svg") && svg.matches("<polyline").count() == 8);
+
+    // The same training by `train`.
+    let train = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--quiet", "--strategy", names[1]];
+    succeed(&[&train[..], &schedule, &["--iterations", "12", "--seed", "1"]].concat());
+    let trained = &json(&model.join("results.json"))["ours_12"];
+    let end = &runs[3]["points"][2];
+    for (ours, theirs) in [("psnr", "PSNR"), ("ssim", "SSIM"), ("gaussians", "gaussians")] {
+        assert!((number(&end[ours]) - number(&trained[theirs])).abs() < 1e-9, "{ours}: {end} {trained}");
+    }
+
+    // What is there is not measured again; what is missing is.
+    let file = |strategy: &str, seed: u32| out.join(format!("runs/{strategy}-{seed}.json"));
+    let kept = std::fs::read(file(names[0], 0)).expect("a run");
+    std::fs::remove_file(file(names[1], 1)).expect("removed");
+    succeed(&of_seeds("1,0"));
+    assert_eq!(std::fs::read(file(names[0], 0)).expect("a run"), kept);
+    let again = json(&file(names[1], 1));
+    assert_eq!(again["points"][2]["psnr"], end["psnr"], "the same bits");
+    // Another measurement does not mix with it.
+    let other = [&quality[..], &schedule, &["--iterations", "11", "--points", "3"]].concat();
+    let run = finish(program().args(other));
+    assert_refused(&run, &["-0.json", "another iterations: 12, now 11", "-o"]);
+    assert_eq!(std::fs::read(file(names[0], 0)).expect("a run"), kept);
+}
+
+#[test]
+fn bench_quality_refuses_what_makes_no_sense() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
+    write_dataset(&data);
+    let refused = |more: &[&str], words: &[&str]| {
+        let arguments = [&["bench", "quality", text(&data), "-o", text(&out)], more].concat();
+        assert_refused(&finish(program().args(arguments)), words);
+        assert!(!out.exists(), "{more:?}");
+    };
+    let some = ["--strategies", "mcmc"];
+    let with = |more: &[&'static str]| [&some[..], more].concat();
+    refused(&["--strategies", "mcmcm"], &["mcmcm", "mcmc"]);
+    refused(&[], &["--strategies"]);
+    refused(&with(&["--seeds", "3..3"]), &["--seeds", "0..3"]);
+    refused(&["--strategies", "mcmc,mcmc"], &["--strategies", "twice"]);
+    refused(&with(&["--seed", "3"]), &["--seed", "--seeds"]);
+    refused(&with(&["--strategy", "mcmc"]), &["--strategy", "--strategies"]);
+    refused(&with(&["--iterations", "0"]), &["iterations", "at least 1"]);
+    refused(&with(&["--until=-3"]), &["--until"]);
+}
+
+/// Ctrl-C during the second run: the first one is kept, with its picture.
+#[cfg(unix)]
+#[test]
+fn bench_quality_keeps_what_is_over_when_stopped() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
+    write_dataset(&data);
+    let name = strategies()[0];
+    let mut command = program();
+    command.args([
+        "bench",
+        "quality",
+        text(&data),
+        "-o",
+        text(&out),
+        "--strategies",
+        name,
+        "--seeds",
+        "0..1000",
+    ]);
+    command.args(["--iterations", "20", "--points", "2", "--quiet"]);
+    let mut child = Running::start(&mut command);
+    let plot = out.join("quality.svg");
+    while !plot.exists() {
+        assert!(child.try_wait().expect("a child").is_none(), "it is over before the first run");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    child.interrupt();
+    assert_eq!(child.finish().status.code(), Some(130));
+    let runs = json(&out.join("quality.json"))["runs"].as_array().expect("runs").len();
+    let files = std::fs::read_dir(out.join("runs")).expect("a folder").count();
+    assert!(runs >= 1 && files == runs, "{files} files of {runs} runs");
+    assert!(!out.join(".quality.lock").exists());
+}

@@ -1,0 +1,44 @@
+//! Adam over the exposures of all photographs; the twin of `exposure/exposure_step`.
+
+use super::expose::{IDENTITY, Matrix};
+
+/// Matrices and moments.
+#[derive(Clone)]
+pub struct Exposures {
+    pub values: Vec<Matrix>,
+    pub first: Vec<Matrix>,
+    pub second: Vec<Matrix>,
+}
+
+impl Exposures {
+    pub fn new(photographs: usize) -> Exposures {
+        let none = vec![[[0.0; 4]; 3]; photographs];
+        Exposures { values: vec![IDENTITY; photographs], first: none.clone(), second: none }
+    }
+
+    /// The `count`-th step, from 1, in which one photograph has a gradient. With `center`, the mean over the
+    /// photographs is the identity afterwards.
+    pub fn step(&mut self, view: usize, gradient: &Matrix, rate: f64, count: i32, center: bool) {
+        let photographs = self.values.len();
+        for photograph in 0..photographs {
+            for (row, column) in (0..3).flat_map(|row| (0..4).map(move |column| (row, column))) {
+                let g = if photograph == view { gradient[row][column] } else { 0.0 };
+                let m = &mut self.first[photograph][row][column];
+                *m = 0.9 * *m + 0.1 * g;
+                let v = &mut self.second[photograph][row][column];
+                *v = 0.999 * *v + 0.001 * g * g;
+                let (m, v) = (*m / (1.0 - 0.9f64.powi(count)), *v / (1.0 - 0.999f64.powi(count)));
+                self.values[photograph][row][column] -= rate * m / (v.sqrt() + 1e-8);
+            }
+        }
+        if center {
+            for (row, column) in (0..3).flat_map(|row| (0..4).map(move |column| (row, column))) {
+                let mean =
+                    self.values.iter().map(|matrix| matrix[row][column]).sum::<f64>() / photographs as f64;
+                for matrix in &mut self.values {
+                    matrix[row][column] += IDENTITY[row][column] - mean;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! LPIPS of views, with weights that the user gives.
+
+use crate::args::HostArguments;
+use ashsplat::lpips::{Lpips, Weights};
+use ashsplat::vk::Context;
+use ashsplat::{Error, Frame, Result};
+use ashsplat_files::{View, WeightsFile};
+use clap::Args;
+use std::path::PathBuf;
+
+/// Which networks measure.
+#[derive(Args, Clone, Default)]
+pub struct LpipsArguments {
+    /// Measure LPIPS too, by the weights in this file (safetensors, from tools/lpips_weights.py; nothing is downloaded): of AlexNet,
+    /// on values from -1 to 1, or of VGG16, on values from 0 to 1 as the reference does; given twice, both; in training the last test
+    /// measures it
+    #[arg(long, value_name = "FILE")]
+    lpips_weights: Vec<PathBuf>,
+}
+
+impl LpipsArguments {
+    /// Reads the weights, before any work.
+    pub fn read(&self, host: &HostArguments) -> Result<Vec<Weights>> {
+        let mut all: Vec<Weights> = Vec::new();
+        for path in &self.lpips_weights {
+            let weights = Weights::read(path, &host.memory())?;
+            if all.iter().any(|other| other.network == weights.network) {
+                let problem = format!("has the weights of {} once more", weights.network.name());
+                return Err(Error::input(path, problem, "give one file for each network"));
+            }
+            all.push(weights);
+        }
+        Ok(all)
+    }
+
+    /// The files.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.lpips_weights
+    }
+}
+
+/// Networks on the device.
+pub struct Perceptual {
+    networks: Vec<Lpips>,
+}
+
+impl Perceptual {
+    /// None without weights.
+    pub fn new(context: &Context, weights: &[Weights]) -> Result<Option<Perceptual>> {
+        let networks =
+            weights.iter().map(|weights| Lpips::new(context, weights)).collect::<Result<Vec<_>>>()?;
+        Ok((!networks.is_empty()).then_some(Perceptual { networks }))
+    }
+
+    /// Names of the measures.
+    pub fn names(&self) -> Vec<&'static str> {
+        self.networks.iter().map(|lpips| lpips.network().measure()).collect()
+    }
+
+    /// A value for each name. What a mask hides is black in both pictures.
+    pub fn measure(&mut self, view: &View, frame: &Frame) -> Result<Vec<f64>> {
+        let mut photo = view.photo.photo()?.to_f32();
+        let mut color = std::borrow::Cow::Borrowed(&frame.color);
+        if let Some(mask) = view.photo.mask()? {
+            let hide = |picture: &mut Vec<[f32; 3]>| {
+                picture
+                    .iter_mut()
+                    .zip(mask.iter())
+                    .filter(|(_, counts)| **counts == 0)
+                    .for_each(|(p, _)| *p = [0.0; 3]);
+            };
+            hide(&mut photo);
+            hide(color.to_mut());
+        }
+        let size = (frame.width, frame.height);
+        self.networks.iter_mut().map(|lpips| lpips.distance([&color, &photo], size)).collect()
+    }
+}

@@ -1,0 +1,60 @@
+//! Which part of a view is measured, and under which exposure.
+
+use ashsplat::scene::{Exposure, Photo, StoredPhoto};
+use ashsplat::{Frame, Result};
+use ashsplat_files::View;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, HashSet};
+
+/// The default measures whole views as they are rendered.
+#[derive(Default)]
+pub struct Protocol {
+    /// By the names of the photos that were trained on.
+    pub exposures: BTreeMap<String, Exposure>,
+    /// Names of the views whose left half was trained on: only the right one counts.
+    pub halves: HashSet<String>,
+}
+
+impl Protocol {
+    /// The views and their frame as they are compared.
+    pub fn prepared<'a>(&self, view: &'a View, mut frame: Frame) -> Result<(Cow<'a, View>, Frame)> {
+        if let Some(exposure) = self.exposures.get(&view.name) {
+            exposure.apply(&mut frame.color);
+        }
+        if !self.halves.contains(&view.name) {
+            return Ok((Cow::Borrowed(view), frame));
+        }
+        let mut half = view.clone();
+        let (width, height) = (view.photo.width, view.photo.height);
+        let photo = view.photo.photo()?;
+        let rgb = right(photo.rgb.as_chunks::<3>().0, width).as_flattened().to_vec();
+        let mask = view.photo.mask()?.map(|mask| right(&mask, width));
+        let kept = width - width / 2;
+        half.photo = StoredPhoto::new(Photo { width: kept, height, rgb }, mask);
+        half.camera.width = kept;
+        half.camera.cx -= (width / 2) as f32;
+        frame.color = right(&frame.color, width);
+        frame.transmittance = right(&frame.transmittance, width);
+        frame.inverse_depth = frame.inverse_depth.map(|depth| right(&depth, width));
+        frame.width = kept;
+        Ok((Cow::Owned(half), frame))
+    }
+}
+
+/// Columns from the middle on, of rows of `width` values.
+fn right<T: Copy>(values: &[T], width: u32) -> Vec<T> {
+    let width = width.max(1) as usize;
+    values.chunks(width).flat_map(|row| &row[width / 2..]).copied().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::right;
+
+    #[test]
+    fn the_middle_column_belongs_to_the_right_half() {
+        assert_eq!(right(&[1, 2, 3, 4, 5, 6], 3), [2, 3, 5, 6]);
+        assert_eq!(right(&[1, 2, 3, 4], 4), [3, 4]);
+        assert_eq!(right(&[1, 2], 1), [1, 2]);
+    }
+}
