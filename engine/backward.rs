@@ -17,6 +17,8 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// A Gaussian with more tiles has its instances added by a whole subgroup.
 const LANE_INSTANCES: u32 = 64;
+/// A subgroup's sums for the camera's pose: two vec3.
+const POSE_SUM_BYTES: u64 = 24;
 
 /// The kernels of the backward pass.
 pub struct Backward {
@@ -24,8 +26,8 @@ pub struct Backward {
     sizes: LaunchSizes,
     /// By [`Sums`] and variant.
     blend: [[Option<Blend>; 4]; 3],
-    /// By the 3D filter and the absolute statistic, by SH degree.
-    project: [[Option<Kernel<project_backward::Interface>>; 4]; 4],
+    /// By [`project_index`], by SH degree.
+    project: [[Option<Kernel<project_backward::Interface>>; 4]; 8],
     /// By the 3D filter, by SH degree.
     project_adam: [[Option<Kernel<project_adam::Interface>>; 4]; 2],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
@@ -134,8 +136,8 @@ macro_rules! blend_backward_arguments {
 }
 
 /// Place of a kernel in [`Backward::project`].
-fn project_index(filter_3d: bool, absolute: bool) -> usize {
-    usize::from(filter_3d) | usize::from(absolute) << 1
+fn project_index(filter_3d: bool, absolute: bool, pose_gradient: bool) -> usize {
+    usize::from(filter_3d) | usize::from(absolute) << 1 | usize::from(pose_gradient) << 2
 }
 
 impl Backward {
@@ -157,7 +159,7 @@ impl Backward {
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
         self.prepare_blend(Sums::Gradients, variant)?;
-        self.prepare_project(sh_degree, variant, false)
+        self.prepare_project(sh_degree, variant, [false, false])
     }
 
     /// As [`Backward::prepare`], for [`Statistics::absolute`].
@@ -166,7 +168,7 @@ impl Backward {
     /// When the device refuses a pipeline.
     pub fn prepare_absolute(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
         self.prepare_blend(Sums::Absolute, variant)?;
-        self.prepare_project(sh_degree, variant, true)
+        self.prepare_project(sh_degree, variant, [true, false])
     }
 
     /// Builds the kernels of [`Backward::record_weights`], for any dilation, unless they exist.
@@ -219,20 +221,40 @@ impl Backward {
         Ok(())
     }
 
-    fn prepare_project(&mut self, sh_degree: u32, variant: BackwardVariant, absolute: bool) -> Result<()> {
-        let subgroup_size = self.context.limits().subgroup_size;
+    /// As [`Backward::prepare`], for [`Backward::record_with_pose`], without and with [`Statistics::absolute`].
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare_with_pose(
+        &mut self,
+        sh_degree: u32,
+        variant: BackwardVariant,
+        absolute: bool,
+    ) -> Result<()> {
+        self.prepare_blend(if absolute { Sums::Absolute } else { Sums::Gradients }, variant)?;
+        self.prepare_project(sh_degree, variant, [absolute, true])
+    }
+
+    fn prepare_project(
+        &mut self,
+        sh_degree: u32,
+        variant: BackwardVariant,
+        [absolute, pose_gradient]: [bool; 2],
+    ) -> Result<()> {
         let filter_3d = variant.filter_3d;
-        let built = &mut self.project[project_index(filter_3d, absolute)][sh_degree as usize];
+        let place = project_index(filter_3d, absolute, pose_gradient);
+        let built = &mut self.project[place][sh_degree as usize];
         if built.is_none() {
             let spec = project_backward::Spec {
                 // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
                 // workgroup's size.
                 workgroup_size: self.sizes.elementwise_workgroup,
-                subgroup_size,
+                subgroup_size: self.context.limits().subgroup_size,
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
                 filter_3d,
                 absolute,
+                pose_gradient,
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
@@ -269,11 +291,37 @@ impl Backward {
         image_gradient: &Buffer,
         statistics: Statistics,
     ) {
+        self.record_all(r, inputs, image_gradient, statistics, false);
+    }
+
+    /// As [`Backward::record`], and the sums that [`PoseGradient`](crate::poses::PoseGradient) makes the gradient of the
+    /// camera's pose from. The scene must have the scale 1.
+    pub fn record_with_pose(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        image_gradient: &Buffer,
+        statistics: Statistics,
+    ) {
+        // Subgroups without a visible Gaussian write no sum.
+        let sums = inputs.scene.count.div_ceil(self.context.limits().subgroup_size);
+        r.fill(&inputs.frame.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
+        self.record_all(r, inputs, image_gradient, statistics, true);
+    }
+
+    fn record_all(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        image_gradient: &Buffer,
+        statistics: Statistics,
+        pose: bool,
+    ) {
         r.scope("blend backward", |r| {
             self.record_blend(r, inputs, image_gradient, Sums::of(&statistics));
         });
         r.barrier();
-        r.scope("project backward", |r| self.record_project(r, inputs, statistics));
+        r.scope("project backward", |r| self.record_project(r, inputs, statistics, pose));
     }
 
     /// Records the weights of the Gaussians in the frame that was recorded into the same buffers: per instance
@@ -308,9 +356,9 @@ impl Backward {
         });
     }
 
-    fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics) {
+    fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics, pose: bool) {
         let f = inputs.frame;
-        let place = project_index(inputs.settings.filter_3d, statistics.absolute.is_some());
+        let place = project_index(inputs.settings.filter_3d, statistics.absolute.is_some(), pose);
         let Some(kernel) = &self.project[place][inputs.sh_degree as usize] else {
             panic!("Backward::prepare was not called for SH degree {}", inputs.sh_degree);
         };
@@ -342,6 +390,8 @@ impl Backward {
                 statistics: statistics.buffer,
                 // Without it nothing is written there.
                 absolute_statistics: statistics.absolute.unwrap_or(statistics.buffer),
+                // Without a gradient of the pose nothing is written to it.
+                pose_sums: f.pose_sums(),
                 camera_block: &block_of(f, 0),
             };
             r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));

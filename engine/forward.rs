@@ -16,6 +16,7 @@ mod shape;
 pub use blend_forms::{BlendMeasurement, Blending};
 pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
+pub use camera_block::POSE_BYTES;
 pub(crate) use camera_block::block_of;
 pub use filter_3d::Filter3d;
 pub use inputs::{FrameInputs, PlacedScene, SceneBuffers};
@@ -291,7 +292,7 @@ impl Forward {
                 color_inverse_depth: splats.color_inverse_depth,
                 depth_keys: f.depth_keys(),
                 footprints: splats.footprints,
-                tile_lists: &f.tile_lists,
+                tile_lists: f.tile_lists(),
                 camera_block: &block_of(f, part.place),
             };
             if index > 0 {
@@ -324,7 +325,7 @@ impl Forward {
         let bind = count::Bind {
             state: &f.state,
             order: f.depth_order(),
-            tile_lists: &f.tile_lists,
+            tile_lists: f.tile_lists(),
             tiles_touched: &f.tiles_touched,
             list_heads: f.list_heads(),
             list_rows: f.list_rows(),

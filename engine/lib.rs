@@ -49,6 +49,7 @@ pub mod optimizer;
 pub mod pixels;
 pub mod plan;
 pub mod planes;
+pub mod poses;
 pub mod renderer;
 pub mod scan;
 pub mod scene;
@@ -63,8 +64,9 @@ pub use compose::Background;
 pub use error::{Error, Result};
 pub use forward::{BlendMeasurement, Blending, Extent, JacobianLimit, RenderSettings, Shape};
 pub use renderer::{
-    BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, Occluder, PixelReport,
-    Placed, RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport, Target, TileReport, Update,
+    Alignment, BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, Occluder,
+    PixelReport, Placed, RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport, Target,
+    TileReport, Update,
 };
 pub use scene::{Camera, Gaussians};
 pub use trainer::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

@@ -182,7 +182,10 @@ impl Lpips {
             }
         };
         let distances = self.run(&mut memory, pictures, range);
-        self.memory = Some(memory);
+        // Where memory is bounded, the frames between two measurements need it.
+        if self.context.max_memory().is_none() {
+            self.memory = Some(memory);
+        }
         distances
     }
 

@@ -1,7 +1,7 @@
 //! Adam over all parameters in one pass.
 
 use crate::error::Result;
-use crate::forward::{FrameInputs, SceneBuffers};
+use crate::forward::{FrameInputs, SceneBuffers, block_of};
 use crate::kernels::optimizer::{adam, add_gradients};
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
@@ -56,6 +56,7 @@ pub struct Optimizer {
     sizes: LaunchSizes,
     sparse: bool,
     parameter_gradients: bool,
+    moved_cameras: bool,
     adam: [Option<Kernel<adam::Interface>>; 4],
     /// Of Gaussians outside the view alone.
     unseen: [Option<Kernel<adam::Interface>>; 4],
@@ -84,7 +85,16 @@ impl Optimizer {
         let sizes = LaunchSizes::new(context.limits());
         let context = context.clone();
         let (adam, unseen) = Default::default();
-        Self { context, sizes, sparse, parameter_gradients: false, adam, unseen, sums: None }
+        Self {
+            context,
+            sizes,
+            sparse,
+            parameter_gradients: false,
+            moved_cameras: false,
+            adam,
+            unseen,
+            sums: None,
+        }
     }
 
     /// As [`Optimizer::new`], for a loss with terms that depend on the parameters directly: their gradient is
@@ -98,6 +108,12 @@ impl Optimizer {
         Self { sums: Some(Default::default()), ..self }
     }
 
+    /// For frames whose cameras the device has moved: [`FrameInputs::pose`].
+    #[must_use]
+    pub fn with_moved_cameras(self) -> Self {
+        Self { moved_cameras: true, ..self }
+    }
+
     /// Builds the variant for an SH degree unless it exists.
     ///
     /// # Errors
@@ -109,8 +125,8 @@ impl Optimizer {
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         if let Some(slot @ None) = self.sums.as_mut().map(|sums| &mut sums[sh_degree as usize]) {
-            let adam::Spec { workgroup_size, parameter_gradients, .. } = spec;
-            let add = add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients };
+            let adam::Spec { workgroup_size, parameter_gradients, moved_camera, .. } = spec;
+            let add = add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients, moved_camera };
             let adam = adam::Spec { sums: true, ..spec };
             *slot = Some(SumKernels {
                 add: Kernel::new(&self.context, &add)?,
@@ -134,9 +150,17 @@ impl Optimizer {
     }
 
     fn spec(&self, sh_degree: u32, unseen: bool) -> adam::Spec {
-        let Self { sparse, parameter_gradients, .. } = *self;
+        let Self { sparse, parameter_gradients, moved_cameras: moved_camera, .. } = *self;
         let workgroup_size = self.sizes.elementwise_workgroup;
-        adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums: false, unseen }
+        adam::Spec {
+            workgroup_size,
+            sh_degree,
+            sparse,
+            parameter_gradients,
+            sums: false,
+            unseen,
+            moved_camera,
+        }
     }
 
     fn sum_kernels(&self, sh_degree: u32) -> &SumKernels {
@@ -173,6 +197,7 @@ impl Optimizer {
                         true => &parameter_gradients[range.chunk],
                         false => &inputs.frame.gradients,
                     },
+                    camera_block: &block_of(inputs.frame, 0),
                 };
                 let push = add_gradients::Push {
                     camera_position: inputs.camera.position().to_array(),
@@ -265,6 +290,7 @@ impl Optimizer {
                     // Without such terms nothing is read from it.
                     parameter_gradients: direct
                         .map_or(&inputs.frame.gradients, |gradients| &gradients[range.chunk]),
+                    camera_block: &block_of(inputs.frame, 0),
                 };
                 let push = push(inputs, step, range.first, range.count);
                 r.dispatch(

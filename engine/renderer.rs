@@ -1,6 +1,7 @@
 //! Rendering. `Renderer::render` records a frame, submits it, waits and reads it back. `Renderer::record`
 //! only records into a host's command buffer.
 
+mod align;
 mod check;
 mod device_scene;
 mod first_frame;
@@ -13,6 +14,8 @@ mod slots;
 mod tiles;
 mod updates;
 
+pub use align::Alignment;
+pub(crate) use align::{AlignRequest, Aligner};
 pub use device_scene::DeviceScene;
 pub(crate) use frame_store::{FrameStore, State};
 pub use gradients::Gradients;
@@ -57,6 +60,8 @@ pub struct Renderer {
     compose: Option<Compose>,
     /// Built with the first gradients.
     border: Option<PixelBorder>,
+    /// Built with the first alignment.
+    aligner: Option<Aligner>,
     slots: slots::Slots,
 }
 
@@ -119,6 +124,7 @@ impl Renderer {
             scene: None,
             compose: None,
             border: None,
+            aligner: None,
             slots: slots::Slots::default(),
         })
     }

@@ -108,13 +108,14 @@ fn architecture_unsafe_only_under_vk() {
 
 // ---- dependencies between modules ---------------------------------------------------------------------------------
 
-const STAGES: [&str; 13] = [
+const STAGES: [&str; 14] = [
     "scan",
     "sort",
     "arithmetic",
     "forward",
     "pixels",
     "planes",
+    "poses",
     "backward",
     "compose",
     "loss",

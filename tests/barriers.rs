@@ -1,11 +1,12 @@
 //! Every barrier of a training step is needed, and the hazard checker notices the absence of any one.
 
 use ashsplat::backward::{Backward, BackwardVariant, Statistics};
-use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers};
+use ashsplat::forward::{BlendVariant, Forward, FrameInputs, POSE_BYTES, SceneBuffers};
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
 use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, Strips, frame_requests};
 use ashsplat::planes;
+use ashsplat::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep};
 use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride, MemoryKind, Recorder};
 use ashsplat::{Camera, RenderSettings};
 
@@ -23,9 +24,11 @@ enum Kind {
     Step,
     /// Backward, and the gradients of all parameters.
     Gradients,
+    /// A step with a camera that the device moves.
+    Poses,
 }
 
-const KINDS: [Kind; 2] = [Kind::Step, Kind::Gradients];
+const KINDS: [Kind; 3] = [Kind::Step, Kind::Gradients, Kind::Poses];
 
 /// Everything that a training step works on.
 struct Training {
@@ -40,6 +43,10 @@ struct Training {
     gradients: Vec<Buffer>,
     frame: FrameBuffers,
     capacity: FrameCapacity,
+    poses: PoseBuffers,
+    pose_gradient: PoseGradient,
+    pose_optimizer: PoseOptimizer,
+    moved_optimizer: Optimizer,
     /// Photo, losses, statistics, 2-D gradients, scratch of the loss.
     others: Vec<Buffer>,
     camera: Camera,
@@ -79,12 +86,17 @@ impl Training {
             ("image_gradient", 16 * Strips { width, height }.values()),
         ];
         others.extend(loss.scratch_requests([(width, height)]));
+        let poses = context.allocate("poses", &PoseBuffers::requests(3), MemoryKind::Device).expect("poses");
         let mut training = Training {
             forward: Forward::new(&context).expect("kernels"),
             loss,
             backward: Backward::new(&context),
             sizes: LaunchSizes::new(context.limits()),
             optimizer: Optimizer::new(&context, false),
+            poses: PoseBuffers::from_allocated(3, poses),
+            pose_gradient: PoseGradient::new(&context).expect("kernels"),
+            pose_optimizer: PoseOptimizer::new(&context).expect("kernels"),
+            moved_optimizer: Optimizer::new(&context, false).with_moved_cameras(),
             moments: Moments { first: planes_of("moments"), second: planes_of("moments") },
             gradients: planes_of("gradients"),
             frame: FrameBuffers::from_allocated(frame),
@@ -101,15 +113,19 @@ impl Training {
         training.backward.prepare(SH_DEGREE, variant).expect("kernels");
         training.backward.prepare_expand(SH_DEGREE).expect("kernels");
         training.optimizer.prepare(SH_DEGREE).expect("kernels");
+        training.backward.prepare_with_pose(SH_DEGREE, variant, false).expect("kernels");
+        training.moved_optimizer.prepare(SH_DEGREE).expect("kernels");
         training
     }
 
     fn record(&self, recorder: &mut Recorder, kind: Kind) {
+        let first_pose = self.poses.cameras.range(0, POSE_BYTES);
         let inputs = FrameInputs {
             scene: &self.scene,
             frame: &self.frame,
             capacity: &self.capacity,
             camera: &self.camera,
+            pose: (kind == Kind::Poses).then_some(&first_pose),
             settings: &self.settings,
             sh_degree: SH_DEGREE,
             others: &[],
@@ -146,12 +162,23 @@ impl Training {
         };
         self.loss.record(recorder, &loss);
         recorder.barrier();
-        self.backward.record(recorder, &inputs, image_gradient, statistics);
+        match kind {
+            Kind::Poses => self.backward.record_with_pose(recorder, &inputs, image_gradient, statistics),
+            _ => self.backward.record(recorder, &inputs, image_gradient, statistics),
+        }
         recorder.barrier();
         let rates =
             Rates { mean: 1e-4, opacity: 0.025, quat: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
         let step = Step { rates, count: 1, opacity_count: 1 };
-        self.optimizer.record(recorder, &inputs, &self.moments, &[], &step);
+        if kind != Kind::Poses {
+            return self.optimizer.record(recorder, &inputs, &self.moments, &[], &step);
+        }
+        self.moved_optimizer.record(recorder, &inputs, &self.moments, &[], &step);
+        let (poses, state) = (&self.poses, &self.frame.state);
+        self.pose_gradient.record(recorder, &inputs, (&poses.parameters, 0), &poses.gradient);
+        recorder.barrier();
+        let step = PoseStep { rate: 1e-3, count: 1 };
+        self.pose_optimizer.record(recorder, poses, state, Some((step, 0)));
     }
 
     /// The hazards of a recording without one of its barriers, and how many barriers it has.

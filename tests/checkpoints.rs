@@ -1,6 +1,6 @@
 //! A run that goes on from a checkpoint ends with the same bits as one that was never interrupted.
 
-use ashsplat::trainer::{Checkpoint, OptimizerType, Room, TrainView, Trainer};
+use ashsplat::trainer::{Checkpoint, OptimizerType, PoseState, Room, TrainView, Trainer};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Gaussians, TrainSettings};
 use ashsplat_files::{CheckpointFile, Photo};
@@ -153,6 +153,11 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         filters: vec![0.25],
         gradient_sums: None,
         exposures: Default::default(),
+        poses: Some(PoseState {
+            parameters: vec![[0.1; 6]; 3],
+            first_moments: vec![[0.2; 6]; 3],
+            second_moments: vec![[0.3; 6]; 3],
+        }),
         skipped: 2,
         room: Room::default(),
     };

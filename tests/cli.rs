@@ -7,7 +7,9 @@ mod commands;
 mod convert;
 mod inspect;
 mod layouts;
+mod light;
 mod lpips;
+mod pose_opt;
 // The stand-ins are scripts of a shell.
 #[cfg(unix)]
 mod poses;

@@ -39,12 +39,18 @@ fn truth() -> Gaussians {
     gaussians(&scene)
 }
 
-/// The same scene, gray and faint.
+/// A third of the same scene, gray and faint: it cannot show the photographs as they are.
 fn gray() -> Gaussians {
-    let mut gaussians = truth();
-    gaussians.sh.iter_mut().for_each(|c| *c = [0.0; 3]);
-    gaussians.opacity_logits.fill(1.0);
-    gaussians
+    let all = truth();
+    let kept: Vec<usize> = (0..all.len()).filter(|i| i % 3 == 0).collect();
+    Gaussians {
+        sh_degree: 0,
+        means: kept.iter().map(|&i| all.means[i]).collect(),
+        quats: kept.iter().map(|&i| all.quats[i]).collect(),
+        log_scales: kept.iter().map(|&i| all.log_scales[i]).collect(),
+        opacity_logits: vec![1.0; kept.len()],
+        sh: vec![[0.0; 3]; kept.len()],
+    }
 }
 
 fn photographs(gpu: &Gpu) -> Vec<Photo> {
@@ -63,11 +69,13 @@ fn photographs(gpu: &Gpu) -> Vec<Photo> {
 
 fn settings(exposure: bool) -> TrainSettings {
     TrainSettings {
-        iterations: 600,
+        iterations: 1200,
         sh_degree: 0,
         feature_lr: 0.02,
         opacity_lr: 0.05,
-        position_lr_init: 1e-5,
+        // Slower than the defaults, which are for 30,000 iterations.
+        exposure_lr_init: 0.003,
+        exposure_lr_final: 1e-4,
         densify_until_iter: 0,
         opacity_reset_interval: 100_000,
         exposure,
@@ -107,17 +115,22 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     assert!(none.is_empty());
     let (ignored, _) = train(&gpu, &taken, &shown, false);
     let (learnt, exposures) = train(&gpu, &taken, &shown, true);
+    // What the exposure makes of the photograph's mean colour.
     let mut worst: f32 = 0.0;
     for (view, gains) in CHANGED {
+        let pixels = shown[view].to_f32();
+        let mean = |k: usize| pixels.iter().map(|c| c[k]).sum::<f32>() / pixels.len() as f32;
+        let mean = [mean(0), mean(1), mean(2)];
+        let exposed = exposures[view].of(mean);
         for k in 0..3 {
-            worst = worst.max((exposures[view].rows[k][k] / gains[k] - 1.0).abs());
+            worst = worst.max((exposed[k] / mean[k] / gains[k] - 1.0).abs());
         }
     }
     println!(
         "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4}"
     );
     assert!(worst < 0.02, "a gain is off by {worst}");
-    assert!(learnt > unchanged - 0.3 && ignored < unchanged - 3.0, "{learnt}, {ignored}: {unchanged}");
+    assert!(learnt > unchanged - 0.3 && ignored < learnt, "{learnt}, {ignored}: {unchanged}");
     let mut mean = [[0.0_f64; 4]; 3];
     for exposure in &exposures {
         let sums = mean.as_flattened_mut().iter_mut().zip(exposure.rows.as_flattened());

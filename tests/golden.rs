@@ -10,6 +10,7 @@ mod gpu_training;
 mod importance;
 mod lpips;
 mod mcmc;
+mod poses;
 mod rendering;
 mod sets;
 mod stages;
@@ -45,6 +46,7 @@ enum Kind {
     Exposure,
     Depth,
     Lpips,
+    Poses,
     Other,
 }
 
@@ -69,6 +71,7 @@ impl Kind {
             () if has("opacity_factor") => Kind::LongAxisSplit,
             () if has("budget_iteration") => Kind::GrowthSchedule,
             () if has("alex_layers") && has("vgg_layers") => Kind::Lpips,
+            () if has("d_pose") => Kind::Poses,
             () if has("logits") && has("out") => Kind::ResetOpacity,
             () => Kind::Other,
         }

@@ -12,7 +12,7 @@ use crate::reference::project::color as color_of;
 use crate::reference::types::{Extent, Gaussian, Gradient, Splat, View};
 
 /// Σ pixel · weight, a loss that is linear in the picture.
-fn linear_loss(gaussians: &[Gaussian], view: &View, weights: &[PixelGradient]) -> f64 {
+pub fn linear_loss(gaussians: &[Gaussian], view: &View, weights: &[PixelGradient]) -> f64 {
     render(gaussians, view)
         .pixels
         .iter()
@@ -23,7 +23,7 @@ fn linear_loss(gaussians: &[Gaussian], view: &View, weights: &[PixelGradient]) -
         .sum()
 }
 
-fn random_weights(random: &mut Random, view: &View) -> Vec<PixelGradient> {
+pub fn random_weights(random: &mut Random, view: &View) -> Vec<PixelGradient> {
     (0..view.pixels())
         .map(|_| PixelGradient {
             color: [random.signed(), random.signed(), random.signed()],
@@ -42,7 +42,7 @@ fn flat(gradient: &Gradient) -> Vec<f64> {
 }
 
 /// Whether a step changes which Gaussians a pixel blends: there the picture jumps and has no derivative.
-fn decisions(gaussians: &[Gaussian], view: &View) -> Vec<(u32, u32)> {
+pub fn decisions(gaussians: &[Gaussian], view: &View) -> Vec<(u32, u32)> {
     render(gaussians, view).pixels.iter().map(|p| (p.blended, p.last)).collect()
 }
 

@@ -111,7 +111,7 @@ fn bench_quality_refuses_what_makes_no_sense() {
     refused(&with(&["--seed", "3"]), &["--seed", "--seeds"]);
     refused(&with(&["--strategy", "mcmc"]), &["--strategy", "--strategies"]);
     refused(&with(&["--iterations", "0"]), &["iterations", "at least 1"]);
-    refused(&with(&["--until", "-3"]), &["--until"]);
+    refused(&with(&["--until=-3"]), &["--until"]);
 }
 
 /// Ctrl-C during the second run: the first one is kept, with its picture.

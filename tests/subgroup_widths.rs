@@ -10,10 +10,11 @@ use crate::common::{child, context};
 
 /// What the child processes run: sort and scan (integers, equal to the twins to the bit), blending, its backward, the
 /// projection's backward (floats, within the tolerances), the loss, and whole frames with gradients.
-const SELECTION: [&str; 17] = [
+const SELECTION: [&str; 20] = [
     "subgroup_size_is_the_one_asked_for_in_a_child",
     "kernels::scan_apply::scan_apply_equals_its_twin",
     "kernels::scan_spine",
+    "kernels::convolve::convolve_equals_its_twin",
     "kernels::sort_spine",
     "kernels::sort_downsweep::sort_scatter_equals_its_twin",
     "kernels::sort_upsweep_serial",
@@ -26,6 +27,8 @@ const SELECTION: [&str; 17] = [
     "kernels::blend_shared::blend_shared_equals_blend_on_images_of_all_sizes_and_opaque_layers",
     "kernels::ssim_backward_sweep::loss_by_blocks_and_by_sweeps",
     "kernels::project_backward::project_backward_equals_its_twin_in_every_mode",
+    "kernels::project_backward::project_backward_of_the_pose_equals_its_twin",
+    "kernels::pose_gradient::pose_gradient_equals_its_twin",
     "hard_cases::hard_case_images_of_odd_sizes",
     "subgroup_width_picture_in_a_child",
 ];

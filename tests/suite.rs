@@ -30,6 +30,7 @@ mod mcmc;
 mod orientations;
 mod parts;
 mod photos;
+mod poses;
 mod profile;
 mod properties;
 mod quality;

@@ -6,7 +6,7 @@ use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::trainer::checkpoint::{
-    Checkpoint, ExposureState, GradientSums, Room, StrategyState, StrategyStatistic, Tensor,
+    Checkpoint, ExposureState, GradientSums, PoseState, Room, StrategyState, StrategyStatistic, Tensor,
 };
 use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
@@ -210,6 +210,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             first_moments: exposures(&tensors, Checkpoint::SETS[1])?,
             second_moments: exposures(&tensors, Checkpoint::SETS[2])?,
         },
+        poses: poses(&tensors)?,
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
         room: Room {
             gaussians: metadata.parsed("room_gaussians")?,
@@ -283,6 +284,19 @@ fn values<T: Pod>(tensors: &SafeTensors, name: &str, row: &[usize]) -> Result<Ve
         return Err(format!("has a tensor '{name}' of {:?} {:?}", tensor.dtype(), tensor.shape()));
     }
     Ok(bytemuck::pod_collect_to_vec(tensor.data()))
+}
+
+/// None where they were not optimised.
+fn poses(tensors: &SafeTensors) -> Result<Option<PoseState>, String> {
+    let [parameters, first, second] = Checkpoint::POSES;
+    if tensors.tensor(parameters).is_err() {
+        return Ok(None);
+    }
+    Ok(Some(PoseState {
+        parameters: values(tensors, parameters, &[6])?,
+        first_moments: values(tensors, first, &[6])?,
+        second_moments: values(tensors, second, &[6])?,
+    }))
 }
 
 /// The strategy's own statistics, in the order of the data.

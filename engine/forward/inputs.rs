@@ -34,6 +34,9 @@ pub struct FrameInputs<'a> {
     pub capacity: &'a FrameCapacity,
     /// The camera.
     pub camera: &'a Camera,
+    /// Where the camera of `scene` is, if the device knows better than `camera` ([`POSE_BYTES`](super::POSE_BYTES)): the
+    /// rows of the rotation from world to camera, then the translation, with `scale` 1.
+    pub pose: Option<&'a Buffer>,
     /// How to render.
     pub settings: &'a RenderSettings,
     /// World units per unit of the scene.

@@ -127,8 +127,8 @@ frame_requests! {
     color_inverse_depth: |s| s.apart * s.gaussians * 16;
     /// Per visible Gaussian: shape of its rows of tiles, number of tiles (tile_span.glsl).
     footprints: |s| s.apart * s.gaussians * 16;
-    /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl).
-    pub tile_lists: |s| s.gaussians * 8;
+    /// [`Self::tile_lists`], then [`Self::pose_sums`].
+    tile_lists: |s| (s.gaussians * 8).max(POSE_SUMS_LEAST);
     /// [`Self::depth_keys`], [`Self::depth_sort_keys`], then [`Self::list_heads`].
     depth_keys_a: |s| s.gaussians * 4;
     /// [`Self::depth_sort_keys`], then [`Self::list_rows`].
@@ -190,6 +190,11 @@ frame_requests! {
     pub gradients: |s| s.backward * s.gaussians * 16 * u64::from(GRADIENT_PLANES);
 }
 
+/// Two vec3 per subgroup of four lanes or more fit into the lists of tiles of ten Gaussians or more. For fewer, this many bytes
+/// do, which the padding between buffers takes anyway.
+const POSE_SUMS_LEAST: u64 = 128;
+const _: () = assert!(10_u64.div_ceil(4) * 24 <= 80 && 16_u64.div_ceil(4) * 24 <= POSE_SUMS_LEAST);
+
 /// Bytes of all buffers of a frame, including the padding between them.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
     let sizes: Vec<u64> = frame_requests(capacity, block).iter().map(|(_, bytes)| *bytes).collect();
@@ -240,6 +245,18 @@ impl FrameBuffers {
     /// Per depth rank: the visible Gaussian. From the depth sort on, which has an even number of passes.
     pub fn depth_order(&self) -> &Buffer {
         &self.order_a
+    }
+
+    /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl). From projection
+    /// to duplication.
+    pub fn tile_lists(&self) -> &Buffer {
+        &self.tile_lists
+    }
+
+    /// Per subgroup of visible Gaussians, by its place among subgroups of all Gaussians: sums of dL/dν and dL/dω of the
+    /// camera's pose, two vec3. From the backward projection on, if it has them.
+    pub fn pose_sums(&self) -> &Buffer {
+        &self.tile_lists
     }
 
     /// Per depth rank: the first word of the Gaussian's list of tiles. From counting to duplication, when the

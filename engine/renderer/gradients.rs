@@ -6,6 +6,7 @@ use crate::error::{Error, Result};
 use crate::forward::RenderSettings;
 use crate::pixels::PixelBorder;
 use crate::planes;
+use crate::poses::{GRADIENT_BYTES, PARAMETER_BYTES, PoseGradient};
 use crate::scene::{Camera, Gaussians};
 use crate::vk::MemoryKind;
 
@@ -16,6 +17,10 @@ pub struct Gradients {
     pub parameters: Gaussians,
     /// With respect to the 2D means, pixels; 0 for Gaussians that are not visible.
     pub mean2d_px: Vec<[f32; 2]>,
+    /// With respect to the camera's pose: dL/dδ at δ = 0 of the pose `exp(δ^) T`, T from world to camera. δ = (ν, ω) is in the
+    /// camera's frame (x right, y down, z forward): three displacements in world units, then three turns in radians
+    /// about the camera's centre. See [`Twist`](crate::scene::Twist). Only of [`Renderer::gradients_with_pose`].
+    pub pose: Option<[f32; 6]>,
 }
 
 impl Renderer {
@@ -34,6 +39,32 @@ impl Renderer {
         image_gradient: &[[f32; 3]],
         inverse_depth_gradient: Option<&[f32]>,
     ) -> Result<Gradients> {
+        self.differentiate(camera, settings, (image_gradient, inverse_depth_gradient), false)
+    }
+
+    /// As [`Renderer::gradients`], with the gradient with respect to the camera's pose ([`Gradients::pose`]). It sums over all
+    /// visible Gaussians, in one fixed order (the same bits each time), how their means, covariances and directions of
+    /// view change with the pose.
+    ///
+    /// # Errors
+    /// As [`Renderer::gradients`].
+    pub fn gradients_with_pose(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        image_gradient: &[[f32; 3]],
+        inverse_depth_gradient: Option<&[f32]>,
+    ) -> Result<Gradients> {
+        self.differentiate(camera, settings, (image_gradient, inverse_depth_gradient), true)
+    }
+
+    fn differentiate(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        (image_gradient, inverse_depth_gradient): (&[[f32; 3]], Option<&[f32]>),
+        with_pose: bool,
+    ) -> Result<Gradients> {
         let pixels = camera.width as usize * camera.height as usize;
         if image_gradient.len() != pixels || inverse_depth_gradient.is_some_and(|g| g.len() != pixels) {
             let problem = format!("needs one entry for each of {}x{} pixels", camera.width, camera.height);
@@ -49,7 +80,17 @@ impl Renderer {
         }
         let scene = self.scene.clone().ok_or_else(super::no_scene)?;
         let sh_degree = scene.active_degree(settings);
-        self.backward.prepare(sh_degree, BackwardVariant::of(settings))?;
+        let variant = BackwardVariant::of(settings);
+        let pose_gradient = match with_pose {
+            true => {
+                self.backward.prepare_with_pose(sh_degree, variant, false)?;
+                Some(PoseGradient::new(&self.context)?)
+            }
+            false => {
+                self.backward.prepare(sh_degree, variant)?;
+                None
+            }
+        };
         self.backward.prepare_expand(sh_degree)?;
         let border = match &mut self.border {
             Some(border) => border,
@@ -64,23 +105,34 @@ impl Renderer {
         let target: Vec<[f32; 4]> = target.collect();
         let target: &[u8] = bytemuck::cast_slice(&target);
         let native_bytes = PixelBorder::gradient_bytes(camera.width, camera.height);
-        let requests = [
+        let mut requests = vec![
             ("mean2d_gradients", count * 8),
             ("statistics", count * 8),
             ("target_rows", target.len() as u64),
             ("target", native_bytes),
         ];
+        if with_pose {
+            requests.extend([("pose_parameters", PARAMETER_BYTES), ("pose_gradient", GRADIENT_BYTES)]);
+        }
         let extra = self.context.allocate("gradients", &requests, MemoryKind::Device)?;
         self.context.upload(&extra[2], target)?;
 
-        let request = Request { scene: &scene, camera, settings, sh_degree, backward: true };
+        let request = Request { scene: &scene, camera, pose: None, settings, sh_degree, backward: true };
         let backward = &self.backward;
         let ran = self.runner.run(&request, |r, inputs| {
             r.barrier();
             border.record_gradient(r, inputs, &extra[2], &extra[3], false);
             r.barrier();
             let statistics = Statistics { buffer: &extra[1], accumulate: false, absolute: None };
-            backward.record(r, inputs, &extra[3], statistics);
+            match &pose_gradient {
+                None => backward.record(r, inputs, &extra[3], statistics),
+                Some(gradient) => {
+                    r.fill(&extra[4], 0);
+                    backward.record_with_pose(r, inputs, &extra[3], statistics);
+                    r.barrier();
+                    gradient.record(r, inputs, (&extra[4], 0), &extra[5]);
+                }
+            }
             r.barrier();
             backward.record_expand_gradients(r, inputs, &planes, &extra[0]);
             Ok(())
@@ -91,6 +143,10 @@ impl Renderer {
         let bytes = self.context.download(&extra[0])?;
         let mut mean2d_px: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&bytes);
         mean2d_px.truncate(parameters.len());
-        Ok(Gradients { parameters, mean2d_px })
+        let pose = pose_gradient.map(|_| -> Result<[f32; 6]> {
+            let bytes = self.context.download(&extra[5].range(0, GRADIENT_BYTES / 2))?;
+            Ok(bytemuck::pod_read_unaligned(&bytes))
+        });
+        Ok(Gradients { parameters, mean2d_px, pose: pose.transpose()? })
     }
 }

@@ -296,6 +296,7 @@ pub(super) fn inputs_of<'a>(
         frame: &slot.frame,
         capacity: &slot.capacity,
         camera: &first.camera,
+        pose: None,
         settings,
         scale: first.scale,
         sh_degree: first.sh_degree,

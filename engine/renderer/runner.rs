@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::forward::{BlendVariant, Blending, Forward, FrameInputs, RenderSettings, SceneBuffers};
 use crate::plan::{FrameBuffers, FrameCapacity, PictureCapacity};
 use crate::scene::Camera;
-use crate::vk::{Context, Recorder, RunReport};
+use crate::vk::{Buffer, Context, Recorder, RunReport};
 
 /// The forward pass with its own frame buffers.
 pub(crate) struct FrameRunner {
@@ -20,6 +20,8 @@ pub(crate) struct FrameRunner {
 pub(crate) struct Request<'a> {
     pub scene: &'a SceneBuffers,
     pub camera: &'a Camera,
+    /// See [`FrameInputs::pose`].
+    pub pose: Option<&'a Buffer>,
     pub settings: &'a RenderSettings,
     /// Evaluated SH degree.
     pub sh_degree: u32,
@@ -34,6 +36,7 @@ impl<'a> Request<'a> {
             frame,
             capacity,
             camera: self.camera,
+            pose: self.pose,
             settings: self.settings,
             scale: 1.0,
             sh_degree: self.sh_degree,
@@ -99,7 +102,7 @@ impl FrameRunner {
         request: &Request,
         mut record_more: impl FnMut(&mut Recorder, &FrameInputs) -> Result<()>,
     ) -> Result<Ran, Failed> {
-        let Request { scene, camera, settings, sh_degree, backward } = *request;
+        let Request { scene, camera, settings, sh_degree, backward, .. } = *request;
         camera.check()?;
         settings.check()?;
         self.forward.prepare_variant(sh_degree, BlendVariant::of(settings, backward))?;
@@ -223,7 +226,7 @@ impl FrameRunner {
         settings: &RenderSettings,
     ) -> Result<Frame> {
         let sh_degree = scene.active_degree(settings);
-        let request = Request { scene, camera, settings, sh_degree, backward: false };
+        let request = Request { scene, camera, pose: None, settings, sh_degree, backward: false };
         let ran = self.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         let frame = self.frame()?;

@@ -14,6 +14,7 @@ pub mod sh_rotation;
 pub mod stored_photo;
 pub mod tour;
 pub mod transform;
+pub mod twist;
 pub mod view;
 
 pub use camera::{Camera, Intrinsics, scene_extent};
@@ -27,4 +28,5 @@ pub use points::{Bounds, PointCloud};
 pub use stored_photo::{PhotoFile, StoredPhoto};
 pub use tour::Motion;
 pub use transform::Similarity;
+pub use twist::Twist;
 pub use view::{ClipY, DepthMapping, HostView, Pose};

@@ -29,6 +29,8 @@ pub(super) struct Before<'a> {
     pub loss: &'a LossRequests<'a>,
     /// The losses' copy that the host reads.
     pub losses: Request,
+    /// The poses' buffers; none unless they are optimised.
+    pub poses: Requests,
     /// Initial number of Gaussians.
     pub count: u32,
     pub sh_degree: u32,
@@ -43,7 +45,8 @@ impl Before<'_> {
         // The counts of training's frames and of drawn frames.
         let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.losses]);
         let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
-        self.rows.allocation_bytes(context, plan) + bytes(&scratch) + readback + frame
+        let poses = if self.poses.is_empty() { 0 } else { bytes(&self.poses) };
+        self.rows.allocation_bytes(context, plan) + bytes(&scratch) + readback + frame + poses
     }
 
     fn sizes(&self) -> Vec<(u32, u32)> {

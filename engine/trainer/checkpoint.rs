@@ -53,6 +53,8 @@ pub struct Checkpoint {
     pub gradient_sums: Option<GradientSums>,
     /// The exposures of the views' photographs, if they are learned.
     pub exposures: ExposureState,
+    /// The poses of the views, if they are optimised.
+    pub poses: Option<PoseState>,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
     pub skipped: u32,
     /// Allocated capacities.
@@ -102,6 +104,17 @@ pub struct StrategyStatistic {
     pub floats: u32,
     /// The values, Gaussian by Gaussian.
     pub values: Vec<f32>,
+}
+
+/// Optimised poses, one row per view: see [`Twist`](crate::scene::Twist).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseState {
+    /// What each camera has been moved by: ξ = (ν, ω), world units and radians.
+    pub parameters: Vec<[f32; 6]>,
+    /// Adam's first moments.
+    pub first_moments: Vec<[f32; 6]>,
+    /// Adam's second moments.
+    pub second_moments: Vec<[f32; 6]>,
 }
 
 /// A part of a checkpoint.
@@ -198,6 +211,12 @@ impl Checkpoint {
             shape: vec![set.len(), 3, 4],
             bytes: bytemuck::cast_slice(set),
         }));
+        if let Some(PoseState { parameters, first_moments, second_moments }) = &self.poses {
+            for (name, rows) in Self::POSES.iter().zip([parameters, first_moments, second_moments]) {
+                let (name, shape) = ((*name).to_owned(), vec![rows.len(), 6]);
+                tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(rows) });
+            }
+        }
         tensors
     }
 
@@ -212,6 +231,9 @@ impl Checkpoint {
 
     /// Name of the exposures' tensor, and of that of their moments behind the prefixes.
     pub const EXPOSURES: &str = "exposures";
+
+    /// Names of the poses' tensors: parameters, first and second moments. Only of runs that optimise them.
+    pub const POSES: [&str; 3] = ["pose", "first_moment.pose", "second_moment.pose"];
 
     /// Prefix of the strategy's own statistics, and of its values in the metadata.
     pub const STRATEGY: &str = "strategy.";
@@ -251,6 +273,14 @@ impl Checkpoint {
         let ExposureState { values, first_moments, second_moments } = &self.exposures;
         if [values, first_moments, second_moments].iter().any(|set| set.len() as u64 != exposures) {
             return Err(Error::argument("exposures", format!("are not those of {exposures} photographs")));
+        }
+        let views = |poses: &PoseState| {
+            [&poses.parameters, &poses.first_moments, &poses.second_moments]
+                .iter()
+                .all(|rows| rows.len() as u64 == self.views)
+        };
+        if !self.poses.as_ref().is_none_or(views) {
+            return Err(Error::argument("poses", "are of another number than the views"));
         }
         if self.gaussians.sh_degree != self.settings.sh_degree {
             return Err(Error::argument("sh_degree", "of the Gaussians and of the settings differ"));

@@ -4,6 +4,7 @@ use super::budget::Before;
 use super::checkpoint::Room;
 use super::model::RowMemory;
 use super::photos::{self, PhotoSize};
+use super::poses;
 use super::settings::TrainSettings;
 use super::step_recorder::StepRecorder;
 use super::strategy::Strategy;
@@ -102,6 +103,7 @@ impl Kit {
                 requests
             },
             losses: self.recorder.readback_request(),
+            poses: poses::requests(settings, photos.len()),
             count,
             sh_degree: settings.sh_degree,
         };

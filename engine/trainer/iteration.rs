@@ -8,6 +8,7 @@ use super::work::{Actions, Work};
 use crate::exposure::ExposureStep;
 use crate::forward::RenderSettings;
 use crate::optimizer::{Rates, Step};
+use crate::poses::PoseStep;
 
 /// Progress of a run between two iterations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -52,6 +53,8 @@ pub(super) struct IterationPlan {
     /// Whether the sizes of the 3D filter are computed anew after the step.
     pub computes_filters: bool,
     pub exposure: ExposureStep,
+    /// Of the poses, if they are optimised.
+    pub pose_step: PoseStep,
 }
 
 impl IterationPlan {
@@ -96,6 +99,8 @@ impl Schedule {
             step: optimizer_step(run, iteration, progress, &work),
             computes_filters: s.computes_filters_at(iteration),
             exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1 },
+            // Where the Gaussians make a step, the poses do.
+            pose_step: PoseStep { rate: s.pose_lr(iteration), count: progress.steps + 1 },
         }
     }
 }

@@ -5,6 +5,7 @@
 //! next step, so that between steps the scene is what the reference would save. A step whose frame overflowed
 //! its buffers changes nothing, and is run again with a larger capacity.
 
+mod align;
 mod budget;
 pub mod checkpoint;
 mod choices;
@@ -15,6 +16,7 @@ mod model;
 pub mod options;
 mod photos;
 mod population;
+mod poses;
 mod random;
 mod record;
 mod report;
@@ -30,7 +32,7 @@ mod terms;
 pub mod verify;
 mod work;
 
-pub use checkpoint::{Checkpoint, ExposureState, Room};
+pub use checkpoint::{Checkpoint, ExposureState, PoseState, Room};
 pub use forecast::Forecast;
 pub use photos::PhotoSize;
 pub use population::{Growth, Population};
@@ -47,7 +49,7 @@ use crate::forward::{Blending, Filter3d, RenderSettings, SceneBuffers};
 use crate::loss::LossTerm;
 use crate::plan::PictureCapacity;
 use crate::planes;
-use crate::renderer::{Frame, FrameRunner, FrameStore, PixelReport, TileReport};
+use crate::renderer::{Aligner, Frame, FrameRunner, FrameStore, PixelReport, TileReport};
 use crate::scene::StoredPhoto;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Context};
@@ -55,6 +57,7 @@ use depth_maps::DepthMaps;
 use forecast::Kit;
 use model::{Model, RowMemory, State};
 use photos::Photos;
+use poses::Poses;
 use run::Run;
 use std::sync::Arc;
 use step_recorder::{LossMemory, StepRecorder};
@@ -133,6 +136,10 @@ pub struct Trainer {
     strategy: Box<dyn Strategy>,
     recorder: StepRecorder,
     losses: LossMemory,
+    /// None unless they are optimised.
+    poses: Option<Poses>,
+    /// Built with the first alignment.
+    aligner: Option<Aligner>,
     runner: FrameRunner,
     /// Buffers of the frames that are drawn between steps. Training does not depend on them.
     pictures: FrameStore,
@@ -213,6 +220,7 @@ impl Trainer {
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;
+        let poses = Poses::new(context, &settings, &cameras)?;
         let views_fingerprint = resume::fingerprint_of(&views);
         drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, sh_degree)?;
@@ -231,6 +239,8 @@ impl Trainer {
         let filter = run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras)).transpose()?;
         let trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
+            poses,
+            aligner: None,
             schedule: iteration::Schedule::new(&run, targets.inverse_depth),
             pictures: FrameStore::new(context)?,
             context: context.clone(),

@@ -136,6 +136,8 @@ impl Population<'_> {
             let request = Request {
                 scene: &self.model.scene,
                 camera,
+                // What it is for needs no camera that is right to a hundredth of a pixel.
+                pose: None,
                 settings: &settings,
                 sh_degree: 0,
                 backward: true,

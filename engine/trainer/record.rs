@@ -182,8 +182,8 @@ impl Trainer {
     ) -> Result<()> {
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
         let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
-        let filter = self.filter.as_ref();
-        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, plan };
+        let (filter, poses) = (self.filter.as_ref(), self.poses.as_ref());
+        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, poses, plan };
         self.runner.record(r, &parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, losses);
             r.barrier();

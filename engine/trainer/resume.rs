@@ -72,6 +72,7 @@ impl Trainer {
                 views => Some(GradientSums { views, sums: planes_of(&model.spare)? }),
             },
             exposures: self.exposure_state()?,
+            poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
             skipped: self.state.skipped,
             room: self.room(),
         })
@@ -137,6 +138,10 @@ impl Trainer {
         if let Some(exposures) = &trainer.losses.exposures {
             let ExposureState { values, first_moments, second_moments } = &from.exposures;
             exposures.upload(context, [values, first_moments, second_moments])?;
+        }
+        if let Some(poses) = &trainer.poses {
+            let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
+            poses.restore(context, from.poses.as_ref().ok_or_else(lacks)?)?;
         }
         let state = &mut trainer.state;
         state.progress = Progress {

@@ -116,6 +116,10 @@ options! {
         kernel_size: f64 = 0.3, Bounds::Positive;
         /// Widen Gaussians to what the nearest camera resolves (Mip-Splatting's 3D filter)
         filter_3d: bool = false, Bounds::None;
+        /// Optimise the poses of the training views with the scene; held-out ones are aligned to it before they are measured
+        pose_opt: bool = false, Bounds::None;
+        /// Learning rate of the poses at the start, world units and radians; a hundredth of it at the end
+        pose_lr: f64 = 1e-5, Bounds::NotNegative;
         /// Adam on all Gaussians, or on those seen only
         optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;
         /// Seed of everything random: order of the views, split positions, random backgrounds
@@ -272,6 +276,11 @@ impl TrainSettings {
     /// How many times shorter than 30,000 iterations the run is, at least 1.
     fn shorter(&self) -> f64 {
         (f64::from(SCHEDULE_ITERATIONS) / f64::from(self.iterations.max(1))).max(1.0)
+    }
+
+    /// Learning rate of the poses at an iteration: from `pose_lr` at 0 to a hundredth of it at the last, log-linear.
+    pub fn pose_lr(&self, iteration: u32) -> f64 {
+        self.pose_lr * 0.01_f64.powf(f64::from(iteration) / f64::from(self.iterations))
     }
 
     /// Learning rate of the SH coefficients of degree 1 and above.

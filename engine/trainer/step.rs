@@ -182,8 +182,8 @@ impl Trainer {
         self.recorder.prepare(plan.sh_degree)?;
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
         let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
-        let filter = self.filter.as_ref();
-        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, plan };
+        let (filter, poses) = (self.filter.as_ref(), self.poses.as_ref());
+        let parts = StepParts { run, model, photos, maps, memory, strategy, filter, poses, plan };
         self.runner.run(&parts.frame(), |r, inputs| {
             self.recorder.record(r, inputs, &parts, &self.losses.readback);
             Ok(())

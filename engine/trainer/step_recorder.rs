@@ -5,6 +5,7 @@ use super::depth_maps::DepthMaps;
 use super::iteration::IterationPlan;
 use super::model::Model;
 use super::photos::Photos;
+use super::poses::Poses;
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
 use super::strategy::{Hooks, StepInputs, Strategy};
@@ -34,6 +35,7 @@ pub(super) struct StepRecorder {
     /// The place of the absolute statistic among the strategy's.
     absolute: Option<usize>,
     optimizer: Optimizer,
+    poses: bool,
 }
 
 /// The memory of the loss.
@@ -75,6 +77,7 @@ pub(super) struct StepParts<'a> {
     pub strategy: &'a dyn Strategy,
     /// None without a 3D filter.
     pub filter: Option<&'a Filter3d>,
+    pub poses: Option<&'a Poses>,
     pub plan: &'a IterationPlan,
 }
 
@@ -84,6 +87,7 @@ impl<'a> StepParts<'a> {
         Request {
             scene: &self.model.scene,
             camera: &self.run.cameras[self.plan.view],
+            pose: self.poses.map(|poses| poses.camera(self.plan.view)),
             settings: &self.plan.settings,
             sh_degree: self.plan.sh_degree,
             backward: true,
@@ -111,6 +115,8 @@ impl StepRecorder {
             false => Optimizer::new(context, sparse),
         };
         let optimizer = if sums { optimizer.with_sums() } else { optimizer };
+        let poses = settings.pose_opt;
+        let optimizer = if poses { optimizer.with_moved_cameras() } else { optimizer };
         Ok(Self {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
@@ -121,6 +127,7 @@ impl StepRecorder {
             terms,
             targets,
             optimizer,
+            poses,
         })
     }
 
@@ -151,9 +158,17 @@ impl StepRecorder {
 
     /// Builds the kernels for an SH degree unless they exist.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        let variant = BackwardVariant::of(&self.drawn());
+        let (variant, absolute) = (BackwardVariant::of(&self.drawn()), self.absolute.is_some());
+        if self.poses {
+            // Statistics are not accumulated in every iteration.
+            self.backward.prepare_with_pose(sh_degree, variant, false)?;
+            if absolute {
+                self.backward.prepare_with_pose(sh_degree, variant, true)?;
+            }
+            return self.optimizer.prepare(sh_degree);
+        }
         self.backward.prepare(sh_degree, variant)?;
-        if self.absolute.is_some() {
+        if absolute {
             self.backward.prepare_absolute(sh_degree, variant)?;
         }
         if self.sizes.fused_adam {
@@ -248,6 +263,7 @@ impl StepRecorder {
         let hooks = parts.strategy.records();
         let fuses = self.fuses(&plan.work, hooks);
         match fuses {
+            _ if parts.poses.is_some() => self.backward.record_with_pose(r, inputs, gradient, statistics),
             true => {
                 let moved = (&model.moments, &plan.step);
                 self.backward.record_with_step(r, inputs, gradient, statistics, moved);
@@ -291,6 +307,10 @@ impl StepRecorder {
                 r.barrier();
                 let of = (exposures, &inputs.frame.state);
                 exposing.record_step(r, of, plan.view as u32, &plan.exposure);
+            }
+            // The frame has its own copy of its camera.
+            if let Some(poses) = parts.poses {
+                poses.record(r, inputs, plan.view, &plan.pose_step);
             }
         }
         if let Some(filter) = parts.filter.filter(|_| plan.computes_filters) {

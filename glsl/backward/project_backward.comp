@@ -10,6 +10,9 @@
 // in/out: statistics[Gaussian] += (norm of dL/d(mean2d) in NDC, 1) if `accumulate` is set, nothing overflowed
 //         and the norm is finite; with ABSOLUTE absolute_statistics[Gaussian] += (norm of the sums of |dL/d(mean2d)| in NDC),
 //         and both norms must be finite
+// out, with POSE_GRADIENT: pose_sums[subgroup] = sums of dL/d(nu), dL/d(omega) over the subgroup's Gaussians. They are dL/d(delta)
+//         at delta = 0 of the pose exp(delta^) T, delta = (nu, omega), T from world to camera. A turn about the camera's
+//         centre leaves the directions of the colours as they are. Gaussians with a contribution that is not finite are left out.
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -32,6 +35,8 @@ const bool ABSOLUTE = false;
 #else
 // Also the statistic of the absolute gradients of the 2D mean.
 layout(constant_id = 4) const bool ABSOLUTE = false;
+// Whether the camera's pose has a gradient.
+layout(constant_id = 6) const bool POSE_GRADIENT = false;
 #endif
 // Whether Gaussians have a 3D filter: see projection.glsl.
 layout(constant_id = 5) const bool FILTER_3D = false;
@@ -64,6 +69,7 @@ layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients
 // Only used with ABSOLUTE.
 VEC2_READS(12, InstanceGradientsD, instance_gradients_d);
 layout(set = 0, binding = 13, scalar) buffer AbsoluteStatistics { float absolute_statistics[]; };
+layout(set = 0, binding = 14, scalar) writeonly buffer PoseSums { vec3 pose_sums[]; };
 #endif
 
 layout(push_constant, scalar) uniform Push {
@@ -201,6 +207,26 @@ vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
     return (g - q * dot(q, g)) * inverse_norm;
 }
 
+#ifndef ADAM
+bool all_finite(vec3 v) {
+    return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
+}
+
+// The sums of the subgroup that begins at this visible Gaussian go to the place of its subgroup among those of all Gaussians:
+// the visible ones of a range are at most as many as the range has.
+void write_pose_sums(vec3 d_moved, vec3 d_turned, bool exists, uint end) {
+    bool counts = exists && all_finite(d_moved) && all_finite(d_turned);
+    vec3 moved = subgroupAdd(counts ? d_moved : vec3(0.0));
+    vec3 turned = subgroupAdd(counts ? d_turned : vec3(0.0));
+    uint begin = linear_workgroup() * WORKGROUP_SIZE + gl_SubgroupID * SUBGROUP_SIZE;
+    if (gl_SubgroupInvocationID == 0 && begin < end) {
+        uint at = (first + begin) / SUBGROUP_SIZE;
+        pose_sums[2 * at] = moved;
+        pose_sums[2 * at + 1] = turned;
+    }
+}
+#endif
+
 void main() {
     // A workgroup has the size of a culling block.
     uvec4 visible_range = UVEC4_AT(visible_ranges, 2 * (first / WORKGROUP_SIZE) + 1);
@@ -291,8 +317,18 @@ void main() {
     for (uint k = 0; k < 16; ++k) {
         d_direction += derivative[k] * dot(sh[k], d_color);
     }
-    d_mean += (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
+    vec3 d_towards = (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
+    d_mean += d_towards;
 
+#ifndef ADAM
+    if (POSE_GRADIENT) {
+        vec3 d_turned = cross(p.mean_camera, d_camera);
+        for (uint axis = 0; axis < 3; ++axis) {
+            d_turned += cross(p.axes_camera[axis], d_axes[axis]);
+        }
+        write_pose_sums(d_camera + to_camera(d_towards), d_turned, exists, visible_range.y - visible_range.x);
+    }
+#endif
 #ifdef ADAM
     if (exists && state[STATE_OVERFLOW] == 0) {
         vec4 d_mean_opacity = vec4(d_mean, d_logit);

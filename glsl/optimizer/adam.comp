@@ -9,7 +9,7 @@
 // those of the parameters themselves.
 //
 // invocation: one Gaussian
-// in: visible_index, gradients (PerVisible planes), parameter_gradients (PerGaussian planes), state
+// in: visible_index, gradients (PerVisible planes), parameter_gradients (PerGaussian planes), state, camera block
 // in/out: parameters, moments_1, moments_2 (PerGaussian planes), each bound a second time for reads;
 //     state[STATE_NON_FINITE] counts the skipped Gaussians
 // shared: none; any subgroup size
@@ -28,6 +28,8 @@ layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
 layout(constant_id = 5) const bool SUMS = false;
 // Only Gaussians outside the view: project_adam.comp has done the others.
 layout(constant_id = 6) const bool UNSEEN = false;
+// The camera is where the camera block says, and not where the push constants do: the device has moved it.
+layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_WRITES(0, Parameters, parameters);
@@ -66,6 +68,7 @@ layout(push_constant, scalar) uniform Push {
     float inverse_bias_2_opacity;
 };
 
+#include "camera_block.glsl"
 #include "dispatch.glsl"
 #include "planes.glsl"
 #include "sh.glsl"
@@ -75,6 +78,12 @@ layout(push_constant, scalar) uniform Push {
 #define NEW_PARAMETERS parameters
 #define SH_GRADIENT(PLANE, AT) (SUMS ? VEC4_AT(parameter_gradients, AT) : sh_plane_gradient(PLANE, basis, d_color))
 #include "adam_step.glsl"
+
+vec3 position_of_camera() {
+    vec3 t = camera_translation;
+    vec3 moved = -(camera_row_x * t.x + camera_row_y * t.y + camera_row_z * t.z) * inverse_scale_squared;
+    return MOVED_CAMERA ? moved : camera_position;
+}
 
 void main() {
     uint index = linear_invocation();
@@ -118,7 +127,7 @@ void main() {
     float basis[16];
     // Outside the view the colour has no gradient. A Gaussian at the camera's position has no direction: without this test
     // NaN times 0 would be NaN.
-    sh_basis(seen ? normalize(mean - camera_position) : vec3(0.0), basis);
+    sh_basis(seen ? normalize(mean - position_of_camera()) : vec3(0.0), basis);
 
     update_all(index, d_mean_opacity, d_quat, d_log_scale, d_color.xyz, basis);
 }

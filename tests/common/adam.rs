@@ -1,5 +1,6 @@
 //! The optimiser's kernel with its state on the device.
 
+use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{GRADIENT_PLANES, PLANE_SH, STATE_NON_FINITE, STATE_WORDS};
 use ashsplat::kernels::optimizer::adam::{self, Push};
 use ashsplat::vk::{Buffer, Kernel};
@@ -41,8 +42,16 @@ pub struct Step {
 
 fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool, parameter_gradients: bool) -> Kernel<adam::Interface> {
     let workgroup_size = gpu.workgroup(64);
-    let (sums, unseen) = (false, false);
-    gpu.kernel(&adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen })
+    let (sums, unseen, moved_camera) = (false, false, false);
+    gpu.kernel(&adam::Spec {
+        workgroup_size,
+        sh_degree,
+        sparse,
+        parameter_gradients,
+        sums,
+        unseen,
+        moved_camera,
+    })
 }
 
 /// Parameters and moments on the device.
@@ -56,6 +65,7 @@ pub struct AdamState<'a> {
     pub parameters: Buffer,
     pub moments: [Buffer; 2],
     parameter_gradients: Option<Buffer>,
+    moved_camera: bool,
 }
 
 impl<'a> AdamState<'a> {
@@ -68,6 +78,7 @@ impl<'a> AdamState<'a> {
             gpu,
             kernel: kernel(gpu, sh_degree, sparse, false),
             parameter_gradients: None,
+            moved_camera: false,
             workgroup: gpu.workgroup(64),
             count,
             coefficients,
@@ -93,8 +104,9 @@ impl<'a> AdamState<'a> {
     pub fn of_unseen(self, sh_degree: u32) -> AdamState<'a> {
         let workgroup_size = self.gpu.workgroup(64);
         let (sparse, parameter_gradients) = (false, false);
-        let (sums, unseen) = (false, true);
-        let spec = adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen };
+        let (sums, unseen, moved_camera) = (false, true, false);
+        let spec =
+            adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen, moved_camera };
         AdamState { kernel: self.gpu.kernel(&spec), ..self }
     }
 
@@ -110,6 +122,15 @@ impl<'a> AdamState<'a> {
         let kernel = kernel(self.gpu, sh_degree, sparse, true);
         let parameter_gradients = Some(self.gpu.buffer("parameter_gradients", &planes));
         AdamState { kernel, parameter_gradients, ..self }
+    }
+
+    /// With the camera's position in the camera block only.
+    pub fn with_moved_camera(self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
+        let (workgroup_size, parameter_gradients) = (self.workgroup, self.parameter_gradients.is_some());
+        let (sums, unseen, moved_camera) = (false, false, true);
+        let spec =
+            adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen, moved_camera };
+        AdamState { kernel: self.gpu.kernel(&spec), moved_camera: true, ..self }
     }
 
     /// Steps; `gradients` has `None` for what is not visible. Returns how many were skipped as not finite.
@@ -135,6 +156,7 @@ impl<'a> AdamState<'a> {
             old_moments_1: moments_1,
             old_moments_2: moments_2,
             parameter_gradients: self.parameter_gradients.as_ref().unwrap_or(gradients),
+            camera_block: &self.gpu.buffer("camera_block", &[self.camera_block(step)]),
         };
         self.gpu.run(|recorder| recorder.dispatch(&self.kernel, &bind, &push, workgroups));
         self.gpu.read::<u32>(state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]
@@ -147,7 +169,10 @@ impl<'a> AdamState<'a> {
         let rate = |rate: f64| (rate / correction(beta_1)) as f32;
         let inverse_bias_2 = correction(beta_2).sqrt().recip() as f32;
         Push {
-            camera_position: step.camera_position.map(|x| x as f32),
+            camera_position: match self.moved_camera {
+                true => [f32::NAN; 3],
+                false => step.camera_position.map(|x| x as f32),
+            },
             first: 0,
             count: self.count as u32,
             chunk_gaussians: self.room as u32,
@@ -165,6 +190,22 @@ impl<'a> AdamState<'a> {
             rate_sh_rest: rate(step.rates.sh_rest),
             inverse_bias_2,
             inverse_bias_2_opacity: inverse_bias_2,
+        }
+    }
+
+    /// Turned by a quarter about y; of no use to a camera that was not moved.
+    fn camera_block(&self, step: &Step) -> CameraBlock {
+        if !self.moved_camera {
+            return CameraBlock { camera_translation: [f32::NAN; 3], ..CameraBlock::default() };
+        }
+        let [x, y, z] = step.camera_position.map(|x| x as f32);
+        CameraBlock {
+            camera_row_x: [0.0, 0.0, 1.0],
+            camera_row_y: [0.0, 1.0, 0.0],
+            camera_row_z: [-1.0, 0.0, 0.0],
+            camera_translation: [-z, -y, x],
+            inverse_scale_squared: 1.0,
+            ..CameraBlock::default()
         }
     }
 

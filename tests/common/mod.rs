@@ -24,6 +24,7 @@ pub mod loss;
 pub mod lpips_files;
 pub mod npz;
 pub mod page;
+pub mod poses;
 pub mod regularizers;
 pub mod running;
 pub mod scenes;

@@ -40,7 +40,9 @@ pub fn views() -> Vec<TrainView> {
 }
 
 pub fn trainer(context: &Context, settings: TrainSettings) -> Trainer {
-    Trainer::new(context, views(), &cloud(300, 5), 4.0, settings).expect("a trainer")
+    let mut views = views();
+    views[1].inverse_depth = settings.exposure.then(|| vec![0.25; 48 * 36].into());
+    Trainer::new(context, views, &cloud(300, 5), 4.0, settings).expect("a trainer")
 }
 
 fn done(trainer: &mut Trainer, slot: u32) -> StepReport {
@@ -131,17 +133,11 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         multi_step: true,
         ..settings()
     };
-    // And with exposures, whose optimiser has a step of its own.
     let exposed = TrainSettings { exposure: true, ..settings() };
-    for (push_descriptors, settings) in [
-        (true, settings()),
-        (false, weighted),
-        (true, mcmc),
-        (true, filtered),
-        (true, exposed),
-        (true, budget.clone()),
-        (false, budget),
-    ] {
+    let poses = TrainSettings { pose_opt: true, pose_lr: 1e-3, ..settings() };
+    let plain = [weighted, poses, budget.clone()].map(|settings| (false, settings));
+    let usual = [settings(), mcmc, filtered, exposed, budget].map(|settings| (true, settings));
+    for (push_descriptors, settings) in usual.into_iter().chain(plain) {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }
 }

@@ -74,6 +74,7 @@ impl<'a> Stages<'a> {
             frame: &self.frame,
             capacity: &self.capacity,
             camera: &camera(view),
+            pose: None,
             settings: &settings,
             scale: 1.0,
             sh_degree: view.sh_degree,

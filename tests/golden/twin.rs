@@ -5,7 +5,8 @@ use libtest_mimic::Trial;
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
 use super::{
-    Kind, SetFile, absgrad, antialias, budget, depth, exposure, importance, lpips, mcmc, training, trial,
+    Kind, SetFile, absgrad, antialias, budget, depth, exposure, importance, lpips, mcmc, poses, training,
+    trial,
 };
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
@@ -75,6 +76,7 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
             ]
         }
         Kind::Lpips => vec![trial(format!("golden_twin_{name}"), move || lpips::of_twin(&file.path))],
+        Kind::Poses => vec![trial(format!("golden_twin_poses_{name}"), move || poses::of_twin(&file.path))],
         Kind::Other => vec![],
     }
 }

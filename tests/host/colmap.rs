@@ -266,3 +266,40 @@ fn what_cannot_be_written_is_refused() {
     assert!(colmap::write(folder.path(), &[], &parts.images, &parts.points).is_err());
     assert_eq!(names(folder.path()), [""; 0]);
 }
+
+/// In text, points have the ids 0, 1, …; in binary 1, 2, ….
+#[test]
+fn observations_are_those_of_the_points_that_exist() {
+    let folder = tempfile::tempdir().unwrap();
+    let parts = parts();
+    write_text(&folder.path().join("text/sparse/0"), &parts);
+    write(folder.path(), "binary/sparse/0", &parts);
+    let mut images = 3_u64.to_le_bytes().to_vec();
+    for (index, image) in parts.images.iter().enumerate() {
+        let seen: &[([f64; 2], u64)] = match index {
+            0 => &[([1.5, 2.5], u64::MAX), ([3.0, 4.0], 3)],
+            _ => &[([5.0, 6.0], 77)],
+        };
+        images.extend(image.id.to_le_bytes());
+        image.quat.iter().chain(&image.translation).for_each(|x| images.extend(x.to_le_bytes()));
+        images.extend(image.camera_id.to_le_bytes());
+        images.extend(image.name.as_bytes());
+        images.push(0);
+        images.extend((seen.len() as u64).to_le_bytes());
+        for (at, point) in seen {
+            at.iter().for_each(|x| images.extend(x.to_le_bytes()));
+            images.extend(point.to_le_bytes());
+        }
+    }
+    std::fs::write(folder.path().join("binary/sparse/0/images.bin"), images).unwrap();
+    for name in ["text", "binary"] {
+        let all = colmap::observations(&Model::of_dataset(folder.path().join(name)).unwrap()).unwrap();
+        assert_eq!(all.len(), 3, "{name}");
+        let [point] = all[&12][..] else { panic!("{name}: {:?}", all[&12]) };
+        assert_eq!(point.position_px, [3.0, 4.0], "{name}");
+        // The point at the origin.
+        let z = parts.images[0].translation[2];
+        assert!((point.inverse_z * z - 1.0).abs() < 1e-9, "{name}: {}", point.inverse_z);
+        assert!(all[&3].is_empty() && all[&5].is_empty(), "{name}");
+    }
+}

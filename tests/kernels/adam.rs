@@ -163,6 +163,27 @@ fn adam_without_texels_is_the_same_to_the_bit() {
     }
 }
 
+/// Where the device has moved the camera, it is the camera block's that counts, and only that.
+#[test]
+fn adam_of_a_moved_camera_is_the_same_to_the_bit() {
+    let gpu = Gpu::new();
+    for (gpu, sparse) in [(&gpu, false), (&gpu, true), (&Gpu::without_texels(), false)] {
+        let mut random = Random::new(9);
+        let gaussians = mixed_scene(&mut random, 200, 16);
+        let given = AdamState::new(gpu, &gaussians, 3, sparse);
+        let moved = AdamState::new(gpu, &gaussians, 3, sparse).with_moved_camera(3, sparse);
+        for count in 1..=2 {
+            let gradients = random_gradients(&mut random, 200);
+            let step = Step { rates: RATES, count, camera_position: CAMERA };
+            let [given, moved] = [&given, &moved].map(|state| {
+                let skipped = state.step(&gradients, &step, false);
+                (skipped, state.download())
+            });
+            assert!(given == moved && given.0 == 0, "step {count}");
+        }
+    }
+}
+
 #[test]
 fn adam_changes_nothing_after_an_overflow() {
     let gpu = Gpu::new();

@@ -40,6 +40,8 @@ mod multiply_add;
 mod nearest_depths;
 mod photo_to_rows;
 mod picture_to_rows;
+mod pose_gradient;
+mod pose_step;
 mod project;
 mod project_adam;
 mod project_backward;

@@ -6,11 +6,11 @@ use ashsplat::vk::Buffer;
 
 use super::blend_backward::from_moments;
 use crate::common::compare::{GradientTolerance, gradient};
-use crate::common::gpu::{Gpu, sizes};
+use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
 use crate::common::layout::{antialias_word, camera_block, pack_filtered, room};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::project::{color, project};
-use crate::reference::project_backward::{mean2d_statistic, project_backward};
+use crate::reference::project_backward::{mean2d_statistic, pose_gradient, project_backward};
 use crate::reference::types::{Drawn, Extent, Gaussian, Gradient, Splat, SplatGradient, View};
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
@@ -142,23 +142,35 @@ fn random_sums(random: &mut Random, splat: &Splat) -> [f64; 10] {
 
 /// What the kernel leaves: gradient planes and statistics.
 pub fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32; 4]>, Vec<[f32; 2]>) {
-    let (gradients, statistics, _) = run_with(gpu, scene, (accumulate, overflow), None);
+    let (gradients, statistics, _, sums) = run_with(gpu, scene, [accumulate, overflow, false], None);
+    assert!(
+        sums.as_flattened().iter().all(|x| x.to_bits() == UNTOUCHED),
+        "a pose without being asked for it"
+    );
     (gradients, statistics)
 }
 
-/// The same with the instances' absolute gradients; at last the absolute statistics.
+/// And the sums for the camera's pose per subgroup, if it has a gradient.
+fn run_variant(gpu: &Gpu, scene: &Scene, modes: [bool; 3]) -> (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<[f32; 6]>) {
+    let (gradients, statistics, _, sums) = run_with(gpu, scene, modes, None);
+    (gradients, statistics, sums)
+}
+
+/// The same with the instances' absolute gradients: gradients, statistics, absolute statistics, sums for the pose.
+#[allow(clippy::type_complexity)]
 fn run_with(
     gpu: &Gpu,
     scene: &Scene,
-    (accumulate, overflow): (bool, bool),
+    [accumulate, overflow, pose_gradient]: [bool; 3],
     absolute: Option<&[[f32; 2]]>,
-) -> (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<f32>) {
+) -> (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<f32>, Vec<[f32; 6]>) {
     let spec = Spec {
         workgroup_size: gpu.workgroup(64),
         subgroup_size: gpu.subgroup(),
         sh_degree: scene.view.sh_degree,
         filter_3d: scene.view.filter_3d > 0.0,
         absolute: absolute.is_some(),
+        pose_gradient,
         ..Spec::default()
     };
     let kernel = gpu.kernel::<Interface>(&spec);
@@ -170,6 +182,9 @@ fn run_with(
     let absolute_statistics = gpu.buffer("absolute_statistics", &vec![5.0_f32; size]);
     let instance_gradients_d = absolute
         .map_or_else(|| inputs.instance_gradients_c.clone(), |d| gpu.buffer("instance_gradients_d", d));
+    // One more than there are, to see that it stays as it is.
+    let subgroups = count.div_ceil(gpu.subgroup() as usize) + 1;
+    let pose_sums = gpu.untouched::<[f32; 6]>("pose_sums", subgroups);
     let bind = Bind {
         parameters: &inputs.parameters,
         state: &inputs.state,
@@ -185,6 +200,7 @@ fn run_with(
         gradients: &gradients,
         statistics: &statistics,
         absolute_statistics: &absolute_statistics,
+        pose_sums: &pose_sums,
         camera_block: &gpu.buffer("camera_block", &[camera_block(&scene.view)]),
     };
     let push = Push {
@@ -199,7 +215,8 @@ fn run_with(
         recorder.dispatch(&kernel, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1)
     });
     let gradients = gpu.read(&gradients, GRADIENT_PLANES as usize * gradient_stride);
-    (gradients, gpu.read(&statistics, size), gpu.read(&absolute_statistics, size))
+    let absolute = gpu.read(&absolute_statistics, size);
+    (gradients, gpu.read(&statistics, size), absolute, gpu.read(&pose_sums, subgroups))
 }
 
 fn check(gpu: &Gpu, scene: &Scene) {
@@ -295,6 +312,68 @@ fn project_backward_equals_its_twin_with_filters() {
     }
 }
 
+/// The sums of each subgroup for the pose; all else as without them, to the bit.
+fn check_pose(gpu: &Gpu, scene: &Scene) {
+    let (planes, statistics, sums) = run_variant(gpu, scene, [true, false, true]);
+    assert!((planes, statistics) == run(gpu, scene, true, false));
+    let (wide, lanes) = (|x: f32| f64::from(x), gpu.subgroup() as usize);
+    let (left_alone, sums) = sums.split_last().expect("one more");
+    assert!(left_alone.iter().all(|x| x.to_bits() == UNTOUCHED));
+    let gradients = scene.expected();
+    let contributions: Vec<[f64; 6]> = (scene.visible.iter().zip(&gradients))
+        .map(|(&i, (_, d))| pose_gradient(&scene.gaussians[i as usize], &scene.view, d))
+        .collect();
+    let near_clamp = |place: &usize| {
+        let gaussian = &scene.gaussians[scene.visible[*place] as usize];
+        color(gaussian, &scene.view).1.iter().any(|c| c.abs() < 1e-4)
+    };
+    let (mut expected, mut skip) = (Vec::new(), Vec::new());
+    for (first, group) in contributions.chunks(lanes).enumerate() {
+        let first = first * lanes;
+        skip.push((first..first + group.len()).any(|place| near_clamp(&place)));
+        expected.extend((0..6).map(|i| group.iter().map(|c| c[i]).sum::<f64>()));
+    }
+    let actual: Vec<f64> = sums.as_flattened().iter().copied().map(wide).collect();
+    gradient("pose", &actual, &expected, &skip, TOLERANCE).expect("sums for the pose");
+    let (compared, all) = (skip.iter().filter(|skipped| !**skipped).count(), skip.len());
+    assert!(2 * compared >= all, "{compared} of {all} subgroups are compared");
+}
+
+#[test]
+fn project_backward_of_the_pose_equals_its_twin() {
+    let gpu = Gpu::new();
+    for size in sizes(gpu.workgroup(64) as usize) {
+        check_pose(&gpu, &Scene::random(size, small_view([53, 37]), 7));
+    }
+    for sh_degree in 0..=3 {
+        let view = View {
+            sh_degree,
+            antialias: sh_degree % 2 == 0,
+            symmetric_limit: sh_degree >= 2,
+            focal_px: [140.0, 120.0],
+            center_px: [31.0, 11.0],
+            ..small_view([53, 37])
+        };
+        check_pose(&gpu, &Scene::random(300, view, 50));
+    }
+}
+
+/// What is not finite would spoil the pose for good.
+#[test]
+fn project_backward_leaves_out_of_the_pose_what_is_not_finite() {
+    let gpu = Gpu::new();
+    let mut scene = Scene::random(200, small_view([53, 37]), 9);
+    let (_, _, before) = run_variant(&gpu, &scene, [true, false, true]);
+    let place = (0..scene.sums.len()).find(|&place| !scene.sums[place].is_empty()).expect("a visible one");
+    scene.sums[place][0][1] = f64::INFINITY;
+    let (_, _, after) = run_variant(&gpu, &scene, [true, false, true]);
+    let subgroup = place / gpu.subgroup() as usize;
+    for (at, (before, after)) in before[..before.len() - 1].iter().zip(&after).enumerate() {
+        assert!(after.iter().all(|x| x.is_finite()), "{at}");
+        assert_eq!(before == after, at != subgroup, "{at}");
+    }
+}
+
 #[test]
 fn project_backward_leaves_statistics_alone_unless_told() {
     let gpu = Gpu::new();
@@ -320,7 +399,7 @@ fn project_backward_adds_up_absolute_statistics() {
     let [infinite, signed] = [with_instances[3], with_instances[7]];
     absolute[first_of(infinite)] = [f32::INFINITY, 0.0];
     scene.sums[signed][0][1] = f64::INFINITY;
-    let (planes, statistics, sums) = run_with(&gpu, &scene, (true, false), Some(&absolute));
+    let (planes, statistics, sums, _) = run_with(&gpu, &scene, [true, false, false], Some(&absolute));
     let (usual, usual_statistics) = run(&gpu, &scene, true, false);
     let bits = |planes: &[[f32; 4]]| planes.as_flattened().iter().map(|x| x.to_bits()).collect::<Vec<u32>>();
     assert!(bits(&planes) == bits(&usual));
@@ -341,6 +420,6 @@ fn project_backward_adds_up_absolute_statistics() {
     for (i, (&actual, wanted)) in sums.iter().zip(&wanted).enumerate() {
         assert!((f64::from(actual) - wanted).abs() <= 3e-6 * wanted, "{i}: {actual}, {wanted}");
     }
-    let (_, _, sums) = run_with(&gpu, &scene, (true, true), Some(&absolute));
+    let (_, _, sums, _) = run_with(&gpu, &scene, [true, true, false], Some(&absolute));
     assert!(sums.iter().all(|&sum| sum == 5.0));
 }

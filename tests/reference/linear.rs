@@ -8,6 +8,11 @@ pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// Vector product.
+pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
 /// A v.
 pub fn apply(a: &Mat3, v: [f64; 3]) -> [f64; 3] {
     [dot(a[0], v), dot(a[1], v), dot(a[2], v)]

@@ -47,6 +47,8 @@ pub mod nearest_depths;
 pub mod photo_to_rows;
 pub mod picture_to_rows;
 pub mod pipeline;
+pub mod pose_gradient;
+pub mod pose_step;
 pub mod project;
 pub mod project_backward;
 pub mod ranges;

@@ -3,7 +3,7 @@
 use super::blend::{Pixel, blend};
 use super::blend_backward::{PixelGradient, blend_backward};
 use super::project::project;
-use super::project_backward::project_backward;
+use super::project_backward::{pose_gradient, project_backward};
 use super::types::{Gaussian, Gradient, Splat, SplatGradient, TILE, View};
 use super::{duplicate_with_tiles, ranges, sort};
 
@@ -25,6 +25,8 @@ pub struct FrameGradient {
     pub splats: Vec<SplatGradient>,
     /// Per Gaussian, of its parameters; zeros when culled.
     pub parameters: Vec<Gradient>,
+    /// Of the camera's pose: dL/dδ of exp(δ^) T at δ = 0, (ν, ω).
+    pub pose: [f64; 6],
 }
 
 /// Renders.
@@ -75,7 +77,14 @@ pub fn backward(
             None => Gradient { sh: vec![[0.0; 3]; gaussian.sh.len()], ..Gradient::default() },
         })
         .collect();
-    FrameGradient { splats, parameters }
+    let mut pose = [0.0; 6];
+    for ((gaussian, splat), d) in gaussians.iter().zip(&frame.splats).zip(&splats) {
+        if splat.is_some() {
+            let own = pose_gradient(gaussian, view, d);
+            (0..6).for_each(|i| pose[i] += own[i]);
+        }
+    }
+    FrameGradient { splats, parameters, pose }
 }
 
 impl SplatGradient {

@@ -1,7 +1,7 @@
 //! The derivative of the projection (spec: "Backward"), the twin of `backward/project_backward`.
 
 use super::filter_sizes::filtered_backward;
-use super::linear::{Mat3, apply, dot, multiply, rotation, rotation_backward, scale, transpose};
+use super::linear::{Mat3, apply, cross, dot, multiply, rotation, rotation_backward, scale, transpose};
 use super::project::{Intermediate, color, intermediate, view_direction};
 use super::sh;
 use super::types::{Gaussian, Gradient, SplatGradient, View};
@@ -12,22 +12,9 @@ pub fn project_backward(gaussian: &Gaussian, view: &View, d: &SplatGradient) -> 
     let mut gradient = Gradient { sh: vec![[0.0; 3]; gaussian.sh.len()], ..Gradient::default() };
     color_backward(gaussian, view, d.color, &mut gradient);
 
-    let (d_opacity, through_compensation) = opacity_backward(&on_the_way, d.opacity);
-    let d_cov_compensation = if view.antialias_detached { [0.0; 3] } else { through_compensation };
+    let (d_opacity, _) = opacity_backward(&on_the_way, d.opacity);
     gradient.opacity_logit = d_opacity * on_the_way.opacity * (1.0 - on_the_way.opacity);
-    let mut d_cov2d = conic_backward(&on_the_way, d.conic);
-    for i in 0..3 {
-        d_cov2d[i] += d_cov_compensation[i];
-    }
-    let (d_cov3d, d_jr) = covariance_backward(&on_the_way, d_cov2d);
-    let mut d_p = jacobian_backward(&on_the_way, view, &d_jr);
-
-    let [x, y, z] = on_the_way.p;
-    let [fx, fy] = view.focal_px;
-    d_p[0] += d.mean2d_px[0] * fx / z;
-    d_p[1] += d.mean2d_px[1] * fy / z;
-    d_p[2] -= (d.mean2d_px[0] * fx * x + d.mean2d_px[1] * fy * y) / (z * z);
-    d_p[2] -= d.inverse_depth / (z * z);
+    let (d_p, d_cov3d) = geometry_backward(&on_the_way, view, d);
     let d_mean = apply(&transpose(&view.camera_from_world), d_p);
     for i in 0..3 {
         gradient.mean[i] += d_mean[i];
@@ -35,6 +22,44 @@ pub fn project_backward(gaussian: &Gaussian, view: &View, d: &SplatGradient) -> 
     shape_backward(&on_the_way, &d_cov3d, &mut gradient);
     filtered_backward(gaussian, view.filter_3d, d_opacity, &mut gradient);
     gradient
+}
+
+/// dL/dδ of the pose exp(δ^) T at δ = 0 through one visible Gaussian, δ = (ν, ω) in the camera's frame (spec of training, §8):
+/// ν: g_p + R h; ω: p × g_p + 2 axial(S G_S), with S = R Σ Rᵀ.
+pub fn pose_gradient(gaussian: &Gaussian, view: &View, d: &SplatGradient) -> [f64; 6] {
+    let on_the_way = intermediate(gaussian, view).expect("the backward pass is for visible Gaussians");
+    let (d_p, d_cov3d) = geometry_backward(&on_the_way, view, d);
+    let mut of_color = Gradient { sh: vec![[0.0; 3]; gaussian.sh.len()], ..Gradient::default() };
+    color_backward(gaussian, view, d.color, &mut of_color);
+    let r = &view.camera_from_world;
+    let through_direction = apply(r, of_color.mean);
+    let into_camera = |m: &Mat3| multiply(&multiply(r, m), &transpose(r));
+    let b = multiply(&into_camera(&on_the_way.cov3d), &into_camera(&d_cov3d));
+    let axial = [b[1][2] - b[2][1], b[2][0] - b[0][2], b[0][1] - b[1][0]];
+    let turn = cross(on_the_way.p, d_p);
+    let nu = |i: usize| d_p[i] + through_direction[i];
+    let omega = |i: usize| turn[i] + 2.0 * axial[i];
+    [nu(0), nu(1), nu(2), omega(0), omega(1), omega(2)]
+}
+
+/// dL/d(position in the camera's frame) and dL/dΣ.
+fn geometry_backward(on_the_way: &Intermediate, view: &View, d: &SplatGradient) -> ([f64; 3], Mat3) {
+    let (_, through_compensation) = opacity_backward(on_the_way, d.opacity);
+    let d_cov_compensation = if view.antialias_detached { [0.0; 3] } else { through_compensation };
+    let mut d_cov2d = conic_backward(on_the_way, d.conic);
+    for i in 0..3 {
+        d_cov2d[i] += d_cov_compensation[i];
+    }
+    let (d_cov3d, d_jr) = covariance_backward(on_the_way, d_cov2d);
+    let mut d_p = jacobian_backward(on_the_way, view, &d_jr);
+
+    let [x, y, z] = on_the_way.p;
+    let [fx, fy] = view.focal_px;
+    d_p[0] += d.mean2d_px[0] * fx / z;
+    d_p[1] += d.mean2d_px[1] * fy / z;
+    d_p[2] -= (d.mean2d_px[0] * fx * x + d.mean2d_px[1] * fy * y) / (z * z);
+    d_p[2] -= d.inverse_depth / (z * z);
+    (d_p, d_cov3d)
 }
 
 /// The density statistic: norm of the 2-D mean's gradient in normalised device units.

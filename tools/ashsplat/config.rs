@@ -1,13 +1,15 @@
 //! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
 
-use ashsplat::trainer::options::{OptionKind, OptionValue, TrainOption};
+mod train_overrides;
+
+pub use train_overrides::{TrainOverrides, strategies};
+
 use ashsplat::trainer::{StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
-use clap::builder::{PossibleValue, PossibleValuesParser};
-use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, value_parser};
+use clap::Args;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use toml::{Table, Value};
+use toml::Table;
 
 /// Name of the dump that `--config` reads back.
 pub const SETTINGS_FILE: &str = "settings.toml";
@@ -59,99 +61,6 @@ pub struct Overrides {
     #[command(flatten)]
     #[serde(flatten)]
     train: TrainOverrides,
-}
-
-/// The settings of training that are given on the command line, by their names. The options follow from
-/// [`TrainSettings::OPTIONS`].
-#[derive(Clone, Debug, Default, Serialize)]
-#[serde(transparent)]
-pub struct TrainOverrides(Table);
-
-/// Names of values in earlier versions: the option, the earlier name, the name.
-const EARLIER_NAMES: [(&str, &str, &str); 1] = [("strategy", "default", "reference")];
-
-/// Options that also have a letter, as in the reference.
-const LETTERS: [(&str, char); 1] = [("white_background", 'w')];
-
-impl TrainOverrides {
-    fn argument(option: &TrainOption) -> Arg {
-        let about = option.about.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ");
-        let default = match option.default_value() {
-            OptionValue::Switch(false) => String::new(),
-            value => format!(" [default: {value}]"),
-        };
-        let argument = Arg::new(option.name).long(option.name.replace('_', "-")).help(about + &default);
-        let argument = match LETTERS.iter().find(|(name, _)| *name == option.name) {
-            Some((_, letter)) => argument.short(*letter),
-            None => argument,
-        };
-        match option.kind {
-            OptionKind::Integer => argument.value_name("N").value_parser(value_parser!(u32)),
-            OptionKind::Number => argument.value_name("X").value_parser(value_parser!(f64)),
-            OptionKind::Choice(names) => {
-                let earlier = |name: &str| {
-                    EARLIER_NAMES.iter().find(|of| (of.0, of.2) == (option.name, name)).map(|of| of.1)
-                };
-                let values = names.iter().map(|name| PossibleValue::new(name).aliases(earlier(name)));
-                argument.value_name("NAME").value_parser(PossibleValuesParser::new(values))
-            }
-            OptionKind::Switch => argument
-                .value_name("BOOL")
-                .num_args(0..=1)
-                .require_equals(true)
-                .default_missing_value("true")
-                .value_parser(value_parser!(bool)),
-        }
-    }
-}
-
-impl TrainOverrides {
-    /// Whether a setting was given, by its name.
-    pub fn has(&self, name: &str) -> bool {
-        self.0.contains_key(name)
-    }
-
-    /// The settings of a training with a strategy and a seed; checked.
-    pub fn settings(&self, strategy: &str, seed: u32) -> Result<TrainSettings> {
-        let mut train = self.clone();
-        train.0.insert("strategy".into(), strategy.into());
-        train.0.insert("seed".into(), i64::from(seed).into());
-        Ok(Settings::resolve(None, &Overrides { train, ..Overrides::default() })?.train)
-    }
-}
-
-impl Args for TrainOverrides {
-    fn augment_args(command: Command) -> Command {
-        command.args(TrainSettings::OPTIONS.iter().map(Self::argument))
-    }
-
-    fn augment_args_for_update(command: Command) -> Command {
-        Self::augment_args(command)
-    }
-}
-
-impl FromArgMatches for TrainOverrides {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        let mut overrides = Self::default();
-        overrides.update_from_arg_matches(matches)?;
-        Ok(overrides)
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        for option in TrainSettings::OPTIONS {
-            let name = option.name;
-            let given: Option<Value> = match option.kind {
-                OptionKind::Integer => matches.get_one::<u32>(name).map(|&value| i64::from(value).into()),
-                OptionKind::Number => matches.get_one::<f64>(name).map(|&value| value.into()),
-                OptionKind::Choice(_) => matches.get_one::<String>(name).map(|value| value.clone().into()),
-                OptionKind::Switch => matches.get_one::<bool>(name).map(|&value| value.into()),
-            };
-            if let Some(value) = given {
-                self.0.insert(name.into(), value);
-            }
-        }
-        Ok(())
-    }
 }
 
 /// An iteration; -1, with which scripts for the reference say "never", becomes 0, which never comes.
@@ -339,6 +248,9 @@ fn python_string(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ashsplat::trainer::options::OptionKind;
+    use clap::{Command, FromArgMatches};
+    use toml::Value;
 
     #[test]
     fn dump_reads_back() {

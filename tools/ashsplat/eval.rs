@@ -2,23 +2,26 @@
 
 mod perceptual;
 mod protocol;
+mod table;
 
 pub use perceptual::{LpipsArguments, Perceptual};
 pub use protocol::Protocol;
 
 use crate::args::DeviceArguments;
-use crate::config::DataSettings;
+use crate::config::{CAMERAS_FILE, DataSettings};
 use crate::model::Model;
-use crate::progress::{counting, thousands};
+use crate::progress::counting;
 use crate::{output, render, session};
 use ashsplat::lpips::Network;
-use ashsplat::{Camera, Error, Frame, RenderSettings, Renderer, Result};
+use ashsplat::{Alignment, Camera, Error, Frame, RenderSettings, Renderer, Result, TrainSettings};
+use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::metrics;
 use ashsplat_files::{Gallery, Photo, View};
 use clap::Args;
 use serde_json::{Map, Value, json};
 use std::borrow::Borrow;
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -92,6 +95,8 @@ pub struct Evaluation {
     /// Names of the LPIPS that were measured.
     pub measures: Vec<&'static str>,
     pub scene: Option<SceneSize>,
+    /// The same views with their cameras aligned to the scene, if the poses of the training views were optimised.
+    pub aligned: Option<Box<Evaluation>>,
 }
 
 /// What is made of views besides PSNR and SSIM.
@@ -140,7 +145,9 @@ impl Evaluation {
             return "PSNR and SSIM not measured".into();
         }
         let lpips: String = self.lpips().map(|(name, value)| format!(", {name} {value:.4}")).collect();
-        format!("PSNR {:.2} dB, SSIM {:.4}{lpips}", self.psnr(), self.ssim())
+        let aligned = self.aligned.as_ref().filter(|aligned| !aligned.views.is_empty());
+        let aligned = aligned.map(|aligned| format!(" (cameras aligned: {})", aligned.describe()));
+        format!("PSNR {:.2} dB, SSIM {:.4}{lpips}{}", self.psnr(), self.ssim(), aligned.unwrap_or_default())
     }
 
     /// The reference's entry in results.json, and what it has not. Its LPIPS is that of VGG16, unscaled.
@@ -148,6 +155,10 @@ impl Evaluation {
         let mut summary = Map::new();
         summary.insert("SSIM".into(), json!(self.ssim()));
         summary.insert("PSNR".into(), json!(self.psnr()));
+        if let Some(aligned) = &self.aligned {
+            summary.insert("SSIM_aligned".into(), json!(aligned.ssim()));
+            summary.insert("PSNR_aligned".into(), json!(aligned.psnr()));
+        }
         for (name, value) in self.lpips() {
             if name == Network::Vgg16.measure() {
                 summary.insert("LPIPS".into(), json!(value));
@@ -173,6 +184,11 @@ impl Evaluation {
         all.insert("PSNR".into(), by_view(&|view| view.psnr));
         for (index, name) in self.measures.iter().enumerate() {
             all.insert((*name).into(), by_view(&|view| view.lpips[index]));
+        }
+        if let Some(aligned) = &self.aligned
+            && let Value::Object(of_aligned) = aligned.per_view()
+        {
+            all.extend(of_aligned.into_iter().map(|(name, values)| (format!("{name}_aligned"), values)));
         }
         Value::Object(all)
     }
@@ -236,7 +252,7 @@ pub fn evaluate<V: Borrow<View>>(
         }
     }
     let measures = lpips.map_or_else(Vec::new, |lpips| lpips.names());
-    Ok(Evaluation { views: results, measures, scene: None })
+    Ok(Evaluation { views: results, measures, scene: None, aligned: None })
 }
 
 /// Time of a frame, for which everything is ready, milliseconds.
@@ -314,21 +330,45 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     renderer.upload(&scene.gaussians)?;
     let look = arguments.look.settings(&model.settings, &scene.header)?;
     let settings = RenderSettings { inverse_depth: false, ..look };
-    let bar = counting("views", chosen.len() as u64, arguments.quiet);
-    let views = chosen.into_iter().filter_map(|index| match session::check(&stop) {
-        Ok(()) => gallery.view(index),
+    // Where poses were optimised, training views have their own; those that were held out are aligned.
+    let pose_opt = model.settings.train.pose_opt;
+    let moved = match (&model.folder, pose_opt) {
+        (Some((folder, _)), true) => cameras_json::read(folder.join(CAMERAS_FILE))?,
+        _ => Vec::new(),
+    };
+    let bar = counting("views", chosen.len() as u64 * if pose_opt { 2 } else { 1 }, arguments.quiet);
+    let view = |&index: &usize| match session::check(&stop) {
+        Ok(()) => Some(gallery.view(index)?.map(|view| at_its_place(view, &moved))),
         Err(interrupted) => Some(Err(interrupted)),
-    });
+    };
     let mut lpips = Perceptual::new(&context, &weights)?;
-    let views = views.inspect(|_| bar.inc(1));
+    let views = chosen.iter().filter_map(view).inspect(|_| bar.inc(1));
     let more = More { lpips: lpips.as_mut(), frame_times: true, ..Default::default() };
     let mut evaluation = evaluate(views, &protocol, more, |camera| renderer.render(camera, &settings))?;
+    if pose_opt {
+        let renderer = RefCell::new(renderer);
+        let alignment = alignment_of(&model.settings.train);
+        let held_out = gallery.held_out();
+        let aligned = chosen.iter().filter_map(|index| {
+            let view = view(index)?;
+            if !held_out[*index] {
+                return Some(view);
+            }
+            Some(view.and_then(|view| {
+                let aligned = renderer.borrow_mut().align(&view.camera, &view.photo, &settings, &alignment);
+                Ok(View { camera: aligned?, ..view })
+            }))
+        });
+        let aligned = aligned.inspect(|_| bar.inc(1));
+        let draw = |camera: &Camera| renderer.borrow_mut().render(camera, &settings);
+        evaluation.aligned = Some(Box::new(evaluate(aligned, &protocol, More::default(), draw)?));
+    }
     bar.finish_and_clear();
     evaluation.scene = Some(SceneSize { gaussians: scene.gaussians.len() as u64, bytes });
     if let (Some((folder, iteration)), false) = (&model.folder, arguments.all) {
         write_results(folder, *iteration, &evaluation)?;
     }
-    print_results(arguments.json, &evaluation, context.device_name());
+    table::print(arguments.json, &evaluation, context.device_name());
     arguments.device.report_validation(&context);
     Ok(())
 }
@@ -346,6 +386,22 @@ fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
     Ok(Protocol { exposures: exposure_json::read(&file)?, halves: held_out.collect() })
 }
 
+/// How cameras are aligned to a scene: with training's loss.
+pub fn alignment_of(settings: &TrainSettings) -> Alignment {
+    Alignment { lambda_dssim: settings.lambda_dssim as f32, ..Alignment::default() }
+}
+
+/// A view with the pose that a list of cameras has for it, if any.
+pub fn at_its_place(view: View, cameras: &[NamedCamera]) -> View {
+    match cameras.iter().find(|named| named.name == view.name) {
+        None => view,
+        Some(NamedCamera { camera: at, .. }) => {
+            let camera = Camera::with_pose(at.camera_from_world, at.translation, view.camera.intrinsics());
+            View { camera, ..view }
+        }
+    }
+}
+
 /// Which views are measured.
 fn chosen_views(gallery: &Gallery, all: bool, data: &DataSettings) -> Result<Vec<usize>> {
     let held_out = gallery.held_out();
@@ -360,54 +416,4 @@ fn chosen_views(gallery: &Gallery, all: bool, data: &DataSettings) -> Result<Vec
         ));
     }
     Ok(chosen)
-}
-
-fn print_results(json: bool, evaluation: &Evaluation, device: &str) {
-    let scene = evaluation.scene;
-    if json {
-        let value = json!({
-            "gaussians": scene.map(|scene| scene.gaussians),
-            "scene_bytes": scene.and_then(|scene| scene.bytes),
-            "device": device,
-            "mean": evaluation.summary(),
-            "views": evaluation.views.iter().map(|view| json_of(view, &evaluation.measures)).collect::<Vec<_>>(),
-        });
-        say!("{value:#}");
-        return;
-    }
-    let columns = |values: &mut dyn Iterator<Item = (&str, String)>| -> String {
-        values.map(|(name, value)| format!(" {value:>0$}", name.len().max(8))).collect()
-    };
-    let heads = columns(&mut evaluation.measures.iter().map(|name| (*name, (*name).to_owned())));
-    say!("{:<28} {:>8} {:>8}{heads}", "view", "PSNR", "SSIM");
-    for view in &evaluation.views {
-        let named = evaluation.measures.iter().zip(&view.lpips);
-        let lpips = columns(&mut named.map(|(name, value)| (*name, format!("{value:.4}"))));
-        say!("{:<28} {:>8.3} {:>8.4}{lpips}", view.name, view.psnr, view.ssim);
-    }
-    if evaluation.views.is_empty() {
-        say!("no view was measured");
-        return;
-    }
-    let mean = format!("mean of {}", evaluation.views.len());
-    let lpips = columns(&mut evaluation.lpips().map(|(name, value)| (name, format!("{value:.4}"))));
-    say!("{mean:<28} {:>8.3} {:>8.4}{lpips}", evaluation.psnr(), evaluation.ssim());
-    if let Some(SceneSize { gaussians, bytes }) = scene {
-        let file = bytes.map_or_else(String::new, |bytes| format!(", {:.2} MB", bytes as f64 * 1e-6));
-        let time = evaluation.frame_ms().unwrap_or(f64::NAN);
-        say!("{} Gaussians{file}, {time:.2} ms per frame on {device}", thousands(gaussians));
-    }
-}
-
-fn json_of(view: &ViewResult, measures: &[&str]) -> Value {
-    let mut value = Map::new();
-    value.insert("name".into(), json!(view.name));
-    value.insert("PSNR".into(), json!(view.psnr));
-    value.insert("SSIM".into(), json!(view.ssim));
-    measures
-        .iter()
-        .zip(&view.lpips)
-        .for_each(|(name, lpips)| drop(value.insert((*name).into(), json!(lpips))));
-    view.frame_ms.map(|time| value.insert("frame_ms".into(), json!(time)));
-    Value::Object(value)
 }

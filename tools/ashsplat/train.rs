@@ -5,6 +5,7 @@ mod checkpoints;
 mod folder;
 mod live;
 mod log;
+mod poses;
 mod prepared;
 mod report;
 mod saving;
@@ -21,6 +22,7 @@ use crate::lock::FolderLock;
 use crate::measure::{Cost, Stopwatch};
 use crate::progress::{State, TrainProgress, thousands};
 use crate::session;
+use ashsplat::scene::Camera;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -71,7 +73,6 @@ pub struct Arguments {
     /// time, 0.001 to 0.9; 0 measures only after --test-iterations
     #[arg(long, value_name = "SHARE", default_value_t = tracking::SHARE, value_parser = tracking::share)]
     eval_share: f64,
-    /// The last test measures it.
     #[command(flatten)]
     lpips: LpipsArguments,
     #[command(flatten)]
@@ -174,6 +175,8 @@ pub struct Run {
     /// The names of the views that are trained on, in the trainer's order.
     trained: Vec<String>,
     test: Vec<View>,
+    /// Of all views as they were given, held-out ones first.
+    cameras: Vec<(String, Camera)>,
     /// Whether `test` was held out, or is a sample of the training views.
     held_out: bool,
     progress: TrainProgress,
@@ -222,7 +225,7 @@ impl Run {
         let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
         let lock = folder::begin(&settings, &data.cameras, Some(&points))?;
         let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
-        let views = (data.trained, data.test, data.held_out);
+        let views = (data.trained, data.test, data.cameras, data.held_out);
         Ok(Run::new(context, settings, trainer, (log, lock), views, quiet))
     }
 
@@ -238,8 +241,10 @@ impl Run {
         let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
         let lock = folder::begin(&settings, &data.cameras, None)?;
         let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
-        let views = (data.trained, data.test, data.held_out);
-        Ok(Run::new(context, settings, trainer, (log, lock), views, quiet))
+        let views = (data.trained, data.test, data.cameras, data.held_out);
+        let run = Run::new(context, settings, trainer, (log, lock), views, quiet);
+        run.save_poses(run.started)?;
+        Ok(run)
     }
 
     fn new(
@@ -247,7 +252,7 @@ impl Run {
         settings: Settings,
         trainer: Trainer,
         (log, lock): (TrainLog, FolderLock),
-        (trained, test, held_out): (Vec<String>, Vec<View>, bool),
+        (trained, test, cameras, held_out): (Vec<String>, Vec<View>, Vec<(String, Camera)>, bool),
         quiet: bool,
     ) -> Run {
         let iterations = settings.train.iterations;
@@ -260,6 +265,7 @@ impl Run {
             trained,
             tracking: Tracking::new(&test, iterations, tracking::SHARE),
             test,
+            cameras,
             held_out,
             first: None,
             total: None,
@@ -404,6 +410,9 @@ impl Run {
         }
         if let Some(total) = self.total {
             say!("all {} iterations: {total}, {:.1} s", total.iterations, total.seconds);
+        }
+        if let Ok(Some(moved)) = self.moved() {
+            say!("{}", moved.describe());
         }
         if self.skipped > 0 {
             say!("{} iterations were left out: their frames were too large", thousands(self.skipped.into()));

@@ -5,8 +5,7 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-use super::observations::Observed;
-use super::types::{CameraModel, ColmapCamera, ColmapImage};
+use super::types::{CameraModel, ColmapCamera, ColmapImage, Observed};
 use crate::{host_memory, sniff};
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};

@@ -5,12 +5,10 @@ use std::collections::HashMap;
 use glam::{DQuat, DVec3};
 
 use super::model::Model;
+use super::types::Observed;
 use super::{binary, text};
 use crate::depth_fit::DepthPoint;
 use ashsplat::Result;
-
-/// Of one image: its id, and places in its photo with the point that lies there, if there is one.
-pub(super) type Observed = (u32, Vec<([f64; 2], Option<u64>)>);
 
 /// The points that each image of a model shows, by the image's id.
 ///

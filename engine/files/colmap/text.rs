@@ -6,8 +6,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::str::FromStr;
 
-use super::observations::Observed;
-use super::types::{CameraModel, ColmapCamera, ColmapImage};
+use super::types::{CameraModel, ColmapCamera, ColmapImage, Observed};
 use crate::{cost, host_memory};
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};

@@ -91,6 +91,9 @@ pub struct ColmapImage {
     pub translation: [f64; 3],
 }
 
+/// Of one image: its id, and places in its photo with the id of the point that lies there, if there is one.
+pub(super) type Observed = (u32, Vec<([f64; 2], Option<u64>)>);
+
 impl ColmapImage {
     /// The photo's path below the images folder.
     ///

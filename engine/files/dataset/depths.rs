@@ -159,9 +159,11 @@ impl PlannedMap {
 #[cfg(test)]
 mod tests {
     use super::stem;
+    use crate::growth::turn;
 
     #[test]
     fn names_lose_their_last_ending() {
+        let _turn = turn();
         for (name, expected) in [("a.b.jpg", "a.b"), ("x\\y.png", "x/y"), ("a.d/b", "a.d/b"), ("c", "c")] {
             assert_eq!(stem(name), expected);
         }

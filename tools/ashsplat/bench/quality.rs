@@ -6,13 +6,12 @@ mod summary;
 
 use super::machine;
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};
-use crate::config::{DataSettings, TrainOverrides};
+use crate::config::{self, DataSettings, TrainOverrides};
 use crate::eval::{self, More, Protocol};
 use crate::lock::{FolderLock, Work};
 use crate::measure::Stopwatch;
 use crate::progress::counting;
 use crate::{output, session};
-use ashsplat::trainer::options::OptionKind;
 use ashsplat::trainer::{TrainSettings, TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, RenderSettings, Result};
@@ -48,7 +47,7 @@ pub struct Arguments {
     #[arg(short, long, value_name = "FOLDER")]
     out: PathBuf,
     /// Strategies, by the names of `train --strategy`
-    #[arg(long, value_name = "NAME,NAME,...", value_delimiter = ',', required = true, value_parser = names())]
+    #[arg(long, value_name = "NAME,NAME,...", value_delimiter = ',', required = true, value_parser = config::strategies())]
     strategies: Vec<String>,
     /// Seeds: A..B, without B, or one by one
     #[arg(long, value_name = "A..B", default_value = "0..1", value_parser = seeds)]
@@ -62,6 +61,9 @@ pub struct Arguments {
     /// Folder of the photos within the data set
     #[arg(short, long, value_name = "NAME", default_value = "images")]
     images: String,
+    /// Folder of inverse-depth maps within the data set [default: none]
+    #[arg(short, long, value_name = "FOLDER")]
+    depths: Option<PathBuf>,
     /// 1, 2, 4 or 8 divides the photos' size; another number is their width; -1 scales to 1600 only what is wider
     #[arg(short, long, value_name = "N", allow_negative_numbers = true, default_value_t = -1)]
     resolution: i32,
@@ -77,13 +79,10 @@ pub struct Arguments {
 #[derive(Clone)]
 struct Seeds(Vec<u32>);
 
-/// The strategies that training has.
-fn names() -> Vec<&'static str> {
-    let option = TrainSettings::OPTIONS.iter().find(|option| option.name == "strategy");
-    match option.map(|option| option.kind) {
-        Some(OptionKind::Choice(names)) => names.to_vec(),
-        _ => Vec::new(),
-    }
+/// The name of the strategy.
+fn name_of(settings: &TrainSettings) -> String {
+    let mut values = settings.values().into_iter();
+    values.find(|(name, _)| *name == "strategy").map_or_else(String::new, |(_, value)| value.to_string())
 }
 
 fn seeds(text: &str) -> Result<Seeds, String> {
@@ -127,10 +126,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let context = arguments.device.context()?;
     let data = arguments.data();
     // What is found is of these photos, this device and this program.
-    let setup = |job: &Job| Setup::new(&data, arguments.points, &job.settings, &context);
+    let program = machine::program();
+    let setup = |job: &Job| Setup::new((&data, arguments.points), &job.settings, &context, &program);
     let folder = &arguments.out;
-    atomic::create_folder(folder)?;
-    let _lock = FolderLock::take(folder, &MEASURING)?;
+    let strategies: Vec<String> =
+        jobs.iter().take(arguments.strategies.len()).map(|job| job.strategy.clone()).collect();
     let mut done: Vec<Run> = Vec::new();
     for job in &jobs {
         done.extend(runs::read(&runs::file(folder, &job.strategy, job.seed), &setup(job)?)?);
@@ -143,12 +143,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         check(&dataset, &arguments.dataset)?;
         let shared = Shared {
             context: &context,
-            train: dataset.train.iter().map(|v| TrainView::new(v.camera, v.photo.clone())).collect(),
+            train: dataset.train.iter().map(train_view).collect(),
             dataset: &dataset,
             points: arguments.points,
             quiet: arguments.quiet,
             stop: &stop,
         };
+        // Nothing but the device or the disk can fail any more.
+        atomic::create_folder(folder)?;
+        let _lock = FolderLock::take(folder, &MEASURING)?;
         for job in &jobs {
             if done.iter().any(|run| run.strategy == job.strategy && run.seed == job.seed) {
                 continue;
@@ -159,14 +162,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
                 tell!("{}", run.describe());
             }
             done.push(run);
-            write(arguments, &context, &done)?;
+            write(arguments, &context, &strategies, &done)?;
         }
     }
-    let summary = write(arguments, &context, &done)?;
+    let summary = write(arguments, &context, &strategies, &done)?;
     say!("{}", summary.table().trim_end());
     say!("written to {}", folder.display());
     arguments.device.report_validation(&context);
     Ok(())
+}
+
+fn train_view(view: &View) -> TrainView {
+    TrainView::new(view.camera, view.photo.clone()).with_inverse_depth(view.inverse_depth.clone())
 }
 
 fn check(dataset: &Dataset, path: &Path) -> Result<()> {
@@ -192,8 +199,8 @@ struct Report<'a> {
 }
 
 /// Writes the results of the runs that are over.
-fn write(arguments: &Arguments, context: &Context, runs: &[Run]) -> Result<Summary> {
-    let summary = Summary::new(&arguments.strategies, runs, &arguments.until);
+fn write(arguments: &Arguments, context: &Context, strategies: &[String], runs: &[Run]) -> Result<Summary> {
+    let summary = Summary::new(strategies, runs, &arguments.until);
     let report = Report {
         schema: SCHEMA,
         program: machine::program(),
@@ -223,11 +230,13 @@ impl Arguments {
         let mut jobs: Vec<Job> = Vec::new();
         for &seed in &self.seeds.0 {
             for strategy in &self.strategies {
-                if jobs.iter().any(|job| job.strategy == *strategy && job.seed == seed) {
+                let settings = self.train.settings(strategy, seed)?;
+                // Not an earlier name.
+                let strategy = name_of(&settings);
+                if jobs.iter().any(|job| job.strategy == strategy && job.seed == seed) {
                     return Err(Error::argument("--strategies", format!("names '{strategy}' twice")));
                 }
-                let settings = self.train.settings(strategy, seed)?;
-                jobs.push(Job { strategy: strategy.clone(), seed, settings });
+                jobs.push(Job { strategy, seed, settings });
             }
         }
         Ok(jobs)
@@ -237,6 +246,7 @@ impl Arguments {
         DataSettings {
             source_path: self.dataset.clone(),
             images: self.images.clone(),
+            depths: self.depths.clone().unwrap_or_default(),
             resolution: self.resolution,
             eval: true,
             ..DataSettings::default()
@@ -305,10 +315,5 @@ mod tests {
         for bad in ["", "3..3", "a..b", "1..", "-1..2", "1,x"] {
             assert!(of(bad).is_err(), "{bad}");
         }
-    }
-
-    #[test]
-    fn strategies_are_those_of_training() {
-        assert!(names().contains(&"mcmc") && names().len() > 2, "{:?}", names());
     }
 }

@@ -12,7 +12,8 @@ use std::path::PathBuf;
 #[derive(Args, Clone, Default)]
 pub struct LpipsArguments {
     /// Measure LPIPS too, by the weights in this file (safetensors, from tools/lpips_weights.py; nothing is downloaded): of AlexNet,
-    /// on values from -1 to 1, or of VGG16, on values from 0 to 1 as the reference does; given twice, both
+    /// on values from -1 to 1, or of VGG16, on values from 0 to 1 as the reference does; given twice, both; in training the last test
+    /// measures it
     #[arg(long, value_name = "FILE")]
     lpips_weights: Vec<PathBuf>,
 }

@@ -1,6 +1,7 @@
 //! What a run leaves in its model folder before the first iteration.
 
 use super::checkpoints;
+use super::poses::POSES_FILE;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
 use crate::lock::{FolderLock, Work};
 use crate::{eval, model, output};
@@ -50,6 +51,7 @@ fn clear_up_after_others(folder: &Path) -> Result<()> {
     output::remove(&folder.join(eval::RESULTS_FILE))?;
     output::remove(&folder.join(eval::PER_VIEW_FILE))?;
     output::remove(&folder.join(EXPOSURE_FILE))?;
+    output::remove(&folder.join(POSES_FILE))?;
     checkpoints::forget_newest(folder)?;
     let older: Vec<String> =
         model::saved_iterations(folder).iter().map(|n| format!("iteration_{n}")).collect();

@@ -83,7 +83,7 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
     let kind = if run.held_out { "held-out" } else { "training" };
     let gaussians = run.trainer.gaussians()?;
     let mut out = head(run, interrupted);
-    out.push_str(&cards(run, rows, &evaluation, gaussians.len()));
+    out.push_str(&cards(run, rows, &evaluation, gaussians.len())?);
     section(
         &mut out,
         "Curves",
@@ -154,7 +154,7 @@ fn head(run: &Run, interrupted: bool) -> String {
     )
 }
 
-fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> String {
+fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> Result<String> {
     let kind = if run.held_out { "held out" } else { "on training views" };
     let seconds = rows.milliseconds.iter().sum::<f64>() * 1e-3;
     let speed = rows.milliseconds.len() as f64 / seconds.max(1e-9);
@@ -181,12 +181,25 @@ fn cards(run: &Run, rows: &Rows, evaluation: &Evaluation, gaussians: usize) -> S
     cards.extend(
         evaluation.frame_ms().map(|time| (format!("{time:.2} ms"), "frame, median of the views".into())),
     );
+    if let Some(moved) = run.moved()? {
+        let ([degrees, most], [share, most_share]) = (moved.degrees, moved.shares);
+        cards.push((format!("{degrees:.3}°"), format!("poses turned, mean (most {most:.3}°)")));
+        let most_share = 100.0 * most_share;
+        cards.push((
+            format!("{:.3} %", 100.0 * share),
+            format!("of the extent moved, mean (most {most_share:.3} %)"),
+        ));
+        let last = run.evaluations.last().and_then(|tested| tested.evaluation.aligned.as_ref());
+        if let Some(aligned) = last.filter(|aligned| !aligned.views.is_empty()) {
+            cards.push((format!("{:.2} dB", aligned.psnr()), "PSNR, held out, cameras aligned".into()));
+        }
+    }
     let mut out = String::from("<div class=\"cards\">");
     for (value, label) in cards {
         let _ = write!(out, "<div class=\"card\"><b>{value}</b><span>{label}</span></div>");
     }
     out.push_str("</div>\n");
-    out
+    Ok(out)
 }
 
 fn sheet(out: &mut String, run: &mut Run, evaluation: &Evaluation, all: &[View]) -> Result<()> {

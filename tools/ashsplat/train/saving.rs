@@ -142,6 +142,7 @@ impl Run {
             let named = self.trained.iter().map(String::as_str).zip(&exposures);
             exposure_json::write(folder.join(EXPOSURE_FILE), named)?;
         }
+        self.save_poses(iteration)?;
         model::note_saved(folder, iteration)?;
         self.saved = Some(iteration);
         self.progress.note(&format!("{reason}saved {}", path.display()));

@@ -100,6 +100,7 @@ impl Run {
         let folder = self.settings.data.model_path.join("test").join(format!("ours_{iteration}"));
         let mut pictures = self.held_out.then(|| Pictures::new(folder));
         let settings = self.trainer.render_settings();
+        self.follow_cameras()?;
         let protocol = self.protocol()?;
         let trainer = &mut self.trainer;
         let more = More {
@@ -112,6 +113,16 @@ impl Run {
         let file = std::fs::metadata(point_cloud_path(&self.settings.data.model_path, iteration)).ok();
         let bytes = file.filter(|_| self.saved == Some(iteration)).map(|file| file.len());
         evaluation.scene = Some(SceneSize { gaussians: u64::from(self.gaussians), bytes });
+        if self.settings.train.pose_opt && self.held_out {
+            let alignment = eval::alignment_of(&self.settings.train);
+            let mut aligned = self.test.clone();
+            for view in &mut aligned {
+                view.camera = trainer.align(&view.camera, &view.photo, &settings, &alignment)?;
+            }
+            let draw = |camera: &Camera| trainer.render(camera, &settings);
+            let aligned = eval::evaluate(aligned.iter().map(Ok), &protocol, More::default(), draw)?;
+            evaluation.aligned = Some(Box::new(aligned));
+        }
         Ok((evaluation, pictures.map_or(Ok(()), Pictures::saved)))
     }
 

@@ -85,6 +85,15 @@ impl Tracking {
         }
     }
 
+    /// Takes the cameras of these views, by their names.
+    pub(super) fn follow(&mut self, test: &[View]) {
+        for view in &mut self.views {
+            if let Some(moved) = test.iter().find(|other| other.name == view.name) {
+                view.camera = moved.camera;
+            }
+        }
+    }
+
     /// The mean over the views as they stand, dB; none where masks hide them all.
     fn measure(
         &self,
@@ -142,9 +151,9 @@ impl Run {
     fn measure_now(&mut self, iteration: u32) -> Option<f64> {
         let start = Instant::now();
         let settings = self.trainer.render_settings();
-        let measured = self
-            .protocol()
-            .and_then(|protocol| self.tracking.measure(&mut self.trainer, &settings, &protocol));
+        let protocol = self.follow_cameras().and_then(|()| self.protocol());
+        let measured =
+            protocol.and_then(|protocol| self.tracking.measure(&mut self.trainer, &settings, &protocol));
         self.tracking.measured(iteration, start.elapsed());
         measured.unwrap_or_else(|error| {
             self.tracking.allowance = None;

@@ -1,6 +1,6 @@
 //! A run that is over, as a file.
 
-use crate::bench::machine;
+use crate::bench::schema::Program;
 use crate::config::DataSettings;
 use crate::output;
 use crate::progress::thousands;
@@ -38,17 +38,17 @@ pub struct Setup(Map<String, Value>);
 
 impl Setup {
     pub fn new(
-        data: &DataSettings,
-        points: u32,
+        (data, points): (&DataSettings, u32),
         settings: &TrainSettings,
         context: &Context,
+        program: &Program,
     ) -> Result<Setup> {
         let path = std::fs::canonicalize(&data.source_path).unwrap_or_else(|_| data.source_path.clone());
-        let program = machine::program();
         let mut setup = Map::new();
         let mut add = |name: &str, value: Value| drop(setup.insert(name.into(), value));
         add("data set", json!(path));
         add("images", json!(data.images));
+        add("depths", json!(data.depths));
         add("resolution", json!(data.resolution));
         add("points", json!(points));
         add("device", json!(context.description().name));

@@ -1,0 +1,200 @@
+//! Poses of cameras: their gradient, and Adam over the poses of all images.
+//!
+//! The pose of an image is `T(ξ) = exp(ξ^) T₀` from world to camera, with six parameters ξ = (ν, ω): ν a
+//! displacement in world units, ω a turn in radians, both in the camera's frame
+//! ([`Twist`](crate::scene::Twist)). The cameras live in device memory, where frames read them
+//! ([`FrameInputs::pose`]), so that recorded steps move them without the host.
+
+use crate::error::Result;
+use crate::forward::{FrameInputs, POSE_BYTES};
+use crate::kernels::poses::{pose_gradient, pose_step};
+use crate::optimizer::{BETA_1, BETA_2};
+use crate::plan::{LaunchSizes, blocks};
+use crate::scene::Camera;
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// ε of Adam over poses, PyTorch's.
+pub const EPSILON: f64 = 1e-8;
+/// Weight decay of Adam over poses, added to the gradient (gsplat, `simple_trainer.py`).
+pub const WEIGHT_DECAY: f64 = 1e-6;
+/// Bytes of a pose's parameters ξ: six f32.
+pub const PARAMETER_BYTES: u64 = 24;
+/// Bytes of the gradient that [`PoseGradient::record`] leaves.
+pub const GRADIENT_BYTES: u64 = 48;
+
+/// The kernel of the gradient with respect to a pose.
+pub struct PoseGradient {
+    kernel: Kernel<pose_gradient::Interface>,
+    subgroup_size: u32,
+}
+
+impl PoseGradient {
+    /// Builds the kernel.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context) -> Result<Self> {
+        let subgroup_size = context.limits().subgroup_size;
+        let workgroup_size = LaunchSizes::new(context.limits()).elementwise_workgroup;
+        let kernel = Kernel::new(context, &pose_gradient::Spec { workgroup_size, subgroup_size })?;
+        Ok(Self { kernel, subgroup_size })
+    }
+
+    /// Records the gradient after [`Backward::record_with_pose`](crate::backward::Backward::record_with_pose).
+    /// `parameters` has ξ of all images, the frame is of the `image`-th. `gradient` ([`GRADIENT_BYTES`])
+    /// receives g = dL/dδ of `exp(δ^) T` at δ = 0, then dL/dξ, each as (ν, ω). The caller places barriers
+    /// before and after.
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        inputs: &FrameInputs,
+        (parameters, image): (&Buffer, u32),
+        gradient: &Buffer,
+    ) {
+        let bind = pose_gradient::Bind {
+            pose_sums: inputs.frame.pose_sums(),
+            pose_parameters: parameters,
+            pose_gradient: gradient,
+        };
+        let sums = inputs.scene.count.div_ceil(self.subgroup_size);
+        r.dispatch(&self.kernel, &bind, &pose_gradient::Push { sums, image }, 1);
+    }
+}
+
+/// One step of the optimiser of poses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseStep {
+    /// Learning rate: world units and radians.
+    pub rate: f64,
+    /// Number of steps including this one, from 1.
+    pub count: u64,
+}
+
+/// The poses of all images on the device.
+#[derive(Clone)]
+pub struct PoseBuffers {
+    /// Number of images.
+    pub images: u32,
+    /// ξ per image: two vec3, ν and ω.
+    pub parameters: Buffer,
+    /// Four vec3 per image: Adam's first moment of ν and ω, then the second.
+    pub moments: Buffer,
+    /// Four vec3 per image: the rows of the rotation of T₀, and its translation.
+    pub starts: Buffer,
+    /// Four vec3 per image: the same of T(ξ), as [`FrameInputs::pose`] reads it.
+    pub cameras: Buffer,
+    /// See [`PoseGradient::record`].
+    pub gradient: Buffer,
+}
+
+impl PoseBuffers {
+    /// Names and bytes of the buffers.
+    pub fn requests(images: u32) -> [(&'static str, u64); 5] {
+        let images = u64::from(images);
+        [
+            ("pose_parameters", images * PARAMETER_BYTES),
+            ("pose_moments", images * 2 * PARAMETER_BYTES),
+            ("pose_starts", images * POSE_BYTES),
+            ("pose_cameras", images * POSE_BYTES),
+            ("pose_gradient", GRADIENT_BYTES),
+        ]
+    }
+
+    /// Assigns the buffers that were allocated for [`PoseBuffers::requests`], in the same order.
+    ///
+    /// # Panics
+    /// If there are others.
+    pub fn from_allocated(images: u32, buffers: Vec<Buffer>) -> Self {
+        let Ok([parameters, moments, starts, cameras, gradient]) = <[Buffer; 5]>::try_from(buffers) else {
+            panic!("one buffer per request");
+        };
+        Self { images, parameters, moments, starts, cameras, gradient }
+    }
+}
+
+/// A camera's pose as the device keeps it: the rows of the rotation from world to camera, then the
+/// translation.
+pub fn pose_of(camera: &Camera) -> [f32; 12] {
+    let rows = camera.camera_from_world.transpose();
+    let mut pose = [0.0; 12];
+    pose[..9].copy_from_slice(&rows.to_cols_array());
+    pose[9..].copy_from_slice(&camera.translation.to_array());
+    pose
+}
+
+/// The inverse of [`pose_of`]: `camera` at another place.
+pub fn camera_at(camera: &Camera, pose: &[f32; 12]) -> Camera {
+    let [a, b, c, d, e, f, g, h, i, x, y, z] = *pose;
+    let rotation = glam::Mat3::from_cols_array(&[a, b, c, d, e, f, g, h, i]).transpose();
+    Camera::with_pose(rotation, glam::Vec3::new(x, y, z), camera.intrinsics())
+}
+
+/// The kernel of Adam over poses.
+pub struct PoseOptimizer {
+    kernel: Kernel<pose_step::Interface>,
+    workgroup: u32,
+}
+
+impl PoseOptimizer {
+    /// Builds the kernel.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context) -> Result<Self> {
+        let workgroup = LaunchSizes::new(context.limits()).elementwise_workgroup;
+        let kernel = Kernel::new(context, &pose_step::Spec { workgroup_size: workgroup })?;
+        Ok(Self { kernel, workgroup })
+    }
+
+    /// Records a step with the gradient of the image that was seen, and makes the cameras of all images. All
+    /// poses are one tensor: those of images that were not seen decay and move as well. Without a step only
+    /// the cameras are made. Nothing changes if `state` ([`FrameBuffers::state`](crate::plan::FrameBuffers))
+    /// has an overflow. The caller places barriers before and after.
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        buffers: &PoseBuffers,
+        state: &Buffer,
+        step: Option<(PoseStep, u32)>,
+    ) {
+        let (PoseStep { rate, count }, seen) = step.unwrap_or((PoseStep { rate: 0.0, count: 1 }, 0));
+        let push = pose_step::Push {
+            images: buffers.images,
+            seen,
+            makes_step: step.is_some().into(),
+            beta_1: BETA_1 as f32,
+            beta_2: BETA_2 as f32,
+            one_minus_beta_1: (1.0 - BETA_1) as f32,
+            one_minus_beta_2: (1.0 - BETA_2) as f32,
+            epsilon: EPSILON as f32,
+            rate: (rate / (1.0 - BETA_1.powf(count as f64))) as f32,
+            inverse_bias_2: (1.0 - BETA_2.powf(count as f64)).sqrt().recip() as f32,
+            weight_decay: WEIGHT_DECAY as f32,
+        };
+        let bind = pose_step::Bind {
+            pose_gradient: &buffers.gradient,
+            pose_starts: &buffers.starts,
+            pose_parameters: &buffers.parameters,
+            pose_moments: &buffers.moments,
+            pose_cameras: &buffers.cameras,
+            state,
+        };
+        r.dispatch(&self.kernel, &bind, &push, blocks(buffers.images.into(), self.workgroup.into()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Intrinsics;
+    use glam::Vec3;
+
+    #[test]
+    fn poses_keep_cameras() {
+        let intrinsics = Intrinsics { cx: 3.5, ..Intrinsics::from_fov_x(0.7, 20, 10) };
+        let camera = Camera::look_at(Vec3::new(1.0, 2.0, -3.0), Vec3::ZERO, Vec3::Y, intrinsics);
+        assert_eq!(camera_at(&camera, &pose_of(&camera)), camera);
+        let [x, y, z, ..] = pose_of(&camera);
+        assert_eq!(Vec3::new(x, y, z), camera.camera_from_world.row(0));
+    }
+}

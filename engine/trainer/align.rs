@@ -1,0 +1,66 @@
+//! Where the cameras are: those of the training views, which may be optimised, and others that are aligned.
+
+use super::Trainer;
+use crate::error::Result;
+use crate::forward::RenderSettings;
+use crate::renderer::{AlignRequest, Aligner, Alignment};
+use crate::scene::{Camera, StoredPhoto, Twist};
+
+impl Trainer {
+    /// The cameras of the training views as they are now, in the views' order: where they were given, or where
+    /// [`pose_opt`](super::TrainSettings::pose_opt) has moved them.
+    ///
+    /// # Errors
+    /// [`Error::Argument`](crate::Error::Argument) while recorded steps are in flight, and after a step with an unknown
+    /// outcome; when the device is lost.
+    pub fn cameras(&self) -> Result<Vec<Camera>> {
+        self.check_readable()?;
+        match &self.poses {
+            None => Ok(self.run.cameras.clone()),
+            Some(poses) => poses.moved(&self.context, &self.run.cameras),
+        }
+    }
+
+    /// What each camera of the training views has been moved by, in the views' order: 0 without
+    /// [`pose_opt`](super::TrainSettings::pose_opt).
+    ///
+    /// # Errors
+    /// As [`Trainer::cameras`].
+    pub fn pose_changes(&self) -> Result<Vec<Twist>> {
+        self.check_readable()?;
+        let Some(poses) = &self.poses else { return Ok(vec![Twist::default(); self.run.cameras.len()]) };
+        let parameters = poses.state(&self.context)?.parameters;
+        Ok(parameters.iter().map(|xi| Twist::from_array(xi.map(f64::from))).collect())
+    }
+
+    /// The scene's extent that training was given, world units.
+    pub fn scene_extent(&self) -> f32 {
+        self.run.scene_extent
+    }
+
+    /// As [`Renderer::align`](crate::Renderer::align), with the current scene. If `settings.sh_degree` is None, it uses the SH
+    /// degree of this iteration. Training does not depend on it.
+    ///
+    /// # Errors
+    /// As [`Renderer::align`](crate::Renderer::align) and [`Trainer::render`].
+    pub fn align(
+        &mut self,
+        camera: &Camera,
+        photo: &StoredPhoto,
+        settings: &RenderSettings,
+        alignment: &Alignment,
+    ) -> Result<Camera> {
+        let settings = self.at_present_degree(settings);
+        let mut aligner = match self.aligner.take() {
+            Some(aligner) => aligner,
+            None => Aligner::new(&self.context)?,
+        };
+        let aligned = self.drawing(|runner, scene| {
+            let sh_degree = scene.active_degree(&settings);
+            let request = AlignRequest { scene, camera, photo, settings: &settings, sh_degree, alignment };
+            aligner.align(runner, &request)
+        });
+        self.aligner = Some(aligner);
+        aligned
+    }
+}

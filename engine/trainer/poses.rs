@@ -1,0 +1,115 @@
+//! Poses of the training views that are optimised with the scene.
+
+use super::checkpoint::PoseState;
+use super::settings::TrainSettings;
+use crate::error::{Error, Result};
+use crate::forward::{FrameInputs, POSE_BYTES};
+use crate::kernels::constants::STATE_WORDS;
+use crate::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep, camera_at, pose_of};
+use crate::scene::Camera;
+use crate::vk::{Buffer, Context, MemoryKind, Recorder};
+
+/// The poses of a run that optimises them.
+pub(super) struct Poses {
+    gradient: PoseGradient,
+    optimizer: PoseOptimizer,
+    buffers: PoseBuffers,
+    /// Per view: its camera's place on the device.
+    cameras: Vec<Buffer>,
+}
+
+/// Names and bytes of the buffers that a run keeps; none unless it optimises poses.
+pub(super) fn requests(settings: &TrainSettings, views: usize) -> Vec<(&'static str, u64)> {
+    match settings.pose_opt {
+        true => PoseBuffers::requests(views as u32).to_vec(),
+        false => Vec::new(),
+    }
+}
+
+impl Poses {
+    /// With all cameras where they are given. None unless the settings optimise poses.
+    pub fn new(context: &Context, settings: &TrainSettings, cameras: &[Camera]) -> Result<Option<Self>> {
+        if !settings.pose_opt {
+            return Ok(None);
+        }
+        let images = crate::plan::to_u32(cameras.len() as u64)?;
+        let buffers = context.allocate("poses", &requests(settings, cameras.len()), MemoryKind::Device)?;
+        let buffers = PoseBuffers::from_allocated(images, buffers);
+        let starts: Vec<[f32; 12]> = cameras.iter().map(pose_of).collect();
+        context.upload(&buffers.starts, bytemuck::cast_slice(&starts))?;
+        let at = |view: usize| buffers.cameras.range(view as u64 * POSE_BYTES, POSE_BYTES);
+        let poses = Self {
+            gradient: PoseGradient::new(context)?,
+            optimizer: PoseOptimizer::new(context)?,
+            cameras: (0..cameras.len()).map(at).collect(),
+            buffers,
+        };
+        context.run("clear poses", |r| {
+            let PoseBuffers { parameters, moments, gradient, .. } = &poses.buffers;
+            [parameters, moments, gradient].into_iter().for_each(|buffer| r.fill(buffer, 0));
+            Ok(())
+        })?;
+        poses.make_cameras(context)?;
+        Ok(Some(poses))
+    }
+
+    /// From the parameters. The same parameters give the same bits, here and in steps.
+    fn make_cameras(&self, context: &Context) -> Result<()> {
+        let state =
+            context.allocate("poses", &[("state", u64::from(STATE_WORDS) * 4)], MemoryKind::Device)?;
+        let made = context.run("make cameras", |r| {
+            r.fill(&state[0], 0);
+            r.barrier();
+            self.optimizer.record(r, &self.buffers, &state[0], None);
+            Ok(())
+        });
+        made.map(drop)
+    }
+
+    /// See [`FrameInputs::pose`].
+    pub fn camera(&self, view: usize) -> &Buffer {
+        &self.cameras[view]
+    }
+
+    /// Records what follows the backward pass with a gradient of the pose: the gradient, and a step. The caller
+    /// places barriers before and after.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, view: usize, step: &PoseStep) {
+        let view = view as u32;
+        r.scope("poses", |r| {
+            self.gradient.record(r, inputs, (&self.buffers.parameters, view), &self.buffers.gradient);
+            r.barrier();
+            self.optimizer.record(r, &self.buffers, &inputs.frame.state, Some((*step, view)));
+        });
+    }
+
+    /// The cameras as they are now.
+    pub fn moved(&self, context: &Context, cameras: &[Camera]) -> Result<Vec<Camera>> {
+        let bytes = context.download(&self.buffers.cameras)?;
+        let poses: Vec<[f32; 12]> = bytemuck::pod_collect_to_vec(&bytes);
+        Ok(cameras.iter().zip(&poses).map(|(camera, pose)| camera_at(camera, pose)).collect())
+    }
+
+    pub fn state(&self, context: &Context) -> Result<PoseState> {
+        let parameters = context.download(&self.buffers.parameters)?;
+        let moments: Vec<[f32; 6]> = bytemuck::pod_collect_to_vec(&context.download(&self.buffers.moments)?);
+        let every_second = |first: usize| moments.iter().skip(first).step_by(2).copied().collect();
+        Ok(PoseState {
+            parameters: bytemuck::pod_collect_to_vec(&parameters),
+            first_moments: every_second(0),
+            second_moments: every_second(1),
+        })
+    }
+
+    pub fn restore(&self, context: &Context, from: &PoseState) -> Result<()> {
+        if from.parameters.len() != self.cameras.len() {
+            let (there, here) = (from.parameters.len(), self.cameras.len());
+            let problem = format!("has the poses of {there} views, here are {here}");
+            return Err(Error::argument("checkpoint", problem));
+        }
+        let moments: Vec<[[f32; 6]; 2]> =
+            from.first_moments.iter().zip(&from.second_moments).map(|(&m, &v)| [m, v]).collect();
+        context.upload(&self.buffers.parameters, bytemuck::cast_slice(&from.parameters))?;
+        context.upload(&self.buffers.moments, bytemuck::cast_slice(&moments))?;
+        self.make_cameras(context)
+    }
+}

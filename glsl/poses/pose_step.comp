@@ -1,0 +1,113 @@
+// Adam over the poses of all images as one tensor, and the cameras that follow:
+//
+//   g <- dL/d(xi) of the image that was seen, 0 for all others, + weight_decay xi
+//   m <- b1 m + (1 - b1) g,  v <- b2 v + (1 - b2) g^2,  xi <- xi - rate / (1 - b1^t) m / (sqrt(v / (1 - b2^t)) + eps)
+//   T = exp(xi^) T_0, from world to camera: R = exp(omega^) R_0, t = exp(omega^) t_0 + V nu,
+//   exp(omega^) = I + a omega^ + b omega^ omega^,  V = I + b omega^ + c omega^ omega^,
+//   a = sin w / w,  b = (1 - cos w) / w^2,  c = (w - sin w) / w^3,  w = |omega|
+//
+// Without `makes_step` only the cameras are made. A gradient that is not finite counts as 0. If the frame overflowed, nothing
+// changes.
+//
+// invocation: one image
+// in: pose_gradient (pose_gradient.comp), pose_starts (four vec3 per image: the rows of R_0, t_0), state
+// in/out: pose_parameters (two vec3 per image: nu, omega), pose_moments (four: m of both, v of both)
+// out: pose_cameras (four vec3 per image: the rows of R, t)
+// shared: none; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer PoseGradient { vec3 pose_gradient[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer PoseStarts { vec3 pose_starts[]; };
+layout(set = 0, binding = 2, scalar) buffer PoseParameters { vec3 pose_parameters[]; };
+layout(set = 0, binding = 3, scalar) buffer PoseMoments { vec3 pose_moments[]; };
+layout(set = 0, binding = 4, scalar) writeonly buffer PoseCameras { vec3 pose_cameras[]; };
+layout(set = 0, binding = 5, scalar) readonly buffer State { uint state[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint images;
+    // The image that was seen.
+    uint seen;
+    // Whether to make a step.
+    uint makes_step;
+    float beta_1;
+    float beta_2;
+    // 1 - b, rounded once.
+    float one_minus_beta_1;
+    float one_minus_beta_2;
+    float epsilon;
+    // Already divided by 1 - b1^t.
+    float rate;
+    // 1 / sqrt(1 - b2^t).
+    float inverse_bias_2;
+    float weight_decay;
+};
+
+#include "dispatch.glsl"
+
+// Of the series of a, b and c in w^2: the next term is below float32 for turns of up to a circle.
+const uint TERMS = 14;
+
+vec3 gradient_of(uint image, uint part) {
+    vec3 g = image == seen ? pose_gradient[2 + part] : vec3(0.0);
+    uvec3 exponent = floatBitsToUint(g) & 0x7F800000u;
+    return all(notEqual(exponent, uvec3(0x7F800000u))) ? g : vec3(0.0);
+}
+
+// Of nu (part 0) or omega (part 1).
+vec3 stepped(uint image, uint part, vec3 parameters) {
+    vec3 g = gradient_of(image, part) + weight_decay * parameters;
+    vec3 m = beta_1 * pose_moments[4 * image + part] + one_minus_beta_1 * g;
+    vec3 v = beta_2 * pose_moments[4 * image + 2 + part] + one_minus_beta_2 * g * g;
+    pose_moments[4 * image + part] = m;
+    pose_moments[4 * image + 2 + part] = v;
+    return parameters - rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
+}
+
+// (a, b, c) by their series, which need no sine: drivers' sines have 11 bits.
+vec3 coefficients(float square) {
+    vec3 sum = vec3(1.0);
+    for (uint k = TERMS; k > 0; --k) {
+        float n = 2.0 * float(k);
+        sum = 1.0 - sum * square / vec3(n * (n + 1.0), (n + 1.0) * (n + 2.0), (n + 2.0) * (n + 3.0));
+    }
+    return sum * vec3(1.0, 0.5, 1.0 / 6.0);
+}
+
+void main() {
+    uint image = linear_invocation();
+    if (image >= images || state[STATE_OVERFLOW] != 0) {
+        return;
+    }
+    vec3 nu = pose_parameters[2 * image];
+    vec3 omega = pose_parameters[2 * image + 1];
+    if (makes_step != 0) {
+        nu = stepped(image, 0, nu);
+        omega = stepped(image, 1, omega);
+        pose_parameters[2 * image] = nu;
+        pose_parameters[2 * image + 1] = omega;
+    }
+    vec3 c = coefficients(dot(omega, omega));
+    mat3 start_t = mat3(pose_starts[4 * image], pose_starts[4 * image + 1], pose_starts[4 * image + 2]);
+    vec3 start = pose_starts[4 * image + 3];
+    // Column by column of R_0, which is a row of `start_t` transposed.
+    mat3 columns = transpose(start_t);
+    for (uint k = 0; k < 3; ++k) {
+        vec3 turned = cross(omega, columns[k]);
+        columns[k] += c.x * turned + c.y * cross(omega, turned);
+    }
+    vec3 turned = cross(omega, start);
+    vec3 moved = cross(omega, nu);
+    vec3 t = start + c.x * turned + c.y * cross(omega, turned) + nu + c.y * moved + c.z * cross(omega, moved);
+    mat3 rows = transpose(columns);
+    pose_cameras[4 * image] = rows[0];
+    pose_cameras[4 * image + 1] = rows[1];
+    pose_cameras[4 * image + 2] = rows[2];
+    pose_cameras[4 * image + 3] = t;
+}

@@ -1,0 +1,241 @@
+//! Exposures of photos, and inverse-depth maps.
+
+use super::*;
+use ashsplat_files::exposure_json;
+use glam::Mat3;
+use tempfile::{TempDir, tempdir};
+
+const FEW: [&str; 6] = ["--iterations", "40", "--test-iterations=-1", "--sh-degree=0", "--quiet", "--seed=3"];
+
+fn train(data: &Path, model: &Path, more: &[&str]) -> String {
+    let paths = ["train", "-s", text(data), "-m", text(model)];
+    succeed(&[&paths, FEW.as_slice(), more].concat())
+}
+
+fn picture(folder: &Path) -> Vec<u8> {
+    std::fs::read(folder.join("00000.png")).expect("a picture")
+}
+
+#[test]
+fn exposures_are_learnt_saved_and_asked_for() {
+    let folder = tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    write_dataset(&at("data"));
+    train(&at("data"), &at("model"), &["--eval", "--exposure", "--exposure-lr-init=0.1"]);
+    let exposures = exposure_json::read(at("model").join("exposure.json")).expect("the exposures");
+    // Not of those that are held out.
+    let names: Vec<&str> = exposures.keys().map(String::as_str).collect();
+    assert_eq!(names, ["02.png", "03.png", "04.png", "05.png", "06.png", "07.png", "08.png"]);
+    assert!(exposures.values().all(|exposure| *exposure != Default::default()));
+    let render = |out: &Path, more: &[&str]| {
+        let model = at("model");
+        succeed(&[&["render", text(&model), "-o", text(out), "--quiet"], more].concat());
+        picture(out)
+    };
+    let (plain, exposed) = (render(&at("a"), &[]), render(&at("b"), &["--exposure-of", "03.png"]));
+    assert_ne!(plain, exposed);
+    let (model, out, none) = (at("model"), at("c"), at("none"));
+    let wanted = ["render", text(&model), "-o", text(&out), "--exposure-of"];
+    refuse(&[wanted.as_slice(), &["01.png"]].concat(), &["exposure.json", "01.png", "02.png"]);
+    let ply = at("model").join("point_cloud/iteration_40/point_cloud.ply");
+    let bare = ["render", text(&ply), "-o", text(&out), "--orbit=1", "--exposure-of", "02.png"];
+    refuse(&bare, &["--exposure-of", "model folder"]);
+    // A new training forgets the exposures of an older one.
+    train(&at("data"), &model, &["--eval"]);
+    assert!(!at("model").join("exposure.json").exists());
+    refuse(&[wanted.as_slice(), &["02.png"]].concat(), &["exposure.json", "--exposure"]);
+    std::fs::write(at("model").join("exposure.json"), "{\"02.png\": [[1, 2], 3]}").expect("written");
+    refuse(&[wanted.as_slice(), &["02.png"]].concat(), &["exposure.json", "not a list of exposures"]);
+    assert!(!out.exists() && !none.exists());
+}
+
+/// The reference's protocol: the left half of the held-out views is trained on, the right one is measured.
+#[test]
+fn held_out_views_are_trained_on_their_left_half() {
+    let folder = tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    write_dataset(&at("data"));
+    let (data, model) = (at("data"), at("model"));
+    refuse(
+        &["train", "-s", text(&data), "-m", text(&model), "--train-test-exp"],
+        &["train_test_exp", "--eval"],
+    );
+    train(&data, &model, &["--eval", "--train_test_exp"]);
+    assert_eq!(exposure_json::read(model.join("exposure.json")).expect("the exposures").len(), 9);
+    // Pictures of the test are halves.
+    let saved = |kind: &str| at("model").join("test/ours_40").join(kind).join("00000.png");
+    for kind in ["gt", "renders"] {
+        let size = ashsplat_files::images::photo_size(saved(kind)).expect("a picture");
+        assert_eq!(size, (SIZE[0] / 2, SIZE[1]));
+    }
+    let results = |_| std::fs::read_to_string(at("model").join("per_view.json")).expect("results");
+    let trained = results(());
+    succeed(&["eval", text(&model), "--quiet"]);
+    assert_eq!(trained, results(()));
+    let cameras = std::fs::read_to_string(model.join("cameras.json")).expect("cameras");
+    assert_eq!(cameras.matches("img_name").count(), 9);
+    // What the right half shows does not count.
+    let held_out = data.join("images/01.png");
+    let mut photo = Photo::read(&held_out, [0.0; 3]).expect("a photo");
+    for (pixel, rgb) in photo.rgb.chunks_mut(3).enumerate() {
+        if pixel as u32 % SIZE[0] >= SIZE[0] / 2 {
+            rgb.fill(0);
+        }
+    }
+    photo.write_png(&held_out).expect("written");
+    let spoilt = at("spoilt");
+    train(&data, &spoilt, &["--eval", "--train_test_exp"]);
+    let gaussians = |model: &Path| {
+        std::fs::read(model.join("point_cloud/iteration_40/point_cloud.ply")).expect("the scene")
+    };
+    assert_eq!(gaussians(&model), gaussians(&spoilt));
+    std::fs::remove_file(model.join("exposure.json")).expect("removed");
+    refuse(&["eval", text(&model), "--quiet"], &["exposure.json"]);
+}
+
+/// A data set with the observations of its points, and maps whose values are no inverse depths yet: those of photo k
+/// are (1 / z - 0.1) / (1 + k / 10).
+struct Mapped {
+    folder: TempDir,
+}
+
+fn scale_of(index: u32) -> f32 {
+    1.0 + index as f32 / 10.0
+}
+
+impl Mapped {
+    fn new() -> Mapped {
+        let folder = tempdir().expect("a temporary folder");
+        let data = folder.path().join("data");
+        write_dataset(&data);
+        let mapped = Mapped { folder };
+        mapped.write_text_model();
+        std::fs::create_dir(data.join("depths")).expect("a folder");
+        (0..VIEWS).for_each(|index| mapped.write_map(index));
+        mapped
+    }
+
+    fn data(&self) -> PathBuf {
+        self.folder.path().join("data")
+    }
+
+    fn map(&self, index: u32) -> PathBuf {
+        self.data().join("depths").join(format!("{:02}.png", index + 1))
+    }
+
+    fn params(&self) -> PathBuf {
+        self.data().join("sparse/0/depth_params.json")
+    }
+
+    fn write_text_model(&self) {
+        let folder = self.data().join("sparse/0");
+        std::fs::remove_dir_all(&folder).expect("removed");
+        std::fs::create_dir_all(&folder).expect("created");
+        let lens = view(0);
+        let camera =
+            format!("1 PINHOLE {} {} {} {} {} {}\n", SIZE[0], SIZE[1], lens.fx, lens.fy, lens.cx, lens.cy);
+        std::fs::write(folder.join("cameras.txt"), camera).expect("written");
+        let points = wall_points();
+        let (mut images, mut rows) = (String::new(), String::new());
+        for index in 0..VIEWS {
+            let camera = view(index);
+            let image = ColmapImage::posed(index + 1, 1, format!("{:02}.png", index + 1), &camera);
+            let ([w, x, y, z], [tx, ty, tz]) = (image.quat, image.translation);
+            images += &format!("{} {w} {x} {y} {z} {tx} {ty} {tz} 1 {}\n", image.id, image.name);
+            for (id, point) in points.positions.iter().enumerate() {
+                let p = camera.camera_from_world * Vec3::from_array(*point) + camera.translation;
+                let place = [camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy];
+                images += &format!("{} {} {} ", place[0], place[1], id + 1);
+            }
+            images += "3 3 -1\n";
+        }
+        for (id, (p, c)) in points.positions.iter().zip(&points.colors).enumerate() {
+            rows += &format!("{} {} {} {} {} {} {} 0.5 1 2\n", id + 1, p[0], p[1], p[2], c[0], c[1], c[2]);
+        }
+        std::fs::write(folder.join("images.txt"), images).expect("written");
+        std::fs::write(folder.join("points3D.txt"), rows).expect("written");
+    }
+
+    fn write_map(&self, index: u32) {
+        let camera = view(index);
+        let world_from_camera: Mat3 = camera.camera_from_world.transpose();
+        let map = image::ImageBuffer::from_fn(SIZE[0], SIZE[1], |x, y| {
+            let (x, y) = (x as f32 + 0.5 - camera.cx, y as f32 + 0.5 - camera.cy);
+            let ray = world_from_camera * Vec3::new(x / camera.fx, y / camera.fy, 1.0);
+            // To the wall at z = 0, where the ray's own z in the camera is 1.
+            let inverse_z = ray.z / -camera.position().z;
+            image::Luma([((inverse_z - 0.1) / scale_of(index) * 65536.0) as u16])
+        });
+        map.save(self.map(index)).expect("a map");
+    }
+
+    fn refuses(&self, folder: &str, words: &[&str]) {
+        let out = self.folder.path().join("out");
+        let data = self.data();
+        refuse(&["train", "-s", text(&data), "-m", text(&out), "-d", folder, "--quiet"], words);
+        assert!(!out.exists(), "{:?}", files_below(&out));
+    }
+}
+
+#[test]
+fn depth_maps_are_scaled_and_trained_on() {
+    let mapped = Mapped::new();
+    let at = |name: &str| mapped.folder.path().join(name);
+    let losses = |model: &Path| {
+        let checkpoint = model.join("chkpnt40.safetensors");
+        let read = <ashsplat::trainer::Checkpoint as ashsplat_files::CheckpointFile>::read(checkpoint);
+        read.expect("a checkpoint").strategy.terms
+    };
+    let depth_of = |model: &Path| {
+        let out = at("depth");
+        succeed(&["render", text(model), "-o", text(&out), "--format=exr", "--quiet"]);
+        std::fs::read(out.join("00000.exr")).expect("a picture")
+    };
+    let data = mapped.data();
+    train(&data, &at("plain"), &["--checkpoint-iterations=40"]);
+    train(&data, &at("fitted"), &["--checkpoint-iterations=40", "-d", "depths"]);
+    assert_eq!(losses(&at("plain")), ["photometric"]);
+    assert_eq!(losses(&at("fitted")), ["photometric", "inverse_depth"]);
+    assert_ne!(depth_of(&at("plain")), depth_of(&at("fitted")));
+    // Parameters of a file count instead, and these are the right ones: the scene is nearly the same.
+    let entry =
+        |index: u32| format!("\"{:02}\": {{\"scale\": {}, \"offset\": 0.1}}", index + 1, scale_of(index));
+    let entries: Vec<String> = (0..VIEWS).map(entry).collect();
+    std::fs::write(mapped.params(), format!("{{{}}}", entries.join(", "))).expect("written");
+    train(&data, &at("given"), &["--depths", "depths"]);
+    let means = |model: &str| {
+        let ply = at(model).join("point_cloud/iteration_40/point_cloud.ply");
+        ashsplat_files::splats::read(ply, &Default::default()).expect("a scene").gaussians.means
+    };
+    let apart = |a: &[[f32; 3]], b: &[[f32; 3]]| {
+        a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    };
+    let (plain, fitted, given) = (means("plain"), means("fitted"), means("given"));
+    assert!(apart(&fitted, &given) < 0.2 * apart(&fitted, &plain), "{}", apart(&fitted, &given));
+}
+
+#[test]
+fn depth_maps_that_lack_something_are_refused() {
+    let mapped = Mapped::new();
+    mapped.refuses("nowhere", &["nowhere", "no folder with depth maps"]);
+    // A file for some photos only.
+    std::fs::write(mapped.params(), "{\"01\": {\"scale\": 1, \"offset\": 0}}").expect("written");
+    mapped.refuses("depths", &["depth_params.json", "02.png"]);
+    std::fs::write(mapped.params(), "{\"01\": {\"scale\": 1}}").expect("written");
+    mapped.refuses("depths", &["depth_params.json", "offset"]);
+    std::fs::remove_file(mapped.params()).expect("removed");
+    std::fs::remove_file(mapped.map(4)).expect("removed");
+    mapped.refuses("depths", &["05.png", "depth map", "missing"]);
+    image::GrayImage::new(SIZE[0], SIZE[1]).save(mapped.map(4)).expect("written");
+    mapped.refuses("depths", &["05.png", "16-bit"]);
+    std::fs::write(mapped.map(4), b"no picture").expect("written");
+    mapped.refuses("depths", &["05.png"]);
+    mapped.write_map(4);
+    // Without observations nothing tells the scale.
+    write_dataset(&mapped.data());
+    let text_parts = ["cameras.txt", "images.txt", "points3D.txt"];
+    text_parts
+        .iter()
+        .for_each(|part| std::fs::remove_file(mapped.data().join("sparse/0").join(part)).expect("removed"));
+    mapped.refuses("depths", &["depths", "none of the depth maps", "depth_params.json"]);
+}

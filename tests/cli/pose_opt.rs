@@ -1,0 +1,131 @@
+//! The demo's poses are moved by known amounts; `--pose-opt` gets them back.
+
+use super::{succeed, text};
+use ashsplat::Camera;
+use ashsplat::scene::{Twist, scene_extent};
+use ashsplat_files::cameras_json::{self, NamedCamera};
+use ashsplat_files::colmap::{self, ColmapImage, Model};
+use glam::DVec3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
+use std::path::Path;
+use tempfile::tempdir;
+
+const ITERATIONS: &str = "400";
+
+/// Moves each camera of a COLMAP model by a degree about some axis and a hundredth of the extent in some direction.
+/// Returns the cameras before and after by the names of their photographs.
+fn perturb(data: &Path) -> [Vec<(String, Camera)>; 2] {
+    let model = Model::read(&colmap::find(data).expect("a folder")).expect("a model");
+    let true_ones: Vec<(String, Camera)> = (model.images.iter())
+        .map(|image| (image.name.clone(), model.camera_of(image).expect("a camera")))
+        .collect();
+    let extent =
+        scene_extent(true_ones.iter().map(|(_, camera)| camera.position()).collect::<Vec<_>>().into_iter());
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let mut direction = || loop {
+        let v = DVec3::from_array([0; 3].map(|_| random.random_range(-1.0..1.0)));
+        if (0.1..1.0).contains(&v.length()) {
+            return v.normalize();
+        }
+    };
+    let mut move_one = |(name, camera): &(String, Camera)| {
+        let twist =
+            Twist { nu: direction() * 0.01 * f64::from(extent), omega: direction() * 1_f64.to_radians() };
+        (name.clone(), twist.applied_to(camera))
+    };
+    let moved: Vec<(String, Camera)> = true_ones.iter().map(&mut move_one).collect();
+    let images: Vec<ColmapImage> = (model.images.iter().zip(&moved))
+        .map(|(image, (name, camera))| ColmapImage::posed(image.id, image.camera_id, name.clone(), camera))
+        .collect();
+    let lenses: Vec<_> = model.cameras.values().cloned().collect();
+    colmap::write(data.join("sparse/0"), &lenses, &images, &model.points).expect("written");
+    [true_ones, moved]
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).expect("a file")).expect("JSON")
+}
+
+fn train(data: &Path, model: &Path, more: &[&str]) -> (String, Value) {
+    let usual = ["train", "-s", text(data), "-m", text(model), "--eval", "-r", "2", "--quiet"];
+    let schedule = ["--iterations", ITERATIONS, "--position_lr_max_steps", ITERATIONS, "--sh_degree", "1"];
+    let rest = ["--sh-degree-interval", "150", "--eval-share", "0"];
+    let stdout = succeed(&[usual.as_slice(), &schedule, &rest, more].concat());
+    let results = json(&model.join("results.json"));
+    (stdout, results[format!("ours_{ITERATIONS}")].clone())
+}
+
+/// Mean angle, degrees, between the turns from each camera to the next and the true ones: whatever the whole has turned by.
+fn apart(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> f64 {
+    let rotation = |camera: &Camera| camera.camera_from_world.as_dmat3();
+    let of = |name: &str| &true_ones.iter().find(|(other, _)| other == name).expect("known").1;
+    let angles = cameras.windows(2).map(|pair| {
+        let [a, b] = [&pair[0], &pair[1]];
+        let found = rotation(&b.camera) * rotation(&a.camera).transpose();
+        let wanted = rotation(of(&b.name)) * rotation(of(&a.name)).transpose();
+        let turn = found * wanted.transpose();
+        let trace = turn.x_axis.x + turn.y_axis.y + turn.z_axis.z;
+        (0.5 * (trace - 1.0)).clamp(-1.0, 1.0).acos().to_degrees()
+    });
+    angles.sum::<f64>() / (cameras.len() - 1) as f64
+}
+
+#[test]
+fn poses_of_the_demo_are_found_again() {
+    let folder = tempdir().expect("a temporary folder");
+    let out = folder.path().join("demo");
+    succeed(&["demo", "--out", text(&out), "--dataset-only", "--quiet"]);
+    let data = out.join("dataset");
+    let [true_ones, moved] = perturb(&data);
+    let (off, on) = (folder.path().join("off"), folder.path().join("on"));
+    let (_, without) = train(&data, &off, &[]);
+    let (stdout, with) = train(&data, &on, &["--pose-opt", "--pose-lr", "2e-3"]);
+    let number =
+        |entry: &Value, name: &str| entry[name].as_f64().unwrap_or_else(|| panic!("{name}: {entry}"));
+    let (psnr, aligned) = (number(&without, "PSNR"), number(&with, "PSNR_aligned"));
+    println!("{without}\n{with}");
+    assert!(without.get("PSNR_aligned").is_none(), "{without}");
+    assert!(aligned > psnr + 3.0, "{psnr} dB without, {aligned} dB with poses");
+    assert!(aligned > number(&with, "PSNR") + 2.0, "{with}");
+    assert!(number(&with, "SSIM_aligned") > number(&without, "SSIM"), "{with}");
+
+    // Held-out cameras are the first eighth, as given; the others are elsewhere, and where they belong.
+    let cameras = cameras_json::read(on.join("cameras.json")).expect("cameras");
+    assert_eq!(cameras.len(), 40);
+    let given = |name: &str| &moved.iter().find(|(other, _)| other == name).expect("known").1;
+    let stayed = |named: &&NamedCamera| {
+        let given = given(&named.name);
+        let near = given.camera_from_world.abs_diff_eq(named.camera.camera_from_world, 1e-5);
+        near && given.translation.abs_diff_eq(named.camera.translation, 1e-5)
+    };
+    assert_eq!(cameras.iter().filter(stayed).count(), 5);
+    let before: Vec<NamedCamera> = (cameras[5..].iter())
+        .map(|named| NamedCamera { camera: *given(&named.name), ..named.clone() })
+        .collect();
+    let (before, after) = (apart(&before, &true_ones), apart(&cameras[5..], &true_ones));
+    println!("degrees between neighbours, mean: {before:.3} before, {after:.3} after");
+    assert!(after < 0.4 * before, "{before} degrees before, {after} after");
+
+    // What is said, and what is written.
+    assert!(stdout.contains("poses turned by "), "{stdout}");
+    let poses = json(&on.join("poses.json"));
+    let xi = poses["xi"].as_object().expect("poses");
+    assert_eq!(xi.len(), 35);
+    assert!(xi.values().all(|xi| xi.as_array().is_some_and(|xi| xi.len() == 6)), "{poses}");
+    assert!((0.1..5.0).contains(&number(&poses["degrees"], "mean")), "{poses}");
+    let report = std::fs::read_to_string(on.join("report.html")).expect("a report");
+    assert!(report.contains("poses turned, mean") && report.contains("cameras aligned"));
+    assert!(!off.join("poses.json").exists());
+
+    // The same numbers from what was saved.
+    let again: Value =
+        serde_json::from_str(&succeed(&["eval", text(&on), "--json", "--quiet"])).expect("JSON");
+    let difference = number(&again["mean"], "PSNR_aligned") - aligned;
+    assert!(difference.abs() < 0.05, "{again}");
+    let all: Value =
+        serde_json::from_str(&succeed(&["eval", text(&on), "--all", "--json", "--quiet"])).expect("JSON");
+    // Training views stand where they were moved to.
+    assert!(number(&all["mean"], "PSNR") > number(&with, "PSNR") + 2.0, "{}", all["mean"]);
+}

@@ -1,0 +1,82 @@
+//! The kernels of poses with their buffers.
+
+use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
+use ashsplat::kernels::poses::{pose_gradient, pose_step};
+
+use super::gpu::Gpu;
+
+/// What `poses/pose_gradient` leaves: g and dL/dξ.
+pub fn pose_gradient(gpu: &Gpu, sums: &[[f32; 6]], parameters: &[[f32; 6]], image: u32) -> [[f64; 6]; 2] {
+    let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
+    let kernel =
+        gpu.kernel::<pose_gradient::Interface>(&pose_gradient::Spec { workgroup_size, subgroup_size });
+    let gradient = gpu.untouched::<[f32; 6]>("pose_gradient", 2);
+    let bind = pose_gradient::Bind {
+        pose_sums: &gpu.buffer("pose_sums", sums),
+        pose_parameters: &gpu.buffer("pose_parameters", parameters),
+        pose_gradient: &gradient,
+    };
+    let push = pose_gradient::Push { sums: sums.len() as u32, image };
+    gpu.run(|r| r.dispatch(&kernel, &bind, &push, 1));
+    let [g, d_xi] = gpu.read::<[[f32; 6]; 2]>(&gradient, 1)[0];
+    [g.map(f64::from), d_xi.map(f64::from)]
+}
+
+/// All poses on the host.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Poses {
+    /// ξ per image.
+    pub parameters: Vec<[f32; 6]>,
+    /// First and second moments per image.
+    pub moments: Vec<[[f32; 6]; 2]>,
+    /// Rotation by rows and translation per image.
+    pub starts: Vec<[f32; 12]>,
+    /// The same after ξ.
+    pub cameras: Vec<[f32; 12]>,
+}
+
+/// One step: image, dL/dξ of it, rate, number from 1.
+pub type Step = (u32, [f32; 6], f64, u32);
+
+/// What `poses/pose_step` makes of poses; without a step the cameras only.
+pub fn pose_step(gpu: &Gpu, poses: &Poses, step: Option<Step>, overflow: u32) -> Poses {
+    let spec = pose_step::Spec { workgroup_size: gpu.workgroup(64) };
+    let kernel = gpu.kernel::<pose_step::Interface>(&spec);
+    let images = poses.parameters.len();
+    let (seen, gradient, rate, count) = step.unwrap_or((0, [f32::NAN; 6], 1.0, 1));
+    let mut state = vec![0_u32; STATE_WORDS as usize];
+    state[STATE_OVERFLOW as usize] = overflow;
+    let (parameters, moments) =
+        (gpu.buffer("pose_parameters", &poses.parameters), gpu.buffer("pose_moments", &poses.moments));
+    let cameras = gpu.buffer("pose_cameras", &poses.cameras);
+    let bind = pose_step::Bind {
+        // The first half is that of another kind.
+        pose_gradient: &gpu.buffer("pose_gradient", &[[f32::NAN; 6], gradient]),
+        pose_starts: &gpu.buffer("pose_starts", &poses.starts),
+        pose_parameters: &parameters,
+        pose_moments: &moments,
+        pose_cameras: &cameras,
+        state: &gpu.buffer("state", &state),
+    };
+    let correction = |beta: f64| 1.0 - beta.powi(count as i32);
+    let push = pose_step::Push {
+        images: images as u32,
+        seen,
+        makes_step: step.is_some().into(),
+        beta_1: 0.9,
+        beta_2: 0.999,
+        one_minus_beta_1: 0.1,
+        one_minus_beta_2: 0.001,
+        epsilon: 1e-8,
+        rate: (rate / correction(0.9)) as f32,
+        inverse_bias_2: correction(0.999).sqrt().recip() as f32,
+        weight_decay: 1e-6,
+    };
+    gpu.run(|r| r.dispatch(&kernel, &bind, &push, images as u64 / u64::from(spec.workgroup_size) + 1));
+    Poses {
+        parameters: gpu.read(&parameters, images),
+        moments: gpu.read(&moments, images),
+        starts: poses.starts.clone(),
+        cameras: gpu.read(&cameras, images),
+    }
+}

@@ -1,0 +1,143 @@
+//! Gradients of camera poses and their optimiser: twins and device against the vectors.
+
+use std::path::Path;
+
+use super::sets::{self, gaussians};
+use crate::common::compare::elementwise;
+use crate::common::engine::{self, camera, renderer, settings};
+use crate::common::gpu::Gpu;
+use crate::common::npz::{Npz, rows};
+use crate::common::poses::{Poses, pose_gradient, pose_step};
+use crate::common::{assert_silent, context};
+use crate::reference::adam::Parameter;
+use crate::reference::blend_backward::PixelGradient;
+use crate::reference::pipeline::{backward, render};
+use crate::reference::pose_gradient::gradient_of_parameters;
+use crate::reference::pose_step::{moved, pose_step as twin_step};
+use crate::reference::types::{Extent, View};
+
+/// Of the largest entry of a gradient.
+const TWIN: f64 = 1e-6;
+const DEVICE: f64 = 1e-4;
+
+/// The cameras of a set: at its pose, and moved by ξ.
+fn views(npz: &Npz, extent: Extent) -> Vec<[View; 2]> {
+    let (rotations, translations) = (npz.rows::<9>("R_xi"), npz.rows::<3>("t_xi"));
+    let both = |(index, view): (usize, View)| {
+        let given = View { extent, ..view };
+        let camera_from_world = rows(&rotations[index]).try_into().expect("3×3");
+        let moved = View { camera_from_world, translation: translations[index], ..given.clone() };
+        [given, moved]
+    };
+    sets::views(npz).into_iter().enumerate().map(both).collect()
+}
+
+const EXTENTS: [(Extent, &str); 2] = [(Extent::Exact, ""), (Extent::Reference, "ref_")];
+const FIELDS: [&str; 2] = ["d_pose", "d_pose_xi"];
+
+/// Of the largest entry.
+fn compare(what: &str, actual: &[f64], expected: &[f64], relative: f64) -> Result<(), String> {
+    let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+    elementwise(what, actual, expected, relative * largest, 0.0).map(drop)
+}
+
+pub fn of_twin(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let scene = gaussians(&npz, "");
+    let weights = npz.rows::<3>("G");
+    for (extent, prefix) in EXTENTS {
+        let mut weights = weights.iter();
+        for (index, pair) in views(&npz, extent).iter().enumerate() {
+            let own: Vec<PixelGradient> = (weights.by_ref().take(pair[0].pixels()))
+                .map(|&color| PixelGradient { color, inverse_depth: 0.0 })
+                .collect();
+            let xi = npz.rows::<6>("xi")[index];
+            for (view, field) in pair.iter().zip(FIELDS) {
+                let name = format!("{prefix}{field}");
+                let pose = backward(&scene, view, &render(&scene, view), &own).pose;
+                // The moved camera is stored in float32.
+                let tolerance = if field == "d_pose" { TWIN } else { 1e-5 };
+                compare(&name, &pose, &npz.rows::<6>(&name)[index], tolerance)?;
+            }
+            let [g, expected] = ["d_pose_xi", "d_xi"].map(|field| npz.rows::<6>(&format!("{prefix}{field}")));
+            compare("d_xi", &gradient_of_parameters(xi, g[index]), &expected[index], TWIN)?;
+            let start = (&pair[0].camera_from_world, pair[0].translation);
+            let (rotation, translation) = moved(xi, start);
+            elementwise("R", &rotation.concat(), &pair[1].camera_from_world.concat(), 1.5e-7, 0.0)?;
+            elementwise("t", &translation, &pair[1].translation, 1.5e-7, 0.0)?;
+        }
+    }
+    let mut parameters = [Parameter::default(); 6];
+    for (step, (gradient, rate)) in npz.rows::<6>("adam_g").iter().zip(npz.values("adam_rate")).enumerate() {
+        for (parameter, &g) in parameters.iter_mut().zip(gradient) {
+            twin_step(parameter, g, *rate, step as u32 + 1);
+        }
+        let expected = npz.rows::<6>("adam_xi")[step];
+        elementwise("adam", &parameters.map(|p| p.value), &expected, 1e-12, 1e-6)?;
+    }
+    Ok(())
+}
+
+pub fn of_device(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    gradients_of_device(&npz)?;
+    let gpu = Gpu::new();
+    let views = views(&npz, Extent::Exact);
+    let xi: Vec<[f32; 6]> = npz.rows::<6>("xi").iter().map(|xi| xi.map(|x| x as f32)).collect();
+    for (_, prefix) in EXTENTS {
+        let [g, expected] = ["d_pose_xi", "d_xi"].map(|field| npz.rows::<6>(&format!("{prefix}{field}")));
+        for image in 0..views.len() {
+            let [_, of_parameters] = pose_gradient(&gpu, &[g[image].map(|x| x as f32)], &xi, image as u32);
+            compare("d_xi", &of_parameters, &expected[image], 1e-6)?;
+        }
+    }
+    let start = |view: &View| {
+        let all = [view.camera_from_world.concat(), view.translation.to_vec()].concat();
+        let all: [f64; 12] = all.try_into().expect("twelve");
+        all.map(|x| x as f32)
+    };
+    let poses = Poses {
+        parameters: xi,
+        moments: vec![[[0.0; 6]; 2]; views.len()],
+        starts: views.iter().map(|pair| start(&pair[0])).collect(),
+        cameras: vec![[0.0; 12]; views.len()],
+    };
+    let cameras = pose_step(&gpu, &poses, None, 0).cameras;
+    for (camera, pair) in cameras.iter().zip(&views) {
+        let expected = [pair[1].camera_from_world.concat(), pair[1].translation.to_vec()].concat();
+        elementwise("camera", &camera.map(f64::from), &expected, 1e-6, 0.0)?;
+    }
+    let mut poses = Poses { parameters: vec![[0.0; 6]; views.len()], ..poses };
+    for (step, (gradient, rate)) in npz.rows::<6>("adam_g").iter().zip(npz.values("adam_rate")).enumerate() {
+        let gradient = gradient.map(|g| g as f32);
+        poses = pose_step(&gpu, &poses, Some((0, gradient, *rate, step as u32 + 1)), 0);
+        let actual = poses.parameters[0].map(f64::from);
+        compare("adam", &actual, &npz.rows::<6>("adam_xi")[step], 1e-5)?;
+    }
+    Ok(())
+}
+
+fn gradients_of_device(npz: &Npz) -> Result<(), String> {
+    let scene = gaussians(npz, "");
+    let weights = npz.rows::<3>("G");
+    let mut renderer = renderer();
+    renderer.upload(&engine::gaussians(&scene)).map_err(|e| e.to_string())?;
+    for (extent, prefix) in EXTENTS {
+        let mut weights = weights.iter();
+        for (index, pair) in views(npz, extent).iter().enumerate() {
+            let own: Vec<[f32; 3]> =
+                weights.by_ref().take(pair[0].pixels()).map(|color| color.map(|x| x as f32)).collect();
+            for (view, field) in pair.iter().zip(FIELDS) {
+                let name = format!("{prefix}{field}");
+                let gradients = renderer
+                    .gradients_with_pose(&camera(view), &settings(view), &own, None)
+                    .map_err(|e| e.to_string())?;
+                let pose = gradients.pose.ok_or("no gradient of the pose")?.map(f64::from);
+                compare(&name, &pose, &npz.rows::<6>(&name)[index], DEVICE)?;
+            }
+        }
+    }
+    drop(renderer);
+    assert_silent(context());
+    Ok(())
+}

@@ -1,0 +1,117 @@
+//! The settings of training on the command line.
+
+use super::{Overrides, Settings};
+use ashsplat::Result;
+use ashsplat::trainer::TrainSettings;
+use ashsplat::trainer::options::{OptionKind, OptionValue, TrainOption};
+use clap::builder::{PossibleValue, PossibleValuesParser};
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, value_parser};
+use serde::Serialize;
+use toml::{Table, Value};
+
+/// The settings of training that are given on the command line, by their names. The options follow from
+/// [`TrainSettings::OPTIONS`].
+#[derive(Clone, Debug, Default, Serialize)]
+#[serde(transparent)]
+pub struct TrainOverrides(pub(super) Table);
+
+/// Names of values in earlier versions: the option, the earlier name, the name.
+const EARLIER_NAMES: [(&str, &str, &str); 1] = [("strategy", "default", "reference")];
+
+/// Options that also have a letter, as in the reference.
+const LETTERS: [(&str, char); 1] = [("white_background", 'w')];
+
+/// The names of an option's values, and the earlier ones.
+fn choices(option: &str, names: &'static [&'static str]) -> PossibleValuesParser {
+    let earlier = |name: &str| {
+        let of = EARLIER_NAMES.iter().filter(|of| (of.0, of.2) == (option, name));
+        of.map(|of| of.1).collect::<Vec<_>>()
+    };
+    PossibleValuesParser::new(names.iter().map(|name| PossibleValue::new(name).aliases(earlier(name))))
+}
+
+/// The names of the strategies, as `--strategy` takes them.
+pub fn strategies() -> PossibleValuesParser {
+    let option = TrainSettings::OPTIONS.iter().find(|option| option.name == "strategy");
+    match option.map(|option| option.kind) {
+        Some(OptionKind::Choice(names)) => choices("strategy", names),
+        _ => PossibleValuesParser::new(Vec::<PossibleValue>::new()),
+    }
+}
+
+impl TrainOverrides {
+    fn argument(option: &TrainOption) -> Arg {
+        let about = option.about.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ");
+        let default = match option.default_value() {
+            OptionValue::Switch(false) => String::new(),
+            value => format!(" [default: {value}]"),
+        };
+        let argument = Arg::new(option.name).long(option.name.replace('_', "-")).help(about + &default);
+        let argument = match LETTERS.iter().find(|(name, _)| *name == option.name) {
+            Some((_, letter)) => argument.short(*letter),
+            None => argument,
+        };
+        match option.kind {
+            OptionKind::Integer => argument.value_name("N").value_parser(value_parser!(u32)),
+            OptionKind::Number => argument.value_name("X").value_parser(value_parser!(f64)),
+            OptionKind::Choice(names) => {
+                argument.value_name("NAME").value_parser(choices(option.name, names))
+            }
+            OptionKind::Switch => argument
+                .value_name("BOOL")
+                .num_args(0..=1)
+                .require_equals(true)
+                .default_missing_value("true")
+                .value_parser(value_parser!(bool)),
+        }
+    }
+}
+
+impl TrainOverrides {
+    /// Whether a setting was given, by its name.
+    pub fn has(&self, name: &str) -> bool {
+        self.0.contains_key(name)
+    }
+
+    /// The settings of a training with a strategy and a seed; checked.
+    pub fn settings(&self, strategy: &str, seed: u32) -> Result<TrainSettings> {
+        let mut train = self.clone();
+        train.0.insert("strategy".into(), strategy.into());
+        train.0.insert("seed".into(), i64::from(seed).into());
+        Ok(Settings::resolve(None, &Overrides { train, ..Overrides::default() })?.train)
+    }
+}
+
+impl Args for TrainOverrides {
+    fn augment_args(command: Command) -> Command {
+        command.args(TrainSettings::OPTIONS.iter().map(Self::argument))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for TrainOverrides {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let mut overrides = Self::default();
+        overrides.update_from_arg_matches(matches)?;
+        Ok(overrides)
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        for option in TrainSettings::OPTIONS {
+            let name = option.name;
+            let given: Option<Value> = match option.kind {
+                OptionKind::Integer => matches.get_one::<u32>(name).map(|&value| i64::from(value).into()),
+                OptionKind::Number => matches.get_one::<f64>(name).map(|&value| value.into()),
+                OptionKind::Choice(_) => matches.get_one::<String>(name).map(|value| value.clone().into()),
+                OptionKind::Switch => matches.get_one::<bool>(name).map(|&value| value.into()),
+            };
+            if let Some(value) = given {
+                self.0.insert(name.into(), value);
+            }
+        }
+        Ok(())
+    }
+}

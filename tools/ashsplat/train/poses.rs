@@ -1,0 +1,141 @@
+//! Poses of training views that are optimised: where they are written, and what is said of them.
+
+use super::Run;
+use crate::config::CAMERAS_FILE;
+use crate::{eval, output};
+use ashsplat::Result;
+use ashsplat::scene::{Camera, Twist};
+use ashsplat_files::cameras_json::{self, NamedCamera};
+use serde_json::{Map, json};
+
+/// What each training view's camera was moved by.
+pub const POSES_FILE: &str = "poses.json";
+
+/// How far cameras were moved: means and largest, degrees and shares of the scene's extent.
+pub struct Moved {
+    pub degrees: [f64; 2],
+    pub shares: [f64; 2],
+}
+
+impl Moved {
+    fn of(changes: &[Twist], scene_extent: f32) -> Moved {
+        let mean_and_most = |values: &mut dyn Iterator<Item = f64>| -> [f64; 2] {
+            let (mut sum, mut most) = (0.0, 0.0_f64);
+            for value in values {
+                sum += value;
+                most = most.max(value);
+            }
+            [sum / changes.len().max(1) as f64, most]
+        };
+        Moved {
+            degrees: mean_and_most(&mut changes.iter().map(angle)),
+            shares: mean_and_most(
+                &mut changes.iter().map(|change| distance(change) / f64::from(scene_extent)),
+            ),
+        }
+    }
+
+    /// In words.
+    pub fn describe(&self) -> String {
+        let ([degrees, most_degrees], [share, most_share]) = (self.degrees, self.shares);
+        format!(
+            "poses turned by {degrees:.3} degrees on average, at most {most_degrees:.3}; moved by {:.3} % of the scene's \
+             extent, at most {:.3} %",
+            100.0 * share,
+            100.0 * most_share
+        )
+    }
+}
+
+/// Degrees.
+fn angle(change: &Twist) -> f64 {
+    change.omega.length().to_degrees()
+}
+
+/// How far the camera's centre moved, world units: as far as the origin of its frame.
+fn distance(change: &Twist) -> f64 {
+    change.exp().1.length()
+}
+
+impl Run {
+    /// None unless poses are optimised.
+    pub(super) fn moved(&self) -> Result<Option<Moved>> {
+        match self.settings.train.pose_opt {
+            false => Ok(None),
+            true => Ok(Some(Moved::of(&self.trainer.pose_changes()?, self.trainer.scene_extent()))),
+        }
+    }
+
+    /// All cameras at the size of their photos' files, the training views' where they are now.
+    fn cameras_now(&self) -> Result<Vec<NamedCamera>> {
+        let moved = self.trainer.cameras()?;
+        let held_out = self.cameras.len() - moved.len();
+        let own = self.cameras.iter().cloned().map(|(name, camera)| NamedCamera { name, camera });
+        let mut cameras: Vec<NamedCamera> = own.collect();
+        for (named, at) in cameras[held_out..].iter_mut().zip(&moved) {
+            let intrinsics = named.camera.intrinsics();
+            named.camera = Camera::with_pose(at.camera_from_world, at.translation, intrinsics);
+        }
+        Ok(cameras)
+    }
+
+    /// Writes the cameras as they are after an iteration, if poses are optimised.
+    pub(super) fn save_poses(&self, iteration: u32) -> Result<()> {
+        let Some(Moved { degrees, shares }) = self.moved()? else { return Ok(()) };
+        let folder = &self.settings.data.model_path;
+        let cameras = self.cameras_now()?;
+        cameras_json::write(
+            folder.join(CAMERAS_FILE),
+            cameras.iter().map(|named| (named.name.as_str(), &named.camera)),
+        )?;
+        let changes = self.trainer.pose_changes()?;
+        let held_out = cameras.len() - changes.len();
+        let poses: Map<_, _> = (cameras[held_out..].iter().zip(&changes))
+            .map(|(named, change)| (named.name.clone(), json!(change.to_array())))
+            .collect();
+        let summary = json!({
+            "iteration": iteration,
+            "about": "exp(xi^) T: xi = (nu, omega) in the camera's frame (x right, y down, z forward), world units and \
+                      radians; T from world to camera as given",
+            "scene_extent": self.trainer.scene_extent(),
+            "degrees": { "mean": degrees[0], "largest": degrees[1] },
+            "share_of_extent": { "mean": shares[0], "largest": shares[1] },
+            "xi": poses,
+        });
+        output::write_json(&folder.join(POSES_FILE), &summary)
+    }
+
+    /// Training views that stand in for held-out ones are measured where their cameras are now.
+    pub(super) fn follow_cameras(&mut self) -> Result<()> {
+        if !self.settings.train.pose_opt || self.held_out {
+            return Ok(());
+        }
+        let cameras = self.cameras_now()?;
+        for view in &mut self.test {
+            *view = eval::at_its_place(view.clone(), &cameras);
+        }
+        self.tracking.follow(&self.test);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn moves_are_said_in_degrees_and_shares_of_the_extent() {
+        let changes = [
+            Twist::default(),
+            Twist { nu: DVec3::new(0.0, 0.03, 0.04), omega: DVec3::ZERO },
+            Twist { nu: DVec3::ZERO, omega: DVec3::new(3_f64.to_radians(), 0.0, 0.0) },
+            Twist::default(),
+        ];
+        let moved = Moved::of(&changes, 5.0);
+        let said = moved.describe();
+        let expected = "poses turned by 0.750 degrees on average, at most 3.000; moved by 0.250 % of the scene's extent, \
+                        at most 1.000 %";
+        assert_eq!(said, expected);
+    }
+}
