@@ -21,8 +21,8 @@ pub fn makes_step(iteration: u32) -> bool {
     match iteration {
         30_000 => false,
         0..20_000 => true,
-        20_000..24_000 => iteration % 5 == 0,
-        _ => iteration % 20 == 0,
+        20_000..24_000 => iteration.is_multiple_of(5),
+        _ => iteration.is_multiple_of(20),
     }
 }
 
