@@ -9,6 +9,7 @@ mod step;
 
 use crate::error::Result;
 use crate::forward::{FrameInputs, RenderSettings, block_of, range_arguments, record_passes};
+use crate::kernels::constants::DILATION_PX2;
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_adam, project_backward,
 };
@@ -27,9 +28,9 @@ pub struct Backward {
     /// By [`Sums`] and variant.
     blend: [[Option<Blend>; 4]; 3],
     /// By [`project_index`], by SH degree.
-    project: [[Option<Kernel<project_backward::Interface>>; 4]; 8],
-    /// By the 3D filter, by SH degree.
-    project_adam: [[Option<Kernel<project_adam::Interface>>; 4]; 2],
+    project: [[Option<Kernel<project_backward::Interface>>; 4]; 16],
+    /// By [`BackwardVariant::filters`], by SH degree.
+    project_adam: [[Option<Kernel<project_adam::Interface>>; 4]; 4],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
 }
 
@@ -42,6 +43,8 @@ pub struct BackwardVariant {
     pub steep: bool,
     /// Gaussians have a 3D filter.
     pub filter_3d: bool,
+    /// The low-pass filter is another than the reference's.
+    pub own_dilation: bool,
 }
 
 impl BackwardVariant {
@@ -51,7 +54,13 @@ impl BackwardVariant {
             inverse_depth: settings.inverse_depth,
             steep: settings.is_steep(),
             filter_3d: settings.filter_3d,
+            own_dilation: settings.dilation_px2 != DILATION_PX2,
         }
+    }
+
+    /// A number for what the projection filters.
+    fn filters(self) -> usize {
+        usize::from(self.filter_3d) | usize::from(self.own_dilation) << 1
     }
 
     fn index(self, sizes: &LaunchSizes) -> usize {
@@ -136,8 +145,8 @@ macro_rules! blend_backward_arguments {
 }
 
 /// Place of a kernel in [`Backward::project`].
-fn project_index(filter_3d: bool, absolute: bool, pose_gradient: bool) -> usize {
-    usize::from(filter_3d) | usize::from(absolute) << 1 | usize::from(pose_gradient) << 2
+fn project_index(variant: BackwardVariant, absolute: bool, pose_gradient: bool) -> usize {
+    variant.filters() | usize::from(absolute) << 2 | usize::from(pose_gradient) << 3
 }
 
 impl Backward {
@@ -241,8 +250,8 @@ impl Backward {
         variant: BackwardVariant,
         [absolute, pose_gradient]: [bool; 2],
     ) -> Result<()> {
-        let filter_3d = variant.filter_3d;
-        let place = project_index(filter_3d, absolute, pose_gradient);
+        let BackwardVariant { filter_3d, own_dilation, .. } = variant;
+        let place = project_index(variant, absolute, pose_gradient);
         let built = &mut self.project[place][sh_degree as usize];
         if built.is_none() {
             let spec = project_backward::Spec {
@@ -253,6 +262,7 @@ impl Backward {
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
                 filter_3d,
+                own_dilation,
                 absolute,
                 pose_gradient,
             };
@@ -358,7 +368,8 @@ impl Backward {
 
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics, pose: bool) {
         let f = inputs.frame;
-        let place = project_index(inputs.settings.filter_3d, statistics.absolute.is_some(), pose);
+        let variant = BackwardVariant::of(inputs.settings);
+        let place = project_index(variant, statistics.absolute.is_some(), pose);
         let Some(kernel) = &self.project[place][inputs.sh_degree as usize] else {
             panic!("Backward::prepare was not called for SH degree {}", inputs.sh_degree);
         };

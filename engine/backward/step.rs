@@ -15,8 +15,8 @@ impl Backward {
     /// When the device refuses a pipeline.
     pub fn prepare_with_step(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
         self.prepare_blend(Sums::Gradients, variant)?;
-        let filter_3d = variant.filter_3d;
-        let built = &mut self.project_adam[usize::from(filter_3d)][sh_degree as usize];
+        let BackwardVariant { filter_3d, own_dilation, .. } = variant;
+        let built = &mut self.project_adam[variant.filters()][sh_degree as usize];
         if built.is_none() {
             let spec = project_adam::Spec {
                 workgroup_size: self.sizes.elementwise_workgroup,
@@ -24,6 +24,7 @@ impl Backward {
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
                 filter_3d,
+                own_dilation,
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
@@ -57,7 +58,7 @@ impl Backward {
         (moments, step): (&Moments, &Step),
     ) {
         let f = inputs.frame;
-        let of_filter = &self.project_adam[usize::from(inputs.settings.filter_3d)];
+        let of_filter = &self.project_adam[BackwardVariant::of(inputs.settings).filters()];
         let Some(kernel) = &of_filter[inputs.sh_degree as usize] else {
             panic!("Backward::prepare_with_step was not called for SH degree {}", inputs.sh_degree);
         };

@@ -40,6 +40,9 @@ layout(constant_id = 6) const bool POSE_GRADIENT = false;
 #endif
 // Whether Gaussians have a 3D filter: see projection.glsl.
 layout(constant_id = 5) const bool FILTER_3D = false;
+// Whether the dilation is another than DILATION_PX2. That one is a constant: a driver may compute with constants in another
+// order, and the bits of training would change.
+layout(constant_id = 7) const bool OWN_DILATION = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -187,7 +190,7 @@ void covariance_backward(Projection p, vec3 d_conic, float d_opacity, float opac
     if (through_ratio && ratio > ANTIALIAS_MIN_RATIO) {
         // opacity = raw sqrt(det_raw / det).
         float d_ratio = d_opacity * opacity_raw * 0.5 * inversesqrt(ratio);
-        vec3 raw = p.cov2d - vec3(shape_dilation_px2, 0.0, shape_dilation_px2);
+        vec3 raw = p.cov2d - vec3(SCREEN_DILATION_PX2, 0.0, SCREEN_DILATION_PX2);
         d_xx += d_ratio * (raw.z - ratio * p.cov2d.z) / p.det;
         d_yy += d_ratio * (raw.x - ratio * p.cov2d.x) / p.det;
         d_xy += d_ratio * (ratio - 1.0) * p.cov2d.y / p.det;

@@ -6,9 +6,11 @@
 
 #ifdef DRAWS_SHAPES
 #define SCALE_MODIFIER shape_scale
+#define SCREEN_DILATION_PX2 shape_dilation_px2
 #else
-// Only Gaussians themselves are differentiated, so this is a constant there.
+// Only Gaussians themselves are differentiated. The backward pass has OWN_DILATION.
 #define SCALE_MODIFIER 1.0
+#define SCREEN_DILATION_PX2 (OWN_DILATION ? shape_dilation_px2 : DILATION_PX2)
 #endif
 
 struct Projection {
@@ -76,8 +78,8 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     float yy = dot(p.row_y, p.row_y);
     vec3 minors = cross(p.row_x, p.row_y);
     p.det_raw = dot(minors, minors);
-    p.cov2d = vec3(xx + shape_dilation_px2, dot(p.row_x, p.row_y), yy + shape_dilation_px2);
-    p.det = p.det_raw + shape_dilation_px2 * (xx + yy + shape_dilation_px2);
+    p.cov2d = vec3(xx + SCREEN_DILATION_PX2, dot(p.row_x, p.row_y), yy + SCREEN_DILATION_PX2);
+    p.det = p.det_raw + SCREEN_DILATION_PX2 * (xx + yy + SCREEN_DILATION_PX2);
     return p;
 }
 

@@ -11,7 +11,7 @@ use crate::common::layout::{antialias_word, camera_block, pack_filtered, room};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::project::{color, project};
 use crate::reference::project_backward::{mean2d_statistic, pose_gradient, project_backward};
-use crate::reference::types::{Drawn, Extent, Gaussian, Gradient, Splat, SplatGradient, View};
+use crate::reference::types::{DILATION, Drawn, Extent, Gaussian, Gradient, Splat, SplatGradient, View};
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 const QUATS: GradientTolerance = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };
@@ -169,6 +169,7 @@ fn run_with(
         subgroup_size: gpu.subgroup(),
         sh_degree: scene.view.sh_degree,
         filter_3d: scene.view.filter_3d > 0.0,
+        own_dilation: scene.view.drawn.dilation_px2 != DILATION,
         absolute: absolute.is_some(),
         pose_gradient,
         ..Spec::default()
