@@ -135,17 +135,14 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         multi_step: true,
         ..settings()
     };
-    // And with exposures, whose optimiser has a step of its own.
-    let exposed = TrainSettings { exposure: true, ..settings() };
-    // And with cameras that the device moves.
-    let poses = TrainSettings { pose_opt: true, pose_lr: 1e-3, ..settings() };
+    // And with exposures and poses, whose optimisers have steps of their own.
+    let exposed = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..settings() };
     for (push_descriptors, settings) in [
         (true, settings()),
         (false, weighted),
         (true, mcmc),
         (true, filtered),
         (true, exposed),
-        (false, poses),
         (true, budget.clone()),
         (false, budget),
     ] {
