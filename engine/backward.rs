@@ -9,10 +9,10 @@ mod step;
 
 use crate::error::Result;
 use crate::forward::{FrameInputs, RenderSettings, block_of, range_arguments, record_passes};
-use crate::kernels::constants::DILATION_PX2;
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_adam, project_backward,
 };
+use crate::kernels::constants::DILATION_PX2;
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -27,7 +27,7 @@ pub struct Backward {
     sizes: LaunchSizes,
     /// By [`Sums`] and variant.
     blend: [[Option<Blend>; 4]; 3],
-    /// By [`project_index`], by SH degree.
+    /// By [`BackwardVariant::of_project`], by SH degree.
     project: [[Option<Kernel<project_backward::Interface>>; 4]; 16],
     /// By [`BackwardVariant::filters`], by SH degree.
     project_adam: [[Option<Kernel<project_adam::Interface>>; 4]; 4],
@@ -58,9 +58,12 @@ impl BackwardVariant {
         }
     }
 
-    /// A number for what the projection filters.
     fn filters(self) -> usize {
         usize::from(self.filter_3d) | usize::from(self.own_dilation) << 1
+    }
+
+    fn of_project(self, absolute: bool, pose_gradient: bool) -> usize {
+        self.filters() | usize::from(absolute) << 2 | usize::from(pose_gradient) << 3
     }
 
     fn index(self, sizes: &LaunchSizes) -> usize {
@@ -142,11 +145,6 @@ macro_rules! blend_backward_arguments {
         };
         (bind, push)
     }};
-}
-
-/// Place of a kernel in [`Backward::project`].
-fn project_index(variant: BackwardVariant, absolute: bool, pose_gradient: bool) -> usize {
-    variant.filters() | usize::from(absolute) << 2 | usize::from(pose_gradient) << 3
 }
 
 impl Backward {
@@ -251,7 +249,7 @@ impl Backward {
         [absolute, pose_gradient]: [bool; 2],
     ) -> Result<()> {
         let BackwardVariant { filter_3d, own_dilation, .. } = variant;
-        let place = project_index(variant, absolute, pose_gradient);
+        let place = variant.of_project(absolute, pose_gradient);
         let built = &mut self.project[place][sh_degree as usize];
         if built.is_none() {
             let spec = project_backward::Spec {
@@ -368,8 +366,7 @@ impl Backward {
 
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics, pose: bool) {
         let f = inputs.frame;
-        let variant = BackwardVariant::of(inputs.settings);
-        let place = project_index(variant, statistics.absolute.is_some(), pose);
+        let place = BackwardVariant::of(inputs.settings).of_project(statistics.absolute.is_some(), pose);
         let Some(kernel) = &self.project[place][inputs.sh_degree as usize] else {
             panic!("Backward::prepare was not called for SH degree {}", inputs.sh_degree);
         };

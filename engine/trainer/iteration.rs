@@ -3,7 +3,7 @@
 
 use super::random::{self, ViewOrder};
 use super::run::Run;
-use super::settings::OptimizerType;
+use super::settings::{OptimizerType, TrainSettings};
 use super::work::{Actions, Work};
 use crate::exposure::ExposureStep;
 use crate::forward::RenderSettings;
@@ -100,9 +100,14 @@ impl Schedule {
             computes_filters: s.computes_filters_at(iteration),
             exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1 },
             // Where the Gaussians make a step, the poses do.
-            pose_step: PoseStep { rate: s.pose_lr(iteration), count: progress.steps + 1 },
+            pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1 },
         }
     }
+}
+
+/// Log-linear from `pose_lr` at 0 to a hundredth of it at the last iteration.
+fn pose_rate(s: &TrainSettings, iteration: u32) -> f64 {
+    s.pose_lr * 0.01_f64.powf(f64::from(iteration) / f64::from(s.iterations))
 }
 
 fn background(run: &Run, iteration: u32) -> [f32; 3] {

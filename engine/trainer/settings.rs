@@ -208,6 +208,10 @@ impl TrainSettings {
     /// [`Error::Argument`] with the setting's name, its value and what would be right.
     pub fn check(&self) -> Result<()> {
         Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))?;
+        if self.pose_opt && self.multi_step {
+            let problem = "does not go together with multi_step (strategy budget): turn one of them off";
+            return Err(Error::argument("pose_opt", problem));
+        }
         match self.initial_opacity > 0.0 && self.initial_opacity < 1.0 {
             true => Ok(()),
             false => {
@@ -276,11 +280,6 @@ impl TrainSettings {
     /// How many times shorter than 30,000 iterations the run is, at least 1.
     fn shorter(&self) -> f64 {
         (f64::from(SCHEDULE_ITERATIONS) / f64::from(self.iterations.max(1))).max(1.0)
-    }
-
-    /// Learning rate of the poses at an iteration: from `pose_lr` at 0 to a hundredth of it at the last, log-linear.
-    pub fn pose_lr(&self, iteration: u32) -> f64 {
-        self.pose_lr * 0.01_f64.powf(f64::from(iteration) / f64::from(self.iterations))
     }
 
     /// Learning rate of the SH coefficients of degree 1 and above.

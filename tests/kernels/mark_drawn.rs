@@ -105,7 +105,7 @@ fn selection_follows_the_chances() {
     }
     for (count, share) in counts.into_iter().zip([1.0, 2.0, 3.0].map(|weight| weight / 6.0)) {
         let all = f64::from(DRAWS);
-        let deviation = (all * share * (1.0 - share) as f64).sqrt();
+        let deviation = (all * share * (1.0 - share)).sqrt();
         assert!((f64::from(count) - all * share).abs() <= 5.0 * deviation, "{counts:?}");
     }
 }

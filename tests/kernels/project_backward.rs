@@ -151,6 +151,7 @@ pub fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[
 }
 
 /// And the sums for the camera's pose per subgroup, if it has a gradient.
+#[allow(clippy::type_complexity)]
 fn run_variant(gpu: &Gpu, scene: &Scene, modes: [bool; 3]) -> (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<[f32; 6]>) {
     let (gradients, statistics, _, sums) = run_with(gpu, scene, modes, None);
     (gradients, statistics, sums)

@@ -213,6 +213,10 @@ pub struct Run {
     _lock: FolderLock,
 }
 
+/// Names of the photos that are trained on; what is tested; the cameras with their photos' names; whether what is tested was
+/// held out.
+type Views = (Vec<String>, Vec<View>, Vec<(String, Camera)>, bool);
+
 impl Run {
     /// Creates the trainer, and then, when nothing but the disk can fail any more, the model folder with
     /// everything that is known before training.
@@ -252,7 +256,7 @@ impl Run {
         settings: Settings,
         trainer: Trainer,
         (log, lock): (TrainLog, FolderLock),
-        (trained, test, cameras, held_out): (Vec<String>, Vec<View>, Vec<(String, Camera)>, bool),
+        (trained, test, cameras, held_out): Views,
         quiet: bool,
     ) -> Run {
         let iterations = settings.train.iterations;
