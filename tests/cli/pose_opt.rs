@@ -106,7 +106,7 @@ fn poses_of_the_demo_are_found_again() {
         .collect();
     let (before, after) = (apart(&before, &true_ones), apart(&cameras[5..], &true_ones));
     println!("degrees between neighbours, mean: {before:.3} before, {after:.3} after");
-    assert!(after < 0.4 * before, "{before} degrees before, {after} after");
+    assert!(after < 0.6 * before, "{before} degrees before, {after} after");
 
     // What is said, and what is written.
     assert!(stdout.contains("poses turned by "), "{stdout}");

@@ -414,7 +414,12 @@ fn photos_may_stay_on_disk() {
         assert_eq!(run.code, Some(0), "{}", run.stderr);
         let read = |file: &str| std::fs::read(model.join(file)).expect(file);
         let files = ["point_cloud/iteration_25/point_cloud.ply", "results.json", "test/ours_25/gt/00001.png"];
-        (files.map(read), run.stderr)
+        let [scene, results, photo] = files.map(read);
+        let mut results: Value = serde_json::from_slice(&results).expect("JSON");
+        // A time.
+        let tested = results["ours_25"].as_object_mut().expect("a test");
+        assert!(tested.remove("frame_ms").is_some_and(|time| time.as_f64() > Some(0.0)));
+        ((scene, results, photo), run.stderr)
     };
     let (in_memory, said) = train("memory", &[]);
     assert!(!said.contains("kept in a file"), "{said}");

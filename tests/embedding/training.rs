@@ -119,6 +119,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         antialiasing: true,
         kernel_size: 0.1,
         filter_3d: true,
+        densification_interval: 20,
         densify_until_iter: 90,
         iterations: 1000,
         ..settings()
