@@ -16,7 +16,7 @@ pub trait WeightsFile: Sized {
     /// Reads the weights of a network and of the heads of LPIPS. The shapes say which network it is.
     ///
     /// All tensors are F32, in PyTorch's order. With N the index of a convolution in torchvision's `features`:
-    /// - `net.N.weight` [outputs, inputs, size, size] and `net.N.bias` [outputs]; `features.N` or lpips' `net.sliceK.N` instead
+    /// - `net.N.weight` `[outputs, inputs, size, size]` and `net.N.bias` `[outputs]`; `features.N` or lpips' `net.sliceK.N` instead
     ///   of `net.N` will do,
     /// - `linK.model.1.weight` [1, channels, 1, 1], K from 0 to 4.
     ///

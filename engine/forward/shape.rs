@@ -10,7 +10,7 @@ pub enum Shape {
     Gaussian,
     /// An opaque ellipsoid of the Gaussian's colour. Its surface lies at [`ELLIPSOID_SIGMAS`] standard
     /// deviations, with a soft rim of a few percent of that. Gaussians with an opacity below
-    /// [`c::ELLIPSOID_LEAST_OPACITY`] are not drawn. An ellipsoid has the depth of its mean, as a Gaussian
+    /// [`ELLIPSOID_LEAST_OPACITY`](crate::kernels::constants::ELLIPSOID_LEAST_OPACITY) are not drawn. An ellipsoid has the depth of its mean, as a Gaussian
     /// does.
     Ellipsoid,
     /// An opaque dot of the Gaussian's colour at its mean, about [`POINT_RADIUS_PX`] pixels in radius.

@@ -43,7 +43,7 @@ pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce
 /// Reading makes the filter a part of scales and opacities.
 ///
 /// # Errors
-/// As [`write`]; [`ashsplat::Error::Argument`] for another number of sizes.
+/// As [`write()`]; [`ashsplat::Error::Argument`] for another number of sizes.
 pub fn write_filtered(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
