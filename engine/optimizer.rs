@@ -125,8 +125,8 @@ impl Optimizer {
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         if let Some(slot @ None) = self.sums.as_mut().map(|sums| &mut sums[sh_degree as usize]) {
-            let adam::Spec { workgroup_size, parameter_gradients, moved_camera, .. } = spec;
-            let add = add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients, moved_camera };
+            let adam::Spec { workgroup_size, parameter_gradients, .. } = spec;
+            let add = add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients };
             let adam = adam::Spec { sums: true, ..spec };
             *slot = Some(SumKernels {
                 add: Kernel::new(&self.context, &add)?,
@@ -197,7 +197,6 @@ impl Optimizer {
                         true => &parameter_gradients[range.chunk],
                         false => &inputs.frame.gradients,
                     },
-                    camera_block: &block_of(inputs.frame, 0),
                 };
                 let push = add_gradients::Push {
                     camera_position: inputs.camera.position().to_array(),

@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
 use crate::kernels::constants as c;
-use crate::plan::{ScenePlan, to_u32};
+use crate::plan::{GaussianRange, ScenePlan, to_u32};
 use crate::scene::Gaussians;
 use crate::scene::gaussians::sh_coefficients;
 use crate::vk::{Buffer, Context, MemoryKind};
@@ -83,14 +83,15 @@ pub fn download(context: &Context, scene: &SceneBuffers) -> Result<Gaussians> {
 /// # Errors
 /// When the device is lost.
 pub fn download_filters(context: &Context, scene: &SceneBuffers) -> Result<Vec<f32>> {
-    let mut filters = Vec::with_capacity(scene.count as usize);
-    for range in scene.plan.ranges(scene.count) {
-        let bytes = context.download(&scene.chunks[range.chunk])?;
-        let words: &[[f32; 4]] = &bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes);
-        let size = |i: u32| words[scene.plan.place(c::PLANE_LOG_SCALE, i as usize)][3];
-        filters.extend((0..range.count).map(size));
-    }
-    Ok(filters)
+    download_last(context, scene, c::PLANE_LOG_SCALE)
+}
+
+/// Downloads the opacity logits of a scene.
+///
+/// # Errors
+/// When the device is lost.
+pub fn download_logits(context: &Context, scene: &SceneBuffers) -> Result<Vec<f32>> {
+    download_last(context, scene, c::PLANE_MEAN_OPACITY)
 }
 
 /// Uploads the sizes of the 3D filter, one per Gaussian.
@@ -99,32 +100,31 @@ pub fn download_filters(context: &Context, scene: &SceneBuffers) -> Result<Vec<f
 /// When the device is lost.
 pub fn upload_filters(context: &Context, scene: &SceneBuffers, filters: &[f32]) -> Result<()> {
     for range in scene.plan.ranges(scene.count) {
-        let mut words: Vec<[f32; 4]> =
-            bytemuck::pod_collect_to_vec(&context.download(&scene.chunks[range.chunk])?);
+        let geometry = geometry_of(scene, &range);
+        let mut words: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&context.download(&geometry)?);
         for (i, size) in filters[range.first as usize..][..range.count as usize].iter().enumerate() {
             words[scene.plan.place(c::PLANE_LOG_SCALE, i)][3] = *size;
         }
-        context.upload(&scene.chunks[range.chunk], bytemuck::cast_slice(&words))?;
+        context.upload(&geometry, bytemuck::cast_slice(&words))?;
     }
     Ok(())
 }
 
-/// Downloads the opacity logits of a scene.
-///
-/// # Errors
-/// When the device is lost.
-pub fn download_logits(context: &Context, scene: &SceneBuffers) -> Result<Vec<f32>> {
-    let mut logits = Vec::with_capacity(scene.count as usize);
+/// The last component of a geometry plane, one per Gaussian.
+fn download_last(context: &Context, scene: &SceneBuffers, plane: u32) -> Result<Vec<f32>> {
+    let mut values = Vec::with_capacity(scene.count as usize);
     for range in scene.plan.ranges(scene.count) {
-        // The geometry comes first in a chunk, row by row.
-        let rows = u64::from(range.count.div_ceil(c::PLANE_ROW));
-        let bytes = rows * u64::from(c::PLANE_ROW) * u64::from(c::PLANE_SH) * 16;
-        let bytes = context.download(&scene.chunks[range.chunk].range(0, bytes))?;
+        let bytes = context.download(&geometry_of(scene, &range))?;
         let words: &[[f32; 4]] = &bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes);
-        let logit = |i: usize| words[scene.plan.place(c::PLANE_MEAN_OPACITY, i)][3];
-        logits.extend((0..range.count as usize).map(logit));
+        values.extend((0..range.count as usize).map(|i| words[scene.plan.place(plane, i)][3]));
     }
-    Ok(logits)
+    Ok(values)
+}
+
+/// The geometry planes of a range's Gaussians: they come first in a chunk, row by row.
+fn geometry_of(scene: &SceneBuffers, range: &GaussianRange) -> Buffer {
+    let rows = u64::from(range.count.div_ceil(c::PLANE_ROW));
+    scene.chunks[range.chunk].range(0, rows * u64::from(c::PLANE_ROW) * u64::from(c::PLANE_SH) * 16)
 }
 
 /// Packs the Gaussians of `range`, from index `begin` on, into a chunk. The chunk's other Gaussians are zero.

@@ -2,13 +2,12 @@
 
 use ashsplat::densify::RESET_OPACITY;
 use ashsplat::trainer::{Checkpoint, ImportanceType, OptimizerType, SplitType, StrategyType, Trainer};
-use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::vk::Context;
 use ashsplat::{Gaussians, TrainSettings};
 use ashsplat_files::CheckpointFile;
 
-use crate::checkpoints::{start, views};
+use crate::checkpoints::{check_growth_in_bounded_memory, start, views};
 use crate::common::gpu::Gpu;
-use crate::common::options;
 
 const EXTENT: f32 = 5.0;
 const CAP: u32 = 260;
@@ -220,11 +219,6 @@ fn budget_prunes_what_does_not_recover() {
 /// With too little memory it grows as far as it can, goes on, and still has the same bits each time.
 #[test]
 fn budget_grows_as_far_as_the_memory_allows() {
-    let many = crate::common::engine::gaussians(&crate::common::scenes::small_scene(
-        &mut crate::common::scenes::Random::new(31),
-        3000,
-        9,
-    ));
     let settings = TrainSettings {
         cap_max: 1_000_000,
         growth_curve: false,
@@ -235,21 +229,7 @@ fn budget_grows_as_far_as_the_memory_allows() {
         iterations: 24,
         ..settings()
     };
-    let run = |max_memory: Option<u64>| {
-        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
-        let mut trainer =
-            Trainer::new(&context, views(5, 40), &many, EXTENT, settings.clone()).expect("a trainer");
-        let limited =
-            (0..24).filter(|_| trainer.step().expect("a step").densified.is_some_and(|d| d.limited));
-        let limited = limited.count();
-        (limited, trainer.checkpoint().expect("the end"), context.memory_total().peak_bytes)
-    };
-    let (none, free, peak) = run(None);
-    assert_eq!(none, 0);
-    let some = Some(peak * 3 / 4);
-    let ((limited, bounded, used), (_, again, _)) = (run(some), run(some));
-    assert!(limited > 0 && bounded == again && used <= peak * 3 / 4);
-    assert!((3000..free.gaussians.len()).contains(&bounded.gaussians.len()));
+    check_growth_in_bounded_memory(&settings);
 }
 
 #[test]

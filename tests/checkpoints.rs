@@ -47,6 +47,42 @@ pub fn start() -> Gaussians {
     gaussians(&small_scene(&mut Random::new(31), 150, 9))
 }
 
+/// The end of a run that goes on from a checkpoint after some iterations.
+pub fn end_of_run(start: &Gaussians, settings: &TrainSettings, iterations: u32, stops: &[u32]) -> Checkpoint {
+    let gpu = Gpu::new();
+    let mut trainer =
+        Trainer::new(gpu.context, views(3, 9), start, EXTENT, settings.clone()).expect("a trainer");
+    for iteration in 1..=iterations {
+        trainer.step().expect("a step");
+        if stops.contains(&iteration) {
+            let checkpoint = trainer.checkpoint().expect("a checkpoint");
+            let resumed = Trainer::resume(gpu.context, views(3, 9), EXTENT, settings.clone(), &checkpoint);
+            trainer = resumed.expect("resumed");
+        }
+    }
+    trainer.checkpoint().expect("the end")
+}
+
+/// With too little memory a run of 3000 Gaussians grows as far as it can, goes on, and still has the same bits each time.
+pub fn check_growth_in_bounded_memory(settings: &TrainSettings) {
+    let many = gaussians(&small_scene(&mut Random::new(31), 3000, 9));
+    let run = |max_memory: Option<u64>| {
+        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let mut trainer =
+            Trainer::new(&context, views(5, 40), &many, EXTENT, settings.clone()).expect("a trainer");
+        let limited = (0..settings.iterations)
+            .filter(|_| trainer.step().expect("a step").densified.is_some_and(|d| d.limited));
+        let limited = limited.count();
+        (limited, trainer.checkpoint().expect("the end"), context.memory_total().peak_bytes)
+    };
+    let (none, free, peak) = run(None);
+    assert_eq!(none, 0);
+    let some = Some(peak * 3 / 4);
+    let ((limited, bounded, used), (_, again, _)) = (run(some), run(some));
+    assert!(limited > 0 && bounded == again && used <= peak * 3 / 4);
+    assert!((3000..free.gaussians.len()).contains(&bounded.gaussians.len()));
+}
+
 fn steps(trainer: &mut Trainer, until: u32) -> Vec<f32> {
     (trainer.iteration()..until).map(|_| trainer.step().expect("a step").loss).collect()
 }

@@ -1,12 +1,12 @@
 //! Mip-Splatting's filters in training, in files and in pictures.
 
-use ashsplat::trainer::{Checkpoint, Trainer};
+use ashsplat::trainer::Trainer;
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Camera, RenderSettings, Renderer, TrainSettings};
 use ashsplat_files::ply;
 use tempfile::tempdir;
 
-use crate::checkpoints::{start, views};
+use crate::checkpoints::{end_of_run, start, views};
 use crate::common::gpu::Gpu;
 use crate::common::options;
 
@@ -61,20 +61,7 @@ fn filters_follow_the_gaussians_when_they_are_due() {
 
 #[test]
 fn filters_resume_to_the_bit() {
-    let gpu = Gpu::new();
-    let run = |stops: &[u32]| -> Checkpoint {
-        let mut trainer =
-            Trainer::new(gpu.context, views(3, 9), &start(), EXTENT, settings()).expect("a trainer");
-        for iteration in 1..=220 {
-            trainer.step().expect("a step");
-            if stops.contains(&iteration) {
-                let checkpoint = trainer.checkpoint().expect("a checkpoint");
-                let resumed = Trainer::resume(gpu.context, views(3, 9), EXTENT, settings(), &checkpoint);
-                trainer = resumed.expect("resumed");
-            }
-        }
-        trainer.checkpoint().expect("the end")
-    };
+    let run = |stops: &[u32]| end_of_run(&start(), &settings(), 220, stops);
     let whole = run(&[]);
     assert_eq!(whole.filters.len(), whole.gaussians.len());
     for stops in [[7, 20], [99, 150], [100, 201]] {

@@ -1,12 +1,10 @@
 //! Training with the strategy of 3DGS-MCMC.
 
-use ashsplat::trainer::{Checkpoint, StrategyType, Trainer};
-use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::trainer::{StrategyType, Trainer};
 use ashsplat::{Gaussians, TrainSettings};
 
-use crate::checkpoints::{start, views};
+use crate::checkpoints::{check_growth_in_bounded_memory, end_of_run, start, views};
 use crate::common::gpu::Gpu;
-use crate::common::options;
 
 const EXTENT: f32 = 5.0;
 const CAP: u32 = 180;
@@ -82,20 +80,7 @@ fn mcmc_explores_with_noise() {
 
 #[test]
 fn mcmc_resumes_to_the_bit() {
-    let gpu = Gpu::new();
-    let run = |stops: &[u32]| -> Checkpoint {
-        let mut trainer =
-            Trainer::new(gpu.context, views(3, 9), &with_dead(), EXTENT, settings()).expect("a trainer");
-        for iteration in 1..=40 {
-            trainer.step().expect("a step");
-            if stops.contains(&iteration) {
-                let checkpoint = trainer.checkpoint().expect("a checkpoint");
-                let resumed = Trainer::resume(gpu.context, views(3, 9), EXTENT, settings(), &checkpoint);
-                trainer = resumed.expect("resumed");
-            }
-        }
-        trainer.checkpoint().expect("the end")
-    };
+    let run = |stops: &[u32]| end_of_run(&with_dead(), &settings(), 40, stops);
     let whole = run(&[]);
     assert_eq!(whole.gaussians.len() as u32, CAP);
     for stops in [[7, 15], [16, 20], [34, 35]] {
@@ -106,28 +91,9 @@ fn mcmc_resumes_to_the_bit() {
 /// With too little memory it grows as far as it can, goes on, and still has the same bits each time.
 #[test]
 fn mcmc_grows_as_far_as_the_memory_allows() {
-    let many = crate::common::engine::gaussians(&crate::common::scenes::small_scene(
-        &mut crate::common::scenes::Random::new(31),
-        3000,
-        9,
-    ));
     let settings =
         TrainSettings { cap_max: 1_000_000, densification_interval: 1, iterations: 30, ..settings() };
-    let run = |max_memory: Option<u64>| {
-        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
-        let mut trainer =
-            Trainer::new(&context, views(5, 40), &many, EXTENT, settings.clone()).expect("a trainer");
-        let limited =
-            (0..30).filter(|_| trainer.step().expect("a step").densified.is_some_and(|d| d.limited));
-        let limited = limited.count();
-        (limited, trainer.checkpoint().expect("the end"), context.memory_total().peak_bytes)
-    };
-    let (none, free, peak) = run(None);
-    assert_eq!(none, 0);
-    let some = Some(peak * 3 / 4);
-    let ((limited, bounded, used), (_, again, _)) = (run(some), run(some));
-    assert!(limited > 0 && bounded == again && used <= peak * 3 / 4);
-    assert!((3000..free.gaussians.len()).contains(&bounded.gaussians.len()));
+    check_growth_in_bounded_memory(&settings);
 }
 
 #[test]

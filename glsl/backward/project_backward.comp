@@ -109,6 +109,7 @@ layout(push_constant, scalar) uniform Push {
 #include "planes.glsl"
 #include "splat_record.glsl"
 #include "subgroup.glsl"
+#include "filter_3d.glsl"
 #include "projection.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
@@ -117,6 +118,7 @@ layout(push_constant, scalar) uniform Push {
 #define OLD_PARAMETERS parameters
 #define NEW_PARAMETERS new_parameters
 #define SH_GRADIENT(PLANE, AT) sh_plane_gradient(PLANE, basis, d_color)
+#include "finite.glsl"
 #include "adam_step.glsl"
 #endif
 
@@ -270,7 +272,7 @@ void main() {
     vec3 d_log_scale = d_row_x * p.row_x + d_row_y * p.row_y;
     if (FILTER_3D && log_scale.w > 0.0) {
         // From the filtered parameters to the stored ones; the filter's size is a constant.
-        vec3 ratio = exp(log_scale.xyz) / log_scale.w;
+        vec3 ratio = filter_ratio(log_scale);
         vec3 share = 1.0 / (1.0 + ratio * ratio);
         float d_opacity_filtered = d_opacity * compensation;
         d_log_scale = d_log_scale * (1.0 - share) + d_opacity_filtered * opacity_raw * share;

@@ -25,6 +25,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
+#include "filter_3d.glsl"
 #include "planes.glsl"
 
 void main() {
@@ -37,9 +38,7 @@ void main() {
     vec4 log_scale = parameters[geometry_at(PLANE_LOG_SCALE, index)];
     float limit = max_logit;
     if (log_scale.w > 0.0) {
-        vec3 ratio = exp(log_scale.xyz) / log_scale.w;
-        vec3 both = inversesqrt(1.0 + ratio * ratio);
-        float shrink = ratio.x * ratio.y * ratio.z * both.x * both.y * both.z;
+        float shrink = filter_shrink(filter_ratio(log_scale));
         // Where no opacity is drawn with more than the largest, none is bounded.
         limit = shrink > max_opacity ? -log(shrink / max_opacity - 1.0) : logit;
     }

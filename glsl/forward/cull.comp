@@ -40,6 +40,7 @@ layout(push_constant, scalar) uniform Push {
 #include "planes.glsl"
 #include "workgroup_scan.glsl"
 #include "tile_span.glsl"
+#include "filter_3d.glsl"
 #include "projection.glsl"
 
 // As CutLimits::keeps (engine/scene/cut.rs), bit for bit: comparisons and one subtraction.

@@ -45,6 +45,7 @@ layout(push_constant, scalar) uniform Push {
 #include "planes.glsl"
 #include "splat_record.glsl"
 #include "tile_span.glsl"
+#include "filter_3d.glsl"
 #include "projection.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"

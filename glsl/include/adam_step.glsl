@@ -12,11 +12,6 @@ void update(uint at, vec4 g, vec4 rate, vec4 inverse_bias) {
     VEC4_PUT(NEW_PARAMETERS, at, p);
 }
 
-bool finite(vec4 g) {
-    uvec4 exponent = floatBitsToUint(g) & 0x7F800000u;
-    return all(notEqual(exponent, uvec4(0x7F800000u)));
-}
-
 // `basis`: of the SH in the direction of the forward pass.
 void update_all(uint index, vec4 d_mean_opacity, vec4 d_quat, vec4 d_log_scale, vec3 d_color, float basis[16]) {
     vec4 bias = vec4(inverse_bias_2);

@@ -1,6 +1,6 @@
 // EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and the backward
 // pass. Needs constants.glsl, camera_block.glsl and `parameters`.
-// Needs FILTER_3D, and the push constant `antialias`, of ANTIALIAS_ bits.
+// Needs filter_3d.glsl, FILTER_3D, and the push constant `antialias`, of ANTIALIAS_ bits.
 // Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES, need tile_span.glsl and the push
 // constant `extent`, and have footprint_of.
 
@@ -87,8 +87,7 @@ float sigmoid(float logit) {
     return 1.0 / (1.0 + exp(-logit));
 }
 
-// Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1): a Gaussian is convolved with one of the standard deviation
-// log_scale.w, world units. `shrink` is the factor of its opacity.
+// A Gaussian under its 3D filter. `shrink` is the factor of its opacity.
 struct Filtered {
     vec3 log_scale;
     float opacity_logit;
@@ -98,11 +97,9 @@ struct Filtered {
 Filtered filter_3d(vec4 log_scale, float opacity_logit) {
     Filtered f = Filtered(log_scale.xyz, opacity_logit, 1.0);
     if (FILTER_3D && log_scale.w > 0.0) {
-        // Of the ratio to the filter, which neither overflows nor vanishes where the scale's square would.
-        vec3 ratio = exp(log_scale.xyz) / log_scale.w;
-        vec3 both = 1.0 + ratio * ratio;
-        f.log_scale = log(log_scale.w) + 0.5 * log(both);
-        f.shrink = ratio.x * ratio.y * ratio.z * inversesqrt(both.x) * inversesqrt(both.y) * inversesqrt(both.z);
+        vec3 ratio = filter_ratio(log_scale);
+        f.log_scale = log(log_scale.w) + 0.5 * log(1.0 + ratio * ratio);
+        f.shrink = filter_shrink(ratio);
         // logit(s(x) c) = -log((1 + exp(-x)) / c - 1); with x < 0 the exponential is taken out.
         float e = exp(-abs(opacity_logit));
         float numerator = opacity_logit < 0.0 ? e * f.shrink : f.shrink;

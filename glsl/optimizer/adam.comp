@@ -77,6 +77,7 @@ layout(push_constant, scalar) uniform Push {
 #define OLD_PARAMETERS old_parameters
 #define NEW_PARAMETERS parameters
 #define SH_GRADIENT(PLANE, AT) (SUMS ? VEC4_AT(parameter_gradients, AT) : sh_plane_gradient(PLANE, basis, d_color))
+#include "finite.glsl"
 #include "adam_step.glsl"
 
 vec3 position_of_camera() {

@@ -18,8 +18,6 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
-// As in adam.comp.
-layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_WRITES(0, Sums, sums);
@@ -43,27 +41,15 @@ layout(push_constant, scalar) uniform Push {
     uint starts;
 };
 
-#include "camera_block.glsl"
 #include "dispatch.glsl"
+#include "finite.glsl"
 #include "planes.glsl"
 #include "sh.glsl"
 #include "sh_gradient.glsl"
 
-// As adam.comp has it.
-vec3 position_of_camera() {
-    vec3 t = camera_translation;
-    vec3 moved = -(camera_row_x * t.x + camera_row_y * t.y + camera_row_z * t.z) * inverse_scale_squared;
-    return MOVED_CAMERA ? moved : camera_position;
-}
-
 void add(uint at, vec4 g) {
     vec4 sum = starts != 0 ? g : VEC4_AT(old_sums, at) + g;
     VEC4_PUT(sums, at, sum);
-}
-
-bool finite(vec4 g) {
-    uvec4 exponent = floatBitsToUint(g) & 0x7F800000u;
-    return all(notEqual(exponent, uvec4(0x7F800000u)));
 }
 
 void main() {
@@ -101,7 +87,7 @@ void main() {
     vec3 mean = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)).xyz;
     float basis[16];
     // As in adam.comp: outside the view there may be no direction.
-    sh_basis(seen && counts ? normalize(mean - position_of_camera()) : vec3(0.0), basis);
+    sh_basis(seen && counts ? normalize(mean - camera_position) : vec3(0.0), basis);
 
     add(plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians), d_mean_opacity);
     add(plane_at(PLANE_QUAT, index, chunk_gaussians), d_quat);

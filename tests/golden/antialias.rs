@@ -5,8 +5,9 @@ use std::path::Path;
 use ashsplat::scene::filtered as baked;
 use ashsplat::{RenderSettings, Renderer};
 
-use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture};
+use super::rendering::{DOUBLE, SINGLE, judge_gradients, judge_picture};
 use super::sets::{RenderingSet, views};
+use super::{gpu, twin};
 use crate::common::compare::{elementwise, equal};
 use crate::common::engine::{camera, gaussians, renderer, settings, widen};
 use crate::common::{assert_silent, context};
@@ -28,7 +29,7 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
     for extent in EXTENTS {
         let view = set.view_with(extent);
         let (frame, gradient) = rendered(&set, &set.gaussians, &view, extent);
-        judge(&set, extent, &frame, &gradient, &gradient.parameters)?;
+        judge(&set, extent, &frame, gradient)?;
     }
     check_factors(&set, &set.gaussians)
 }
@@ -83,7 +84,7 @@ pub fn filter_of_twin(path: &Path) -> Result<(), String> {
             d
         };
         let parameters: Vec<Gradient> = (0..drawn.len()).map(through).collect();
-        judge(&set, extent, &frame, &gradient, &parameters)?;
+        judge(&set, extent, &frame, FrameGradient { parameters, ..gradient })?;
     }
     check_factors(&set, &drawn)
 }
@@ -115,12 +116,7 @@ pub fn filter_of_device(path: &Path) -> Result<(), String> {
     let settings = settings(&set.view_with(Extent::Exact));
     let frame = renderer.render(&camera(&set.view), &settings).map_err(|e| e.to_string())?;
     drop(renderer);
-    let picture = Picture {
-        color: widen(&frame.color),
-        transmittance: frame.transmittance.iter().map(|&x| f64::from(x)).collect(),
-        inverse_depth: None,
-    };
-    judge_picture(NAME, &set, Extent::Exact, &picture, SINGLE)
+    judge_picture(NAME, &set, Extent::Exact, &gpu::picture(&frame), SINGLE)
 }
 
 fn sizes_of_twin(set: &RenderingSet) -> Vec<f64> {
@@ -150,31 +146,9 @@ fn rendered(
     (frame, gradient)
 }
 
-fn judge(
-    set: &RenderingSet,
-    extent: Extent,
-    frame: &Frame,
-    gradient: &FrameGradient,
-    parameters: &[Gradient],
-) -> Result<(), String> {
-    let picture = Picture {
-        color: frame.pixels.iter().flat_map(|p| p.color).collect(),
-        transmittance: frame.pixels.iter().map(|p| p.transmittance).collect(),
-        inverse_depth: None,
-    };
-    judge_picture(NAME, set, extent, &picture, DOUBLE)?;
-    let actual = Gradients {
-        means: parameters.iter().flat_map(|g| g.mean).collect(),
-        quats: parameters.iter().flat_map(|g| g.quat).collect(),
-        log_scales: parameters.iter().flat_map(|g| g.log_scale).collect(),
-        opacity_logits: parameters.iter().map(|g| g.opacity_logit).collect(),
-        sh: parameters.iter().flat_map(|g| g.sh.concat()).collect(),
-        mean2d_px: None,
-        conic: None,
-        opacity: Some(gradient.splats.iter().map(|g| g.opacity).collect()),
-        color: None,
-    };
-    judge_gradients(NAME, set, extent, &actual, DOUBLE)
+fn judge(set: &RenderingSet, extent: Extent, frame: &Frame, gradient: FrameGradient) -> Result<(), String> {
+    judge_picture(NAME, set, extent, &twin::picture(frame), DOUBLE)?;
+    judge_gradients(NAME, set, extent, &twin::gradients(&gradient), DOUBLE)
 }
 
 /// The opacities' factors and the covariances with the dilation, of what is drawn.
@@ -199,27 +173,10 @@ fn judge_device(
     let settings = RenderSettings { inverse_depth: false, ..*settings };
     let camera = camera(&set.view);
     let frame = renderer.render(&camera, &settings).map_err(|e| e.to_string())?;
-    let picture = Picture {
-        color: widen(&frame.color),
-        transmittance: frame.transmittance.iter().map(|&x| f64::from(x)).collect(),
-        inverse_depth: None,
-    };
-    judge_picture(NAME, set, extent, &picture, SINGLE)?;
+    judge_picture(NAME, set, extent, &gpu::picture(&frame), SINGLE)?;
     let color: Vec<[f32; 3]> = set.image_gradient(extent).0.iter().map(|c| c.map(|x| x as f32)).collect();
     let gradients = renderer.gradients(&camera, &settings, &color, None).map_err(|e| e.to_string())?;
-    let parameters = gradients.parameters;
-    let actual = Gradients {
-        means: widen(&parameters.means),
-        quats: widen(&parameters.quats),
-        log_scales: widen(&parameters.log_scales),
-        opacity_logits: parameters.opacity_logits.iter().map(|&x| f64::from(x)).collect(),
-        sh: widen(&parameters.sh),
-        mean2d_px: None,
-        conic: None,
-        opacity: None,
-        color: None,
-    };
-    judge_gradients(NAME, set, extent, &actual, SINGLE)?;
+    judge_gradients(NAME, set, extent, &gpu::gradients(&gradients), SINGLE)?;
     assert_silent(context());
     Ok(())
 }

@@ -61,7 +61,7 @@ fn rendering_trials(set: &SetFile) -> Vec<Trial> {
             .push(trial(format!("golden_gpu_forward_{suffix}{}", set.name), move || forward(&file, extent)));
         let file = set.clone();
         trials.push(trial(format!("golden_gpu_gradients_{suffix}{}", set.name), move || {
-            gradients(&file, extent)
+            check_gradients(&file, extent)
         }));
     }
     trials
@@ -77,13 +77,7 @@ fn forward(file: &SetFile, extent: Extent) -> Result<(), String> {
     let settings = RenderSettings { inverse_depth, ..settings(&view) };
     let frame = renderer.render(&camera(&view), &settings).map_err(|e| e.to_string())?;
     drop(renderer);
-    let single = |values: &[f32]| values.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
-    let picture = Picture {
-        color: widen(&frame.color),
-        transmittance: single(&frame.transmittance),
-        inverse_depth: frame.inverse_depth.as_deref().map(single),
-    };
-    judge_picture(&file.name, &set, extent, &picture, SINGLE)?;
+    judge_picture(&file.name, &set, extent, &picture(&frame), SINGLE)?;
     if extent == Extent::Reference && !super::rendering::only_finite(&file.name) {
         judge_instances(&set, frame.stats.instances)?;
     }
@@ -106,7 +100,7 @@ fn judge_instances(set: &RenderingSet, instances: u32) -> Result<(), String> {
     }
 }
 
-fn gradients(file: &SetFile, extent: Extent) -> Result<(), String> {
+fn check_gradients(file: &SetFile, extent: Extent) -> Result<(), String> {
     let set = RenderingSet::read(&file.path, file.exact.as_deref());
     let view = set.view_with(extent);
     let (color, inverse_depth) = set.image_gradient(extent);
@@ -117,12 +111,29 @@ fn gradients(file: &SetFile, extent: Extent) -> Result<(), String> {
     // Both variants of the kernels: with the inverse depth where it has a gradient.
     let inverse_depth = set.results(extent).has("Gd").then_some(inverse_depth);
     let settings = RenderSettings { inverse_depth: inverse_depth.is_some(), ..settings(&view) };
-    let gradients = renderer
+    let derivatives = renderer
         .gradients(&camera(&view), &settings, &color, inverse_depth.as_deref())
         .map_err(|e| e.to_string())?;
     drop(renderer);
-    let parameters = gradients.parameters;
-    let actual = Gradients {
+    judge_gradients(&file.name, &set, extent, &gradients(&derivatives), SINGLE)?;
+    assert_silent(context());
+    Ok(())
+}
+
+/// A frame of the engine, as it is judged.
+pub(super) fn picture(frame: &ashsplat::Frame) -> Picture {
+    let single = |values: &[f32]| values.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
+    Picture {
+        color: widen(&frame.color),
+        transmittance: single(&frame.transmittance),
+        inverse_depth: frame.inverse_depth.as_deref().map(single),
+    }
+}
+
+/// Gradients of the engine, as they are judged.
+pub(super) fn gradients(gradients: &ashsplat::Gradients) -> Gradients {
+    let parameters = &gradients.parameters;
+    Gradients {
         means: widen(&parameters.means),
         quats: widen(&parameters.quats),
         log_scales: widen(&parameters.log_scales),
@@ -132,8 +143,5 @@ fn gradients(file: &SetFile, extent: Extent) -> Result<(), String> {
         conic: None,
         opacity: None,
         color: None,
-    };
-    judge_gradients(&file.name, &set, extent, &actual, SINGLE)?;
-    assert_silent(context());
-    Ok(())
+    }
 }

@@ -168,7 +168,7 @@ fn rejects_mutations(file: &SetFile) -> Result<(), String> {
     }
 }
 
-fn picture(frame: &Frame) -> Picture {
+pub(super) fn picture(frame: &Frame) -> Picture {
     Picture {
         color: frame.pixels.iter().flat_map(|p| p.color).collect(),
         transmittance: frame.pixels.iter().map(|p| p.transmittance).collect(),
@@ -176,7 +176,7 @@ fn picture(frame: &Frame) -> Picture {
     }
 }
 
-fn gradients(gradient: &FrameGradient) -> Gradients {
+pub(super) fn gradients(gradient: &FrameGradient) -> Gradients {
     let (splats, parameters) = (&gradient.splats, &gradient.parameters);
     Gradients {
         means: parameters.iter().flat_map(|g| g.mean).collect(),

@@ -7,11 +7,11 @@ use ashsplat::kernels::optimizer::add_gradients::{Bind, Interface, Push, Spec};
 
 use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::layout::{camera_block, pack, planes, room, unpack};
-use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::common::layout::{pack, planes, room, unpack};
+use crate::common::scenes::{Random, mixed_scene};
 use crate::reference::add_gradients::add;
 use crate::reference::expand_gradients::sh_gradient;
-use crate::reference::types::{self, Gaussian};
+use crate::reference::types::Gaussian;
 
 const CAMERA: [f64; 3] = [0.5, -0.25, -5.0];
 
@@ -67,12 +67,6 @@ fn check(gpu: &Gpu, size: usize, degrees: [u32; 2], stored: u32, direct: bool) {
     direct_planes.truncate(PLANE_SH as usize * room);
     let direct_buffer = gpu.buffer("parameter_gradients", &direct_planes);
     let mut expected: Vec<Gaussian> = gaussians.clone();
-    let there = types::View {
-        camera_from_world: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        translation: CAMERA.map(|x| -x),
-        ..small_view([53, 37])
-    };
-    let camera_block = gpu.buffer("camera_block", &[camera_block(&there)]);
     let views = [(degrees[0], true, 0), (degrees[1], false, 1), (degrees[1], false, 0)];
     for (number, (sh_degree, starts, overflow)) in views.into_iter().enumerate() {
         let mut view = View::random(&mut random, size);
@@ -81,10 +75,7 @@ fn check(gpu: &Gpu, size: usize, degrees: [u32; 2], stored: u32, direct: bool) {
             view.rows[view.stride + view.visible[9] as usize][2] = f32::NAN;
             spoilt = 1;
         }
-        // The second view's camera is where its block says.
-        let moved_camera = number == 1;
-        let (workgroup_size, parameter_gradients) = (gpu.workgroup(64), direct);
-        let spec = Spec { workgroup_size, sh_degree, parameter_gradients, moved_camera };
+        let spec = Spec { workgroup_size: gpu.workgroup(64), sh_degree, parameter_gradients: direct };
         let kernel = gpu.kernel::<Interface>(&spec);
         let (index, gradients) =
             (gpu.buffer("visible_index", &view.visible), gpu.buffer("gradients", &view.rows));
@@ -99,10 +90,9 @@ fn check(gpu: &Gpu, size: usize, degrees: [u32; 2], stored: u32, direct: bool) {
             state: &state,
             old_sums: &sums,
             parameter_gradients: if direct { &direct_buffer } else { &gradients },
-            camera_block: &camera_block,
         };
         let push = Push {
-            camera_position: if moved_camera { [9.0; 3] } else { CAMERA.map(|x| x as f32) },
+            camera_position: CAMERA.map(|x| x as f32),
             first: 0,
             count: size as u32,
             chunk_gaussians: room as u32,

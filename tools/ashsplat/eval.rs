@@ -22,6 +22,7 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 use std::borrow::Borrow;
 use std::cell::RefCell;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -333,8 +334,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Where poses were optimised, training views have their own; those that were held out are aligned.
     let pose_opt = model.settings.train.pose_opt;
     let moved = match (&model.folder, pose_opt) {
-        (Some((folder, _)), true) => cameras_json::read(folder.join(CAMERAS_FILE))?,
-        _ => Vec::new(),
+        (Some((folder, _)), true) => by_name(cameras_json::read(folder.join(CAMERAS_FILE))?),
+        _ => HashMap::new(),
     };
     let bar = counting("views", chosen.len() as u64 * if pose_opt { 2 } else { 1 }, arguments.quiet);
     let view = |&index: &usize| match session::check(&stop) {
@@ -391,11 +392,16 @@ pub fn alignment_of(settings: &TrainSettings) -> Alignment {
     Alignment { lambda_dssim: settings.lambda_dssim as f32, ..Alignment::default() }
 }
 
-/// A view with the pose that a list of cameras has for it, if any.
-pub fn at_its_place(view: View, cameras: &[NamedCamera]) -> View {
-    match cameras.iter().find(|named| named.name == view.name) {
+/// Cameras by the names of their photos.
+pub fn by_name(cameras: Vec<NamedCamera>) -> HashMap<String, Camera> {
+    cameras.into_iter().map(|NamedCamera { name, camera }| (name, camera)).collect()
+}
+
+/// A view with the pose that its camera among these has, if any.
+pub fn at_its_place(view: View, cameras: &HashMap<String, Camera>) -> View {
+    match cameras.get(&view.name) {
         None => view,
-        Some(NamedCamera { camera: at, .. }) => {
+        Some(at) => {
             let camera = Camera::with_pose(at.camera_from_world, at.translation, view.camera.intrinsics());
             View { camera, ..view }
         }

@@ -81,14 +81,17 @@ impl Run {
 
     /// Writes the cameras as they are after an iteration, if poses are optimised.
     pub(super) fn save_poses(&self, iteration: u32) -> Result<()> {
-        let Some(Moved { degrees, shares }) = self.moved()? else { return Ok(()) };
+        if !self.settings.train.pose_opt {
+            return Ok(());
+        }
+        let changes = self.trainer.pose_changes()?;
+        let Moved { degrees, shares } = Moved::of(&changes, self.trainer.scene_extent());
         let folder = &self.settings.data.model_path;
         let cameras = self.cameras_now()?;
         cameras_json::write(
             folder.join(CAMERAS_FILE),
             cameras.iter().map(|named| (named.name.as_str(), &named.camera)),
         )?;
-        let changes = self.trainer.pose_changes()?;
         let held_out = cameras.len() - changes.len();
         let poses: Map<_, _> = (cameras[held_out..].iter().zip(&changes))
             .map(|(named, change)| (named.name.clone(), json!(change.to_array())))
@@ -110,7 +113,7 @@ impl Run {
         if !self.settings.train.pose_opt || self.held_out {
             return Ok(());
         }
-        let cameras = self.cameras_now()?;
+        let cameras = eval::by_name(self.cameras_now()?);
         for view in &mut self.test {
             *view = eval::at_its_place(view.clone(), &cameras);
         }
