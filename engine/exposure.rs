@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::forward::FrameInputs;
 use crate::kernels::constants::TERM_PARTIALS;
 use crate::kernels::exposure::{expose, expose_backward, exposure_step};
-use crate::optimizer::{BETA_1, BETA_2};
+use crate::optimizer::{BETA_1, BETA_2, ViewSum};
 use crate::plan::{LaunchSizes, STRIP_ROWS, Strips, blocks};
 use crate::scene::Exposure;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
@@ -25,6 +25,8 @@ pub struct ExposureStep {
     pub rate: f64,
     /// Number of steps including this one, from 1.
     pub count: u64,
+    /// Where the view is among those whose gradients add up.
+    pub sum: ViewSum,
 }
 
 /// Matrices and moments of some photographs on the device, and scratch memory. A matrix is three rows of vec4.
@@ -39,11 +41,13 @@ pub struct ExposureBuffers {
     pub picture: Buffer,
     /// Parts of the gradient of a matrix.
     pub partials: Buffer,
+    /// Gradients of the views since the last step, laid out like the matrices: of steps of several views only.
+    pub sums: Buffer,
 }
 
 impl ExposureBuffers {
     /// Number of [`ExposureBuffers::requests`].
-    pub const COUNT: usize = 5;
+    pub const COUNT: usize = 6;
 
     /// Names and bytes of the buffers, for photographs of these sizes (width, height).
     pub fn requests(sizes: &[(u32, u32)]) -> [(&'static str, u64); Self::COUNT] {
@@ -56,13 +60,14 @@ impl ExposureBuffers {
             ("exposure_moments_2", matrices),
             ("exposed_picture", sizes.iter().map(picture).max().unwrap_or(0)),
             ("exposure_partials", MATRIX_BYTES * u64::from(TERM_PARTIALS)),
+            ("exposure_sums", matrices),
         ]
     }
 
     /// The buffers, in the order of [`ExposureBuffers::requests`].
     pub fn from_allocated(buffers: [Buffer; Self::COUNT]) -> Self {
-        let [values, first_moments, second_moments, picture, partials] = buffers;
-        Self { values, first_moments, second_moments, picture, partials }
+        let [values, first_moments, second_moments, picture, partials, sums] = buffers;
+        Self { values, first_moments, second_moments, picture, partials, sums }
     }
 
     /// Number of photographs.
@@ -77,6 +82,7 @@ impl ExposureBuffers {
     pub fn reset(&self, context: &Context) -> Result<()> {
         let identity = vec![Exposure::IDENTITY.rows; self.photographs()];
         let none = vec![[[0.0; 4]; 3]; self.photographs()];
+        self.upload_sums(context, &[])?;
         self.upload(context, [&identity, &none, &none])
     }
 
@@ -94,6 +100,28 @@ impl ExposureBuffers {
             context.upload(buffer, bytemuck::cast_slice(rows))?;
         }
         Ok(())
+    }
+
+    /// Uploads the sums of gradients; none are zeros.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when they are not of the number of the photographs; when the device is lost.
+    pub fn upload_sums(&self, context: &Context, sums: &[[[f32; 4]; 3]]) -> Result<()> {
+        let none = vec![[[0.0; 4]; 3]; self.photographs()];
+        let sums = if sums.is_empty() { &none } else { sums };
+        if sums.len() != self.photographs() {
+            let problem = format!("are {}, for {} photographs", sums.len(), self.photographs());
+            return Err(Error::argument("gradient sums of exposures", problem));
+        }
+        context.upload(&self.sums, bytemuck::cast_slice(sums))
+    }
+
+    /// Downloads the sums of gradients.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn download_sums(&self, context: &Context) -> Result<Vec<[[f32; 4]; 3]>> {
+        Ok(bytemuck::pod_collect_to_vec(&context.download(&self.sums)?))
     }
 
     /// Downloads matrices and both moments.
@@ -115,17 +143,17 @@ pub struct Exposing {
 }
 
 impl Exposing {
-    /// Builds the kernels. With `center`, each step of the optimiser brings the mean of all matrices back to
+    /// Builds the kernels, with `sums` for steps that follow several views ([`ViewSum`]). With `center`, each step of the optimiser brings the mean of all matrices back to
     /// the identity: otherwise scene and exposures could drift against each other.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context, center: bool) -> Result<Self> {
+    pub fn new(context: &Context, center: bool, sums: bool) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
         let subgroup_size = context.limits().subgroup_size;
         let backward = expose_backward::Spec { workgroup_size, subgroup_size, strips };
-        let step = exposure_step::Spec { workgroup_size, subgroup_size, center };
+        let step = exposure_step::Spec { workgroup_size, subgroup_size, center, sums };
         Ok(Self {
             expose: Kernel::new(context, &expose::Spec { workgroup_size, strips })?,
             backward: Kernel::new(context, &backward)?,
@@ -179,8 +207,8 @@ impl Exposing {
     }
 
     /// Records a step of the optimiser over all matrices, of which that of `view` has the gradient of
-    /// [`Exposing::record_backward`]. If the frame overflowed, nothing changes. The caller places barriers
-    /// before and after.
+    /// [`Exposing::record_backward`], or the addition to the sums: [`ViewSum`]. If the frame overflowed, nothing
+    /// changes. The caller places barriers before and after.
     pub fn record_step(
         &self,
         r: &mut Recorder,
@@ -195,6 +223,7 @@ impl Exposing {
             exposures: &buffers.values,
             moments_1: &buffers.first_moments,
             moments_2: &buffers.second_moments,
+            sums: &buffers.sums,
         };
         let push = exposure_step::Push {
             photographs: buffers.photographs() as u32,
@@ -206,6 +235,8 @@ impl Exposing {
             epsilon: EPSILON as f32,
             rate: (step.rate / correction(BETA_1)) as f32,
             inverse_bias_2: correction(BETA_2).sqrt().recip() as f32,
+            makes_step: step.sum.makes_step.into(),
+            starts: step.sum.starts.into(),
         };
         r.scope("exposure step", |r| r.dispatch(&self.step, &bind, &push, 1));
     }

@@ -16,7 +16,7 @@ mod shape;
 pub use blend_forms::{BlendMeasurement, Blending};
 pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
-pub use camera_block::POSE_BYTES;
+pub use camera_block::{POSE_BYTES, pose_of};
 pub(crate) use camera_block::block_of;
 pub use filter_3d::Filter3d;
 pub use inputs::{FrameInputs, PlacedScene, SceneBuffers};

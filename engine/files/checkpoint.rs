@@ -202,7 +202,12 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         gradient_sums: match metadata.optional(SUMMED_VIEWS)? {
             None | Some(0) => None,
             Some(views) => {
-                Some(GradientSums { views, sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)? })
+                Some(GradientSums {
+                    views,
+                    sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)?,
+                    exposures: exposures(&tensors, Checkpoint::GRADIENT_SUMS)?,
+                    poses: pose_sums(&tensors)?,
+                })
             }
         },
         exposures: ExposureState {
@@ -297,6 +302,15 @@ fn poses(tensors: &SafeTensors) -> Result<Option<PoseState>, String> {
         first_moments: values(tensors, first, &[6])?,
         second_moments: values(tensors, second, &[6])?,
     }))
+}
+
+/// None where they were not optimised, and in older files.
+fn pose_sums(tensors: &SafeTensors) -> Result<Vec<[f32; 6]>, String> {
+    let name = format!("{}{}", Checkpoint::GRADIENT_SUMS, Checkpoint::POSES[0]);
+    match tensors.tensor(&name) {
+        Ok(_) => values(tensors, &name, &[6]),
+        Err(_) => Ok(Vec::new()),
+    }
 }
 
 /// The strategy's own statistics, in the order of the data.

@@ -93,6 +93,10 @@ pub struct GradientSums {
     pub views: u32,
     /// The sums, shaped like the parameters.
     pub sums: Gaussians,
+    /// Those of the exposures, if they are learned. Older checkpoints have none: what the views gave is then lost.
+    pub exposures: Vec<[[f32; 4]; 3]>,
+    /// Those of the poses, if they are optimised.
+    pub poses: Vec<[f32; 6]>,
 }
 
 /// A statistic of a strategy.
@@ -217,6 +221,15 @@ impl Checkpoint {
                 tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(rows) });
             }
         }
+        if let Some(GradientSums { exposures, poses, .. }) = &self.gradient_sums {
+            let named = |name: &str| format!("{}{name}", Self::GRADIENT_SUMS);
+            let sets = [
+                (named(Self::EXPOSURES), vec![exposures.len(), 3, 4], bytemuck::cast_slice(exposures)),
+                (named(Self::POSES[0]), vec![poses.len(), 6], bytemuck::cast_slice(poses)),
+            ];
+            let some = sets.into_iter().filter(|(.., bytes)| !bytes.is_empty());
+            tensors.extend(some.map(|(name, shape, bytes)| Tensor { name, shape, bytes }));
+        }
         tensors
     }
 
@@ -273,6 +286,12 @@ impl Checkpoint {
         let ExposureState { values, first_moments, second_moments } = &self.exposures;
         if [values, first_moments, second_moments].iter().any(|set| set.len() as u64 != exposures) {
             return Err(Error::argument("exposures", format!("are not those of {exposures} photographs")));
+        }
+        if let Some(GradientSums { exposures, poses, .. }) = &self.gradient_sums {
+            let of_views = |count: usize| count == 0 || count as u64 == self.views;
+            if !of_views(exposures.len()) || !of_views(poses.len()) {
+                return Err(Error::argument("gradient sums", "are of another number than the views"));
+            }
         }
         let views = |poses: &PoseState| {
             [&poses.parameters, &poses.first_moments, &poses.second_moments]

@@ -7,7 +7,7 @@ use super::settings::{OptimizerType, TrainSettings};
 use super::work::{Actions, Work};
 use crate::exposure::ExposureStep;
 use crate::forward::RenderSettings;
-use crate::optimizer::{Rates, Step};
+use crate::optimizer::{Rates, Step, ViewSum};
 use crate::poses::PoseStep;
 
 /// Progress of a run between two iterations.
@@ -85,6 +85,11 @@ impl Schedule {
         work.optimizes &= iteration < s.iterations;
         // What was added up before belongs into this step too.
         work.sums_gradients = (work.sums_gradients || progress.summed > 0) && iteration < s.iterations;
+        // Exposures and poses add up what the Gaussians do.
+        let sum = match work.sums_gradients {
+            true => ViewSum { starts: progress.summed == 0, makes_step: work.optimizes },
+            false => ViewSum::ALONE,
+        };
         IterationPlan {
             iteration,
             view: self.order.view(iteration),
@@ -98,9 +103,9 @@ impl Schedule {
             },
             step: optimizer_step(run, iteration, progress, &work),
             computes_filters: s.computes_filters_at(iteration),
-            exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1 },
+            exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1, sum },
             // Where the Gaussians make a step, the poses do.
-            pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1 },
+            pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1, sum },
         }
     }
 }

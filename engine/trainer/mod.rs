@@ -220,7 +220,7 @@ impl Trainer {
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;
-        let poses = Poses::new(context, &settings, &cameras)?;
+        let poses = Poses::new(context, &settings, &cameras, strategy.records().sums)?;
         let views_fingerprint = resume::fingerprint_of(&views);
         drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, sh_degree)?;
@@ -237,6 +237,10 @@ impl Trainer {
         }
         let run = Run { settings, scene_extent, cameras, views_fingerprint };
         let filter = run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras)).transpose()?;
+        let filter = match &poses {
+            Some(poses) => filter.map(|filter| filter.with_poses(poses.all_cameras().clone())),
+            None => filter,
+        };
         let trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,

@@ -69,7 +69,18 @@ impl Trainer {
             },
             gradient_sums: match progress.summed {
                 0 => None,
-                views => Some(GradientSums { views, sums: planes_of(&model.spare)? }),
+                views => Some(GradientSums {
+                    views,
+                    sums: planes_of(&model.spare)?,
+                    exposures: match &self.losses.exposures {
+                        Some(exposures) => exposures.download_sums(&self.context)?,
+                        None => Vec::new(),
+                    },
+                    poses: match &self.poses {
+                        Some(poses) => poses.sums(&self.context)?,
+                        None => Vec::new(),
+                    },
+                }),
             },
             exposures: self.exposure_state()?,
             poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
@@ -138,10 +149,16 @@ impl Trainer {
         if let Some(exposures) = &trainer.losses.exposures {
             let ExposureState { values, first_moments, second_moments } = &from.exposures;
             exposures.upload(context, [values, first_moments, second_moments])?;
+            let sums = from.gradient_sums.as_ref().map_or(&[][..], |sums| &sums.exposures);
+            exposures.upload_sums(context, sums)?;
         }
         if let Some(poses) = &trainer.poses {
             let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
             poses.restore(context, from.poses.as_ref().ok_or_else(lacks)?)?;
+            let sums = from.gradient_sums.as_ref().map_or(&[][..], |sums| &sums.poses);
+            if !sums.is_empty() {
+                poses.restore_sums(context, sums)?;
+            }
         }
         let state = &mut trainer.state;
         state.progress = Progress {

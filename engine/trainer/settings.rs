@@ -208,10 +208,6 @@ impl TrainSettings {
     /// [`Error::Argument`] with the setting's name, its value and what would be right.
     pub fn check(&self) -> Result<()> {
         Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))?;
-        if self.pose_opt && self.multi_step {
-            let problem = "does not go together with multi_step (strategy budget): turn one of them off";
-            return Err(Error::argument("pose_opt", problem));
-        }
         match self.initial_opacity > 0.0 && self.initial_opacity < 1.0 {
             true => Ok(()),
             false => {

@@ -120,7 +120,7 @@ impl StepRecorder {
         Ok(Self {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
-            exposing: settings.exposure.then(|| Exposing::new(context, true)).transpose()?,
+            exposing: settings.exposure.then(|| Exposing::new(context, true, sums)).transpose()?,
             backward: Backward::new(context),
             drawn: settings.render_settings(),
             absolute,
@@ -303,6 +303,8 @@ impl StepRecorder {
                 r.barrier();
                 parts.strategy.record_update(r, &step);
             }
+        }
+        if plan.work.optimizes || plan.work.sums_gradients {
             if let Some((exposing, exposures)) = self.exposing.as_ref().zip(parts.memory.exposures.as_ref()) {
                 r.barrier();
                 let of = (exposures, &inputs.frame.state);

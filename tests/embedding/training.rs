@@ -136,7 +136,9 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     };
     let exposed = TrainSettings { exposure: true, ..settings() };
     let poses = TrainSettings { pose_opt: true, pose_lr: 1e-3, ..settings() };
-    let plain = [weighted, poses, budget.clone()].map(|settings| (false, settings));
+    let all = TrainSettings { exposure: true, ..poses.clone() };
+    let lit = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..budget.clone() };
+    let plain = [weighted, all, lit].map(|settings| (false, settings));
     let usual = [settings(), mcmc, filtered, exposed, budget].map(|settings| (true, settings));
     for (push_descriptors, settings) in usual.into_iter().chain(plain) {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
