@@ -10,7 +10,6 @@ use crate::kernels::constants::TERM_PARTIALS;
 use crate::kernels::exposure::{expose, expose_backward, exposure_step};
 use crate::optimizer::{BETA_1, BETA_2, ViewSum};
 use crate::plan::{LaunchSizes, STRIP_ROWS, Strips, blocks};
-use crate::scene::Exposure;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// Adam's ε for exposures in the reference (the default of its library).
@@ -18,26 +17,29 @@ pub const EPSILON: f64 = 1e-8;
 /// Bytes of a matrix.
 const MATRIX_BYTES: u64 = 48;
 
-/// One step of the exposures' optimiser.
+/// One step of the optimiser of exposures, or of [lenses](crate::lens_effects).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ExposureStep {
+pub struct LightStep {
     /// Learning rate.
     pub rate: f64,
     /// Number of steps including this one, from 1.
     pub count: u64,
     /// Where the view is among those whose gradients add up.
     pub sum: ViewSum,
+    /// Times each value, a part of its gradient: pulls it to 0. None for exposures.
+    pub decay: f64,
 }
 
-/// Matrices and moments of some photographs on the device, and scratch memory. A matrix is three rows of vec4.
-pub struct ExposureBuffers {
-    /// A matrix per photograph.
+/// Matrices and moments of some photographs, or [lenses](crate::lens_effects), on the device, and scratch memory. A matrix is
+/// three rows of vec4.
+pub struct LightBuffers {
+    /// A matrix per photograph or lens.
     pub values: Buffer,
     /// Adam's first moments, laid out like the matrices.
     pub first_moments: Buffer,
     /// Adam's second moments.
     pub second_moments: Buffer,
-    /// The exposed picture, laid out like the rendered one.
+    /// The picture that they make, laid out like the rendered one.
     pub picture: Buffer,
     /// Parts of the gradient of a matrix.
     pub partials: Buffer,
@@ -45,42 +47,59 @@ pub struct ExposureBuffers {
     pub sums: Buffer,
 }
 
-impl ExposureBuffers {
-    /// Number of [`ExposureBuffers::requests`].
+impl LightBuffers {
+    /// Number of [`LightBuffers::requests`].
     pub const COUNT: usize = 6;
 
-    /// Names and bytes of the buffers, for photographs of these sizes (width, height).
+    /// Names and bytes of the buffers of exposures, for photographs of these sizes (width, height).
     pub fn requests(sizes: &[(u32, u32)]) -> [(&'static str, u64); Self::COUNT] {
+        let names = [
+            "exposures",
+            "exposure_moments_1",
+            "exposure_moments_2",
+            "exposed_picture",
+            "exposure_partials",
+            "exposure_sums",
+        ];
+        Self::named_requests(names, sizes)
+    }
+
+    /// As [`LightBuffers::requests`], under other names.
+    pub(crate) fn named_requests(
+        names: [&'static str; Self::COUNT],
+        sizes: &[(u32, u32)],
+    ) -> [(&'static str, u64); Self::COUNT] {
+        let [values, moments_1, moments_2, picture_name, partials, sums] = names;
         let matrices = MATRIX_BYTES * sizes.len() as u64;
         // Strips have at least as many values as the picture has pixels.
         let picture = |&(width, height): &(u32, u32)| 16 * Strips { width, height }.values();
         [
-            ("exposures", matrices),
-            ("exposure_moments_1", matrices),
-            ("exposure_moments_2", matrices),
-            ("exposed_picture", sizes.iter().map(picture).max().unwrap_or(0)),
-            ("exposure_partials", MATRIX_BYTES * u64::from(TERM_PARTIALS)),
-            ("exposure_sums", matrices),
+            (values, matrices),
+            (moments_1, matrices),
+            (moments_2, matrices),
+            (picture_name, sizes.iter().map(picture).max().unwrap_or(0)),
+            (partials, MATRIX_BYTES * u64::from(TERM_PARTIALS)),
+            (sums, matrices),
         ]
     }
 
-    /// The buffers, in the order of [`ExposureBuffers::requests`].
+    /// The buffers, in the order of [`LightBuffers::requests`].
     pub fn from_allocated(buffers: [Buffer; Self::COUNT]) -> Self {
         let [values, first_moments, second_moments, picture, partials, sums] = buffers;
         Self { values, first_moments, second_moments, picture, partials, sums }
     }
 
-    /// Number of photographs.
+    /// Number of photographs or lenses.
     pub fn photographs(&self) -> usize {
         (self.values.bytes() / MATRIX_BYTES) as usize
     }
 
-    /// The identity for all photographs, with no moments.
+    /// The same matrix for all, with no moments.
     ///
     /// # Errors
     /// When the device is lost.
-    pub fn reset(&self, context: &Context) -> Result<()> {
-        let identity = vec![Exposure::IDENTITY.rows; self.photographs()];
+    pub fn reset(&self, context: &Context, matrix: [[f32; 4]; 3]) -> Result<()> {
+        let identity = vec![matrix; self.photographs()];
         let none = vec![[[0.0; 4]; 3]; self.photographs()];
         self.upload_sums(context, &[])?;
         self.upload(context, [&identity, &none, &none])
@@ -139,12 +158,13 @@ pub struct Exposing {
     sizes: LaunchSizes,
     expose: Kernel<expose::Interface>,
     backward: Kernel<expose_backward::Interface>,
-    step: Kernel<exposure_step::Interface>,
+    step: LightOptimizer,
 }
 
 impl Exposing {
-    /// Builds the kernels, with `sums` for steps that follow several views ([`ViewSum`]). With `center`, each step of the optimiser brings the mean of all matrices back to
-    /// the identity: otherwise scene and exposures could drift against each other.
+    /// Builds the kernels, with `sums` for steps that follow several views ([`ViewSum`]). With `center`, each step
+    /// of the optimiser brings the mean of all matrices back to the identity: otherwise scene and exposures could
+    /// drift against each other.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -153,18 +173,17 @@ impl Exposing {
         let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
         let subgroup_size = context.limits().subgroup_size;
         let backward = expose_backward::Spec { workgroup_size, subgroup_size, strips };
-        let step = exposure_step::Spec { workgroup_size, subgroup_size, center, sums };
         Ok(Self {
             expose: Kernel::new(context, &expose::Spec { workgroup_size, strips })?,
             backward: Kernel::new(context, &backward)?,
-            step: Kernel::new(context, &step)?,
+            step: LightOptimizer::new(context, center, sums)?,
             sizes,
         })
     }
 
     /// Records the exposed picture of a frame, for a photograph's index. The frame must be one with backward.
     /// The caller places barriers before and after.
-    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, buffers: &ExposureBuffers, view: u32) {
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, buffers: &LightBuffers, view: u32) {
         let (width, height) = (inputs.camera.width, inputs.camera.height);
         let bind = expose::Bind {
             rendered: inputs.frame.rendered(&self.sizes),
@@ -187,7 +206,7 @@ impl Exposing {
         &self,
         r: &mut Recorder,
         inputs: &FrameInputs,
-        buffers: &ExposureBuffers,
+        buffers: &LightBuffers,
         view: u32,
         image_gradient: &Buffer,
     ) {
@@ -209,12 +228,33 @@ impl Exposing {
     /// Records a step of the optimiser over all matrices, of which that of `view` has the gradient of
     /// [`Exposing::record_backward`], or the addition to the sums: [`ViewSum`]. If the frame overflowed, nothing
     /// changes. The caller places barriers before and after.
-    pub fn record_step(
+    pub fn record_step(&self, r: &mut Recorder, of: (&LightBuffers, &Buffer), view: u32, step: &LightStep) {
+        r.scope("exposure step", |r| self.step.record(r, of, view, step));
+    }
+}
+
+/// The kernel of Adam over matrices.
+pub(crate) struct LightOptimizer(Kernel<exposure_step::Interface>);
+
+impl LightOptimizer {
+    /// See [`Exposing::new`].
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub(crate) fn new(context: &Context, center: bool, sums: bool) -> Result<Self> {
+        let workgroup_size = LaunchSizes::new(context.limits()).elementwise_workgroup;
+        let subgroup_size = context.limits().subgroup_size;
+        let step = exposure_step::Spec { workgroup_size, subgroup_size, center, sums };
+        Ok(Self(Kernel::new(context, &step)?))
+    }
+
+    /// See [`Exposing::record_step`]: `seen` is the matrix that has a gradient.
+    pub(crate) fn record(
         &self,
         r: &mut Recorder,
-        (buffers, state): (&ExposureBuffers, &Buffer),
-        view: u32,
-        step: &ExposureStep,
+        (buffers, state): (&LightBuffers, &Buffer),
+        seen: u32,
+        step: &LightStep,
     ) {
         let correction = |beta: f64| 1.0 - beta.powf(step.count as f64);
         let bind = exposure_step::Bind {
@@ -227,7 +267,7 @@ impl Exposing {
         };
         let push = exposure_step::Push {
             photographs: buffers.photographs() as u32,
-            view,
+            view: seen,
             beta_1: BETA_1 as f32,
             beta_2: BETA_2 as f32,
             one_minus_beta_1: (1.0 - BETA_1) as f32,
@@ -237,7 +277,8 @@ impl Exposing {
             inverse_bias_2: correction(BETA_2).sqrt().recip() as f32,
             makes_step: step.sum.makes_step.into(),
             starts: step.sum.starts.into(),
+            decay: step.decay as f32,
         };
-        r.scope("exposure step", |r| r.dispatch(&self.step, &bind, &push, 1));
+        r.dispatch(&self.0, &bind, &push, 1);
     }
 }

@@ -112,7 +112,8 @@ impl PoseBuffers {
     /// # Panics
     /// If there are others.
     pub fn from_allocated(images: u32, buffers: Vec<Buffer>) -> Self {
-        let Ok([parameters, moments, starts, cameras, gradient, sums]) = <[Buffer; 6]>::try_from(buffers) else {
+        let Ok([parameters, moments, starts, cameras, gradient, sums]) = <[Buffer; 6]>::try_from(buffers)
+        else {
             panic!("one buffer per request");
         };
         Self { images, parameters, moments, starts, cameras, gradient, sums }

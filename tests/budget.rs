@@ -150,7 +150,7 @@ fn budget_resumes_to_the_bit() {
     let lit = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..in_groups() };
     let whole = run(&lit, &[]);
     let sums = whole.gradient_sums.as_ref().expect("the last iteration makes no step");
-    assert_eq!((sums.exposures.len(), sums.poses.len()), (4, 4));
+    assert_eq!((sums.light.exposures.len(), sums.poses.len()), (4, 4));
     for stops in [[18, 43], [45, 52]] {
         assert!(run(&lit, &stops) == whole, "interrupted after {stops:?}: other bits");
     }

@@ -13,13 +13,13 @@ use crate::common::options;
 use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
 use crate::reference::types::View;
 
-const EXTENT: f32 = 5.0;
+pub const EXTENT: f32 = 5.0;
 const VIEWS: usize = 10;
 /// View, and the known gains of its channels. Their mean is 1, as that of all exposures stays.
 const CHANGED: [(usize, [f32; 3]); 3] =
     [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
 
-fn cameras() -> Vec<Camera> {
+pub fn cameras() -> Vec<Camera> {
     let turned = |i: usize| View {
         camera_from_world: rotation_about_y(0.11 * i as f64 - 0.5),
         sh_degree: 0,
@@ -30,7 +30,7 @@ fn cameras() -> Vec<Camera> {
 }
 
 /// What the photographs show, in colours that no gain makes white.
-fn truth() -> Gaussians {
+pub fn truth() -> Gaussians {
     let mut scene = small_scene(&mut Random::new(5), 260, 1);
     for gaussian in &mut scene {
         gaussian.opacity_logit = 3.0;
@@ -53,7 +53,7 @@ fn gray() -> Gaussians {
     }
 }
 
-fn photographs(gpu: &Gpu) -> Vec<Photo> {
+pub fn photographs(gpu: &Gpu) -> Vec<Photo> {
     let settings = settings(false);
     let mut trainer =
         Trainer::new(gpu.context, views(1, 9), &truth(), EXTENT, settings).expect("a renderer of the truth");

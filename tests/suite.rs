@@ -23,6 +23,7 @@ mod gradients;
 mod hard_cases;
 mod host;
 mod invariants;
+mod lens_effects;
 mod kernels;
 mod limits;
 mod lpips;

@@ -5,7 +5,7 @@ use super::random::{self, ViewOrder};
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
 use super::work::{Actions, Work};
-use crate::exposure::ExposureStep;
+use crate::exposure::LightStep;
 use crate::forward::RenderSettings;
 use crate::optimizer::{Rates, Step, ViewSum};
 use crate::poses::PoseStep;
@@ -52,7 +52,9 @@ pub(super) struct IterationPlan {
     pub step: Step,
     /// Whether the sizes of the 3D filter are computed anew after the step.
     pub computes_filters: bool,
-    pub exposure: ExposureStep,
+    pub exposure: LightStep,
+    /// Of the lenses, if their effects are learned.
+    pub lens_step: LightStep,
     /// Of the poses, if they are optimised.
     pub pose_step: PoseStep,
 }
@@ -103,7 +105,18 @@ impl Schedule {
             },
             step: optimizer_step(run, iteration, progress, &work),
             computes_filters: s.computes_filters_at(iteration),
-            exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1, sum },
+            exposure: LightStep {
+                rate: s.exposure_lr(iteration),
+                count: progress.steps + 1,
+                sum,
+                decay: 0.0,
+            },
+            lens_step: LightStep {
+                rate: s.lens_lr(iteration),
+                count: progress.steps + 1,
+                sum,
+                decay: 2.0 * s.lens_reg,
+            },
             // Where the Gaussians make a step, the poses do.
             pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1, sum },
         }

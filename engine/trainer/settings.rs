@@ -98,6 +98,12 @@ options! {
         exposure_lr_delay_steps: u32 = 0, Bounds::None;
         /// Share of the exposures' learning rate at the start of that rise
         exposure_lr_delay_mult: f64 = 0.0, Bounds::Share;
+        /// Learn vignetting and response of each camera, which change the rendered colours before they are compared
+        lens_effects: bool = false, Bounds::None;
+        /// Learning rate of the lens effects at the start; a tenth of it at the end
+        lens_lr: f64 = 5e-3, Bounds::Positive;
+        /// Weight of the squared lens effects in the loss, which pulls them to none
+        lens_reg: f64 = 1e-3, Bounds::NotNegative;
         /// Weight of the inverse-depth maps in the loss at the start, for views that have one
         depth_l1_weight_init: f64 = 1.0, Bounds::Positive;
         /// Weight of the inverse-depth maps in the loss at the end
@@ -259,6 +265,11 @@ impl TrainSettings {
             }
         };
         delay * rate
+    }
+
+    /// Learning rate of the lens effects at an iteration: log-linear from `lens_lr` at 0 to a tenth of it at the last.
+    pub fn lens_lr(&self, iteration: u32) -> f64 {
+        log_linear([self.lens_lr, 0.1 * self.lens_lr], iteration, self.iterations)
     }
 
     /// Factor of the means' first learning rate: with `scale_rates` 30,000 / `iterations`, 1 to 10, so that means

@@ -1,5 +1,6 @@
-// Adam over the exposures of all photographs as one tensor: also those that the iteration does not see have their moments
-// decay, and move. Only the view's own has a gradient: the sum of the partials, or 0 where that is not finite.
+// Adam over the exposures of all photographs as one tensor, or over the effects of all lenses (lens_effects.glsl): also those
+// that the iteration does not see have their moments decay, and move. Only the view's own has a gradient: the sum of the
+// partials, or 0 where that is not finite. All have `decay` times their value besides.
 //
 // With SUMS a step follows several views: without `makes_step` the gradient of the view's photograph is added to `sums`, and a
 // step takes what they have as well. With `starts` what they had before does not count.
@@ -48,6 +49,8 @@ layout(push_constant, scalar) uniform Push {
     float inverse_bias_2;
     uint makes_step;
     uint starts;
+    // Times each value, a part of its gradient.
+    float decay;
 };
 
 #include "exposure_sums.glsl"
@@ -79,11 +82,13 @@ void main() {
                     continue;
                 }
             }
+            vec4 e = exposures[at];
+            g += decay * e;
             vec4 m = beta_1 * moments_1[at] + one_minus_beta_1 * g;
             vec4 v = beta_2 * moments_2[at] + one_minus_beta_2 * g * g;
             moments_1[at] = m;
             moments_2[at] = v;
-            vec4 e = exposures[at] - rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
+            e -= rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
             exposures[at] = e;
             // The distance from the identity: small numbers add up with small errors.
             e[k] -= 1.0;

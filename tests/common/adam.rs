@@ -172,7 +172,9 @@ impl<'a> AdamState<'a> {
             old_moments_1: moments_1,
             old_moments_2: moments_2,
             parameter_gradients: self.parameter_gradients.as_ref().unwrap_or(gradients),
-            camera_block: &self.gpu.buffer("camera_block", &[camera_block(step.camera_position, self.moved_camera)]),
+            camera_block: &self
+                .gpu
+                .buffer("camera_block", &[camera_block(step.camera_position, self.moved_camera)]),
         };
         self.gpu.run(|recorder| recorder.dispatch(&self.kernel, &bind, &push, workgroups));
         self.gpu.read::<u32>(state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]

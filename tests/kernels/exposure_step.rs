@@ -12,6 +12,9 @@ use crate::reference::exposure_step::Exposures;
 
 type Rows = [[f32; 4]; 3];
 
+/// Of those that are not brought back to the identity: lenses.
+const DECAY: f32 = 0.125;
+
 /// Steps of the device; each with its view, the parts of its gradient, and whether its frame overflowed.
 fn run(gpu: &Gpu, photographs: usize, center: bool, steps: &[(u32, Vec<Rows>, bool)]) -> [Vec<Rows>; 3] {
     let views: Vec<_> = steps.iter().cloned().map(|step| (step, [true, true])).collect();
@@ -60,6 +63,7 @@ fn run_views(
             inverse_bias_2: (1.0 - 0.999f64.powi(count)).sqrt().recip() as f32,
             makes_step: (*makes_step).into(),
             starts: (*starts).into(),
+            decay: if center { 0.0 } else { DECAY },
         };
         gpu.run(|r| r.dispatch(&kernel, &bind, &push, 1));
     }
@@ -86,6 +90,7 @@ fn exposure_step_equals_its_twin() {
             (0..7).map(|step| ((5 * step % photographs) as u32, parts(&mut random), false)).collect();
         let actual = run(&gpu, photographs, center, &steps);
         let mut twin = Exposures::new(photographs);
+        twin.decay = if center { 0.0 } else { f64::from(DECAY) };
         for (step, (view, parts, _)) in steps.iter().enumerate() {
             let mut gradient = [[0.0; 4]; 3];
             for part in parts {

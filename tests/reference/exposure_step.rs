@@ -10,12 +10,20 @@ pub struct Exposures {
     pub second: Vec<Matrix>,
     /// Gradients of the views since the last step.
     pub sums: Vec<Matrix>,
+    /// Times each value, a part of its gradient.
+    pub decay: f64,
 }
 
 impl Exposures {
     pub fn new(photographs: usize) -> Exposures {
         let none = vec![[[0.0; 4]; 3]; photographs];
-        Exposures { values: vec![IDENTITY; photographs], first: none.clone(), second: none.clone(), sums: none }
+        Exposures {
+            values: vec![IDENTITY; photographs],
+            first: none.clone(),
+            second: none.clone(),
+            sums: none,
+            decay: 0.0,
+        }
     }
 
     /// The `count`-th step, from 1, in which one photograph has a gradient. With `center`, the mean over the
@@ -40,7 +48,8 @@ impl Exposures {
         let photographs = self.values.len();
         for photograph in 0..photographs {
             for (row, column) in (0..3).flat_map(|row| (0..4).map(move |column| (row, column))) {
-                let g = self.sums[photograph][row][column];
+                let g =
+                    self.sums[photograph][row][column] + self.decay * self.values[photograph][row][column];
                 let m = &mut self.first[photograph][row][column];
                 *m = 0.9 * *m + 0.1 * g;
                 let v = &mut self.second[photograph][row][column];
