@@ -136,10 +136,8 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         ..settings()
     };
     let exposed = TrainSettings { exposure: true, ..settings() };
-    let poses = TrainSettings { pose_opt: true, pose_lr: 1e-3, ..settings() };
-    let all = TrainSettings { exposure: true, lens_effects: true, ..poses.clone() };
-    let lit = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..budget.clone() };
-    let lit = TrainSettings { lens_effects: true, ..lit };
+    let all = TrainSettings { lens_effects: true, pose_opt: true, pose_lr: 1e-3, ..exposed.clone() };
+    let lit = TrainSettings { lens_effects: true, pose_opt: true, exposure: true, ..budget.clone() };
     let plain = [weighted, all, lit].map(|settings| (false, settings));
     let usual = [settings(), mcmc, filtered, exposed, budget].map(|settings| (true, settings));
     for (push_descriptors, settings) in usual.into_iter().chain(plain) {
