@@ -146,7 +146,8 @@ impl PoseOptimizer {
 
     /// Records a step with the gradient of the image that was seen, and makes the cameras of all images. All
     /// poses are one tensor: those of images that were not seen decay and move as well. Where no step follows
-    /// the view, its gradient is added to the sums. Without a step only the cameras are made. Nothing changes if `state` ([`FrameBuffers::state`](crate::plan::FrameBuffers))
+    /// the view, its gradient is added to the sums. Without a step only the cameras are made. Nothing changes if
+    /// `state` ([`FrameBuffers::state`](crate::plan::FrameBuffers))
     /// has an overflow. The caller places barriers before and after.
     pub fn record(
         &self,

@@ -10,7 +10,7 @@ use crate::common::gpu::Gpu;
 use crate::common::lens_rows::{lenses, plane, wide};
 use crate::common::scenes::Random;
 use crate::reference::lens_backward::lens_backward;
-use crate::reference::lens_effects::{has_corner, lens_effects};
+use crate::reference::lens_effects::{Rows, has_corner, lens_effects};
 
 #[test]
 fn lens_backward_equals_its_twin() {
@@ -83,7 +83,7 @@ fn lens_backward_is_the_derivative() {
     let rows = wide(&lenses(&mut random, 1)[0]);
     let (.., r2) = plane(size);
     let h: Vec<[f64; 3]> = picture.iter().map(|_| [0; 3].map(|_| random.signed())).collect();
-    let loss = |picture: &[[f64; 3]], rows| -> f64 {
+    let loss = |picture: &[[f64; 3]], rows: &Rows| -> f64 {
         let behind = lens_effects(picture, rows, &r2);
         behind.as_flattened().iter().zip(h.as_flattened()).map(|(y, h)| y * h).sum()
     };
