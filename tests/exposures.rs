@@ -39,18 +39,14 @@ pub fn truth() -> Gaussians {
     gaussians(&scene)
 }
 
-/// A third of the same scene, gray and faint: it cannot show the photographs as they are.
-fn gray() -> Gaussians {
-    let all = truth();
-    let kept: Vec<usize> = (0..all.len()).filter(|i| i % 3 == 0).collect();
-    Gaussians {
-        sh_degree: 0,
-        means: kept.iter().map(|&i| all.means[i]).collect(),
-        quats: kept.iter().map(|&i| all.quats[i]).collect(),
-        log_scales: kept.iter().map(|&i| all.log_scales[i]).collect(),
-        opacity_logits: vec![1.0; kept.len()],
-        sh: vec![[0.0; 3]; kept.len()],
-    }
+/// The same scene, gray and faint. It can show the photographs: what a scene cannot show, exposures take on. With a third of
+/// these Gaussians, those of unchanged photographs were 3.4 % off, and as much whatever their rates.
+pub fn gray() -> Gaussians {
+    let mut all = truth();
+    all.opacity_logits.fill(1.0);
+    all.sh_degree = 0;
+    all.sh = vec![[0.0; 3]; all.len()];
+    all
 }
 
 pub fn photographs(gpu: &Gpu) -> Vec<Photo> {
@@ -129,8 +125,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     println!(
         "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4}"
     );
-    // 0.036 after these few iterations; 0.008 after 1500 with twice as many Gaussians.
-    assert!(worst < 0.045, "a gain is off by {worst}");
+    assert!(worst < 0.02, "a gain is off by {worst}");
     assert!(learnt > unchanged - 0.3 && ignored < learnt, "{learnt}, {ignored}: {unchanged}");
     let mut mean = [[0.0_f64; 4]; 3];
     for exposure in &exposures {

@@ -3,13 +3,13 @@
 use ashsplat::scene::{LensEffects, Photo};
 use ashsplat::trainer::{Checkpoint, Trainer};
 use ashsplat::vk::{Context, ContextOptions};
-use ashsplat::{Gaussians, TrainSettings, TrainView};
+use ashsplat::{TrainSettings, TrainView};
 use ashsplat_files::{CheckpointFile, metrics};
 
 use crate::checkpoints::{settings as small_settings, start, views};
 use crate::common::gpu::Gpu;
 use crate::common::options;
-use crate::exposures::{EXTENT, cameras, photographs, truth};
+use crate::exposures::{EXTENT, cameras, gray, photographs};
 
 /// Every other photograph is of the second camera, which darkens corners, blue ones most, and has another response.
 fn camera_of(view: usize) -> u32 {
@@ -45,15 +45,6 @@ fn settings(lens_effects: bool) -> TrainSettings {
         seed: 2,
         ..TrainSettings::default()
     }
-}
-
-/// The scene, gray and faint.
-fn gray() -> Gaussians {
-    let mut all = truth();
-    all.opacity_logits.fill(1.0);
-    all.sh_degree = 0;
-    all.sh = vec![[0.0; 3]; all.len()];
-    all
 }
 
 /// The mean PSNR over the held-out views against their photographs, and the effects of both cameras.
