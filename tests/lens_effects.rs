@@ -50,9 +50,9 @@ fn settings(lens_effects: bool) -> TrainSettings {
 /// The mean PSNR over the held-out views against their photographs, and the effects of both cameras.
 fn train(gpu: &Gpu, taken: &[Photo], lens_effects: bool) -> (f64, Vec<LensEffects>) {
     let all: Vec<usize> = (0..taken.len()).filter(|view| !HELD_OUT.contains(view)).collect();
-    let views = all.iter().map(|&view| {
-        TrainView::new(cameras()[view], taken[view].clone()).taken_by(camera_of(view))
-    });
+    let views = all
+        .iter()
+        .map(|&view| TrainView::new(cameras()[view], taken[view].clone()).taken_by(camera_of(view)));
     let settings = settings(lens_effects);
     let mut trainer =
         Trainer::new(gpu.context, views.collect(), &gray(), EXTENT, settings).expect("a trainer");
@@ -119,9 +119,7 @@ fn lens_effects_resume_to_the_bit() {
             all[3].camera_id = 12;
             all
         };
-        let new = || {
-            Trainer::new(gpu.context, all(), &start(), EXTENT, settings.clone()).expect("a trainer")
-        };
+        let new = || Trainer::new(gpu.context, all(), &start(), EXTENT, settings.clone()).expect("a trainer");
         let mut whole = new();
         (0..40).for_each(|_| drop(whole.step().expect("a step")));
         let end = whole.checkpoint().expect("the end");

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use super::{atomic, host_memory};
+use super::{atomic, cost, host_memory};
 use ashsplat::scene::LensEffects;
 use ashsplat::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -77,6 +77,7 @@ impl LensFile {
             .map_err(|e| problem(format!("is not a description of cameras' light: {e}")))?;
         let mut cameras = BTreeMap::new();
         for (id, Entry { vignetting, response }) in document.cameras {
+            cost::step();
             if !vignetting.as_flattened().iter().all(|a| a.is_finite()) {
                 return Err(problem(format!("camera {id} has a vignetting that is not finite")));
             }
@@ -89,7 +90,11 @@ impl LensFile {
             };
             cameras.insert(id, LensEffects { rows: [row(0), row(1), row(2)] });
         }
-        if let Some((name, id)) = document.photos.iter().find(|(_, id)| !cameras.contains_key(id)) {
+        let unknown = |id: &u32| {
+            cost::step();
+            !cameras.contains_key(id)
+        };
+        if let Some((name, id)) = document.photos.iter().find(|(_, id)| unknown(id)) {
             return Err(problem(format!("{name} is of camera {id}, which it does not describe")));
         }
         Ok(Self { cameras, photos: document.photos })
