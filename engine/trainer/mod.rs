@@ -12,6 +12,7 @@ mod choices;
 mod depth_maps;
 mod forecast;
 mod iteration;
+mod light;
 mod model;
 pub mod options;
 mod photos;
@@ -32,7 +33,7 @@ mod terms;
 pub mod verify;
 mod work;
 
-pub use checkpoint::{Checkpoint, ExposureState, PoseState, Room};
+pub use checkpoint::{Checkpoint, ExposureState, LightSums, PoseState, Room};
 pub use forecast::Forecast;
 pub use photos::PhotoSize;
 pub use population::{Growth, Population};
@@ -75,18 +76,26 @@ pub struct TrainView {
     /// units. Pixels from [`MAP_NOTHING`](crate::kernels::constants::MAP_NOTHING) on, as infinity, do not count. A view
     /// with one adds [`InverseDepth`] to the loss.
     pub inverse_depth: Option<Arc<[f32]>>,
+    /// Which camera took it, by any number: views of one share its [`LensEffects`](crate::scene::LensEffects).
+    pub camera_id: u32,
 }
 
 impl TrainView {
     /// A view to train on.
     pub fn new(camera: Camera, photo: impl Into<StoredPhoto>) -> Self {
-        Self { camera, photo: photo.into(), inverse_depth: None }
+        Self { camera, photo: photo.into(), inverse_depth: None, camera_id: 0 }
     }
 
     /// The view with an inverse-depth map: [`TrainView::inverse_depth`].
     #[must_use]
     pub fn with_inverse_depth(self, map: Option<Arc<[f32]>>) -> Self {
         Self { inverse_depth: map, ..self }
+    }
+
+    /// The view as taken by a camera: [`TrainView::camera_id`].
+    #[must_use]
+    pub fn taken_by(self, camera_id: u32) -> Self {
+        Self { camera_id, ..self }
     }
 }
 
@@ -220,8 +229,9 @@ impl Trainer {
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;
-        let poses = Poses::new(context, &settings, &cameras)?;
-        let views_fingerprint = resume::fingerprint_of(&views);
+        let poses = Poses::new(context, &settings, &cameras, strategy.records().sums)?;
+        let lenses = light::lenses_of(&views);
+        let views_fingerprint = resume::fingerprint_of(&views, settings.lens_effects);
         drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, sh_degree)?;
         let state = State::new(Model::new(context, scene, &rows)?);
@@ -235,8 +245,12 @@ impl Trainer {
         if let Some(frame) = room.and_then(|room| room.frame(pictures, absolute)) {
             runner.restore(frame)?;
         }
-        let run = Run { settings, scene_extent, cameras, views_fingerprint };
+        let run = Run { settings, scene_extent, cameras, lenses, views_fingerprint };
         let filter = run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras)).transpose()?;
+        let filter = match &poses {
+            Some(poses) => filter.map(|filter| filter.with_poses(poses.all_cameras().clone())),
+            None => filter,
+        };
         let trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,

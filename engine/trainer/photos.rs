@@ -131,7 +131,7 @@ fn on_device(windowing: Windowing, photo: &StoredPhoto) -> Result<Vec<u8>> {
 
 /// Refuses views whose photographs do not have their cameras' sizes.
 pub(super) fn check(views: &[TrainView]) -> Result<()> {
-    for (index, TrainView { camera, photo, inverse_depth }) in views.iter().enumerate() {
+    for (index, TrainView { camera, photo, inverse_depth, .. }) in views.iter().enumerate() {
         camera.check()?;
         if (photo.width, photo.height) != (camera.width, camera.height) {
             let problem = format!(

@@ -98,6 +98,12 @@ options! {
         exposure_lr_delay_steps: u32 = 0, Bounds::None;
         /// Share of the exposures' learning rate at the start of that rise
         exposure_lr_delay_mult: f64 = 0.0, Bounds::Share;
+        /// Learn vignetting and response of each camera, which change the rendered colours before they are compared
+        lens_effects: bool = false, Bounds::None;
+        /// Learning rate of the lens effects at the start; a tenth of it at the end
+        lens_lr: f64 = 5e-3, Bounds::Positive;
+        /// Weight of the squared lens effects in the loss, which pulls them to none
+        lens_reg: f64 = 1e-3, Bounds::NotNegative;
         /// Weight of the inverse-depth maps in the loss at the start, for views that have one
         depth_l1_weight_init: f64 = 1.0, Bounds::Positive;
         /// Weight of the inverse-depth maps in the loss at the end
@@ -208,10 +214,6 @@ impl TrainSettings {
     /// [`Error::Argument`] with the setting's name, its value and what would be right.
     pub fn check(&self) -> Result<()> {
         Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))?;
-        if self.pose_opt && self.multi_step {
-            let problem = "does not go together with multi_step (strategy budget): turn one of them off";
-            return Err(Error::argument("pose_opt", problem));
-        }
         match self.initial_opacity > 0.0 && self.initial_opacity < 1.0 {
             true => Ok(()),
             false => {
@@ -263,6 +265,11 @@ impl TrainSettings {
             }
         };
         delay * rate
+    }
+
+    /// Learning rate of the lens effects at an iteration: log-linear from `lens_lr` at 0 to a tenth of it at the last.
+    pub fn lens_lr(&self, iteration: u32) -> f64 {
+        log_linear([self.lens_lr, 0.1 * self.lens_lr], iteration, self.iterations)
     }
 
     /// Factor of the means' first learning rate: with `scale_rates` 30,000 / `iterations`, 1 to 10, so that means

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use ashsplat::lpips::Weights;
-use ashsplat::scene::Exposure;
+use ashsplat::scene::{Exposure, LensEffects};
 use image::{ImageBuffer, Luma};
 use serde_json::{Map, Value, json};
 
@@ -14,6 +14,7 @@ use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
 use crate::exposure_json;
 use crate::host_memory::HostMemory;
 use crate::images::{Photo, PhotoFileFormat};
+use crate::lens_json::LensFile;
 use crate::lpips_weights::WeightsFile;
 use crate::progress::Progress;
 
@@ -39,6 +40,20 @@ fn exposures_of_one_name_many_times() {
     };
     assert_linear(5000, write, |folder| {
         assert_eq!(exposure_json::read(folder.join("exposure.json")).unwrap().len(), 1);
+    });
+}
+
+/// Photographs of as many cameras.
+#[test]
+fn lenses_of_many_photographs() {
+    let write = |folder: &Path, size: usize| {
+        let size = size as u32;
+        let cameras = (0..size).map(|id| (id, LensEffects::default())).collect();
+        let photos = (0..size).map(|id| (format!("photo {id}.jpg"), id)).collect();
+        LensFile { cameras, photos }.write(folder.join("lens.json")).unwrap();
+    };
+    assert_linear(2000, write, |folder| {
+        assert!(LensFile::read(folder.join("lens.json")).unwrap().photos.len() >= 2000);
     });
 }
 
