@@ -23,6 +23,7 @@ mod report;
 mod residency;
 mod resume;
 mod run;
+mod schedule;
 pub mod settings;
 mod step;
 mod step_recorder;
@@ -46,7 +47,7 @@ pub use work::{Actions, Densified};
 
 use crate::error::{Error, Result};
 use crate::forward::{Blending, Filter3d, RenderSettings, SceneBuffers};
-use crate::loss::LossTerm;
+use crate::loss::{DepthPoint, LossTerm};
 use crate::plan::PictureCapacity;
 use crate::planes;
 use crate::renderer::{Aligner, Frame, FrameRunner, FrameStore, PixelReport, TileReport};
@@ -75,18 +76,27 @@ pub struct TrainView {
     /// units. Pixels from [`MAP_NOTHING`](crate::kernels::constants::MAP_NOTHING) on, as infinity, do not count. A view
     /// with one adds [`InverseDepth`] to the loss.
     pub inverse_depth: Option<Arc<[f32]>>,
+    /// Sparse points that the photo shows. With [`TrainSettings::depth_points`] a view with some adds [`SparseDepth`] to the
+    /// loss. Not beside inverse-depth maps.
+    pub depth_points: Option<Arc<[DepthPoint]>>,
 }
 
 impl TrainView {
     /// A view to train on.
     pub fn new(camera: Camera, photo: impl Into<StoredPhoto>) -> Self {
-        Self { camera, photo: photo.into(), inverse_depth: None }
+        Self { camera, photo: photo.into(), inverse_depth: None, depth_points: None }
     }
 
     /// The view with an inverse-depth map: [`TrainView::inverse_depth`].
     #[must_use]
     pub fn with_inverse_depth(self, map: Option<Arc<[f32]>>) -> Self {
         Self { inverse_depth: map, ..self }
+    }
+
+    /// The view with sparse points: [`TrainView::depth_points`].
+    #[must_use]
+    pub fn with_depth_points(self, points: Option<Arc<[DepthPoint]>>) -> Self {
+        Self { depth_points: points, ..self }
     }
 }
 
@@ -211,9 +221,9 @@ impl Trainer {
         let count = crate::plan::to_u32(initial.len() as u64)?;
         parts.strategy.check(&settings, count)?;
         photos::check(&views)?;
-        let photo_sizes = forecast::sizes_of(&views);
+        let photo_sizes = forecast::sizes_of(&views, &settings);
         let photo_memory = photos::memory_of_file(&views);
-        let kit = Kit::new(context, &settings, parts, &photo_sizes)?;
+        let kit = Kit::new(context, (&settings, scene_extent), parts, &photo_sizes)?;
         let (capacity, room) = kit.capacity(context, &settings, (&photo_sizes, photo_memory), count, room)?;
         let Kit { strategy, recorder, rows } = kit;
         let targets = recorder.targets();
@@ -241,7 +251,7 @@ impl Trainer {
             losses: recorder.allocate(context, &sizes)?,
             poses,
             aligner: None,
-            schedule: iteration::Schedule::new(&run, targets.inverse_depth),
+            schedule: iteration::Schedule::new(&run, &recorder.drawn()),
             pictures: FrameStore::new(context)?,
             context: context.clone(),
             run,

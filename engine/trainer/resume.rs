@@ -252,6 +252,10 @@ pub(super) fn fingerprint_of(views: &[TrainView]) -> u64 {
         print.add(bytemuck::cast_slice(&[width, height]));
         print.add(bytemuck::bytes_of(&view.photo.fingerprint()));
         view.inverse_depth.iter().for_each(|map| print.add(bytemuck::cast_slice(map)));
+        for point in view.depth_points.iter().flat_map(|points| points.iter()) {
+            let [x, y] = point.position_px;
+            print.add(bytemuck::cast_slice(&[x, y, point.inverse_z]));
+        }
         print.finish()
     };
     // Photographs have many megabytes: each thread hashes a share of them.

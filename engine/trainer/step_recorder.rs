@@ -122,7 +122,7 @@ impl StepRecorder {
             sizes: LaunchSizes::new(context.limits()),
             exposing: settings.exposure.then(|| Exposing::new(context, true)).transpose()?,
             backward: Backward::new(context),
-            drawn: settings.render_settings(),
+            drawn: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
             absolute,
             terms,
             targets,
@@ -151,9 +151,10 @@ impl StepRecorder {
         self.targets
     }
 
-    /// How frames are drawn, without the random background.
+    /// How frames are drawn, without what is random.
     pub fn drawn(&self) -> RenderSettings {
-        RenderSettings { inverse_depth: self.targets.inverse_depth, ..self.drawn }
+        let Targets { inverse_depth, linear_depth, .. } = self.targets;
+        RenderSettings { inverse_depth, linear_depth, ..self.drawn }
     }
 
     /// Builds the kernels for an SH degree unless they exist.
@@ -366,6 +367,7 @@ impl StepRecorder {
                 photo,
                 photo_is_masked,
                 inverse_depth_map: parts.maps.of(plan.view),
+                depth_points: parts.maps.points_of(plan.view),
                 iteration: plan.iteration,
                 image_gradient,
                 parameter_gradients: &model.parameter_gradients,

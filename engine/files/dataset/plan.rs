@@ -440,6 +440,7 @@ impl PlannedView {
             original_camera,
             photo: StoredPhoto::new(photo, mask),
             inverse_depth: None,
+            depth_points: None,
         })
     }
 }

@@ -37,9 +37,11 @@ impl Prepared {
         let trained = train.iter().map(|view| view.name.clone()).collect();
         let held_out = !test.is_empty();
         let test = if held_out { test } else { sample(&train) };
-        let train = train
-            .into_iter()
-            .map(|view| TrainView::new(view.camera, view.photo).with_inverse_depth(view.inverse_depth));
+        let train = train.into_iter().map(|view| {
+            TrainView::new(view.camera, view.photo)
+                .with_inverse_depth(view.inverse_depth)
+                .with_depth_points(view.depth_points)
+        });
         Prepared { cameras, train: train.collect(), trained, test, held_out, scene_extent }
     }
 }
