@@ -226,7 +226,6 @@ impl Trainer {
         let kit = Kit::new(context, (&settings, scene_extent), parts, &photo_sizes)?;
         let (capacity, room) = kit.capacity(context, &settings, (&photo_sizes, photo_memory), count, room)?;
         let Kit { strategy, recorder, rows } = kit;
-        let targets = recorder.targets();
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;

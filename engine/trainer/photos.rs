@@ -148,7 +148,7 @@ pub(super) fn check(views: &[TrainView]) -> Result<()> {
             let problem = format!("the inverse-depth map has {} values for {pixels} pixels", map.len());
             return Err(Error::argument(format!("view {index}"), problem));
         }
-        for points in depth_points {
+        if let Some(points) = depth_points {
             check_depth_points(&format!("view {index}"), points, (photo.width, photo.height))?;
         }
     }

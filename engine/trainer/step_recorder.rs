@@ -146,11 +146,6 @@ impl StepRecorder {
         LossValues { total: f32::NAN, terms: self.terms().map(|name| (name, [f32::NAN; 4])).collect() }
     }
 
-    /// The gradients that the terms add to.
-    pub fn targets(&self) -> Targets {
-        self.targets
-    }
-
     /// How frames are drawn, without what is random.
     pub fn drawn(&self) -> RenderSettings {
         let Targets { inverse_depth, linear_depth, .. } = self.targets;

@@ -35,7 +35,7 @@ use prepared::{Prepared, check_fits, photo_memory};
 use report::KernelTimes;
 pub use report::say_what_next;
 use saving::Unsaved;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use testing::{FinalLpips, Tested};
 use tracking::Tracking;
