@@ -134,6 +134,8 @@ options! {
 
 /// Opacity of the first Gaussians in the reference.
 const INITIAL_OPACITY: f64 = 0.1;
+/// End of the reference's densification with few photographs.
+const FEW_PHOTOS_UNTIL: u32 = 1500;
 /// Most Gaussians that are left out.
 const MOST_DROPOUT: f64 = 0.9;
 
@@ -174,10 +176,15 @@ impl TrainSettings {
     /// With fewer photographs to train on than this, `ashsplat train` takes [`TrainSettings::of_few_photos`].
     pub const FEW_PHOTOS: usize = 30;
 
-    /// The defaults with a strategy for few photographs, by measurement (tools/strategies.md). `depth_points` is for data that
-    /// tell which photographs show which points.
+    /// The defaults with a strategy for few photographs, by measurement (tools/strategies.md): the reference's growth ends early,
+    /// and with it its opacity resets, since what grows later fits the few photographs and nothing else. The strategies whose
+    /// growth has a bound keep their defaults.
     pub fn of_few_photos(strategy: StrategyType) -> Self {
-        Self { dropout: 0.2, depth_points: 0.1, ..Self::of_strategy(strategy) }
+        let usual = Self::of_strategy(strategy);
+        match strategy {
+            StrategyType::Reference => Self { densify_until_iter: FEW_PHOTOS_UNTIL, ..usual },
+            StrategyType::Fixed | StrategyType::Mcmc | StrategyType::Budget => usual,
+        }
     }
 
     /// Refuses options that the strategy does not have, where they differ from their defaults.

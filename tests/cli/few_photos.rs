@@ -68,11 +68,11 @@ fn few_photos_are_noticed_and_said() {
     let said = lines(&train(&data, &model, &[]));
     assert_eq!(said.len(), 1, "{said:?}");
     assert!(
-        said[0].contains("(9)") && said[0].contains("--dropout 0.") && said[0].contains("--few-photos off")
+        said[0].contains("(9)")
+            && said[0].contains("--densify-until-iter 1500")
+            && said[0].contains("--few-photos off")
     );
-    // The model has no observations.
-    assert!(!said[0].contains("--depth-points"), "{said:?}");
-    assert_ne!(setting(&model, "dropout"), "0.0");
+    assert_eq!(setting(&model, "densify_until_iter"), "1500");
     assert_eq!(setting(&model, "few_photos"), "\"auto\"");
     // A run with its dump is the same run, and needs not be said anything about twice.
     let again = folder.path().join("again");
@@ -85,12 +85,11 @@ fn few_photos_are_noticed_and_said() {
     assert!(scene(&again) == scene(&model));
     let off = folder.path().join("off");
     assert!(lines(&train(&data, &off, &["--few-photos", "off"])).is_empty());
-    assert_eq!(setting(&off, "dropout"), "0.0");
-    assert!(scene(&off) != scene(&model));
+    assert_eq!(setting(&off, "densify_until_iter"), "15000");
     let given = folder.path().join("given");
-    let said = lines(&train(&data, &given, &["--few-photos", "on", "--dropout", "0"]));
-    assert!(!said[0].contains("--dropout"), "{said:?}");
-    assert_eq!(setting(&given, "dropout"), "0.0");
+    let said = lines(&train(&data, &given, &["--few-photos", "on", "--densify-until-iter", "9"]));
+    assert!(said.is_empty(), "{said:?}");
+    assert_eq!(setting(&given, "densify_until_iter"), "9");
     let quiet = folder.path().join("quiet");
     assert!(lines(&train(&data, &quiet, &["--quiet"])).is_empty());
     refuse(&["train", "-s", text(&data), "-m", "x", "--few-photos", "maybe"], &["maybe", "few-photos"]);
@@ -111,10 +110,6 @@ fn points_are_taken_for_depths_where_photos_show_them() {
         std::fs::read(model.join("point_cloud/iteration_12/point_cloud.ply")).expect("a scene")
     };
     assert!(scene(&model) != scene(&without));
-    // And on their own with few photos.
-    let auto = folder.path().join("auto");
-    let run = train(&data, &auto, &[]);
-    assert!(run.code == Some(0) && run.stderr.contains("--depth-points"), "{}", run.stderr);
 
     let (bare, none) = (folder.path().join("bare"), folder.path().join("none"));
     write_dataset(&bare);

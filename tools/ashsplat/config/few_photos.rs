@@ -34,10 +34,7 @@ impl Settings {
             FewPhotos::On => true,
             FewPhotos::Off => false,
         };
-        let asked = self.train.depth_points > 0.0;
-        let seeks = asked || (few && self.data.depths.as_os_str().is_empty());
-        let points = if seeks { gallery.read_tracks()? } else { 0 };
-        if asked && points == 0 {
+        if self.train.depth_points > 0.0 && gallery.read_tracks()? == 0 {
             let problem = "does not say which photos show which points, whose depths --depth-points needs";
             let remedy = "give a COLMAP model with its observations, or leave --depth-points out";
             return Err(Error::input(&self.data.source_path, problem, remedy));
@@ -45,26 +42,23 @@ impl Settings {
         if !few {
             return Ok((self, None));
         }
-        let defaults = |strategy| {
-            let preset = TrainSettings::of_few_photos(strategy);
-            let depth_points = if points > 0 { preset.depth_points } else { 0.0 };
-            TrainSettings { depth_points, ..preset }
-        };
-        let settled = Settings::resolve_from(defaults, file, overrides)?;
+        let settled = Settings::resolve_from(TrainSettings::of_few_photos, file, overrides)?;
         let line = described(photos, &self.train, &settled.train);
-        Ok((settled, Some(line)))
+        Ok((settled, line))
     }
 }
 
-/// What the settings for few photos change.
-fn described(photos: usize, before: &TrainSettings, after: &TrainSettings) -> String {
+/// What the settings for few photos change; None for nothing.
+fn described(photos: usize, before: &TrainSettings, after: &TrainSettings) -> Option<String> {
     let pairs = before.values().into_iter().zip(after.values());
     let changed: Vec<String> = pairs
         .filter(|(before, after)| before != after)
         .map(|(_, (name, value))| format!("--{} {value}", name.replace('_', "-")))
         .collect();
-    let changed = if changed.is_empty() { "nothing that was not given".into() } else { changed.join(" ") };
-    format!("few photos to train on ({photos}): this sets {changed}; --few-photos off leaves it as with many")
+    let changed = Some(changed.join(" ")).filter(|changed| !changed.is_empty())?;
+    Some(format!(
+        "few photos to train on ({photos}): this sets {changed}; --few-photos off leaves it as with many"
+    ))
 }
 
 #[cfg(test)]
@@ -75,14 +69,15 @@ mod tests {
     #[test]
     fn what_is_given_wins_over_the_settings_for_few_photos() {
         let mut overrides = Overrides::default();
-        overrides.train.0.insert("dropout".into(), 0.0.into());
+        overrides.train.0.insert("densify_until_iter".into(), 9000.into());
         let settled =
             Settings::resolve_from(TrainSettings::of_few_photos, None, &overrides).expect("settings");
         let preset = TrainSettings::of_few_photos(StrategyType::Reference);
-        assert_eq!(settled.train, TrainSettings { dropout: 0.0, ..preset.clone() });
-        let said = described(8, &TrainSettings::default(), &preset);
+        assert_eq!(settled.train, TrainSettings { densify_until_iter: 9000, ..preset.clone() });
+        assert_eq!(described(8, &settled.train, &settled.train), None);
+        let said = described(8, &TrainSettings::default(), &preset).expect("a line");
         assert!(said.starts_with("few photos to train on (8): this sets --"), "{said}");
-        assert!(said.contains("--few-photos off") && said.contains("--dropout"), "{said}");
+        assert!(said.contains("--few-photos off") && said.contains("--densify-until-iter 1500"), "{said}");
     }
 
     /// Settings that a run has left have its decision in them.
