@@ -6,13 +6,15 @@
 //! the same bits.
 
 mod step;
+mod variant;
+
+pub use variant::BackwardVariant;
 
 use crate::error::Result;
-use crate::forward::{FrameInputs, RenderSettings, block_of, range_arguments, record_passes};
+use crate::forward::{FrameInputs, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_adam, project_backward,
 };
-use crate::kernels::constants::DILATION_PX2;
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
@@ -28,47 +30,10 @@ pub struct Backward {
     /// By [`Sums`] and variant.
     blend: [[Option<Blend>; 4]; 3],
     /// By [`BackwardVariant::of_project`], by SH degree.
-    project: [[Option<Kernel<project_backward::Interface>>; 4]; 16],
-    /// By [`BackwardVariant::filters`], by SH degree.
-    project_adam: [[Option<Kernel<project_adam::Interface>>; 4]; 4],
+    project: [[Option<Kernel<project_backward::Interface>>; 4]; 64],
+    /// By [`BackwardVariant::of_splats`], by SH degree.
+    project_adam: [[Option<Kernel<project_adam::Interface>>; 4]; 16],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
-}
-
-/// What the backward pass of a frame needs besides gradients of the colours.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BackwardVariant {
-    /// Gradients of the inverse depth.
-    pub inverse_depth: bool,
-    /// As [`BlendVariant::steep`](crate::forward::BlendVariant::steep).
-    pub steep: bool,
-    /// Gaussians have a 3D filter.
-    pub filter_3d: bool,
-    /// The low-pass filter is another than the reference's.
-    pub own_dilation: bool,
-}
-
-impl BackwardVariant {
-    /// That of a frame.
-    pub fn of(settings: &RenderSettings) -> Self {
-        Self {
-            inverse_depth: settings.inverse_depth,
-            steep: settings.is_steep(),
-            filter_3d: settings.filter_3d,
-            own_dilation: settings.dilation_px2 != DILATION_PX2,
-        }
-    }
-
-    fn filters(self) -> usize {
-        usize::from(self.filter_3d) | usize::from(self.own_dilation) << 1
-    }
-
-    fn of_project(self, absolute: bool, pose_gradient: bool) -> usize {
-        self.filters() | usize::from(absolute) << 2 | usize::from(pose_gradient) << 3
-    }
-
-    fn index(self, sizes: &LaunchSizes) -> usize {
-        usize::from(self.inverse_depth) | usize::from(self.steep && sizes.incremental_exp) << 1
-    }
 }
 
 /// The kernel of the backward blending: one subgroup per region of a tile, or one per tile.
@@ -154,7 +119,7 @@ impl Backward {
             context: context.clone(),
             sizes: LaunchSizes::new(context.limits()),
             blend: Default::default(),
-            project: Default::default(),
+            project: std::array::from_fn(|_| Default::default()),
             project_adam: Default::default(),
             expand: Default::default(),
         }
@@ -248,7 +213,7 @@ impl Backward {
         variant: BackwardVariant,
         [absolute, pose_gradient]: [bool; 2],
     ) -> Result<()> {
-        let BackwardVariant { filter_3d, own_dilation, .. } = variant;
+        let BackwardVariant { filter_3d, own_dilation, dropout, z_record, .. } = variant;
         let place = variant.of_project(absolute, pose_gradient);
         let built = &mut self.project[place][sh_degree as usize];
         if built.is_none() {
@@ -261,6 +226,8 @@ impl Backward {
                 lane_instances: LANE_INSTANCES,
                 filter_3d,
                 own_dilation,
+                dropout,
+                z_record,
                 absolute,
                 pose_gradient,
             };

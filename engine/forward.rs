@@ -20,7 +20,7 @@ pub(crate) use camera_block::block_of;
 pub use camera_block::{POSE_BYTES, pose_of};
 pub use filter_3d::Filter3d;
 pub use inputs::{FrameInputs, PlacedScene, SceneBuffers};
-pub use settings::{Extent, JacobianLimit, RenderSettings};
+pub use settings::{Dropout, Extent, JacobianLimit, RenderSettings};
 pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
 
 use crate::error::Result;
@@ -39,13 +39,13 @@ pub struct Forward {
     pub(crate) sizes: LaunchSizes,
     scan: Scan,
     sort: RadixSort,
-    /// Without and with a 3D filter.
-    cull: [Option<Kernel<cull::Interface>>; 2],
+    /// By [`BlendVariant::of_cull`].
+    cull: [Option<Kernel<cull::Interface>>; 4],
     compact: Kernel<compact::Interface>,
     write_indirect_args: Kernel<write_indirect_args::Interface>,
     write_visible_ranges: Kernel<write_visible_ranges::Interface>,
-    /// By SH degree, without and with a 3D filter.
-    project: [[Option<Kernel<project::Interface>>; 4]; 2],
+    /// By [`BlendVariant::of_project`], by SH degree.
+    project: [[Option<Kernel<project::Interface>>; 4]; 8],
     count: Kernel<count::Interface>,
     /// For rendering alone, and for frames with backward.
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
@@ -109,17 +109,17 @@ impl Forward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
-        let filter_3d = variant.filter_3d;
+        let BlendVariant { filter_3d, dropout, z_record, .. } = variant;
         let workgroup_size = self.sizes.elementwise_workgroup;
-        let cull = &mut self.cull[usize::from(filter_3d)];
+        let cull = &mut self.cull[variant.of_cull()];
         if cull.is_none() {
             let subgroup_size = self.context.limits().subgroup_size;
-            let spec = cull::Spec { workgroup_size, subgroup_size, filter_3d };
+            let spec = cull::Spec { workgroup_size, subgroup_size, filter_3d, dropout };
             *cull = Some(Kernel::new(&self.context, &spec)?);
         }
-        let built = &mut self.project[usize::from(filter_3d)][sh_degree as usize];
+        let built = &mut self.project[variant.of_project()][sh_degree as usize];
         if built.is_none() {
-            let spec = project::Spec { workgroup_size, sh_degree, filter_3d };
+            let spec = project::Spec { workgroup_size, sh_degree, filter_3d, dropout, z_record };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
         self.blend.prepare(&self.context, &self.sizes, variant)
@@ -127,7 +127,7 @@ impl Forward {
 
     /// Whether all kernels for an SH degree and a variant of blending are built.
     pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
-        let built = &self.project[usize::from(variant.filter_3d)][sh_degree as usize];
+        let built = &self.project[variant.of_project()][sh_degree as usize];
         built.is_some() && self.blend.is_prepared(&self.sizes, variant)
     }
 
@@ -174,8 +174,8 @@ impl Forward {
             r.fill(&f.visible_flags.range(u64::from(first) * 4, u64::from(count) * 4), 0);
         }
         let [extent, antialias] = inputs.settings.modes();
-        let Some(kernel) = &self.cull[usize::from(inputs.settings.filter_3d)] else {
-            panic!("Forward::prepare was not called for this filter");
+        let Some(kernel) = &self.cull[inputs.blend_variant().of_cull()] else {
+            panic!("Forward::prepare was not called for this variant");
         };
         for part in inputs.parts() {
             let GaussianRange { chunk, first, count } = part.range;
@@ -271,8 +271,8 @@ impl Forward {
         let f = inputs.frame;
         let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
         for (index, part) in inputs.parts().enumerate() {
-            let filtered = usize::from(inputs.settings.filter_3d);
-            let Some(kernel) = &self.project[filtered][part.sh_degree as usize] else {
+            let variant = inputs.blend_variant().of_project();
+            let Some(kernel) = &self.project[variant][part.sh_degree as usize] else {
                 panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
             };
             let range = part.range;

@@ -1,6 +1,7 @@
 //! The loss of training and its gradient: a sum of terms ([`LossTerm`]), of which the first is that of an
 //! image against a photograph, (1 - λ) L1 + λ (1 - SSIM).
 
+mod depth_points;
 mod photo;
 mod photometric;
 mod scratch;
@@ -14,6 +15,8 @@ use crate::plan::{LaunchSizes, Strips, blocks, tile_grid};
 use crate::vk::{Buffer, Context, Kernel, Limits, Recorder};
 use scratch::{ScratchBytes, Sweeps};
 
+pub(crate) use depth_points::check_depth_points;
+pub use depth_points::{DepthPoint, DepthPointBuffers};
 pub use photo::{photo_bytes, photo_on_device};
 pub use photometric::Photometric;
 pub use term::{LossTerm, PixelLayout, Targets, TermInputs};

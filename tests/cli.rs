@@ -5,6 +5,7 @@ mod bad_input;
 mod checkpoints;
 mod commands;
 mod convert;
+mod few_photos;
 mod inspect;
 mod layouts;
 mod light;

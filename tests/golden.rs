@@ -13,6 +13,7 @@ mod mcmc;
 mod poses;
 mod rendering;
 mod sets;
+mod sparse_depth;
 mod stages;
 mod training;
 mod twin;
@@ -45,6 +46,7 @@ enum Kind {
     GrowthSchedule,
     Exposure,
     Depth,
+    SparseDepth,
     Lpips,
     Poses,
     Other,
@@ -58,6 +60,7 @@ impl Kind {
             () if has("fused_log_scales") => Kind::Filter3d,
             () if has("detached") && has("kernel") => Kind::Antialias,
             () if has("obs_inv_z") => Kind::Depth,
+            () if has("points_xy") && has("points_z") => Kind::SparseDepth,
             () if has("means") && has("cam_K") && has("image") => Kind::Rendering,
             () if has("adam_E") => Kind::Exposure,
             () if has("img") && has("gt") && has("d_img") => Kind::Loss,

@@ -111,6 +111,7 @@ fn orientations_that_do_not_fit_are_named_with_their_own_bytes() {
         height,
         masked: false,
         inverse_depth: false,
+        depth_points: 0,
     };
     let photos = [photo("a.jpg", WIDE), photo("sky/b.jpg", [width, height]), photo("c.jpg", HIGH)];
     let settings = settings();
@@ -151,6 +152,7 @@ fn orientations_need_the_memory_that_is_forecast() {
         height,
         masked: false,
         inverse_depth: false,
+        depth_points: 0,
     };
     let photos: Vec<_> = sizes.iter().enumerate().map(photo).collect();
     let with_memory = |bytes| Context::new(&ContextOptions { max_memory: Some(bytes), ..options() });

@@ -70,7 +70,8 @@ fn bench_quality_measures_what_training_gives_and_goes_on() {
 
     // The same training by `train`.
     let train = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--quiet", "--strategy", names[1]];
-    succeed(&[&train[..], &schedule, &["--iterations", "12", "--seed", "1"]].concat());
+    let more = ["--iterations", "12", "--seed", "1", "--few-photos", "off"];
+    succeed(&[&train[..], &schedule, &more].concat());
     let trained = &json(&model.join("results.json"))["ours_12"];
     let end = &runs[3]["points"][2];
     for (ours, theirs) in [("psnr", "PSNR"), ("ssim", "SSIM"), ("gaussians", "gaussians")] {

@@ -16,6 +16,7 @@ mod determinism;
 mod exposures;
 mod extremes;
 mod faults;
+mod few_photos;
 mod filters;
 mod first_frames;
 mod fused;

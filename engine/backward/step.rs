@@ -15,8 +15,8 @@ impl Backward {
     /// When the device refuses a pipeline.
     pub fn prepare_with_step(&mut self, sh_degree: u32, variant: BackwardVariant) -> Result<()> {
         self.prepare_blend(Sums::Gradients, variant)?;
-        let BackwardVariant { filter_3d, own_dilation, .. } = variant;
-        let built = &mut self.project_adam[variant.filters()][sh_degree as usize];
+        let BackwardVariant { filter_3d, own_dilation, dropout, z_record, .. } = variant;
+        let built = &mut self.project_adam[variant.of_splats()][sh_degree as usize];
         if built.is_none() {
             let spec = project_adam::Spec {
                 workgroup_size: self.sizes.elementwise_workgroup,
@@ -25,6 +25,8 @@ impl Backward {
                 lane_instances: LANE_INSTANCES,
                 filter_3d,
                 own_dilation,
+                dropout,
+                z_record,
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
@@ -58,8 +60,8 @@ impl Backward {
         (moments, step): (&Moments, &Step),
     ) {
         let f = inputs.frame;
-        let of_filter = &self.project_adam[BackwardVariant::of(inputs.settings).filters()];
-        let Some(kernel) = &of_filter[inputs.sh_degree as usize] else {
+        let of_splats = &self.project_adam[BackwardVariant::of(inputs.settings).of_splats()];
+        let Some(kernel) = &of_splats[inputs.sh_degree as usize] else {
             panic!("Backward::prepare_with_step was not called for SH degree {}", inputs.sh_degree);
         };
         for range in inputs.scene.plan.ranges(inputs.scene.count) {

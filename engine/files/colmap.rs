@@ -1,6 +1,6 @@
 //! COLMAP's sparse models: cameras, registered images, points; binary and text.
 //!
-//! Tracks are skipped; [`observations`] reads where photos show points. Format: COLMAP's documentation, "Output Format".
+//! Tracks are skipped; [`observations`] and [`tracks`] read where photos show points. Format: COLMAP's documentation, "Output Format".
 
 mod binary;
 mod find;
@@ -12,6 +12,6 @@ mod write;
 
 pub use find::{ModelFolder, UNFINISHED_POSES, exists, find};
 pub use model::{Model, undistort_command};
-pub use observations::observations;
+pub use observations::{observations, tracks};
 pub use types::{CameraModel, ColmapCamera, ColmapImage};
 pub use write::write;

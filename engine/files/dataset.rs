@@ -8,6 +8,7 @@ mod mask;
 mod photo_folder;
 mod plan;
 mod scaling;
+mod tracks;
 mod unpacked;
 
 use std::collections::HashSet;
@@ -23,6 +24,7 @@ use super::images::{PhotoFile, PhotoMemory, PhotoOrientation, Resolution, Stored
 use super::progress::Progress;
 use crate::init::{RANDOM_POINTS, points_in_view, random_points, seen_box};
 use ashsplat::Result;
+use ashsplat::loss::DepthPoint;
 use ashsplat::scene::{Camera, Gaussians, PointCloud, scene_extent};
 
 pub use gallery::Gallery;
@@ -120,6 +122,9 @@ pub struct View {
     /// The inverse depth that its pixels should have: [`TrainView::inverse_depth`](ashsplat::TrainView::inverse_depth).
     /// Only with [`DatasetOptions::depths`], and of views that are trained on.
     pub inverse_depth: Option<Arc<[f32]>>,
+    /// Sparse points that it shows: [`TrainView::depth_points`](ashsplat::TrainView::depth_points). Only after
+    /// [`Gallery::read_tracks`], and of views that are trained on.
+    pub depth_points: Option<Arc<[DepthPoint]>>,
 }
 
 impl View {
@@ -211,19 +216,25 @@ impl Dataset {
             .par_iter()
             .zip(held_out)
             .zip(&gallery.maps)
-            .map(|((planned, &held_out), map)| {
+            .enumerate()
+            .map(|(index, ((planned, &held_out), map))| {
                 progress.check()?;
                 let mut view = planned.load(options)?;
                 let map_of =
                     |photo: &StoredPhoto| map.as_ref().map(|map| map.load(photo, options)).transpose();
+                let track = gallery.tracks.get(index).and_then(Option::as_ref);
+                let points_of =
+                    |view: &View| track.map(|track| tracks::depth_points(view, track)).transpose();
                 let mut half = None;
                 if options.copies(held_out) > 1 {
                     let mut view = view.left_half()?;
                     view.inverse_depth = map_of(&view.photo)?;
+                    view.depth_points = points_of(&view)?;
                     half = Some(stored(view)?);
                 }
                 if !held_out {
                     view.inverse_depth = map_of(&view.photo)?;
+                    view.depth_points = points_of(&view)?;
                 }
                 let view = stored(view)?;
                 progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);

@@ -23,6 +23,11 @@ pub struct BlendVariant {
     pub steep: bool,
     /// Gaussians have a 3D filter: this concerns culling and projection.
     pub filter_3d: bool,
+    /// Some Gaussians are left out at random: as `filter_3d`.
+    pub dropout: bool,
+    /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable; `linear_depth` is not:
+    /// this concerns projection.
+    pub z_record: bool,
 }
 
 impl BlendVariant {
@@ -33,8 +38,20 @@ impl BlendVariant {
             backward,
             steep: settings.is_steep(),
             filter_3d: settings.filter_3d,
+            dropout: settings.dropout.is_some(),
+            z_record: settings.has_z_record(),
             ..Self::default()
         }
+    }
+
+    /// The place of its kernel of culling.
+    pub(super) fn of_cull(self) -> usize {
+        usize::from(self.filter_3d) | usize::from(self.dropout) << 1
+    }
+
+    /// The place of its kernels of projection.
+    pub(super) fn of_project(self) -> usize {
+        self.of_cull() | usize::from(self.z_record) << 2
     }
 
     fn strips(self, sizes: &LaunchSizes) -> bool {

@@ -65,6 +65,8 @@ impl FrameInputs<'_> {
             backward: self.backward,
             steep: self.settings.is_steep(),
             filter_3d: self.settings.filter_3d,
+            dropout: self.settings.dropout.is_some(),
+            z_record: self.settings.has_z_record(),
         }
     }
 }

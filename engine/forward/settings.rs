@@ -58,6 +58,36 @@ pub struct RenderSettings {
     pub scale_modifier: f32,
     /// Which Gaussians are left out.
     pub cut: Cut,
+    /// Gaussians that are left out at random, for frames that are trained on.
+    pub dropout: Option<Dropout>,
+    /// With `inverse_depth`: the sum of weights * z in its place, differentiable as that is. Not for recorded frames, which
+    /// have depth images of their own.
+    pub linear_depth: bool,
+}
+
+/// Gaussians that are left out at random (DropGaussian, Park et al. 2025, section 3.2): each with the same probability, and the
+/// opacities of the others are divided by the probability that they stay. They may so exceed 1; alpha stays below 0.99.
+/// The same key leaves out the same Gaussians, by their indices.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dropout {
+    /// Probability to be left out: 0 to below 1.
+    pub share: f64,
+    /// Key of the random numbers.
+    pub seed: u32,
+    /// Key of the random numbers, one per frame.
+    pub iteration: u32,
+}
+
+impl Dropout {
+    /// Numbers of 24 bits below which a Gaussian is left out.
+    fn below(self) -> u32 {
+        (self.share * f64::from(1 << 24)).round() as u32
+    }
+
+    /// The factor of the opacities, from the probability as it is after rounding.
+    fn factor(self) -> f32 {
+        (1.0 / (1.0 - f64::from(self.below()) / f64::from(1 << 24))) as f32
+    }
 }
 
 impl Default for RenderSettings {
@@ -75,6 +105,8 @@ impl Default for RenderSettings {
             shape: Shape::default(),
             scale_modifier: 1.0,
             cut: Cut::default(),
+            dropout: None,
+            linear_depth: false,
         }
     }
 }
@@ -84,7 +116,7 @@ impl RenderSettings {
     ///
     /// # Errors
     /// [`Error::Argument`] for a scale modifier that is negative or not finite, a dilation that is not positive and
-    /// finite, a background that is not finite, or a cut that makes no sense.
+    /// finite, a background that is not finite, a dropout of almost all, or a cut that makes no sense.
     pub fn check(&self) -> Result<()> {
         if !(self.scale_modifier.is_finite() && self.scale_modifier >= 0.0) {
             let problem = format!("is {}, must be finite and not negative", self.scale_modifier);
@@ -97,6 +129,11 @@ impl RenderSettings {
         if self.background.iter().any(|channel| !channel.is_finite()) {
             return Err(Error::argument("background", format!("{:?} is not finite", self.background)));
         }
+        if let Some(Dropout { share, .. }) =
+            self.dropout.filter(|dropout| !(0.0..=0.99).contains(&dropout.share))
+        {
+            return Err(Error::argument("dropout", format!("has the share {share}, must be 0 to 0.99")));
+        }
         self.cut.check()
     }
 
@@ -108,6 +145,11 @@ impl RenderSettings {
     /// Whether splats may be steeper than the low-pass filter leaves them.
     pub(crate) fn is_steep(&self) -> bool {
         self.shape == Shape::Ellipsoid || self.dilation_px2 < c::DILATION_PX2
+    }
+
+    /// Whether the splats' records have z in place of 1/z.
+    pub(crate) fn has_z_record(&self) -> bool {
+        self.inverse_depth && self.linear_depth
     }
 
     /// What culling and projection branch on: extent and antialias.
@@ -134,6 +176,7 @@ pub(super) fn camera_block(camera: &Camera, scale: f32, settings: &RenderSetting
     let rows = camera.camera_from_world.transpose() * scale;
     let shape = DrawnShape::of(settings);
     let CutLimits { low, high, opacity_logit, log_density } = settings.cut.limits();
+    let dropout = settings.dropout.unwrap_or(Dropout { share: 0.0, seed: 0, iteration: 0 });
     CameraBlock {
         camera_row_x: rows.x_axis.to_array(),
         camera_row_y: rows.y_axis.to_array(),
@@ -153,6 +196,10 @@ pub(super) fn camera_block(camera: &Camera, scale: f32, settings: &RenderSetting
         cut_high: high.to_array(),
         cut_opacity_logit: opacity_logit,
         cut_log_density: log_density,
+        dropout_seed: dropout.seed,
+        dropout_iteration: dropout.iteration,
+        dropout_below: dropout.below(),
+        dropout_factor: dropout.factor(),
     }
 }
 

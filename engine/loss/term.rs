@@ -1,5 +1,6 @@
 //! The loss as a sum of terms.
 
+use super::DepthPointBuffers;
 use crate::forward::FrameInputs;
 use crate::vk::{Buffer, Recorder};
 
@@ -22,6 +23,8 @@ pub struct TermInputs<'a> {
     /// The view's inverse-depth map ([`TrainView::inverse_depth`](crate::TrainView::inverse_depth)), if it has one: a
     /// float per pixel, row by row.
     pub inverse_depth_map: Option<&'a Buffer>,
+    /// The view's sparse points ([`TrainView::depth_points`](crate::TrainView::depth_points)), if it has any.
+    pub depth_points: Option<&'a DepthPointBuffers>,
     /// The iteration, from 1.
     pub iteration: u32,
     /// Per chunk of the scene: dL/d(mean, opacity logit), dL/d(quaternion), dL/d(log-scale), laid out like the
@@ -55,6 +58,9 @@ pub struct Targets {
     /// processors it is a fourth plane. `frame.frame.inverse_depth` is the sum of weights / z per pixel, row by
     /// row.
     pub inverse_depth: bool,
+    /// With `inverse_depth`: `frame.frame.inverse_depth` is the sum of weights * z, the gradient is dL/d(that), and the term may
+    /// write what the backward pass takes for the sum. Not beside another term with `inverse_depth`.
+    pub linear_depth: bool,
     /// [`TermInputs::parameter_gradients`].
     pub parameters: bool,
 }
@@ -69,6 +75,7 @@ impl Targets {
                 false => self.picture.or(other.picture),
             },
             inverse_depth: self.inverse_depth || other.inverse_depth,
+            linear_depth: self.linear_depth || other.linear_depth,
             parameters: self.parameters || other.parameters,
         }
     }

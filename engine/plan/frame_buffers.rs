@@ -165,7 +165,7 @@ frame_requests! {
     /// Per tile: begin and end in the sorted instances.
     pub tile_ranges: |s| s.tiles * 8;
     /// Per pixel: premultiplied colour without background, transmittance. In a frame with backward in strips
-    /// it only carries the state between passes.
+    /// it is written between passes, and with the inverse depth, only.
     pub accumulated: |s| s.pixels * 16;
     /// The composited picture as three planes in strips, if the backward pass reads strips.
     pub composited: |s| 3 * s.strips * 4;

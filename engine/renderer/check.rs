@@ -44,6 +44,8 @@ impl Renderer {
             backward: false,
             steep: frame.settings.is_steep(),
             filter_3d: frame.settings.filter_3d,
+            dropout: frame.settings.dropout.is_some(),
+            z_record: frame.settings.has_z_record(),
         };
         if !reserved.variants().contains(&variant) {
             let problem = format!("{variant:?} was not reserved: see Reservation");

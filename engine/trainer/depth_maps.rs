@@ -1,20 +1,26 @@
-//! The views' inverse-depth maps on the device.
+//! What is known of the depths in the views, on the device: inverse-depth maps, and sparse points.
 
 use super::TrainView;
 use super::photos::PhotoSize;
 use crate::error::Result;
+use crate::loss::DepthPointBuffers;
 use crate::vk::{Buffer, Context, MemoryKind};
 
-/// A buffer per view that has a map: a float per pixel, row by row.
-pub(super) struct DepthMaps(Vec<Option<Buffer>>);
+/// Per view: a float per pixel, row by row, if it has a map; and its points, if it has any.
+pub(super) struct DepthMaps(Vec<(Option<Buffer>, Option<DepthPointBuffers>)>);
 
+/// The buffers view by view, the map first.
 fn requests(photos: &[PhotoSize]) -> Vec<(&'static str, u64)> {
-    let bytes = |photo: &PhotoSize| 4 * u64::from(photo.width) * u64::from(photo.height);
-    let mapped = photos.iter().filter(|photo| photo.inverse_depth);
-    mapped.map(|photo| ("inverse_depth_map", bytes(photo))).collect()
+    let of_photo = |photo: &PhotoSize| {
+        let pixels = u64::from(photo.width) * u64::from(photo.height);
+        let map = photo.inverse_depth.then_some(("inverse_depth_map", 4 * pixels));
+        let points = Some(photo.depth_points).filter(|&count| count > 0).map(DepthPointBuffers::requests);
+        map.into_iter().chain(points.into_iter().flatten())
+    };
+    photos.iter().flat_map(of_photo).collect()
 }
 
-/// Bytes of device memory that the maps take.
+/// Bytes of device memory that they take.
 pub(super) fn device_bytes(context: &Context, photos: &[PhotoSize]) -> u64 {
     match requests(photos) {
         none if none.is_empty() => 0,
@@ -23,24 +29,40 @@ pub(super) fn device_bytes(context: &Context, photos: &[PhotoSize]) -> u64 {
 }
 
 impl DepthMaps {
-    /// Uploads the views' maps; the photographs have these sizes.
+    /// Uploads the views' maps and points; the photographs have these sizes.
     pub fn new(context: &Context, views: &[TrainView], sizes: &[PhotoSize]) -> Result<Self> {
         let requests = requests(sizes);
-        if requests.is_empty() {
-            return Ok(Self(vec![None; views.len()]));
-        }
-        let mut buffers = context.allocate("depth maps", &requests, MemoryKind::Device)?.into_iter();
-        let each = views.iter().map(|view| {
-            let Some(map) = &view.inverse_depth else { return Ok(None) };
-            let buffer = buffers.next();
-            buffer.iter().try_for_each(|buffer| context.upload(buffer, bytemuck::cast_slice(map)))?;
-            Ok(buffer)
+        let buffers = match requests.is_empty() {
+            true => Vec::new(),
+            false => context.allocate("depth maps", &requests, MemoryKind::Device)?,
+        };
+        let mut buffers = buffers.into_iter();
+        let each = views.iter().zip(sizes).map(|(view, size)| {
+            let map = view.inverse_depth.as_ref().and_then(|map| Some((map, buffers.next()?)));
+            if let Some((map, buffer)) = &map {
+                context.upload(buffer, bytemuck::cast_slice(map))?;
+            }
+            let points = match &view.depth_points {
+                Some(points) if size.depth_points > 0 => {
+                    let size = (view.photo.width, view.photo.height);
+                    let own = <[Buffer; 3]>::try_from(buffers.by_ref().take(3).collect::<Vec<_>>());
+                    let Ok(own) = own else { unreachable!("one buffer per request") };
+                    Some(DepthPointBuffers::upload(context, own, points, size)?)
+                }
+                _ => None,
+            };
+            Ok((map.map(|(_, buffer)| buffer), points))
         });
         Ok(Self(each.collect::<Result<_>>()?))
     }
 
     /// The map of a view.
     pub fn of(&self, view: usize) -> Option<&Buffer> {
-        self.0[view].as_ref()
+        self.0[view].0.as_ref()
+    }
+
+    /// The points of a view.
+    pub fn points_of(&self, view: usize) -> Option<&DepthPointBuffers> {
+        self.0[view].1.as_ref()
     }
 }

@@ -8,8 +8,8 @@ use super::poses;
 use super::settings::TrainSettings;
 use super::step_recorder::StepRecorder;
 use super::strategy::Strategy;
-use super::{InverseDepth, TrainParts, TrainView};
-use crate::error::Result;
+use super::{InverseDepth, SparseDepth, TrainParts, TrainView};
+use crate::error::{Error, Result};
 use crate::forward::Filter3d;
 use crate::loss::{LossTerm, Photometric};
 use crate::vk::Context;
@@ -45,7 +45,8 @@ impl Forecast<'_> {
         }
         let parts = TrainParts::of_settings(context, settings)?;
         parts.strategy.check(settings, gaussians)?;
-        let kit = Kit::new(context, settings, parts, photos)?;
+        // The extent scales a weight only.
+        let kit = Kit::new(context, (settings, 1.0), parts, photos)?;
         kit.capacity(context, settings, (photos, photo_memory), gaussians, room).map(drop)
     }
 }
@@ -60,7 +61,7 @@ pub(super) struct Kit {
 impl Kit {
     pub fn new(
         context: &Context,
-        settings: &TrainSettings,
+        (settings, scene_extent): (&TrainSettings, f32),
         parts: TrainParts,
         photos: &[PhotoSize],
     ) -> Result<Self> {
@@ -71,8 +72,18 @@ impl Kit {
         if photos.iter().any(|photo| photo.inverse_depth) {
             all.push(Box::new(InverseDepth::new(context, settings)?));
         }
+        if settings.depth_points > 0.0 {
+            let most = photos.iter().map(|photo| photo.depth_points).max().unwrap_or(0);
+            if most == 0 {
+                let problem =
+                    "needs sparse points that the views are known to show, and there are none: leave it at 0";
+                return Err(Error::argument("depth_points", problem));
+            }
+            all.push(Box::new(SparseDepth::new(context, settings, scene_extent, most)?));
+        }
         all.extend(terms);
         all.extend(strategy.loss_terms(context, settings)?);
+        check_depths(&all)?;
         let parameter_gradients = StepRecorder::targets_of(&all).parameters;
         let rows = RowMemory::new(strategy.statistics(), parameter_gradients);
         let recorder = StepRecorder::new(context, all, (settings, strategy.records().sums), rows.absolute())?;
@@ -115,14 +126,34 @@ impl Kit {
     }
 }
 
+/// Refuses terms that need different depths of a frame.
+fn check_depths(terms: &[Box<dyn LossTerm>]) -> Result<()> {
+    let depths = terms.iter().filter(|term| term.targets().inverse_depth);
+    let names: Vec<&str> = depths.map(|term| term.name()).collect();
+    let linear = terms.iter().any(|term| term.targets().linear_depth);
+    if !linear || names.len() < 2 {
+        return Ok(());
+    }
+    let problem = format!(
+        "does not go together with other depths ({}): take the sparse points or the maps (-d)",
+        names.join(", ")
+    );
+    Err(Error::argument("depth_points", problem))
+}
+
 /// The views' photographs, by the views' indices.
-pub(super) fn sizes_of(views: &[TrainView]) -> Vec<PhotoSize> {
-    let size = |(index, TrainView { photo, inverse_depth, .. }): (usize, &TrainView)| PhotoSize {
+pub(super) fn sizes_of(views: &[TrainView], settings: &TrainSettings) -> Vec<PhotoSize> {
+    let points = |view: &TrainView| match settings.depth_points > 0.0 {
+        true => view.depth_points.as_ref().map_or(0, |points| points.len() as u32),
+        false => 0,
+    };
+    let size = |(index, view): (usize, &TrainView)| PhotoSize {
         name: format!("view {index}"),
-        width: photo.width,
-        height: photo.height,
-        masked: photo.is_masked(),
-        inverse_depth: inverse_depth.is_some(),
+        width: view.photo.width,
+        height: view.photo.height,
+        masked: view.photo.is_masked(),
+        inverse_depth: view.inverse_depth.is_some(),
+        depth_points: points(view),
     };
     views.iter().enumerate().map(size).collect()
 }

@@ -70,13 +70,13 @@ impl IterationPlan {
 /// Makes the plans of iterations.
 pub(super) struct Schedule {
     order: ViewOrder,
-    /// Whether a term of the loss needs the inverse depth.
-    inverse_depth: bool,
+    /// How frames are drawn, without what is random.
+    drawn: RenderSettings,
 }
 
 impl Schedule {
-    pub fn new(run: &Run, inverse_depth: bool) -> Self {
-        Self { order: ViewOrder::new(run.settings.seed, run.cameras.len()), inverse_depth }
+    pub fn new(run: &Run, drawn: &RenderSettings) -> Self {
+        Self { order: ViewOrder::new(run.settings.seed, run.cameras.len()), drawn: *drawn }
     }
 
     /// The plan of the next iteration. `work` is what the strategy says of it.
@@ -100,8 +100,8 @@ impl Schedule {
             sh_degree: s.sh_degree_at(iteration),
             settings: RenderSettings {
                 background: background(run, iteration),
-                inverse_depth: self.inverse_depth,
-                ..run.render_settings()
+                dropout: s.dropout_at(iteration),
+                ..self.drawn
             },
             step: optimizer_step(run, iteration, progress, &work),
             computes_filters: s.computes_filters_at(iteration),

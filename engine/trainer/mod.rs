@@ -24,6 +24,7 @@ mod report;
 mod residency;
 mod resume;
 mod run;
+mod schedule;
 pub mod settings;
 mod step;
 mod step_recorder;
@@ -31,6 +32,7 @@ mod strategies;
 pub mod strategy;
 mod terms;
 pub mod verify;
+mod views;
 mod work;
 
 pub use checkpoint::{Checkpoint, ExposureState, LightSums, PoseState, Room};
@@ -43,6 +45,7 @@ pub use settings::{ImportanceType, OptimizerType, SplitType, StrategyType, Train
 pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, Reference, quantile};
 pub use strategy::Strategy;
 pub use terms::*;
+pub use views::TrainView;
 pub use work::{Actions, Densified};
 
 use crate::error::{Error, Result};
@@ -51,7 +54,6 @@ use crate::loss::LossTerm;
 use crate::plan::PictureCapacity;
 use crate::planes;
 use crate::renderer::{Aligner, Frame, FrameRunner, FrameStore, PixelReport, TileReport};
-use crate::scene::StoredPhoto;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Context};
 use depth_maps::DepthMaps;
@@ -60,44 +62,7 @@ use model::{Model, RowMemory, State};
 use photos::Photos;
 use poses::Poses;
 use run::Run;
-use std::sync::Arc;
 use step_recorder::{LossMemory, StepRecorder};
-
-/// A photograph and its camera.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub struct TrainView {
-    /// The camera; its size is the photo's.
-    pub camera: Camera,
-    /// The photo, kept on the device with 8 bits per channel. Masked pixels carry no loss. Photos in a file
-    /// are read ahead of the iterations that need them.
-    pub photo: StoredPhoto,
-    /// The inverse depth that the photo's pixels should have, row by row: the sum of blending weights / z, 1 / world
-    /// units. Pixels from [`MAP_NOTHING`](crate::kernels::constants::MAP_NOTHING) on, as infinity, do not count. A view
-    /// with one adds [`InverseDepth`] to the loss.
-    pub inverse_depth: Option<Arc<[f32]>>,
-    /// Which camera took it, by any number: views of one share its [`LensEffects`](crate::scene::LensEffects).
-    pub camera_id: u32,
-}
-
-impl TrainView {
-    /// A view to train on.
-    pub fn new(camera: Camera, photo: impl Into<StoredPhoto>) -> Self {
-        Self { camera, photo: photo.into(), inverse_depth: None, camera_id: 0 }
-    }
-
-    /// The view with an inverse-depth map: [`TrainView::inverse_depth`].
-    #[must_use]
-    pub fn with_inverse_depth(self, map: Option<Arc<[f32]>>) -> Self {
-        Self { inverse_depth: map, ..self }
-    }
-
-    /// The view as taken by a camera: [`TrainView::camera_id`].
-    #[must_use]
-    pub fn taken_by(self, camera_id: u32) -> Self {
-        Self { camera_id, ..self }
-    }
-}
 
 /// The parts of training that can be exchanged. The photometric term of the loss always comes first.
 pub struct TrainParts {
@@ -220,12 +185,11 @@ impl Trainer {
         let count = crate::plan::to_u32(initial.len() as u64)?;
         parts.strategy.check(&settings, count)?;
         photos::check(&views)?;
-        let photo_sizes = forecast::sizes_of(&views);
+        let photo_sizes = forecast::sizes_of(&views, &settings);
         let photo_memory = photos::memory_of_file(&views);
-        let kit = Kit::new(context, &settings, parts, &photo_sizes)?;
+        let kit = Kit::new(context, (&settings, scene_extent), parts, &photo_sizes)?;
         let (capacity, room) = kit.capacity(context, &settings, (&photo_sizes, photo_memory), count, room)?;
         let Kit { strategy, recorder, rows } = kit;
-        let targets = recorder.targets();
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;
@@ -255,7 +219,7 @@ impl Trainer {
             losses: recorder.allocate(context, &sizes)?,
             poses,
             aligner: None,
-            schedule: iteration::Schedule::new(&run, targets.inverse_depth),
+            schedule: iteration::Schedule::new(&run, &recorder.drawn()),
             pictures: FrameStore::new(context)?,
             context: context.clone(),
             run,

@@ -6,7 +6,7 @@ use super::TrainView;
 use super::random::ViewOrder;
 use super::residency::{Residency, Use};
 use crate::error::{Error, Result};
-use crate::loss::{Windowing, photo_bytes, photo_on_device};
+use crate::loss::{Windowing, check_depth_points, photo_bytes, photo_on_device};
 use crate::scene::StoredPhoto;
 use crate::scene::stored_photo::TEXEL_BYTES;
 use crate::vk::{Buffer, Context, MemoryKind};
@@ -65,6 +65,8 @@ pub struct PhotoSize {
     pub masked: bool,
     /// Whether it has an inverse-depth map.
     pub inverse_depth: bool,
+    /// Sparse points of known depth that it shows, at most; 0 unless they are trained on.
+    pub depth_points: u32,
 }
 
 impl PhotoSize {
@@ -79,7 +81,7 @@ impl PhotoSize {
 
 /// Bytes of device memory that the photographs take.
 pub(super) struct PhotoBytes {
-    /// Bytes of those that stay on the device, and of the inverse-depth maps.
+    /// Bytes of those that stay on the device, and of the inverse-depth maps and points.
     pub held: u64,
     /// Bytes of staging memory during an upload.
     pub staging: u64,
@@ -131,7 +133,7 @@ fn on_device(windowing: Windowing, photo: &StoredPhoto) -> Result<Vec<u8>> {
 
 /// Refuses views whose photographs do not have their cameras' sizes.
 pub(super) fn check(views: &[TrainView]) -> Result<()> {
-    for (index, TrainView { camera, photo, inverse_depth, .. }) in views.iter().enumerate() {
+    for (index, TrainView { camera, photo, inverse_depth, depth_points, .. }) in views.iter().enumerate() {
         camera.check()?;
         if (photo.width, photo.height) != (camera.width, camera.height) {
             let problem = format!(
@@ -145,6 +147,9 @@ pub(super) fn check(views: &[TrainView]) -> Result<()> {
         if let Some(map) = inverse_depth.as_ref().filter(|map| map.len() != pixels) {
             let problem = format!("the inverse-depth map has {} values for {pixels} pixels", map.len());
             return Err(Error::argument(format!("view {index}"), problem));
+        }
+        if let Some(points) = depth_points {
+            check_depth_points(&format!("view {index}"), points, (photo.width, photo.height))?;
         }
     }
     Ok(())

@@ -249,6 +249,10 @@ pub(super) fn fingerprint_of(views: &[TrainView], by_camera: bool) -> u64 {
         if by_camera {
             print.add(bytemuck::bytes_of(&view.camera_id));
         }
+        for point in view.depth_points.iter().flat_map(|points| points.iter()) {
+            let [x, y] = point.position_px;
+            print.add(bytemuck::cast_slice(&[x, y, point.inverse_z]));
+        }
         print.finish()
     };
     // Photographs have many megabytes: each thread hashes a share of them.

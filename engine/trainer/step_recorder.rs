@@ -121,7 +121,7 @@ impl StepRecorder {
             sizes: LaunchSizes::new(context.limits()),
             light: Light::new(context, settings, sums)?,
             backward: Backward::new(context),
-            drawn: settings.render_settings(),
+            drawn: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
             absolute,
             terms,
             targets,
@@ -145,14 +145,10 @@ impl StepRecorder {
         LossValues { total: f32::NAN, terms: self.terms().map(|name| (name, [f32::NAN; 4])).collect() }
     }
 
-    /// The gradients that the terms add to.
-    pub fn targets(&self) -> Targets {
-        self.targets
-    }
-
-    /// How frames are drawn, without the random background.
+    /// How frames are drawn, without what is random.
     pub fn drawn(&self) -> RenderSettings {
-        RenderSettings { inverse_depth: self.targets.inverse_depth, ..self.drawn }
+        let Targets { inverse_depth, linear_depth, .. } = self.targets;
+        RenderSettings { inverse_depth, linear_depth, ..self.drawn }
     }
 
     /// Builds the kernels for an SH degree unless they exist.
@@ -352,6 +348,7 @@ impl StepRecorder {
                 photo,
                 photo_is_masked,
                 inverse_depth_map: parts.maps.of(plan.view),
+                depth_points: parts.maps.points_of(plan.view),
                 iteration: plan.iteration,
                 image_gradient,
                 parameter_gradients: &model.parameter_gradients,

@@ -2,9 +2,11 @@
 
 mod inverse_depth;
 mod regularizers;
+mod sparse_depth;
 
 pub use inverse_depth::InverseDepth;
 pub use regularizers::Regularizers;
+pub use sparse_depth::SparseDepth;
 
 use super::settings::TrainSettings;
 use crate::error::Result;

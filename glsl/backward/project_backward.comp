@@ -43,6 +43,9 @@ layout(constant_id = 5) const bool FILTER_3D = false;
 // Whether the dilation is another than DILATION_PX2. That one is a constant: a driver may compute with constants in another
 // order, and the bits of training would change.
 layout(constant_id = 7) const bool OWN_DILATION = false;
+// As in project.comp.
+layout(constant_id = 8) const bool DROPOUT = false;
+layout(constant_id = 9) const bool Z_RECORD = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -260,6 +263,10 @@ void main() {
     vec2 d_mean2d = -vec2(conic.x * m_x + conic.y * m_y, conic.y * m_x + conic.z * m_y);
     vec3 d_conic = vec3(-0.5 * m_xx, -m_xy, -0.5 * m_yy);
     float d_opacity = m_1 / max(conic.w, 1e-20);
+    if (DROPOUT) {
+        // To the opacity before the factor.
+        d_opacity *= dropout_factor;
+    }
 
     float opacity_raw = sigmoid(filtered.opacity_logit);
     bool compensated = (antialias & ANTIALIAS_COMPENSATED) != 0;
@@ -297,10 +304,12 @@ void main() {
     // J = (f/z, -f slope / z). An unclamped slope is x/z; a clamped slope does not depend on the mean.
     vec2 through_slope = vec2(p.clamped.x ? 0.0 : 1.0, p.clamped.y ? 0.0 : 1.0);
     vec2 d_slope = -j_diagonal * d_j_depth * through_slope + d_mean2d * focal_px;
+    // Of the depth that was blended, 1/z or z, towards the camera.
+    float d_nearness = Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z;
     vec3 d_camera;
     d_camera.xy = d_slope * inverse_z;
     d_camera.z = -inverse_z * inverse_z * (dot(d_j_diagonal, focal_px) - dot(d_j_depth, focal_px * p.slope))
-        - inverse_z * dot(d_slope, p.mean_camera.xy * inverse_z) - inverse_z * inverse_z * d_inverse_z;
+        - inverse_z * dot(d_slope, p.mean_camera.xy * inverse_z) - d_nearness;
     vec3 d_mean = from_camera(d_camera);
 
     // Colour: through the clamp at 0, then through the direction.

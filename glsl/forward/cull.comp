@@ -1,6 +1,6 @@
 // Visibility of each Gaussian, and the number of visible ones in each block: first step of the stable compaction. Culls by
 // the near plane, a degenerate covariance, an opacity below 1/255, and an empty set of tiles (paper, section 6; reference
-// preprocessCUDA). Leaves out what the settings cut.
+// preprocessCUDA). Leaves out what the settings cut, and with DROPOUT some at random.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
 // in: parameters (PerGaussian planes); out: visible_flags[Gaussian], block_counts[block]
@@ -18,6 +18,8 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 // Whether Gaussians have a 3D filter: see projection.glsl.
 layout(constant_id = 3) const bool FILTER_3D = false;
+// Whether some are left out at random: see dropout.glsl.
+layout(constant_id = 4) const bool DROPOUT = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -42,6 +44,8 @@ layout(push_constant, scalar) uniform Push {
 #include "tile_span.glsl"
 #include "filter_3d.glsl"
 #include "projection.glsl"
+#include "random.glsl"
+#include "dropout.glsl"
 
 // As CutLimits::keeps (engine/scene/cut.rs), bit for bit: comparisons and one subtraction.
 bool kept(vec3 mean, vec3 log_scale, float opacity_logit) {
@@ -61,6 +65,9 @@ void main() {
     Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
     Footprint f = footprint_of(p, filtered.opacity_logit);
     bool visible = f.visible && kept(mean_opacity.xyz, log_scale.xyz, mean_opacity.w);
+    if (DROPOUT) {
+        visible = visible && !dropped_out(first + index);
+    }
     uint flag = exists && visible ? 1 : 0;
     if (exists) {
         visible_flags[first + local] = flag;

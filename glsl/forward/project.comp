@@ -3,8 +3,8 @@
 //
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
 // in: parameters (PerGaussian planes), visible_list, visible_ranges; out, PerVisible: mean2d_extent (x, y, half extents,
-//     px), conic_opacity (A, B, C, opacity), color_inverse_depth (r, g, b, 1/z), depth_keys (bits of z), footprints
-//     and tile_lists (tile_span.glsl)
+//     px), conic_opacity (A, B, C, opacity), color_inverse_depth (r, g, b, 1/z, or z with Z_RECORD), depth_keys (bits of z),
+//     footprints and tile_lists (tile_span.glsl)
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -17,6 +17,10 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // Whether Gaussians have a 3D filter: see projection.glsl.
 layout(constant_id = 3) const bool FILTER_3D = false;
+// Whether some Gaussians are left out at random: see dropout.glsl.
+layout(constant_id = 4) const bool DROPOUT = false;
+// Whether the depth that is blended is z instead of 1/z.
+layout(constant_id = 5) const bool Z_RECORD = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -85,7 +89,8 @@ void main() {
     uvec2 list = list_tiles(mean2d, shape, f.tiles, (image_width + TILE_SIZE - 1) / TILE_SIZE);
     mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)] = mean2d;
     conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
-    color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] = vec4(max(color, vec3(0.0)), 1.0 / p.mean_camera.z);
+    color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =
+        vec4(max(color, vec3(0.0)), Z_RECORD ? p.mean_camera.z : 1.0 / p.mean_camera.z);
     depth_keys[visible] = floatBitsToUint(p.mean_camera.z);
     footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list));
     tile_lists[visible] = list;

@@ -1,7 +1,8 @@
 // Buffers and push constants of the blending kernels, and the state of a pixel between passes.
 //
 // With STRIPS the picture is composited on the background and stored as three planes in strips (strips.glsl): on processors
-// the loss and the backward pass read that layout. `accumulated` then only carries the state from one pass to the next.
+// the loss and the backward pass read that layout. `accumulated` then carries the state from one pass to the next, and with
+// INVERSE_DEPTH the transmittance for losses of depths.
 //
 // Needs blending.glsl, buffers.glsl, STRIPS.
 
@@ -78,7 +79,8 @@ Pixel load_pixel(uvec2 at) {
 void store_pixel(uvec2 at, Pixel pixel, bool more) {
     if (at.x < image_width && at.y < image_height) {
         uint index = at.y * image_width + at.x;
-        if (!STRIPS || more) {
+        // A loss of depths reads the transmittance.
+        if (!STRIPS || more || INVERSE_DEPTH) {
             accumulated[index] = vec4(pixel.color, more ? pixel.transmittance : abs(pixel.transmittance));
         }
         last_entries[index] = pixel.last;

@@ -29,4 +29,10 @@ layout(set = 0, binding = 18, scalar) uniform CameraBlock {
     vec3 cut_high;
     float cut_opacity_logit;
     float cut_log_density;
+    // Which Gaussians are left out at random (dropout.glsl): key, numbers below which one is left out, and the factor of the
+    // others' opacities. Only read with DROPOUT.
+    uint dropout_seed;
+    uint dropout_iteration;
+    uint dropout_below;
+    float dropout_factor;
 };

@@ -129,6 +129,9 @@ const uint TERM_PARTIALS = 256;
 // From this value on, a pixel of an inverse-depth map does not count.
 const float MAP_NOTHING = 1e30;
 
+// Least sum of weights that an expected depth is divided by (gsplat).
+const float COVERAGE_MIN = 1e-10;
+
 // Arithmetic benchmark: independent chains per invocation, and steps of each chain per round.
 const uint MULTIPLY_ADD_CHAINS = 8;
 const uint MULTIPLY_ADD_STEPS = 4;

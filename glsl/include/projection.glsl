@@ -2,7 +2,7 @@
 // pass. Needs constants.glsl, camera_block.glsl and `parameters`.
 // Needs filter_3d.glsl, FILTER_3D, and the push constant `antialias`, of ANTIALIAS_ bits.
 // Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES, need tile_span.glsl and the push
-// constant `extent`, and have footprint_of.
+// constant `extent` and DROPOUT (dropout.glsl), and have footprint_of.
 
 #ifdef DRAWS_SHAPES
 #define SCALE_MODIFIER shape_scale
@@ -116,7 +116,7 @@ bool is_finite(float x) {
 // The screen area that a Gaussian covers.
 struct Footprint {
     bool visible;
-    float opacity;         // after the antialiasing compensation
+    float opacity;         // after the antialiasing compensation and the factor of DROPOUT
     vec2 mean2d_px;
     vec2 half_extent_px;   // where alpha falls to 1/255
     uint radius_px;        // the reference's radius; 0 in exact extent
@@ -134,6 +134,9 @@ Footprint footprint_of(Projection p, float opacity_logit) {
     float drawn_opacity = abs(shape_opacity);
     drawn_opacity = opacity >= least_opacity ? drawn_opacity : 0.0;
     f.opacity = shape_opacity != 0.0 ? drawn_opacity : f.opacity;
+    if (DROPOUT) {
+        f.opacity *= dropout_factor;
+    }
     f.mean2d_px = focal_px * p.mean_camera.xy / p.mean_camera.z + center_px;
     bool valid = p.mean_camera.z > NEAR_PLANE && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
         && is_finite(p.cov2d.z) && is_finite(f.mean2d_px.x) && is_finite(f.mean2d_px.y) && is_finite(f.opacity);

@@ -2,6 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
+use ashsplat::forward::Dropout;
 use ashsplat::{Camera, Gaussians, JacobianLimit, RenderSettings, Renderer};
 use glam::{Mat3, Vec3};
 
@@ -70,6 +71,11 @@ pub fn settings(view: &View) -> RenderSettings {
         background: view.background.map(|x| x as f32),
         sh_degree: Some(view.sh_degree),
         inverse_depth: true,
+        dropout: view.drawn.dropout.map(|dropout| Dropout {
+            share: f64::from(dropout.below) / f64::from(1 << 24),
+            seed: dropout.seed,
+            iteration: dropout.iteration,
+        }),
         ..RenderSettings::default()
     }
 }

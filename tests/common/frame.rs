@@ -51,9 +51,12 @@ impl Projected {
     pub fn new(gpu: &Gpu, gaussians: &[Gaussian], view: &View) -> Projected {
         // The degree may be below what is stored.
         let (sh_degree, filter_3d) = (view.sh_degree, view.filter_3d > 0.0);
-        let spec = project::Spec { workgroup_size: gpu.workgroup(64), sh_degree, filter_3d };
+        let (dropout, z_record) = (view.drawn.dropout.is_some(), view.drawn.z_record);
+        let workgroup_size = gpu.workgroup(64);
+        let spec = project::Spec { workgroup_size, sh_degree, filter_3d, dropout, z_record };
         let kernel = gpu.kernel::<project::Interface>(&spec);
         let splats: Vec<Option<Splat>> = gaussians.iter().map(|g| twin::project(g, view)).collect();
+        // What is left out at random is left out by culling.
         let visible: Vec<u32> =
             (0..gaussians.len() as u32).filter(|&i| splats[i as usize].is_some()).collect();
         let (room, count) = (room(gaussians.len()), visible.len());

@@ -111,6 +111,10 @@ pub fn camera_block(view: &View) -> CameraBlock {
         cut_high: high.map(|x| x as f32),
         cut_opacity_logit: view.drawn.cut.opacity_logit as f32,
         cut_log_density: view.drawn.cut.log_density as f32,
+        dropout_seed: view.drawn.dropout.map_or(0, |dropout| dropout.seed),
+        dropout_iteration: view.drawn.dropout.map_or(0, |dropout| dropout.iteration),
+        dropout_below: view.drawn.dropout.map_or(0, |dropout| dropout.below),
+        dropout_factor: view.drawn.opacity_factor() as f32,
         ..CameraBlock::default()
     }
 }

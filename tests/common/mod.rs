@@ -10,6 +10,7 @@ pub mod cinema;
 pub mod compare;
 pub mod compose;
 pub mod corner;
+pub mod depth_points;
 pub mod device;
 pub mod engine;
 pub mod exposures;

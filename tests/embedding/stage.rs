@@ -142,3 +142,12 @@ pub fn assert_same(recorded: &[[f32; 4]], frame: &Frame, background: [f32; 3]) {
         assert_eq!(t, frame.transmittance[index], "transmittance of pixel {index}");
     }
 }
+
+/// Points that a picture of 48 x 36 pixels shows.
+pub fn depth_points() -> Vec<ashsplat::loss::DepthPoint> {
+    let point = |k: u32| ashsplat::loss::DepthPoint {
+        position_px: [(k * 7 % 47) as f32 + 0.25, (k * 11 % 35) as f32 + 0.5],
+        inverse_z: 0.2 + 0.01 * k as f32,
+    };
+    (0..20).map(point).collect()
+}

@@ -9,7 +9,7 @@ use super::rendering::{Gradients, Picture, SINGLE, judge_gradients, judge_pictur
 use super::sets::RenderingSet;
 use super::{
     Kind, SetFile, absgrad, antialias, budget, depth, exposure, gpu_training, importance, lpips, mcmc, poses,
-    trial,
+    sparse_depth, trial,
 };
 use crate::common::engine::{camera, gaussians, renderer, settings, widen};
 use crate::common::{assert_silent, context};
@@ -38,6 +38,7 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
         Kind::GrowthSchedule => vec![of_file(set, "growth_schedule", budget::schedule_of_engine)],
         Kind::Exposure => vec![of_file(set, "exposure", exposure::of_device)],
         Kind::Depth => vec![of_file(set, "depth", depth::of_device)],
+        Kind::SparseDepth => vec![of_file(set, "sparse_depth", sparse_depth::of_device)],
         Kind::Lpips => vec![of_file(set, "distance", lpips::of_device)],
         Kind::Poses => vec![of_file(set, "poses", poses::of_device)],
         Kind::Other => vec![],

@@ -34,11 +34,18 @@ pub struct Stages<'a> {
     forward: Forward,
     frame: FrameBuffers,
     capacity: FrameCapacity,
+    /// Whether the sum of weights z is drawn, too.
+    linear_depth: bool,
 }
 
 impl<'a> Stages<'a> {
     /// With the kernels for the views' SH degree.
     pub fn new(gpu: &'a Gpu, set: &[Gaussian], views: &[View]) -> Stages<'a> {
+        Self::with_depth(gpu, set, views, false)
+    }
+
+    /// As [`Stages::new`], perhaps with the sum of weights z.
+    pub fn with_depth(gpu: &'a Gpu, set: &[Gaussian], views: &[View], linear_depth: bool) -> Stages<'a> {
         let context = gpu.context;
         let sh_degree = views[0].sh_degree;
         let input = gaussians(set);
@@ -58,17 +65,20 @@ impl<'a> Stages<'a> {
         let requests = frame_requests(&capacity, &LaunchSizes::new(context.limits()));
         let frame = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
         let mut forward = Forward::new(context).expect("kernels");
-        let variant = BlendVariant { backward: true, ..BlendVariant::default() };
-        forward.prepare_variant(sh_degree, variant).expect("kernels");
-        let mut backward = Backward::new(context);
-        backward.prepare(sh_degree, BackwardVariant::default()).expect("kernels");
-        backward.prepare_absolute(sh_degree, BackwardVariant::default()).expect("kernels");
-        Stages { gpu, backward, scene, forward, frame: FrameBuffers::from_allocated(frame), capacity }
+        let drawn = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(&views[0]) };
+        forward.prepare_variant(sh_degree, BlendVariant::of(&drawn, true)).expect("kernels");
+        let (mut backward, variant) = (Backward::new(context), BackwardVariant::of(&drawn));
+        backward.prepare(sh_degree, variant).expect("kernels");
+        backward.prepare_absolute(sh_degree, variant).expect("kernels");
+        backward.prepare_expand(sh_degree).expect("kernels");
+        let frame = FrameBuffers::from_allocated(frame);
+        Stages { gpu, backward, scene, forward, frame, capacity, linear_depth }
     }
 
     /// Draws a view, and what is recorded behind it.
     pub fn run(&self, view: &View, record: impl FnOnce(&mut Recorder, &FrameInputs, &Backward)) {
-        let settings = RenderSettings { inverse_depth: false, ..settings(view) };
+        let linear_depth = self.linear_depth;
+        let settings = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(view) };
         let inputs = FrameInputs {
             scene: &self.scene,
             frame: &self.frame,

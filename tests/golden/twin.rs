@@ -5,8 +5,8 @@ use libtest_mimic::Trial;
 use super::rendering::{DOUBLE, Gradients, Picture, SINGLE, judge_gradients, judge_picture, only_finite};
 use super::sets::RenderingSet;
 use super::{
-    Kind, SetFile, absgrad, antialias, budget, depth, exposure, importance, lpips, mcmc, poses, training,
-    trial,
+    Kind, SetFile, absgrad, antialias, budget, depth, exposure, importance, lpips, mcmc, poses, sparse_depth,
+    training, trial,
 };
 use crate::common::compare::{elementwise, equal};
 use crate::reference::blend_backward::PixelGradient;
@@ -74,6 +74,9 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
                 trial(format!("golden_twin_depth_{name}"), move || depth::of_twin(&file.path)),
                 trial(format!("golden_host_depth_{name}"), move || depth::of_host(&host.path)),
             ]
+        }
+        Kind::SparseDepth => {
+            vec![trial(format!("golden_twin_sparse_{name}"), move || sparse_depth::of_twin(&file.path))]
         }
         Kind::Lpips => vec![trial(format!("golden_twin_{name}"), move || lpips::of_twin(&file.path))],
         Kind::Poses => vec![trial(format!("golden_twin_poses_{name}"), move || poses::of_twin(&file.path))],

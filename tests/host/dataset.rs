@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::{
-    Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress, Resolution, View, cameras_json,
+    Dataset, DatasetOptions, Gallery, Photo, PhotoFileFormat, Progress, Resolution, View, cameras_json,
 };
 use glam::Vec3;
 
@@ -275,4 +275,74 @@ fn inspect_lists_every_problem() {
 
     let report = Dataset::inspect(folder.path().join("none"), &options, Progress::NONE);
     assert_eq!((report.model.is_none(), report.problems.len()), (true, 1));
+}
+
+/// Photos have the points that the model says they show, at their size, where they are in the picture and no mask hides them;
+/// held-out photos have none.
+#[test]
+fn photos_have_the_points_that_they_show() {
+    let folder = tempfile::tempdir().unwrap();
+    let cameras = write(folder.path(), 9, 0);
+    let sparse = folder.path().join("sparse/0");
+    // The third is behind some cameras, the fourth outside all pictures.
+    let points = [[0.0, 0.0, 0.0], [0.25, 0.5, -0.25], [0.0, 0.0, 4.5], [0.0, 40.0, 0.0]];
+    let (mut images, mut list) = (String::new(), String::new());
+    for (i, camera) in cameras.iter().enumerate() {
+        let image = ColmapImage::posed(i as u32 + 1, 1, format!("{i:03}.png"), camera);
+        let numbers =
+            image.quat.iter().chain(&image.translation).map(|x| format!("{x} ")).collect::<String>();
+        // One place without a point, one point twice, and the last photo without any.
+        let seen = if i == 7 { "" } else { "1 1 0 2 2 -1 3 3 1 3 3 1 4 4 2 5 5 3" };
+        images += &format!("{} {numbers}1 {}\n{seen}\n", image.id, image.name);
+    }
+    for (id, [x, y, z]) in points.iter().enumerate() {
+        list += &format!("{id} {x} {y} {z} 1 2 3 0.5 1 0\n");
+    }
+    for (name, text) in [("images", images), ("points3D", list)] {
+        std::fs::remove_file(sparse.join(format!("{name}.bin"))).unwrap();
+        std::fs::write(sparse.join(format!("{name}.txt")), text).unwrap();
+    }
+    std::fs::remove_file(sparse.join("cameras.bin")).unwrap();
+    std::fs::write(sparse.join("cameras.txt"), "1 PINHOLE 20 12 21 22 10.5 6\n").unwrap();
+    // Hides the last third of the second photo, and with it the second point.
+    let hidden = image::GrayImage::from_fn(20, 12, |_, y| image::Luma([u8::from(y < 8) * 255]));
+    std::fs::create_dir_all(folder.path().join("masks")).unwrap();
+    hidden.save(folder.path().join("masks/001.png")).unwrap();
+
+    let options =
+        DatasetOptions { eval: true, resolution: Resolution::Width(10), ..DatasetOptions::default() };
+    let mut gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
+    assert!(gallery.train_photos().unwrap().iter().all(|photo| photo.depth_points == 0));
+    // 7 to train on, of which one shows none.
+    assert_eq!(gallery.read_tracks().unwrap(), 6 * points.len());
+    let counts: Vec<u32> = gallery.train_photos().unwrap().iter().map(|photo| photo.depth_points).collect();
+    assert_eq!(counts, [4, 4, 4, 4, 4, 4, 0]);
+    let dataset = gallery.load(Progress::NONE).unwrap();
+    assert!(dataset.test.iter().all(|view| view.depth_points.is_none()));
+    for view in &dataset.train {
+        let Some(found) = &view.depth_points else {
+            assert_eq!(view.name, "007.png");
+            continue;
+        };
+        let expected: Vec<[f32; 3]> = points
+            .iter()
+            .map(|&point| view.camera.project(Vec3::from_array(point)))
+            .filter(|&(x, y, z)| z > 0.0 && (0.5..=9.5).contains(&x) && (0.5..=5.5).contains(&y))
+            .filter(|&(_, y, _)| view.name != "001.png" || y < 4.0)
+            .map(|(x, y, z)| [x - 0.5, y - 0.5, 1.0 / z])
+            .collect();
+        let [near, ..] = expected[..] else { panic!("{} shows the first", view.name) };
+        // The origin is in the middle of each picture, three units away.
+        assert!((near[0] - 4.75).abs() < 1e-3 && (near[2] - 1.0 / 3.0).abs() < 1e-4, "{near:?}");
+        let found: Vec<[f32; 3]> =
+            found.iter().map(|point| [point.position_px[0], point.position_px[1], point.inverse_z]).collect();
+        assert_eq!(found, expected, "{}", view.name);
+    }
+    // Without observations there are none.
+    write(folder.path(), 9, 3);
+    ["images", "points3D", "cameras"].iter().for_each(|name| {
+        std::fs::remove_file(sparse.join(format!("{name}.txt"))).unwrap();
+    });
+    let mut gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
+    assert_eq!(gallery.read_tracks().unwrap(), 0);
 }

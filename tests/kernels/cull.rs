@@ -8,7 +8,7 @@ use crate::common::layout::{antialias_word, camera_block, extent_word, pack, pac
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::cull::cull;
 use crate::reference::project::project;
-use crate::reference::types::{Drawn, Extent, Gaussian, Limits, View};
+use crate::reference::types::{Drawn, Dropout, Extent, Gaussian, Limits, View};
 
 /// Whether a Gaussian's visibility may hang on the rounding of float32, or on the margin that the kernel adds to
 /// exact extents: a splat that touches nothing but the margin costs time only.
@@ -26,7 +26,8 @@ fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
 
 /// Culls `size` Gaussians. Returns flags and counts of blocks, each with two words more that must stay untouched.
 fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>; 2] {
-    let spec = Spec { filter_3d: view.filter_3d > 0.0, ..spec(gpu) };
+    let dropout = view.drawn.dropout.is_some();
+    let spec = Spec { filter_3d: view.filter_3d > 0.0, dropout, ..spec(gpu) };
     let blocks = size.div_ceil(spec.workgroup_size as usize);
     let flags = gpu.untouched::<u32>("visible_flags", size + 2);
     let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
@@ -44,7 +45,12 @@ fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>
 }
 
 fn spec(gpu: &Gpu) -> Spec {
-    Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), filter_3d: false }
+    Spec {
+        workgroup_size: gpu.workgroup(64),
+        subgroup_size: gpu.subgroup(),
+        filter_3d: false,
+        dropout: false,
+    }
 }
 
 fn push(view: &View, count: usize) -> Push {
@@ -193,4 +199,33 @@ fn cull_of_non_finite_parameters() {
     let parameters = gpu.buffer("parameters", &pack(&gaussians, room(cases.len())));
     let [flags, _] = culled(&gpu, &view, &parameters, cases.len());
     assert_eq!(flags[..cases.len()], expected);
+}
+
+/// What is left out at random follows from seed, iteration and Gaussian alone, bit for bit.
+#[test]
+fn cull_equals_its_twin_under_dropout() {
+    let gpu = Gpu::new();
+    let size = 900;
+    let gaussians = mixed_scene(&mut Random::new(14), size, 1);
+    let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
+    let mut left_out = Vec::new();
+    for (below, seed, iteration) in
+        [(0, 0, 1), (1 << 22, 0, 1), (1 << 22, 0, 2), (1 << 22, 1, 1), (3 << 22, 0, 1)]
+    {
+        let dropout = Dropout { below, seed, iteration };
+        let drawn = Drawn { dropout: Some(dropout), ..Drawn::AS_THEY_ARE };
+        let view = View { drawn, ..small_view([53, 37]) };
+        let [flags, _] = culled(&gpu, &view, &parameters, size);
+        let expected = cull(&gaussians, &view);
+        let differ = |&i: &usize| flags[i] != u32::from(expected[i]) && !may_differ(&gaussians[i], &view);
+        assert_eq!((0..size).find(differ), None, "{dropout:?}");
+        assert_eq!((0..size).find(|&i| flags[i] == 1 && dropout.drops(i)), None, "{dropout:?}");
+        left_out.push((0..size).filter(|&i| dropout.drops(i)).collect::<Vec<_>>());
+    }
+    // As many as the share says, within three standard deviations, and others for another key.
+    let counts: Vec<usize> = left_out.iter().map(Vec::len).collect();
+    assert!(counts[0] == 0 && counts[1].abs_diff(225) < 40 && counts[4].abs_diff(675) < 40, "{counts:?}");
+    assert!(left_out[1] != left_out[2] && left_out[1] != left_out[3] && left_out[2] != left_out[3]);
+    // A larger share leaves out those of the smaller one, and more.
+    assert!(left_out[1].iter().all(|i| left_out[4].contains(i)));
 }

@@ -61,6 +61,8 @@ mod sort_single_subgroup;
 mod sort_spine;
 mod sort_upsweep;
 mod sort_upsweep_serial;
+mod sparse_depth;
+mod sparse_depth_gather;
 mod ssim_backward;
 mod ssim_backward_sweep;
 mod ssim_forward;

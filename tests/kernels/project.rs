@@ -5,7 +5,7 @@ use crate::common::gpu::{Gpu, sizes};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::tile_list::{is_listed, listed_tiles, tiles_met};
 use crate::reference::tiles::{half_extent_px, reference_square, touched};
-use crate::reference::types::{Drawn, Extent, Splat, View};
+use crate::reference::types::{Drawn, Dropout, Extent, Splat, View};
 
 /// What the kernel writes of each visible Gaussian.
 struct Output {
@@ -90,7 +90,8 @@ fn compare(output: &Output, place: usize, splat: &Splat, view: &View) {
     for (actual, expected) in [red, green, blue].into_iter().zip(splat.color) {
         close("colour", actual, expected, 3e-6, 1e-6);
     }
-    close("1/z", inverse_depth, 1.0 / splat.depth, 0.0, 1e-5);
+    let blended = if view.drawn.z_record { splat.depth } else { 1.0 / splat.depth };
+    close("blended depth", inverse_depth, blended, 0.0, 1e-5);
     close("depth", f32::from_bits(output.depth_keys[place]), splat.depth, 2e-6, 1e-6);
     if view.extent == Extent::Reference {
         compare_square(output.footprints[place], place, splat, view);
@@ -164,6 +165,17 @@ fn project_equals_its_twin_with_filters() {
         for antialias in [false, true] {
             check(&gpu, 500, &View { filter_3d, antialias, drawn, ..small_view([53, 37]) });
         }
+    }
+}
+
+/// Opacities, some then above 1, of what is not left out; and z as the depth that is blended.
+#[test]
+fn project_equals_its_twin_under_dropout() {
+    let gpu = Gpu::new();
+    let dropout = Some(Dropout { below: 1 << 22, seed: 3, iteration: 9 });
+    for (antialias, z_record) in [(false, true), (true, false), (true, true)] {
+        let drawn = Drawn { dropout, z_record, ..Drawn::AS_THEY_ARE };
+        check(&gpu, 500, &View { antialias, drawn, ..small_view([53, 37]) });
     }
 }
 

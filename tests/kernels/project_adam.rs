@@ -9,7 +9,7 @@ use crate::common::blending::assert_same;
 use crate::common::gpu::{Gpu, sizes};
 use crate::common::layout::{antialias_word, camera_block};
 use crate::common::scenes::small_view;
-use crate::reference::types::{Gaussian, View};
+use crate::reference::types::{Drawn, Dropout, Gaussian, View};
 
 const RATES: Rates =
     Rates { mean: 1e-3, opacity: 0.025, quat: 2e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1.25e-4 };
@@ -21,6 +21,8 @@ fn fused(gpu: &Gpu, scene: &Scene, state: &AdamState, step: &Step, overflow: boo
         workgroup_size: gpu.workgroup(64),
         subgroup_size: gpu.subgroup(),
         sh_degree: scene.view.sh_degree,
+        dropout: scene.view.drawn.dropout.is_some(),
+        z_record: scene.view.drawn.z_record,
         ..Spec::default()
     };
     let kernel = gpu.kernel::<Interface>(&spec);
@@ -164,4 +166,15 @@ fn project_adam_skips_what_is_not_finite() {
     scene.sums[with_instances[5]][0][3] = f64::INFINITY;
     scene.sums[with_instances[6]][0][7] = f64::NEG_INFINITY;
     check(&gpu, scene);
+}
+
+/// Some are left out at random, and the depth that was blended is z.
+#[test]
+fn project_adam_equals_both_kernels_apart_under_dropout() {
+    let gpu = Gpu::new();
+    let dropout = Some(Dropout { below: 1 << 22, seed: 3, iteration: 9 });
+    for z_record in [false, true] {
+        let drawn = Drawn { dropout, z_record, ..Drawn::AS_THEY_ARE };
+        check(&gpu, Scene::random(300, View { drawn, ..small_view([53, 37]) }, 50));
+    }
 }

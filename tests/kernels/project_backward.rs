@@ -11,7 +11,9 @@ use crate::common::layout::{antialias_word, camera_block, pack_filtered, room};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::project::{color, project};
 use crate::reference::project_backward::{mean2d_statistic, pose_gradient, project_backward};
-use crate::reference::types::{DILATION, Drawn, Extent, Gaussian, Gradient, Splat, SplatGradient, View};
+use crate::reference::types::{
+    DILATION, Drawn, Dropout, Extent, Gaussian, Gradient, Splat, SplatGradient, View,
+};
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 const QUATS: GradientTolerance = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };
@@ -61,7 +63,11 @@ impl Scene {
                         sum[k] += instance[k];
                     }
                 }
-                let d = from_moments(&self.splats[place], sum);
+                let mut d = from_moments(&self.splats[place], sum);
+                if self.view.drawn.z_record {
+                    // What was summed up is dL/dz.
+                    d.inverse_depth *= -self.splats[place].depth.powi(2);
+                }
                 (project_backward(&self.gaussians[gaussian as usize], &self.view, &d), d)
             })
             .collect()
@@ -171,6 +177,8 @@ fn run_with(
         sh_degree: scene.view.sh_degree,
         filter_3d: scene.view.filter_3d > 0.0,
         own_dilation: scene.view.drawn.dilation_px2 != DILATION,
+        dropout: scene.view.drawn.dropout.is_some(),
+        z_record: scene.view.drawn.z_record,
         absolute: absolute.is_some(),
         pose_gradient,
         ..Spec::default()
@@ -310,6 +318,19 @@ fn project_backward_equals_its_twin_with_filters() {
     for (filter_3d, antialias_detached) in [(0.0, true), (0.0078125, false), (0.125, true)] {
         let drawn = Drawn { dilation_px2: f64::from(0.1_f32), ..Drawn::AS_THEY_ARE };
         let view = View { filter_3d, antialias: true, antialias_detached, drawn, ..small_view([53, 37]) };
+        check(&gpu, &Scene::random(300, view, 50));
+    }
+}
+
+/// Opacities that were raised for others that are left out; and z as the depth that was blended.
+#[test]
+fn project_backward_equals_its_twin_under_dropout() {
+    let gpu = Gpu::new();
+    let dropout = Some(Dropout { below: 1 << 22, seed: 3, iteration: 9 });
+    for (antialias, filter_3d, z_record) in [(false, 0.0, true), (true, 0.0, false), (true, 0.0078125, true)]
+    {
+        let drawn = Drawn { dropout, z_record, ..Drawn::AS_THEY_ARE };
+        let view = View { antialias, filter_3d, drawn, ..small_view([53, 37]) };
         check(&gpu, &Scene::random(300, view, 50));
     }
 }

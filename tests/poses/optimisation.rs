@@ -295,6 +295,7 @@ fn poses_count_among_the_memory() {
                 height: 200,
                 masked: false,
                 inverse_depth: false,
+                depth_points: 0,
             })
             .collect();
         let settings = TrainSettings { pose_opt, ..TrainSettings::default() };

@@ -47,7 +47,7 @@ pub fn blend_backward(
 }
 
 /// α = o·exp(power), power = −½(A dx² + C dy²) − B dx dy.
-fn add_alpha(splat: &Splat, pixel: [u32; 2], alpha: f64, d_alpha: f64, gradient: &mut SplatGradient) {
+pub fn add_alpha(splat: &Splat, pixel: [u32; 2], alpha: f64, d_alpha: f64, gradient: &mut SplatGradient) {
     let dx = splat.mean2d_px[0] - f64::from(pixel[0]);
     let dy = splat.mean2d_px[1] - f64::from(pixel[1]);
     let [a, b, c] = splat.conic;

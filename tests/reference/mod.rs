@@ -70,6 +70,8 @@ pub mod sort_single_subgroup;
 pub mod sort_spine;
 pub mod sort_upsweep;
 pub mod sort_upsweep_serial;
+pub mod sparse_depth;
+pub mod sparse_depth_gather;
 pub mod ssim_backward;
 pub mod ssim_forward;
 pub mod sum_weights;

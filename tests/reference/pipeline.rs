@@ -31,7 +31,8 @@ pub struct FrameGradient {
 
 /// Renders.
 pub fn render(gaussians: &[Gaussian], view: &View) -> Frame {
-    let splats: Vec<Option<Splat>> = gaussians.iter().map(|g| project(g, view)).collect();
+    let kept = |(index, g)| if view.drawn.drops(index) { None } else { project(g, view) };
+    let splats: Vec<Option<Splat>> = gaussians.iter().enumerate().map(kept).collect();
     let mut instances = duplicate_with_tiles::expand(&splats, view);
     let tiles_touched = tiles_touched(&instances, gaussians.len());
     sort::sort_by_tile_and_depth(&mut instances);

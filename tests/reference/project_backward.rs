@@ -12,7 +12,7 @@ pub fn project_backward(gaussian: &Gaussian, view: &View, d: &SplatGradient) -> 
     let mut gradient = Gradient { sh: vec![[0.0; 3]; gaussian.sh.len()], ..Gradient::default() };
     color_backward(gaussian, view, d.color, &mut gradient);
 
-    let (d_opacity, _) = opacity_backward(&on_the_way, d.opacity);
+    let (d_opacity, _) = opacity_backward(&on_the_way, d.opacity * view.drawn.opacity_factor());
     gradient.opacity_logit = d_opacity * on_the_way.opacity * (1.0 - on_the_way.opacity);
     let (d_p, d_cov3d) = geometry_backward(&on_the_way, view, d);
     let d_mean = apply(&transpose(&view.camera_from_world), d_p);
@@ -44,7 +44,7 @@ pub fn pose_gradient(gaussian: &Gaussian, view: &View, d: &SplatGradient) -> [f6
 
 /// dL/d(position in the camera's frame) and dL/dΣ.
 fn geometry_backward(on_the_way: &Intermediate, view: &View, d: &SplatGradient) -> ([f64; 3], Mat3) {
-    let (_, through_compensation) = opacity_backward(on_the_way, d.opacity);
+    let (_, through_compensation) = opacity_backward(on_the_way, d.opacity * view.drawn.opacity_factor());
     let d_cov_compensation = if view.antialias_detached { [0.0; 3] } else { through_compensation };
     let mut d_cov2d = conic_backward(on_the_way, d.conic);
     for i in 0..3 {

@@ -1,5 +1,7 @@
 //! The twins' own types: double precision, arrays of structures, nothing shared with the engine.
 
+use super::gather::pcg4d;
+
 /// Which pixels a Gaussian may reach (spec: "Extent").
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extent {
@@ -67,6 +69,33 @@ pub struct Drawn {
     pub opacity: f64,
     /// Which Gaussians are left out.
     pub cut: Limits,
+    /// Some that are left out at random.
+    pub dropout: Option<Dropout>,
+    /// The depth that is blended is z, not 1/z. Only the kernels that project know it.
+    pub z_record: bool,
+}
+
+/// Gaussians that are left out at random (DropGaussian): the numbers of 24 bits below `below`, by the keys and the Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dropout {
+    /// Of 2^24.
+    pub below: u32,
+    /// Key.
+    pub seed: u32,
+    /// Key.
+    pub iteration: u32,
+}
+
+impl Dropout {
+    /// Whether a Gaussian is left out.
+    pub fn drops(&self, gaussian: usize) -> bool {
+        pcg4d([self.seed, self.iteration, gaussian as u32, 6])[0] >> 8 < self.below
+    }
+
+    /// Factor of the opacities of the others, rounded to float32.
+    pub fn factor(&self) -> f64 {
+        f64::from((1.0 / (1.0 - f64::from(self.below) / f64::from(1 << 24))) as f32)
+    }
 }
 
 /// What a Gaussian must have to be drawn.
@@ -100,8 +129,24 @@ impl Limits {
 
 impl Drawn {
     /// The Gaussians themselves.
-    pub const AS_THEY_ARE: Self =
-        Self { scale_modifier: 1.0, dilation_px2: DILATION, opacity: 0.0, cut: Limits::NONE };
+    pub const AS_THEY_ARE: Self = Self {
+        scale_modifier: 1.0,
+        dilation_px2: DILATION,
+        opacity: 0.0,
+        cut: Limits::NONE,
+        dropout: None,
+        z_record: false,
+    };
+
+    /// Whether a Gaussian is left out at random.
+    pub fn drops(&self, gaussian: usize) -> bool {
+        self.dropout.is_some_and(|dropout| dropout.drops(gaussian))
+    }
+
+    /// What opacities are multiplied by at last.
+    pub fn opacity_factor(&self) -> f64 {
+        self.dropout.map_or(1.0, |dropout| dropout.factor())
+    }
 }
 
 /// Gaussians fainter than this are left out where opacities are replaced by a negative one.

@@ -1,7 +1,9 @@
 //! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
 
+mod few_photos;
 mod train_overrides;
 
+pub use few_photos::FewPhotos;
 pub use train_overrides::{TrainOverrides, strategies};
 
 use ashsplat::trainer::{StrategyType, TrainSettings};
@@ -49,6 +51,10 @@ pub struct Overrides {
     /// sets --exposure (the reference's protocol)
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     train_test_exp: Option<bool>,
+    /// Settings for few photos: on, off, or on below 30 photos to train on (auto); growth ends before the Gaussians fit nothing but
+    /// these photos. What is given otherwise wins [default: auto]
+    #[arg(long, value_name = "WHEN")]
+    few_photos: Option<FewPhotos>,
     /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     test_iterations: Option<Vec<u32>>,
@@ -88,6 +94,8 @@ pub struct DataSettings {
     pub eval: bool,
     /// Train on the left half of the held-out views, and test on the right one.
     pub train_test_exp: bool,
+    /// Whether the settings for few photos are taken.
+    pub few_photos: FewPhotos,
     /// Iterations after which to test; the last is always one.
     pub test_iterations: Vec<u32>,
     /// Iterations after which to save; the last is always one.
@@ -107,6 +115,7 @@ impl Default for DataSettings {
             orientation: "auto".into(),
             eval: false,
             train_test_exp: false,
+            few_photos: FewPhotos::default(),
             test_iterations: vec![7000, 30_000],
             save_iterations: vec![7000, 30_000],
             checkpoint_iterations: Vec::new(),
@@ -124,14 +133,28 @@ pub struct Settings {
 impl Settings {
     /// Defaults, overridden by the file, overridden by the command line; checked.
     pub fn resolve(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
+        Self::resolve_from(TrainSettings::of_strategy, file, overrides)
+    }
+
+    /// As [`Settings::resolve`], from these defaults of a strategy.
+    fn resolve_from(
+        defaults: impl Fn(StrategyType) -> TrainSettings,
+        file: Option<&Path>,
+        overrides: &Overrides,
+    ) -> Result<Settings> {
         let mut table = match file {
             Some(path) => read_table(path)?,
             None => Table::new(),
         };
         let given = Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
         table.extend(given);
-        let settings = Settings::from_table(table).map_err(|problem| Error::argument("settings", problem))?;
+        let settings = Settings::with_defaults(defaults, table)
+            .map_err(|problem| Error::argument("settings", problem))?;
         settings.train.check()?;
+        if settings.train.depth_points > 0.0 && !settings.data.depths.as_os_str().is_empty() {
+            let problem = "does not go together with depth maps (-d): take one of them";
+            return Err(Error::argument("depth_points", problem));
+        }
         if settings.data.train_test_exp && !settings.data.eval {
             let problem = "is about held-out views: give --eval as well";
             return Err(Error::argument("train_test_exp", problem));
@@ -154,13 +177,20 @@ impl Settings {
     }
 
     fn from_table(table: Table) -> Result<Settings, String> {
+        Self::with_defaults(TrainSettings::of_strategy, table)
+    }
+
+    fn with_defaults(
+        defaults: impl Fn(StrategyType) -> TrainSettings,
+        table: Table,
+    ) -> Result<Settings, String> {
         let data_keys = Table::try_from(DataSettings::default()).map_err(|e| e.to_string())?;
         let (data, train): (Table, Table) =
             table.into_iter().partition(|(key, _)| data_keys.contains_key(key));
         // What is not given has the default of the strategy.
         let strategy = train.get("strategy").cloned().map(StrategyType::deserialize).transpose();
         let strategy = strategy.map_err(|e: toml::de::Error| e.message().to_owned())?.unwrap_or_default();
-        let mut all = Table::try_from(TrainSettings::of_strategy(strategy)).map_err(|e| e.to_string())?;
+        let mut all = Table::try_from(defaults(strategy)).map_err(|e| e.to_string())?;
         all.extend(train);
         let data: DataSettings = data.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?;
         if data.train_test_exp {

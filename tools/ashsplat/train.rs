@@ -26,16 +26,17 @@ use ashsplat::scene::Camera;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
-use ashsplat_files::{Dataset, View, quoted};
+use ashsplat_files::{Dataset, View};
 use checkpoints::{LATEST, Start};
 use clap::Args;
 use live::{Live, LiveArguments};
 use log::TrainLog;
 use prepared::{Prepared, Views, check_fits, photo_memory};
 use report::KernelTimes;
+pub use report::say_what_next;
 use saving::Unsaved;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use testing::{FinalLpips, Tested};
 use tracking::Tracking;
@@ -120,7 +121,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Only training looks at them.
     options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
-    let gallery = session::open(&settings.data, &options, &stop)?;
+    let mut gallery = session::open(&settings.data, &options, &stop)?;
+    let given = (arguments.config.as_deref(), &arguments.overrides);
+    let (settings, few_photos) = settings.settle(&mut gallery, given)?;
     check_fits(&context, &gallery, &settings.train, start.as_ref().map(Start::checkpoint))?;
     let dataset = session::load(&gallery, arguments.quiet, &stop)?;
     let gallery = arguments.live.wants_photos().then_some(gallery);
@@ -145,6 +148,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         None => Run::prepare(&context, dataset, settings, arguments.quiet)?,
         Some(start) => Run::resume(&context, dataset, settings, &start, arguments.quiet)?,
     };
+    few_photos.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
     run.repeat(&arguments.device, arguments.photo_memory);
     run.track_within(arguments.eval_share);
     run.lpips = lpips;
@@ -159,14 +163,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     arguments.device.report_validation(&context);
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }
-}
-
-/// What people do with a trained scene.
-pub fn say_what_next(model: &Path) {
-    let name = quoted(&model.to_string_lossy());
-    say!("look at it      ashsplat view {name}");
-    say!("make a film     ashsplat render {name} -o film.gif");
-    say!("the report      {}", model.join(report::REPORT_FILE).display());
 }
 
 /// One training run: the trainer, and everything that is written beside it.

@@ -10,11 +10,8 @@ use super::{binary, text};
 use crate::depth_fit::DepthPoint;
 use ashsplat::Result;
 
-/// The points that each image of a model shows, by the image's id.
-///
-/// # Errors
-/// As [`Model::read`].
-pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
+/// What each image shows, and the positions of the points by their ids.
+fn read(model: &Model) -> Result<(Vec<Observed>, HashMap<u64, [f64; 3]>)> {
     let (images, points) = (model.file("images"), model.points_file());
     let observed =
         if model.source.text { text::observations(&images)? } else { binary::observations(&images)? };
@@ -23,6 +20,15 @@ pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
         Some(file) if file.extension().is_some_and(|ending| ending == "txt") => text::positions(file)?,
         Some(file) => binary::positions(file)?,
     };
+    Ok((observed, positions))
+}
+
+/// The points that each image of a model shows, by the image's id.
+///
+/// # Errors
+/// As [`Model::read`].
+pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
+    let (observed, positions) = read(model)?;
     let poses: HashMap<u32, (DQuat, DVec3)> = model
         .images
         .iter()
@@ -40,6 +46,22 @@ pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
             Some(DepthPoint { position_px, inverse_z: 1.0 / z }).filter(|point| point.inverse_z.is_finite())
         };
         (id, places.into_iter().filter_map(point).collect())
+    };
+    Ok(observed.into_iter().map(of_image).collect())
+}
+
+/// The positions, world units, of the points that each image of a model shows, by the image's id: once each, in the order of the
+/// points' ids.
+///
+/// # Errors
+/// As [`Model::read`].
+pub fn tracks(model: &Model) -> Result<HashMap<u32, Vec<[f64; 3]>>> {
+    let (observed, positions) = read(model)?;
+    let of_image = |(id, places): Observed| {
+        let mut points: Vec<u64> = places.into_iter().filter_map(|(_, point)| point).collect();
+        points.sort_unstable();
+        points.dedup();
+        (id, points.iter().filter_map(|point| positions.get(point).copied()).collect())
     };
     Ok(observed.into_iter().map(of_image).collect())
 }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::depths::{self, PlannedMap};
 use super::plan::{Plan, PlannedView};
+use super::tracks::Track;
 use super::{Dataset, DatasetOptions, Unpacked, View, beyond_memory};
 use crate::cameras_json::NamedCamera;
 use crate::progress::Progress;
@@ -18,6 +19,8 @@ pub struct Gallery {
     pub(super) views: Vec<PlannedView>,
     pub(super) held_out: Vec<bool>,
     pub(super) maps: Vec<Option<PlannedMap>>,
+    /// Per view; empty before [`Gallery::read_tracks`].
+    pub(super) tracks: Vec<Option<Track>>,
     pub(super) points: PointCloud,
     pub(super) warnings: Vec<String>,
     /// The folder of the COLMAP model, or the transforms.json.
@@ -45,7 +48,8 @@ impl Gallery {
         let maps = maps.map_err(|error| unpacked.name(error))?;
         let warnings = warnings.iter().map(|warning| unpacked.name_in(warning)).collect();
         let source = unpacked.named(&source);
-        Ok(Self { unpacked, options: options.clone(), views, held_out, maps, points, warnings, source, list })
+        let (options, tracks) = (options.clone(), Vec::new());
+        Ok(Self { unpacked, options, views, held_out, maps, tracks, points, warnings, source, list })
     }
 
     /// Reads all photos: the whole data set, in parallel.
@@ -70,18 +74,20 @@ impl Gallery {
     /// name says.
     pub fn train_photos(&self) -> Result<Vec<PhotoSize>> {
         let halves = self.options.train_test_exp;
-        let all = self.views.iter().zip(&self.held_out).zip(&self.maps);
-        let train = all.filter(|((_, held_out), _)| halves || !**held_out);
-        let size = |((view, held_out), map): ((&PlannedView, &bool), &Option<PlannedMap>)| {
-            let (width, height) = view.size(&self.options).map_err(|error| self.unpacked.name(error))?;
-            Ok(PhotoSize {
-                name: view.name.clone(),
-                width,
-                height,
-                masked: *held_out,
-                inverse_depth: map.is_some(),
-            })
-        };
+        let all = self.views.iter().zip(&self.held_out).zip(&self.maps).enumerate();
+        let train = all.filter(|(_, ((_, held_out), _))| halves || !**held_out);
+        let size =
+            |(index, ((view, held_out), map)): (usize, ((&PlannedView, &bool), &Option<PlannedMap>))| {
+                let (width, height) = view.size(&self.options).map_err(|error| self.unpacked.name(error))?;
+                Ok(PhotoSize {
+                    name: view.name.clone(),
+                    width,
+                    height,
+                    masked: *held_out,
+                    inverse_depth: map.is_some(),
+                    depth_points: self.track_length(index),
+                })
+            };
         train.map(size).collect()
     }
 

@@ -444,6 +444,7 @@ impl PlannedView {
             original_camera,
             photo: StoredPhoto::new(photo, mask),
             inverse_depth: None,
+            depth_points: None,
         })
     }
 }

@@ -137,7 +137,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     if done.len() < jobs.len() {
         let options = session::options(&data, jobs[0].settings.white_background, &arguments.device.host)?;
-        let gallery = session::open(&data, &options, &stop)?;
+        let mut gallery = session::open(&data, &options, &stop)?;
+        if jobs.iter().any(|job| job.settings.depth_points > 0.0) {
+            gallery.read_tracks()?;
+        }
         let dataset = session::load(&gallery, arguments.quiet, &stop)?;
         session::warn(&dataset.warnings);
         check(&dataset, &arguments.dataset)?;
@@ -173,8 +176,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 fn train_view(view: &View) -> TrainView {
-    let all = TrainView::new(view.camera, view.photo.clone()).taken_by(view.camera_id);
-    all.with_inverse_depth(view.inverse_depth.clone())
+    TrainView::new(view.camera, view.photo.clone())
+        .taken_by(view.camera_id)
+        .with_inverse_depth(view.inverse_depth.clone())
+        .with_depth_points(view.depth_points.clone())
 }
 
 fn check(dataset: &Dataset, path: &Path) -> Result<()> {

@@ -54,8 +54,10 @@ impl Prepared {
 
 /// A view as it is trained on.
 pub fn train_view(view: View) -> TrainView {
-    let View { camera, photo, inverse_depth, camera_id, .. } = view;
-    TrainView::new(camera, photo).with_inverse_depth(inverse_depth).taken_by(camera_id)
+    TrainView::new(view.camera, view.photo)
+        .taken_by(view.camera_id)
+        .with_inverse_depth(view.inverse_depth)
+        .with_depth_points(view.depth_points)
 }
 
 /// A few of the training views, evenly spread.

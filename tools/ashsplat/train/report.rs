@@ -13,8 +13,9 @@ use crate::output;
 use crate::progress::thousands;
 use ashsplat::Result;
 use ashsplat::scene::Gaussians;
-use ashsplat_files::View;
+use ashsplat_files::{View, quoted};
 use std::fmt::Write;
+use std::path::Path;
 
 pub use kernels::KernelTimes;
 
@@ -277,4 +278,12 @@ fn settings(settings: &Settings) -> Result<String> {
     }
     out.push_str("</div>\n");
     Ok(out)
+}
+
+/// What people do with a trained scene.
+pub fn say_what_next(model: &Path) {
+    let name = quoted(&model.to_string_lossy());
+    say!("look at it      ashsplat view {name}");
+    say!("make a film     ashsplat render {name} -o film.gif");
+    say!("the report      {}", model.join(REPORT_FILE).display());
 }

@@ -26,6 +26,7 @@ pub(super) fn dataset(scene_extent: f32) -> Dataset {
             original_camera,
             photo: photo.into(),
             inverse_depth: None,
+            depth_points: None,
         }],
         test: Vec::new(),
         points: PointCloud { positions, colors: vec![[9; 3]; 4] },

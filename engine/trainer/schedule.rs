@@ -1,0 +1,256 @@
+//! What the settings of a run give at an iteration: rates, weights, and when density control works.
+
+use super::settings::TrainSettings;
+use crate::forward::Dropout;
+
+/// Iterations of the run that schedules are given for.
+const SCHEDULE_ITERATIONS: u32 = 30_000;
+/// The SH coefficients above degree 0 learn at this share of `feature_lr`.
+const FEATURE_REST_SHARE: f64 = 1.0 / 20.0;
+/// What is left at the end of the weight of the sparse points' depths.
+const DEPTH_POINTS_END: f64 = 0.01;
+
+/// From the first value at iteration 0 to the second one after `steps`, log-linear; constant after that.
+fn log_linear([first, last]: [f64; 2], iteration: u32, steps: u32) -> f64 {
+    let progress = (f64::from(iteration) / f64::from(steps)).min(1.0);
+    (first.ln() * (1.0 - progress) + last.ln() * progress).exp()
+}
+
+impl TrainSettings {
+    /// An iteration of the schedule in this run: the same, or with `scale_schedule` multiplied by `iterations`
+    /// / 30,000 and rounded, so that it keeps its share of the run. Intervals and what follows an opacity reset
+    /// are not scaled: statistics need as many views, and opacities as many steps, in a short run.
+    pub fn scaled(&self, iteration: u32) -> u32 {
+        if !self.scale_schedule {
+            return iteration;
+        }
+        let whole = u64::from(SCHEDULE_ITERATIONS);
+        let scaled = (u64::from(iteration) * u64::from(self.iterations) + whole / 2) / whole;
+        scaled.min(u32::MAX.into()) as u32
+    }
+
+    /// Learning rate of the means at an iteration, in units of the scene's extent (multiply by it): log-linear
+    /// from `position_lr_init`, times [`Self::position_factor`], at 0 to
+    /// `position_lr_final` at `position_lr_max_steps` ([scaled](Self::scaled)), constant after that.
+    pub fn position_lr(&self, iteration: u32) -> f64 {
+        let end = self.scaled(self.position_lr_max_steps).max(1);
+        let first = self.position_lr_init * self.position_factor();
+        log_linear([first, self.position_lr_final], iteration, end)
+    }
+
+    /// Weight of the inverse-depth maps at an iteration: log-linear from `depth_l1_weight_init` at 0 to
+    /// `depth_l1_weight_final` at the last iteration.
+    pub fn depth_l1_weight(&self, iteration: u32) -> f64 {
+        log_linear([self.depth_l1_weight_init, self.depth_l1_weight_final], iteration, self.iterations)
+    }
+
+    /// Weight of the depths of sparse points at an iteration, in units of the scene's extent (multiply by it): log-linear from
+    /// `depth_points` at 0 to a hundredth of it at the last iteration.
+    pub fn depth_points_weight(&self, iteration: u32) -> f64 {
+        self.depth_points * log_linear([1.0, DEPTH_POINTS_END], iteration, self.iterations)
+    }
+
+    /// The Gaussians that an iteration (1-based) leaves out at random: their share rises linearly to `dropout` at the last
+    /// iteration (DropGaussian, section 3.2).
+    pub fn dropout_at(&self, iteration: u32) -> Option<Dropout> {
+        let progress = (f64::from(iteration) / f64::from(self.iterations)).min(1.0);
+        let (share, seed) = (self.dropout * progress, self.seed);
+        (self.dropout > 0.0).then_some(Dropout { share, seed, iteration })
+    }
+
+    /// Learning rate of the exposures at an iteration: log-linear from `exposure_lr_init` at 0 to
+    /// `exposure_lr_final` at the last iteration, less during the first `exposure_lr_delay_steps` (the
+    /// reference's `get_expon_lr_func`).
+    pub fn exposure_lr(&self, iteration: u32) -> f64 {
+        let rate = log_linear([self.exposure_lr_init, self.exposure_lr_final], iteration, self.iterations);
+        let delay = match self.exposure_lr_delay_steps {
+            0 => 1.0,
+            steps => {
+                let risen = (f64::from(iteration) / f64::from(steps)).min(1.0);
+                let from = self.exposure_lr_delay_mult;
+                from + (1.0 - from) * (risen * std::f64::consts::FRAC_PI_2).sin()
+            }
+        };
+        delay * rate
+    }
+
+    /// Learning rate of the lens effects at an iteration: log-linear from `lens_lr` at 0 to a tenth of it at the last.
+    pub fn lens_lr(&self, iteration: u32) -> f64 {
+        log_linear([self.lens_lr, 0.1 * self.lens_lr], iteration, self.iterations)
+    }
+
+    /// Factor of the means' first learning rate: with `scale_rates` 30,000 / `iterations`, 1 to 10, so that means
+    /// can travel as far in a short run. Their last rate stays: it is the precision that they end with.
+    pub fn position_factor(&self) -> f64 {
+        if self.scale_rates { self.shorter().min(10.0) } else { 1.0 }
+    }
+
+    /// Factor of the learning rates of scales, opacities and colours: with `scale_rates` the root of 30,000 /
+    /// `iterations`, 1 to 2. By measurement (tools/strategies.md).
+    pub fn rate_factor(&self) -> f64 {
+        if self.scale_rates { self.shorter().sqrt().min(2.0) } else { 1.0 }
+    }
+
+    /// How many times shorter than 30,000 iterations the run is, at least 1.
+    fn shorter(&self) -> f64 {
+        (f64::from(SCHEDULE_ITERATIONS) / f64::from(self.iterations.max(1))).max(1.0)
+    }
+
+    /// Learning rate of the SH coefficients of degree 1 and above.
+    pub fn feature_rest_lr(&self) -> f64 {
+        self.feature_lr * FEATURE_REST_SHARE
+    }
+
+    /// The SH degree in use at an iteration (1-based): one more at every `sh_degree_interval`, up to `sh_degree`.
+    pub fn sh_degree_at(&self, iteration: u32) -> u32 {
+        (iteration / self.sh_degree_interval).min(self.sh_degree)
+    }
+
+    /// Whether statistics for densification are collected at an iteration (1-based).
+    pub fn collects_statistics_at(&self, iteration: u32) -> bool {
+        iteration < self.scaled(self.densify_until_iter)
+    }
+
+    /// Whether an iteration (1-based) ends with a densification.
+    pub fn densifies_at(&self, iteration: u32) -> bool {
+        iteration > self.scaled(self.densify_from_iter)
+            && iteration < self.scaled(self.densify_until_iter)
+            && iteration.is_multiple_of(self.densification_interval)
+    }
+
+    /// Whether a densification at this iteration (1-based) also prunes Gaussians that are large in the world:
+    /// only after the first opacity reset.
+    pub fn prunes_large_at(&self, iteration: u32) -> bool {
+        iteration > self.opacity_reset_interval
+    }
+
+    /// Whether the sizes of the 3D filter are computed anew after an iteration's step (1-based), besides at the start and
+    /// after each densification: every hundred iterations once densification has ended, but not in the last hundred
+    /// (Mip-Splatting's train.py).
+    pub fn computes_filters_at(&self, iteration: u32) -> bool {
+        const INTERVAL: u32 = 100;
+        self.filter_3d
+            && iteration > self.densify_until_iter
+            && iteration.is_multiple_of(INTERVAL)
+            && iteration < self.iterations.saturating_sub(INTERVAL)
+    }
+
+    /// Whether an iteration (1-based) ends with an opacity reset. Over white, the reference also resets once
+    /// at `densify_from_iter`.
+    pub fn resets_opacity_at(&self, iteration: u32) -> bool {
+        iteration < self.scaled(self.densify_until_iter)
+            && (iteration.is_multiple_of(self.opacity_reset_interval)
+                || (self.white_background && iteration == self.scaled(self.densify_from_iter)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn position_lr_is_log_linear_then_constant() {
+        let settings = TrainSettings::default();
+        assert!((settings.position_lr(0) - 1.6e-4).abs() < 1e-18);
+        assert!((settings.position_lr(15_000) - 1.6e-5).abs() < 1e-16);
+        assert!((settings.position_lr(30_000) - 1.6e-6).abs() < 1e-18);
+        assert_eq!(settings.position_lr(30_001), settings.position_lr(30_000));
+    }
+
+    #[test]
+    fn exposure_lr_is_log_linear_behind_its_delay() {
+        let settings = TrainSettings { iterations: 100, ..Default::default() };
+        for (iteration, rate) in [(0, 0.01), (50, 0.01 / 10f64.sqrt()), (100, 0.001), (200, 0.001)] {
+            assert!((settings.exposure_lr(iteration) / rate - 1.0).abs() < 1e-12, "{iteration}");
+        }
+        let late =
+            TrainSettings { exposure_lr_delay_steps: 10, exposure_lr_delay_mult: 0.2, ..settings.clone() };
+        assert!((late.exposure_lr(0) - 0.002).abs() < 1e-15);
+        let share = 0.2 + 0.8 * 0.5f64.sqrt();
+        assert!((late.exposure_lr(5) - share * settings.exposure_lr(5)).abs() < 1e-15);
+        assert_eq!(late.exposure_lr(10), settings.exposure_lr(10));
+    }
+
+    #[test]
+    fn schedule_of_the_reference() {
+        let settings = TrainSettings::default();
+        let densified: Vec<u32> = (1..=30_000).filter(|&i| settings.densifies_at(i)).collect();
+        assert_eq!((densified.first(), densified.last()), (Some(&600), Some(&14_900)));
+        let resets: Vec<u32> = (1..=30_000).filter(|&i| settings.resets_opacity_at(i)).collect();
+        assert_eq!(resets, [3000, 6000, 9000, 12_000]);
+        assert_eq!([1, 999, 1000, 2999, 3000, 30_000].map(|i| settings.sh_degree_at(i)), [0, 0, 1, 2, 3, 3]);
+        assert!(!settings.prunes_large_at(3000) && settings.prunes_large_at(3100));
+    }
+
+    #[test]
+    fn schedule_of_the_3d_filter() {
+        let settings = TrainSettings { filter_3d: true, ..Default::default() };
+        let computed: Vec<u32> = (1..=30_000).filter(|&i| settings.computes_filters_at(i)).collect();
+        assert_eq!((computed.first(), computed.last(), computed.len()), (Some(&15_100), Some(&29_800), 148));
+        assert!((1..=30_000).all(|i| !TrainSettings::default().computes_filters_at(i)));
+    }
+
+    #[test]
+    fn a_scaled_schedule_keeps_its_shares_of_the_run() {
+        let scaled = |iterations| TrainSettings { iterations, scale_schedule: true, ..Default::default() };
+        let (whole, short) = (scaled(30_000), scaled(2000));
+        for iteration in [0, 1, 499, 15_000, 29_999] {
+            assert_eq!(whole.scaled(iteration), iteration);
+            assert_eq!(whole.position_lr(iteration), TrainSettings::default().position_lr(iteration));
+        }
+        assert_eq!([500, 15_000, 30_000].map(|i| short.scaled(i)), [33, 1000, 2000]);
+        assert!((short.position_lr(2000) - 1.6e-6).abs() < 1e-18);
+        let densified: Vec<u32> = (1..=2000).filter(|&i| short.densifies_at(i)).collect();
+        assert_eq!(densified, [100, 200, 300, 400, 500, 600, 700, 800, 900]);
+        // Not even a run of one iteration divides by zero.
+        assert!(scaled(1).position_lr(1).is_finite());
+        assert_eq!(TrainSettings { iterations: 2000, ..Default::default() }.scaled(500), 500);
+    }
+
+    #[test]
+    fn shorter_runs_take_larger_steps() {
+        let of = |iterations, scale_rates| TrainSettings {
+            iterations,
+            scale_rates,
+            scale_schedule: true,
+            ..Default::default()
+        };
+        for settings in [of(30_000, true), of(60_000, true), of(2000, false)] {
+            assert_eq!(settings.position_factor(), 1.0);
+            assert_eq!(settings.rate_factor(), 1.0);
+        }
+        let short = of(6000, true);
+        assert_eq!([short.position_factor(), of(1, true).position_factor()], [5.0, 10.0]);
+        assert!((short.position_lr(0) - 8e-4).abs() < 1e-15);
+        assert!((short.position_lr(6000) - 1.6e-6).abs() < 1e-15);
+        assert_eq!([short.rate_factor(), of(15_000, true).rate_factor()], [2.0, 2.0_f64.sqrt()]);
+    }
+
+    #[test]
+    fn white_background_resets_at_the_start_of_densification() {
+        let settings = TrainSettings { white_background: true, ..Default::default() };
+        assert!(settings.resets_opacity_at(500));
+        assert!(!TrainSettings::default().resets_opacity_at(500));
+    }
+
+    #[test]
+    fn dropout_rises_to_its_share_at_the_end() {
+        let settings = TrainSettings { iterations: 400, dropout: 0.2, seed: 5, ..TrainSettings::default() };
+        for (iteration, share) in [(0, 0.0), (100, 0.05), (400, 0.2), (500, 0.2)] {
+            let dropout = settings.dropout_at(iteration).expect("some");
+            assert!((dropout.share - share).abs() < 1e-15);
+            assert_eq!((dropout.seed, dropout.iteration), (5, iteration));
+        }
+        assert_eq!(TrainSettings::default().dropout_at(9), None);
+        let message = TrainSettings { dropout: 0.95, ..settings }.check().expect_err("refused").to_string();
+        assert!(message.starts_with("dropout: is 0.95"), "{message}");
+    }
+
+    #[test]
+    fn the_weight_of_points_falls_to_a_hundredth() {
+        let settings = TrainSettings { iterations: 400, depth_points: 0.5, ..TrainSettings::default() };
+        for (iteration, weight) in [(0, 0.5), (200, 0.05), (400, 0.005)] {
+            assert!((settings.depth_points_weight(iteration) / weight - 1.0).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,20 @@
+// Points of known depth in a picture: a point is sampled bilinearly from four pixels, whose centres are at the integers. The
+// last row and column stand for those beyond.
+// Needs the push constants `image_width` and `image_height`.
+
+// Index of the pixel at a corner of the point, 0 to 3: the first bit is to the right, the second one down.
+uint corner_pixel(vec2 point_px, uint corner) {
+    uvec2 at = uvec2(point_px) + uvec2(corner & 1, corner >> 1);
+    at = min(at, uvec2(image_width, image_height) - 1);
+    return at.y * image_width + at.x;
+}
+
+float corner_weight(vec2 point_px, uint corner) {
+    vec2 share = point_px - floor(point_px);
+    return ((corner & 1) != 0 ? share.x : 1.0 - share.x) * ((corner >> 1) != 0 ? share.y : 1.0 - share.y);
+}
+
+// Expected depth of a pixel from the sum of weights z and its transmittance.
+float covered(float transmittance) {
+    return max(1.0 - transmittance, COVERAGE_MIN);
+}

@@ -1,0 +1,10 @@
+// Gaussians left out at random (DropGaussian, Park et al. 2025, section 3.2): of a frame that is trained on, each is left out
+// with the probability dropout_below / 2^24, and the opacities of the others are multiplied by dropout_factor.
+// Needs camera_block.glsl and random.glsl.
+
+// Tells these numbers apart from others with the same seed and iteration.
+const uint DROPOUT_STREAM = 6;
+
+bool dropped_out(uint gaussian) {
+    return pcg4d(uvec4(dropout_seed, dropout_iteration, gaussian, DROPOUT_STREAM)).x >> 8 < dropout_below;
+}

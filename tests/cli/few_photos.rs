@@ -1,0 +1,123 @@
+//! `train --few-photos` and `--depth-points`.
+
+use super::*;
+use std::fmt::Write as _;
+use tempfile::tempdir;
+
+const SCHEDULE: [&str; 6] = ["--iterations", "12", "--sh_degree", "0", "--eval-share", "0"];
+
+fn train(data: &Path, model: &Path, more: &[&str]) -> Finished {
+    let usual = ["train", "-s", text(data), "-m", text(model)];
+    finish(program().args(usual).args(SCHEDULE).args(more))
+}
+
+/// The value of a setting in the dump of a run.
+fn setting(model: &Path, name: &str) -> String {
+    let dump = std::fs::read_to_string(model.join("settings.toml")).expect("a dump");
+    let line = dump.lines().find_map(|line| line.strip_prefix(&format!("{name} = ")));
+    line.unwrap_or_else(|| panic!("no {name} in {dump}")).to_owned()
+}
+
+/// The data set of [`write_dataset`], whose model says which photos show which points.
+fn write_tracks(folder: &Path) {
+    write_dataset(folder);
+    let points = wall_points();
+    let sparse = folder.join("sparse/0");
+    let mut images = String::new();
+    for index in 0..VIEWS {
+        let camera = view(index);
+        let image = ColmapImage::posed(index + 1, 1, format!("{:02}.png", index + 1), &camera);
+        let numbers: Vec<String> =
+            image.quat.iter().chain(&image.translation).map(|x| format!("{x:.9}")).collect();
+        writeln!(images, "{} {} 1 {}", image.id, numbers.join(" "), image.name).expect("text");
+        for (id, position) in points.positions.iter().enumerate().step_by(3) {
+            let (x, y, _) = camera.project(Vec3::from_array(*position));
+            write!(images, "{x} {y} {id} ").expect("text");
+        }
+        images.push('\n');
+    }
+    let of_points: Vec<String> = (points.positions.iter().enumerate())
+        .map(|(id, [x, y, z])| format!("{id} {x} {y} {z} 9 9 9 0.5 1 0 2 0\n"))
+        .collect();
+    let camera = view(0);
+    let cameras = format!(
+        "1 PINHOLE {} {} {} {} {} {}\n",
+        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+    );
+    for (name, contents) in [("cameras", cameras), ("images", images), ("points3D", of_points.concat())] {
+        std::fs::remove_file(sparse.join(format!("{name}.bin"))).expect("was there");
+        std::fs::write(sparse.join(format!("{name}.txt")), contents).expect("written");
+    }
+}
+
+/// Below so many photos their settings are taken and said, in one line; what is given wins.
+#[test]
+fn few_photos_are_noticed_and_said() {
+    let folder = tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    write_dataset(&data);
+    let lines = |run: &Finished| {
+        assert_eq!(run.code, Some(0), "{}", run.stderr);
+        run.stderr
+            .lines()
+            .filter(|line| line.starts_with("few photos"))
+            .map(str::to_owned)
+            .collect::<Vec<_>>()
+    };
+    let model = folder.path().join("auto");
+    let said = lines(&train(&data, &model, &[]));
+    assert_eq!(said.len(), 1, "{said:?}");
+    assert!(
+        said[0].contains("(9)")
+            && said[0].contains("--densify-until-iter 1500")
+            && said[0].contains("--few-photos off")
+    );
+    assert_eq!(setting(&model, "densify_until_iter"), "1500");
+    assert_eq!(setting(&model, "few_photos"), "\"auto\"");
+    // A run with its dump is the same run, and needs not be said anything about twice.
+    let again = folder.path().join("again");
+    let config = model.join("settings.toml");
+    let run = train(&data, &again, &["--config", text(&config)]);
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    let scene = |model: &Path| {
+        std::fs::read(model.join("point_cloud/iteration_12/point_cloud.ply")).expect("a scene")
+    };
+    assert!(scene(&again) == scene(&model));
+    let off = folder.path().join("off");
+    assert!(lines(&train(&data, &off, &["--few-photos", "off"])).is_empty());
+    assert_eq!(setting(&off, "densify_until_iter"), "15000");
+    let given = folder.path().join("given");
+    let said = lines(&train(&data, &given, &["--few-photos", "on", "--densify-until-iter", "9"]));
+    assert!(said.is_empty(), "{said:?}");
+    assert_eq!(setting(&given, "densify_until_iter"), "9");
+    let quiet = folder.path().join("quiet");
+    assert!(lines(&train(&data, &quiet, &["--quiet"])).is_empty());
+    refuse(&["train", "-s", text(&data), "-m", "x", "--few-photos", "maybe"], &["maybe", "few-photos"]);
+}
+
+/// A model with observations has depths to train on; one without has none, which is said before the work.
+#[test]
+fn points_are_taken_for_depths_where_photos_show_them() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, model) = (folder.path().join("data"), folder.path().join("model"));
+    write_tracks(&data);
+    let run = train(&data, &model, &["--few-photos", "off", "--depth-points", "0.1", "--eval"]);
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    assert_eq!(setting(&model, "depth_points"), "0.1");
+    let without = folder.path().join("without");
+    assert_eq!(train(&data, &without, &["--few-photos", "off", "--eval"]).code, Some(0));
+    let scene = |model: &Path| {
+        std::fs::read(model.join("point_cloud/iteration_12/point_cloud.ply")).expect("a scene")
+    };
+    assert!(scene(&model) != scene(&without));
+
+    let (bare, none) = (folder.path().join("bare"), folder.path().join("none"));
+    write_dataset(&bare);
+    let refused = train(&bare, &none, &["--depth-points", "0.1"]);
+    assert_refused(&refused, &["which photos show which points", "--depth-points"]);
+    let refused = train(&data, &none, &["--depth-points", "0.1", "-d", "depths"]);
+    assert_refused(&refused, &["depth_points", "-d"]);
+    let refused = train(&data, &none, &["--dropout", "0.95"]);
+    assert_refused(&refused, &["dropout", "0.95", "0.9"]);
+    assert!(!none.exists(), "nothing is left of a run that was refused");
+}

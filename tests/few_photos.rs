@@ -1,0 +1,180 @@
+//! What training offers where there are few photographs: Gaussians left out at random, and the depths of sparse points.
+
+use ashsplat::loss::DepthPoint;
+use ashsplat::trainer::{Checkpoint, StrategyType, Trainer};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{TrainSettings, TrainView};
+
+use crate::checkpoints::{settings as small_settings, start, views};
+use crate::common::gpu::Gpu;
+use crate::common::options;
+
+const EXTENT: f32 = 5.0;
+const ITERATIONS: u32 = 40;
+
+fn settings() -> TrainSettings {
+    TrainSettings { dropout: 0.3, depth_points: 0.2, iterations: ITERATIONS, ..small_settings() }
+}
+
+/// Three views; the second has no points.
+fn few() -> Vec<TrainView> {
+    let points = |view: u32| -> Vec<DepthPoint> {
+        let point = |k: u32| DepthPoint {
+            position_px: [(k * (view + 5) % 39) as f32 + 0.25, (k * 11 % 29) as f32 + 0.5],
+            inverse_z: 0.15 + 0.01 * (k % 9) as f32,
+        };
+        (0..30).map(point).collect()
+    };
+    let with = |(index, view): (u32, TrainView)| match index {
+        1 => view,
+        _ => view.with_depth_points(Some(points(index).into())),
+    };
+    (0..).zip(views(3, 40)).map(with).collect()
+}
+
+fn trainer(gpu: &Gpu, settings: &TrainSettings) -> Trainer {
+    Trainer::new(gpu.context, few(), &start(), EXTENT, settings.clone()).expect("a trainer")
+}
+
+fn end(gpu: &Gpu, settings: &TrainSettings) -> Checkpoint {
+    let mut trainer = trainer(gpu, settings);
+    (0..settings.iterations).for_each(|_| drop(trainer.step().expect("a step")));
+    trainer.checkpoint().expect("the end")
+}
+
+#[test]
+fn few_photos_resume_to_the_bit() {
+    let gpu = Gpu::new();
+    for settings in [settings(), TrainSettings { strategy: StrategyType::Mcmc, ..settings() }] {
+        let whole = end(&gpu, &settings);
+        assert!(end(&gpu, &settings) == whole, "other bits each time");
+        for stop in [1, 15, 27] {
+            let mut first = trainer(&gpu, &settings);
+            (0..stop).for_each(|_| drop(first.step().expect("a step")));
+            let checkpoint = first.checkpoint().expect("a checkpoint");
+            let resumed = Trainer::resume(gpu.context, few(), EXTENT, settings.clone(), &checkpoint);
+            let mut trainer = resumed.expect("resumed");
+            (stop..ITERATIONS).for_each(|_| drop(trainer.step().expect("a step")));
+            assert!(trainer.checkpoint().expect("the end") == whole, "interrupted after {stop}: other bits");
+        }
+        // Other points are other views.
+        let mut other = few();
+        other[0].depth_points = other[2].depth_points.clone();
+        let checkpoint = trainer(&gpu, &settings).checkpoint().expect("a checkpoint");
+        let refused = Trainer::resume(gpu.context, other, EXTENT, settings, &checkpoint);
+        assert!(refused.is_err_and(|error| error.to_string().contains("other photographs")));
+    }
+}
+
+/// Each changes what is learnt; without them points are not looked at.
+#[test]
+fn few_photos_settings_have_an_effect_each() {
+    let gpu = Gpu::new();
+    let off = TrainSettings { dropout: 0.0, depth_points: 0.0, ..settings() };
+    let plain = end(&gpu, &off);
+    let mut without =
+        Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, off.clone()).expect("a trainer");
+    (0..ITERATIONS).for_each(|_| drop(without.step().expect("a step")));
+    assert!(without.checkpoint().expect("the end").gaussians == plain.gaussians);
+    let dropped = end(&gpu, &TrainSettings { dropout: 0.3, ..off.clone() });
+    let deep = end(&gpu, &TrainSettings { depth_points: 0.2, ..off });
+    assert!(dropped.gaussians != plain.gaussians && deep.gaussians != plain.gaussians);
+    assert!(dropped.gaussians != deep.gaussians);
+    // Another seed leaves out others, even where nothing else is random.
+    let other = |seed: u32| {
+        let fixed = TrainSettings { strategy: StrategyType::Fixed, random_background: false, ..settings() };
+        let one = || few().into_iter().take(1).collect();
+        let settings = TrainSettings { seed, depth_points: 0.0, ..fixed };
+        let mut trainer = Trainer::new(gpu.context, one(), &start(), EXTENT, settings).expect("a trainer");
+        (0..10).for_each(|_| drop(trainer.step().expect("a step")));
+        trainer.gaussians().expect("Gaussians")
+    };
+    assert!(other(1) != other(2));
+}
+
+/// Those that are left out count as not seen, and the reports tell the term of the loss.
+#[test]
+fn few_photos_leave_gaussians_out_of_steps_and_not_of_pictures() {
+    let gpu = Gpu::new();
+    let settings = TrainSettings { dropout: 0.9, strategy: StrategyType::Fixed, ..settings() };
+    let mut trainer = trainer(&gpu, &settings);
+    let reports: Vec<_> = (0..ITERATIONS).map(|_| trainer.step().expect("a step")).collect();
+    let seen =
+        |range: std::ops::Range<usize>| reports[range].iter().map(|report| report.visible).sum::<u32>();
+    // Nine of ten are left out in the end.
+    assert!(5 * seen(36..39) < seen(0..3), "{} {}", seen(36..39), seen(0..3));
+    let terms: Vec<&str> = reports[0].terms.iter().map(|(name, _)| *name).collect();
+    assert_eq!(terms, ["photometric", "sparse_depth"]);
+    for report in &reports {
+        let value = report.terms[1].1;
+        assert_eq!(value > 0.0, report.view != 1, "{value}");
+    }
+    let render = trainer.render_settings();
+    let picture = trainer.render(&few()[0].camera, &render).expect("a picture");
+    assert!(picture.stats.visible > 2 * reports[38].visible);
+}
+
+/// The depths at the points come nearer to what is known of them.
+#[test]
+fn few_photos_points_move_the_scene_to_their_depths() {
+    let gpu = Gpu::new();
+    let difference = |depth_points: f64| {
+        let settings = TrainSettings {
+            depth_points,
+            dropout: 0.0,
+            strategy: StrategyType::Fixed,
+            iterations: 200,
+            opacity_reset_interval: 100_000,
+            ..settings()
+        };
+        let mut trainer = trainer(&gpu, &settings);
+        let weight = |iteration| settings.depth_points_weight(iteration) as f32 * EXTENT;
+        let mean = |report: &ashsplat::StepReport| report.terms[1].1 / weight(report.iteration);
+        let of_view = |trainer: &mut Trainer| {
+            let reports: Vec<_> = (0..6).map(|_| trainer.step().expect("a step")).collect();
+            reports.iter().filter(|report| report.view == 0).map(mean).sum::<f32>() / 2.0
+        };
+        let before = of_view(&mut trainer);
+        (0..180).for_each(|_| drop(trainer.step().expect("a step")));
+        (before, of_view(&mut trainer))
+    };
+    let ((_, without), (before, with)) = (difference(1e-9), difference(2.0));
+    assert!(with < 0.7 * before && with < 0.7 * without, "{before} {with} {without}");
+}
+
+#[test]
+fn few_photos_are_within_the_memory() {
+    let peak = |depth_points: f64, max_memory: Option<u64>| -> ashsplat::Result<u64> {
+        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let settings = TrainSettings { depth_points, ..settings() };
+        let mut trainer = Trainer::new(&context, few(), &start(), EXTENT, settings)?;
+        (0..3).try_for_each(|_| trainer.step().map(drop))?;
+        Ok(context.memory_total().peak_bytes)
+    };
+    let (without, with) = (peak(0.0, None).expect("trained"), peak(0.2, None).expect("trained"));
+    assert!(with > without);
+    assert!(peak(0.2, Some(with)).expect("trained") <= with);
+    let refused = peak(0.2, Some(50_000)).expect_err("too little").to_string();
+    assert!(refused.contains("bytes"), "{refused}");
+}
+
+#[test]
+fn few_photos_refuse_what_contradicts() {
+    let gpu = Gpu::new();
+    let refused = |views: Vec<TrainView>, settings: TrainSettings| {
+        let refused = Trainer::new(gpu.context, views, &start(), EXTENT, settings);
+        refused.err().expect("refused").to_string()
+    };
+    let message = refused(views(3, 40), settings());
+    assert!(message.starts_with("depth_points: ") && message.contains("none"), "{message}");
+    let mapped =
+        few().into_iter().map(|view| view.with_inverse_depth(Some(vec![0.5; 40 * 30].into()))).collect();
+    let message = refused(mapped, settings());
+    assert!(message.starts_with("depth_points: ") && message.contains("-d"), "{message}");
+    let mut outside = few();
+    outside[2].depth_points = Some(vec![DepthPoint { position_px: [39.5, 3.0], inverse_z: 1.0 }].into());
+    let message = refused(outside, settings());
+    assert!(message.starts_with("view 2: ") && message.contains("40x30"), "{message}");
+    let message = refused(few(), TrainSettings { dropout: 1.0, ..settings() });
+    assert!(message.starts_with("dropout: is 1"), "{message}");
+}

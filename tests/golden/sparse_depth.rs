@@ -1,0 +1,255 @@
+//! The depths of sparse points: the loss and its gradients; twins and device against the vectors.
+
+use std::path::Path;
+
+use ashsplat::backward::Statistics;
+use ashsplat::forward::SceneBuffers;
+use ashsplat::loss::{DepthPointBuffers, LossTerm, TermInputs};
+use ashsplat::pixels::PixelBorder;
+use ashsplat::trainer::SparseDepth;
+use ashsplat::{Gaussians, TrainSettings, planes};
+
+use super::sets::{gaussians, view};
+use super::stages::Stages;
+use crate::common::compare::{GradientTolerance, elementwise, gradient};
+use crate::common::depth_points::points as engine_points;
+use crate::common::engine::twins;
+use crate::common::gpu::Gpu;
+use crate::common::npz::Npz;
+use crate::reference::pipeline::{pixels_of, render, tile_of};
+use crate::reference::project_backward::project_backward;
+use crate::reference::sparse_depth::{Point, corners, depth_sums, expected, loss};
+use crate::reference::sparse_depth_gather::{expected_depth_backward, gather};
+use crate::reference::types::{Extent, Gaussian, Gradient, Splat, SplatGradient, View};
+
+/// What an implementation computes.
+struct Computed {
+    /// Per pixel, and the sum of the weights there.
+    expected_depth: Vec<f64>,
+    coverage: Vec<f64>,
+    loss: f64,
+    gradients: Vec<Gradient>,
+}
+
+struct Bounds {
+    depth: f64,
+    sampled: f64,
+    loss: f64,
+    gradient: GradientTolerance,
+}
+
+const TWIN: Bounds = Bounds {
+    depth: 1e-6,
+    sampled: 1e-6,
+    loss: 1e-6,
+    gradient: GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 },
+};
+/// Small coverages divide.
+const DEVICE: Bounds = Bounds {
+    depth: 1e-4,
+    sampled: 1e-4,
+    loss: 1e-5,
+    gradient: GradientTolerance { relative_l2: 1e-3, max_over_max: 1e-3 },
+};
+
+fn judge(npz: &Npz, computed: &Computed, bounds: &Bounds) -> Result<(), String> {
+    let unstable = npz.flags("pix_unstable");
+    let wanted = npz.values("expected_depth");
+    let counts = |pixel: &usize| computed.coverage[*pixel] > 0.01 && !unstable[*pixel];
+    let places: Vec<usize> = (0..wanted.len()).filter(counts).collect();
+    if 2 * places.len() < wanted.len() {
+        return Err(format!("only {} pixels are compared", places.len()));
+    }
+    let of = |values: &[f64]| places.iter().map(|&pixel| values[pixel]).collect::<Vec<f64>>();
+    elementwise("depth", &of(&computed.expected_depth), &of(wanted), 0.0, bounds.depth)?;
+    let size = view(npz).size_px.map(|side| side as usize);
+    let sampled: Vec<f64> = points(npz)
+        .iter()
+        .map(|point| {
+            let all = corners(point.position_px, size).into_iter();
+            all.map(|(at, share)| share * computed.expected_depth[at]).sum()
+        })
+        .collect();
+    elementwise("sampled", &sampled, npz.values("sampled"), 0.0, bounds.sampled)?;
+    elementwise("loss", &[computed.loss], npz.values("loss"), 0.0, bounds.loss)?;
+    let column = |of: fn(&Gradient) -> Vec<f64>| computed.gradients.iter().flat_map(of).collect::<Vec<f64>>();
+    let skip = vec![false; computed.gradients.len()];
+    for (name, values) in [
+        ("dx_means", column(|g| g.mean.to_vec())),
+        ("dx_quats", column(|g| g.quat.to_vec())),
+        ("dx_log_scales", column(|g| g.log_scale.to_vec())),
+        ("dx_opacity_logits", column(|g| vec![g.opacity_logit])),
+    ] {
+        gradient(name, &values, npz.values(name), &skip, bounds.gradient)?;
+    }
+    Ok(())
+}
+
+fn points(npz: &Npz) -> Vec<Point> {
+    let pairs = npz.rows::<2>("points_xy").into_iter().zip(npz.values("points_z"));
+    pairs.map(|(position_px, z)| Point { position_px, inverse_z: 1.0 / z }).collect()
+}
+
+fn weight(npz: &Npz) -> f64 {
+    npz.scalar("weight") * npz.scalar("scene_scale")
+}
+
+/// The loss with these Gaussians, its gradients, and what is on the way.
+fn by_twin(set: &[Gaussian], view: &View, points: &[Point], weight: f64) -> Computed {
+    let frame = render(set, view);
+    let list = |pixel: [u32; 2]| -> Vec<&Splat> {
+        let of_tile = &frame.lists[tile_of(view, pixel)];
+        of_tile.iter().map(|&g| frame.splats[g as usize].as_ref().expect("listed")).collect()
+    };
+    let sums: Vec<[f64; 2]> = pixels_of(view).map(|pixel| depth_sums(&list(pixel), pixel)).collect();
+    let expected_depth: Vec<f64> = sums.iter().map(|&sums| expected(sums)).collect();
+    let size = view.size_px.map(|side| side as usize);
+    let (loss, each) = loss(&expected_depth, size, points, weight);
+    let of_points: Vec<f64> = each.iter().map(|[_, gradient]| *gradient).collect();
+    let of_pixels = gather(points, &of_points, size);
+    let mut splats = vec![SplatGradient::default(); set.len()];
+    for (pixel, d_expected) in pixels_of(view).zip(of_pixels).filter(|(_, d)| *d != 0.0) {
+        let list = list(pixel);
+        let mut own = vec![SplatGradient::default(); list.len()];
+        expected_depth_backward(&list, pixel, d_expected, &mut own);
+        let of_tile = &frame.lists[tile_of(view, pixel)];
+        of_tile.iter().zip(&own).for_each(|(&gaussian, own)| splats[gaussian as usize].add(own));
+    }
+    let gradients = set.iter().zip(&frame.splats).zip(&splats).map(|((gaussian, splat), d)| match splat {
+        Some(_) => project_backward(gaussian, view, d),
+        None => Gradient { sh: vec![[0.0; 3]; gaussian.sh.len()], ..Gradient::default() },
+    });
+    let coverage = sums.iter().map(|sums| sums[1]).collect();
+    Computed { expected_depth, coverage, loss, gradients: gradients.collect() }
+}
+
+pub fn of_twin(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let (set, points, weight) = (gaussians(&npz, ""), points(&npz), weight(&npz));
+    let view = View { extent: Extent::Exact, ..view(&npz) };
+    let computed = by_twin(&set, &view, &points, weight);
+    judge(&npz, &computed, &TWIN)?;
+    agrees_with_differences(&set, &view, &points, weight, &computed.gradients)
+}
+
+/// Finite differences, too, prove the twin's gradients.
+fn agrees_with_differences(
+    set: &[Gaussian],
+    view: &View,
+    points: &[Point],
+    weight: f64,
+    gradients: &[Gradient],
+) -> Result<(), String> {
+    let scalars = |g: &Gradient| [&g.mean[..], &g.quat, &g.log_scale, &[g.opacity_logit]].concat();
+    let largest = gradients.iter().flat_map(scalars).fold(0.0_f64, |most, x| most.max(x.abs()));
+    let blended = |set: &[Gaussian]| {
+        render(set, view).pixels.iter().map(|pixel| (pixel.blended, pixel.last)).collect::<Vec<_>>()
+    };
+    let mut compared = 0;
+    for (index, own) in gradients.iter().enumerate() {
+        for (place, derivative) in scalars(own).into_iter().enumerate().skip(index % 3).step_by(3) {
+            let step = 1e-6;
+            let moved = |by: f64| {
+                let mut set = set.to_vec();
+                *crate::common::scenes::scalars(&mut set[index])[place] += by;
+                set
+            };
+            let (after, before) = (moved(step), moved(-step));
+            if blended(&after) != blended(&before) {
+                continue;
+            }
+            let loss = |set: &[Gaussian]| by_twin(set, view, points, weight).loss;
+            let difference = (loss(&after) - loss(&before)) / (2.0 * step);
+            if (difference - derivative).abs() > 1e-5 * largest {
+                return Err(format!(
+                    "Gaussian {index}, {place}: {derivative:.9e}, by differences {difference:.9e}"
+                ));
+            }
+            compared += 1;
+        }
+    }
+    if compared < gradients.len() {
+        return Err(format!("only {compared} derivatives could be compared"));
+    }
+    Ok(())
+}
+
+pub fn of_device(path: &Path) -> Result<(), String> {
+    let npz = Npz::read(path);
+    let gpu = Gpu::new();
+    let (context, set) = (gpu.context, gaussians(&npz, ""));
+    let view = View { extent: Extent::Exact, ..view(&npz) };
+    let stages = Stages::with_depth(&gpu, &set, std::slice::from_ref(&view), true);
+    let size = (view.size_px[0], view.size_px[1]);
+    let all = engine_points(&points(&npz));
+    let points = DepthPointBuffers::new(context, &all, size).map_err(|e| e.to_string())?;
+    // The weight of the first iteration is all of it.
+    let settings = TrainSettings { depth_points: npz.scalar("weight"), ..TrainSettings::default() };
+    let extent = npz.scalar("scene_scale") as f32;
+    let term = SparseDepth::new(context, &settings, extent, all.len() as u32).map_err(|e| e.to_string())?;
+    let scratch: Vec<_> = term
+        .scratch_requests(&[size])
+        .into_iter()
+        .map(|(name, bytes)| gpu.zeros::<u32>(name, bytes as usize / 4))
+        .collect();
+    let losses = gpu.zeros::<[f32; 4]>("losses", 1);
+    let gradient = gpu.zeros::<u8>("image_gradient", PixelBorder::gradient_bytes(size.0, size.1) as usize);
+    let statistics = gpu.zeros::<[f32; 2]>("statistics", set.len());
+    let mean2d = gpu.zeros::<[f32; 2]>("mean2d_gradients", set.len());
+    let chunks = planes::allocate(context, "gradients", &stages.scene.plan).map_err(|e| e.to_string())?;
+    let pixels = view.pixels();
+    let [mut sums, mut transmittances] = [Vec::new(), Vec::new()];
+    for records in [false, true] {
+        let mut drawn = None;
+        stages.run(&view, |r, inputs, backward| {
+            drawn = Some((inputs.frame.inverse_depth.clone(), inputs.frame.accumulated.clone()));
+            if !records {
+                return;
+            }
+            term.record(
+                r,
+                &TermInputs {
+                    frame: inputs,
+                    picture: &gradient,
+                    photo: &gradient,
+                    image_gradient: &gradient,
+                    photo_is_masked: false,
+                    inverse_depth_map: None,
+                    depth_points: Some(&points),
+                    iteration: 0,
+                    parameter_gradients: &[],
+                    scratch: &scratch,
+                    losses: &losses,
+                    row: 0,
+                },
+            );
+            r.barrier();
+            let statistics = Statistics { buffer: &statistics, accumulate: false, absolute: None };
+            backward.record(r, inputs, &gradient, statistics);
+            r.barrier();
+            backward.record_expand_gradients(r, inputs, &chunks, &mean2d);
+        });
+        if let (false, Some((depth, accumulated))) = (records, drawn) {
+            sums = gpu.read::<f32>(&depth, pixels);
+            transmittances = gpu.read::<[f32; 4]>(&accumulated, pixels).into_iter().map(|p| p[3]).collect();
+        }
+    }
+    let planes_of = SceneBuffers { chunks, ..stages.scene.clone() };
+    let all: Gaussians = planes::download(context, &planes_of).map_err(|e| e.to_string())?;
+    let gradients = twins(&all).into_iter().map(|g| Gradient {
+        mean: g.mean,
+        quat: g.quat,
+        log_scale: g.log_scale,
+        opacity_logit: g.opacity_logit,
+        sh: g.sh,
+    });
+    let coverage: Vec<f64> = transmittances.iter().map(|&t| 1.0 - f64::from(t)).collect();
+    let depths = sums.iter().zip(&coverage).map(|(&sum, coverage)| f64::from(sum) / coverage.max(1e-10));
+    let computed = Computed {
+        expected_depth: depths.collect(),
+        loss: f64::from(gpu.read::<[f32; 4]>(&losses, 1)[0][0]),
+        coverage,
+        gradients: gradients.collect(),
+    };
+    judge(&npz, &computed, &DEVICE)
+}
