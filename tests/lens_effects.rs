@@ -13,7 +13,7 @@ use crate::exposures::{EXTENT, cameras, gray, photographs};
 
 /// Every other photograph is of the second camera, which darkens corners, blue ones most, and has another response.
 fn camera_of(view: usize) -> u32 {
-    if view % 2 == 0 { 7 } else { 9 }
+    if view.is_multiple_of(2) { 7 } else { 9 }
 }
 
 const KNOWN: LensEffects = LensEffects {
