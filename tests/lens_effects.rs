@@ -55,7 +55,7 @@ fn train(gpu: &Gpu, taken: &[Photo], lens_effects: bool) -> (f64, Vec<LensEffect
         .map(|&view| TrainView::new(cameras()[view], taken[view].clone()).taken_by(camera_of(view)));
     let settings = settings(lens_effects);
     let mut trainer =
-        Trainer::new(gpu.context, views.collect(), &gray(), EXTENT, settings).expect("a trainer");
+        Trainer::new(gpu.context, views.collect(), &gray(1), EXTENT, settings).expect("a trainer");
     let steps = trainer.settings().iterations;
     (0..steps).for_each(|_| assert!(trainer.step().expect("a step").loss.is_finite()));
     let of_views = trainer.lens_effects().expect("effects");
