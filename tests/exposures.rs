@@ -39,14 +39,19 @@ pub fn truth() -> Gaussians {
     gaussians(&scene)
 }
 
-/// The same scene, gray and faint. It can show the photographs: what a scene cannot show, exposures take on. With a third of
-/// these Gaussians, those of unchanged photographs were 3.4 % off, and as much whatever their rates.
-pub fn gray() -> Gaussians {
-    let mut all = truth();
-    all.opacity_logits.fill(1.0);
-    all.sh_degree = 0;
-    all.sh = vec![[0.0; 3]; all.len()];
-    all
+/// Every `share`-th Gaussian of the same scene, gray and faint. All of them can show the photographs, a third cannot: what a
+/// scene cannot show, exposures take on. With a third, those of unchanged photographs were 3.4 % off, whatever their rates.
+pub fn gray(share: usize) -> Gaussians {
+    let all = truth();
+    let kept: Vec<usize> = (0..all.len()).filter(|i| i % share == 0).collect();
+    Gaussians {
+        sh_degree: 0,
+        means: kept.iter().map(|&i| all.means[i]).collect(),
+        quats: kept.iter().map(|&i| all.quats[i]).collect(),
+        log_scales: kept.iter().map(|&i| all.log_scales[i]).collect(),
+        opacity_logits: vec![1.0; kept.len()],
+        sh: vec![[0.0; 3]; kept.len()],
+    }
 }
 
 pub fn photographs(gpu: &Gpu) -> Vec<Photo> {
@@ -81,10 +86,15 @@ fn settings(exposure: bool) -> TrainSettings {
 }
 
 /// The mean PSNR over the views against the unchanged photographs, and the exposures.
-fn train(gpu: &Gpu, taken: &[Photo], shown: &[Photo], exposure: bool) -> (f64, Vec<Exposure>) {
+fn train(
+    gpu: &Gpu,
+    start: &Gaussians,
+    [taken, shown]: [&[Photo]; 2],
+    exposure: bool,
+) -> (f64, Vec<Exposure>) {
     let views = cameras().into_iter().zip(taken).map(|(camera, photo)| TrainView::new(camera, photo.clone()));
     let mut trainer =
-        Trainer::new(gpu.context, views.collect(), &gray(), EXTENT, settings(exposure)).expect("a trainer");
+        Trainer::new(gpu.context, views.collect(), start, EXTENT, settings(exposure)).expect("a trainer");
     let steps = trainer.settings().iterations;
     (0..steps).for_each(|_| assert!(trainer.step().expect("a step").loss.is_finite()));
     let render = trainer.render_settings();
@@ -96,8 +106,8 @@ fn train(gpu: &Gpu, taken: &[Photo], shown: &[Photo], exposure: bool) -> (f64, V
     (quality, trainer.exposures().expect("exposures"))
 }
 
-/// Three photographs under known gains: what is learnt of them are these gains, and the scene is as good as that of
-/// unchanged photographs. The exposures of the others are the measure: the mean of all is the identity.
+/// Three photographs under known gains: what is learnt of them are these gains (1.1 % off at most), and a scene of 34 dB is as
+/// good as that of unchanged photographs. At 40 dB, with all Gaussians, what is left of the gains costs 0.56 dB. The exposures of the others are the measure: the mean of all is the identity.
 #[test]
 fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     let gpu = Gpu::new();
@@ -107,10 +117,12 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
         let pixels = shown[view].to_f32().into_iter().map(|c| [0, 1, 2].map(|k| c[k] * gains[k]));
         taken[view] = Photo::from_f32(64, 48, &pixels.collect::<Vec<_>>()).expect("a photograph");
     }
-    let (unchanged, none) = train(&gpu, &shown, &shown, false);
+    let few = gray(3);
+    let (unchanged, none) = train(&gpu, &few, [&shown, &shown], false);
     assert!(none.is_empty());
-    let (ignored, _) = train(&gpu, &taken, &shown, false);
-    let (learnt, exposures) = train(&gpu, &taken, &shown, true);
+    let (ignored, _) = train(&gpu, &few, [&taken, &shown], false);
+    let (learnt, _) = train(&gpu, &few, [&taken, &shown], true);
+    let (best, exposures) = train(&gpu, &gray(1), [&taken, &shown], true);
     // What the exposure makes of the photograph's mean colour.
     let mut worst: f32 = 0.0;
     for (view, gains) in CHANGED {
@@ -123,7 +135,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
         }
     }
     println!(
-        "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4}"
+        "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4} at {best:.2} dB"
     );
     assert!(worst < 0.02, "a gain is off by {worst}");
     assert!(learnt > unchanged - 0.3 && ignored < learnt, "{learnt}, {ignored}: {unchanged}");

@@ -13,7 +13,7 @@ use crate::exposures::{EXTENT, cameras, gray, photographs};
 
 /// Every other photograph is of the second camera, which darkens corners, blue ones most, and has another response.
 fn camera_of(view: usize) -> u32 {
-    if view % 2 == 0 { 7 } else { 9 }
+    if view.is_multiple_of(2) { 7 } else { 9 }
 }
 
 const KNOWN: LensEffects = LensEffects {
@@ -55,7 +55,7 @@ fn train(gpu: &Gpu, taken: &[Photo], lens_effects: bool) -> (f64, Vec<LensEffect
         .map(|&view| TrainView::new(cameras()[view], taken[view].clone()).taken_by(camera_of(view)));
     let settings = settings(lens_effects);
     let mut trainer =
-        Trainer::new(gpu.context, views.collect(), &gray(), EXTENT, settings).expect("a trainer");
+        Trainer::new(gpu.context, views.collect(), &gray(1), EXTENT, settings).expect("a trainer");
     let steps = trainer.settings().iterations;
     (0..steps).for_each(|_| assert!(trainer.step().expect("a step").loss.is_finite()));
     let of_views = trainer.lens_effects().expect("effects");

@@ -12,11 +12,14 @@ use crate::reference::exposure_step::Exposures;
 
 type Rows = [[f32; 4]; 3];
 
+/// A view, the parts of its gradient, and whether its frame overflowed.
+type Seen = (u32, Vec<Rows>, bool);
+
 /// Of those that are not brought back to the identity: lenses.
 const DECAY: f32 = 0.125;
 
 /// Steps of the device; each with its view, the parts of its gradient, and whether its frame overflowed.
-fn run(gpu: &Gpu, photographs: usize, center: bool, steps: &[(u32, Vec<Rows>, bool)]) -> [Vec<Rows>; 3] {
+fn run(gpu: &Gpu, photographs: usize, center: bool, steps: &[Seen]) -> [Vec<Rows>; 3] {
     let views: Vec<_> = steps.iter().cloned().map(|step| (step, [true, true])).collect();
     run_views(gpu, photographs, (center, false), &views)
 }
@@ -26,7 +29,7 @@ fn run_views(
     gpu: &Gpu,
     photographs: usize,
     (center, sums): (bool, bool),
-    views: &[((u32, Vec<Rows>, bool), [bool; 2])],
+    views: &[(Seen, [bool; 2])],
 ) -> [Vec<Rows>; 3] {
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), center, sums };
     let kernel = gpu.kernel::<Interface>(&spec);
