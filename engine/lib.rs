@@ -24,7 +24,8 @@
 //! - [`Renderer`] and [`Trainer`] own their submissions: they record, submit, wait and read back.
 //! - [`Renderer::record`] and [`Trainer::record_step`] are the doors for a host engine: its device, its command buffer,
 //!   its images.
-//! - [`forward`], [`backward`], [`loss`], [`exposure`], [`optimizer`], [`densify`] only *record*, into a [`vk::Recorder`].
+//! - [`forward`], [`backward`], [`loss`], [`exposure`], [`lens_effects`], [`optimizer`], [`densify`] only *record*, into a
+//!   [`vk::Recorder`].
 //! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`]; [`arithmetic`] measures a device.
 //! - [`lpips`] measures how different two pictures look, by the features of a network.
 //! - [`scene`] knows no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
@@ -43,6 +44,7 @@ pub mod fingerprint;
 pub mod forward;
 pub mod guide;
 pub mod kernels;
+pub mod lens_effects;
 pub mod loss;
 pub mod lpips;
 pub mod optimizer;

@@ -41,6 +41,20 @@ pub struct Step {
     pub opacity_count: u64,
 }
 
+/// A view's place among the views of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ViewSum {
+    /// Whether it is the first since the last step: what the sums had before does not count.
+    pub starts: bool,
+    /// Whether the step follows it; otherwise its gradient is added to the sums only.
+    pub makes_step: bool,
+}
+
+impl ViewSum {
+    /// A step of one view.
+    pub const ALONE: Self = Self { starts: true, makes_step: true };
+}
+
 /// First and second moments, laid out like the scene's planes.
 #[derive(Clone)]
 pub struct Moments {
@@ -125,8 +139,8 @@ impl Optimizer {
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         if let Some(slot @ None) = self.sums.as_mut().map(|sums| &mut sums[sh_degree as usize]) {
-            let adam::Spec { workgroup_size, parameter_gradients, .. } = spec;
-            let add = add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients };
+            let adam::Spec { workgroup_size, parameter_gradients, moved_camera, .. } = spec;
+            let add = add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients, moved_camera };
             let adam = adam::Spec { sums: true, ..spec };
             *slot = Some(SumKernels {
                 add: Kernel::new(&self.context, &add)?,
@@ -197,6 +211,7 @@ impl Optimizer {
                         true => &parameter_gradients[range.chunk],
                         false => &inputs.frame.gradients,
                     },
+                    camera_block: &block_of(inputs.frame, 0),
                 };
                 let push = add_gradients::Push {
                     camera_position: inputs.camera.position().to_array(),

@@ -5,10 +5,12 @@
 //! ([`Twist`](crate::scene::Twist)). The cameras live in device memory, where frames read them
 //! ([`FrameInputs::pose`]), so that recorded steps move them without the host.
 
+pub use crate::forward::pose_of;
+
 use crate::error::Result;
 use crate::forward::{FrameInputs, POSE_BYTES};
 use crate::kernels::poses::{pose_gradient, pose_step};
-use crate::optimizer::{BETA_1, BETA_2};
+use crate::optimizer::{BETA_1, BETA_2, ViewSum};
 use crate::plan::{LaunchSizes, blocks};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
@@ -68,6 +70,8 @@ pub struct PoseStep {
     pub rate: f64,
     /// Number of steps including this one, from 1.
     pub count: u64,
+    /// Where the view is among those whose gradients add up.
+    pub sum: ViewSum,
 }
 
 /// The poses of all images on the device.
@@ -85,11 +89,13 @@ pub struct PoseBuffers {
     pub cameras: Buffer,
     /// See [`PoseGradient::record`].
     pub gradient: Buffer,
+    /// Two vec3 per image: the gradients of the views since the last step, of steps of several views only.
+    pub sums: Buffer,
 }
 
 impl PoseBuffers {
     /// Names and bytes of the buffers.
-    pub fn requests(images: u32) -> [(&'static str, u64); 5] {
+    pub fn requests(images: u32) -> [(&'static str, u64); 6] {
         let images = u64::from(images);
         [
             ("pose_parameters", images * PARAMETER_BYTES),
@@ -97,6 +103,7 @@ impl PoseBuffers {
             ("pose_starts", images * POSE_BYTES),
             ("pose_cameras", images * POSE_BYTES),
             ("pose_gradient", GRADIENT_BYTES),
+            ("pose_view_sums", images * PARAMETER_BYTES),
         ]
     }
 
@@ -105,21 +112,12 @@ impl PoseBuffers {
     /// # Panics
     /// If there are others.
     pub fn from_allocated(images: u32, buffers: Vec<Buffer>) -> Self {
-        let Ok([parameters, moments, starts, cameras, gradient]) = <[Buffer; 5]>::try_from(buffers) else {
+        let Ok([parameters, moments, starts, cameras, gradient, sums]) = <[Buffer; 6]>::try_from(buffers)
+        else {
             panic!("one buffer per request");
         };
-        Self { images, parameters, moments, starts, cameras, gradient }
+        Self { images, parameters, moments, starts, cameras, gradient, sums }
     }
-}
-
-/// A camera's pose as the device keeps it: the rows of the rotation from world to camera, then the
-/// translation.
-pub fn pose_of(camera: &Camera) -> [f32; 12] {
-    let rows = camera.camera_from_world.transpose();
-    let mut pose = [0.0; 12];
-    pose[..9].copy_from_slice(&rows.to_cols_array());
-    pose[9..].copy_from_slice(&camera.translation.to_array());
-    pose
 }
 
 /// The inverse of [`pose_of`]: `camera` at another place.
@@ -136,19 +134,20 @@ pub struct PoseOptimizer {
 }
 
 impl PoseOptimizer {
-    /// Builds the kernel.
+    /// Builds the kernel, with `sums` for steps that follow several views ([`ViewSum`]).
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context) -> Result<Self> {
+    pub fn new(context: &Context, sums: bool) -> Result<Self> {
         let workgroup = LaunchSizes::new(context.limits()).elementwise_workgroup;
-        let kernel = Kernel::new(context, &pose_step::Spec { workgroup_size: workgroup })?;
+        let kernel = Kernel::new(context, &pose_step::Spec { workgroup_size: workgroup, sums })?;
         Ok(Self { kernel, workgroup })
     }
 
     /// Records a step with the gradient of the image that was seen, and makes the cameras of all images. All
-    /// poses are one tensor: those of images that were not seen decay and move as well. Without a step only
-    /// the cameras are made. Nothing changes if `state` ([`FrameBuffers::state`](crate::plan::FrameBuffers))
+    /// poses are one tensor: those of images that were not seen decay and move as well. Where no step follows
+    /// the view, its gradient is added to the sums. Without a step only the cameras are made. Nothing changes if
+    /// `state` ([`FrameBuffers::state`](crate::plan::FrameBuffers))
     /// has an overflow. The caller places barriers before and after.
     pub fn record(
         &self,
@@ -157,11 +156,14 @@ impl PoseOptimizer {
         state: &Buffer,
         step: Option<(PoseStep, u32)>,
     ) {
-        let (PoseStep { rate, count }, seen) = step.unwrap_or((PoseStep { rate: 0.0, count: 1 }, 0));
+        let none = PoseStep { rate: 0.0, count: 1, sum: ViewSum::ALONE };
+        let (PoseStep { rate, count, sum }, seen) = step.unwrap_or((none, 0));
         let push = pose_step::Push {
             images: buffers.images,
             seen,
-            makes_step: step.is_some().into(),
+            makes_step: (step.is_some() && sum.makes_step).into(),
+            adds: (!sum.makes_step).into(),
+            starts: sum.starts.into(),
             beta_1: BETA_1 as f32,
             beta_2: BETA_2 as f32,
             one_minus_beta_1: (1.0 - BETA_1) as f32,
@@ -178,6 +180,7 @@ impl PoseOptimizer {
             pose_moments: &buffers.moments,
             pose_cameras: &buffers.cameras,
             state,
+            pose_view_sums: &buffers.sums,
         };
         r.dispatch(&self.kernel, &bind, &push, blocks(buffers.images.into(), self.workgroup.into()));
     }

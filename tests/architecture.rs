@@ -108,7 +108,7 @@ fn architecture_unsafe_only_under_vk() {
 
 // ---- dependencies between modules ---------------------------------------------------------------------------------
 
-const STAGES: [&str; 14] = [
+const STAGES: [&str; 15] = [
     "scan",
     "sort",
     "arithmetic",
@@ -120,6 +120,7 @@ const STAGES: [&str; 14] = [
     "compose",
     "loss",
     "exposure",
+    "lens_effects",
     "lpips",
     "optimizer",
     "densify",

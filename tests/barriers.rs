@@ -3,7 +3,7 @@
 use ashsplat::backward::{Backward, BackwardVariant, Statistics};
 use ashsplat::forward::{BlendVariant, Forward, FrameInputs, POSE_BYTES, SceneBuffers};
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
-use ashsplat::optimizer::{Moments, Optimizer, Rates, Step};
+use ashsplat::optimizer::{Moments, Optimizer, Rates, Step, ViewSum};
 use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, Strips, frame_requests};
 use ashsplat::planes;
 use ashsplat::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep};
@@ -95,7 +95,7 @@ impl Training {
             optimizer: Optimizer::new(&context, false),
             poses: PoseBuffers::from_allocated(3, poses),
             pose_gradient: PoseGradient::new(&context).expect("kernels"),
-            pose_optimizer: PoseOptimizer::new(&context).expect("kernels"),
+            pose_optimizer: PoseOptimizer::new(&context, false).expect("kernels"),
             moved_optimizer: Optimizer::new(&context, false).with_moved_cameras(),
             moments: Moments { first: planes_of("moments"), second: planes_of("moments") },
             gradients: planes_of("gradients"),
@@ -177,7 +177,7 @@ impl Training {
         let (poses, state) = (&self.poses, &self.frame.state);
         self.pose_gradient.record(recorder, &inputs, (&poses.parameters, 0), &poses.gradient);
         recorder.barrier();
-        let step = PoseStep { rate: 1e-3, count: 1 };
+        let step = PoseStep { rate: 1e-3, count: 1, sum: ViewSum::ALONE };
         self.pose_optimizer.record(recorder, poses, state, Some((step, 0)));
     }
 

@@ -146,6 +146,42 @@ fn budget_resumes_to_the_bit() {
     for stops in [[41, 44], [45, 52], [59, 47]] {
         assert!(run(&grouped, &stops) == whole, "interrupted after {stops:?}: other bits");
     }
+    // With what adds up views beside the Gaussians.
+    let lit = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..in_groups() };
+    let whole = run(&lit, &[]);
+    let sums = whole.gradient_sums.as_ref().expect("the last iteration makes no step");
+    assert_eq!((sums.light.exposures.len(), sums.poses.len()), (4, 4));
+    for stops in [[18, 43], [45, 52]] {
+        assert!(run(&lit, &stops) == whole, "interrupted after {stops:?}: other bits");
+    }
+}
+
+/// Each view of a step counts for its own exposure and pose, not the last one alone; between steps nothing moves.
+#[test]
+fn budget_adds_up_exposures_and_poses() {
+    let gpu = Gpu::new();
+    let settings = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..in_groups() };
+    let mut trainer = trainer(gpu.context, &settings);
+    (0..40).for_each(|_| drop(trainer.step().expect("a step")));
+    let before = trainer.checkpoint().expect("a state");
+    let mut seen = [false; 4];
+    for iteration in 41..=45 {
+        seen[trainer.step().expect("a step").view] = true;
+        let after = trainer.checkpoint().expect("a state");
+        let moved = after.exposures != before.exposures || after.poses != before.poses;
+        assert_eq!(moved, iteration == 45, "{iteration}");
+    }
+    assert_eq!(seen, [true; 4]);
+    let after = trainer.checkpoint().expect("a state");
+    // A second moment of which no gradient is a part falls by a thousandth.
+    let grown = |before: &[f32], after: &[f32]| before.iter().zip(after).any(|(b, a)| *a > 0.99901 * b);
+    let [first, last] = [&before, &after].map(|state| state.poses.as_ref().expect("poses"));
+    for view in 0..4 {
+        let [b, a] = [&before, &after].map(|state| state.exposures.second_moments[view].as_flattened());
+        assert!(grown(b, a), "the exposure of view {view} has no gradient");
+        let (b, a) = (&first.second_moments[view], &last.second_moments[view]);
+        assert!(grown(b, a), "the pose of view {view} has no gradient");
+    }
 }
 
 /// A step after several views is one of the optimiser with the sum of their gradients; between, nothing moves.

@@ -189,6 +189,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         filters: vec![0.25],
         gradient_sums: None,
         exposures: Default::default(),
+        lenses: Default::default(),
         poses: Some(PoseState {
             parameters: vec![[0.1; 6]; 3],
             first_moments: vec![[0.2; 6]; 3],

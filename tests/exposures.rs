@@ -13,13 +13,13 @@ use crate::common::options;
 use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
 use crate::reference::types::View;
 
-const EXTENT: f32 = 5.0;
+pub const EXTENT: f32 = 5.0;
 const VIEWS: usize = 10;
 /// View, and the known gains of its channels. Their mean is 1, as that of all exposures stays.
 const CHANGED: [(usize, [f32; 3]); 3] =
     [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
 
-fn cameras() -> Vec<Camera> {
+pub fn cameras() -> Vec<Camera> {
     let turned = |i: usize| View {
         camera_from_world: rotation_about_y(0.11 * i as f64 - 0.5),
         sh_degree: 0,
@@ -30,7 +30,7 @@ fn cameras() -> Vec<Camera> {
 }
 
 /// What the photographs show, in colours that no gain makes white.
-fn truth() -> Gaussians {
+pub fn truth() -> Gaussians {
     let mut scene = small_scene(&mut Random::new(5), 260, 1);
     for gaussian in &mut scene {
         gaussian.opacity_logit = 3.0;
@@ -39,21 +39,17 @@ fn truth() -> Gaussians {
     gaussians(&scene)
 }
 
-/// A third of the same scene, gray and faint: it cannot show the photographs as they are.
-fn gray() -> Gaussians {
-    let all = truth();
-    let kept: Vec<usize> = (0..all.len()).filter(|i| i % 3 == 0).collect();
-    Gaussians {
-        sh_degree: 0,
-        means: kept.iter().map(|&i| all.means[i]).collect(),
-        quats: kept.iter().map(|&i| all.quats[i]).collect(),
-        log_scales: kept.iter().map(|&i| all.log_scales[i]).collect(),
-        opacity_logits: vec![1.0; kept.len()],
-        sh: vec![[0.0; 3]; kept.len()],
-    }
+/// The same scene, gray and faint. It can show the photographs: what a scene cannot show, exposures take on. With a third of
+/// these Gaussians, those of unchanged photographs were 3.4 % off, and as much whatever their rates.
+pub fn gray() -> Gaussians {
+    let mut all = truth();
+    all.opacity_logits.fill(1.0);
+    all.sh_degree = 0;
+    all.sh = vec![[0.0; 3]; all.len()];
+    all
 }
 
-fn photographs(gpu: &Gpu) -> Vec<Photo> {
+pub fn photographs(gpu: &Gpu) -> Vec<Photo> {
     let settings = settings(false);
     let mut trainer =
         Trainer::new(gpu.context, views(1, 9), &truth(), EXTENT, settings).expect("a renderer of the truth");
@@ -129,8 +125,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     println!(
         "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4}"
     );
-    // 0.036 after these few iterations; 0.008 after 1500 with twice as many Gaussians.
-    assert!(worst < 0.045, "a gain is off by {worst}");
+    assert!(worst < 0.02, "a gain is off by {worst}");
     assert!(learnt > unchanged - 0.3 && ignored < learnt, "{learnt}, {ignored}: {unchanged}");
     let mut mean = [[0.0_f64; 4]; 3];
     for exposure in &exposures {

@@ -1,6 +1,8 @@
 //! Every Vulkan call that may fail does so once in its turn: a typed error each time, no panic, nothing leaked, and what
 //! met with it works again or says that it does not.
 
+mod pipelines;
+
 use std::time::Duration;
 
 use ashsplat::trainer::Trainer;

@@ -30,9 +30,10 @@ fn cameras() -> Vec<Camera> {
 
 /// The sizes that a renderer gives what is trained.
 fn fresh(gpu: &Gpu, trainer: &Trainer) -> Vec<f32> {
+    let cameras = trainer.cameras().expect("cameras");
     let mut renderer = Renderer::new(gpu.context).expect("a renderer");
     renderer.upload(&trainer.gaussians().expect("Gaussians")).expect("uploaded");
-    renderer.compute_filters(&cameras()).expect("sizes");
+    renderer.compute_filters(&cameras).expect("sizes");
     renderer.filters().expect("sizes")
 }
 
@@ -57,6 +58,22 @@ fn filters_follow_the_gaussians_when_they_are_due() {
     }
     // The step after a densification does what is due before it begins.
     assert_eq!(computed, [16, 21, 26, 31, 36, 100, 200]);
+}
+
+/// Where poses are optimised, sizes follow from the cameras as they are.
+#[test]
+fn filters_follow_moved_cameras() {
+    let gpu = Gpu::new();
+    let settings = TrainSettings { pose_opt: true, pose_lr: 1e-2, ..settings() };
+    let mut trainer = Trainer::new(gpu.context, views(3, 9), &start(), EXTENT, settings).expect("a trainer");
+    (0..100).for_each(|_| drop(trainer.step().expect("a step")));
+    assert!(trainer.cameras().expect("cameras") != cameras());
+    let sizes = trainer.filters().expect("sizes");
+    assert!(sizes == fresh(&gpu, &trainer));
+    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
+    renderer.upload(&trainer.gaussians().expect("Gaussians")).expect("uploaded");
+    renderer.compute_filters(&cameras()).expect("sizes");
+    assert!(sizes != renderer.filters().expect("sizes"), "the cameras as given");
 }
 
 #[test]

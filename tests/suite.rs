@@ -25,6 +25,7 @@ mod hard_cases;
 mod host;
 mod invariants;
 mod kernels;
+mod lens_effects;
 mod limits;
 mod lpips;
 mod mcmc;

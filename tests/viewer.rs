@@ -4,6 +4,7 @@ mod cuts;
 mod films;
 mod frames;
 mod http;
+mod lights;
 mod opening;
 mod shapes;
 mod sibr;

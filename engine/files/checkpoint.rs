@@ -6,7 +6,8 @@ use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::trainer::checkpoint::{
-    Checkpoint, ExposureState, GradientSums, PoseState, Room, StrategyState, StrategyStatistic, Tensor,
+    Checkpoint, ExposureState, GradientSums, LightSums, PoseState, Room, StrategyState, StrategyStatistic,
+    Tensor,
 };
 use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
@@ -201,15 +202,18 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         },
         gradient_sums: match metadata.optional(SUMMED_VIEWS)? {
             None | Some(0) => None,
-            Some(views) => {
-                Some(GradientSums { views, sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)? })
-            }
+            Some(views) => Some(GradientSums {
+                views,
+                sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)?,
+                light: LightSums {
+                    exposures: matrices(&tensors, Checkpoint::GRADIENT_SUMS, Checkpoint::EXPOSURES)?,
+                    lenses: matrices(&tensors, Checkpoint::GRADIENT_SUMS, Checkpoint::LENSES)?,
+                },
+                poses: pose_sums(&tensors)?,
+            }),
         },
-        exposures: ExposureState {
-            values: exposures(&tensors, Checkpoint::SETS[0])?,
-            first_moments: exposures(&tensors, Checkpoint::SETS[1])?,
-            second_moments: exposures(&tensors, Checkpoint::SETS[2])?,
-        },
+        exposures: light_state(&tensors, Checkpoint::EXPOSURES)?,
+        lenses: light_state(&tensors, Checkpoint::LENSES)?,
         poses: poses(&tensors)?,
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
         room: Room {
@@ -299,6 +303,15 @@ fn poses(tensors: &SafeTensors) -> Result<Option<PoseState>, String> {
     }))
 }
 
+/// None where they were not optimised, and in older files.
+fn pose_sums(tensors: &SafeTensors) -> Result<Vec<[f32; 6]>, String> {
+    let name = format!("{}{}", Checkpoint::GRADIENT_SUMS, Checkpoint::POSES[0]);
+    match tensors.tensor(&name) {
+        Ok(_) => values(tensors, &name, &[6]),
+        Err(_) => Ok(Vec::new()),
+    }
+}
+
 /// The strategy's own statistics, in the order of the data.
 fn strategy_statistics(
     header: &safetensors::tensor::Metadata,
@@ -320,9 +333,18 @@ fn strategy_statistics(
     Ok(all)
 }
 
+fn light_state(tensors: &SafeTensors, own: &str) -> Result<ExposureState, String> {
+    let [values, first_moments, second_moments] = Checkpoint::SETS;
+    Ok(ExposureState {
+        values: matrices(tensors, values, own)?,
+        first_moments: matrices(tensors, first_moments, own)?,
+        second_moments: matrices(tensors, second_moments, own)?,
+    })
+}
+
 /// None where they are not learned, and in older files.
-fn exposures(tensors: &SafeTensors, prefix: &str) -> Result<Vec<[[f32; 4]; 3]>, String> {
-    let name = format!("{prefix}{}", Checkpoint::EXPOSURES);
+fn matrices(tensors: &SafeTensors, prefix: &str, own: &str) -> Result<Vec<[[f32; 4]; 3]>, String> {
+    let name = format!("{prefix}{own}");
     match tensors.tensor(&name) {
         Ok(_) => values(tensors, &name, &[3, 4]),
         Err(_) => Ok(Vec::new()),

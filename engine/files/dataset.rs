@@ -111,6 +111,8 @@ pub struct View {
     pub name: String,
     /// Id in the COLMAP model, or index in the order of names.
     pub image_id: u32,
+    /// Id of the camera that took it, in the COLMAP model; 0 for all views of a transforms.json.
+    pub camera_id: u32,
     /// The camera at the photo's size in memory.
     pub camera: Camera,
     /// The camera at the photo's size in its file.

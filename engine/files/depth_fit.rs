@@ -7,8 +7,8 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::host_memory;
 use super::images::DepthMap;
+use super::{cost, host_memory};
 use ashsplat::{Error, Result};
 
 /// Name of the file with the parameters, beside a COLMAP model.
@@ -47,6 +47,7 @@ impl DepthFit {
         let ends = [camera_size.0, camera_size.1].map(|side| f64::from(side) * ratio);
         let mut pairs = Vec::new();
         for point in points {
+            cost::step();
             let [x, y] = point.position_px.map(|place| f64::from((place * ratio) as f32));
             let inside = x >= 0.0 && y >= 0.0 && x < ends[0] && y < ends[1];
             if inside && point.inverse_z > 0.0 {
@@ -95,7 +96,10 @@ impl DepthFit {
             "expected {\"photo\": {\"scale\": 1.5, \"offset\": 0.1}, …}; without the file, they are fitted";
         let fits: BTreeMap<String, Self> = serde_json::from_slice(&text)
             .map_err(|e| Error::input(path, format!("is not a list of depth parameters: {e}"), remedy))?;
-        let finite = |fit: &Self| fit.scale.is_finite() && fit.offset.is_finite();
+        let finite = |fit: &Self| {
+            cost::step();
+            fit.scale.is_finite() && fit.offset.is_finite()
+        };
         match fits.iter().find(|(_, fit)| !finite(fit)) {
             None => Ok(fits),
             Some((name, _)) => {

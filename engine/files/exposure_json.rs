@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use super::{atomic, host_memory};
+use super::{atomic, cost, host_memory};
 use ashsplat::scene::Exposure;
 use ashsplat::{Error, Result};
 
@@ -37,8 +37,11 @@ pub fn read(path: impl AsRef<Path>) -> Result<BTreeMap<String, Exposure>> {
     let remedy = "expected {\"photo.jpg\": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], …}";
     let rows: BTreeMap<String, [[f32; 4]; 3]> = serde_json::from_slice(&text)
         .map_err(|e| Error::input(path, format!("is not a list of exposures: {e}"), remedy))?;
-    if let Some((name, _)) = rows.iter().find(|(_, rows)| !rows.as_flattened().iter().all(|x| x.is_finite()))
-    {
+    let finite = |rows: &[[f32; 4]; 3]| {
+        cost::step();
+        rows.as_flattened().iter().all(|x| x.is_finite())
+    };
+    if let Some((name, _)) = rows.iter().find(|(_, rows)| !finite(rows)) {
         return Err(Error::input(path, format!("{name} has a number that is not finite"), remedy));
     }
     Ok(rows.into_iter().map(|(name, rows)| (name, Exposure { rows })).collect())

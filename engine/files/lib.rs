@@ -16,6 +16,7 @@ pub mod exposure_json;
 pub mod host_memory;
 pub mod images;
 pub mod init;
+pub mod lens_json;
 pub mod lpips_weights;
 pub mod metrics;
 mod names;

@@ -10,6 +10,7 @@ use super::inputs::FrameInputs;
 use super::settings::camera_block;
 use crate::kernels::blocks::CameraBlock;
 use crate::plan::{CAMERA_BLOCK_BYTES, FrameBuffers};
+use crate::scene::Camera;
 use crate::vk::{Buffer, Recorder};
 use std::mem::offset_of;
 
@@ -25,6 +26,15 @@ const _: () = assert!(
         && offset_of!(CameraBlock, camera_translation) == 36
         && offset_of!(CameraBlock, focal_px) as u64 == POSE_BYTES
 );
+
+/// A camera's pose as the device keeps it: the rows of the rotation from world to camera, then the translation.
+pub fn pose_of(camera: &Camera) -> [f32; 12] {
+    let rows = camera.camera_from_world.transpose();
+    let mut pose = [0.0; 12];
+    pose[..9].copy_from_slice(&rows.to_cols_array());
+    pose[9..].copy_from_slice(&camera.translation.to_array());
+    pose
+}
 
 /// Records the writes of the blocks of all scenes. The caller places a barrier after it.
 pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {

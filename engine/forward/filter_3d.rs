@@ -4,7 +4,7 @@
 //! A size is the fourth component of a Gaussian's log-scales on the device; 0 is none. Culling, projection and the backward
 //! pass read it where [`RenderSettings::filter_3d`](super::RenderSettings::filter_3d) is set.
 
-use super::SceneBuffers;
+use super::{POSE_BYTES, SceneBuffers, pose_of};
 use crate::error::{Error, Result};
 use crate::kernels::constants::STATE_WORDS;
 use crate::kernels::forward::{filter_sizes, nearest_depths};
@@ -16,15 +16,14 @@ use crate::vk::{Buffer, Context, Kernel, MemoryKind, Recorder};
 const MARGIN: f64 = 0.15;
 /// Variance of the filter, in squares of a pixel's size at the nearest depth.
 const VARIANCE_PX2: f64 = 0.2;
-/// vec4 per camera.
-const CAMERA_ROWS: usize = 4;
 
 /// The kernels, and the cameras.
 pub struct Filter3d {
     sizes: LaunchSizes,
     nearest: Kernel<nearest_depths::Interface>,
     store: Kernel<filter_sizes::Interface>,
-    cameras: Buffer,
+    poses: Buffer,
+    bounds: Buffer,
     farthest: Buffer,
     count: u32,
     size_per_depth: f32,
@@ -32,8 +31,9 @@ pub struct Filter3d {
 
 impl Filter3d {
     /// Names and bytes of the buffers for a number of cameras.
-    pub fn requests(cameras: usize) -> [(&'static str, u64); 2] {
-        [("filter_cameras", (cameras * CAMERA_ROWS * 16) as u64), ("farthest", 4)]
+    pub fn requests(cameras: usize) -> [(&'static str, u64); 3] {
+        let cameras = cameras as u64;
+        [("filter_poses", cameras * POSE_BYTES), ("filter_bounds", cameras * 16), ("farthest", 4)]
     }
 
     /// Builds the kernels and uploads the cameras from which a scene is trained.
@@ -47,22 +47,32 @@ impl Filter3d {
         }
         let requests = Self::requests(cameras.len());
         let buffers = context.allocate("filter", &requests, MemoryKind::Device)?;
-        let Ok([rows, farthest]) = <[Buffer; 2]>::try_from(buffers) else {
+        let Ok([poses, bounds, farthest]) = <[Buffer; 3]>::try_from(buffers) else {
             unreachable!("one buffer per request")
         };
-        let values: Vec<[[f32; 4]; CAMERA_ROWS]> = cameras.iter().map(rows_of).collect();
-        context.upload(&rows, bytemuck::cast_slice(&values))?;
+        let places: Vec<[f32; 12]> = cameras.iter().map(pose_of).collect();
+        context.upload(&poses, bytemuck::cast_slice(&places))?;
+        let slopes: Vec<[f32; 4]> = cameras.iter().map(bounds_of).collect();
+        context.upload(&bounds, bytemuck::cast_slice(&slopes))?;
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, subgroup_size) = (sizes.elementwise_workgroup, context.limits().subgroup_size);
         Ok(Self {
             nearest: Kernel::new(context, &nearest_depths::Spec { workgroup_size, subgroup_size })?,
             store: Kernel::new(context, &filter_sizes::Spec { workgroup_size })?,
             sizes,
-            cameras: rows,
+            poses,
+            bounds,
             farthest,
             count: to_u32(cameras.len() as u64)?,
             size_per_depth: (VARIANCE_PX2.sqrt() / f64::from(longest)) as f32,
         })
+    }
+
+    /// With the cameras where the device has them: [`POSE_BYTES`] per camera, as
+    /// [`FrameInputs::pose`](super::FrameInputs::pose) has them.
+    #[must_use]
+    pub fn with_poses(self, poses: Buffer) -> Self {
+        Self { poses, ..self }
     }
 
     /// Records the computation of all sizes of a scene. The caller places barriers before and after. Nothing changes if
@@ -74,9 +84,10 @@ impl Filter3d {
                 r.barrier();
                 let bind = nearest_depths::Bind {
                     parameters: &scene.chunks[range.chunk],
-                    cameras: &self.cameras,
+                    bounds: &self.bounds,
                     state,
                     farthest: &self.farthest,
+                    poses: &self.poses,
                 };
                 let push = nearest_depths::Push { count: range.count, cameras_count: self.count };
                 r.dispatch(&self.nearest, &bind, &push, self.workgroups(range.count));
@@ -115,16 +126,13 @@ impl Filter3d {
     }
 }
 
-/// (R | t) by rows, and the bounds of x/z and y/z within which a mean counts as seen.
-fn rows_of(camera: &Camera) -> [[f32; 4]; CAMERA_ROWS] {
-    let [x, y, z] = camera.camera_from_world.transpose().to_cols_array_2d();
-    let t = camera.translation;
-    let row = |[a, b, c]: [f32; 3], d: f32| [a, b, c, d];
+/// The bounds of x/z and y/z within which a mean counts as seen.
+fn bounds_of(camera: &Camera) -> [f32; 4] {
     let bounds = |focal: f32, center: f32, size: u32| {
         let (focal, center, size) = (f64::from(focal), f64::from(center), f64::from(size));
         [-MARGIN, 1.0 + MARGIN].map(|share| ((share * size - center) / focal) as f32)
     };
     let [left, right] = bounds(camera.fx, camera.cx, camera.width);
     let [top, bottom] = bounds(camera.fy, camera.cy, camera.height);
-    [row(x, t.x), row(y, t.y), row(z, t.z), [left, right, top, bottom]]
+    [left, right, top, bottom]
 }

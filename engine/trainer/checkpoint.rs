@@ -53,6 +53,9 @@ pub struct Checkpoint {
     pub gradient_sums: Option<GradientSums>,
     /// The exposures of the views' photographs, if they are learned.
     pub exposures: ExposureState,
+    /// The effects of the lenses ([`LensEffects`](crate::scene::LensEffects)) in the order of the cameras' ids, if they
+    /// are learned.
+    pub lenses: ExposureState,
     /// The poses of the views, if they are optimised.
     pub poses: Option<PoseState>,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
@@ -61,8 +64,8 @@ pub struct Checkpoint {
     pub room: Room,
 }
 
-/// Exposures of photographs, by the views' order: see [`Exposure`](crate::scene::Exposure). Empty where they are not
-/// learned.
+/// Exposures of photographs, by the views' order: see [`Exposure`](crate::scene::Exposure); or effects of lenses. Empty
+/// where they are not learned.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ExposureState {
     /// The matrices.
@@ -93,6 +96,19 @@ pub struct GradientSums {
     pub views: u32,
     /// The sums, shaped like the parameters.
     pub sums: Gaussians,
+    /// Those of exposures and lenses.
+    pub light: LightSums,
+    /// Those of the poses, if they are optimised. Older checkpoints have none: what the views gave is then lost.
+    pub poses: Vec<[f32; 6]>,
+}
+
+/// Sums of the gradients of several views; empty where nothing is learned, and in older checkpoints.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LightSums {
+    /// Of the exposures.
+    pub exposures: Vec<[[f32; 4]; 3]>,
+    /// Of the lenses.
+    pub lenses: Vec<[[f32; 4]; 3]>,
 }
 
 /// A statistic of a strategy.
@@ -204,18 +220,31 @@ impl Checkpoint {
             let name = format!("{}{name}", Self::STRATEGY);
             tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(values) });
         }
-        let ExposureState { values, first_moments, second_moments } = &self.exposures;
-        let sets = [values, first_moments, second_moments].into_iter().zip(Self::SETS);
-        tensors.extend(sets.filter(|(set, _)| !set.is_empty()).map(|(set, prefix)| Tensor {
-            name: format!("{prefix}{}", Self::EXPOSURES),
-            shape: vec![set.len(), 3, 4],
-            bytes: bytemuck::cast_slice(set),
-        }));
+        for (state, own) in [(&self.exposures, Self::EXPOSURES), (&self.lenses, Self::LENSES)] {
+            let ExposureState { values, first_moments, second_moments } = state;
+            let sets = [values, first_moments, second_moments].into_iter().zip(Self::SETS);
+            tensors.extend(sets.filter(|(set, _)| !set.is_empty()).map(|(set, prefix)| Tensor {
+                name: format!("{prefix}{own}"),
+                shape: vec![set.len(), 3, 4],
+                bytes: bytemuck::cast_slice(set),
+            }));
+        }
         if let Some(PoseState { parameters, first_moments, second_moments }) = &self.poses {
             for (name, rows) in Self::POSES.iter().zip([parameters, first_moments, second_moments]) {
                 let (name, shape) = ((*name).to_owned(), vec![rows.len(), 6]);
                 tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(rows) });
             }
+        }
+        if let Some(GradientSums { light, poses, .. }) = &self.gradient_sums {
+            let LightSums { exposures, lenses } = light;
+            let named = |name: &str| format!("{}{name}", Self::GRADIENT_SUMS);
+            let sets = [
+                (named(Self::EXPOSURES), vec![exposures.len(), 3, 4], bytemuck::cast_slice(exposures)),
+                (named(Self::LENSES), vec![lenses.len(), 3, 4], bytemuck::cast_slice(lenses)),
+                (named(Self::POSES[0]), vec![poses.len(), 6], bytemuck::cast_slice(poses)),
+            ];
+            let some = sets.into_iter().filter(|(.., bytes)| !bytes.is_empty());
+            tensors.extend(some.map(|(name, shape, bytes)| Tensor { name, shape, bytes }));
         }
         tensors
     }
@@ -231,6 +260,9 @@ impl Checkpoint {
 
     /// Name of the exposures' tensor, and of that of their moments behind the prefixes.
     pub const EXPOSURES: &str = "exposures";
+
+    /// The same of the lenses.
+    pub const LENSES: &str = "lenses";
 
     /// Names of the poses' tensors: parameters, first and second moments. Only of runs that optimise them.
     pub const POSES: [&str; 3] = ["pose", "first_moment.pose", "second_moment.pose"];
@@ -273,6 +305,20 @@ impl Checkpoint {
         let ExposureState { values, first_moments, second_moments } = &self.exposures;
         if [values, first_moments, second_moments].iter().any(|set| set.len() as u64 != exposures) {
             return Err(Error::argument("exposures", format!("are not those of {exposures} photographs")));
+        }
+        let ExposureState { values, first_moments, second_moments } = &self.lenses;
+        let lenses = [values, first_moments, second_moments].map(|set| set.len() as u64);
+        let most = if self.settings.lens_effects { self.views } else { 0 };
+        if lenses != [lenses[0]; 3] || lenses[0] > most || (most > 0 && lenses[0] == 0) {
+            return Err(Error::argument("lenses", format!("are not those of {most} photographs")));
+        }
+        if let Some(GradientSums { light, poses, .. }) = &self.gradient_sums {
+            let of = |count: usize, all: u64| count == 0 || count as u64 == all;
+            let lenses = self.lenses.values.len() as u64;
+            let sound = of(light.exposures.len(), self.views) && of(light.lenses.len(), lenses);
+            if !sound || !of(poses.len(), self.views) {
+                return Err(Error::argument("gradient sums", "are of another number than the views"));
+            }
         }
         let views = |poses: &PoseState| {
             [&poses.parameters, &poses.first_moments, &poses.second_moments]

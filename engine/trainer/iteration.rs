@@ -5,9 +5,9 @@ use super::random::{self, ViewOrder};
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
 use super::work::{Actions, Work};
-use crate::exposure::ExposureStep;
+use crate::exposure::LightStep;
 use crate::forward::RenderSettings;
-use crate::optimizer::{Rates, Step};
+use crate::optimizer::{Rates, Step, ViewSum};
 use crate::poses::PoseStep;
 
 /// Progress of a run between two iterations.
@@ -52,7 +52,9 @@ pub(super) struct IterationPlan {
     pub step: Step,
     /// Whether the sizes of the 3D filter are computed anew after the step.
     pub computes_filters: bool,
-    pub exposure: ExposureStep,
+    pub exposure: LightStep,
+    /// Of the lenses, if their effects are learned.
+    pub lens_step: LightStep,
     /// Of the poses, if they are optimised.
     pub pose_step: PoseStep,
 }
@@ -85,6 +87,11 @@ impl Schedule {
         work.optimizes &= iteration < s.iterations;
         // What was added up before belongs into this step too.
         work.sums_gradients = (work.sums_gradients || progress.summed > 0) && iteration < s.iterations;
+        // Exposures and poses add up what the Gaussians do.
+        let sum = match work.sums_gradients {
+            true => ViewSum { starts: progress.summed == 0, makes_step: work.optimizes },
+            false => ViewSum::ALONE,
+        };
         IterationPlan {
             iteration,
             view: self.order.view(iteration),
@@ -98,9 +105,20 @@ impl Schedule {
             },
             step: optimizer_step(run, iteration, progress, &work),
             computes_filters: s.computes_filters_at(iteration),
-            exposure: ExposureStep { rate: s.exposure_lr(iteration), count: progress.steps + 1 },
+            exposure: LightStep {
+                rate: s.exposure_lr(iteration),
+                count: progress.steps + 1,
+                sum,
+                decay: 0.0,
+            },
+            lens_step: LightStep {
+                rate: s.lens_lr(iteration),
+                count: progress.steps + 1,
+                sum,
+                decay: 2.0 * s.lens_reg,
+            },
             // Where the Gaussians make a step, the poses do.
-            pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1 },
+            pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1, sum },
         }
     }
 }

@@ -12,6 +12,7 @@ mod choices;
 mod depth_maps;
 mod forecast;
 mod iteration;
+mod light;
 mod model;
 pub mod options;
 mod photos;
@@ -30,10 +31,11 @@ mod step_recorder;
 mod strategies;
 pub mod strategy;
 mod terms;
+mod train_view;
 pub mod verify;
 mod work;
 
-pub use checkpoint::{Checkpoint, ExposureState, PoseState, Room};
+pub use checkpoint::{Checkpoint, ExposureState, LightSums, PoseState, Room};
 pub use forecast::Forecast;
 pub use photos::PhotoSize;
 pub use population::{Growth, Population};
@@ -43,15 +45,15 @@ pub use settings::{ImportanceType, OptimizerType, SplitType, StrategyType, Train
 pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, Reference, quantile};
 pub use strategy::Strategy;
 pub use terms::*;
+pub use train_view::TrainView;
 pub use work::{Actions, Densified};
 
 use crate::error::{Error, Result};
 use crate::forward::{Blending, Filter3d, RenderSettings, SceneBuffers};
-use crate::loss::{DepthPoint, LossTerm};
+use crate::loss::LossTerm;
 use crate::plan::PictureCapacity;
 use crate::planes;
 use crate::renderer::{Aligner, Frame, FrameRunner, FrameStore, PixelReport, TileReport};
-use crate::scene::StoredPhoto;
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Context};
 use depth_maps::DepthMaps;
@@ -60,45 +62,7 @@ use model::{Model, RowMemory, State};
 use photos::Photos;
 use poses::Poses;
 use run::Run;
-use std::sync::Arc;
 use step_recorder::{LossMemory, StepRecorder};
-
-/// A photograph and its camera.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub struct TrainView {
-    /// The camera; its size is the photo's.
-    pub camera: Camera,
-    /// The photo, kept on the device with 8 bits per channel. Masked pixels carry no loss. Photos in a file
-    /// are read ahead of the iterations that need them.
-    pub photo: StoredPhoto,
-    /// The inverse depth that the photo's pixels should have, row by row: the sum of blending weights / z, 1 / world
-    /// units. Pixels from [`MAP_NOTHING`](crate::kernels::constants::MAP_NOTHING) on, as infinity, do not count. A view
-    /// with one adds [`InverseDepth`] to the loss.
-    pub inverse_depth: Option<Arc<[f32]>>,
-    /// Sparse points that the photo shows. With [`TrainSettings::depth_points`] a view with some adds [`SparseDepth`] to the
-    /// loss. Not beside inverse-depth maps.
-    pub depth_points: Option<Arc<[DepthPoint]>>,
-}
-
-impl TrainView {
-    /// A view to train on.
-    pub fn new(camera: Camera, photo: impl Into<StoredPhoto>) -> Self {
-        Self { camera, photo: photo.into(), inverse_depth: None, depth_points: None }
-    }
-
-    /// The view with an inverse-depth map: [`TrainView::inverse_depth`].
-    #[must_use]
-    pub fn with_inverse_depth(self, map: Option<Arc<[f32]>>) -> Self {
-        Self { inverse_depth: map, ..self }
-    }
-
-    /// The view with sparse points: [`TrainView::depth_points`].
-    #[must_use]
-    pub fn with_depth_points(self, points: Option<Arc<[DepthPoint]>>) -> Self {
-        Self { depth_points: points, ..self }
-    }
-}
 
 /// The parts of training that can be exchanged. The photometric term of the loss always comes first.
 pub struct TrainParts {
@@ -229,8 +193,9 @@ impl Trainer {
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;
-        let poses = Poses::new(context, &settings, &cameras)?;
-        let views_fingerprint = resume::fingerprint_of(&views);
+        let poses = Poses::new(context, &settings, &cameras, strategy.records().sums)?;
+        let lenses = light::lenses_of(&views);
+        let views_fingerprint = resume::fingerprint_of(&views, settings.lens_effects);
         drop(views);
         let scene = planes::upload(context, "scene", initial, capacity, sh_degree)?;
         let state = State::new(Model::new(context, scene, &rows)?);
@@ -244,8 +209,12 @@ impl Trainer {
         if let Some(frame) = room.and_then(|room| room.frame(pictures, absolute)) {
             runner.restore(frame)?;
         }
-        let run = Run { settings, scene_extent, cameras, views_fingerprint };
+        let run = Run { settings, scene_extent, cameras, lenses, views_fingerprint };
         let filter = run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras)).transpose()?;
+        let filter = match &poses {
+            Some(poses) => filter.map(|filter| filter.with_poses(poses.all_cameras().clone())),
+            None => filter,
+        };
         let trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,

@@ -133,7 +133,7 @@ fn on_device(windowing: Windowing, photo: &StoredPhoto) -> Result<Vec<u8>> {
 
 /// Refuses views whose photographs do not have their cameras' sizes.
 pub(super) fn check(views: &[TrainView]) -> Result<()> {
-    for (index, TrainView { camera, photo, inverse_depth, depth_points }) in views.iter().enumerate() {
+    for (index, TrainView { camera, photo, inverse_depth, depth_points, .. }) in views.iter().enumerate() {
         camera.check()?;
         if (photo.width, photo.height) != (camera.width, camera.height) {
             let problem = format!(

@@ -3,6 +3,7 @@
 use super::budget;
 use super::model::{Model, RowMemory};
 use super::photos::Photos;
+use super::poses::Poses;
 use super::run::Run;
 use super::settings::TrainSettings;
 use crate::densify::{Curve, Densify, EdgePhoto, Gather, Importance, ImportanceBuffers, RandomKey};
@@ -25,6 +26,8 @@ pub struct Population<'a> {
     pub(super) pictures: &'a mut FrameStore,
     pub(super) model: &'a mut Model,
     pub(super) photos: &'a Photos,
+    /// None unless they are optimised.
+    pub(super) poses: Option<&'a Poses>,
     pub(super) most_instances: &'a mut u32,
     pub(super) iteration: u32,
     /// See [`super::iteration::Progress::summed`].
@@ -57,7 +60,7 @@ impl Population<'_> {
         self.run.scene_extent
     }
 
-    /// The training cameras.
+    /// The training cameras as they were given.
     pub fn cameras(&self) -> &[Camera] {
         &self.run.cameras
     }
@@ -136,8 +139,7 @@ impl Population<'_> {
             let request = Request {
                 scene: &self.model.scene,
                 camera,
-                // What it is for needs no camera that is right to a hundredth of a pixel.
-                pose: None,
+                pose: self.poses.map(|poses| poses.camera(view)),
                 settings: &settings,
                 sh_degree: 0,
                 backward: true,

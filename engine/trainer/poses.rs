@@ -28,7 +28,13 @@ pub(super) fn requests(settings: &TrainSettings, views: usize) -> Vec<(&'static 
 
 impl Poses {
     /// With all cameras where they are given. None unless the settings optimise poses.
-    pub fn new(context: &Context, settings: &TrainSettings, cameras: &[Camera]) -> Result<Option<Self>> {
+    /// `sums`: whether steps may follow several views.
+    pub fn new(
+        context: &Context,
+        settings: &TrainSettings,
+        cameras: &[Camera],
+        sums: bool,
+    ) -> Result<Option<Self>> {
         if !settings.pose_opt {
             return Ok(None);
         }
@@ -40,13 +46,13 @@ impl Poses {
         let at = |view: usize| buffers.cameras.range(view as u64 * POSE_BYTES, POSE_BYTES);
         let poses = Self {
             gradient: PoseGradient::new(context)?,
-            optimizer: PoseOptimizer::new(context)?,
+            optimizer: PoseOptimizer::new(context, sums)?,
             cameras: (0..cameras.len()).map(at).collect(),
             buffers,
         };
         context.run("clear poses", |r| {
-            let PoseBuffers { parameters, moments, gradient, .. } = &poses.buffers;
-            [parameters, moments, gradient].into_iter().for_each(|buffer| r.fill(buffer, 0));
+            let PoseBuffers { parameters, moments, gradient, sums, .. } = &poses.buffers;
+            [parameters, moments, gradient, sums].into_iter().for_each(|buffer| r.fill(buffer, 0));
             Ok(())
         })?;
         poses.make_cameras(context)?;
@@ -71,8 +77,8 @@ impl Poses {
         &self.cameras[view]
     }
 
-    /// Records what follows the backward pass with a gradient of the pose: the gradient, and a step. The caller
-    /// places barriers before and after.
+    /// Records what follows the backward pass with a gradient of the pose: the gradient, and a step or the addition to
+    /// the sums. The caller places barriers before and after.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, view: usize, step: &PoseStep) {
         let view = view as u32;
         r.scope("poses", |r| {
@@ -82,11 +88,26 @@ impl Poses {
         });
     }
 
+    /// All of them, one after the other.
+    pub fn all_cameras(&self) -> &Buffer {
+        &self.buffers.cameras
+    }
+
     /// The cameras as they are now.
     pub fn moved(&self, context: &Context, cameras: &[Camera]) -> Result<Vec<Camera>> {
         let bytes = context.download(&self.buffers.cameras)?;
         let poses: Vec<[f32; 12]> = bytemuck::pod_collect_to_vec(&bytes);
         Ok(cameras.iter().zip(&poses).map(|(camera, pose)| camera_at(camera, pose)).collect())
+    }
+
+    /// The gradients of the views since the last step.
+    pub fn sums(&self, context: &Context) -> Result<Vec<[f32; 6]>> {
+        Ok(bytemuck::pod_collect_to_vec(&context.download(&self.buffers.sums)?))
+    }
+
+    /// Restores [`Poses::sums`].
+    pub fn restore_sums(&self, context: &Context, sums: &[[f32; 6]]) -> Result<()> {
+        context.upload(&self.buffers.sums, bytemuck::cast_slice(sums))
     }
 
     pub fn state(&self, context: &Context) -> Result<PoseState> {

@@ -1,8 +1,6 @@
 //! Conversion of a trainer to a [`Checkpoint`], and back.
 
-use super::checkpoint::{
-    Checkpoint, ExposureState, GradientSums, Room, StrategyState, StrategyStatistic, Wanted,
-};
+use super::checkpoint::{Checkpoint, GradientSums, Room, StrategyState, StrategyStatistic, Wanted};
 use super::iteration::Progress;
 use super::settings::TrainSettings;
 use super::{TrainParts, TrainView, Trainer, strategies};
@@ -11,7 +9,7 @@ use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
 use crate::plan::{FrameCapacity, PictureCapacity};
 use crate::planes;
-use crate::scene::{Camera, Exposure};
+use crate::scene::Camera;
 use crate::vk::{Buffer, Context};
 
 impl Trainer {
@@ -44,6 +42,7 @@ impl Trainer {
             statistics.push(StrategyStatistic { name, floats, values });
         }
         let gradient = statistics.remove(0).values;
+        let [exposures, lenses] = self.light_states()?;
         Ok(Checkpoint {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             device: self.context.device_name().to_owned(),
@@ -69,9 +68,18 @@ impl Trainer {
             },
             gradient_sums: match progress.summed {
                 0 => None,
-                views => Some(GradientSums { views, sums: planes_of(&model.spare)? }),
+                views => Some(GradientSums {
+                    views,
+                    sums: planes_of(&model.spare)?,
+                    light: self.light_sums()?,
+                    poses: match &self.poses {
+                        Some(poses) => poses.sums(&self.context)?,
+                        None => Vec::new(),
+                    },
+                }),
             },
-            exposures: self.exposure_state()?,
+            exposures,
+            lenses,
             poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
             skipped: self.state.skipped,
             room: self.room(),
@@ -111,7 +119,7 @@ impl Trainer {
         from.check_fits(&Wanted {
             settings: &settings,
             views: views.len() as u64,
-            views_fingerprint: fingerprint_of(&views),
+            views_fingerprint: fingerprint_of(&views, settings.lens_effects),
             scene_extent,
         })?;
         let (there, here) = (strategies::present_name(&from.strategy.name), parts.strategy.name());
@@ -135,13 +143,15 @@ impl Trainer {
         if trainer.filter.is_some() {
             planes::upload_filters(context, &trainer.state.model.scene, &from.filters)?;
         }
-        if let Some(exposures) = &trainer.losses.exposures {
-            let ExposureState { values, first_moments, second_moments } = &from.exposures;
-            exposures.upload(context, [values, first_moments, second_moments])?;
-        }
+        let sums = from.gradient_sums.as_ref().map(|sums| sums.light.clone()).unwrap_or_default();
+        trainer.losses.light.restore(context, [&from.exposures, &from.lenses], &sums)?;
         if let Some(poses) = &trainer.poses {
             let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
             poses.restore(context, from.poses.as_ref().ok_or_else(lacks)?)?;
+            let sums = from.gradient_sums.as_ref().map_or(&[][..], |sums| &sums.poses);
+            if !sums.is_empty() {
+                poses.restore_sums(context, sums)?;
+            }
         }
         let state = &mut trainer.state;
         state.progress = Progress {
@@ -189,22 +199,6 @@ impl Trainer {
 }
 
 impl Trainer {
-    fn exposure_state(&self) -> Result<ExposureState> {
-        let Some(exposures) = &self.losses.exposures else { return Ok(ExposureState::default()) };
-        let [values, first_moments, second_moments] = exposures.download(&self.context)?;
-        Ok(ExposureState { values, first_moments, second_moments })
-    }
-
-    /// The exposures of the views' photographs in their order, if they are learned ([`TrainSettings::exposure`]);
-    /// otherwise none.
-    ///
-    /// # Errors
-    /// As [`Trainer::checkpoint`].
-    pub fn exposures(&self) -> Result<Vec<Exposure>> {
-        self.check_readable()?;
-        Ok(self.exposure_state()?.values.into_iter().map(|rows| Exposure { rows }).collect())
-    }
-
     fn room(&self) -> Room {
         let frame = self.runner.capacity();
         let largest = |side: fn(&Camera) -> u32| match frame.pictures {
@@ -241,8 +235,8 @@ impl Room {
     }
 }
 
-/// Identifies views, cameras and photographs in their order.
-pub(super) fn fingerprint_of(views: &[TrainView]) -> u64 {
+/// Identifies views, cameras and photographs in their order; `by_camera`: and which cameras took them.
+pub(super) fn fingerprint_of(views: &[TrainView], by_camera: bool) -> u64 {
     let of_view = |view: &TrainView| {
         let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height } = view.camera;
         let mut print = Fingerprint::new();
@@ -255,6 +249,9 @@ pub(super) fn fingerprint_of(views: &[TrainView]) -> u64 {
         for point in view.depth_points.iter().flat_map(|points| points.iter()) {
             let [x, y] = point.position_px;
             print.add(bytemuck::cast_slice(&[x, y, point.inverse_z]));
+        }
+        if by_camera {
+            print.add(bytemuck::bytes_of(&view.camera_id));
         }
         print.finish()
     };

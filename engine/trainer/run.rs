@@ -11,10 +11,17 @@ pub(super) struct Run {
     pub scene_extent: f32,
     /// One per view.
     pub cameras: Vec<Camera>,
+    /// Per view: the number of its lens, from 0 in the order of the cameras' ids.
+    pub lenses: Vec<u32>,
     pub views_fingerprint: u64,
 }
 
 impl Run {
+    /// Number of lenses.
+    pub fn lens_count(&self) -> usize {
+        self.lenses.iter().max().map_or(0, |&last| last as usize + 1)
+    }
+
     /// The render settings of training, without the random background.
     pub fn render_settings(&self) -> RenderSettings {
         self.settings.render_settings()

@@ -74,6 +74,11 @@ impl TrainSettings {
         delay * rate
     }
 
+    /// Learning rate of the lens effects at an iteration: log-linear from `lens_lr` at 0 to a tenth of it at the last.
+    pub fn lens_lr(&self, iteration: u32) -> f64 {
+        log_linear([self.lens_lr, 0.1 * self.lens_lr], iteration, self.iterations)
+    }
+
     /// Factor of the means' first learning rate: with `scale_rates` 30,000 / `iterations`, 1 to 10, so that means
     /// can travel as far in a short run. Their last rate stays: it is the precision that they end with.
     pub fn position_factor(&self) -> f64 {

@@ -101,6 +101,12 @@ options! {
         /// Weight of the depths of the photos' sparse points in the loss at the start, times the scene's extent; a hundredth of it at the
         /// end (gsplat: 0.01 throughout)
         depth_points: f64 = 0.0, Bounds::NotNegative;
+        /// Learn vignetting and response of each camera, which change the rendered colours before they are compared
+        lens_effects: bool = false, Bounds::None;
+        /// Learning rate of the lens effects at the start; a tenth of it at the end
+        lens_lr: f64 = 5e-3, Bounds::Positive;
+        /// Weight of the squared lens effects in the loss, which pulls them to none
+        lens_reg: f64 = 1e-3, Bounds::NotNegative;
         /// Weight of the inverse-depth maps in the loss at the start, for views that have one
         depth_l1_weight_init: f64 = 1.0, Bounds::Positive;
         /// Weight of the inverse-depth maps in the loss at the end
@@ -221,10 +227,6 @@ impl TrainSettings {
     /// [`Error::Argument`] with the setting's name, its value and what would be right.
     pub fn check(&self) -> Result<()> {
         Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))?;
-        if self.pose_opt && self.multi_step {
-            let problem = "does not go together with multi_step (strategy budget): turn one of them off";
-            return Err(Error::argument("pose_opt", problem));
-        }
         if self.dropout > MOST_DROPOUT {
             let problem = format!("is {}, must be at most {MOST_DROPOUT}", self.dropout);
             return Err(Error::argument("dropout", problem));

@@ -143,6 +143,7 @@ impl Trainer {
                 pictures: &mut self.pictures,
                 model: &mut self.state.model,
                 photos: &self.photos,
+                poses: self.poses.as_ref(),
                 most_instances: &mut self.state.most_instances,
                 iteration: self.state.progress.iteration,
                 summed: &mut self.state.progress.summed,

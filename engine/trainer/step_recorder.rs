@@ -3,6 +3,7 @@
 
 use super::depth_maps::DepthMaps;
 use super::iteration::IterationPlan;
+use super::light::{Light, LightInputs, LightMemory};
 use super::model::Model;
 use super::photos::Photos;
 use super::poses::Poses;
@@ -12,7 +13,6 @@ use super::strategy::{Hooks, StepInputs, Strategy};
 use super::work::{Actions, Work};
 use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
-use crate::exposure::{Exposing, ExposureBuffers};
 use crate::forward::{Filter3d, FrameInputs, RenderSettings};
 use crate::loss::{LossTerm, Targets, TermInputs};
 use crate::optimizer::{GradientSums, Optimizer};
@@ -28,7 +28,7 @@ pub(super) struct StepRecorder {
     /// For terms that read pictures by rows.
     border: Option<PixelBorder>,
     sizes: LaunchSizes,
-    exposing: Option<Exposing>,
+    light: Light,
     backward: Backward,
     /// How frames are drawn, apart from the inverse depth.
     drawn: RenderSettings,
@@ -47,8 +47,7 @@ pub(super) struct LossMemory {
     image_gradient: Option<Buffer>,
     /// For terms that read pictures by rows.
     rows: Option<PixelRows>,
-    /// Matrices and moments outlive the iteration.
-    pub exposures: Option<ExposureBuffers>,
+    pub light: LightMemory,
     pub readback: Buffer,
 }
 
@@ -120,7 +119,7 @@ impl StepRecorder {
         Ok(Self {
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
-            exposing: settings.exposure.then(|| Exposing::new(context, true)).transpose()?,
+            light: Light::new(context, settings, sums)?,
             backward: Backward::new(context),
             drawn: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
             absolute,
@@ -204,9 +203,7 @@ impl StepRecorder {
                 ("photo_rows", 4 * pixels),
             ]);
         }
-        if self.exposing.is_some() {
-            requests.extend(ExposureBuffers::requests(sizes));
-        }
+        requests.extend(self.light.requests(sizes));
         requests
     }
 
@@ -233,13 +230,8 @@ impl StepRecorder {
                 let rows = if self.targets.rows() { buffers(3) } else { Vec::new() };
                 let rows = <[Buffer; 3]>::try_from(rows).ok();
                 let rows = rows.map(|[picture, gradient, photo]| PixelRows { picture, gradient, photo });
-                let exposures = match &self.exposing {
-                    Some(_) => buffers(ExposureBuffers::COUNT).try_into().ok(),
-                    None => None,
-                };
-                let exposures = exposures.map(ExposureBuffers::from_allocated);
-                exposures.iter().try_for_each(|exposures| exposures.reset(context))?;
-                Ok(LossMemory { scratch, losses, image_gradient, rows, exposures, readback })
+                let light = self.light.allocated(context, device)?;
+                Ok(LossMemory { scratch, losses, image_gradient, rows, light, readback })
             }
             _ => unreachable!("one buffer per request"),
         }
@@ -299,11 +291,9 @@ impl StepRecorder {
                 r.barrier();
                 parts.strategy.record_update(r, &step);
             }
-            if let Some((exposing, exposures)) = self.exposing.as_ref().zip(parts.memory.exposures.as_ref()) {
-                r.barrier();
-                let of = (exposures, &inputs.frame.state);
-                exposing.record_step(r, of, plan.view as u32, &plan.exposure);
-            }
+        }
+        if plan.work.optimizes || plan.work.sums_gradients {
+            self.light.record_step(r, &self.light_inputs(inputs, parts));
             // The frame has its own copy of its camera.
             if let Some(poses) = parts.poses {
                 poses.record(r, inputs, plan.view, &plan.pose_step);
@@ -334,11 +324,8 @@ impl StepRecorder {
             r.barrier();
         }
         let native = (inputs.frame.rendered(&self.sizes), photo, gradient);
-        let exposing = self.exposing.as_ref().zip(memory.exposures.as_ref());
-        if let Some((exposing, exposures)) = exposing {
-            exposing.record(r, inputs, exposures, plan.view as u32);
-            r.barrier();
-        }
+        let light = self.light_inputs(inputs, parts);
+        let lit = self.light.record(r, &light);
         for (row, (term, scratch)) in self.terms.iter().zip(&memory.scratch).enumerate() {
             if row > 0 {
                 r.barrier();
@@ -349,15 +336,14 @@ impl StepRecorder {
                 r.barrier();
             }
             // Only the photometric term, which comes first, compares with a photograph.
-            let exposing = exposing.filter(|_| row == 0);
-            let (picture, photo, image_gradient) = match (by_rows, exposing) {
+            let lit = lit.filter(|_| row == 0);
+            let (picture, photo, image_gradient) = match (by_rows, lit) {
                 (Some((_, rows)), _) => (&rows.picture, &rows.photo, &rows.gradient),
-                (None, Some((_, exposures))) => (&exposures.picture, native.1, native.2),
+                (None, Some(lit)) => (lit, native.1, native.2),
                 (None, None) => native,
             };
-            let frame = inputs;
             let inputs = TermInputs {
-                frame,
+                frame: inputs,
                 picture,
                 photo,
                 photo_is_masked,
@@ -371,15 +357,19 @@ impl StepRecorder {
                 row: row as u32,
             };
             term.record(r, &inputs);
-            if let Some((exposing, exposures)) = exposing {
-                r.barrier();
-                exposing.record_backward(r, frame, exposures, plan.view as u32, gradient);
+            if row == 0 {
+                self.light.record_backward(r, &light, gradient);
             }
             if let Some((border, rows)) = by_rows {
                 r.barrier();
                 border.record_gradient(r, inputs.frame, &rows.gradient, gradient, true);
             }
         }
+    }
+
+    fn light_inputs<'a>(&self, frame: &'a FrameInputs<'a>, parts: &StepParts<'a>) -> LightInputs<'a> {
+        let StepParts { run, memory, plan, .. } = *parts;
+        LightInputs { frame, rendered: frame.frame.rendered(&self.sizes), memory: &memory.light, plan, run }
     }
 
     /// Reads the losses of a step that has finished.

@@ -146,7 +146,7 @@ impl Recorder {
         push: &[u8],
     ) -> Result<()> {
         let set = match self.commands.descriptors() {
-            Some(sets) if !writes.is_empty() => Some(sets.next(&self.inner, pipeline.set_kind)?),
+            Some(sets) if !writes.is_empty() => Some(sets.next(&self.inner, pipeline.handles.set_kind)?),
             _ => None,
         };
         let (raw, device, point) = (self.raw(), &self.inner.device, vk::PipelineBindPoint::COMPUTE);
@@ -154,23 +154,29 @@ impl Recorder {
         // them until the execution is over; a set is written once in a recording, before it is bound. `push` has the
         // size that the layout was made with.
         unsafe {
-            if self.bound != pipeline.raw {
-                device.cmd_bind_pipeline(raw, point, pipeline.raw);
-                self.bound = pipeline.raw;
+            if self.bound != pipeline.handles.raw {
+                device.cmd_bind_pipeline(raw, point, pipeline.handles.raw);
+                self.bound = pipeline.handles.raw;
             }
             match (&self.inner.push_descriptor, set) {
                 (Some(extension), _) if !writes.is_empty() => {
-                    extension.cmd_push_descriptor_set(raw, point, pipeline.layout, 0, writes);
+                    extension.cmd_push_descriptor_set(raw, point, pipeline.handles.layout, 0, writes);
                 }
                 (None, Some(set)) => {
                     writes.iter_mut().for_each(|write| write.dst_set = set);
                     device.update_descriptor_sets(writes, &[]);
-                    device.cmd_bind_descriptor_sets(raw, point, pipeline.layout, 0, &[set], &[]);
+                    device.cmd_bind_descriptor_sets(raw, point, pipeline.handles.layout, 0, &[set], &[]);
                 }
                 _ => {}
             }
             if !push.is_empty() {
-                device.cmd_push_constants(raw, pipeline.layout, vk::ShaderStageFlags::COMPUTE, 0, push);
+                device.cmd_push_constants(
+                    raw,
+                    pipeline.handles.layout,
+                    vk::ShaderStageFlags::COMPUTE,
+                    0,
+                    push,
+                );
             }
         }
         Ok(())

@@ -2,6 +2,7 @@
 
 use super::binding::{BindingInfo, BindingKind, ImageInfo};
 use super::buffer::Buffer;
+use super::built::{PipelineHandles, PipelineKey};
 use super::context::Context;
 use super::descriptors::{kind_of, layout_binding};
 use super::error::vk_error;
@@ -129,7 +130,7 @@ struct Demands {
 }
 
 impl<K: KernelInterface> Kernel<K> {
-    /// Compiles the kernel. If `Spec` has a `subgroup_size`, the pipeline has exactly that size and full
+    /// Compiles the kernel, or takes what the device has compiled before. If `Spec` has a `subgroup_size`, the pipeline has exactly that size and full
     /// subgroups only.
     ///
     /// # Errors
@@ -149,9 +150,10 @@ impl<K: KernelInterface> Kernel<K> {
         };
         check(&demands, context.limits())?;
         let constants = overridden::<K>(context.limits(), K::spec_entries(spec));
-        let replaced = context.replaced_shader(K::NAME);
-        let spirv = replaced.as_deref().map_or(form.spirv, Vec::as_slice);
-        let pipeline = Pipeline::new(&context.device, &demands, spirv, &constants)?;
+        let pipeline = match context.replaced_shader(K::NAME) {
+            Some(spirv) => Pipeline::new(&context.device, &demands, &spirv, &constants)?,
+            None => Pipeline::shared(&context.device, &demands, &form, constants)?,
+        };
         Ok(Self { pipeline: Arc::new(pipeline), interface: PhantomData })
     }
 
@@ -256,35 +258,53 @@ pub(super) struct Pipeline {
     pub(super) name: &'static str,
     pub(super) bindings: &'static [BindingInfo],
     pub(super) images: &'static [ImageInfo],
-    pub(super) raw: vk::Pipeline,
-    pub(super) layout: vk::PipelineLayout,
-    /// The kind of its sets without push descriptors.
-    pub(super) set_kind: usize,
-    /// Null if all kernels share a layout.
-    set_layout: vk::DescriptorSetLayout,
+    pub(super) handles: PipelineHandles,
+    /// Whether the handles are the device's, which destroys them.
+    shared: bool,
     workgroup_size: [u32; 3],
 }
 
 impl Pipeline {
-    fn new(inner: &Arc<Device>, demands: &Demands, spirv: &[u32], constants: &[(u32, u32)]) -> Result<Self> {
-        let mut pipeline = Self {
+    /// The device's own, which it builds if it has none.
+    fn shared(
+        inner: &Arc<Device>,
+        demands: &Demands,
+        form: &Form,
+        constants: Vec<(u32, u32)>,
+    ) -> Result<Self> {
+        let Demands { name, subgroup_size, workgroup_size, .. } = *demands;
+        let key = PipelineKey { name, texels: form.texels, subgroup_size, workgroup_size, constants };
+        if let Some(handles) = inner.built.find(&key) {
+            let mut pipeline = Self::unbuilt(inner, demands);
+            (pipeline.handles, pipeline.shared) = (handles, true);
+            return Ok(pipeline);
+        }
+        let mut pipeline = Self::new(inner, demands, form.spirv, &key.constants)?;
+        pipeline.shared = inner.built.keep(key, pipeline.handles);
+        Ok(pipeline)
+    }
+
+    fn unbuilt(inner: &Arc<Device>, demands: &Demands) -> Self {
+        Self {
             inner: inner.clone(),
             name: demands.name,
             bindings: demands.bindings,
             images: demands.images,
-            raw: vk::Pipeline::null(),
-            layout: vk::PipelineLayout::null(),
-            set_kind: 0,
-            set_layout: vk::DescriptorSetLayout::null(),
+            handles: PipelineHandles::default(),
+            shared: false,
             workgroup_size: demands.workgroup_size,
-        };
+        }
+    }
+
+    fn new(inner: &Arc<Device>, demands: &Demands, spirv: &[u32], constants: &[(u32, u32)]) -> Result<Self> {
+        let mut pipeline = Self::unbuilt(inner, demands);
         pipeline.create_layout(demands.push_bytes)?;
         pipeline.create_pipeline(spirv, constants, demands.subgroup_size)?;
-        if pipeline.set_layout != vk::DescriptorSetLayout::null() {
-            inner.names.name(pipeline.set_layout, &format!("{} set layout", demands.name));
+        if pipeline.handles.set_layout != vk::DescriptorSetLayout::null() {
+            inner.names.name(pipeline.handles.set_layout, &format!("{} set layout", demands.name));
         }
-        inner.names.name(pipeline.layout, &format!("{} layout", demands.name));
-        inner.names.name(pipeline.raw, demands.name);
+        inner.names.name(pipeline.handles.layout, &format!("{} layout", demands.name));
+        inner.names.name(pipeline.handles.raw, demands.name);
         Ok(pipeline)
     }
 
@@ -305,7 +325,7 @@ impl Pipeline {
         unsafe {
             let sets = match (&self.inner.shared_layouts, kind_of(&bindings)) {
                 (Some(layouts), Some(kind)) => {
-                    self.set_kind = kind;
+                    self.handles.set_kind = kind;
                     [layouts[kind]]
                 }
                 (Some(_), None) => {
@@ -314,8 +334,8 @@ impl Pipeline {
                 }
                 (None, _) => {
                     let layout = device.create_descriptor_set_layout(&set, None);
-                    self.set_layout = layout.map_err(vk_error("vkCreateDescriptorSetLayout"))?;
-                    [self.set_layout]
+                    self.handles.set_layout = layout.map_err(vk_error("vkCreateDescriptorSetLayout"))?;
+                    [self.handles.set_layout]
                 }
             };
             let ranges = [vk::PushConstantRange::default()
@@ -325,7 +345,7 @@ impl Pipeline {
             if push_bytes > 0 {
                 info = info.push_constant_ranges(&ranges);
             }
-            self.layout =
+            self.handles.layout =
                 device.create_pipeline_layout(&info, None).map_err(vk_error("vkCreatePipelineLayout"))?;
         }
         Ok(())
@@ -363,7 +383,7 @@ impl Pipeline {
                 stage = stage.push_next(&mut required);
             }
         }
-        let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.layout);
+        let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.handles.layout);
         // SAFETY: everything that `info` points to outlives the call; `check` has verified the subgroup rules. The
         // module is not needed any more once the pipeline exists.
         let pipelines = unsafe {
@@ -372,19 +392,16 @@ impl Pipeline {
             pipelines
         };
         let pipelines = pipelines.map_err(|(_, e)| vk_error("vkCreateComputePipelines")(e))?;
-        self.raw = pipelines.first().copied().unwrap_or_default();
+        self.handles.raw = pipelines.first().copied().unwrap_or_default();
         Ok(())
     }
 }
 
 impl Drop for Pipeline {
     fn drop(&mut self) {
-        let device = &self.inner.device;
-        // SAFETY: recordings and submissions hold the pipeline until they are done; null handles are allowed.
-        unsafe {
-            device.destroy_pipeline(self.raw, None);
-            device.destroy_pipeline_layout(self.layout, None);
-            device.destroy_descriptor_set_layout(self.set_layout, None);
+        if !self.shared {
+            // SAFETY: recordings and submissions hold the pipeline until they are done.
+            unsafe { self.handles.destroy(&self.inner.device) };
         }
     }
 }

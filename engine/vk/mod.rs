@@ -59,6 +59,7 @@ mod binding;
 mod binding_numbers;
 mod budget;
 mod buffer;
+mod built;
 mod clock;
 mod commands;
 mod context;

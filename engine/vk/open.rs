@@ -3,6 +3,7 @@
 use super::allocator::HostAllocator;
 use super::arenas::Registry;
 use super::binding_numbers::BUFFERS;
+use super::built::BuiltPipelines;
 use super::clock::Clock;
 use super::context::Context;
 use super::create_device;
@@ -230,6 +231,7 @@ impl Context {
             description: candidate.description,
             registry: Registry::default(),
             replaced: Mutex::default(),
+            built: BuiltPipelines::default(),
             allocator,
             pipeline_cache: PipelineCache::of_host(pipeline_cache),
             owner,

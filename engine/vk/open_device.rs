@@ -3,6 +3,7 @@
 
 use super::allocator::HostAllocator;
 use super::arenas::Registry;
+use super::built::BuiltPipelines;
 use super::clock::Clock;
 use super::debug::{Messages, Names};
 use super::device::DeviceDescription;
@@ -55,6 +56,8 @@ pub(super) struct Device {
     pub(super) replaced: Mutex<HashMap<String, Arc<Vec<u32>>>>,
     /// The allocator of the buffers' memory; None: the device.
     pub(super) allocator: Option<Arc<dyn HostAllocator>>,
+    /// The kernels that have been built.
+    pub(super) built: BuiltPipelines,
     /// What kernels are built with.
     pub(super) pipeline_cache: PipelineCache,
     // Destroyed after the device: keep it last.
@@ -126,6 +129,7 @@ impl Drop for Device {
             if !self.is_foreign() {
                 let _ = self.device.device_wait_idle();
             }
+            self.built.close(&self.device);
             for layout in self.shared_layouts.iter().flatten() {
                 self.device.destroy_descriptor_set_layout(*layout, None);
             }

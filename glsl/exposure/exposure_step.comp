@@ -1,5 +1,9 @@
-// Adam over the exposures of all photographs as one tensor: also those that the iteration does not see have their moments
-// decay, and move. Only the view's own has a gradient: the sum of the partials, or 0 where that is not finite.
+// Adam over the exposures of all photographs as one tensor, or over the effects of all lenses (lens_effects.glsl): also those
+// that the iteration does not see have their moments decay, and move. Only the view's own has a gradient: the sum of the
+// partials, or 0 where that is not finite. All have `decay` times their value besides.
+//
+// With SUMS a step follows several views: without `makes_step` the gradient of the view's photograph is added to `sums`, and a
+// step takes what they have as well. With `starts` what they had before does not count.
 //
 // With CENTER, the mean over the photographs is then brought back to the identity: E <- E - mean(E) + [I | 0]. Otherwise the
 // scene could grow brighter while all exposures grow darker, and what is rendered without an exposure would drift.
@@ -7,7 +11,7 @@
 //
 // invocation: every WORKGROUP_SIZE-th photograph; one workgroup in all
 // in: partials[3 * TERM_PARTIALS], state
-// in/out: exposures, moments_1, moments_2: three rows per photograph
+// in/out: exposures, moments_1, moments_2, and with SUMS sums: three rows per photograph
 // shared: three vec4 per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -20,6 +24,7 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool CENTER = true;
+layout(constant_id = 3) const bool SUMS = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Partials { vec4 partials[]; };
@@ -27,6 +32,7 @@ layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
 layout(set = 0, binding = 2, scalar) buffer Exposures { vec4 exposures[]; };
 layout(set = 0, binding = 3, scalar) buffer Moments1 { vec4 moments_1[]; };
 layout(set = 0, binding = 4, scalar) buffer Moments2 { vec4 moments_2[]; };
+layout(set = 0, binding = 5, scalar) buffer Sums { vec4 sums[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint photographs;
@@ -41,6 +47,10 @@ layout(push_constant, scalar) uniform Push {
     float rate;
     // 1 / sqrt(1 - b2^t).
     float inverse_bias_2;
+    uint makes_step;
+    uint starts;
+    // Times each value, a part of its gradient.
+    float decay;
 };
 
 #include "exposure_sums.glsl"
@@ -65,18 +75,27 @@ void main() {
         for (uint k = 0; k < 3; ++k) {
             uint at = 3 * photograph + k;
             vec4 g = photograph == view && sound ? gradient[k] : vec4(0.0);
+            if (SUMS) {
+                g += starts != 0 ? vec4(0.0) : sums[at];
+                sums[at] = g;
+                if (makes_step == 0) {
+                    continue;
+                }
+            }
+            vec4 e = exposures[at];
+            g += decay * e;
             vec4 m = beta_1 * moments_1[at] + one_minus_beta_1 * g;
             vec4 v = beta_2 * moments_2[at] + one_minus_beta_2 * g * g;
             moments_1[at] = m;
             moments_2[at] = v;
-            vec4 e = exposures[at] - rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
+            e -= rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
             exposures[at] = e;
             // The distance from the identity: small numbers add up with small errors.
             e[k] -= 1.0;
             mean[k] += e;
         }
     }
-    if (CENTER) {
+    if (CENTER && (!SUMS || makes_step != 0)) {
         add_over_workgroup(mean);
         for (uint photograph = gl_LocalInvocationID.x; photograph < end; photograph += WORKGROUP_SIZE) {
             for (uint k = 0; k < 3; ++k) {

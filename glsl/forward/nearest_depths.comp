@@ -2,7 +2,8 @@
 // section 5.1; its compute_3D_filter).
 //
 // invocation: one Gaussian of a chunk
-// in: cameras, four vec4 each: rows of (R | t), camera from world; least and largest x/z, least and largest y/z
+// in: poses, four vec3 per camera: the rows of R, then t, camera from world (as pose_step.comp leaves them); bounds, a vec4 per
+//     camera: least and largest x/z, least and largest y/z
 // in/out: parameters (PerGaussian planes): log_scale.w is the depth, or 0 if no camera sees the mean; farthest is the bits of
 //     the largest depth. Nothing changes if the frame overflowed.
 // shared: none; any subgroup size
@@ -20,9 +21,10 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) buffer Parameters { vec4 parameters[]; };
-VEC4_READS(1, Cameras, cameras);
+VEC4_READS(1, Bounds, bounds);
 UINT_READS(2, State, state);
 layout(set = 0, binding = 3, scalar) buffer Farthest { uint farthest[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer Poses { vec3 poses[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint count;
@@ -41,12 +43,13 @@ void main() {
     vec4 mean = vec4(parameters[geometry_at(PLANE_MEAN_OPACITY, index)].xyz, 1.0);
     float nearest = NONE;
     for (uint camera = 0; camera < cameras_count; ++camera) {
-        vec3 position = vec3(dot(VEC4_AT(cameras, 4 * camera), mean), dot(VEC4_AT(cameras, 4 * camera + 1), mean),
-            dot(VEC4_AT(cameras, 4 * camera + 2), mean));
-        vec4 bounds = VEC4_AT(cameras, 4 * camera + 3);
+        vec3 t = poses[4 * camera + 3];
+        vec3 position = vec3(dot(vec4(poses[4 * camera], t.x), mean), dot(vec4(poses[4 * camera + 1], t.y), mean),
+            dot(vec4(poses[4 * camera + 2], t.z), mean));
+        vec4 slopes = VEC4_AT(bounds, camera);
         vec2 slope = position.xy / position.z;
-        bool seen = position.z > NEAR_PLANE && slope.x >= bounds.x && slope.x <= bounds.y && slope.y >= bounds.z
-            && slope.y <= bounds.w;
+        bool seen = position.z > NEAR_PLANE && slope.x >= slopes.x && slope.x <= slopes.y && slope.y >= slopes.z
+            && slope.y <= slopes.w;
         nearest = seen ? min(nearest, position.z) : nearest;
     }
     nearest = exists && nearest < NONE ? nearest : 0.0;

@@ -70,6 +70,7 @@ layout(push_constant, scalar) uniform Push {
 
 #include "camera_block.glsl"
 #include "dispatch.glsl"
+#include "moved_camera.glsl"
 #include "planes.glsl"
 #include "sh.glsl"
 #include "sh_gradient.glsl"
@@ -79,12 +80,6 @@ layout(push_constant, scalar) uniform Push {
 #define SH_GRADIENT(PLANE, AT) (SUMS ? VEC4_AT(parameter_gradients, AT) : sh_plane_gradient(PLANE, basis, d_color))
 #include "finite.glsl"
 #include "adam_step.glsl"
-
-vec3 position_of_camera() {
-    vec3 t = camera_translation;
-    vec3 moved = -(camera_row_x * t.x + camera_row_y * t.y + camera_row_z * t.z) * inverse_scale_squared;
-    return MOVED_CAMERA ? moved : camera_position;
-}
 
 void main() {
     uint index = linear_invocation();

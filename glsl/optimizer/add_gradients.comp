@@ -3,7 +3,7 @@
 // gradient is not finite adds nothing, and is counted. If the frame overflowed, nothing changes.
 //
 // invocation: one Gaussian
-// in: parameters (PerGaussian planes, for the viewing direction), visible_index, gradients (PerVisible planes)
+// in: parameters (PerGaussian planes, for the viewing direction), visible_index, gradients (PerVisible planes), camera block
 // in/out: sums (PerGaussian planes), bound a second time for reads; written whole if `starts` is set
 //     state[STATE_NON_FINITE] counts the skipped Gaussians
 // shared: none; any subgroup size
@@ -18,6 +18,8 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
+// As in adam.comp.
+layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_WRITES(0, Sums, sums);
@@ -41,8 +43,10 @@ layout(push_constant, scalar) uniform Push {
     uint starts;
 };
 
+#include "camera_block.glsl"
 #include "dispatch.glsl"
 #include "finite.glsl"
+#include "moved_camera.glsl"
 #include "planes.glsl"
 #include "sh.glsl"
 #include "sh_gradient.glsl"
@@ -87,7 +91,7 @@ void main() {
     vec3 mean = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)).xyz;
     float basis[16];
     // As in adam.comp: outside the view there may be no direction.
-    sh_basis(seen && counts ? normalize(mean - camera_position) : vec3(0.0), basis);
+    sh_basis(seen && counts ? normalize(mean - position_of_camera()) : vec3(0.0), basis);
 
     add(plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians), d_mean_opacity);
     add(plane_at(PLANE_QUAT, index, chunk_gaussians), d_quat);

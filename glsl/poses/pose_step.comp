@@ -6,12 +6,14 @@
 //   exp(omega^) = I + a omega^ + b omega^ omega^,  V = I + b omega^ + c omega^ omega^,
 //   a = sin w / w,  b = (1 - cos w) / w^2,  c = (w - sin w) / w^3,  w = |omega|
 //
-// Without `makes_step` only the cameras are made. A gradient that is not finite counts as 0. If the frame overflowed, nothing
-// changes.
+// With SUMS a step follows several views: with `adds` the gradient of the image that was seen is added to pose_view_sums, and a
+// step takes what they have as well. With `starts` what they had before does not count. With neither `adds` nor `makes_step`
+// only the cameras are made. A gradient that is not finite counts as 0. If the frame overflowed, nothing changes.
 //
 // invocation: one image
 // in: pose_gradient (pose_gradient.comp), pose_starts (four vec3 per image: the rows of R_0, t_0), state
-// in/out: pose_parameters (two vec3 per image: nu, omega), pose_moments (four: m of both, v of both)
+// in/out: pose_parameters (two vec3 per image: nu, omega), pose_moments (four: m of both, v of both), and with SUMS
+//     pose_view_sums (two vec3 per image)
 // out: pose_cameras (four vec3 per image: the rows of R, t)
 // shared: none; any subgroup size
 #version 460
@@ -21,6 +23,7 @@
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const bool SUMS = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer PoseGradient { vec3 pose_gradient[]; };
@@ -29,6 +32,7 @@ layout(set = 0, binding = 2, scalar) buffer PoseParameters { vec3 pose_parameter
 layout(set = 0, binding = 3, scalar) buffer PoseMoments { vec3 pose_moments[]; };
 layout(set = 0, binding = 4, scalar) writeonly buffer PoseCameras { vec3 pose_cameras[]; };
 layout(set = 0, binding = 5, scalar) readonly buffer State { uint state[]; };
+layout(set = 0, binding = 6, scalar) buffer PoseViewSums { vec3 pose_view_sums[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint images;
@@ -36,6 +40,10 @@ layout(push_constant, scalar) uniform Push {
     uint seen;
     // Whether to make a step.
     uint makes_step;
+    // Whether to add its gradient to the sums, without a step.
+    uint adds;
+    // Whether it is the first since the last step.
+    uint starts;
     float beta_1;
     float beta_2;
     // 1 - b, rounded once.
@@ -57,7 +65,11 @@ const uint TERMS = 14;
 vec3 gradient_of(uint image, uint part) {
     vec3 g = image == seen ? pose_gradient[2 + part] : vec3(0.0);
     uvec3 exponent = floatBitsToUint(g) & 0x7F800000u;
-    return all(notEqual(exponent, uvec3(0x7F800000u))) ? g : vec3(0.0);
+    g = all(notEqual(exponent, uvec3(0x7F800000u))) ? g : vec3(0.0);
+    if (SUMS && starts == 0) {
+        g += pose_view_sums[2 * image + part];
+    }
+    return g;
 }
 
 // Of nu (part 0) or omega (part 1).
@@ -83,6 +95,12 @@ vec3 coefficients(float square) {
 void main() {
     uint image = linear_invocation();
     if (image >= images || state[STATE_OVERFLOW] != 0) {
+        return;
+    }
+    if (SUMS && adds != 0) {
+        for (uint part = 0; part < 2; ++part) {
+            pose_view_sums[2 * image + part] = gradient_of(image, part);
+        }
         return;
     }
     vec3 nu = pose_parameters[2 * image];

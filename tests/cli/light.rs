@@ -2,6 +2,7 @@
 
 use super::*;
 use ashsplat_files::exposure_json;
+use ashsplat_files::lens_json::LensFile;
 use glam::Mat3;
 use tempfile::{TempDir, tempdir};
 
@@ -47,6 +48,53 @@ fn exposures_are_learnt_saved_and_asked_for() {
     std::fs::write(at("model").join("exposure.json"), "{\"02.png\": [[1, 2], 3]}").expect("written");
     refuse(&[wanted.as_slice(), &["02.png"]].concat(), &["exposure.json", "not a list of exposures"]);
     assert!(!out.exists() && !none.exists());
+}
+
+/// Vignetting and response: learned, saved for all photos, asked for, and measured with.
+#[test]
+fn lens_effects_are_learnt_saved_and_asked_for() {
+    let folder = tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    write_dataset(&at("data"));
+    let (data, model, out) = (at("data"), at("model"), at("out"));
+    train(&data, &model, &["--eval", "--lens-effects", "--lens-lr=0.05"]);
+    let lenses = LensFile::read(model.join("lens.json")).expect("the lenses");
+    assert_eq!((lenses.cameras.len(), lenses.photos.len()), (1, 9));
+    let learnt = lenses.of("01.png").expect("that of a held-out photo");
+    assert!(learnt != Default::default() && lenses.of("none.png").is_none());
+    assert!(!model.join("exposure.json").exists());
+    // Evaluation finds what training did.
+    let results = || std::fs::read_to_string(model.join("per_view.json")).expect("results");
+    let trained = results();
+    succeed(&["eval", text(&model), "--quiet"]);
+    assert_eq!(trained, results());
+    std::fs::rename(model.join("lens.json"), at("aside.json")).expect("moved");
+    succeed(&["eval", text(&model), "--quiet"]);
+    assert_ne!(trained, results());
+    let wanted = ["render", text(&model), "-o", text(&out), "--quiet", "--lens-of"];
+    refuse(&[wanted.as_slice(), &["01.png"]].concat(), &["lens.json", "--lens-effects"]);
+    std::fs::rename(at("aside.json"), model.join("lens.json")).expect("back");
+    refuse(&[wanted.as_slice(), &["99.png"]].concat(), &["lens.json", "99.png", "01.png"]);
+    succeed(&wanted[..5]);
+    let plain = picture(&out);
+    succeed(&[wanted.as_slice(), &["01.png"]].concat());
+    assert_ne!(plain, picture(&out));
+    // Files that say nothing sensible.
+    let good = std::fs::read_to_string(model.join("lens.json")).expect("text");
+    let unknown = good.replace("\"01.png\": 1", "\"01.png\": 8");
+    assert_ne!(good, unknown);
+    for (spoilt, words) in [
+        ("{}".into(), ["lens.json", "cameras"]),
+        (unknown, ["01.png", "camera 8"]),
+        (good.replace("\"response\": [", "\"response\": [0.0,"), ["lens.json", "light"]),
+        (good.replace("\"vignetting\"", "\"vignette\""), ["lens.json", "vignett"]),
+    ] {
+        std::fs::write(model.join("lens.json"), spoilt).expect("written");
+        refuse(&[wanted.as_slice(), &["01.png"]].concat(), &words);
+    }
+    // A new training forgets them.
+    train(&data, &model, &["--eval"]);
+    assert!(!model.join("lens.json").exists());
 }
 
 /// The reference's protocol: the left half of the held-out views is trained on, the right one is measured.

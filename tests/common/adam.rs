@@ -54,6 +54,22 @@ fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool, parameter_gradients: bool) ->
     })
 }
 
+/// A camera at this position, turned by a quarter about y; of no use to a camera that was not moved.
+pub fn camera_block(position: [f64; 3], moved: bool) -> CameraBlock {
+    if !moved {
+        return CameraBlock { camera_translation: [f32::NAN; 3], ..CameraBlock::default() };
+    }
+    let [x, y, z] = position.map(|x| x as f32);
+    CameraBlock {
+        camera_row_x: [0.0, 0.0, 1.0],
+        camera_row_y: [0.0, 1.0, 0.0],
+        camera_row_z: [-1.0, 0.0, 0.0],
+        camera_translation: [-z, -y, x],
+        inverse_scale_squared: 1.0,
+        ..CameraBlock::default()
+    }
+}
+
 /// Parameters and moments on the device.
 pub struct AdamState<'a> {
     gpu: &'a Gpu,
@@ -156,7 +172,9 @@ impl<'a> AdamState<'a> {
             old_moments_1: moments_1,
             old_moments_2: moments_2,
             parameter_gradients: self.parameter_gradients.as_ref().unwrap_or(gradients),
-            camera_block: &self.gpu.buffer("camera_block", &[self.camera_block(step)]),
+            camera_block: &self
+                .gpu
+                .buffer("camera_block", &[camera_block(step.camera_position, self.moved_camera)]),
         };
         self.gpu.run(|recorder| recorder.dispatch(&self.kernel, &bind, &push, workgroups));
         self.gpu.read::<u32>(state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]
@@ -190,22 +208,6 @@ impl<'a> AdamState<'a> {
             rate_sh_rest: rate(step.rates.sh_rest),
             inverse_bias_2,
             inverse_bias_2_opacity: inverse_bias_2,
-        }
-    }
-
-    /// Turned by a quarter about y; of no use to a camera that was not moved.
-    fn camera_block(&self, step: &Step) -> CameraBlock {
-        if !self.moved_camera {
-            return CameraBlock { camera_translation: [f32::NAN; 3], ..CameraBlock::default() };
-        }
-        let [x, y, z] = step.camera_position.map(|x| x as f32);
-        CameraBlock {
-            camera_row_x: [0.0, 0.0, 1.0],
-            camera_row_y: [0.0, 1.0, 0.0],
-            camera_row_z: [-1.0, 0.0, 0.0],
-            camera_translation: [-z, -y, x],
-            inverse_scale_squared: 1.0,
-            ..CameraBlock::default()
         }
     }
 

@@ -20,6 +20,7 @@ pub mod gpu;
 pub mod inverse_depth;
 pub mod keys;
 pub mod layout;
+pub mod lens_rows;
 pub mod lenses;
 pub mod loss;
 pub mod lpips_files;

@@ -2,6 +2,7 @@
 
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::kernels::poses::{pose_gradient, pose_step};
+use ashsplat::vk::Buffer;
 
 use super::gpu::Gpu;
 
@@ -40,7 +41,21 @@ pub type Step = (u32, [f32; 6], f64, u32);
 
 /// What `poses/pose_step` makes of poses; without a step the cameras only.
 pub fn pose_step(gpu: &Gpu, poses: &Poses, step: Option<Step>, overflow: u32) -> Poses {
-    let spec = pose_step::Spec { workgroup_size: gpu.workgroup(64) };
+    let sums = gpu.untouched::<[f32; 6]>("pose_view_sums", poses.parameters.len());
+    pose_view(gpu, poses, step, overflow, (&sums, [true, step.is_some()]), false)
+}
+
+/// A view of a step with the sums before it: whether it is the first, and whether the step follows it. `sums`: by the variant
+/// of the kernel that has them.
+pub fn pose_view(
+    gpu: &Gpu,
+    poses: &Poses,
+    step: Option<Step>,
+    overflow: u32,
+    (view_sums, [starts, makes_step]): (&Buffer, [bool; 2]),
+    sums: bool,
+) -> Poses {
+    let spec = pose_step::Spec { workgroup_size: gpu.workgroup(64), sums };
     let kernel = gpu.kernel::<pose_step::Interface>(&spec);
     let images = poses.parameters.len();
     let (seen, gradient, rate, count) = step.unwrap_or((0, [f32::NAN; 6], 1.0, 1));
@@ -57,12 +72,15 @@ pub fn pose_step(gpu: &Gpu, poses: &Poses, step: Option<Step>, overflow: u32) ->
         pose_moments: &moments,
         pose_cameras: &cameras,
         state: &gpu.buffer("state", &state),
+        pose_view_sums: view_sums,
     };
     let correction = |beta: f64| 1.0 - beta.powi(count as i32);
     let push = pose_step::Push {
         images: images as u32,
         seen,
-        makes_step: step.is_some().into(),
+        makes_step: makes_step.into(),
+        adds: (step.is_some() && !makes_step).into(),
+        starts: starts.into(),
         beta_1: 0.9,
         beta_2: 0.999,
         one_minus_beta_1: 0.1,

@@ -41,6 +41,7 @@ pub fn views() -> Vec<TrainView> {
 
 pub fn trainer(context: &Context, settings: TrainSettings) -> Trainer {
     let mut views = views();
+    views[2].camera_id = 4;
     views[1].inverse_depth = settings.exposure.then(|| vec![0.25; 48 * 36].into());
     views[1].depth_points = (settings.depth_points > 0.0).then(|| crate::stage::depth_points().into());
     Trainer::new(context, views, &cloud(300, 5), 4.0, settings).expect("a trainer")
@@ -113,7 +114,6 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
 fn recorded_training_is_the_owned_paths_to_the_bit() {
     // Once with terms of the loss that depend on the parameters directly.
     let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
-    // And once with the other strategy, which adds noise in the step.
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
     // And once with filters, whose sizes are computed anew between steps and in them.
     let filtered = TrainSettings {
@@ -137,8 +137,9 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     };
     let exposed = TrainSettings { exposure: true, ..settings() };
     let few = TrainSettings { dropout: 0.3, depth_points: 0.1, ..settings() };
-    let poses = TrainSettings { pose_opt: true, pose_lr: 1e-3, ..settings() };
-    let plain = [weighted, poses, budget.clone()].map(|settings| (false, settings));
+    let all = TrainSettings { lens_effects: true, pose_opt: true, pose_lr: 1e-3, ..exposed.clone() };
+    let lit = TrainSettings { lens_effects: true, pose_opt: true, exposure: true, ..budget.clone() };
+    let plain = [weighted, all, lit].map(|settings| (false, settings));
     let usual = [settings(), mcmc, filtered, exposed, budget, few].map(|settings| (true, settings));
     for (push_descriptors, settings) in usual.into_iter().chain(plain) {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));

@@ -50,6 +50,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
         },
         gradient_sums: None,
         exposures: Default::default(),
+        lenses: Default::default(),
         poses: None,
         skipped: 0,
         room: Room::default(),

@@ -7,6 +7,7 @@
 mod cameras;
 mod checkpoints;
 mod colmap;
+mod lists;
 mod memory;
 mod names;
 mod photos;

@@ -5,6 +5,7 @@ use ashsplat::kernels::constants::{
 };
 use ashsplat::kernels::optimizer::add_gradients::{Bind, Interface, Push, Spec};
 
+use crate::common::adam::camera_block;
 use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, sizes};
 use crate::common::layout::{pack, planes, room, unpack};
@@ -75,7 +76,9 @@ fn check(gpu: &Gpu, size: usize, degrees: [u32; 2], stored: u32, direct: bool) {
             view.rows[view.stride + view.visible[9] as usize][2] = f32::NAN;
             spoilt = 1;
         }
-        let spec = Spec { workgroup_size: gpu.workgroup(64), sh_degree, parameter_gradients: direct };
+        let moved_camera = number == 1 || stored == 2;
+        let workgroup_size = gpu.workgroup(64);
+        let spec = Spec { workgroup_size, sh_degree, parameter_gradients: direct, moved_camera };
         let kernel = gpu.kernel::<Interface>(&spec);
         let (index, gradients) =
             (gpu.buffer("visible_index", &view.visible), gpu.buffer("gradients", &view.rows));
@@ -90,9 +93,10 @@ fn check(gpu: &Gpu, size: usize, degrees: [u32; 2], stored: u32, direct: bool) {
             state: &state,
             old_sums: &sums,
             parameter_gradients: if direct { &direct_buffer } else { &gradients },
+            camera_block: &gpu.buffer("camera_block", &[camera_block(CAMERA, moved_camera)]),
         };
         let push = Push {
-            camera_position: CAMERA.map(|x| x as f32),
+            camera_position: CAMERA.map(|x| if moved_camera { f32::NAN } else { x as f32 }),
             first: 0,
             count: size as u32,
             chunk_gaussians: room as u32,

@@ -12,15 +12,31 @@ use crate::reference::exposure_step::Exposures;
 
 type Rows = [[f32; 4]; 3];
 
+/// Of those that are not brought back to the identity: lenses.
+const DECAY: f32 = 0.125;
+
 /// Steps of the device; each with its view, the parts of its gradient, and whether its frame overflowed.
 fn run(gpu: &Gpu, photographs: usize, center: bool, steps: &[(u32, Vec<Rows>, bool)]) -> [Vec<Rows>; 3] {
-    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), center };
+    let views: Vec<_> = steps.iter().cloned().map(|step| (step, [true, true])).collect();
+    run_views(gpu, photographs, (center, false), &views)
+}
+
+/// Views of steps: with whether it is the first of a step, and whether the step follows it.
+fn run_views(
+    gpu: &Gpu,
+    photographs: usize,
+    (center, sums): (bool, bool),
+    views: &[((u32, Vec<Rows>, bool), [bool; 2])],
+) -> [Vec<Rows>; 3] {
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), center, sums };
     let kernel = gpu.kernel::<Interface>(&spec);
     let start: Vec<Rows> =
         Exposures::new(photographs).values.iter().map(|m| m.map(|row| row.map(|x| x as f32))).collect();
     let values = gpu.buffer("exposures", &start);
     let moments = ["moments_1", "moments_2"].map(|name| gpu.zeros::<Rows>(name, photographs));
-    for (step, (view, parts, overflow)) in steps.iter().enumerate() {
+    let gradient_sums = gpu.untouched::<Rows>("sums", photographs);
+    let mut count = 0;
+    for ((view, parts, overflow), [starts, makes_step]) in views {
         let mut state = vec![0_u32; STATE_WORDS as usize];
         state[STATE_OVERFLOW as usize] = u32::from(*overflow);
         let state = gpu.buffer("state", &state);
@@ -31,8 +47,10 @@ fn run(gpu: &Gpu, photographs: usize, center: bool, steps: &[(u32, Vec<Rows>, bo
             exposures: &values,
             moments_1: &moments[0],
             moments_2: &moments[1],
+            sums: &gradient_sums,
         };
-        let count = step as i32 + 1;
+        // That of the step that it belongs to.
+        count += i32::from(*starts);
         let push = Push {
             photographs: photographs as u32,
             view: *view,
@@ -43,6 +61,9 @@ fn run(gpu: &Gpu, photographs: usize, center: bool, steps: &[(u32, Vec<Rows>, bo
             epsilon: 1e-8,
             rate: (0.01 / (1.0 - 0.9f64.powi(count))) as f32,
             inverse_bias_2: (1.0 - 0.999f64.powi(count)).sqrt().recip() as f32,
+            makes_step: (*makes_step).into(),
+            starts: (*starts).into(),
+            decay: if center { 0.0 } else { DECAY },
         };
         gpu.run(|r| r.dispatch(&kernel, &bind, &push, 1));
     }
@@ -69,6 +90,7 @@ fn exposure_step_equals_its_twin() {
             (0..7).map(|step| ((5 * step % photographs) as u32, parts(&mut random), false)).collect();
         let actual = run(&gpu, photographs, center, &steps);
         let mut twin = Exposures::new(photographs);
+        twin.decay = if center { 0.0 } else { f64::from(DECAY) };
         for (step, (view, parts, _)) in steps.iter().enumerate() {
             let mut gradient = [[0.0; 4]; 3];
             for part in parts {
@@ -88,6 +110,38 @@ fn exposure_step_equals_its_twin() {
             elementwise(name, &flat(&actual), &flat(expected), tolerance, tolerance)
                 .unwrap_or_else(|e| panic!("{photographs}, {center}: {e}"));
         }
+    }
+}
+
+/// Steps after several views: some photographs are seen twice in one, some never. A view that overflowed adds nothing.
+#[test]
+fn exposure_step_adds_up_views() {
+    let gpu = Gpu::new();
+    for photographs in [2, gpu.workgroup(64) as usize + 3] {
+        let mut random = Random::new(photographs as u64);
+        let groups: [&[usize]; 4] = [&[0, 1, 0], &[1], &[photographs - 1, 0], &[0, 0]];
+        let (mut views, mut twin) = (vec![], Exposures::new(photographs));
+        for (number, group) in groups.into_iter().enumerate() {
+            for (place, &view) in group.iter().enumerate() {
+                let mut gradient = [[0.0; 4]; 3];
+                let parts = parts(&mut random);
+                for part in &parts {
+                    let sums = gradient.as_flattened_mut().iter_mut();
+                    sums.zip(wide(part).as_flattened()).for_each(|(sum, x)| *sum += x);
+                }
+                twin.add(view, &gradient, place == 0);
+                let at = [place == 0, place + 1 == group.len()];
+                views.push(((view as u32, parts, false), at));
+                if number == 0 && place == 0 {
+                    views.push(((view as u32, self::parts(&mut random), true), [false, false]));
+                }
+            }
+            twin.step_of_sums(0.01, number as i32 + 1, true);
+        }
+        let actual = run_views(&gpu, photographs, (true, true), &views);
+        let actual: Vec<Matrix> = actual[0].iter().map(wide).collect();
+        elementwise("values", &flat(&actual), &flat(&twin.values), 2e-6, 2e-6)
+            .unwrap_or_else(|e| panic!("{photographs}: {e}"));
     }
 }
 

@@ -33,6 +33,8 @@ mod filter_sizes;
 mod gather;
 mod gradient_from_rows;
 mod inverse_depth_l1;
+mod lens_backward;
+mod lens_effects;
 mod loss_reduce;
 mod mark_drawn;
 mod max_pool;

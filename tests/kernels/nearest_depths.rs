@@ -32,16 +32,19 @@ fn cameras() -> Vec<View> {
     ]
 }
 
+fn pose(view: &View) -> [f32; 12] {
+    let mut pose = [0.0; 12];
+    let values = view.camera_from_world.concat().into_iter().chain(view.translation);
+    pose.iter_mut().zip(values).for_each(|(to, x)| *to = x as f32);
+    pose
+}
+
 /// As engine/forward/filter_3d.rs writes them.
-fn rows(view: &View) -> [[f32; 4]; 4] {
-    let row = |i: usize| {
-        let [a, b, c] = view.camera_from_world[i];
-        [a, b, c, view.translation[i]].map(|x| x as f32)
-    };
+fn bounds(view: &View) -> [f32; 4] {
     let bound = |axis: usize, share: f64| {
         ((share * f64::from(view.size_px[axis]) - view.center_px[axis]) / view.focal_px[axis]) as f32
     };
-    [row(0), row(1), row(2), [bound(0, -0.15), bound(0, 1.15), bound(1, -0.15), bound(1, 1.15)]]
+    [bound(0, -0.15), bound(0, 1.15), bound(1, -0.15), bound(1, 1.15)]
 }
 
 /// Fourth components of the log-scales, and the largest.
@@ -53,12 +56,12 @@ fn depths(gpu: &Gpu, gaussians: &[Gaussian], cameras: &[View], overflow: u32) ->
     let mut words = vec![0_u32; STATE_WORDS as usize];
     words[STATE_OVERFLOW as usize] = overflow;
     let farthest = gpu.buffer("farthest", &[0_u32]);
-    let all: Vec<[[f32; 4]; 4]> = cameras.iter().map(rows).collect();
     let bind = Bind {
         parameters: &parameters,
-        cameras: &gpu.buffer("cameras", all.as_flattened()),
+        bounds: &gpu.buffer("bounds", &cameras.iter().map(bounds).collect::<Vec<_>>()),
         state: &gpu.buffer("state", &words),
         farthest: &farthest,
+        poses: &gpu.buffer("poses", &cameras.iter().map(pose).collect::<Vec<_>>()),
     };
     let push = Push { count: count as u32, cameras_count: cameras.len() as u32 };
     gpu.run(|r| r.dispatch(&kernel, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1));

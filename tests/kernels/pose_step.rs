@@ -2,7 +2,7 @@
 
 use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, sizes};
-use crate::common::poses::{Poses, Step, pose_step};
+use crate::common::poses::{Poses, Step, pose_step, pose_view};
 use crate::common::scenes::{Random, rotation_about_y};
 use crate::reference::adam::Parameter;
 use crate::reference::pose_step::{moved, pose_step as twin};
@@ -89,6 +89,44 @@ fn pose_step_makes_cameras() {
         if size == 0.0 {
             assert_eq!(after.cameras, after.starts);
         }
+    }
+}
+
+/// A step after several views takes the sum of what each has given its image; views before it move nothing.
+#[test]
+fn pose_step_adds_up_views() {
+    let gpu = Gpu::new();
+    let images = gpu.workgroup(64) as usize + 5;
+    let mut random = Random::new(9);
+    let mut device = Poses { cameras: vec![[1.0; 12]; images], ..poses(&mut random, images, 0.1) };
+    let mut twins: Vec<[Parameter; 6]> = (device.parameters.iter())
+        .map(|xi| xi.map(|x| Parameter { value: f64::from(x), ..Parameter::default() }))
+        .collect();
+    let sums = gpu.untouched::<[f32; 6]>("pose_view_sums", images);
+    let groups: [&[usize]; 3] = [&[3, 7, 3], &[images - 1, 0], &[7]];
+    for (number, group) in groups.into_iter().enumerate() {
+        let count = number as u32 + 1;
+        let mut added = vec![[0.0; 6]; images];
+        for (place, &seen) in group.iter().enumerate() {
+            let gradient = [0; 6].map(|_| (1e-3 * random.signed()) as f32);
+            added[seen].iter_mut().zip(gradient).for_each(|(sum, g)| *sum += f64::from(g));
+            let step: Step = (seen as u32, gradient, 1e-3, count);
+            let at = [place == 0, place + 1 == group.len()];
+            let before = device.clone();
+            // Nothing of a view that overflowed.
+            let spoilt = (seen as u32, [1.0; 6], 1e-3, count);
+            device = pose_view(&gpu, &device, Some(spoilt), 1, (&sums, [false, at[1]]), true);
+            assert!(device == before, "a view that overflowed has moved something");
+            device = pose_view(&gpu, &device, Some(step), 0, (&sums, at), true);
+            assert!(at[1] || device == before, "a view before the step has moved something");
+        }
+        for (image, twins) in twins.iter_mut().enumerate() {
+            twins.iter_mut().zip(added[image]).for_each(|(parameter, g)| twin(parameter, g, 1e-3, count));
+        }
+        let expected: Vec<f64> = twins.iter().flatten().map(|p| p.value).collect();
+        let values: Vec<f64> = device.parameters.as_flattened().iter().map(|&x| f64::from(x)).collect();
+        elementwise("xi", &values, &expected, 2e-8, 1e-6).expect("parameters");
+        check_cameras(&device);
     }
 }
 

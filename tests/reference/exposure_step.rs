@@ -8,21 +8,48 @@ pub struct Exposures {
     pub values: Vec<Matrix>,
     pub first: Vec<Matrix>,
     pub second: Vec<Matrix>,
+    /// Gradients of the views since the last step.
+    pub sums: Vec<Matrix>,
+    /// Times each value, a part of its gradient.
+    pub decay: f64,
 }
 
 impl Exposures {
     pub fn new(photographs: usize) -> Exposures {
         let none = vec![[[0.0; 4]; 3]; photographs];
-        Exposures { values: vec![IDENTITY; photographs], first: none.clone(), second: none }
+        Exposures {
+            values: vec![IDENTITY; photographs],
+            first: none.clone(),
+            second: none.clone(),
+            sums: none,
+            decay: 0.0,
+        }
     }
 
     /// The `count`-th step, from 1, in which one photograph has a gradient. With `center`, the mean over the
     /// photographs is the identity afterwards.
     pub fn step(&mut self, view: usize, gradient: &Matrix, rate: f64, count: i32, center: bool) {
+        self.add(view, gradient, true);
+        self.step_of_sums(rate, count, center);
+    }
+
+    /// Adds the gradient of a photograph to the sums; with `starts` it is the first.
+    pub fn add(&mut self, view: usize, gradient: &Matrix, starts: bool) {
+        if starts {
+            self.sums.fill([[0.0; 4]; 3]);
+        }
+        for (sum, g) in self.sums[view].as_flattened_mut().iter_mut().zip(gradient.as_flattened()) {
+            *sum += g;
+        }
+    }
+
+    /// As [`Exposures::step`], with the gradients that were added.
+    pub fn step_of_sums(&mut self, rate: f64, count: i32, center: bool) {
         let photographs = self.values.len();
         for photograph in 0..photographs {
             for (row, column) in (0..3).flat_map(|row| (0..4).map(move |column| (row, column))) {
-                let g = if photograph == view { gradient[row][column] } else { 0.0 };
+                let g =
+                    self.sums[photograph][row][column] + self.decay * self.values[photograph][row][column];
                 let m = &mut self.first[photograph][row][column];
                 *m = 0.9 * *m + 0.1 * g;
                 let v = &mut self.second[photograph][row][column];

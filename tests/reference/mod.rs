@@ -37,6 +37,8 @@ pub mod filter_sizes;
 pub mod gather;
 pub mod gradient_from_rows;
 pub mod inverse_depth_l1;
+pub mod lens_backward;
+pub mod lens_effects;
 pub mod linear;
 pub mod loss_reduce;
 pub mod lpips;

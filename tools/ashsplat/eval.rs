@@ -9,6 +9,7 @@ pub use protocol::Protocol;
 
 use crate::args::DeviceArguments;
 use crate::config::{CAMERAS_FILE, DataSettings};
+use crate::light::Lights;
 use crate::model::Model;
 use crate::progress::counting;
 use crate::{output, render, session};
@@ -377,14 +378,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 /// The exposures of a model folder, and the halves that its training left.
 fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
     let Some((folder, _)) = &model.folder else { return Ok(Protocol::default()) };
-    let file = folder.join(EXPOSURE_FILE);
     let halves = model.settings.data.train_test_exp;
-    if !halves && !file.is_file() {
-        return Ok(Protocol::default());
+    if halves {
+        // Without them the halves cannot be compared.
+        exposure_json::read(folder.join(EXPOSURE_FILE))?;
     }
     let cameras = gallery.cameras().into_iter().zip(gallery.held_out());
     let held_out = cameras.filter(|(_, held_out)| halves && **held_out).map(|(named, _)| named.name);
-    Ok(Protocol { exposures: exposure_json::read(&file)?, halves: held_out.collect() })
+    Ok(Protocol { lights: Lights::read(folder)?, halves: held_out.collect() })
 }
 
 /// How cameras are aligned to a scene: with training's loss.

@@ -29,6 +29,7 @@ mod film_file;
 mod html;
 mod info;
 mod inspect;
+mod light;
 mod lock;
 mod measure;
 mod model;

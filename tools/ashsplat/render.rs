@@ -3,15 +3,18 @@
 use crate::args::{DeviceArguments, HostArguments};
 use crate::config::Settings;
 use crate::film_file::{self, Container, Frames};
+use crate::light::Light;
 use crate::model::Model;
 use crate::output;
 use crate::progress::counting;
-use ashsplat::scene::Exposure;
+use ashsplat::scene::LensEffects;
 use ashsplat::{Error, Extent, Frame, RenderSettings, Renderer, Result};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
+use ashsplat_files::lens_json::{LENS_FILE, LensFile};
 use ashsplat_files::splats;
 use clap::{Args, ValueEnum};
 use glam::Vec3;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -54,6 +57,9 @@ pub struct Arguments {
     /// Render under the exposure of this photo, as the model folder's exposure.json has it
     #[arg(long, value_name = "PHOTO")]
     exposure_of: Option<String>,
+    /// Render with vignetting and response of the camera that took this photo, as the model folder's lens.json has them
+    #[arg(long, value_name = "PHOTO")]
+    lens_of: Option<String>,
     /// Which files to write
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
@@ -168,7 +174,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
     let film = arguments.film()?;
     let model = Model::locate(path, arguments.iteration)?;
-    let exposure = arguments.exposure_of.as_deref().map(|name| exposure_of(&model, name)).transpose()?;
+    let light = arguments.light(&model)?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let gaussians = &scene.gaussians;
     let views = arguments.views.choose(&model, gaussians, film)?;
@@ -191,9 +197,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let start = Instant::now();
         let named = &views.cameras[index];
         let mut frame = renderer.render(&named.camera, &settings)?;
-        if let Some(exposure) = &exposure {
-            exposure.apply(&mut frame.color);
-        }
+        light.apply(&named.camera, &mut frame);
         let milliseconds = start.elapsed().as_secs_f64() * 1e3;
         total += milliseconds;
         bar.inc(1);
@@ -233,23 +237,34 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// The exposure of a photo that a model was trained on.
-fn exposure_of(model: &Model, name: &str) -> Result<Exposure> {
+/// What was learned of the photo that an option names, from a file of the model folder, whose photos `read` gives.
+fn learned_of<T: Copy>(
+    model: &Model,
+    (option, name): (&str, &str),
+    (file, learn): (&str, &str),
+    read: impl Fn(&Path) -> Result<BTreeMap<String, T>>,
+) -> Result<T> {
     let Some((folder, _)) = &model.folder else {
-        let problem = "needs a model folder with exposure.json; this is a file of Gaussians";
-        return Err(Error::argument("--exposure-of", problem));
+        let problem = format!("needs a model folder with {file}; this is a file of Gaussians");
+        return Err(Error::argument(option, problem));
     };
-    let file = folder.join(EXPOSURE_FILE);
+    let file = folder.join(file);
     if !file.is_file() {
-        let remedy = "train with --exposure, or render without --exposure-of";
-        return Err(Error::input(&file, "does not exist: no exposures were learned", remedy));
+        let remedy = format!("train with {learn}, or render without {option}");
+        return Err(Error::input(&file, "does not exist: nothing of the kind was learned", &remedy));
     }
-    let all = exposure_json::read(&file)?;
+    let all = read(&file)?;
     all.get(name).copied().ok_or_else(|| {
         let known = all.keys().next().map_or_else(String::new, |first| format!(", {first} for example"));
         let remedy = format!("name one of its {} photos{known}", all.len());
         Error::input(&file, format!("has no photo '{name}'"), remedy)
     })
+}
+
+/// The lens effects of each photo.
+fn lenses_by_photo(file: &Path) -> Result<BTreeMap<String, LensEffects>> {
+    let lenses = LensFile::read(file)?;
+    Ok(lenses.photos.keys().filter_map(|name| Some((name.clone(), lenses.of(name)?))).collect())
 }
 
 fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> String {
@@ -261,6 +276,21 @@ fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> Strin
 }
 
 impl Arguments {
+    /// The light that is asked for.
+    fn light(&self, model: &Model) -> Result<Light> {
+        let exposure = |name: &String| {
+            let read = |file: &Path| exposure_json::read(file);
+            learned_of(model, ("--exposure-of", name), (EXPOSURE_FILE, "--exposure"), read)
+        };
+        let lens = |name: &String| {
+            learned_of(model, ("--lens-of", name), (LENS_FILE, "--lens-effects"), lenses_by_photo)
+        };
+        Ok(Light {
+            exposure: self.exposure_of.as_ref().map(exposure).transpose()?,
+            lens: self.lens_of.as_ref().map(lens).transpose()?,
+        })
+    }
+
     /// The film that is asked for, if one is; refused where it cannot be made.
     fn film(&self) -> Result<Option<Container>> {
         let Some(container) = Container::of(&self.out)? else {

@@ -31,10 +31,11 @@ use checkpoints::{LATEST, Start};
 use clap::Args;
 use live::{Live, LiveArguments};
 use log::TrainLog;
-use prepared::{Prepared, check_fits, photo_memory};
+use prepared::{Prepared, Views, check_fits, photo_memory};
 use report::KernelTimes;
 pub use report::say_what_next;
 use saving::Unsaved;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use testing::{FinalLpips, Tested};
@@ -173,6 +174,8 @@ pub struct Run {
     test: Vec<View>,
     /// Of all views as they were given, held-out ones first.
     cameras: Vec<(String, Camera)>,
+    /// By the names of the photos, the ids of the cameras that took them.
+    takers: BTreeMap<String, u32>,
     /// Whether `test` was held out, or is a sample of the training views.
     held_out: bool,
     progress: TrainProgress,
@@ -209,10 +212,6 @@ pub struct Run {
     _lock: FolderLock,
 }
 
-/// Names of the photos that are trained on; what is tested; the cameras with their photos' names; whether what is tested was
-/// held out.
-type Views = (Vec<String>, Vec<View>, Vec<(String, Camera)>, bool);
-
 impl Run {
     /// Creates the trainer, and then, when nothing but the disk can fail any more, the model folder with
     /// everything that is known before training.
@@ -221,12 +220,11 @@ impl Run {
         let mut initial = ashsplat_files::initial_gaussians(&points, settings.train.sh_degree)?;
         settings.train.initialize(&mut initial);
         let data = Prepared::new(dataset);
-        let (views, extent) = (data.train, data.scene_extent);
-        let trainer = Trainer::new(context, views, &initial, extent, settings.train.clone())?;
-        let lock = folder::begin(&settings, &data.cameras, Some(&points))?;
+        let (train, extent) = (data.train, data.scene_extent);
+        let trainer = Trainer::new(context, train, &initial, extent, settings.train.clone())?;
+        let lock = folder::begin(&settings, &data.views.cameras, Some(&points))?;
         let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
-        let views = (data.trained, data.test, data.cameras, data.held_out);
-        Ok(Run::new(context, settings, trainer, (log, lock), views, quiet))
+        Ok(Run::new(context, settings, trainer, (log, lock), data.views, quiet))
     }
 
     /// As [`Run::prepare`], from a checkpoint.
@@ -239,10 +237,9 @@ impl Run {
     ) -> Result<Run> {
         let data = Prepared::new(dataset);
         let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
-        let lock = folder::begin(&settings, &data.cameras, None)?;
+        let lock = folder::begin(&settings, &data.views.cameras, None)?;
         let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
-        let views = (data.trained, data.test, data.cameras, data.held_out);
-        let run = Run::new(context, settings, trainer, (log, lock), views, quiet);
+        let run = Run::new(context, settings, trainer, (log, lock), data.views, quiet);
         run.save_poses(run.started)?;
         Ok(run)
     }
@@ -252,7 +249,7 @@ impl Run {
         settings: Settings,
         trainer: Trainer,
         (log, lock): (TrainLog, FolderLock),
-        (trained, test, cameras, held_out): Views,
+        Views { trained, test, cameras, takers, held_out }: Views,
         quiet: bool,
     ) -> Run {
         let iterations = settings.train.iterations;
@@ -266,6 +263,7 @@ impl Run {
             tracking: Tracking::new(&test, iterations, tracking::SHARE),
             test,
             cameras,
+            takers,
             held_out,
             first: None,
             total: None,

@@ -6,6 +6,7 @@ mod draw;
 mod film;
 pub mod hub;
 mod labels;
+mod lights;
 mod loading;
 mod openings;
 mod pace;
@@ -20,6 +21,7 @@ mod subject;
 mod window;
 
 pub use draw::Painter;
+pub use lights::PhotoLights;
 pub use photos::Photos;
 pub use subject::Subject;
 
@@ -203,7 +205,7 @@ impl<'a> Stage<'a> {
             self.show(Subject::nothing(), renderer, studio)?;
             return Err(error);
         }
-        studio.show(subject.base);
+        studio.show(subject.base, subject.lights);
         self.site.show_photos(subject.photos);
         let greeting = greeting.to_string();
         self.hub.greet_with(greeting.clone());

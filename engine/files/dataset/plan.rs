@@ -50,6 +50,7 @@ pub(super) struct Plan {
 pub(crate) struct PlannedView {
     pub(crate) name: String,
     pub(super) image_id: u32,
+    camera_id: u32,
     camera_from_world: Mat3,
     translation: Vec3,
     /// The camera of the photo, with its lens.
@@ -161,6 +162,7 @@ impl Plan {
             Ok(PlannedView {
                 name: image.name.clone(),
                 image_id: image.id,
+                camera_id: image.camera_id,
                 camera_from_world: camera.camera_from_world,
                 translation: camera.translation,
                 lens,
@@ -297,6 +299,7 @@ impl Plan {
         Ok(PlannedView {
             name: frame.name.clone(),
             image_id: 0,
+            camera_id: 0,
             camera_from_world: frame.camera_from_world,
             translation: frame.translation,
             lens,
@@ -436,6 +439,7 @@ impl PlannedView {
         Ok(View {
             name: self.name.clone(),
             image_id: self.image_id,
+            camera_id: self.camera_id,
             camera: original_camera.scaled_to(width, height),
             original_camera,
             photo: StoredPhoto::new(photo, mask),

@@ -1,8 +1,11 @@
-//! Any bytes as a transforms.json, a cameras.json or the ZIP of a data set.
+//! Any bytes as a transforms.json, a cameras.json, the ZIP of a data set, an exposure.json or a depth_params.json.
 #![no_main]
 
+use ashsplat_files::depth_fit::DepthFit;
 use ashsplat_files::transforms::{self, Transforms};
-use ashsplat_files::{Dataset, DatasetOptions, HostMemory, Photo, PhotoFileFormat, Progress, cameras_json};
+use ashsplat_files::{
+    Dataset, DatasetOptions, HostMemory, Photo, PhotoFileFormat, Progress, cameras_json, exposure_json,
+};
 use ashsplat_fuzz::{folder, in_one_line, leave_seed, within};
 use libfuzzer_sys::fuzz_target;
 use std::path::PathBuf;
@@ -15,12 +18,17 @@ const TRANSFORMS: &str = r#"{"fl_x": 9.5, "w": 4, "h": 3, "k1": 0.01, "frames": 
 const CAMERAS: &str = r#"[{"id": 0, "img_name": "a.png", "width": 4, "height": 3, "position": [0,0,1],
  "rotation": [[1,0,0],[0,1,0],[0,0,1]], "fx": 4.0, "fy": 4.0}]"#;
 
+const EXPOSURES: &str = r#"{"a.png": [[1.5,0,0,0],[0,1,0,0.25],[0,0,1,0]]}"#;
+const DEPTHS: &str = r#"{"a": {"scale": 1.5, "offset": -0.25}}"#;
+
 /// A valid file of each kind; the folder's photo is the one that they name.
 fn seeds() {
     let photo = FOLDER.join("a.png");
     Photo { width: 4, height: 3, rgb: vec![9; 36] }.write_png(&photo).expect("a photo");
     leave_seed("transforms", &[&[0], TRANSFORMS.as_bytes()].concat());
     leave_seed("cameras", &[&[1], CAMERAS.as_bytes()].concat());
+    leave_seed("exposures", &[&[3], EXPOSURES.as_bytes()].concat());
+    leave_seed("depth parameters", &[&[4], DEPTHS.as_bytes()].concat());
     let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
     let photo = std::fs::read(photo).expect("there");
@@ -34,13 +42,21 @@ fn seeds() {
 
 fuzz_target!(init: seeds(), |data: &[u8]| {
     let [kind, bytes @ ..] = data else { return };
-    let name = ["transforms.json", "cameras.json", "archive.zip"][usize::from(*kind) % 3];
+    let names = ["transforms.json", "cameras.json", "archive.zip", "exposure.json", "depth_params.json"];
+    let name = names[usize::from(*kind) % names.len()];
     let path = FOLDER.join(name);
     std::fs::write(&path, bytes).expect("written");
     within(bytes.len(), |bound| {
         let options = DatasetOptions { host_memory: HostMemory::new(bound), ..DatasetOptions::default() };
         match name {
             "cameras.json" => drop(in_one_line(cameras_json::read(&path))),
+            "exposure.json" => {
+                if let Some(all) = in_one_line(exposure_json::read(&path)) {
+                    exposure_json::write(&path, all.iter().map(|(name, e)| (&**name, e))).expect("written");
+                    assert_eq!(exposure_json::read(&path).expect("its own"), all);
+                }
+            }
+            "depth_params.json" => drop(in_one_line(DepthFit::read_all(&path))),
             "archive.zip" => drop(in_one_line(Dataset::cameras(&path, &options))),
             _ => {
                 let files = transforms::find(&FOLDER).expect("it is there");

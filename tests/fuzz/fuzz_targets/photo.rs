@@ -1,8 +1,8 @@
-//! PNG and JPEG files: chunks with right checksums and segments with right lengths, and headers that lie.
+//! PNG and JPEG files, as photographs and as depth maps: chunks with right checksums and segments with right lengths, and headers that lie.
 #![no_main]
 
 use arbitrary::Arbitrary;
-use ashsplat_files::images::photo_size;
+use ashsplat_files::images::{DepthMap, photo_size};
 use ashsplat_files::{HostMemory, Photo, PhotoFileFormat};
 use ashsplat_fuzz::hostile::{Filling, MOST_BYTES, Number, Patch, patch};
 use ashsplat_fuzz::{folder, in_one_line, within};
@@ -162,6 +162,9 @@ fuzz_target!(|picture: Picture| {
         if let Some(photo) = in_one_line(read) {
             assert_eq!(Some((photo.width, photo.height)), size);
             assert_eq!(photo.rgb.len() as u64, 3 * u64::from(photo.width) * u64::from(photo.height));
+        }
+        if let Some(map) = in_one_line(DepthMap::read(&*FILE, &HostMemory::new(bound))) {
+            assert_eq!(map.values.len() as u64, u64::from(map.width) * u64::from(map.height));
         }
     });
 });

@@ -79,6 +79,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         gaussians,
         gradient_sums: None,
         exposures: Default::default(),
+        lenses: Default::default(),
         poses: None,
         skipped: 1,
         room: Room::default(),

@@ -176,9 +176,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 fn train_view(view: &View) -> TrainView {
-    TrainView::new(view.camera, view.photo.clone())
-        .with_inverse_depth(view.inverse_depth.clone())
-        .with_depth_points(view.depth_points.clone())
+    let all = TrainView::new(view.camera, view.photo.clone()).taken_by(view.camera_id);
+    all.with_inverse_depth(view.inverse_depth.clone()).with_depth_points(view.depth_points.clone())
 }
 
 fn check(dataset: &Dataset, path: &Path) -> Result<()> {

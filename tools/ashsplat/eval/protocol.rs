@@ -1,16 +1,17 @@
-//! Which part of a view is measured, and under which exposure.
+//! Which part of a view is measured, and under which light.
 
-use ashsplat::scene::{Exposure, Photo, StoredPhoto};
+use crate::light::Lights;
+use ashsplat::scene::{Photo, StoredPhoto};
 use ashsplat::{Frame, Result};
 use ashsplat_files::View;
 use std::borrow::Cow;
-use std::collections::{BTreeMap, HashSet};
+use std::collections::HashSet;
 
 /// The default measures whole views as they are rendered.
 #[derive(Default)]
 pub struct Protocol {
-    /// By the names of the photos that were trained on.
-    pub exposures: BTreeMap<String, Exposure>,
+    /// Exposures of the photos that were trained on, lenses of all.
+    pub lights: Lights,
     /// Names of the views whose left half was trained on: only the right one counts.
     pub halves: HashSet<String>,
 }
@@ -18,9 +19,7 @@ pub struct Protocol {
 impl Protocol {
     /// The views and their frame as they are compared.
     pub fn prepared<'a>(&self, view: &'a View, mut frame: Frame) -> Result<(Cow<'a, View>, Frame)> {
-        if let Some(exposure) = self.exposures.get(&view.name) {
-            exposure.apply(&mut frame.color);
-        }
+        self.lights.of(&view.name).apply(&view.camera, &mut frame);
         if !self.halves.contains(&view.name) {
             return Ok((Cow::Borrowed(view), frame));
         }

@@ -8,6 +8,7 @@ use crate::{eval, model, output};
 use ashsplat::Result;
 use ashsplat::scene::{Camera, PointCloud};
 use ashsplat_files::exposure_json::EXPOSURE_FILE;
+use ashsplat_files::lens_json::LENS_FILE;
 use ashsplat_files::{atomic, cameras_json, ply};
 use std::path::Path;
 
@@ -51,6 +52,7 @@ fn clear_up_after_others(folder: &Path) -> Result<()> {
     output::remove(&folder.join(eval::RESULTS_FILE))?;
     output::remove(&folder.join(eval::PER_VIEW_FILE))?;
     output::remove(&folder.join(EXPOSURE_FILE))?;
+    output::remove(&folder.join(LENS_FILE))?;
     output::remove(&folder.join(POSES_FILE))?;
     checkpoints::forget_newest(folder)?;
     let older: Vec<String> =

@@ -13,7 +13,7 @@ use crate::view::protocol::{ToPage, TrainAction};
 use crate::view::server::{self, Server, Site};
 use crate::view::sibr::{self, Wishes};
 use crate::view::studio::{self, Studio};
-use crate::view::{self, Photos, Subject};
+use crate::view::{self, PhotoLights, Photos, Subject};
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -111,11 +111,12 @@ impl Live {
             asked.lock().unwrap_or_else(PoisonError::into_inner).status(since).to_string()
         });
         let films = model.join("films");
-        let base = subject.base;
+        let mut studio = Studio::new(hub.clone(), subject.base, films.clone());
+        studio.show(subject.base, subject.lights);
         let mut server = None;
         if let Some((listener, serve)) = doors.page {
             let (photos, token) = (subject.photos, serve.token.clone());
-            let site = Site::new(hub.clone(), films.clone(), token);
+            let site = Site::new(hub.clone(), films, token);
             site.show_photos(photos);
             let started = server::start(listener, site)?;
             view::announce(started.address, &serve);
@@ -129,7 +130,7 @@ impl Live {
             wishes = Some(shared);
         }
         Ok(Live {
-            studio: Studio::new(hub.clone(), base, films),
+            studio,
             hub,
             _server: server,
             wishes,
@@ -259,11 +260,14 @@ impl Run {
     ) -> Result<()> {
         let Some(doors) = doors else { return Ok(()) };
         let (data, train) = (&self.settings.data, &self.settings.train);
+        let cameras = gallery.as_ref().map(|gallery| gallery.cameras()).unwrap_or_default();
+        let learns = [train.exposure, train.lens_effects];
         let subject = Subject {
             name: data.model_path.display().to_string(),
             gaussians: self.trainer.gaussians()?,
             base: self.trainer.render_settings(),
-            cameras: gallery.as_ref().map(|gallery| gallery.cameras()).unwrap_or_default(),
+            lights: PhotoLights::in_training(&cameras, &self.trained, &self.takers, learns),
+            cameras,
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: Some("in training".into()),
             file: Some(data.model_path.clone()),

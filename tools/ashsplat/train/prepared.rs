@@ -8,7 +8,7 @@ use ashsplat::vk::Context;
 use ashsplat_files::images::existing_folder;
 use ashsplat_files::init::RANDOM_POINTS;
 use ashsplat_files::{Dataset, Gallery, PhotoMemory, View};
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
 /// Views of the training set that stand in for a test set where none is held out.
@@ -16,14 +16,22 @@ const STAND_IN_VIEWS: usize = 5;
 
 /// A data set taken apart.
 pub struct Prepared {
-    /// Held-out ones first.
-    pub cameras: Vec<(String, Camera)>,
     pub train: Vec<TrainView>,
-    /// The names of `train`.
+    pub views: Views,
+    pub scene_extent: f32,
+}
+
+/// What a run keeps of its views.
+pub struct Views {
+    /// The names of those that are trained on, in their order.
     pub trained: Vec<String>,
     pub test: Vec<View>,
+    /// As they were given, held-out ones first.
+    pub cameras: Vec<(String, Camera)>,
+    /// By the names of the photos, the ids of the cameras that took them.
+    pub takers: BTreeMap<String, u32>,
+    /// Whether `test` was held out, or is a sample of the training views.
     pub held_out: bool,
-    pub scene_extent: f32,
 }
 
 impl Prepared {
@@ -34,16 +42,21 @@ impl Prepared {
         let held_out: HashSet<&str> = test.iter().map(|view| view.name.as_str()).collect();
         let others = train.iter().filter(|view| !held_out.contains(view.name.as_str()));
         let cameras = test.iter().chain(others).map(own).collect();
+        let takers = test.iter().chain(&train).map(|view| (view.name.clone(), view.camera_id)).collect();
         let trained = train.iter().map(|view| view.name.clone()).collect();
         let held_out = !test.is_empty();
         let test = if held_out { test } else { sample(&train) };
-        let train = train.into_iter().map(|view| {
-            TrainView::new(view.camera, view.photo)
-                .with_inverse_depth(view.inverse_depth)
-                .with_depth_points(view.depth_points)
-        });
-        Prepared { cameras, train: train.collect(), trained, test, held_out, scene_extent }
+        let train = train.into_iter().map(train_view);
+        let views = Views { trained, test, cameras, takers, held_out };
+        Prepared { train: train.collect(), views, scene_extent }
     }
+}
+
+/// A view as it is trained on.
+pub fn train_view(view: View) -> TrainView {
+    let View { camera, photo, inverse_depth, depth_points, camera_id, .. } = view;
+    let all = TrainView::new(camera, photo).with_inverse_depth(inverse_depth).taken_by(camera_id);
+    all.with_depth_points(depth_points)
 }
 
 /// A few of the training views, evenly spread.

@@ -2,11 +2,15 @@
 //! one file.
 
 use super::Run;
+use crate::light::Lights;
 use crate::measure::Stopwatch;
 use crate::{model, output};
+use ashsplat::scene::LensEffects;
 use ashsplat::{Error, Result};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
+use ashsplat_files::lens_json::{LENS_FILE, LensFile};
 use ashsplat_files::{ply, splats};
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 /// Until what could not be saved is tried again, while training goes on.
@@ -125,6 +129,17 @@ impl Run {
         }
     }
 
+    /// What has been learned of the photographs' light. Held-out photographs have their cameras' effects too.
+    pub(super) fn lights(&self) -> Result<Lights> {
+        let exposures = self.trained.iter().cloned().zip(self.trainer.exposures()?).collect();
+        let of_views = self.trained.iter().zip(self.trainer.lens_effects()?);
+        let cameras: BTreeMap<u32, LensEffects> =
+            of_views.filter_map(|(name, effects)| Some((*self.takers.get(name)?, effects))).collect();
+        let known = self.takers.iter().filter(|(_, camera)| cameras.contains_key(camera));
+        let photos = known.map(|(name, camera)| (name.clone(), *camera)).collect();
+        Ok(Lights { exposures, lenses: LensFile { cameras, photos } })
+    }
+
     /// Saves the scene as it stands after an iteration, and notes that it is the newest.
     pub(super) fn save(&mut self, iteration: u32, reason: &str) -> Result<()> {
         let folder = &self.settings.data.model_path;
@@ -137,10 +152,13 @@ impl Run {
             true => splats::write(path, &gaussians, &options),
             false => ply::write_filtered(path, &gaussians, &filters, antialiased),
         })?;
-        let exposures = self.trainer.exposures()?;
-        if !exposures.is_empty() {
-            let named = self.trained.iter().map(String::as_str).zip(&exposures);
+        let lights = self.lights()?;
+        if !lights.exposures.is_empty() {
+            let named = lights.exposures.iter().map(|(name, exposure)| (name.as_str(), exposure));
             exposure_json::write(folder.join(EXPOSURE_FILE), named)?;
+        }
+        if !lights.lenses.cameras.is_empty() {
+            lights.lenses.write(folder.join(LENS_FILE))?;
         }
         self.save_poses(iteration)?;
         model::note_saved(folder, iteration)?;

@@ -62,13 +62,12 @@ impl Run {
         Ok(psnr)
     }
 
-    /// How the test views are compared: those that are trained on under their exposures; of those whose left half is, the
-    /// right one.
+    /// How the test views are compared: those that are trained on under their exposures, all through their lenses; of those
+    /// whose left half is trained on, the right one.
     pub(super) fn protocol(&self) -> Result<Protocol> {
-        let exposures = self.trained.iter().cloned().zip(self.trainer.exposures()?);
         let halves = self.settings.data.train_test_exp && self.held_out;
         let names = self.test.iter().filter(|_| halves).map(|view| view.name.clone());
-        Ok(Protocol { exposures: exposures.collect(), halves: names.collect() })
+        Ok(Protocol { lights: self.lights()?, halves: names.collect() })
     }
 
     /// Measures, after the last iteration also what takes its time, and whether the pictures were saved.

@@ -1,7 +1,9 @@
 //! One picture of the scene in one of the modes, and its bytes.
 
 use super::cut;
+use super::lights::{self, PhotoLights, Places};
 use super::protocol::{Look, Mode, ViewRequest};
+use crate::light::Light;
 use crate::output;
 use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::{
@@ -30,11 +32,13 @@ pub trait Painter {
     fn shrink(&mut self);
     /// Iterations of training so far.
     fn iteration(&self) -> Option<u32>;
+    /// The light of photos that a training learns, as it is now.
+    fn light(&self, places: Places) -> Result<Light>;
 }
 
 /// A painter whose methods of the same names draw.
 macro_rules! painter {
-    ($kind:ident, $gaussians:expr, $shrink:expr, $iteration:expr) => {
+    ($kind:ident, $gaussians:expr, $shrink:expr, $iteration:expr, $light:expr) => {
         impl Painter for $kind {
             fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
                 $kind::render(self, camera, settings)
@@ -63,14 +67,23 @@ macro_rules! painter {
             fn iteration(&self) -> Option<u32> {
                 $iteration(self)
             }
+            fn light(&self, places: Places) -> Result<Light> {
+                $light(self, places)
+            }
         }
     };
 }
 
-painter!(Renderer, Renderer::gaussians, Renderer::shrink, |_: &Renderer| None);
-painter!(Trainer, Trainer::baked_gaussians, Trainer::shrink_pictures, |trainer: &Trainer| Some(
-    trainer.iteration()
+painter!(Renderer, Renderer::gaussians, Renderer::shrink, |_: &Renderer| None, |_: &Renderer, _| Ok(
+    Light::default()
 ));
+painter!(
+    Trainer,
+    Trainer::baked_gaussians,
+    Trainer::shrink_pictures,
+    |trainer: &Trainer| Some(trainer.iteration()),
+    lights::of_training
+);
 
 /// A picture, and what there is to say about it.
 pub struct Drawn {
@@ -95,10 +108,24 @@ pub fn settings(base: &RenderSettings, look: &Look) -> RenderSettings {
 
 /// Draws a picture.
 pub fn draw(painter: &mut dyn Painter, camera: &Camera, base: &RenderSettings, look: &Look) -> Result<Drawn> {
+    draw_as(painter, camera, base, look, None)
+}
+
+/// As [`draw`]; the picture itself in the light of a photo that the camera given with it has taken.
+fn draw_as(
+    painter: &mut dyn Painter,
+    camera: &Camera,
+    base: &RenderSettings,
+    look: &Look,
+    light: Option<(Camera, Light)>,
+) -> Result<Drawn> {
     let settings = settings(base, look);
     let (frame, photo, legend) = match look.mode {
         Mode::Splats | Mode::Centres => {
-            let frame = painter.render(camera, &settings)?;
+            let mut frame = painter.render(camera, &settings)?;
+            if let (Mode::Splats, Some((taken, light))) = (look.mode, &light) {
+                light.apply_as_taken(taken, camera, &mut frame);
+            }
             let photo = output::to_photo(&frame)?;
             (frame, photo, None)
         }
@@ -128,12 +155,13 @@ pub fn draw(painter: &mut dyn Painter, camera: &Camera, base: &RenderSettings, l
 /// The answer to a request for a frame: header and bytes.
 pub fn answer(
     painter: &mut dyn Painter,
-    base: &RenderSettings,
+    (base, lights): (&RenderSettings, &PhotoLights),
     request: &ViewRequest,
 ) -> Result<(Value, Vec<u8>)> {
     let camera = request.camera.camera()?;
+    let light = request.as_photo.map(|photo| lights.of(photo, painter)).transpose()?;
     let start = Instant::now();
-    let drawn = draw(painter, &camera, base, &request.look)?;
+    let drawn = draw_as(painter, &camera, base, &request.look, light)?;
     let render_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
     let bytes = encode(&drawn.photo, request.look.quality)?;

@@ -295,7 +295,7 @@ mod tests {
             width: 1,
             height: 1,
         };
-        ViewRequest { seq, camera, look: Look::default(), follow: seq == 100 }
+        ViewRequest { seq, camera, look: Look::default(), follow: seq == 100, as_photo: None }
     }
 
     pub(super) fn join(hub: &Hub) -> u64 {

@@ -118,6 +118,9 @@ pub struct ViewRequest {
     /// Whether the frame is to be renewed as training goes on.
     #[serde(default)]
     pub follow: bool,
+    /// The photo, by its place among the scene's cameras, as whose picture it is to be exposed.
+    #[serde(default)]
+    pub as_photo: Option<usize>,
 }
 
 /// A key of a camera path.

@@ -1,6 +1,8 @@
 //! Gives memory back after pictures that are much larger than those that follow.
 
 use super::draw::Painter;
+use super::lights::Places;
+use crate::light::Light;
 use ashsplat::{Camera, Frame, Gaussians, PixelReport, RenderSettings, Result, TileReport};
 
 /// A picture is much smaller than another with less than 1/MUCH of its pixels.
@@ -80,6 +82,10 @@ impl Painter for Sparing<'_> {
 
     fn shrink(&mut self) {
         self.painter.shrink();
+    }
+
+    fn light(&self, places: Places) -> Result<Light> {
+        self.painter.light(places)
     }
 
     fn iteration(&self) -> Option<u32> {

@@ -3,6 +3,7 @@
 use super::draw::{self, Painter};
 use super::film::{Film, assembly};
 use super::hub::{CurrentScene, Hub, RemoteRequest, SceneRequest, Task};
+use super::lights::PhotoLights;
 use super::protocol::{self, ToPage};
 use super::sizes::{Sizes, Sparing};
 use crate::output;
@@ -22,6 +23,8 @@ pub struct Studio {
     hub: Arc<Hub>,
     /// How the scene looks as it was trained.
     base: RenderSettings,
+    /// How its photos were exposed.
+    lights: PhotoLights,
     /// Where films are put.
     films: PathBuf,
     film: Option<Film>,
@@ -37,6 +40,7 @@ impl Studio {
         Studio {
             hub,
             base,
+            lights: PhotoLights::default(),
             films,
             film: None,
             sizes: Sizes::default(),
@@ -46,8 +50,8 @@ impl Studio {
     }
 
     /// Shows another scene from now on, as it was trained.
-    pub fn show(&mut self, base: RenderSettings) {
-        self.base = base;
+    pub fn show(&mut self, base: RenderSettings, lights: PhotoLights) {
+        (self.base, self.lights) = (base, lights);
     }
 
     /// Whether a film is being made or waits for its turn.
@@ -75,7 +79,7 @@ impl Studio {
     fn serve_task(&mut self, painter: &mut dyn Painter, task: Task) -> Result<bool> {
         match task {
             Task::Frame { client, request } => {
-                let answer = draw::answer(painter, &self.base, &request);
+                let answer = draw::answer(painter, (&self.base, &self.lights), &request);
                 let failed = answer.is_err();
                 self.reply(client, answer.map(|(header, bytes)| ToPage::frame(&header, &bytes)))?;
                 if failed {

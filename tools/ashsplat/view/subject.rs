@@ -1,10 +1,12 @@
 //! What is looked at: Gaussians, how they look, and the cameras and photos that belong to them.
 
 use super::labels::labels;
+use super::lights::PhotoLights;
 use super::photos::Photos;
 use super::protocol::CameraMessage;
 use crate::args::HostArguments;
 use crate::config::{CAMERAS_FILE, DataSettings};
+use crate::light::Lights;
 use crate::model::Model;
 use crate::render::{self, LookArguments};
 use crate::session;
@@ -35,6 +37,8 @@ pub struct Subject {
     /// Of the photos, where there are any.
     pub cameras: Vec<NamedCamera>,
     pub photos: Option<Arc<Photos>>,
+    /// How they were exposed.
+    pub lights: PhotoLights,
     /// What the page says when there is nothing to see, and below the name otherwise.
     pub note: Option<String>,
     /// Its file or folder, for commands; none where there is none.
@@ -64,6 +68,7 @@ impl Subject {
             base: RenderSettings::default(),
             cameras: Vec::new(),
             photos: None,
+            lights: PhotoLights::default(),
             note: Some(note.into()),
             file: None,
         }
@@ -106,12 +111,17 @@ impl Subject {
             (None, Some(own)) => cameras_json::read(own)?,
             (None, None) => Vec::new(),
         };
+        let lights = match &model.folder {
+            Some((folder, _)) => Lights::read(folder)?,
+            None => Lights::default(),
+        };
         let newest = model.folder.is_some() && wanted.iteration.is_none();
         let file = if newest { path.to_owned() } else { model.ply };
         Ok(Subject {
             name: path.display().to_string(),
             base: look.settings(&model.settings, &scene.header)?,
             gaussians: scene.gaussians,
+            lights: PhotoLights::kept(&cameras, &lights),
             cameras,
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: model.folder.map(|(_, iteration)| format!("iteration {iteration}")),
@@ -145,6 +155,7 @@ impl Subject {
             gaussians,
             base: RenderSettings::default(),
             cameras: gallery.cameras(),
+            lights: PhotoLights::default(),
             photos: Some(Arc::new(Photos::new(gallery))),
             note: Some(note.into()),
             file: None,
@@ -164,8 +175,11 @@ impl Subject {
             orbit.unwrap_or_else(|| render::orbit_around(&self.gaussians, Vec3::NEG_Y, 1, intrinsics));
         let start = cameras.first().copied().or_else(|| orbit.cameras().first().copied());
         let names: Vec<&str> = self.cameras.iter().map(|named| named.name.as_str()).collect();
-        let photo = |(named, label): (&NamedCamera, String)| json!({ "name": named.name, "label": label, "camera": CameraMessage::of(&named.camera) });
-        let photos = self.cameras.iter().zip(labels(&names)).map(photo);
+        let photo = |(index, (named, label)): (usize, (&NamedCamera, String))| {
+            let camera = CameraMessage::of(&named.camera);
+            json!({ "name": named.name, "label": label, "camera": camera, "lit": self.lights.has(index) })
+        };
+        let photos = self.cameras.iter().zip(labels(&names)).enumerate().map(photo);
         json!({
             "type": "scene",
             "name": self.name,

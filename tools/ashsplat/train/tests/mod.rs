@@ -21,6 +21,7 @@ pub(super) fn dataset(scene_extent: f32) -> Dataset {
         train: vec![View {
             name,
             image_id: 1,
+            camera_id: 1,
             camera,
             original_camera,
             photo: photo.into(),

@@ -20,6 +20,8 @@ export class Frames {
         this.resolution = 1;
         this.quality = 92;
         this.follow = false;
+        /** The photo whose light pictures are to have. */
+        this.light = () => null;
         this.rate = [];
         this.onShown = () => {};
         this.shownSeq = 0;
@@ -49,7 +51,7 @@ export class Frames {
     request(scale, quality, extra = {}) {
         const [width, height] = this.size.map((side) => Math.max(16, Math.round(side * scale)));
         const seq = ++this.seq;
-        const message = { type: 'view', seq, camera: this.camera.message(width, height), look: { ...this.look(), quality }, follow: this.follow && scale === 1 };
+        const message = { type: 'view', seq, camera: this.camera.message(width, height), look: { ...this.look(), quality }, as_photo: this.light(), follow: this.follow && scale === 1 };
         if (this.link.send(message)) this.sent.set(seq, { time: performance.now(), scale, ...extra });
         return seq;
     }

@@ -24,6 +24,7 @@ const look = () => ({ ...panel.look(), cut: filter.cut });
 const frames = new Frames(link, camera, find('picture'), look);
 const picker = new Picker(link, camera, frames, look, overlay);
 const photos = new Photos(camera, overlay, frames);
+frames.light = () => photos.light;
 const film = new Film(link, camera, look);
 const training = new Training(link);
 const stage = new Stage(link, say);

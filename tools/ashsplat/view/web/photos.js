@@ -16,6 +16,7 @@ export class Photos {
         find('photo-previous').onclick = () => this.step(-1);
         find('photo-next').onclick = () => this.step(1);
         find('photo-close').onclick = () => this.close();
+        find('photo-light').onchange = () => this.frames.leap();
     }
 
     open({ cameras, has_photos: hasPhotos, run }) {
@@ -26,9 +27,11 @@ export class Photos {
         find('photos').hidden = cameras.length === 0;
         find('cameras').hidden = cameras.length === 0;
         find('photo-count').textContent = cameras.length;
-        find('photo-list').replaceChildren(...cameras.map(({ name, label: text }, index) => {
+        find('photo-lit').hidden = !cameras.some(({ lit }) => lit);
+        find('photo-list').replaceChildren(...cameras.map(({ name, label: text, lit }, index) => {
             const button = document.createElement('button');
-            button.title = name;
+            button.title = lit ? `${name}: its exposure is known` : name;
+            button.classList.toggle('lit', lit);
             button.onclick = () => this.jumpTo(index);
             const label = Object.assign(document.createElement('span'), { textContent: text });
             if (hasPhotos) button.append(Object.assign(new Image(), { loading: 'lazy', decoding: 'async', src: this.address('thumbnail', index), alt: '' }));
@@ -61,6 +64,12 @@ export class Photos {
         this.follow();
     }
 
+    /** The photo whose light the picture is to have: that of the view, while it is exactly its own; none else. */
+    get light() {
+        const entry = this.camera.lens === null ? null : this.entries[this.current];
+        return entry?.lit && find('photo-light').checked ? this.current : null;
+    }
+
     /** The photo is there as long as the view is exactly its own. */
     follow() {
         const visible = this.shown && this.camera.lens !== null;
@@ -76,6 +85,7 @@ export class Photos {
     }
 
     close() {
+        if (this.light !== null) this.frames.leap();
         this.shown = false;
         this.current = this.overlay.current = -1;
         for (const button of find('photo-list').children) button.classList.remove('on');

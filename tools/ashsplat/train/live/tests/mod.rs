@@ -42,7 +42,8 @@ fn a_viewer_that_fails_ends_alone() {
     for (fault, ends) in [(Fault::Object, false), (Fault::WaitMemory, false), (Fault::Timeout, true)] {
         let report = run.trainer.step().expect("a step");
         hub.acknowledge(page);
-        hub.set_view(page, ViewRequest { seq: 1, camera, look: Look::default(), follow: false });
+        let look = Look::default();
+        hub.set_view(page, ViewRequest { seq: 1, camera, look, follow: false, as_photo: None });
         run.live.as_mut().expect("a viewer").allowance = Allowance::new(0.2);
         let before = faults.injected();
         faults.arm(fault, 0);

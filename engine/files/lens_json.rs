@@ -1,0 +1,102 @@
+//! `lens.json`, what a training has learned of its cameras: vignetting and response, and which camera took which photograph.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use super::{atomic, cost, host_memory};
+use ashsplat::scene::LensEffects;
+use ashsplat::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+/// Name of the file in a model folder.
+pub const LENS_FILE: &str = "lens.json";
+
+/// Largest exponent of a response, and one over the smallest: what is beyond is no camera's.
+const MOST_GAMMA: f32 = 20.0;
+
+/// Cameras by their ids, and the ids by the names of photographs.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LensFile {
+    /// What each camera makes of colours.
+    pub cameras: BTreeMap<u32, LensEffects>,
+    /// The camera of each photograph, held-out ones included.
+    pub photos: BTreeMap<String, u32>,
+}
+
+/// The file's own form.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Document {
+    cameras: BTreeMap<u32, Entry>,
+    photos: BTreeMap<String, u32>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    /// Per channel: the coefficients of r², r⁴ and r⁶.
+    vignetting: [[f32; 3]; 3],
+    /// Per channel: the exponent.
+    response: [f32; 3],
+}
+
+impl LensFile {
+    /// The effects of the camera that took a photograph; None where that is not known.
+    pub fn of(&self, photo: &str) -> Option<LensEffects> {
+        self.cameras.get(self.photos.get(photo)?).copied()
+    }
+
+    /// Writes the file.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
+        let entry = |effects: &LensEffects| Entry {
+            vignetting: effects.rows.map(|[a1, a2, a3, _]| [a1, a2, a3]),
+            response: effects.response(),
+        };
+        let cameras = self.cameras.iter().map(|(&id, effects)| (id, entry(effects))).collect();
+        let document = Document { cameras, photos: self.photos.clone() };
+        atomic::write(path, |writer| Ok(serde_json::to_writer_pretty(writer, &document)?))
+    }
+
+    /// Reads the file of [`LensFile::write`].
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is no such document, has numbers that no camera
+    /// has, or a photograph of a camera that it lacks.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        host_memory::check_text_file(path)?;
+        let text = fs::read(path).map_err(|source| Error::io(path, "read", source))?;
+        let remedy = "expected {\"cameras\": {\"1\": {\"vignetting\": [[0, 0, 0], [0, 0, 0], [0, 0, 0]], \"response\": [1, 1, 1]}}, \
+                      \"photos\": {\"photo.jpg\": 1}}";
+        let problem = |problem: String| Error::input(path, problem, remedy);
+        let document: Document = serde_json::from_slice(&text)
+            .map_err(|e| problem(format!("is not a description of cameras' light: {e}")))?;
+        let mut cameras = BTreeMap::new();
+        for (id, Entry { vignetting, response }) in document.cameras {
+            cost::step();
+            if !vignetting.as_flattened().iter().all(|a| a.is_finite()) {
+                return Err(problem(format!("camera {id} has a vignetting that is not finite")));
+            }
+            if !response.iter().all(|gamma| (MOST_GAMMA.recip()..=MOST_GAMMA).contains(gamma)) {
+                return Err(problem(format!("camera {id} has the response {response:?}")));
+            }
+            let row = |c: usize| {
+                let [a1, a2, a3] = vignetting[c];
+                [a1, a2, a3, response[c].ln()]
+            };
+            cameras.insert(id, LensEffects { rows: [row(0), row(1), row(2)] });
+        }
+        let unknown = |id: &u32| {
+            cost::step();
+            !cameras.contains_key(id)
+        };
+        if let Some((name, id)) = document.photos.iter().find(|(_, id)| unknown(id)) {
+            return Err(problem(format!("{name} is of camera {id}, which it does not describe")));
+        }
+        Ok(Self { cameras, photos: document.photos })
+    }
+}

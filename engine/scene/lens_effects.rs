@@ -1,0 +1,131 @@
+//! What a camera makes of colours: vignetting and response.
+
+use super::Camera;
+
+/// Vignetting and response of a camera, per channel: a colour `x`, as photographs store it (sRGB, 0 to 1), becomes
+/// `(x (1 + a₁ r² + a₂ r⁴ + a₃ r⁶))^γ`, with r the distance from the principal point in halves of the picture's
+/// diagonal. Below [`LensEffects::LEAST`] the response is the straight line from 0. Nothing is clamped. (After PPISP,
+/// NVIDIA 2025, which has them beside exposures.)
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LensEffects {
+    /// Per channel: a₁, a₂, a₃, ln γ. All 0: no effect.
+    pub rows: [[f32; 4]; 3],
+}
+
+impl LensEffects {
+    /// Below it the response is a straight line.
+    pub const LEAST: f32 = 1.0 / 1024.0;
+
+    /// The vignetting of a channel at a squared distance from the principal point.
+    pub fn vignetting(&self, channel: usize, r2: f32) -> f32 {
+        let [a1, a2, a3, _] = self.rows[channel];
+        1.0 + r2 * (a1 + r2 * (a2 + r2 * a3))
+    }
+
+    /// The exponents γ of the channels.
+    pub fn response(&self) -> [f32; 3] {
+        self.rows.map(|row| row[3].exp())
+    }
+
+    /// The colour at a squared distance from the principal point.
+    pub fn of(&self, color: [f32; 3], r2: f32) -> [f32; 3] {
+        let gamma = self.response();
+        [0, 1, 2].map(|c| {
+            let t = color[c] * self.vignetting(c, r2);
+            t * t.max(Self::LEAST).powf(gamma[c] - 1.0)
+        })
+    }
+
+    /// Changes the colours of a camera's picture.
+    pub fn apply(&self, camera: &Camera, picture: &mut [[f32; 3]]) {
+        self.apply_as_taken(camera, camera, picture);
+    }
+
+    /// As [`LensEffects::apply`], for the picture of a camera that stands where the photograph was `taken`, with
+    /// another field of view. Beyond the photograph's corners the vignetting stays as it is there.
+    pub fn apply_as_taken(&self, taken: &Camera, camera: &Camera, picture: &mut [[f32; 3]]) {
+        let plane = LensPlane::of(taken);
+        let most = plane.corner();
+        let scale = [taken.fx / camera.fx, taken.fy / camera.fy];
+        let width = camera.width.max(1) as usize;
+        for (index, color) in picture.iter_mut().enumerate() {
+            let x = ((index % width) as f32 + 0.5 - camera.cx) * scale[0];
+            let y = ((index / width) as f32 + 0.5 - camera.cy) * scale[1];
+            let r2 = (x * x + y * y) * plane.inverse_square;
+            *color = self.of(*color, r2.min(most));
+        }
+    }
+}
+
+/// Where a camera's picture lies behind its lens.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct LensPlane {
+    /// The principal point, pixels, with the first pixel's centre at 0.
+    pub center_px: [f32; 2],
+    /// 1 / the square of half the diagonal.
+    pub inverse_square: f32,
+    /// Width and height, pixels.
+    pub size_px: [f32; 2],
+}
+
+impl LensPlane {
+    pub(crate) fn of(camera: &Camera) -> Self {
+        let [width, height] = [camera.width, camera.height].map(|side| side.max(1) as f32);
+        let inverse_square = 4.0 / (width * width + height * height);
+        Self { center_px: [camera.cx - 0.5, camera.cy - 0.5], inverse_square, size_px: [width, height] }
+    }
+
+    /// The squared distance of the farthest corner of the picture of [`LensPlane::size_px`].
+    fn corner(&self) -> f32 {
+        let farthest = |axis: usize| {
+            let from_edge = self.center_px[axis] + 0.5;
+            from_edge.abs().max((self.size_px[axis] - from_edge).abs())
+        };
+        (farthest(0).powi(2) + farthest(1).powi(2)) * self.inverse_square
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Intrinsics;
+    use glam::Vec3;
+
+    #[test]
+    fn no_effects_change_nothing() {
+        let picture = [[0.1, 0.5, 0.9], [0.0, -0.2, 1.7]];
+        for color in picture {
+            assert_eq!(LensEffects::default().of(color, 0.7), color);
+        }
+    }
+
+    #[test]
+    fn corners_are_at_the_distance_one() {
+        let camera = Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.7, 4, 2));
+        let mut effects = LensEffects::default();
+        // The corner pixel's centre is half a pixel inside: 1.5² + 0.5² of 2² + 1².
+        effects.rows[0] = [-1.0, 0.0, 0.0, 0.0];
+        effects.rows[2] = [0.0, 0.0, 0.0, 2.0_f32.ln()];
+        let mut picture = [[1.0, 1.0, 0.5]; 8];
+        effects.apply(&camera, &mut picture);
+        let [red, green, blue] = picture[0];
+        assert!((red - 0.5).abs() < 1e-6 && green == 1.0 && (blue - 0.25).abs() < 1e-6, "{:?}", picture[0]);
+        assert!((picture[1][0] - 0.9).abs() < 1e-6, "{:?}", picture[1]);
+        assert_eq!(picture[7][0], picture[0][0]);
+        // The same photograph in a picture twice as wide on each side of it, and of another size: in its middle.
+        let wide = Camera {
+            width: 24,
+            height: 4,
+            fx: 2.0 * camera.fx,
+            fy: 2.0 * camera.fy,
+            cx: 12.0,
+            cy: 2.0,
+            ..camera
+        };
+        let mut picture = vec![[1.0, 1.0, 0.5]; 96];
+        effects.apply_as_taken(&camera, &wide, &mut picture);
+        // Half a photograph's pixel: 0.25² + 0.25² of 2² + 1².
+        assert!((picture[24 + 11][0] - 0.975).abs() < 1e-6, "{:?}", picture[35]);
+        assert!(picture[0][0].abs() < 1e-6, "beyond the corner: {:?}", picture[0]);
+    }
+}

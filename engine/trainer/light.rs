@@ -1,0 +1,221 @@
+//! What photographs have of light besides the scene: the exposure of each, and the effects of the lenses that took them.
+
+use super::checkpoint::{ExposureState, LightSums};
+use super::iteration::IterationPlan;
+use super::run::Run;
+use super::settings::TrainSettings;
+use super::{TrainView, Trainer};
+use crate::error::{Error, Result};
+use crate::exposure::{Exposing, LightBuffers};
+use crate::forward::FrameInputs;
+use crate::lens_effects::{self, LensInputs, Lenses};
+use crate::scene::{Exposure, LensEffects};
+use crate::vk::{Buffer, Context, Recorder};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The kernels; none of what is not learned.
+pub(super) struct Light {
+    exposing: Option<Exposing>,
+    lenses: Option<Lenses>,
+}
+
+/// Matrices and moments, which outlive an iteration, and scratch.
+pub(super) struct LightMemory {
+    pub exposures: Option<LightBuffers>,
+    pub lenses: Option<LightBuffers>,
+}
+
+/// One iteration of them.
+#[derive(Clone, Copy)]
+pub(super) struct LightInputs<'a> {
+    pub frame: &'a FrameInputs<'a>,
+    /// What was rendered, in the native layout.
+    pub rendered: &'a Buffer,
+    pub memory: &'a LightMemory,
+    pub plan: &'a IterationPlan,
+    pub run: &'a Run,
+}
+
+impl LightInputs<'_> {
+    fn view(&self) -> u32 {
+        self.plan.view as u32
+    }
+
+    fn lens<'a>(&'a self, buffers: &'a LightBuffers) -> LensInputs<'a> {
+        let picture = self.memory.exposures.as_ref().map_or(self.rendered, |exposures| &exposures.picture);
+        LensInputs { frame: self.frame, picture, buffers, lens: self.run.lenses[self.plan.view] }
+    }
+}
+
+impl Light {
+    /// `sums`: whether steps may follow several views.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context, settings: &TrainSettings, sums: bool) -> Result<Self> {
+        Ok(Self {
+            exposing: settings.exposure.then(|| Exposing::new(context, true, sums)).transpose()?,
+            lenses: settings.lens_effects.then(|| Lenses::new(context, sums)).transpose()?,
+        })
+    }
+
+    /// Names and bytes of the buffers, for photographs of these sizes.
+    pub fn requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
+        let exposures = self.exposing.iter().flat_map(|_| LightBuffers::requests(sizes));
+        exposures.chain(self.lenses.iter().flat_map(|_| lens_effects::requests(sizes))).collect()
+    }
+
+    /// Takes the buffers of [`Light::requests`] from the next that were allocated, and clears them.
+    pub fn allocated(
+        &self,
+        context: &Context,
+        mut buffers: impl Iterator<Item = Buffer>,
+    ) -> Result<LightMemory> {
+        let mut next = || {
+            let all: Vec<Buffer> = buffers.by_ref().take(LightBuffers::COUNT).collect();
+            <[Buffer; LightBuffers::COUNT]>::try_from(all).ok().map(LightBuffers::from_allocated)
+        };
+        let exposures = self.exposing.as_ref().and_then(|_| next());
+        let lenses = self.lenses.as_ref().and_then(|_| next());
+        exposures.iter().try_for_each(|exposures| exposures.reset(context, Exposure::IDENTITY.rows))?;
+        lenses.iter().try_for_each(|lenses| lenses.reset(context, [[0.0; 4]; 3]))?;
+        Ok(LightMemory { exposures, lenses })
+    }
+
+    /// Records the picture as it is compared with the photograph, and returns it: None if it is what was rendered.
+    /// Ends with a barrier.
+    pub fn record<'a>(&self, r: &mut Recorder, inputs: &LightInputs<'a>) -> Option<&'a Buffer> {
+        let mut picture = None;
+        if let Some((exposing, exposures)) = self.exposing.as_ref().zip(inputs.memory.exposures.as_ref()) {
+            exposing.record(r, inputs.frame, exposures, inputs.view());
+            r.barrier();
+            picture = Some(&exposures.picture);
+        }
+        if let Some((lenses, buffers)) = self.lenses.as_ref().zip(inputs.memory.lenses.as_ref()) {
+            lenses.record(r, &inputs.lens(buffers));
+            r.barrier();
+            picture = Some(&buffers.picture);
+        }
+        picture
+    }
+
+    /// Records the way of the gradient back from that picture to what was rendered. Each part begins with a barrier.
+    pub fn record_backward(&self, r: &mut Recorder, inputs: &LightInputs, gradient: &Buffer) {
+        if let Some((lenses, buffers)) = self.lenses.as_ref().zip(inputs.memory.lenses.as_ref()) {
+            r.barrier();
+            lenses.record_backward(r, &inputs.lens(buffers), gradient);
+        }
+        if let Some((exposing, exposures)) = self.exposing.as_ref().zip(inputs.memory.exposures.as_ref()) {
+            r.barrier();
+            exposing.record_backward(r, inputs.frame, exposures, inputs.view(), gradient);
+        }
+    }
+
+    /// Records the steps, or the additions to the sums. Each part begins with a barrier.
+    pub fn record_step(&self, r: &mut Recorder, inputs: &LightInputs) {
+        let (plan, state) = (inputs.plan, &inputs.frame.frame.state);
+        if let Some((exposing, exposures)) = self.exposing.as_ref().zip(inputs.memory.exposures.as_ref()) {
+            r.barrier();
+            exposing.record_step(r, (exposures, state), inputs.view(), &plan.exposure);
+        }
+        if let Some((lenses, buffers)) = self.lenses.as_ref().zip(inputs.memory.lenses.as_ref()) {
+            r.barrier();
+            lenses.record_step(r, (buffers, state), inputs.run.lenses[plan.view], &plan.lens_step);
+        }
+    }
+}
+
+impl LightMemory {
+    /// Exposures of all views, and the first `lenses` lenses.
+    pub fn states(&self, context: &Context, lenses: usize) -> Result<[ExposureState; 2]> {
+        let state = |buffers: &Option<LightBuffers>, count: usize| -> Result<ExposureState> {
+            let Some(buffers) = buffers else { return Ok(ExposureState::default()) };
+            let mut sets = buffers.download(context)?;
+            sets.iter_mut().for_each(|set| set.truncate(count));
+            let [values, first_moments, second_moments] = sets;
+            Ok(ExposureState { values, first_moments, second_moments })
+        };
+        Ok([state(&self.exposures, usize::MAX)?, state(&self.lenses, lenses)?])
+    }
+
+    /// Gradients of the views since the last step.
+    pub fn sums(&self, context: &Context, lenses: usize) -> Result<LightSums> {
+        let sums = |buffers: &Option<LightBuffers>| {
+            buffers.as_ref().map_or(Ok(Vec::new()), |buffers| buffers.download_sums(context))
+        };
+        let mut of_lenses = sums(&self.lenses)?;
+        of_lenses.truncate(lenses);
+        Ok(LightSums { exposures: sums(&self.exposures)?, lenses: of_lenses })
+    }
+
+    /// Restores [`LightMemory::states`] and [`LightMemory::sums`].
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for more than there are views.
+    pub fn restore(
+        &self,
+        context: &Context,
+        [exposures, lenses]: [&ExposureState; 2],
+        sums: &LightSums,
+    ) -> Result<()> {
+        let parts = [(&self.exposures, exposures, &sums.exposures), (&self.lenses, lenses, &sums.lenses)];
+        for (buffers, state, sums) in parts {
+            let Some(buffers) = buffers else { continue };
+            // Views that share a lens leave rows unused.
+            let padded = |rows: &Vec<[[f32; 4]; 3]>| -> Result<Vec<[[f32; 4]; 3]>> {
+                if rows.len() > buffers.photographs() {
+                    let problem = format!("has {} for {} views", rows.len(), buffers.photographs());
+                    return Err(Error::argument("checkpoint", problem));
+                }
+                let mut rows = rows.clone();
+                rows.resize(buffers.photographs(), [[0.0; 4]; 3]);
+                Ok(rows)
+            };
+            let ExposureState { values, first_moments, second_moments } = state;
+            let sets = [padded(values)?, padded(first_moments)?, padded(second_moments)?];
+            buffers.upload(context, [&sets[0], &sets[1], &sets[2]])?;
+            buffers.upload_sums(context, &padded(sums)?)?;
+        }
+        Ok(())
+    }
+}
+
+/// Per view: the number of its lens, from 0 in the order of the cameras' ids.
+pub(super) fn lenses_of(views: &[TrainView]) -> Vec<u32> {
+    let ids: BTreeSet<u32> = views.iter().map(|view| view.camera_id).collect();
+    let numbers: BTreeMap<u32, u32> = ids.into_iter().zip(0..).collect();
+    views.iter().map(|view| numbers[&view.camera_id]).collect()
+}
+
+impl Trainer {
+    pub(super) fn light_states(&self) -> Result<[ExposureState; 2]> {
+        self.losses.light.states(&self.context, self.run.lens_count())
+    }
+
+    pub(super) fn light_sums(&self) -> Result<LightSums> {
+        self.losses.light.sums(&self.context, self.run.lens_count())
+    }
+
+    /// The exposures of the views' photographs in their order, if they are learned ([`TrainSettings::exposure`]);
+    /// otherwise none.
+    ///
+    /// # Errors
+    /// As [`Trainer::checkpoint`].
+    pub fn exposures(&self) -> Result<Vec<Exposure>> {
+        self.check_readable()?;
+        let [exposures, _] = self.light_states()?;
+        Ok(exposures.values.into_iter().map(|rows| Exposure { rows }).collect())
+    }
+
+    /// The lens effects of the views' cameras in the views' order, if they are learned
+    /// ([`TrainSettings::lens_effects`]); otherwise none.
+    ///
+    /// # Errors
+    /// As [`Trainer::checkpoint`].
+    pub fn lens_effects(&self) -> Result<Vec<LensEffects>> {
+        self.check_readable()?;
+        let [_, lenses] = self.light_states()?;
+        let of = |&lens: &u32| lenses.values.get(lens as usize).map(|&rows| LensEffects { rows });
+        Ok(self.run.lenses.iter().filter_map(of).collect())
+    }
+}

@@ -1,0 +1,70 @@
+// The gradient through a lens (lens_effects.glsl), with h = dL/dy of each pixel and channel, and t = V x:
+//
+//   dL/dx = h y'(t) V,  dL/da_k = sum over pixels of h y'(t) x r^(2k),  dL/dg = that of h dy/dg
+//
+// invocation: every (number of invocations)-th pixel; the number of workgroups is TERM_PARTIALS
+// in: rendered (or what its exposure has made of it), lenses
+// in/out: image_gradient, from h to dL/dx: with STRIPS planes in strips (strips.glsl), otherwise per pixel a vec4 whose fourth
+//     component stays
+// out: partials[3 * workgroup + c] = row c of the workgroup's part of the gradient: (da1, da2, da3, dg)
+// shared: three vec4 per subgroup; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+
+#include "constants.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(constant_id = 2) const bool STRIPS = false;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Rendered { float rendered[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer Lenses { vec4 lenses[]; };
+layout(set = 0, binding = 2, scalar) buffer ImageGradient { float image_gradient[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer Partials { vec4 partials[]; };
+
+layout(push_constant, scalar) uniform Push {
+    uint image_width;
+    uint image_height;
+    vec3 background;
+    uint lens;
+    // Where the principal point is, with the first pixel's centre at 0.
+    vec2 center_px;
+    float inverse_square;
+};
+
+#include "strips.glsl"
+#include "exposure.glsl"
+#include "exposure_sums.glsl"
+#include "lens_effects.glsl"
+
+void main() {
+    vec4 row[3] = vec4[3](lenses[3 * lens], lenses[3 * lens + 1], lenses[3 * lens + 2]);
+    vec4 sums[3] = vec4[3](vec4(0.0), vec4(0.0), vec4(0.0));
+    uint stride = TERM_PARTIALS * WORKGROUP_SIZE;
+    uint first = gl_WorkGroupID.x * WORKGROUP_SIZE + gl_LocalInvocationID.x;
+    for (uint index = first; index < image_width * image_height; index += stride) {
+        uvec2 at = uvec2(index % image_width, index / image_width);
+        vec3 picture = rendered_color(index, at);
+        float r2 = square_of_radius(at);
+        for (uint k = 0; k < 3; ++k) {
+            uint place = STRIPS ? strip_value(k, at) : 4 * index + k;
+            float h = image_gradient[place];
+            float shade = vignetting(row[k], r2);
+            vec3 y = response(picture[k] * shade, exp(row[k].w));
+            float by_x = h * y.y;
+            vec3 powers = r2 * vec3(1.0, r2, r2 * r2);
+            sums[k] += vec4(by_x * picture[k] * powers, h * y.z);
+            image_gradient[place] = by_x * shade;
+        }
+    }
+    add_over_workgroup(sums);
+    if (gl_LocalInvocationID.x == 0) {
+        for (uint k = 0; k < 3; ++k) {
+            partials[3 * gl_WorkGroupID.x + k] = sums[k];
+        }
+    }
+}

@@ -1,0 +1,8 @@
+// Where the camera of the view's direction is: in the push constants, or where the device has moved it.
+// Needs camera_block.glsl, the push constant `camera_position`, and MOVED_CAMERA.
+
+vec3 position_of_camera() {
+    vec3 t = camera_translation;
+    vec3 moved = -(camera_row_x * t.x + camera_row_y * t.y + camera_row_z * t.z) * inverse_scale_squared;
+    return MOVED_CAMERA ? moved : camera_position;
+}

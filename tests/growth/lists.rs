@@ -1,0 +1,127 @@
+//! What belongs to photographs by their names: exposures, parameters of depth maps; and the names of weights.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use ashsplat::lpips::Weights;
+use ashsplat::scene::{Exposure, LensEffects};
+use image::{ImageBuffer, Luma};
+use serde_json::{Map, Value, json};
+
+use super::assert_linear;
+use crate::dataset::{Dataset, DatasetOptions};
+use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
+use crate::exposure_json;
+use crate::host_memory::HostMemory;
+use crate::images::{Photo, PhotoFileFormat};
+use crate::lens_json::LensFile;
+use crate::lpips_weights::WeightsFile;
+use crate::progress::Progress;
+
+#[test]
+fn exposures_of_many_photographs() {
+    let write = |folder: &Path, size: usize| {
+        let names: Vec<String> = (0..size).map(|index| format!("photo {index}.jpg")).collect();
+        let exposure = Exposure::default();
+        exposure_json::write(folder.join("exposure.json"), names.iter().map(|name| (&**name, &exposure)))
+            .unwrap();
+    };
+    assert_linear(2000, write, |folder| {
+        assert!(exposure_json::read(folder.join("exposure.json")).unwrap().len() >= 2000);
+    });
+}
+
+/// The last of many values of one name counts.
+#[test]
+fn exposures_of_one_name_many_times() {
+    let write = |folder: &Path, size: usize| {
+        let one = "\"a\": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]";
+        std::fs::write(folder.join("exposure.json"), format!("{{{}}}", vec![one; size].join(","))).unwrap();
+    };
+    assert_linear(5000, write, |folder| {
+        assert_eq!(exposure_json::read(folder.join("exposure.json")).unwrap().len(), 1);
+    });
+}
+
+/// Photographs of as many cameras.
+#[test]
+fn lenses_of_many_photographs() {
+    let write = |folder: &Path, size: usize| {
+        let size = size as u32;
+        let cameras = (0..size).map(|id| (id, LensEffects::default())).collect();
+        let photos = (0..size).map(|id| (format!("photo {id}.jpg"), id)).collect();
+        LensFile { cameras, photos }.write(folder.join("lens.json")).unwrap();
+    };
+    assert_linear(2000, write, |folder| {
+        assert!(LensFile::read(folder.join("lens.json")).unwrap().photos.len() >= 2000);
+    });
+}
+
+#[test]
+fn depth_parameters_of_many_photographs() {
+    let write = |folder: &Path, size: usize| {
+        let all: BTreeMap<String, Value> =
+            (0..size).map(|index| (format!("photo {index}"), json!({"scale": 1.5, "offset": 0.1}))).collect();
+        std::fs::write(folder.join(DEPTH_PARAMS_FILE), serde_json::to_vec(&all).unwrap()).unwrap();
+    };
+    assert_linear(2000, write, |folder| {
+        assert!(DepthFit::read_all(folder.join(DEPTH_PARAMS_FILE)).unwrap().len() >= 2000);
+    });
+}
+
+/// Photographs that see sparse points, each with a map, which is fitted to them.
+#[test]
+fn depth_maps_of_many_photographs_with_many_points() {
+    let write = |folder: &Path, size: usize| {
+        let model = folder.join("sparse/0");
+        for path in [&model, &folder.join("images"), &folder.join("depth")] {
+            std::fs::create_dir_all(path).unwrap();
+        }
+        let (mut images, mut points) = (String::new(), String::new());
+        for id in 1..=size {
+            let seen: String = (0..20).map(|k| format!("{} 1.5 {} ", f64::from(k) * 0.35, k + 1)).collect();
+            images += &format!("{id} 1 0 0 0 {id} 0 0 1 {id}.png\n{seen}\n");
+            Photo { width: 8, height: 4, rgb: vec![9; 96] }
+                .write_png(folder.join(format!("images/{id}.png")))
+                .unwrap();
+            let map = ImageBuffer::from_fn(8, 4, |x, _| Luma([1000 * x as u16]));
+            map.save(folder.join(format!("depth/{id}.png"))).unwrap();
+        }
+        for id in 1..=20 {
+            points += &format!("{id} 0 0 {} 1 2 3 0.5 1 0\n", 2 + id);
+        }
+        for (name, text) in
+            [("cameras", "1 PINHOLE 8 4 8 8 4 2\n"), ("images", &*images), ("points3D", &points)]
+        {
+            std::fs::write(model.join(name).with_extension("txt"), text).unwrap();
+        }
+    };
+    assert_linear(20, write, |folder| {
+        let options = DatasetOptions { depths: Some("depth".into()), ..DatasetOptions::default() };
+        let dataset = Dataset::load(folder, &options, Progress::NONE).unwrap();
+        assert!(dataset.warnings.is_empty(), "{:?}", dataset.warnings);
+    });
+}
+
+/// A file of many tensors, none of which is wanted. The weights of a network would be much the larger part of it.
+#[test]
+fn weights_among_many_tensors() {
+    let write = |folder: &Path, size: usize| {
+        let mut header = Map::new();
+        let mut tensor = |name: String, shape: &[usize], place: [usize; 2]| {
+            header.insert(name, json!({"dtype": "F32", "shape": shape, "data_offsets": place}));
+        };
+        let bytes = 4 * 64 * 3 * 11 * 11;
+        tensor("net.0.weight".into(), &[64, 3, 11, 11], [0, bytes]);
+        (0..size).for_each(|index| tensor(format!("net.slice1.{index}.other"), &[0], [bytes, bytes]));
+        let header = Value::Object(header).to_string().into_bytes();
+        let mut file = (header.len() as u64).to_le_bytes().to_vec();
+        file.extend(header);
+        file.resize(file.len() + bytes, 0);
+        std::fs::write(folder.join("weights.safetensors"), file).unwrap();
+    };
+    assert_linear(2000, write, |folder| {
+        let read = Weights::read(folder.join("weights.safetensors"), &HostMemory::default());
+        assert!(read.err().unwrap().to_string().contains("'net.0.bias'"));
+    });
+}
