@@ -180,7 +180,7 @@ impl TrainSettings {
     }
 
     /// With fewer photographs to train on than this, `ashsplat train` takes [`TrainSettings::of_few_photos`].
-    pub const FEW_PHOTOS: usize = 30;
+    pub const FEW_PHOTOS: usize = 12;
 
     /// The defaults with a strategy for few photographs, by measurement (tools/strategies.md): the reference's growth ends early,
     /// and with it its opacity resets, since what grows later fits the few photographs and nothing else. The strategies whose

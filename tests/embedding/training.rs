@@ -114,7 +114,6 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
 fn recorded_training_is_the_owned_paths_to_the_bit() {
     // Once with terms of the loss that depend on the parameters directly.
     let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
-    // And once with the other strategy, which adds noise in the step.
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
     // And once with filters, whose sizes are computed anew between steps and in them.
     let filtered = TrainSettings {

@@ -51,7 +51,7 @@ pub struct Overrides {
     /// sets --exposure (the reference's protocol)
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     train_test_exp: Option<bool>,
-    /// Settings for few photos: on, off, or on below 30 photos to train on (auto); growth ends before the Gaussians fit nothing but
+    /// Settings for few photos: on, off, or on below 12 photos to train on (auto); growth ends before the Gaussians fit nothing but
     /// these photos. What is given otherwise wins [default: auto]
     #[arg(long, value_name = "WHEN")]
     few_photos: Option<FewPhotos>,
