@@ -1,6 +1,6 @@
 //! Exposures of the photographs, learned beside the Gaussians: the reference implementation's 3×4 matrix per image.
 //!
-//! The loss compares a photograph with the rendered picture under the photograph's [`Exposure`], so that a
+//! The loss compares a photograph with the rendered picture under the photograph's [`Exposure`](crate::scene::Exposure), so that a
 //! camera's automatic exposure and white balance do not end up in the Gaussians. Its own Adam treats the
 //! matrices of all photographs as one tensor.
 

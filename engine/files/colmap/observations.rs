@@ -10,8 +10,11 @@ use super::{binary, text};
 use crate::depth_fit::DepthPoint;
 use ashsplat::Result;
 
-/// What each image shows, and the positions of the points by their ids.
-fn read(model: &Model) -> Result<(Vec<Observed>, HashMap<u64, [f64; 3]>)> {
+/// Positions of points by their ids, world units.
+type Positions = HashMap<u64, [f64; 3]>;
+
+/// What each image shows, and the points.
+fn read(model: &Model) -> Result<(Vec<Observed>, Positions)> {
     let (images, points) = (model.file("images"), model.points_file());
     let observed =
         if model.source.text { text::observations(&images)? } else { binary::observations(&images)? };

@@ -9,7 +9,7 @@ use crate::trainer::settings::TrainSettings;
 use crate::vk::{Context, Kernel, Recorder};
 
 /// The mean over a view's sparse points of |1/Z - 1/z|, times [`TrainSettings::depth_points`], the scene's extent and a factor
-/// that falls log-linearly from 1 to [`DEPTH_POINTS_END`] over the run. Z is the expected depth at the point, Σ w z / Σ w with the blending's weights
+/// that falls log-linearly from 1 to a hundredth over the run. Z is the expected depth at the point, Σ w z / Σ w with the blending's weights
 /// w, bilinear; 1/z the point's. 0 for views without points. Its own number is the mean difference, 1 / world units.
 pub struct SparseDepth {
     points: Kernel<sparse_depth::Interface>,
