@@ -1,7 +1,9 @@
-//! Any bytes as a transforms.json, a cameras.json, the ZIP of a data set, an exposure.json or a depth_params.json.
+//! Any bytes as a transforms.json, a cameras.json, the ZIP of a data set, an exposure.json, a lens.json or a
+//! depth_params.json.
 #![no_main]
 
 use ashsplat_files::depth_fit::DepthFit;
+use ashsplat_files::lens_json::LensFile;
 use ashsplat_files::transforms::{self, Transforms};
 use ashsplat_files::{
     Dataset, DatasetOptions, HostMemory, Photo, PhotoFileFormat, Progress, cameras_json, exposure_json,
@@ -19,6 +21,8 @@ const CAMERAS: &str = r#"[{"id": 0, "img_name": "a.png", "width": 4, "height": 3
  "rotation": [[1,0,0],[0,1,0],[0,0,1]], "fx": 4.0, "fy": 4.0}]"#;
 
 const EXPOSURES: &str = r#"{"a.png": [[1.5,0,0,0],[0,1,0,0.25],[0,0,1,0]]}"#;
+const LENSES: &str = r#"{"cameras": {"1": {"vignetting": [[0.1,0,0],[0,-0.2,0],[0,0,0]], "response": [1,1.1,0.9]}},
+ "photos": {"a.png": 1}}"#;
 const DEPTHS: &str = r#"{"a": {"scale": 1.5, "offset": -0.25}}"#;
 
 /// A valid file of each kind; the folder's photo is the one that they name.
@@ -28,6 +32,7 @@ fn seeds() {
     leave_seed("transforms", &[&[0], TRANSFORMS.as_bytes()].concat());
     leave_seed("cameras", &[&[1], CAMERAS.as_bytes()].concat());
     leave_seed("exposures", &[&[3], EXPOSURES.as_bytes()].concat());
+    leave_seed("lenses", &[&[5], LENSES.as_bytes()].concat());
     leave_seed("depth parameters", &[&[4], DEPTHS.as_bytes()].concat());
     let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
@@ -42,7 +47,7 @@ fn seeds() {
 
 fuzz_target!(init: seeds(), |data: &[u8]| {
     let [kind, bytes @ ..] = data else { return };
-    let names = ["transforms.json", "cameras.json", "archive.zip", "exposure.json", "depth_params.json"];
+    let names = ["transforms.json", "cameras.json", "archive.zip", "exposure.json", "depth_params.json", "lens.json"];
     let name = names[usize::from(*kind) % names.len()];
     let path = FOLDER.join(name);
     std::fs::write(&path, bytes).expect("written");
@@ -56,6 +61,7 @@ fuzz_target!(init: seeds(), |data: &[u8]| {
                     assert_eq!(exposure_json::read(&path).expect("its own"), all);
                 }
             }
+            "lens.json" => drop(in_one_line(LensFile::read(&path))),
             "depth_params.json" => drop(in_one_line(DepthFit::read_all(&path))),
             "archive.zip" => drop(in_one_line(Dataset::cameras(&path, &options))),
             _ => {
