@@ -131,11 +131,11 @@ mod tests {
         let at = |x: f32, y: f32| DepthPoint { position_px: [x, y], inverse_z: 1.0 };
         // Two that share two pixels, and the last pixel of all.
         let lists = PointLists::of(&[at(1.5, 0.25), at(2.0, 0.0), at(4.0, 2.0)], 5, 3);
-        assert_eq!(lists.pixels, [[1, 1], [2, 3], [3, 4 + 1], [6, 6], [7, 8], [8, 10], [14, 14]]);
+        assert_eq!(lists.pixels, [[1, 1], [2, 3], [3, 4], [6, 5], [7, 7], [8, 8], [14, 12]]);
         let mut sorted = lists.entries.clone();
         sorted.sort_unstable();
         assert_eq!(sorted, (0..12).collect::<Vec<u32>>());
-        assert_eq!(lists.entries[10..], [8, 9]);
+        assert_eq!(lists.entries[8..], [8, 9, 10, 11]);
     }
 
     #[test]
