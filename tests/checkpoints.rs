@@ -83,6 +83,22 @@ pub fn check_growth_in_bounded_memory(settings: &TrainSettings) {
     assert!((3000..free.gaussians.len()).contains(&bounded.gaussians.len()));
 }
 
+/// Whether what training takes with an addition to its settings is known before, and counted.
+pub fn check_memory_of(with: &TrainSettings, without: &TrainSettings) {
+    let peak = |settings: &TrainSettings, max_memory: Option<u64>| -> ashsplat::Result<u64> {
+        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let mut trainer = Trainer::new(&context, views(3, 40), &start(), EXTENT, settings.clone())?;
+        (0..settings.iterations).try_for_each(|_| trainer.step().map(drop))?;
+        Ok(context.memory_total().peak_bytes)
+    };
+    let (less, more) = (peak(without, None).expect("trained"), peak(with, None).expect("trained"));
+    assert!(more > less);
+    // Just enough, and much too little.
+    assert!(peak(with, Some(more)).expect("trained") <= more);
+    let refused = peak(with, Some(50_000)).expect_err("too little").to_string();
+    assert!(refused.contains("bytes"), "{refused}");
+}
+
 fn steps(trainer: &mut Trainer, until: u32) -> Vec<f32> {
     (trainer.iteration()..until).map(|_| trainer.step().expect("a step").loss).collect()
 }

@@ -2,14 +2,12 @@
 
 use ashsplat::scene::Exposure;
 use ashsplat::trainer::{Checkpoint, OptimizerType, Trainer};
-use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Camera, Gaussians, TrainSettings, TrainView};
 use ashsplat_files::{CheckpointFile, Photo, metrics};
 
-use crate::checkpoints::{settings as small_settings, start, views};
+use crate::checkpoints::{check_memory_of, settings as small_settings, start, views};
 use crate::common::engine::{camera, gaussians};
 use crate::common::gpu::Gpu;
-use crate::common::options;
 use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
 use crate::reference::types::View;
 
@@ -186,17 +184,6 @@ fn exposures_resume_to_the_bit() {
 /// What exposures take is known before training, and counted.
 #[test]
 fn exposures_are_within_the_memory() {
-    let peak = |exposure: bool, max_memory: Option<u64>| -> ashsplat::Result<u64> {
-        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
-        let settings = TrainSettings { exposure, iterations: 3, ..small_settings() };
-        let mut trainer = Trainer::new(&context, views(3, 40), &start(), EXTENT, settings)?;
-        (0..3).try_for_each(|_| trainer.step().map(drop))?;
-        Ok(context.memory_total().peak_bytes)
-    };
-    let (without, with) = (peak(false, None).expect("trained"), peak(true, None).expect("trained"));
-    assert!(with > without);
-    // Just enough, and much too little.
-    assert!(peak(true, Some(with)).expect("trained") <= with);
-    let refused = peak(true, Some(50_000)).expect_err("too little").to_string();
-    assert!(refused.contains("bytes"), "{refused}");
+    let without = TrainSettings { iterations: 3, ..small_settings() };
+    check_memory_of(&TrainSettings { exposure: true, ..without.clone() }, &without);
 }

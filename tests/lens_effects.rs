@@ -2,13 +2,11 @@
 
 use ashsplat::scene::{LensEffects, Photo};
 use ashsplat::trainer::{Checkpoint, Trainer};
-use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{TrainSettings, TrainView};
 use ashsplat_files::{CheckpointFile, metrics};
 
-use crate::checkpoints::{settings as small_settings, start, views};
+use crate::checkpoints::{check_memory_of, settings as small_settings, start, views};
 use crate::common::gpu::Gpu;
-use crate::common::options;
 use crate::exposures::{EXTENT, cameras, gray, photographs};
 
 /// Every other photograph is of the second camera, which darkens corners, blue ones most, and has another response.
@@ -172,16 +170,6 @@ fn lens_effects_stay_none_unless_asked_for() {
 /// What they take is known before training, and counted.
 #[test]
 fn lens_effects_are_within_the_memory() {
-    let peak = |lens_effects: bool, max_memory: Option<u64>| -> ashsplat::Result<u64> {
-        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
-        let settings = TrainSettings { lens_effects, iterations: 3, ..small_settings() };
-        let mut trainer = Trainer::new(&context, views(3, 40), &start(), EXTENT, settings)?;
-        (0..3).try_for_each(|_| trainer.step().map(drop))?;
-        Ok(context.memory_total().peak_bytes)
-    };
-    let (without, with) = (peak(false, None).expect("trained"), peak(true, None).expect("trained"));
-    assert!(with > without);
-    assert!(peak(true, Some(with)).expect("trained") <= with);
-    let refused = peak(true, Some(50_000)).expect_err("too little").to_string();
-    assert!(refused.contains("bytes"), "{refused}");
+    let without = TrainSettings { iterations: 3, ..small_settings() };
+    check_memory_of(&TrainSettings { lens_effects: true, ..without.clone() }, &without);
 }

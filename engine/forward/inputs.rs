@@ -59,14 +59,9 @@ impl FrameInputs<'_> {
     /// The variant of blending that the frame needs.
     pub fn blend_variant(&self) -> BlendVariant {
         BlendVariant {
-            inverse_depth: self.settings.inverse_depth,
             linear_depth: self.linear_depth,
             depth_limit: self.depth_limits.is_some(),
-            backward: self.backward,
-            steep: self.settings.is_steep(),
-            filter_3d: self.settings.filter_3d,
-            dropout: self.settings.dropout.is_some(),
-            z_record: self.settings.has_z_record(),
+            ..BlendVariant::of(self.settings, self.backward)
         }
     }
 }

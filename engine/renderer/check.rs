@@ -41,11 +41,7 @@ impl Renderer {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
             linear_depth: frame.depth.is_some(),
             depth_limit: frame.occluder.is_some(),
-            backward: false,
-            steep: frame.settings.is_steep(),
-            filter_3d: frame.settings.filter_3d,
-            dropout: frame.settings.dropout.is_some(),
-            z_record: frame.settings.has_z_record(),
+            ..BlendVariant::of(frame.settings, false)
         };
         if !reserved.variants().contains(&variant) {
             let problem = format!("{variant:?} was not reserved: see Reservation");
