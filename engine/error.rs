@@ -12,7 +12,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[non_exhaustive]
 pub enum Error {
     /// A file or folder that cannot be used as it is.
-    #[error("{}: {problem}{}", path.display(), Remedy(remedy))]
+    #[error("{}: {}{}", OneLine(path.display()), OneLine(problem), Remedy(remedy))]
     Input {
         /// The file or folder.
         path: PathBuf,
@@ -22,7 +22,7 @@ pub enum Error {
         remedy: String,
     },
     /// Reading or writing failed in the operating system.
-    #[error("{}: cannot {action}: {source}", path.display())]
+    #[error("{}: cannot {action}: {}", OneLine(path.display()), OneLine(source))]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -32,7 +32,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// An argument of the API, or a setting, that makes no sense.
-    #[error("{what}: {problem}")]
+    #[error("{}: {}", OneLine(what), OneLine(problem))]
     Argument {
         /// Which argument.
         what: String,
@@ -116,6 +116,15 @@ pub enum Error {
     Interrupted,
 }
 
+/// Names, and what a reader quotes of a file, may have line breaks: each becomes a space, as other control characters do.
+struct OneLine<T>(T);
+
+impl<T: std::fmt::Display> std::fmt::Display for OneLine<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0.to_string().replace(char::is_control, " "))
+    }
+}
+
 struct Remedy<'a>(&'a str);
 
 impl std::fmt::Display for Remedy<'_> {
@@ -138,5 +147,19 @@ impl Error {
     /// A bad argument or setting.
     pub fn argument(what: impl Into<String>, problem: impl Into<String>) -> Self {
         Self::Argument { what: what.into(), problem: problem.into() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_are_one_line() {
+        let error = Error::input("a\nb.json", "unknown field `x\r\n`", "leave it out");
+        assert_eq!(error.to_string(), "a b.json: unknown field `x  `; leave it out");
+        assert_eq!(Error::argument("a\tb", "is\n0").to_string(), "a b: is 0");
+        let failed = Error::io("c\n", "read", std::io::Error::other("d\ne"));
+        assert_eq!(failed.to_string(), "c : cannot read: d e");
     }
 }

@@ -45,3 +45,4 @@ mod subgroup_widths;
 mod training;
 mod viewer;
 mod vk;
+mod warm_up;

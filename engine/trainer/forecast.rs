@@ -84,6 +84,7 @@ impl Kit {
         all.extend(terms);
         all.extend(strategy.loss_terms(context, settings)?);
         check_depths(&all)?;
+        check_warm_up(settings, &all)?;
         let parameter_gradients = StepRecorder::targets_of(&all).parameters;
         let rows = RowMemory::new(strategy.statistics(), parameter_gradients);
         let recorder = StepRecorder::new(context, all, (settings, strategy.records().sums), rows.absolute())?;
@@ -139,6 +140,19 @@ fn check_depths(terms: &[Box<dyn LossTerm>]) -> Result<()> {
         names.join(", ")
     );
     Err(Error::argument("depth_points", problem))
+}
+
+/// Refuses a warm-up with depths, which are those of the photographs' pixels.
+fn check_warm_up(settings: &TrainSettings, terms: &[Box<dyn LossTerm>]) -> Result<()> {
+    match terms.iter().find(|term| term.targets().inverse_depth) {
+        Some(term) if settings.warm_up > 0 => {
+            let (until, name) = (settings.warm_up, term.name());
+            let problem =
+                format!("is {until}, which does not go together with depths ({name}); leave it at 0");
+            Err(Error::argument("warm_up", problem))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The views' photographs, by the views' indices.

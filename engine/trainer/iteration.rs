@@ -9,6 +9,7 @@ use crate::exposure::LightStep;
 use crate::forward::RenderSettings;
 use crate::optimizer::{Rates, Step, ViewSum};
 use crate::poses::PoseStep;
+use crate::scene::Camera;
 
 /// Progress of a run between two iterations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -44,6 +45,8 @@ impl Progress {
 pub(super) struct IterationPlan {
     pub iteration: u32,
     pub view: usize,
+    /// With which the view is drawn: its own, or one of smaller pictures.
+    pub camera: Camera,
     pub work: Work,
     /// Views whose gradients were added up before.
     pub summed: u32,
@@ -61,9 +64,9 @@ pub(super) struct IterationPlan {
 
 impl IterationPlan {
     /// A plan with the optimiser's step and the statistics, for some view: for a recording that is never executed.
-    pub fn rehearsal(self, view: usize, sums_gradients: bool) -> Self {
+    pub fn rehearsal(self, view: usize, camera: Camera, sums_gradients: bool) -> Self {
         let work = Work { optimizes: true, accumulates: true, sums_gradients, ..self.work };
-        Self { view, work, ..self }
+        Self { view, camera, work, ..self }
     }
 }
 
@@ -92,9 +95,11 @@ impl Schedule {
             true => ViewSum { starts: progress.summed == 0, makes_step: work.optimizes },
             false => ViewSum::ALONE,
         };
+        let view = self.order.view(iteration);
         IterationPlan {
             iteration,
-            view: self.order.view(iteration),
+            view,
+            camera: s.warm_up_camera(iteration, &run.cameras[view]),
             work,
             summed: progress.summed,
             sh_degree: s.sh_degree_at(iteration),

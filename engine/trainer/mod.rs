@@ -33,6 +33,7 @@ pub mod strategy;
 mod terms;
 pub mod verify;
 mod views;
+mod warm_up;
 mod work;
 
 pub use checkpoint::{Checkpoint, ExposureState, LightSums, PoseState, Room};

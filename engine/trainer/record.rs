@@ -358,11 +358,14 @@ impl Trainer {
         if let Some(slot) = self.recording.slots.first() {
             for view in views {
                 let sums: &[bool] = if self.strategy.records().sums { &[false, true] } else { &[false] };
-                for &sums in sums {
+                let camera = self.run.cameras[view];
+                let first = self.run.settings.warm_up_camera(1, &camera);
+                let cameras = if first == camera { vec![camera] } else { vec![first, camera] };
+                for (&sums, &camera) in sums.iter().flat_map(|sums| cameras.iter().map(move |c| (sums, c))) {
                     let mut recorder = self.context.begin("rehearsal")?;
                     self.record_plan(
                         &mut recorder,
-                        &plan.rehearsal(view, sums),
+                        &plan.rehearsal(view, camera, sums),
                         [&slot.state, &slot.losses],
                     )?;
                     recorder.check()?;

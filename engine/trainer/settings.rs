@@ -125,6 +125,9 @@ options! {
         kernel_size: f64 = 0.3, Bounds::Positive;
         /// Widen Gaussians to what the nearest camera resolves (Mip-Splatting's 3D filter)
         filter_3d: bool = false, Bounds::None;
+        /// Draw at a quarter of the photos' width and height up to half of this iteration, at half of them up to it; no side gets fewer
+        /// than 64 pixels (paper, section 7.1: 500)
+        warm_up: u32 = 0, Bounds::None;
         /// Share of the Gaussians that the last step leaves out at random; it rises from 0 at the start (DropGaussian: 0.2)
         dropout: f64 = 0.0, Bounds::Share;
         /// Optimise the poses of the training views with the scene; held-out ones are aligned to it before they are measured

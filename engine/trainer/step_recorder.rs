@@ -10,6 +10,7 @@ use super::poses::Poses;
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
 use super::strategy::{Hooks, StepInputs, Strategy};
+use super::warm_up::WarmUp;
 use super::work::{Actions, Work};
 use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
@@ -36,6 +37,7 @@ pub(super) struct StepRecorder {
     absolute: Option<usize>,
     optimizer: Optimizer,
     poses: bool,
+    warm_up: Option<WarmUp>,
 }
 
 /// The memory of the loss.
@@ -47,6 +49,8 @@ pub(super) struct LossMemory {
     image_gradient: Option<Buffer>,
     /// For terms that read pictures by rows.
     rows: Option<PixelRows>,
+    /// The photograph of a frame that is smaller than it.
+    reduced: Option<Buffer>,
     pub light: LightMemory,
     pub readback: Buffer,
 }
@@ -85,7 +89,7 @@ impl<'a> StepParts<'a> {
     pub fn frame(&self) -> Request<'a> {
         Request {
             scene: &self.model.scene,
-            camera: &self.run.cameras[self.plan.view],
+            camera: &self.plan.camera,
             pose: self.poses.map(|poses| poses.camera(self.plan.view)),
             settings: &self.plan.settings,
             sh_degree: self.plan.sh_degree,
@@ -117,6 +121,7 @@ impl StepRecorder {
         let poses = settings.pose_opt;
         let optimizer = if poses { optimizer.with_moved_cameras() } else { optimizer };
         Ok(Self {
+            warm_up: WarmUp::new(context, settings)?,
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes: LaunchSizes::new(context.limits()),
             light: Light::new(context, settings, sums)?,
@@ -203,6 +208,7 @@ impl StepRecorder {
                 ("photo_rows", 4 * pixels),
             ]);
         }
+        requests.extend(self.warm_up.iter().map(|warm_up| warm_up.request(sizes)));
         requests.extend(self.light.requests(sizes));
         requests
     }
@@ -230,8 +236,9 @@ impl StepRecorder {
                 let rows = if self.targets.rows() { buffers(3) } else { Vec::new() };
                 let rows = <[Buffer; 3]>::try_from(rows).ok();
                 let rows = rows.map(|[picture, gradient, photo]| PixelRows { picture, gradient, photo });
+                let reduced = self.warm_up.as_ref().and_then(|_| device.next());
                 let light = self.light.allocated(context, device)?;
-                Ok(LossMemory { scratch, losses, image_gradient, rows, light, readback })
+                Ok(LossMemory { scratch, losses, image_gradient, rows, reduced, light, readback })
             }
             _ => unreachable!("one buffer per request"),
         }
@@ -309,6 +316,7 @@ impl StepRecorder {
     fn record_loss(&self, r: &mut Recorder, inputs: &FrameInputs, parts: &StepParts, gradient: &Buffer) {
         let StepParts { model, photos, memory, plan, .. } = *parts;
         let (photo, photo_is_masked) = (photos.of(plan.view), photos.is_masked(plan.view));
+        let photo = self.record_warm_up(r, parts).unwrap_or(photo);
         let rows = self.border.as_ref().zip(memory.rows.as_ref());
         if self.targets.inverse_depth {
             r.fill(gradient, 0);
@@ -365,6 +373,20 @@ impl StepRecorder {
                 border.record_gradient(r, inputs.frame, &rows.gradient, gradient, true);
             }
         }
+    }
+
+    /// Records the photograph of a frame that is smaller than it, with a barrier; None if it is not.
+    fn record_warm_up<'a>(&self, r: &mut Recorder, parts: &StepParts<'a>) -> Option<&'a Buffer> {
+        let StepParts { run, photos, memory, plan, .. } = *parts;
+        let camera = &run.cameras[plan.view];
+        let (warm_up, reduced) = self.warm_up.as_ref().zip(memory.reduced.as_ref())?;
+        if plan.camera.width == camera.width {
+            return None;
+        }
+        let (photo, masked) = (photos.of(plan.view), photos.is_masked(plan.view));
+        warm_up.record(r, [camera, &plan.camera], masked, [photo, reduced]);
+        r.barrier();
+        Some(reduced)
     }
 
     fn light_inputs<'a>(&self, frame: &'a FrameInputs<'a>, parts: &StepParts<'a>) -> LightInputs<'a> {

@@ -32,28 +32,34 @@ layout(set = 0, binding = 6, scalar) writeonly buffer BlockSums { uint block_sum
 #include "workgroup_scan.glsl"
 #include "tile_list.glsl"
 
+// Items whose reads are in flight together. Not all of them where an invocation has many: building the pipeline would take longer
+// than a frame.
+const uint AT_ONCE = ITEMS < 8 ? ITEMS : 8;
+
 void main() {
     uint n = state[STATE_VISIBLE];
     uint block = linear_workgroup();
     uint first = block * WORKGROUP_SIZE * ITEMS + gl_LocalInvocationID.x;
-    // All reads come first: they are scattered, and their latencies overlap.
-    uvec2 lists[ITEMS];
-    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
-        uint rank = first + k * WORKGROUP_SIZE;
-        bool exists = rank < n;
-        uvec2 list = UVEC2_AT(tile_lists, exists ? UINT_AT(order, exists ? rank : 0) : 0);
-        lists[k] = exists ? list : uvec2(0);
-    }
     uint sum = 0;
-    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
-        uint rank = first + k * WORKGROUP_SIZE;
-        uint tiles = tiles_met(lists[k]);
-        if (rank < n) {
-            tiles_touched[rank] = tiles;
-            list_heads[rank] = lists[k].x;
-            list_rows[rank] = lists[k].y;
+    for (uint begin = 0; begin < ITEMS; begin += AT_ONCE) {
+        // Reads come first: they are scattered, and their latencies overlap.
+        uvec2 lists[AT_ONCE];
+        [[unroll]] for (uint k = 0; k < AT_ONCE; ++k) {
+            uint rank = first + (begin + k) * WORKGROUP_SIZE;
+            bool exists = rank < n;
+            uvec2 list = UVEC2_AT(tile_lists, exists ? UINT_AT(order, exists ? rank : 0) : 0);
+            lists[k] = exists ? list : uvec2(0);
         }
-        sum += tiles;
+        [[unroll]] for (uint k = 0; k < AT_ONCE; ++k) {
+            uint rank = first + (begin + k) * WORKGROUP_SIZE;
+            uint tiles = tiles_met(lists[k]);
+            if (begin + k < ITEMS && rank < n) {
+                tiles_touched[rank] = tiles;
+                list_heads[rank] = lists[k].x;
+                list_rows[rank] = lists[k].y;
+                sum += tiles;
+            }
+        }
     }
     uint total;
     workgroup_exclusive_add(sum, total);

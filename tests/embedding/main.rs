@@ -29,3 +29,4 @@ mod stage;
 mod table;
 mod training;
 mod updates;
+mod warm_up;

@@ -40,6 +40,7 @@ mod mark_drawn;
 mod max_pool;
 mod multiply_add;
 mod nearest_depths;
+mod photo_reduced;
 mod photo_to_rows;
 mod picture_to_rows;
 mod pose_gradient;

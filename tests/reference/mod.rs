@@ -46,6 +46,7 @@ pub mod mark_drawn;
 pub mod max_pool;
 pub mod multiply_add;
 pub mod nearest_depths;
+pub mod photo_reduced;
 pub mod photo_to_rows;
 pub mod picture_to_rows;
 pub mod pipeline;

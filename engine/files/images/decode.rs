@@ -282,11 +282,7 @@ pub(super) fn claims((width, height): (u32, u32), file_bytes: u64) -> String {
 
 /// The error for a picture that cannot be decoded.
 pub(super) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
-    Error::input(
-        path,
-        format!("cannot be decoded: {}", one_line(problem)),
-        "copy or export the picture again",
-    )
+    Error::input(path, format!("cannot be decoded: {problem}"), "copy or export the picture again")
 }
 
 pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
@@ -329,8 +325,4 @@ fn composite(image: DynamicImage, background: [f32; 3]) -> (Vec<u8>, Option<Vec<
         }
     }
     (rgb, Some(alphas))
-}
-
-fn one_line(e: &dyn std::fmt::Display) -> String {
-    e.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -114,7 +114,7 @@ impl Document {
             (json, None)
         };
         let document: Self = serde_json::from_slice(&json)
-            .map_err(|e| damaged(path, format!("the JSON is not a glTF: {}", one_line(&e.to_string()))))?;
+            .map_err(|e| damaged(path, format!("the JSON is not a glTF: {e}")))?;
         let mut binary =
             binary.map(|(offset, bytes)| Buffer::File { path: path.to_owned(), file, offset, bytes });
         let mut buffers = Vec::new();
@@ -280,8 +280,4 @@ fn unescaped(uri: &str) -> String {
         }
     }
     String::from_utf8_lossy(&bytes).into_owned()
-}
-
-fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -1,0 +1,140 @@
+//! Frames at a quarter and at half of the photographs' size, with which a run may begin (paper, section 7.1).
+
+use super::settings::TrainSettings;
+use crate::error::Result;
+use crate::kernels::pixels::photo_reduced;
+use crate::loss::{Windowing, photo_bytes};
+use crate::plan::{LaunchSizes, Strips, blocks};
+use crate::scene::Camera;
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// The first and the last factor by which width and height are divided.
+const FACTORS: [u32; 2] = [4, 2];
+/// Least width and height of a reduced picture, pixels: four tiles by four.
+const LEAST_SIDE: u32 = 64;
+
+/// The kernels that reduce photographs.
+pub(super) struct WarmUp {
+    sizes: LaunchSizes,
+    /// Without and with a mask.
+    kernels: [Kernel<photo_reduced::Interface>; 2],
+}
+
+/// The camera of pictures with 1 / `factor` of the width and height: their pixels are squares of `factor` pixels. What is left
+/// over at the right and at the bottom is cut off.
+fn reduced(camera: &Camera, factor: u32) -> Camera {
+    let by = factor as f32;
+    Camera {
+        fx: camera.fx / by,
+        fy: camera.fy / by,
+        cx: camera.cx / by,
+        cy: camera.cy / by,
+        width: camera.width / factor,
+        height: camera.height / factor,
+        ..*camera
+    }
+}
+
+impl TrainSettings {
+    /// The camera with which a view is drawn at an iteration (1-based): a quarter of its width and height up to half of
+    /// `warm_up`, half of them up to `warm_up`; less reduced where a side would have fewer than 64 pixels.
+    pub fn warm_up_camera(&self, iteration: u32, camera: &Camera) -> Camera {
+        let wanted = match iteration {
+            _ if iteration > self.warm_up => 1,
+            _ if iteration > self.warm_up / 2 => FACTORS[1],
+            _ => FACTORS[0],
+        };
+        let fits = |&factor: &u32| factor <= wanted && camera.width.min(camera.height) / factor >= LEAST_SIDE;
+        FACTORS.into_iter().find(fits).map_or(*camera, |factor| reduced(camera, factor))
+    }
+}
+
+impl WarmUp {
+    /// None unless the settings have a warm-up.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn new(context: &Context, settings: &TrainSettings) -> Result<Option<Self>> {
+        if settings.warm_up == 0 {
+            return Ok(None);
+        }
+        let sizes = LaunchSizes::new(context.limits());
+        let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
+        let kernel = |masked| Kernel::new(context, &photo_reduced::Spec { workgroup_size, strips, masked });
+        Ok(Some(Self { kernels: [kernel(false)?, kernel(true)?], sizes }))
+    }
+
+    /// Name and bytes of a reduced photograph, for photographs of these sizes (width, height).
+    pub fn request(&self, sizes: &[(u32, u32)]) -> (&'static str, u64) {
+        let windowing = if self.sizes.strips { Windowing::Sweeps } else { Windowing::Blocks };
+        let bytes = |&(width, height): &(u32, u32)| {
+            photo_bytes(windowing, width / FACTORS[1], height / FACTORS[1], true)
+        };
+        ("reduced_photo", sizes.iter().map(bytes).max().unwrap_or(0).max(4))
+    }
+
+    /// Records the photograph of `camera` for pictures of `drawn`, one of [`TrainSettings::warm_up_camera`]. The caller
+    /// places barriers before and after.
+    pub fn record(
+        &self,
+        r: &mut Recorder,
+        [camera, drawn]: [&Camera; 2],
+        masked: bool,
+        [photo, reduced]: [&Buffer; 2],
+    ) {
+        let Camera { width, height, .. } = *drawn;
+        let words = match self.sizes.strips {
+            true => (if masked { 4 } else { 3 }) * Strips { width, height }.values() / 4,
+            false => u64::from(width) * u64::from(height),
+        };
+        let push = photo_reduced::Push {
+            image_width: camera.width,
+            image_height: camera.height,
+            factor: camera.width / width,
+        };
+        let groups = blocks(words, self.sizes.elementwise_workgroup.into());
+        r.dispatch(
+            &self.kernels[usize::from(masked)],
+            &photo_reduced::Bind { photo, reduced },
+            &push,
+            groups,
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Intrinsics;
+    use glam::{Mat3, Vec3};
+
+    #[test]
+    fn pictures_are_a_quarter_then_half_then_whole() {
+        let settings = TrainSettings { warm_up: 500, ..TrainSettings::default() };
+        let of = |width, height| Camera {
+            fx: 300.0,
+            fy: 310.0,
+            cx: 151.0,
+            cy: 99.0,
+            width,
+            height,
+            ..Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, Intrinsics::from_fov_x(1.0, width, height))
+        };
+        let size = |iteration, camera: &Camera| {
+            let drawn = settings.warm_up_camera(iteration, camera);
+            (drawn.width, drawn.height)
+        };
+        let camera = of(303, 259);
+        for (iterations, expected) in
+            [([1, 250], (75, 64)), ([251, 500], (151, 129)), ([501, 9999], (303, 259))]
+        {
+            assert_eq!(iterations.map(|iteration| size(iteration, &camera)), [expected; 2]);
+        }
+        let drawn = settings.warm_up_camera(1, &camera);
+        assert_eq!([drawn.fx, drawn.fy, drawn.cx, drawn.cy], [75.0, 77.5, 37.75, 24.75]);
+        // Small photographs are reduced less, or not at all.
+        assert_eq!([size(1, &of(303, 255)), size(1, &of(400, 127))], [(151, 127), (400, 127)]);
+        let without = TrainSettings::default();
+        assert_eq!(without.warm_up_camera(1, &camera), camera);
+    }
+}

@@ -1,0 +1,91 @@
+// A photograph with 8 bits per channel at 1 / `factor` of its width and height, in the layout in which it is stored: the
+// means of squares of `factor` pixels, weighted with the mask, rounded. Columns and rows beyond the last whole square
+// are left out.
+//
+// invocation: with STRIPS four rows of a column of a plane of the result, otherwise a pixel of it
+// in: photo, with STRIPS planes of bytes in strips (strips.glsl): three, and with MASKED a fourth with the mask; otherwise
+//   r | g << 8 | b << 16 | mask << 24 per pixel, where the mask counts with MASKED
+// out: reduced, the same of the result; padding is 0
+// shared: none; any subgroup size
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 2) const bool STRIPS = false;
+layout(constant_id = 3) const bool MASKED = false;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer Photo { uint photo[]; };
+layout(set = 0, binding = 1, scalar) writeonly buffer Reduced { uint reduced[]; };
+
+// image_width, image_height: of the photograph.
+layout(push_constant, scalar) uniform Push {
+    uint image_width;
+    uint image_height;
+    uint factor;
+};
+
+#include "constants.glsl"
+#include "dispatch.glsl"
+#include "strips.glsl"
+
+uint byte_at(uint plane, uvec2 at) {
+    if (!STRIPS) {
+        return bitfieldExtract(photo[at.y * image_width + at.x], int(8 * plane), 8);
+    }
+    uint value = strip_value(plane, at);
+    return bitfieldExtract(photo[value / 4], int(8 * (value % 4)), 8);
+}
+
+// The mean of the square that begins at `from`.
+uint mean(uint plane, uvec2 from) {
+    uint weighted = 0;
+    uint weight = 0;
+    for (uint y = from.y; y < from.y + factor; ++y) {
+        for (uint x = from.x; x < from.x + factor; ++x) {
+            uint counts = MASKED && plane < 3 ? byte_at(3, uvec2(x, y)) : 1;
+            weighted += counts * byte_at(plane, uvec2(x, y));
+            weight += counts;
+        }
+    }
+    // Where the mask is 0, the colours are.
+    if (MASKED && plane < 3 && 2 * weight < factor * factor) {
+        return 0;
+    }
+    return (weighted + weight / 2) / weight;
+}
+
+void main() {
+    uvec2 size = uvec2(image_width, image_height) / factor;
+    uint index = linear_invocation();
+    uint word = 0;
+    if (!STRIPS) {
+        if (index >= size.x * size.y) {
+            return;
+        }
+        uvec2 from = factor * uvec2(index % size.x, index / size.x);
+        for (uint plane = 0; plane < 4; ++plane) {
+            word |= mean(plane, from) << 8 * plane;
+        }
+        reduced[index] = word;
+        return;
+    }
+    // The result's strips.
+    uint strips = (size.y + STRIP_ROWS - 1) / STRIP_ROWS;
+    uint pitch = (size.x + 1) / 4 * 4 + 2;
+    uint column = index / (STRIP_ROWS / 4);
+    uint strip = column / pitch;
+    uint plane = strip / strips;
+    if (plane >= (MASKED ? 4 : 3)) {
+        return;
+    }
+    uint x = column % pitch;
+    uint first = strip % strips * STRIP_ROWS + index % (STRIP_ROWS / 4) * 4;
+    for (uint row = 0; row < 4; ++row) {
+        if (x < size.x && first + row < size.y) {
+            word |= mean(plane, factor * uvec2(x, first + row)) << 8 * row;
+        }
+    }
+    reduced[index] = word;
+}

@@ -1,0 +1,121 @@
+//! Runs that begin with small pictures.
+
+use ashsplat::trainer::{Checkpoint, StrategyType, Trainer};
+use ashsplat::{TrainSettings, TrainView};
+use ashsplat_files::{Photo, StoredPhoto};
+
+use crate::checkpoints::{check_memory_of, settings as small_settings, start};
+use crate::common::engine::camera;
+use crate::common::gpu::Gpu;
+use crate::common::scenes::{rotation_about_y, small_view};
+use crate::reference::types::View;
+
+const EXTENT: f32 = 5.0;
+const ITERATIONS: u32 = 24;
+const SIZE: [u32; 2] = [267, 259];
+const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
+
+/// A quarter for 6 iterations, half for 6.
+fn settings() -> TrainSettings {
+    TrainSettings { warm_up: 12, iterations: ITERATIONS, ..small_settings() }
+}
+
+/// Three views; the second has a mask.
+fn large() -> Vec<TrainView> {
+    let [width, height] = SIZE;
+    let view = |index: u32| {
+        let turned = View { camera_from_world: rotation_about_y(f64::from(index)), ..small_view(SIZE) };
+        let rgb = (0..width * height * 3).map(|k| (k / 400 * (index + 3)) as u8).collect();
+        let mask = (index == 1).then(|| (0..width * height).map(|k| 255 * u8::from(k % 7 > 0)).collect());
+        TrainView::new(camera(&turned), StoredPhoto::new(Photo { width, height, rgb }, mask))
+    };
+    (0..3).map(view).collect()
+}
+
+fn trainer(gpu: &Gpu, settings: &TrainSettings) -> Trainer {
+    Trainer::new(gpu.context, large(), &start(), EXTENT, settings.clone()).expect("a trainer")
+}
+
+fn end(gpu: &Gpu, settings: &TrainSettings) -> Checkpoint {
+    let mut trainer = trainer(gpu, settings);
+    (0..settings.iterations).for_each(|_| drop(trainer.step().expect("a step")));
+    trainer.checkpoint().expect("the end")
+}
+
+#[test]
+fn warm_up_resumes_to_the_bit() {
+    let gpu = Gpu::new();
+    for settings in [settings(), TrainSettings { strategy: StrategyType::Mcmc, exposure: true, ..settings() }]
+    {
+        let whole = end(&gpu, &settings);
+        assert!(end(&gpu, &settings) == whole, "other bits each time");
+        assert!(end(&gpu, &TrainSettings { warm_up: 0, ..settings.clone() }) != whole, "without effect");
+        for stop in [3, 6, 9, 12] {
+            let mut first = trainer(&gpu, &settings);
+            (0..stop).for_each(|_| drop(first.step().expect("a step")));
+            let checkpoint = first.checkpoint().expect("a checkpoint");
+            let resumed = Trainer::resume(gpu.context, large(), EXTENT, settings.clone(), &checkpoint);
+            let mut trainer = resumed.expect("resumed");
+            (stop..ITERATIONS).for_each(|_| drop(trainer.step().expect("a step")));
+            assert!(trainer.checkpoint().expect("the end") == whole, "interrupted after {stop}: other bits");
+        }
+    }
+}
+
+/// Frames have fewer instances while they are small, and pictures that are asked for keep their size.
+#[test]
+fn warm_up_draws_fewer_tiles_at_first() {
+    let gpu = Gpu::new();
+    let fixed = TrainSettings { strategy: StrategyType::Fixed, ..settings() };
+    let mut trainer = trainer(&gpu, &fixed);
+    let mut instances = |until: u32| -> u64 {
+        let reports = (trainer.iteration()..until).map(|_| trainer.step().expect("a step"));
+        reports.map(|report| u64::from(report.instances)).sum()
+    };
+    let [quarter, half, whole] = [6, 12, 18].map(&mut instances);
+    assert!(quarter < half && half < whole, "{quarter} {half} {whole}");
+    let picture = trainer.render(&large()[0].camera, &trainer.render_settings()).expect("a picture");
+    assert_eq!(picture.color.len(), PIXELS);
+}
+
+/// The first loss is that of a training on small photographs with cameras to match.
+#[test]
+fn warm_up_trains_on_means_of_pixels() {
+    let gpu = Gpu::new();
+    let losses = |views: Vec<TrainView>, settings: TrainSettings| -> Vec<f32> {
+        let trainer = Trainer::new(gpu.context, views, &start(), EXTENT, settings);
+        let mut trainer = trainer.expect("a trainer");
+        (0..6).map(|_| trainer.step().expect("a step").loss).collect()
+    };
+    let unmasked: Vec<TrainView> = large().into_iter().step_by(2).collect();
+    let small = |view: &TrainView| {
+        let drawn = settings().warm_up_camera(1, &view.camera);
+        let photo = view.photo.texels().expect("texels");
+        let at =
+            |x: usize, y: usize, channel: usize| u32::from(photo[4 * (y * SIZE[0] as usize + x) + channel]);
+        let mean = |x: usize, y: usize, channel: usize| {
+            let sum: u32 = (0..16).map(|k| at(4 * x + k % 4, 4 * y + k / 4, channel)).sum();
+            ((sum + 8) / 16) as u8
+        };
+        let (width, height) = (drawn.width as usize, drawn.height as usize);
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let rgb = pixels.flat_map(|(x, y)| [mean(x, y, 0), mean(x, y, 1), mean(x, y, 2)]).collect();
+        TrainView::new(drawn, Photo { width: drawn.width, height: drawn.height, rgb })
+    };
+    let by_hand = unmasked.iter().map(small).collect();
+    assert_eq!(losses(by_hand, TrainSettings { warm_up: 0, ..settings() }), losses(unmasked, settings()));
+}
+
+#[test]
+fn warm_up_is_within_the_memory_and_refuses_depths() {
+    // Views of this trial are too small to be reduced: what it needs is known all the same.
+    check_memory_of(&settings(), &TrainSettings { warm_up: 0, ..settings() });
+    let gpu = Gpu::new();
+    let map = vec![0.5; PIXELS];
+    let mapped = large().into_iter().map(|view| view.with_inverse_depth(Some(map.clone().into()))).collect();
+    let refused = Trainer::new(gpu.context, mapped, &start(), EXTENT, settings()).err().expect("refused");
+    assert!(
+        refused.to_string().starts_with("warm_up: is 12, which does not go together with depths"),
+        "{refused}"
+    );
+}
