@@ -57,7 +57,7 @@ pub enum Error {
         reason: String,
     },
     /// No device matches `--device`.
-    #[error("no Vulkan device matches '{asked}'; there are: {available}")]
+    #[error("no Vulkan device matches '{}'; there are: {}", OneLine(asked), OneLine(available))]
     UnknownDevice {
         /// What was asked for.
         asked: String,
@@ -73,7 +73,7 @@ pub enum Error {
         feature: String,
     },
     /// An object exceeds a limit of the device or a budget.
-    #[error("{what} needs {needed} {unit}, more than {limit} ({limit_name})")]
+    #[error("{} needs {needed} {unit}, more than {limit} ({limit_name})", OneLine(what))]
     TooLarge {
         /// What does not fit.
         what: String,
@@ -129,7 +129,7 @@ struct Remedy<'a>(&'a str);
 
 impl std::fmt::Display for Remedy<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        if self.0.is_empty() { Ok(()) } else { write!(f, "; {}", self.0) }
+        if self.0.is_empty() { Ok(()) } else { write!(f, "; {}", OneLine(self.0)) }
     }
 }
 
@@ -158,6 +158,14 @@ mod tests {
     fn messages_are_one_line() {
         let error = Error::input("a\nb.json", "unknown field `x\r\n`", "leave it out");
         assert_eq!(error.to_string(), "a b.json: unknown field `x  `; leave it out");
+        let large = Error::TooLarge {
+            what: "photo 'a\nb.jpg'".into(),
+            needed: 9,
+            unit: "bytes",
+            limit: 8,
+            limit_name: "--max-memory",
+        };
+        assert!(large.to_string().starts_with("photo 'a b.jpg' needs 9 bytes"), "{large}");
         assert_eq!(Error::argument("a\tb", "is\n0").to_string(), "a b: is 0");
         let failed = Error::io("c\n", "read", std::io::Error::other("d\ne"));
         assert_eq!(failed.to_string(), "c : cannot read: d e");

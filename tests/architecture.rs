@@ -2,6 +2,7 @@
 
 mod circles;
 mod dependencies;
+mod readers;
 mod shaders;
 
 use std::collections::HashMap;

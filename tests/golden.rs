@@ -97,8 +97,9 @@ pub struct SetFile {
 pub fn trials(shared: &Path) -> Vec<Trial> {
     let sets = sets(shared);
     let mut trials = Vec::new();
-    if !shared.join("golden").is_dir() {
-        let reason = format!("no further golden vectors in {}", shared.join("golden").display());
+    let folders = ["golden", "golden/needles", "golden/training"].map(|folder| shared.join(folder));
+    if let Some(absent) = folders.iter().find(|folder| !folder.is_dir()) {
+        let reason = format!("no further golden vectors in {}", absent.display());
         trials.push(absent_data("golden_vectors_absent", reason));
     }
     for set in &sets {

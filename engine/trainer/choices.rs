@@ -53,3 +53,15 @@ pub enum ImportanceType {
     /// Nothing: all have the same chance.
     None,
 }
+
+/// What a training is to be good at: [`TrainSettings::of_preset`](super::TrainSettings::of_preset). Without a preset it is the reference's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Preset {
+    /// Time: fewer Gaussians, small pictures first.
+    Fast,
+    /// Quality, with fewer Gaussians and in no more time than the reference.
+    Default,
+    /// Quality, whatever the time.
+    Quality,
+}

@@ -4,11 +4,13 @@
 use super::random::{self, ViewOrder};
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
+use super::warm_up;
 use super::work::{Actions, Work};
 use crate::exposure::LightStep;
 use crate::forward::RenderSettings;
 use crate::optimizer::{Rates, Step, ViewSum};
 use crate::poses::PoseStep;
+use crate::renderer::State;
 use crate::scene::Camera;
 
 /// Progress of a run between two iterations.
@@ -63,6 +65,11 @@ pub(super) struct IterationPlan {
 }
 
 impl IterationPlan {
+    /// The instances of a frame of the whole picture, as far as the frame that was drawn tells.
+    pub fn whole_instances(&self, run: &Run, drawn: &State) -> u32 {
+        warm_up::whole_instances([&run.cameras[self.view], &self.camera], drawn.instances, drawn.visible)
+    }
+
     /// A plan with the optimiser's step and the statistics, for some view: for a recording that is never executed.
     pub fn rehearsal(self, view: usize, camera: Camera, sums_gradients: bool) -> Self {
         let work = Work { optimizes: true, accumulates: true, sums_gradients, ..self.work };

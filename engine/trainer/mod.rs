@@ -42,7 +42,7 @@ pub use photos::PhotoSize;
 pub use population::{Growth, Population};
 pub use record::{RecordedStep, StepReservation};
 pub use report::{Maintenance, StepOutcome, StepReport};
-pub use settings::{ImportanceType, OptimizerType, SplitType, StrategyType, TrainSettings};
+pub use settings::{ImportanceType, OptimizerType, Preset, SplitType, StrategyType, TrainSettings};
 pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, Reference, quantile};
 pub use strategy::Strategy;
 pub use terms::*;

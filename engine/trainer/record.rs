@@ -219,7 +219,8 @@ impl Trainer {
                     instance_capacity: self.runner.capacity().instances,
                 }
             } else {
-                self.state.done(first.after, state.instances);
+                let whole = first.plan.whole_instances(&self.run, &state);
+                self.state.done(first.after, whole);
                 let losses = self.recorder.read_losses(&slot.losses)?;
                 StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, &losses, &state))
             });
@@ -359,7 +360,8 @@ impl Trainer {
             for view in views {
                 let sums: &[bool] = if self.strategy.records().sums { &[false, true] } else { &[false] };
                 let camera = self.run.cameras[view];
-                let first = self.run.settings.warm_up_camera(1, &camera);
+                // Of the reduced sizes one stands for all: they have the same buffers.
+                let first = self.run.settings.warm_up_camera(2, &camera);
                 let cameras = if first == camera { vec![camera] } else { vec![first, camera] };
                 for (&sums, &camera) in sums.iter().flat_map(|sums| cameras.iter().map(move |c| (sums, c))) {
                     let mut recorder = self.context.begin("rehearsal")?;

@@ -4,7 +4,7 @@
 //! line, the TOML file, the checkpoint and the C API follow from the declaration, through
 //! [`TrainSettings::OPTIONS`] or serde.
 
-pub use super::choices::{ImportanceType, OptimizerType, SplitType, StrategyType};
+pub use super::choices::{ImportanceType, OptimizerType, Preset, SplitType, StrategyType};
 
 use super::options::{Bounds, OptionValue, TrainOption, options};
 use crate::scene::Gaussians;
@@ -51,9 +51,11 @@ options! {
         scale_reg: f64 = 0.0, Bounds::NotNegative;
         /// Density control: the reference's, none, 3DGS-MCMC's, or budgeted growth; the last two set other defaults
         strategy: StrategyType = StrategyType::Reference, Bounds::None;
-        /// Most Gaussians that the strategies mcmc and budget grow to; budget with 0: ten times those of the start, times the
+        /// Most Gaussians that the strategies mcmc and budget grow to; budget with 0: cap_ratio times those of the start, times the
         /// cube root of iterations / 30000, rounded down (budget: 0)
         cap_max: u32 = 1_000_000, Bounds::None;
+        /// Most Gaussians of the strategy budget without cap_max, for each of the start
+        cap_ratio: f64 = 10.0, Bounds::Positive;
         /// Rate of mcmc's noise on the means, times their learning rate
         noise_lr: f64 = 5e5, Bounds::NotNegative;
         /// Opacity of the first Gaussians (mcmc: 0.5)
@@ -125,8 +127,8 @@ options! {
         kernel_size: f64 = 0.3, Bounds::Positive;
         /// Widen Gaussians to what the nearest camera resolves (Mip-Splatting's 3D filter)
         filter_3d: bool = false, Bounds::None;
-        /// Draw at a quarter of the photos' width and height up to half of this iteration, at half of them up to it; no side gets fewer
-        /// than 64 pixels (paper, section 7.1: 500)
+        /// Draw at a quarter of the photos' width and height up to half of this iteration, at half of them up to it, never scaled; no
+        /// side gets fewer than 64 pixels (paper, section 7.1: 500)
         warm_up: u32 = 0, Bounds::None;
         /// Share of the Gaussians that the last step leaves out at random; it rises from 0 at the start (DropGaussian: 0.2)
         dropout: f64 = 0.0, Bounds::Share;
@@ -182,6 +184,17 @@ impl TrainSettings {
         }
     }
 
+    /// The defaults of a preset, by measurement (tools/strategies.md). All have the strategy budget; they differ in the number of
+    /// Gaussians, and in the warm-up.
+    pub fn of_preset(preset: Preset) -> Self {
+        let usual = Self::of_strategy(StrategyType::Budget);
+        match preset {
+            Preset::Fast => Self { cap_ratio: 6.0, warm_up: 500, ..usual },
+            Preset::Default => usual,
+            Preset::Quality => Self { cap_ratio: 20.0, ..usual },
+        }
+    }
+
     /// With fewer photographs to train on than this, `ashsplat train` takes [`TrainSettings::of_few_photos`].
     pub const FEW_PHOTOS: usize = 12;
 
@@ -233,6 +246,18 @@ impl TrainSettings {
         if self.dropout > MOST_DROPOUT {
             let problem = format!("is {}, must be at most {MOST_DROPOUT}", self.dropout);
             return Err(Error::argument("dropout", problem));
+        }
+        if self.warm_up > 0 && self.warm_up >= self.iterations {
+            let problem = format!(
+                "is {}, must be less than the {} iterations: no whole photo would be seen; take 0 for no warm-up",
+                self.warm_up, self.iterations
+            );
+            return Err(Error::argument("warm_up", problem));
+        }
+        if self.warm_up > 0 && self.depth_points > 0.0 {
+            let problem =
+                format!("is {}, which does not go together with depth_points; take 0", self.warm_up);
+            return Err(Error::argument("warm_up", problem));
         }
         match self.initial_opacity > 0.0 && self.initial_opacity < 1.0 {
             true => Ok(()),

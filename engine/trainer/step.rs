@@ -80,7 +80,7 @@ impl Trainer {
             }
             ran => ran.map_err(Failed::error)?,
         };
-        self.state.done(progress.after(&plan), ran.state.instances);
+        self.state.done(progress.after(&plan), plan.whole_instances(&self.run, &ran.state));
         let losses = self.recorder.read_losses(&self.losses.readback)?;
         Ok(StepReport {
             milliseconds: start.elapsed().as_secs_f64() * 1e3,

@@ -37,16 +37,26 @@ fn reduced(camera: &Camera, factor: u32) -> Camera {
 
 impl TrainSettings {
     /// The camera with which a view is drawn at an iteration (1-based): a quarter of its width and height up to half of
-    /// `warm_up`, half of them up to `warm_up`; less reduced where a side would have fewer than 64 pixels.
+    /// `warm_up`, half of them up to all of it; less reduced where a side would have fewer than 64 pixels. The first iteration
+    /// is whole: it shows what memory that takes.
     pub fn warm_up_camera(&self, iteration: u32, camera: &Camera) -> Camera {
         let wanted = match iteration {
-            _ if iteration > self.warm_up => 1,
+            _ if iteration > self.warm_up || iteration <= 1 => 1,
             _ if iteration > self.warm_up / 2 => FACTORS[1],
             _ => FACTORS[0],
         };
         let fits = |&factor: &u32| factor <= wanted && camera.width.min(camera.height) / factor >= LEAST_SIDE;
         FACTORS.into_iter().find(fits).map_or(*camera, |factor| reduced(camera, factor))
     }
+}
+
+/// What a frame of `drawn` with these instances and visible Gaussians would have at the size of `camera`: an estimate, for square
+/// footprints that are all as large.
+pub(super) fn whole_instances([camera, drawn]: [&Camera; 2], instances: u32, visible: u32) -> u32 {
+    let factor = f64::from(camera.width / drawn.width);
+    let tiles = f64::from(instances) / f64::from(visible.max(1));
+    let side = 1.0 + factor * (tiles.max(1.0).sqrt() - 1.0);
+    (f64::from(visible) * side * side).max(f64::from(instances)).min(f64::from(u32::MAX)) as u32
 }
 
 impl WarmUp {
@@ -126,15 +136,29 @@ mod tests {
         };
         let camera = of(303, 259);
         for (iterations, expected) in
-            [([1, 250], (75, 64)), ([251, 500], (151, 129)), ([501, 9999], (303, 259))]
+            [([2, 250], (75, 64)), ([251, 500], (151, 129)), ([501, 9999], (303, 259))]
         {
             assert_eq!(iterations.map(|iteration| size(iteration, &camera)), [expected; 2]);
         }
-        let drawn = settings.warm_up_camera(1, &camera);
+        let drawn = settings.warm_up_camera(2, &camera);
         assert_eq!([drawn.fx, drawn.fy, drawn.cx, drawn.cy], [75.0, 77.5, 37.75, 24.75]);
         // Small photographs are reduced less, or not at all.
-        assert_eq!([size(1, &of(303, 255)), size(1, &of(400, 127))], [(151, 127), (400, 127)]);
+        assert_eq!([size(2, &of(303, 255)), size(2, &of(400, 127))], [(151, 127), (400, 127)]);
+        assert_eq!(size(1, &camera), (303, 259));
         let without = TrainSettings::default();
-        assert_eq!(without.warm_up_camera(1, &camera), camera);
+        assert_eq!(without.warm_up_camera(2, &camera), camera);
+    }
+
+    #[test]
+    fn whole_pictures_have_more_instances() {
+        let camera =
+            |width| Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, Intrinsics::from_fov_x(1.0, width, width));
+        let (whole, quarter) = (camera(400), camera(100));
+        // One tile each; two by two, which become five by five; whole already.
+        let estimates = [(70, 70), (400, 100), (0, 0)]
+            .map(|(n, visible)| whole_instances([&whole, &quarter], n, visible));
+        assert_eq!(estimates, [70, 2500, 0]);
+        assert_eq!(whole_instances([&whole, &whole], 123, 70), 123);
+        assert_eq!(whole_instances([&whole, &quarter], u32::MAX, 1), u32::MAX);
     }
 }

@@ -1,6 +1,5 @@
 // A photograph with 8 bits per channel at 1 / `factor` of its width and height, in the layout in which it is stored: the
-// means of squares of `factor` pixels, weighted with the mask, rounded. Columns and rows beyond the last whole square
-// are left out.
+// means of squares of `factor` pixels, rounded. Columns and rows beyond the last whole square are left out.
 //
 // invocation: with STRIPS four rows of a column of a plane of the result, otherwise a pixel of it
 // in: photo, with STRIPS planes of bytes in strips (strips.glsl): three, and with MASKED a fourth with the mask; otherwise
@@ -38,22 +37,20 @@ uint byte_at(uint plane, uvec2 at) {
     return bitfieldExtract(photo[value / 4], int(8 * (value % 4)), 8);
 }
 
-// The mean of the square that begins at `from`.
+// The mean of the square that begins at `from`. With MASKED a square counts if all of its pixels do: 255 in plane 3, or else 0 in
+// all planes.
 uint mean(uint plane, uvec2 from) {
-    uint weighted = 0;
-    uint weight = 0;
+    uint sum = 0;
+    bool counts = true;
     for (uint y = from.y; y < from.y + factor; ++y) {
         for (uint x = from.x; x < from.x + factor; ++x) {
-            uint counts = MASKED && plane < 3 ? byte_at(3, uvec2(x, y)) : 1;
-            weighted += counts * byte_at(plane, uvec2(x, y));
-            weight += counts;
+            sum += byte_at(plane, uvec2(x, y));
+            counts = counts && (!MASKED || byte_at(3, uvec2(x, y)) != 0);
         }
     }
-    // Where the mask is 0, the colours are.
-    if (MASKED && plane < 3 && 2 * weight < factor * factor) {
-        return 0;
-    }
-    return (weighted + weight / 2) / weight;
+    uint squares = factor * factor;
+    uint rounded = MASKED && plane == 3 ? 255 : (sum + squares / 2) / squares;
+    return counts ? rounded : 0;
 }
 
 void main() {

@@ -7,7 +7,7 @@ use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud};
 use glam::Vec3;
 use serde_json::{Value, json};
 
-use super::assert_linear;
+use super::{assert_linear, on_a_small_stack};
 use crate::colmap::{self, ColmapCamera, ColmapImage, Model};
 use crate::splats::{self, ReadOptions, WriteOptions};
 use crate::{cameras_json, cost, ply};
@@ -61,9 +61,13 @@ fn chains_of_nodes() {
             (1..=size).map(|next| json!({ "children": [next] })).chain([json!({})]).collect();
         glb(&folder.join("a.glb"), &json!({ "nodes": nodes }));
     };
-    assert_linear(15_000, write, |folder| {
+    let refused = |folder: &Path| {
         assert!(read(&folder.join("a.glb")).unwrap_err().contains("has no Gaussians"));
-    });
+    };
+    assert_linear(15_000, write, refused);
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 60_000);
+    on_a_small_stack(move || refused(folder.path()));
 }
 
 #[test]

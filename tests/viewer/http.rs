@@ -89,7 +89,16 @@ fn viewer_refuses_foreign_pages() {
     let server = Server::view(&write_ball(folder.path(), 50), &[]);
     assert_eq!(server.get("/", &[("Host", "rebound.example:80")]).0, 403);
     // Of a foreign page, whatever it asks for: photos cost memory, and need no script to be asked for.
-    for path in ["/", "/main.js", "/photo/0", "/thumbnail/0", "/film/film_001.gif", "/nothing"] {
+    for path in [
+        "/",
+        "/main.js",
+        "/photo/0",
+        "/thumbnail/0",
+        "/film/film_001.gif",
+        "/count",
+        "/export/scene.ply",
+        "/nothing",
+    ] {
         for foreign in [
             ("Sec-Fetch-Site", "cross-site"),
             ("Sec-Fetch-Site", "same-site"),

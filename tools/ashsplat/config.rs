@@ -6,7 +6,7 @@ mod train_overrides;
 pub use few_photos::FewPhotos;
 pub use train_overrides::{TrainOverrides, strategies};
 
-use ashsplat::trainer::{StrategyType, TrainSettings};
+use ashsplat::trainer::{Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use clap::Args;
 use serde::{Deserialize, Serialize};
@@ -30,6 +30,10 @@ pub struct Overrides {
     /// Folder for everything that the run writes
     #[arg(short, long, value_name = "OUT")]
     model_path: Option<PathBuf>,
+    /// Defaults for a purpose, with the strategy budget: fast (fewer Gaussians, small pictures first), default, quality (more
+    /// Gaussians). What is given otherwise wins; without a preset they are the reference's
+    #[arg(long, value_parser = ["fast", "default", "quality"], value_name = "NAME")]
+    preset: Option<String>,
     /// Folder of the photos within the data set [default: images]
     #[arg(short, long, value_name = "NAME")]
     images: Option<String>,
@@ -147,6 +151,12 @@ impl Settings {
             None => Table::new(),
         };
         let given = Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
+        // What the file says would win over a preset, which is a set of defaults.
+        let chosen = ["strategy", "cap_ratio", "warm_up"].into_iter().find(|&key| table.contains_key(key));
+        if let (Some(path), Some(key), true) = (file, chosen, given.contains_key("preset")) {
+            let problem = format!("sets {key}, which --preset would set");
+            return Err(Error::input(path, problem, "leave out one of them, or --preset"));
+        }
         table.extend(given);
         let settings = Settings::with_defaults(defaults, table)
             .map_err(|problem| Error::argument("settings", problem))?;
@@ -182,21 +192,32 @@ impl Settings {
 
     fn with_defaults(
         defaults: impl Fn(StrategyType) -> TrainSettings,
-        table: Table,
+        mut table: Table,
     ) -> Result<Settings, String> {
+        let message = |e: toml::de::Error| e.message().to_owned();
+        let preset = table.remove("preset").map(Preset::deserialize).transpose().map_err(message)?;
         let data_keys = Table::try_from(DataSettings::default()).map_err(|e| e.to_string())?;
         let (data, train): (Table, Table) =
             table.into_iter().partition(|(key, _)| data_keys.contains_key(key));
         // What is not given has the default of the strategy.
         let strategy = train.get("strategy").cloned().map(StrategyType::deserialize).transpose();
-        let strategy = strategy.map_err(|e: toml::de::Error| e.message().to_owned())?.unwrap_or_default();
-        let mut all = Table::try_from(defaults(strategy)).map_err(|e| e.to_string())?;
+        let strategy = strategy.map_err(message)?;
+        let usual = match preset.map(TrainSettings::of_preset) {
+            Some(preset) if strategy.is_some_and(|strategy| strategy != preset.strategy) => {
+                return Err(
+                    "a preset has the strategy budget: leave out the preset, or another strategy".into()
+                );
+            }
+            Some(preset) => preset,
+            None => defaults(strategy.unwrap_or_default()),
+        };
+        let mut all = Table::try_from(usual).map_err(|e| e.to_string())?;
         all.extend(train);
-        let data: DataSettings = data.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?;
+        let data: DataSettings = data.try_into().map_err(message)?;
         if data.train_test_exp {
             all.insert("exposure".into(), true.into());
         }
-        Ok(Settings { data, train: all.try_into().map_err(|e: toml::de::Error| e.message().to_owned())? })
+        Ok(Settings { data, train: all.try_into().map_err(message)? })
     }
 
     /// The dump that `--config` reads back.
@@ -281,6 +302,43 @@ mod tests {
     use ashsplat::trainer::options::OptionKind;
     use clap::{Command, FromArgMatches};
     use toml::Value;
+
+    #[test]
+    fn a_preset_sets_defaults_and_no_more() {
+        let resolved = |given: &str| {
+            let overrides: Table = given.parse().expect("TOML");
+            Settings::from_table(overrides)
+        };
+        for (name, preset) in
+            [("fast", Preset::Fast), ("default", Preset::Default), ("quality", Preset::Quality)]
+        {
+            let settings = resolved(&format!("preset = '{name}'")).expect("settings");
+            assert_eq!(settings.train, TrainSettings::of_preset(preset));
+            // The dump has all of it, and no preset.
+            let dump = settings.to_toml().expect("a dump");
+            assert_eq!(resolved(&dump).expect("settings"), settings);
+        }
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("a.toml");
+        std::fs::write(&file, "iterations = 900\n").expect("written");
+        let fast = Overrides { preset: Some("fast".into()), ..Overrides::default() };
+        let both = Settings::resolve(Some(&file), &fast).expect("settings").train;
+        assert_eq!(both, TrainSettings { iterations: 900, ..TrainSettings::of_preset(Preset::Fast) });
+        std::fs::write(&file, "strategy = 'budget'\n").expect("written");
+        let refused = Settings::resolve(Some(&file), &fast).expect_err("the file has chosen").to_string();
+        assert!(refused.contains("a.toml: sets strategy"), "{refused}");
+        let given =
+            resolved("preset = 'fast'\nstrategy = 'budget'\ncap_ratio = 3.0").expect("settings").train;
+        assert_eq!(given, TrainSettings { cap_ratio: 3.0, ..TrainSettings::of_preset(Preset::Fast) });
+        let refused = resolved("preset = 'fast'\nstrategy = 'mcmc'").expect_err("contradictory");
+        assert!(refused.contains("leave out the preset"), "{refused}");
+        assert!(resolved("preset = 'good'").expect_err("unknown").contains("good"));
+        assert!(
+            [Preset::Fast, Preset::Default, Preset::Quality]
+                .into_iter()
+                .all(|preset| TrainSettings::of_preset(preset).check().is_ok())
+        );
+    }
 
     #[test]
     fn dump_reads_back() {

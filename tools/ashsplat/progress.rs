@@ -78,7 +78,8 @@ impl TrainProgress {
             first,
             iterations,
             last: Instant::now(),
-            time_left: TimeLeft::new(first, iterations, |iteration| settings.densifies_at(iteration)),
+            time_left: TimeLeft::new(first, iterations, |iteration| settings.densifies_at(iteration))
+                .with_small_pictures(settings.warm_up),
             foretold: None,
             window: (Instant::now(), first),
             iterations_per_second: 0.0,

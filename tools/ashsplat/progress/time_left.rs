@@ -41,6 +41,8 @@ pub struct TimeLeft {
     present: Vec<(f64, f64)>,
     fit: Fit,
     seen_bins: u32,
+    /// Up to half of this iteration, and up to it, pictures are smaller than later.
+    small_until: u32,
 }
 
 /// Weighted sums for cost = a + b · Gaussians.
@@ -93,7 +95,13 @@ impl TimeLeft {
             present: Vec::new(),
             fit: Fit::default(),
             seen_bins: 0,
+            small_until: 0,
         }
+    }
+
+    /// With a warm-up: what is left cannot be told from smaller pictures.
+    pub fn with_small_pictures(self, small_until: u32) -> TimeLeft {
+        TimeLeft { small_until, ..self }
     }
 
     /// Notes an iteration that took so long and ended with so many Gaussians. True when the forecast has changed.
@@ -104,6 +112,12 @@ impl TimeLeft {
             self.gains.push(if self.gaussians > 0.0 { now - self.gaussians } else { 0.0 });
         }
         self.gaussians = now;
+        // From here on iterations cost more.
+        if self.small_until > 0 && [self.small_until / 2, self.small_until].contains(&iteration) {
+            (self.present, self.fit) = (Vec::new(), Fit::default());
+            self.bin.clear();
+            return true;
+        }
         self.bin.push(seconds);
         if self.bin.len() < self.size {
             return false;
@@ -141,7 +155,8 @@ impl TimeLeft {
             n = (n + gain(next)).max(0.0);
         }
         seconds += f64::from(self.iterations.saturating_sub(at)) * of(n);
-        let at_least = self.gains.len() < 2 && !self.densifications.is_empty();
+        let at_least =
+            iteration < self.small_until || (self.gains.len() < 2 && !self.densifications.is_empty());
         Some(Left { seconds, at_least })
     }
 
@@ -269,5 +284,28 @@ mod tests {
             left.step(iteration, 1000 + 10 * (iteration - 500), 0.01);
         }
         assert!(!left.after(700).expect("known").at_least);
+    }
+
+    /// What small pictures cost says nothing of whole ones.
+    #[test]
+    fn small_pictures_foretell_no_more_than_a_lower_bound() {
+        let mut left = TimeLeft::new(0, 1000, |_| false).with_small_pictures(400);
+        let mut foretold = Vec::new();
+        for iteration in 1..=500 {
+            let seconds = if iteration <= 200 {
+                0.01
+            } else if iteration <= 400 {
+                0.02
+            } else {
+                0.05
+            };
+            left.step(iteration, 1000, seconds);
+            if [150, 200, 350, 400].contains(&iteration) {
+                foretold.push(left.after(iteration).map(|left| left.at_least));
+            }
+        }
+        assert_eq!(foretold, [Some(true), None, Some(true), None]);
+        let Left { seconds, at_least } = left.after(500).expect("known");
+        assert!((seconds - 25.0).abs() < 1e-9 && !at_least, "{seconds}");
     }
 }

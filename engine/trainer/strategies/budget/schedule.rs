@@ -2,8 +2,6 @@
 
 use crate::trainer::settings::TrainSettings;
 
-/// Gaussians of a run of 30,000 iterations without [`TrainSettings::cap_max`], for each of the start.
-const MOST_PER_START: f64 = 10.0;
 /// Improved-GS ends its growth at 14,500 of the 15,000 iterations with densification.
 const CURVE_SHARE: f64 = 14_500.0 / 15_000.0;
 /// From these iterations of 30,000 on, so many views share a step.
@@ -30,7 +28,7 @@ impl<'a> GrowthSchedule<'a> {
         let cap = match settings.cap_max {
             0 => {
                 let share = f64::from(settings.iterations) / 30_000.0;
-                let cap = f64::from(start) * MOST_PER_START * share.cbrt();
+                let cap = f64::from(start) * settings.cap_ratio * share.cbrt();
                 (cap.min(f64::from(u32::MAX)) as u32).max(start)
             }
             cap => cap,
@@ -182,6 +180,8 @@ mod tests {
             GrowthSchedule::of(&settings, start).budget(1)
         };
         assert_eq!([cap(30_000, 100), cap(240_000, 100), cap(3750, 100)], [1000, 2000, 500]);
+        let fewer = TrainSettings { cap_max: 0, cap_ratio: 3.5, growth_curve: false, ..settings(30_000) };
+        assert_eq!(GrowthSchedule::of(&fewer, 100).budget(1), 350);
         assert_eq!([cap(1, 100), cap(30_000, u32::MAX), cap(30_000, 0)], [100, u32::MAX, 0]);
     }
 
