@@ -60,7 +60,7 @@ pub enum ImportanceType {
 pub enum Preset {
     /// Time: fewer Gaussians, small pictures first.
     Fast,
-    /// Quality, with fewer Gaussians and in no more time than the reference.
+    /// Quality, with fewer Gaussians than the reference and in about its time.
     Default,
     /// Quality, whatever the time.
     Quality,
