@@ -63,6 +63,37 @@ pub fn end_of_run(start: &Gaussians, settings: &TrainSettings, iterations: u32, 
     trainer.checkpoint().expect("the end")
 }
 
+/// The end of a run with these views.
+pub fn end_with(views: Vec<TrainView>, settings: &TrainSettings) -> Checkpoint {
+    let gpu = Gpu::new();
+    let trainer = Trainer::new(gpu.context, views, &start(), EXTENT, settings.clone());
+    let mut trainer = trainer.expect("a trainer");
+    (0..settings.iterations).for_each(|_| drop(trainer.step().expect("a step")));
+    trainer.checkpoint().expect("the end")
+}
+
+/// Whether a run with these views has the same bits each time, also if it is interrupted once. Returns its end.
+pub fn check_resumed_with(
+    views: impl Fn() -> Vec<TrainView>,
+    settings: &TrainSettings,
+    stops: &[u32],
+) -> Checkpoint {
+    let gpu = Gpu::new();
+    let whole = end_with(views(), settings);
+    assert!(end_with(views(), settings) == whole, "other bits each time");
+    for &stop in stops {
+        let first = Trainer::new(gpu.context, views(), &start(), EXTENT, settings.clone());
+        let mut first = first.expect("a trainer");
+        (0..stop).for_each(|_| drop(first.step().expect("a step")));
+        let checkpoint = first.checkpoint().expect("a checkpoint");
+        let resumed = Trainer::resume(gpu.context, views(), EXTENT, settings.clone(), &checkpoint);
+        let mut trainer = resumed.expect("resumed");
+        (stop..settings.iterations).for_each(|_| drop(trainer.step().expect("a step")));
+        assert!(trainer.checkpoint().expect("the end") == whole, "interrupted after {stop}: other bits");
+    }
+    whole
+}
+
 /// With too little memory a run of 3000 Gaussians grows as far as it can, goes on, and still has the same bits each time.
 pub fn check_growth_in_bounded_memory(settings: &TrainSettings) {
     let many = gaussians(&small_scene(&mut Random::new(31), 3000, 9));

@@ -1,11 +1,11 @@
 //! What training offers where there are few photographs: Gaussians left out at random, and the depths of sparse points.
 
 use ashsplat::loss::DepthPoint;
-use ashsplat::trainer::{Checkpoint, StrategyType, Trainer};
+use ashsplat::trainer::{StrategyType, Trainer};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{TrainSettings, TrainView};
 
-use crate::checkpoints::{settings as small_settings, start, views};
+use crate::checkpoints::{check_resumed_with, end_with, settings as small_settings, start, views};
 use crate::common::gpu::Gpu;
 use crate::common::options;
 
@@ -36,27 +36,11 @@ fn trainer(gpu: &Gpu, settings: &TrainSettings) -> Trainer {
     Trainer::new(gpu.context, few(), &start(), EXTENT, settings.clone()).expect("a trainer")
 }
 
-fn end(gpu: &Gpu, settings: &TrainSettings) -> Checkpoint {
-    let mut trainer = trainer(gpu, settings);
-    (0..settings.iterations).for_each(|_| drop(trainer.step().expect("a step")));
-    trainer.checkpoint().expect("the end")
-}
-
 #[test]
 fn few_photos_resume_to_the_bit() {
     let gpu = Gpu::new();
     for settings in [settings(), TrainSettings { strategy: StrategyType::Mcmc, ..settings() }] {
-        let whole = end(&gpu, &settings);
-        assert!(end(&gpu, &settings) == whole, "other bits each time");
-        for stop in [1, 15, 27] {
-            let mut first = trainer(&gpu, &settings);
-            (0..stop).for_each(|_| drop(first.step().expect("a step")));
-            let checkpoint = first.checkpoint().expect("a checkpoint");
-            let resumed = Trainer::resume(gpu.context, few(), EXTENT, settings.clone(), &checkpoint);
-            let mut trainer = resumed.expect("resumed");
-            (stop..ITERATIONS).for_each(|_| drop(trainer.step().expect("a step")));
-            assert!(trainer.checkpoint().expect("the end") == whole, "interrupted after {stop}: other bits");
-        }
+        check_resumed_with(few, &settings, &[1, 15, 27]);
         // Other points are other views.
         let mut other = few();
         other[0].depth_points = other[2].depth_points.clone();
@@ -71,13 +55,13 @@ fn few_photos_resume_to_the_bit() {
 fn few_photos_settings_have_an_effect_each() {
     let gpu = Gpu::new();
     let off = TrainSettings { dropout: 0.0, depth_points: 0.0, ..settings() };
-    let plain = end(&gpu, &off);
+    let plain = end_with(few(), &off);
     let mut without =
         Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, off.clone()).expect("a trainer");
     (0..ITERATIONS).for_each(|_| drop(without.step().expect("a step")));
     assert!(without.checkpoint().expect("the end").gaussians == plain.gaussians);
-    let dropped = end(&gpu, &TrainSettings { dropout: 0.3, ..off.clone() });
-    let deep = end(&gpu, &TrainSettings { depth_points: 0.2, ..off });
+    let dropped = end_with(few(), &TrainSettings { dropout: 0.3, ..off.clone() });
+    let deep = end_with(few(), &TrainSettings { depth_points: 0.2, ..off });
     assert!(dropped.gaussians != plain.gaussians && deep.gaussians != plain.gaussians);
     assert!(dropped.gaussians != deep.gaussians);
     // Another seed leaves out others, even where nothing else is random.

@@ -1,10 +1,10 @@
 //! Runs that begin with small pictures.
 
-use ashsplat::trainer::{Checkpoint, StrategyType, Trainer};
+use ashsplat::trainer::{StrategyType, Trainer};
 use ashsplat::{TrainSettings, TrainView};
 use ashsplat_files::{Photo, StoredPhoto};
 
-use crate::checkpoints::{check_memory_of, settings as small_settings, start};
+use crate::checkpoints::{check_memory_of, check_resumed_with, end_with, settings as small_settings, start};
 use crate::common::engine::camera;
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{rotation_about_y, small_view};
@@ -36,30 +36,16 @@ fn trainer(gpu: &Gpu, settings: &TrainSettings) -> Trainer {
     Trainer::new(gpu.context, large(), &start(), EXTENT, settings.clone()).expect("a trainer")
 }
 
-fn end(gpu: &Gpu, settings: &TrainSettings) -> Checkpoint {
-    let mut trainer = trainer(gpu, settings);
-    (0..settings.iterations).for_each(|_| drop(trainer.step().expect("a step")));
-    trainer.checkpoint().expect("the end")
-}
-
 #[test]
 fn warm_up_resumes_to_the_bit() {
-    let gpu = Gpu::new();
     let others = TrainSettings { strategy: StrategyType::Mcmc, exposure: true, ..settings() };
     let moved = TrainSettings { pose_opt: true, pose_lr: 1e-3, lens_effects: true, ..settings() };
     for settings in [settings(), others, moved] {
-        let whole = end(&gpu, &settings);
-        assert!(end(&gpu, &settings) == whole, "other bits each time");
-        assert!(end(&gpu, &TrainSettings { warm_up: 0, ..settings.clone() }) != whole, "without effect");
-        for stop in [3, 6, 9, 12] {
-            let mut first = trainer(&gpu, &settings);
-            (0..stop).for_each(|_| drop(first.step().expect("a step")));
-            let checkpoint = first.checkpoint().expect("a checkpoint");
-            let resumed = Trainer::resume(gpu.context, large(), EXTENT, settings.clone(), &checkpoint);
-            let mut trainer = resumed.expect("resumed");
-            (stop..ITERATIONS).for_each(|_| drop(trainer.step().expect("a step")));
-            assert!(trainer.checkpoint().expect("the end") == whole, "interrupted after {stop}: other bits");
-        }
+        let whole = check_resumed_with(large, &settings, &[3, 6, 9, 12]);
+        assert!(
+            end_with(large(), &TrainSettings { warm_up: 0, ..settings.clone() }) != whole,
+            "without effect"
+        );
     }
 }
 
