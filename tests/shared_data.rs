@@ -1,9 +1,11 @@
-//! Data-driven tests: one named trial for each set of golden vectors, each malformed file, each real data set, each program of other people (those of npm only where `ASHSPLAT_NPM` is set).
+//! Data-driven tests: one named trial for each set of golden vectors, each malformed file, each real data set, each program of other people (those of npm only where `ASHSPLAT_NPM` is set); and what needs a control group.
 //!
 //! The data lie in `$ASHSPLAT_SHARED`, by default `../shared` beside the repository, but for a small part of the golden vectors in
 //! tests/golden/sets. Without them, one ignored trial per kind says so; with `ASHSPLAT_REQUIRE_SHARED=1` it fails.
 
 mod common;
+#[cfg(target_os = "linux")]
+mod control_groups;
 mod ecosystem;
 mod golden;
 mod golden_host;
@@ -24,6 +26,8 @@ fn main() -> ExitCode {
     trials.extend(malformed::trials(&shared));
     trials.extend(real_data::trials(&shared));
     trials.extend(programs::trials());
+    #[cfg(target_os = "linux")]
+    trials.extend(control_groups::trials());
     trials.extend(ecosystem::trials());
     libtest_mimic::run(&arguments, trials).exit_code()
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::{atomic, host_memory};
+use super::{atomic, cost, host_memory};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::{Error, Result};
 
@@ -99,6 +99,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Vec<NamedCamera>> {
         )
     })?;
     let check = |entry: &Entry| {
+        cost::step();
         let camera = entry.camera();
         if let Some(problem) = camera.problem() {
             return Err(Error::input(

@@ -1,9 +1,35 @@
 //! Counts the steps of readers, for the tests of how their cost grows. Does nothing in other builds.
 
-/// One step: a node, a name, a look at a folder.
+use std::io::{self, Read, Seek, SeekFrom};
+
+/// One step: a node, a name, a row, a look at a folder.
 pub(crate) fn step() {
+    steps(1);
+}
+
+/// So many steps: the bytes or values that something goes through.
+pub(crate) fn steps(count: usize) {
     #[cfg(test)]
-    counter::STEPS.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+    counter::STEPS.fetch_add(count as u64, std::sync::atomic::Ordering::Relaxed);
+    #[cfg(not(test))]
+    let _ = count;
+}
+
+/// What is read through it, a step for each byte.
+pub(crate) struct Counted<R>(pub(crate) R);
+
+impl<R: Read> Read for Counted<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let read = self.0.read(bytes)?;
+        steps(read);
+        Ok(read)
+    }
+}
+
+impl<R: Seek> Seek for Counted<R> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.0.seek(to)
+    }
 }
 
 #[cfg(test)]

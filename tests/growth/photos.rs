@@ -1,12 +1,13 @@
 //! Photographs: decoded by rows where they can be, and found when they are cut short.
 
+use std::io::Write;
 use std::path::Path;
 
 use image::{DynamicImage, RgbImage};
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 
 use super::memory::peak_mib;
-use super::turn;
+use super::{assert_linear, turn};
 use crate::HostMemory;
 use crate::images::{Photo, PhotoFileFormat, Request, read_as};
 
@@ -97,12 +98,105 @@ fn jpeg(width: u16, height: u16, kind: &str) -> Vec<u8> {
 
 fn is_read(path: &Path, bytes: &[u8]) -> bool {
     std::fs::write(path, bytes).unwrap();
+    is_whole(path)
+}
+
+fn is_whole(path: &Path) -> bool {
     let read = Photo::read(path, [0.0; 3]).map_err(|error| error.to_string());
     assert!(
         read.as_ref().is_ok_and(|photo| !photo.rgb.is_empty())
             || read.unwrap_err().contains("cannot be decoded")
     );
     Photo::read(path, [0.0; 3]).is_ok()
+}
+
+/// Whole and scaled down, of every form; their width and height grow in turn.
+#[test]
+fn photos_of_every_form() {
+    for kind in ["png", "plain", "4:2:0", "own tables", "restarts", "grey", "passes"] {
+        for scaled in [None, Some((40, 30))] {
+            let write = |folder: &Path, size: usize| {
+                let (width, height) = (2 * size as u32, 100);
+                let path = folder.join("a");
+                if kind == "png" {
+                    let rgb = (0..3 * width * height).map(noise).collect();
+                    return Photo { width, height, rgb }.write_png(path).unwrap();
+                }
+                std::fs::write(path, jpeg(width as u16, height as u16, kind)).unwrap();
+            };
+            let memory = HostMemory::default();
+            assert_linear(200, write, |folder| {
+                let request = Request { scaled, ..Request::plain([0.0; 3], &memory) };
+                read_as(&folder.join("a"), &request).unwrap();
+            });
+        }
+    }
+}
+
+/// Segments that say nothing, fill bytes, and bytes between segments.
+#[test]
+fn jpegs_of_many_parts() {
+    let comment = [0xff, 0xfe, 0, 3, 7];
+    let parts: [&[u8]; 3] = [&comment, &[0xff], &[7]];
+    for part in parts {
+        let write = |folder: &Path, size: usize| {
+            let whole = jpeg(16, 16, "plain");
+            // Behind the first segment.
+            let (start, rest) = whole.split_at(4 + usize::from(u16::from_be_bytes([whole[4], whole[5]])));
+            std::fs::write(folder.join("a.jpg"), [start, &part.repeat(size), rest].concat()).unwrap();
+        };
+        // Read or refused, as the decoder likes it.
+        assert_linear(20_000, write, |folder| {
+            is_whole(&folder.join("a.jpg"));
+        });
+    }
+}
+
+/// Each pass goes over the whole picture: as many as the file has bytes for would be quadratic.
+#[test]
+fn jpegs_of_many_passes_are_refused() {
+    let _turn = turn();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jpg");
+    let whole = jpeg(64, 64, "passes");
+    let scan = whole.windows(2).rposition(|w| w == [0xff, 0xda]).unwrap();
+    let (before, last) = whole[..whole.len() - 2].split_at(scan);
+    let of = |passes: usize| [before, &last.repeat(passes), &[0xff, 0xd9]].concat();
+    assert!(is_read(&path, &of(2)));
+    assert!(!is_read(&path, &of(200)));
+}
+
+/// Chunks that are passed over, and data of one byte each.
+#[test]
+fn pngs_of_many_chunks() {
+    let chunk = |kind: &[u8; 4], data: &[u8]| {
+        let mut crc = flate2::Crc::new();
+        crc.update(&[kind, data].concat());
+        [&(data.len() as u32).to_be_bytes(), &kind[..], data, &crc.sum().to_be_bytes()].concat()
+    };
+    let header = |width: u32, height: u32| {
+        let size = [width.to_be_bytes(), height.to_be_bytes()].concat();
+        [b"\x89PNG\r\n\x1a\n", &chunk(b"IHDR", &[&size[..], &[8, 0, 0, 0, 0]].concat())[..]].concat()
+    };
+    let packed = |data: &[u8]| {
+        let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::none());
+        encoder.write_all(data).unwrap();
+        encoder.finish().unwrap()
+    };
+    let texts = |size: usize| {
+        let data = chunk(b"IDAT", &packed(&[0; 9 * 8]));
+        [header(8, 8), chunk(b"tEXt", b"a\0b").repeat(size), data, chunk(b"IEND", b"")].concat()
+    };
+    let small = |size: usize| {
+        let rows: Vec<u8> = packed(&vec![0; 9 * size]).iter().flat_map(|&b| chunk(b"IDAT", &[b])).collect();
+        [header(8, size as u32), rows, chunk(b"IEND", b"")].concat()
+    };
+    for png in [&texts as &dyn Fn(usize) -> Vec<u8>, &small] {
+        let write = |folder: &Path, size: usize| std::fs::write(folder.join("a.png"), png(size)).unwrap();
+        assert_linear(2000, write, |folder| {
+            Photo::read(folder.join("a.png"), [0.0; 3]).unwrap();
+        });
+    }
 }
 
 /// An end marker behind half of the data does not make them whole: whoever stops a transfer may write one.

@@ -6,7 +6,7 @@ use std::io::{BufReader, Read};
 use std::path::Path;
 
 use super::types::{CameraModel, ColmapCamera, ColmapImage, Observed};
-use crate::{host_memory, sniff};
+use crate::{cost, host_memory, sniff};
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
 
@@ -183,6 +183,7 @@ impl<'a> BinaryFile<'a> {
     }
 
     fn take<const N: usize>(&mut self) -> Result<[u8; N]> {
+        cost::step();
         let mut bytes = [0; N];
         if self.remaining < N as u64 {
             return Err(self.error("the file ends here"));

@@ -7,6 +7,7 @@ use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
+use crate::cost;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 
 /// Bytes of entropy-coded data that are all ones. No code consists of ones only, so a decoder that gets here where it
@@ -38,6 +39,7 @@ impl Outline {
         let mut outline = Self::default();
         let mut at = 2;
         while let Some(&[first, marker]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
+            cost::step();
             match marker {
                 // Before the data only: in them, a marker may be damage.
                 _ if first != 0xff && outline.scans == 0 => at += 1,
@@ -93,6 +95,7 @@ fn blocks(frame: &[u8]) -> u64 {
 /// End of the entropy-coded data from `at`: the next marker that is neither stuffing nor a restart.
 fn end_of_scan(bytes: &[u8], mut at: usize) -> usize {
     while let Some(&[first, second]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
+        cost::step();
         if first == 0xff && !matches!(second, 0x00 | 0xd0..=0xd7 | 0xff) {
             return at;
         }

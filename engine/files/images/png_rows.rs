@@ -8,7 +8,7 @@ use image::{DynamicImage, ImageBuffer, Luma, LumaA, Pixel, Rgb, Rgba};
 use png::{BitDepth, ColorType, Limits, Transformations};
 
 use super::decode::{Decoded, Header, Request, Rows, cannot_hold, check_size, claims, damaged};
-use crate::HostMemory;
+use crate::{HostMemory, cost};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
@@ -33,9 +33,9 @@ pub(super) fn check_palette(path: &Path, file: &File, memory: &HostMemory) -> Re
     }
 }
 
-fn reader<R: Read + Seek>(file: R, memory: &HostMemory) -> png::Decoder<BufReader<R>> {
+fn reader<R: Read + Seek>(file: R, memory: &HostMemory) -> png::Decoder<BufReader<cost::Counted<R>>> {
     let limits = Limits { bytes: usize::try_from(memory.limit()).unwrap_or(usize::MAX) };
-    let reader = BufReader::with_capacity(BUFFER_BYTES, file);
+    let reader = BufReader::with_capacity(BUFFER_BYTES, cost::Counted(file));
     let mut decoder = png::Decoder::new_with_limits(reader, limits);
     // The depth stays: 16 bits are rounded here, not cut.
     decoder.set_transformations(Transformations::EXPAND);
@@ -71,6 +71,7 @@ pub(super) fn read(path: &Path, file: File, request: &Request<'_>) -> Result<Opt
     let lease = request.memory.take(path, own.saturating_add(request.besides))?;
     let mut rows = Rows::new(path, request, size, has_alpha)?;
     while let Some(row) = reader.next_row().map_err(|e| damaged(&e))? {
+        cost::steps(row.data().len());
         let row = as_image(row.data(), color, depth, size.0);
         rows.push(row.ok_or_else(|| damaged(&"its colours are of a kind that is not read"))?);
     }

@@ -5,6 +5,8 @@
 
 use std::collections::VecDeque;
 
+use crate::cost;
+
 /// Pixels on each side that the kernel covers, in units of the larger of both pixels.
 const SUPPORT: f32 = 2.0;
 
@@ -97,6 +99,7 @@ impl RowScaler {
         }
         for Open { taps, sums } in &mut self.open {
             if let Some(weight) = self.rows.checked_sub(taps.first).and_then(|tap| taps.weights.get(tap)) {
+                cost::steps(row.len());
                 sums.iter_mut().zip(row).for_each(|(sum, &value)| *sum += f32::from(value) * weight);
             }
         }
@@ -105,6 +108,7 @@ impl RowScaler {
             let Some(done) = self.open.pop_front() else { break };
             let pixels = done.sums.as_chunks::<3>().0;
             for taps in &self.columns {
+                cost::steps(taps.weights.len());
                 let mut sum = [0.0f32; 3];
                 for (pixel, weight) in pixels[taps.first..taps.end()].iter().zip(&taps.weights) {
                     sum.iter_mut().zip(pixel).for_each(|(sum, value)| *sum += value * weight);

@@ -5,6 +5,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use super::header::{self, Element, Encoding, Header, Kind, Scalar, shortened};
+use crate::cost;
 use ashsplat::{Error, Result};
 
 const BUFFER_BYTES: usize = 1 << 20;
@@ -162,6 +163,7 @@ impl<'a> PlyFile<'a> {
             self.reader.read_exact(bytes).map_err(|source| Error::io(self.path, "read", source))?;
             self.remaining = self.remaining.saturating_sub(bytes.len() as u64);
             for bytes in bytes.chunks_exact(row_bytes) {
+                cost::step();
                 row(index, bytes)?;
                 index += 1;
             }
@@ -188,6 +190,7 @@ impl<'a> PlyFile<'a> {
         }
         // All of them, not only the ones that are asked for: a word among the numbers means damage.
         for (word, property) in words.iter().zip(&element.properties) {
+            cost::step();
             if word.parse::<f32>().is_err() {
                 let (word, name) = (shortened(word), &property.name);
                 return Err(self.error(format!("{}: '{word}' for {name} is not a number", place(self.line))));
@@ -207,6 +210,7 @@ impl<'a> PlyFile<'a> {
     /// The next line that is not blank.
     fn ascii_line(&mut self, element: &Element, index: u64, text: &mut Vec<u8>) -> Result<()> {
         loop {
+            cost::step();
             text.clear();
             let read = self.reader.read_until(b'\n', text);
             let read = read.map_err(|source| Error::io(self.path, "read", source))?;
@@ -240,6 +244,7 @@ impl<'a> PlyFile<'a> {
 
     fn skip_binary_row_with_lists(&mut self, element: &Element, encoding: Encoding) -> Result<()> {
         for property in &element.properties {
+            cost::step();
             match property.kind {
                 Kind::Scalar(scalar) => self.skip(element, scalar.bytes() as u64)?,
                 Kind::List { count, item } => {

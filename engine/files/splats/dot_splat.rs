@@ -8,7 +8,7 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source};
-use crate::atomic;
+use crate::{atomic, cost};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
 use ashsplat::{Error, Result};
@@ -72,6 +72,7 @@ impl Source for DotSplat {
 }
 
 fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
+    cost::step();
     let float = |at: usize| f32::from_le_bytes([row[at], row[at + 1], row[at + 2], row[at + 3]]);
     block.means.push([float(0), float(4), float(8)]);
     // What underflowed to 0 is a very small size; the logarithm of a negative one is NaN, and so unusable.

@@ -8,6 +8,7 @@ use flate2::bufread::GzDecoder;
 
 use super::spz_pack::{MIRRORED, PLANES, Packing};
 use super::{BLOCK, Format, Header, Sink, Source};
+use crate::cost;
 use ashsplat::{Error, Result};
 
 /// "NGSP" as a little-endian number.
@@ -266,6 +267,7 @@ impl SpzFile {
         let skipped = io::copy(&mut stream.take(bytes), &mut io::sink());
         let skipped =
             skipped.map_err(|e| self.damaged(format!("{what}: the compressed data are damaged: {e}")))?;
+        cost::steps(skipped as usize);
         if skipped == bytes {
             return Ok(());
         }

@@ -3,6 +3,7 @@
 //! Format: Niantic's description (github.com/nianticlabs/spz). Axes are right, up, back: y and z are opposite
 //! to those of this crate.
 
+use crate::cost;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 
@@ -45,6 +46,7 @@ impl Packing {
         let unit = (-(self.fractional_bits as f32)).exp2();
         let mut block = Gaussians::with_capacity(sh_degree, rows.len());
         for index in rows {
+            cost::step();
             let mean = row(0, index);
             block.means.push(std::array::from_fn(|axis| fixed_24(&mean[3 * axis..]) as f32 * unit));
             let opacity = (f32::from(row(1, index)[0]) / 255.0).clamp(1.0 / 255.0, 254.0 / 255.0);

@@ -22,6 +22,8 @@ use clap::Args;
 use curves::Curves;
 use doors::Doors;
 use serde_json::json;
+use std::fmt::Display;
+use std::panic::{self, AssertUnwindSafe};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -284,16 +286,19 @@ impl Run {
     }
 
     /// Shows an iteration to the viewers and handles their requests. `stop` is set when they request the end. What fails
-    /// ends the viewer and not the training: if the device is lost, the next iteration says so.
+    /// ends the viewer and not the training, a panic too: if the device is lost, the next iteration says so.
     pub(super) fn show(&mut self, report: &StepReport, stop: &AtomicBool, watch: &mut Stopwatch) {
         let Some(mut live) = self.live.take() else { return };
-        match self.show_to(&mut live, report, stop, watch) {
-            Ok(()) => self.live = Some(live),
-            Err(error) => self.warn_of_end(&error),
+        let shown = panic::catch_unwind(AssertUnwindSafe(|| self.show_to(&mut live, report, stop, watch)));
+        match shown {
+            Ok(Ok(())) => self.live = Some(live),
+            Ok(Err(error)) => self.warn_of_end(&error),
+            // It has told where. What is left of the picture goes with the viewer.
+            Err(_) => self.warn_of_end(&"a panic, told above"),
         }
     }
 
-    fn warn_of_end(&self, error: &Error) {
+    fn warn_of_end(&self, error: &dyn Display) {
         self.progress.warn(&format!("warning: the viewer has ended: {error}"));
     }
 
@@ -346,8 +351,11 @@ impl Run {
     /// Tells them that it is over; they stay until the run goes.
     pub(super) fn end_show(&mut self, stop: &AtomicBool) {
         let Some(live) = &mut self.live else { return };
-        if let Err(error) = live.end(&mut self.trainer, stop) {
-            self.warn_of_end(&error);
+        let trainer = &mut self.trainer;
+        match panic::catch_unwind(AssertUnwindSafe(|| live.end(trainer, stop))) {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => self.warn_of_end(&error),
+            Err(_) => self.warn_of_end(&"a panic, told above"),
         }
     }
 }

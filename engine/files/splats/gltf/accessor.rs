@@ -7,6 +7,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use super::document::Document;
+use crate::cost;
 use ashsplat::{Error, Result};
 
 /// Largest stride that glTF has, bytes.
@@ -172,6 +173,7 @@ impl Accessor {
         let mut data = vec![0; bytes as usize];
         buffers.0[self.buffer].read(self.offset + rows.start as u64 * self.stride, &mut data)?;
         for row in data.chunks(self.stride as usize) {
+            cost::step();
             values.extend(row.chunks_exact(size).take(self.components).map(|bytes| self.decode(bytes)));
         }
         Ok(values)

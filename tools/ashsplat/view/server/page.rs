@@ -43,9 +43,22 @@ pub async fn socket(
     })
 }
 
+/// A page that is there. It leaves with the value, also when a panic ends its conversation.
+struct Visit {
+    hub: Arc<Hub>,
+    client: u64,
+}
+
+impl Drop for Visit {
+    fn drop(&mut self) {
+        self.hub.leave(self.client);
+    }
+}
+
 /// One page, from its coming to its going.
 async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
     let Some((client, outbox)) = hub.join() else { return };
+    let _visit = Visit { hub: hub.clone(), client };
     let mut clock = tokio::time::interval(PING);
     let mut heard = Instant::now();
     let mut pace = Pace::new();
@@ -91,7 +104,6 @@ async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
             break;
         }
     }
-    hub.leave(client);
 }
 
 /// Does what a page says, or notes it for the thread that renders.

@@ -7,6 +7,8 @@ use crate::view::protocol::{CameraMessage, Look, ViewRequest};
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::vk::{ContextOptions, Fault, Faults};
 use glam::Vec3;
+use std::net::TcpStream;
+use tungstenite::{Message, WebSocket};
 
 fn any_port() -> Doors {
     let arguments = LiveArguments {
@@ -20,6 +22,76 @@ fn any_port() -> Doors {
     arguments.open().expect("a port").expect("an open one")
 }
 
+/// A run that is looked at, its model in this folder.
+fn looked_at(context: &Context, model: &Path) -> Run {
+    let mut settings = Settings::default();
+    settings.data.model_path = model.to_owned();
+    let mut run = Run::prepare(context, dataset(1.0), settings, true).expect("a run");
+    run.look_on(Some(any_port()), context, None).expect("a viewer");
+    run
+}
+
+/// What a page wants to see.
+fn view() -> ViewRequest {
+    let lens = Intrinsics::from_fov_x(0.8, 16, 16);
+    let camera = CameraMessage::of(&Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, lens));
+    ViewRequest { seq: 1, camera, look: Look::default(), follow: false, as_photo: None }
+}
+
+/// A page, connected.
+fn page(run: &Run) -> WebSocket<TcpStream> {
+    let live = run.live.as_ref().expect("a viewer");
+    let address = live._server.as_ref().expect("a server").address;
+    let stream = TcpStream::connect(address).expect("a connection");
+    stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a time-out");
+    let (mut page, _) = tungstenite::client(format!("ws://{address}/socket"), stream).expect("a page");
+    assert!(page.read().expect("a greeting").is_text());
+    page
+}
+
+fn train_and_save(run: &mut Run) {
+    let (stop, mut watch) = (AtomicBool::new(false), Stopwatch::start());
+    let report = run.trainer.step().expect("a step");
+    run.show(&report, &stop, &mut watch);
+    run.save(report.iteration, "").expect("saved");
+    run.write_checkpoint().expect("saved");
+    assert!(!stop.load(Ordering::Relaxed));
+}
+
+/// A panic on the server's threads ends the page that it is about; one of what draws, or the server's end, the viewer.
+#[test]
+fn panics_and_ends_of_the_viewer_are_its_own() {
+    let context = Context::new(&ContextOptions::default()).expect("a device");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut run = looked_at(&context, folder.path());
+    let hub = run.live.as_ref().expect("a viewer").hub.clone();
+    hub.set_status(|since| if since == 7 { panic!("wanted by the test") } else { "fine".to_owned() });
+    let (mut first, mut other) = (page(&run), page(&run));
+    let ask = |since: u32| Message::text(json!({ "type": "status", "since": since }).to_string());
+    first.send(ask(7)).expect("sent");
+    while first.read().is_ok() {}
+    other.send(ask(0)).expect("sent");
+    while other.read().expect("an answer").to_text().is_ok_and(|text| text != "fine") {}
+    let begin = Instant::now();
+    while hub.pages() > 1 {
+        assert!(begin.elapsed() < Duration::from_secs(60), "the page that is gone is still counted");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    train_and_save(&mut run);
+    assert!(run.live.is_some());
+    // Its thread ends.
+    run.live.as_mut().expect("a viewer")._server = None;
+    train_and_save(&mut run);
+    // A panic on the thread that trains, in what serves the viewers.
+    // No share at all has no end of debt.
+    run.live.as_mut().expect("a viewer").allowance = Allowance::new(0.0);
+    let (page, _outbox) = hub.join().expect("room");
+    hub.set_view(page, view());
+    train_and_save(&mut run);
+    assert!(run.live.is_none());
+    train_and_save(&mut run);
+}
+
 /// The device fails with a picture for a page: that is the viewer's end, and not the training's.
 #[test]
 fn a_viewer_that_fails_ends_alone() {
@@ -28,22 +100,15 @@ fn a_viewer_that_fails_ends_alone() {
     let options = ContextOptions { faults: Some(faults.clone()), timeout: limit, ..Default::default() };
     let context = Context::new(&options).expect("a device");
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut settings = Settings::default();
-    settings.data.model_path = folder.path().to_owned();
-    let mut run = Run::prepare(&context, dataset(1.0), settings, true).expect("a run");
-    run.look_on(Some(any_port()), &context, None).expect("a viewer");
+    let mut run = looked_at(&context, folder.path());
     let (stop, mut watch) = (AtomicBool::new(false), Stopwatch::start());
-    let lens = Intrinsics::from_fov_x(0.8, 16, 16);
-    let camera = Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, lens);
-    let camera = CameraMessage::of(&camera);
     let hub = run.live.as_ref().expect("a viewer").hub.clone();
     let (page, _outbox) = hub.join().expect("room");
     // After too little memory the viewer goes on, after a picture that is not over in time it does not.
     for (fault, ends) in [(Fault::Object, false), (Fault::WaitMemory, false), (Fault::Timeout, true)] {
         let report = run.trainer.step().expect("a step");
         hub.acknowledge(page);
-        let look = Look::default();
-        hub.set_view(page, ViewRequest { seq: 1, camera, look, follow: false, as_photo: None });
+        hub.set_view(page, view());
         run.live.as_mut().expect("a viewer").allowance = Allowance::new(0.2);
         let before = faults.injected();
         faults.arm(fault, 0);
