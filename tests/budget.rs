@@ -252,6 +252,45 @@ fn budget_prunes_what_does_not_recover() {
     }
 }
 
+/// What is faint late in a run is pruned, and nothing else; resumed, to the bit.
+#[test]
+fn budget_prunes_what_is_faint_late() {
+    let gpu = Gpu::new();
+    let settings = TrainSettings {
+        iterations: 600,
+        densify_from_iter: 29_000,
+        densify_until_iter: 29_000,
+        scale_schedule: true,
+        recovery: false,
+        late_min_opacity: 0.1,
+        ..settings()
+    };
+    let mut whole = trainer(gpu.context, &settings);
+    let (mut pruned, mut left_off) = (0, None);
+    for iteration in 1..=430 {
+        let due = [321, 361, 421].contains(&iteration);
+        let before = due.then(|| whole.gaussians().expect("Gaussians"));
+        if iteration == 361 {
+            left_off = Some(whole.checkpoint().expect("a checkpoint"));
+        }
+        let report = whole.step().expect("a step");
+        assert_eq!(report.densified.is_some(), due, "{iteration}");
+        let (Some(densified), Some(before)) = (report.densified, before) else { continue };
+        // The change comes before the step of the next iteration, from the Gaussians that the last one left.
+        let faint = |logit: f32| 1.0 / (1.0 + f64::from(-logit).exp()) < 0.1;
+        let kept = before.opacity_logits.iter().filter(|&&logit| !faint(logit)).count();
+        assert_eq!((densified.before as usize, densified.kept as usize), (before.len(), kept));
+        pruned += before.len() - kept;
+    }
+    let end = whole.gaussians().expect("Gaussians");
+    assert!(pruned > 0 && !end.is_empty(), "{pruned}");
+    let left_off = left_off.expect("a checkpoint");
+    let mut resumed =
+        Trainer::resume(gpu.context, views(4, 9), EXTENT, settings, &left_off).expect("resumed");
+    (361..=430).for_each(|_| drop(resumed.step().expect("a step")));
+    assert!(resumed.gaussians().expect("Gaussians") == end, "other bits");
+}
+
 /// With too little memory it grows as far as it can, goes on, and still has the same bits each time.
 #[test]
 fn budget_grows_as_far_as_the_memory_allows() {
@@ -283,8 +322,12 @@ fn budget_refuses_what_contradicts_itself() {
         ("recovery", StrategyType::Reference),
         ("recovery", StrategyType::Mcmc),
         ("recovery", StrategyType::Fixed),
+        ("late_min_opacity", StrategyType::Reference),
+        ("late_min_opacity", StrategyType::Mcmc),
     ] {
-        let message = refused(TrainSettings { recovery: true, strategy, ..usual.clone() });
+        let late_min_opacity = if name == "late_min_opacity" { 0.1 } else { 0.0 };
+        let recovery = name == "recovery";
+        let message = refused(TrainSettings { recovery, late_min_opacity, strategy, ..usual.clone() });
         assert!(message.contains(name) && message.contains("budget"), "{message}");
     }
     let message =

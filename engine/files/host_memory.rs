@@ -244,6 +244,8 @@ mod tests {
         let lease = memory.take(path, 60).expect("fits");
         let other = memory.clone();
         let thread = std::thread::spawn(move || other.take(Path::new("b.png"), 50).map(drop));
+        std::thread::sleep(std::time::Duration::from_millis(100));
+        assert!(!thread.is_finished(), "it has more than the bound");
         drop(lease);
         thread.join().expect("ends").expect("fits");
         let all = HostMemory::new(u64::MAX).take(path, u64::MAX >> 1).expect_err("more than there is");

@@ -117,6 +117,8 @@ impl FrameRunner {
                 Ok(())
             })?;
             let state = self.store.state()?;
+            // Growing frees its buffers before it allocates larger ones.
+            drop(frame);
             let grown = self.store.grow(&state, &self.forward.sizes);
             if !grown.map_err(|error| Failed::TooLittleRoom(Box::new((state, error))))? {
                 return Ok(Ran { state, report, retries });

@@ -63,6 +63,7 @@ use model::{Model, RowMemory, State};
 use photos::Photos;
 use poses::Poses;
 use run::Run;
+use std::panic::{self, AssertUnwindSafe};
 use step_recorder::{LossMemory, StepRecorder};
 
 /// The parts of training that can be exchanged. The photometric term of the loss always comes first.
@@ -326,8 +327,13 @@ impl Trainer {
         let Self { runner, pictures, state, .. } = self;
         let mut apart = |runner: &mut FrameRunner| {
             runner.exchange(pictures);
-            let drawn = draw(runner, &state.model.scene);
+            let drawn = panic::catch_unwind(AssertUnwindSafe(|| draw(runner, &state.model.scene)));
             runner.exchange(pictures);
+            // Who catches the panic may train on, with the buffers of training.
+            let drawn = drawn.unwrap_or_else(|panic| {
+                pictures.forget();
+                panic::resume_unwind(panic)
+            });
             if drawn.is_err() {
                 pictures.forget();
             } else if self.context.memory_limit().is_some() {

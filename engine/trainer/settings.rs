@@ -67,7 +67,7 @@ options! {
         /// Iterations between opacity resets
         opacity_reset_interval: u32 = 3000, Bounds::AtLeast(1);
         /// Count what concerns the whole run in shares of 30,000 iterations: position_lr_max_steps, densify_from_iter,
-        /// densify_until_iter and the groups of multi_step are multiplied by iterations / 30000 (budget: true)
+        /// densify_until_iter, the groups of multi_step and late prunings are multiplied by iterations / 30000 (budget: true)
         scale_schedule: bool = false, Bounds::None;
         /// Larger learning rates in runs of fewer than 30,000 iterations: position_lr_init times 30000 / iterations, at most
         /// 10; those of scales, opacities and colours times its root, at most 2 (budget: true)
@@ -115,6 +115,9 @@ options! {
         depth_l1_weight_final: f64 = 0.01, Bounds::Positive;
         /// Gaussians of a smaller opacity are pruned at a densification
         min_opacity: f64 = 0.005, Bounds::Share;
+        /// With strategy budget, Gaussians of a smaller opacity are pruned up to seven times between 8000 and 21000 of 30000
+        /// iterations as well, but not within 300 after the start or an opacity reset; 0 for none (presets: 0.1)
+        late_min_opacity: f64 = 0.0, Bounds::Share;
         /// White background instead of black
         white_background: bool = false, Bounds::None;
         /// A new random background colour in every iteration, so that no Gaussian paints the background
@@ -184,12 +187,12 @@ impl TrainSettings {
         }
     }
 
-    /// The defaults of a preset, by measurement (tools/strategies.md). All have the strategy budget; they differ in the number of
-    /// Gaussians, and in the warm-up.
+    /// The defaults of a preset, by measurement (tools/strategies.md). All have the strategy budget and prune what is faint late;
+    /// they differ in the number of Gaussians, and in the warm-up.
     pub fn of_preset(preset: Preset) -> Self {
-        let usual = Self::of_strategy(StrategyType::Budget);
+        let usual = Self { late_min_opacity: 0.1, ..Self::of_strategy(StrategyType::Budget) };
         match preset {
-            Preset::Fast => Self { cap_ratio: 6.0, warm_up: 500, ..usual },
+            Preset::Fast => Self { cap_ratio: 8.0, warm_up: 500, ..usual },
             Preset::Default => usual,
             Preset::Quality => Self { cap_ratio: 20.0, ..usual },
         }

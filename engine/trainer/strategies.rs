@@ -17,8 +17,16 @@ use crate::error::Result;
 use crate::vk::Context;
 
 /// Options of densification by gradients, which other strategies do not have.
-const NOT_IN_OTHERS: [&str; 7] =
-    ["cap_ratio", "absgrad", "split", "importance", "growth_curve", "recovery", "multi_step"];
+const NOT_IN_OTHERS: [&str; 8] = [
+    "cap_ratio",
+    "absgrad",
+    "split",
+    "importance",
+    "growth_curve",
+    "recovery",
+    "multi_step",
+    "late_min_opacity",
+];
 
 /// The strategy that the settings name.
 ///

@@ -2,31 +2,66 @@
 
 use super::{Source, assert_none, code_lines, has_word, sources};
 
-/// Calls of a function of readers to itself: by its name, or for a method by `self.` or `Self::` and its name.
-fn recursions(source: &Source) -> Vec<String> {
+/// A function of a file.
+struct Function<'a> {
+    name: &'a str,
+    line: usize,
+    is_method: bool,
+    body: Vec<&'a str>,
+}
+
+impl Function<'_> {
+    /// Whether its text calls another one of its file: by its name, or for a method by `self.` or `Self::` and its name.
+    fn calls(&self, other: &Function) -> bool {
+        let call = format!("{}(", other.name);
+        let calls = |line: &&str| {
+            line.match_indices(&call).any(|(at, _)| is_call_within_the_file(&line[..at], other.is_method))
+        };
+        self.body.iter().any(calls)
+    }
+}
+
+fn functions(source: &Source) -> Vec<Function<'_>> {
     let lines: Vec<(usize, &str)> = code_lines(&source.text).collect();
     let mut found = Vec::new();
-    for (start, &(_, line)) in lines.iter().enumerate() {
+    for (start, &(number, line)) in lines.iter().enumerate() {
         let Some(name) = function_name(line) else { continue };
         let indent = &line[..line.len() - line.trim_start().len()];
         let end = format!("{indent}}}");
-        let body: Vec<_> =
-            lines[start + 1..].iter().take_while(|(_, line)| !line.starts_with(&end)).collect();
+        let rest = lines[start + 1..].iter().map(|(_, line)| *line);
+        let body: Vec<_> = rest.take_while(|line| !line.starts_with(&end)).collect();
         // Parameters may stand on lines of their own.
-        let until_body = std::iter::once(line).chain(body.iter().map(|(_, line)| *line));
+        let until_body = std::iter::once(line).chain(body.iter().copied());
         let head = until_body.scan(false, |over, line| {
             let is_head = !*over;
             *over |= line.trim_end().ends_with('{');
             is_head.then_some(line)
         });
         let is_method = head.into_iter().any(|line| has_word(line, "self"));
-        for (number, line) in body {
-            if line.match_indices(&format!("{name}(")).any(|(at, _)| calls_itself(&line[..at], is_method)) {
-                found.push(format!("{}:{number}: {name}", source.path));
-            }
-        }
+        found.push(Function { name, line: number, is_method, body });
     }
     found
+}
+
+/// Functions that call themselves, directly or through others of their file, by a plain name, `self.` or `Self::`. Circles through
+/// several files or through other values are not seen.
+fn recursions(source: &Source) -> Vec<String> {
+    let functions = functions(source);
+    let called = |from: &Function| -> Vec<usize> {
+        (0..functions.len()).filter(|&to| from.calls(&functions[to])).collect()
+    };
+    let calls: Vec<Vec<usize>> = functions.iter().map(called).collect();
+    let recurs = |start: usize| {
+        let (mut seen, mut open) = (vec![false; functions.len()], calls[start].clone());
+        while let Some(next) = open.pop() {
+            if !std::mem::replace(&mut seen[next], true) {
+                open.extend(&calls[next]);
+            }
+        }
+        seen[start]
+    };
+    let place = |of: usize| format!("{}:{}: {}", source.path, functions[of].line, functions[of].name);
+    (0..functions.len()).filter(|&of| recurs(of)).map(place).collect()
 }
 
 /// The name of the function that begins in a line.
@@ -37,8 +72,8 @@ fn function_name(line: &str) -> Option<&str> {
     (end > 0 && !line.trim_end().ends_with(';')).then(|| &rest[..end])
 }
 
-/// Whether a call with this text before it is one to the function itself.
-fn calls_itself(before: &str, is_method: bool) -> bool {
+/// Whether a call with this text before it is one to a function of the same file.
+fn is_call_within_the_file(before: &str, is_method: bool) -> bool {
     let own = ["self.", "Self::"].into_iter().any(|prefix| {
         before
             .strip_suffix(prefix)
@@ -63,6 +98,11 @@ fn architecture_readers_do_not_recurse() {
     assert_eq!(
         example("fn walk() {\n    sleepwalk();\n    legs::walk();\n}\nfn run() {\n    walk();\n}\n"),
         0
+    );
+    // In a circle, two of them.
+    assert_eq!(
+        example("fn walk() {\n    run();\n}\nfn run() {\n    walk();\n}\nfn sit() {\n    run();\n}\n"),
+        2
     );
     let sources = sources(&["engine/files"], &["rs"]);
     assert!(sources.len() > 40, "the readers are in engine/files");

@@ -46,12 +46,30 @@ fn cameras_that_look_from_far_out_keep_their_place() {
     assert_eq!(camera.translation, (-(camera.camera_from_world.as_dmat3() * eye)).as_vec3());
 }
 
+/// Also those of a transforms.json.
+#[test]
+fn frames_far_out_keep_their_place() {
+    let _turn = super::turn();
+    for index in 0..20 {
+        let rotation = DMat3::from_quat(DQuat::from_xyzw(0.3, -0.2, 0.1 * f64::from(index), 0.9).normalize());
+        let place = DVec3::new(61.3, -17.9, 25.0 + 0.37 * f64::from(index));
+        let rows: Vec<_> =
+            (0..3).map(|i| [rotation.row(i).to_array().to_vec(), vec![place[i]]].concat()).collect();
+        let camera = load_posed(&format!("{rows:?}"), "\"k1\": 0.0").unwrap().train[0].camera;
+        let exact = -(camera.camera_from_world.as_dmat3() * place);
+        assert_eq!(camera.translation, exact.as_vec3());
+    }
+}
+
 /// A transforms.json with matrices of 3 rows, and a lens.
 fn load(lens: &str) -> Result<Dataset, String> {
+    load_posed("[[1, 0, 0, 0.5], [0, 1, 0, 2], [0, 0, 1, 4]]", lens)
+}
+
+fn load_posed(matrix: &str, lens: &str) -> Result<Dataset, String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
     Photo { width: 40, height: 20, rgb: vec![7; 2400] }.write_png(path.join("a.png")).unwrap();
-    let matrix = "[[1, 0, 0, 0.5], [0, 1, 0, 2], [0, 0, 1, 4]]";
     let frames = format!("[{{\"file_path\": \"a.png\", \"transform_matrix\": {matrix}}}]");
     let text = format!("{{\"fl_x\": 20, \"w\": 40, \"h\": 20, {lens}, \"frames\": {frames}}}");
     std::fs::write(path.join("transforms.json"), text).unwrap();

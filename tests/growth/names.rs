@@ -122,3 +122,17 @@ fn accents_are_found_in_either_form() {
         assert!(report.is_sound(), "{report}");
     }
 }
+
+/// A folder is listed once, and not for each name that it is searched for.
+#[test]
+fn many_photos_under_another_case() {
+    let paths = |size: usize| (0..size).map(|index| format!("images/img_{index}.png")).collect::<Vec<_>>();
+    let write = |folder: &Path, size: usize| {
+        write(folder, &paths(size), "file_path");
+        let photo = folder.join("images/a.png");
+        for index in 0..size {
+            std::fs::copy(&photo, folder.join(format!("images/IMG_{index}.PNG"))).unwrap();
+        }
+    };
+    assert_linear(100, write, |folder| assert!(inspect(folder).is_sound()));
+}

@@ -91,9 +91,11 @@ fn chains_of_nodes() {
         assert!(read(&folder.join("a.glb")).unwrap_err().contains("has no Gaussians"));
     };
     assert_linear(15_000, write, refused);
-    let folder = tempfile::tempdir().unwrap();
-    write(folder.path(), 60_000);
-    on_a_small_stack(move || refused(folder.path()));
+    on_a_small_stack(move || {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), 60_000);
+        refused(folder.path());
+    });
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
 
 mod few_photos;
+mod file;
 mod train_overrides;
 
 pub use few_photos::FewPhotos;
@@ -147,12 +148,14 @@ impl Settings {
         overrides: &Overrides,
     ) -> Result<Settings> {
         let mut table = match file {
-            Some(path) => read_table(path)?,
+            Some(path) => file::table(path)?,
             None => Table::new(),
         };
         let given = Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
         // What the file says would win over a preset, which is a set of defaults.
-        let chosen = ["strategy", "cap_ratio", "warm_up"].into_iter().find(|&key| table.contains_key(key));
+        let chosen = ["strategy", "cap_ratio", "warm_up", "late_min_opacity"]
+            .into_iter()
+            .find(|&key| table.contains_key(key));
         if let (Some(path), Some(key), true) = (file, chosen, given.contains_key("preset")) {
             let problem = format!("sets {key}, which --preset would set");
             return Err(Error::input(path, problem, "leave out one of them, or --preset"));
@@ -179,9 +182,9 @@ impl Settings {
             return Settings::resolve(Some(&ours), &Overrides::default());
         }
         let reference = folder.join(CFG_ARGS_FILE);
-        match std::fs::read_to_string(&reference) {
-            Ok(text) => Ok(Settings::from_cfg_args(&text)),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Settings::default()),
+        match reference.try_exists() {
+            Ok(true) => Ok(Settings::from_cfg_args(&file::text(&reference)?)),
+            Ok(false) => Ok(Settings::default()),
             Err(e) => Err(Error::io(reference, "read", e)),
         }
     }
@@ -250,15 +253,15 @@ impl Settings {
 
     fn from_cfg_args(text: &str) -> Settings {
         let mut settings = Settings::default();
-        let text_of = |key| cfg_value(text, key).map(|v| v.trim_matches(['\'', '"']).to_owned());
-        let flag_of = |key| cfg_value(text, key) == Some("True");
+        let text_of = |key| file::cfg_value(text, key).map(|v| v.trim_matches(['\'', '"']).to_owned());
+        let flag_of = |key| file::cfg_value(text, key) == Some("True");
         if let Some(source) = text_of("source_path") {
             settings.data.source_path = source.into();
         }
         if let Some(images) = text_of("images") {
             settings.data.images = images;
         }
-        if let Some(resolution) = cfg_value(text, "resolution").and_then(|v| v.parse().ok()) {
+        if let Some(resolution) = file::cfg_value(text, "resolution").and_then(|v| v.parse().ok()) {
             settings.data.resolution = resolution;
         }
         settings.data.eval = flag_of("eval");
@@ -268,24 +271,6 @@ impl Settings {
         settings.train.antialiasing = flag_of("antialiasing");
         settings
     }
-}
-
-/// The text of `key=value` in a Python `Namespace(…)` line; values with commas in them are not understood.
-fn cfg_value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
-    let fields = text.trim().strip_prefix("Namespace(")?.strip_suffix(')')?;
-    fields.split(", ").find_map(|field| field.strip_prefix(key)?.strip_prefix('='))
-}
-
-fn read_table(path: &Path) -> Result<Table> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-    let remedy =
-        "write lines such as `iterations = 7000`, with the names of `ashsplat train --help` and underscores";
-    let table: Table = text.parse().map_err(|e: toml::de::Error| {
-        let line = e.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-        Error::input(path, format!("line {line}: {}", e.message()), remedy)
-    })?;
-    Settings::from_table(table.clone()).map_err(|problem| Error::input(path, problem, remedy))?;
-    Ok(table)
 }
 
 fn absolute(path: &Path) -> PathBuf {

@@ -33,35 +33,42 @@ impl FolderLock {
     pub fn take(folder: &Path, work: &Work) -> Result<Self> {
         let path = folder.join(work.file);
         loop {
-            let mut file = File::options()
+            let file = File::options()
                 .read(true)
                 .write(true)
                 .create(true)
                 .truncate(false)
                 .open(&path)
                 .map_err(|e| Error::io(&path, "open", e))?;
-            match try_lock(&file) {
-                Locked::Yes => {}
-                Locked::Unknown => return Ok(Self { path, held: None }),
-                Locked::No => {
-                    let mut holder = String::new();
-                    // Its name only makes the message better.
-                    file.read_to_string(&mut holder).ok();
-                    let holder = holder.trim();
-                    let by = if holder.is_empty() { String::new() } else { format!(" ({holder})") };
-                    let problem = format!("another {}{by} is writing into this folder", work.what);
-                    let remedy = format!("wait for its end, or choose another {}", work.option);
-                    return Err(Error::input(folder, problem, remedy));
-                }
+            if let Some(lock) = Self::take_open(folder, file, work)? {
+                return Ok(lock);
             }
-            // The last holder may have removed the file between our opening and our locking it.
-            if !is_at(&file, &path) {
-                continue;
-            }
-            let written = file.set_len(0).and_then(|()| write!(file, "process {}", std::process::id()));
-            written.map_err(|e| Error::io(&path, "write", e))?;
-            return Ok(Self { path, held: Some(file) });
         }
+    }
+
+    /// Locks the open file; none where its last holder has removed it since it was opened.
+    fn take_open(folder: &Path, mut file: File, work: &Work) -> Result<Option<Self>> {
+        let path = folder.join(work.file);
+        match try_lock(&file) {
+            Locked::Yes => {}
+            Locked::Unknown => return Ok(Some(Self { path, held: None })),
+            Locked::No => {
+                let mut holder = String::new();
+                // Its name only makes the message better.
+                file.read_to_string(&mut holder).ok();
+                let holder = holder.trim();
+                let by = if holder.is_empty() { String::new() } else { format!(" ({holder})") };
+                let problem = format!("another {}{by} is writing into this folder", work.what);
+                let remedy = format!("wait for its end, or choose another {}", work.option);
+                return Err(Error::input(folder, problem, remedy));
+            }
+        }
+        if !is_at(&file, &path) {
+            return Ok(None);
+        }
+        let written = file.set_len(0).and_then(|()| write!(file, "process {}", std::process::id()));
+        written.map_err(|e| Error::io(&path, "write", e))?;
+        Ok(Some(Self { path, held: Some(file) }))
     }
 }
 
@@ -132,5 +139,20 @@ mod tests {
         fs::write(folder.path().join(WORK.file), "process 1").expect("written");
         drop(FolderLock::take(folder.path(), &WORK).expect("free"));
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0);
+    }
+
+    /// The last holder goes between another's opening of the file and its locking it, and a third comes: that one has it.
+    #[test]
+    fn a_file_that_is_gone_locks_nothing() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let first = FolderLock::take(folder.path(), &WORK).expect("free");
+        let open = || File::options().read(true).write(true).open(folder.path().join(WORK.file));
+        let [early, late] = [open(), open()].map(|file| file.expect("it is there"));
+        drop(first);
+        assert!(FolderLock::take_open(folder.path(), early, &WORK).expect("no holder").is_none());
+        let third = FolderLock::take(folder.path(), &WORK).expect("free");
+        assert!(FolderLock::take_open(folder.path(), late, &WORK).expect("no holder").is_none());
+        assert!(FolderLock::take(folder.path(), &WORK).is_err());
+        drop(third);
     }
 }

@@ -60,7 +60,7 @@ pub fn saved_iterations(folder: &Path) -> Vec<u32> {
 
 /// The iteration noted last, if its point cloud is there; else (in a folder that another program wrote) the highest.
 fn newest_iteration(folder: &Path) -> Option<u32> {
-    let note = std::fs::read_to_string(folder.join(LAST_ITERATION_FILE)).ok();
+    let note = output::read_note(&folder.join(LAST_ITERATION_FILE));
     let noted = note.and_then(|text| text.trim().parse::<u32>().ok());
     let noted = noted.filter(|&iteration| point_cloud_path(folder, iteration).is_file());
     noted.or_else(|| saved_iterations(folder).last().copied())

@@ -6,7 +6,8 @@ use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, LineOrder, SmallVec, WritableImage,
 };
 use serde::Serialize;
-use std::io::{Cursor, ErrorKind, Write};
+use std::fs::File;
+use std::io::{Cursor, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -109,6 +110,14 @@ pub fn in_folder<T>(path: &Path, write: impl FnOnce(&Path) -> Result<T>) -> Resu
 /// Writes a file and the folders above it.
 fn write_whole(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     in_folder(path, |path| atomic::write(path, fill))
+}
+
+/// The text of a note of ours, if there is one. What is no file is not opened: a pipe would be waited for.
+pub fn read_note(path: &Path) -> Option<String> {
+    let mut text = String::new();
+    let file = path.is_file().then(|| File::open(path).ok())??;
+    file.take(64).read_to_string(&mut text).ok()?;
+    Some(text)
 }
 
 /// Removes a file, if it is there.

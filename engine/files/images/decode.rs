@@ -10,7 +10,7 @@ use image::{ColorType, DynamicImage, GrayImage, ImageDecoder, ImageFormat, Image
 use super::scale::RowScaler;
 use super::{Photo, jpeg, png_rows};
 use crate::host_memory::{self, HostMemory, Lease};
-use crate::{cost, sniff};
+use crate::sniff;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
@@ -232,7 +232,6 @@ pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     limits.max_image_height = Some(MAX_IMAGE_SIDE);
     limits.max_alloc = Some(request.memory.limit());
     decoder.set_limits(limits).map_err(|e| damaged(&e))?;
-    cost::steps(decoded as usize);
     let mut image = if png {
         DynamicImage::from_decoder(decoder).map_err(|e| damaged(&e))?
     } else {

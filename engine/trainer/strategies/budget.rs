@@ -24,6 +24,8 @@ use crate::vk::{Buffer, Context, MemoryKind};
 const PRUNE_FAINT: Actions = Actions(1 << 2);
 /// Pruning of the faintest share after a reset.
 const PRUNE_RANKS: Actions = Actions(1 << 3);
+/// Pruning below [`TrainSettings::late_min_opacity`].
+const PRUNE_LATE: Actions = Actions(1 << 4);
 /// Opacity below which [`PRUNE_FAINT`] removes.
 const FAINT: f64 = 0.02;
 /// Share of the Gaussians that [`PRUNE_RANKS`] removes.
@@ -32,7 +34,7 @@ const FAINTEST_SHARE: f64 = 0.2;
 const RECOVERABLE_OPACITY: f64 = 0.05;
 
 /// Budgeted growth to [`TrainSettings::cap_max`]. Each part has a switch: [`TrainSettings::absgrad`], `split`,
-/// `importance`, `growth_curve`, `recovery`, `multi_step`.
+/// `importance`, `growth_curve`, `recovery`, `multi_step`, `late_min_opacity`.
 pub struct Budget {
     kernels: Densify,
     selection: Selection,
@@ -96,7 +98,8 @@ impl Strategy for Budget {
             .when(densifies)
             .and(Actions::RESET_OPACITY.when(resets))
             .and(PRUNE_FAINT.when(schedule.prunes_faint_at(iteration)))
-            .and(PRUNE_RANKS.when(schedule.prunes_ranks_at(iteration)));
+            .and(PRUNE_RANKS.when(schedule.prunes_ranks_at(iteration)))
+            .and(PRUNE_LATE.when(schedule.prunes_late_at(iteration)));
         Work {
             accumulates: settings.collects_statistics_at(iteration),
             // The step precedes densification: the set that is split is the one that the step made.
@@ -121,6 +124,10 @@ impl Strategy for Budget {
             Actions::DENSIFY => self.densify(population, start)?,
             PRUNE_FAINT => self.prune_below(population, |_| FAINT)?,
             PRUNE_RANKS => self.prune_below(population, |opacities| quantile(opacities, FAINTEST_SHARE))?,
+            PRUNE_LATE => {
+                let least = population.settings().late_min_opacity;
+                self.prune_below(population, |_| least)?
+            }
             _ => {
                 let recovery = population.settings().recovery;
                 let most = if recovery { RECOVERABLE_OPACITY } else { crate::densify::RESET_OPACITY };

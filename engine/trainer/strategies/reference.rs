@@ -50,7 +50,10 @@ impl Strategy for Reference {
     }
 
     fn check(&self, settings: &TrainSettings, _: u32) -> Result<()> {
-        settings.refuse(self.name(), &["cap_ratio", "importance", "growth_curve", "recovery", "multi_step"])
+        settings.refuse(
+            self.name(),
+            &["cap_ratio", "importance", "growth_curve", "recovery", "multi_step", "late_min_opacity"],
+        )
     }
 
     fn work(&self, settings: &TrainSettings, iteration: u32) -> Work {

@@ -183,7 +183,7 @@ pub fn forget_newest(folder: &Path) -> Result<()> {
 
 /// The checkpoint noted last, if it is there; else the one with the highest iteration.
 fn newest(folder: &Path) -> Result<PathBuf> {
-    let note = std::fs::read_to_string(folder.join(LAST_FILE)).ok();
+    let note = output::read_note(&folder.join(LAST_FILE));
     let noted = note.and_then(|text| text.trim().parse().ok()).map(|iteration| path(folder, iteration));
     if let Some(noted) = noted.filter(|path| path.is_file()) {
         return Ok(noted);
@@ -217,5 +217,12 @@ mod tests {
         std::fs::remove_file(path(folder, 20)).expect("removed");
         assert_eq!(newest(folder).expect("one"), path(folder, 100));
         forget_newest(folder).expect("forgotten");
+        #[cfg(unix)]
+        {
+            // A pipe that nobody writes to is not waited for.
+            let mode = nix::sys::stat::Mode::S_IRWXU;
+            nix::unistd::mkfifo(&folder.join(LAST_FILE), mode).expect("a pipe");
+            assert_eq!(newest(folder).expect("one"), path(folder, 100));
+        }
     }
 }

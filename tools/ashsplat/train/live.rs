@@ -44,9 +44,13 @@ pub struct LiveArguments {
     /// Largest share of training's time that all viewers together may take, 0.01 to 0.9
     #[arg(long, value_name = "SHARE", default_value_t = 0.2, value_parser = share)]
     view_share: f64,
-    /// Answer the reference implementation's network viewer (SIBR) at this address
+    /// Answer the reference implementation's network viewer (SIBR), at this machine's own address: another one, as scripts for the
+    /// reference give, is taken for 127.0.0.1
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1")]
     ip: Option<String>,
+    /// Answer it at this address instead, also for other machines; its protocol has no password
+    #[arg(long, value_name = "ADDRESS", requires = "ip")]
+    host: Option<String>,
     /// Port for it; 0 takes a free one
     #[arg(long, value_name = "N", default_value_t = 6009, requires = "ip")]
     port: u16,
@@ -293,7 +297,7 @@ impl Run {
         match shown {
             Ok(Ok(())) => self.live = Some(live),
             Ok(Err(error)) => self.warn_of_end(&error),
-            // It has told where. What is left of the picture goes with the viewer.
+            // It has told where.
             Err(_) => self.warn_of_end(&"a panic, told above"),
         }
     }
@@ -312,8 +316,13 @@ impl Run {
         let mut wish = live.after_step(&mut self.trainer, report)?;
         let mut holds = live.holds();
         loop {
+            if wish.stop {
+                stop.store(true, Ordering::Relaxed);
+            }
             if wish.save && self.saved != Some(report.iteration) {
-                match watch.paused(|| self.save(report.iteration, "")) {
+                let save = || watch.paused(|| self.save(report.iteration, ""));
+                let saved = panic::catch_unwind(AssertUnwindSafe(save));
+                match saved.unwrap_or_else(|_| Err(Error::argument("save", "a panic, told above"))) {
                     Ok(()) => {
                         let message = format!("saved iteration {}", report.iteration);
                         live.hub.broadcast(&ToPage::json(&json!({ "type": "note", "message": message })));
@@ -324,9 +333,6 @@ impl Run {
                         live.tell(error)?;
                     }
                 }
-            }
-            if wish.stop {
-                stop.store(true, Ordering::Relaxed);
             }
             if !holds || wish.stop {
                 return Ok(());

@@ -96,6 +96,52 @@ impl Painter for Sparing<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ashsplat::Error;
+    use ashsplat::scene::Intrinsics;
+
+    /// Draws nothing, and counts how often it gives memory back.
+    struct Counter(u32);
+
+    impl Painter for Counter {
+        fn render(&mut self, _: &Camera, _: &RenderSettings) -> Result<Frame> {
+            Ok(Frame::default())
+        }
+        fn render_with_tiles(&mut self, _: &Camera, _: &RenderSettings) -> Result<(Frame, TileReport)> {
+            Err(Error::argument("tiles", "there are none"))
+        }
+        fn inspect(&mut self, _: &Camera, _: &RenderSettings, _: [u32; 2]) -> Result<PixelReport> {
+            Err(Error::argument("pixel", "there is none"))
+        }
+        fn gaussians(&self) -> Result<Gaussians> {
+            Ok(Gaussians::default())
+        }
+        fn shrink(&mut self) {
+            self.0 += 1;
+        }
+        fn iteration(&self) -> Option<u32> {
+            None
+        }
+        fn light(&self, _: Places) -> Result<Light> {
+            Err(Error::argument("light", "there is none"))
+        }
+    }
+
+    /// One very large picture, then usual ones: the painter is told once.
+    #[test]
+    fn a_painter_is_told_to_give_memory_back() {
+        let mut counter = Counter(0);
+        let mut sparing = Sparing { painter: &mut counter, sizes: Sizes::default() };
+        let picture = |width: u32, height: u32| {
+            let lens = Intrinsics::from_fov_x(1.0, width, height);
+            Camera::with_pose(Default::default(), Default::default(), lens)
+        };
+        let settings = RenderSettings::default();
+        sparing.render(&picture(8192, 8192), &settings).expect("drawn");
+        for _ in 0..2 * IN_A_ROW {
+            sparing.render(&picture(640, 480), &settings).expect("drawn");
+        }
+        assert_eq!(counter.0, 1);
+    }
 
     #[test]
     fn memory_is_given_back_after_an_exception_and_not_where_sizes_alternate() {

@@ -10,6 +10,9 @@ const GROUPS: [(u32, u32); 2] = [(24_000, 20), (20_000, 5)];
 const RECOVERY: u32 = 300;
 /// Resets that a pruning by rank follows.
 const RANKED_RESETS: u32 = 2;
+/// Of 30,000 iterations, those after which [`TrainSettings::late_min_opacity`] prunes. FastGS prunes so from 15,000 on; earlier,
+/// fewer are trained, and at as many in the end it is no worse (tools/strategies.md).
+const LATE_PRUNINGS: [u32; 7] = [8_000, 10_000, 12_000, 14_000, 16_000, 18_000, 21_000];
 /// Views of an importance.
 const VIEWS: usize = 10;
 
@@ -83,6 +86,16 @@ impl<'a> GrowthSchedule<'a> {
         self.settings.recovery && self.is_after_ranked_reset(iteration, RECOVERY)
     }
 
+    /// Whether an iteration (1-based) ends with a pruning below [`TrainSettings::late_min_opacity`]. After the start and after an
+    /// opacity reset, Gaussians have as long to recover as before the other prunings.
+    pub fn prunes_late_at(&self, iteration: u32) -> bool {
+        let s = self.settings;
+        s.late_min_opacity > 0.0
+            && iteration > RECOVERY
+            && LATE_PRUNINGS.iter().any(|&late| s.scaled(late) == iteration)
+            && !(iteration - RECOVERY + 1..=iteration).any(|i| s.resets_opacity_at(i))
+    }
+
     /// Which of all densifications this one is, from 0.
     fn densifications_before(&self, iteration: u32) -> u32 {
         let s = self.settings;
@@ -151,6 +164,24 @@ mod tests {
         assert_eq!(all(30_000, |s, i| s.settings.densifies_at(i) && s.views(i, 99).1 == 99), [3400, 6400]);
         assert_eq!([600, 700, 14_900].map(|i| schedule.views(i, 99).0), [0, 10, 1430]);
         assert_eq!(schedule.views(600, 3).1, 3);
+    }
+
+    #[test]
+    fn late_prunings_wait_for_recovery() {
+        let late = |settings: TrainSettings| -> Vec<u32> {
+            let schedule = GrowthSchedule::of(&settings, 1);
+            (1..=settings.iterations).filter(|&i| schedule.prunes_late_at(i)).collect()
+        };
+        let with = |iterations: u32| TrainSettings { late_min_opacity: 0.1, ..settings(iterations) };
+        assert_eq!(late(settings(30_000)), [0; 0]);
+        // The reset at 12,000 takes one of them.
+        assert_eq!(late(with(30_000)), [8_000, 10_000, 14_000, 16_000, 18_000, 21_000]);
+        assert_eq!(late(with(2000)), [533, 667, 800, 933, 1067, 1200, 1400]);
+        // 3267 is 267 after a reset.
+        assert_eq!(late(with(7000)), [1867, 2333, 2800, 3733, 4200, 4900]);
+        assert_eq!(late(with(600)), [320, 360, 420]);
+        let early = TrainSettings { opacity_reset_interval: 500, ..with(2000) };
+        assert_eq!(late(early), [933, 1067, 1200, 1400]);
     }
 
     #[test]

@@ -5,7 +5,10 @@ use super::LiveArguments;
 use crate::view::server::{self, ServeArguments};
 use crate::view::sibr;
 use ashsplat::Result;
-use std::net::TcpListener;
+use std::net::{IpAddr, TcpListener};
+
+/// This machine's own address.
+const OWN: &str = "127.0.0.1";
 
 /// Open ports, which nobody serves yet: who comes early waits.
 pub struct Doors {
@@ -26,8 +29,21 @@ impl LiveArguments {
             let serve = ServeArguments { host, port, token, of_training: true };
             Ok((server::open(&serve)?, serve))
         });
-        let network_viewer = self.ip.as_ref().map(|ip| sibr::open(ip, self.port));
+        let network_viewer = self.network_viewer_address().map(|address| sibr::open(address, self.port));
         let (page, network_viewer) = (page.transpose()?, network_viewer.transpose()?);
         Ok(Some(Doors { page, network_viewer, share: self.view_share }))
+    }
+
+    /// Scripts for the reference say `--ip 0.0.0.0`; that alone lets nobody in.
+    fn network_viewer_address(&self) -> Option<&str> {
+        let ip = self.ip.as_deref()?;
+        if let Some(host) = &self.host {
+            return Some(host);
+        }
+        if ip == "localhost" || ip.parse().is_ok_and(|address: IpAddr| address.is_loopback()) {
+            return Some(ip);
+        }
+        tell!("note: the network viewer listens at {OWN}: --host {ip} lets others in, without a password");
+        Some(OWN)
     }
 }

@@ -17,6 +17,7 @@ fn any_port() -> Doors {
         view_token: None,
         view_share: 0.2,
         ip: None,
+        host: None,
         port: 0,
     };
     arguments.open().expect("a port").expect("an open one")

@@ -1,0 +1,61 @@
+//! Files of settings: ours (TOML) and the reference's `cfg_args`.
+
+use super::Settings;
+use ashsplat::{Error, Result};
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use toml::Table;
+
+/// Settings are a few lines; what is longer is another file, and may be larger than the memory.
+const MOST_BYTES: u64 = 1 << 20;
+
+/// The text of a file of settings.
+pub fn text(path: &Path) -> Result<String> {
+    let mut bytes = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes));
+    let length = read.map_err(|e| Error::io(path, "read", e))? as u64;
+    let refuse = |problem: String| {
+        Error::input(path, problem, "give one that `ashsplat train` wrote, such as settings.toml")
+    };
+    if length > MOST_BYTES {
+        return Err(refuse(format!("is longer than {MOST_BYTES} bytes: no file of settings")));
+    }
+    String::from_utf8(bytes).map_err(|_| refuse("is not text".into()))
+}
+
+/// The text of `key=value` in a Python `Namespace(…)` line; values with commas in them are not understood.
+pub fn cfg_value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+    let fields = text.trim().strip_prefix("Namespace(")?.strip_suffix(')')?;
+    fields.split(", ").find_map(|field| field.strip_prefix(key)?.strip_prefix('='))
+}
+
+/// The settings of a file, checked.
+pub fn table(path: &Path) -> Result<Table> {
+    let text = text(path)?;
+    let remedy =
+        "write lines such as `iterations = 7000`, with the names of `ashsplat train --help` and underscores";
+    let table: Table = text.parse().map_err(|e: toml::de::Error| {
+        let line = e.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
+        Error::input(path, format!("line {line}: {}", e.message()), remedy)
+    })?;
+    Settings::from_table(table.clone()).map_err(|problem| Error::input(path, problem, remedy))?;
+    Ok(table)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_any_length_is_refused_after_a_mebibyte() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("settings.toml");
+        let fits = format!("#{}\n", " ".repeat(MOST_BYTES as usize - 2));
+        std::fs::write(&path, &fits).expect("written");
+        assert!(table(&path).expect("settings").is_empty());
+        File::options().write(true).open(&path).and_then(|file| file.set_len(1 << 31)).expect("longer");
+        let problem = table(&path).expect_err("too long").to_string();
+        assert!(problem.contains("settings.toml") && problem.contains("longer than"), "{problem}");
+    }
+}
