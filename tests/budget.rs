@@ -260,6 +260,7 @@ fn budget_prunes_what_is_faint_late() {
         iterations: 600,
         densify_from_iter: 29_000,
         densify_until_iter: 29_000,
+        opacity_reset_interval: 1000,
         scale_schedule: true,
         recovery: false,
         late_min_opacity: 0.1,

@@ -104,6 +104,7 @@ impl RawDevice {
         submits: &[vk::SubmitInfo2<'_>],
         fence: vk::Fence,
     ) -> VkResult<()> {
+        assert!(!self.strikes(Fault::Panic), "a panic that a test wants");
         if self.strikes(Fault::SubmitLost) || self.is_lost() {
             return Err(vk::Result::ERROR_DEVICE_LOST);
         }

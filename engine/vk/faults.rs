@@ -20,6 +20,8 @@ pub enum Fault {
     Timeout,
     /// vkWaitForFences: out of host memory.
     WaitMemory,
+    /// vkQueueSubmit2: no failure of the call, but a panic, for those who catch one.
+    Panic,
     /// Any other call that may fail (creation, binding, mapping, resetting, recording, submission): out of host memory.
     Object,
 }

@@ -56,8 +56,9 @@ fn frames_far_out_keep_their_place() {
         let rows: Vec<_> =
             (0..3).map(|i| [rotation.row(i).to_array().to_vec(), vec![place[i]]].concat()).collect();
         let camera = load_posed(&format!("{rows:?}"), "\"k1\": 0.0").unwrap().train[0].camera;
-        let exact = -(camera.camera_from_world.as_dmat3() * place);
-        assert_eq!(camera.translation, exact.as_vec3());
+        // From y up, z backward to y down, z forward.
+        let exact = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * rotation.transpose() * place;
+        assert_eq!(camera.translation, (-exact).as_vec3());
     }
 }
 

@@ -11,7 +11,6 @@ use super::split::{Part, Split};
 use crate::names::{Finder, MAX_PATH_BYTES, ending, has_photo_ending, plain, stays_inside};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::lens::{Distortion, Lens};
-use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::{Error, Result};
 
 /// How far `R Rᵀ` of a pose may be from a multiple of the identity, relative.
@@ -245,10 +244,9 @@ impl Reader<'_> {
         }
         // From y up, z backward to y down, z forward.
         let camera_from_world = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * rotation.transpose();
-        // As a camera has it: the place is exact with the rotation that is stored.
-        let none = Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0, width: 1, height: 1 };
-        let camera = Camera::at(column(3), camera_from_world, none);
-        Ok((camera.camera_from_world, camera.translation))
+        // As in COLMAP's files: the same camera in either layout has the same bits.
+        let translation = -(camera_from_world * column(3));
+        Ok((camera_from_world.as_mat3(), translation.as_vec3()))
     }
 
     /// A number of the frame, or otherwise of the file. Other types are errors.

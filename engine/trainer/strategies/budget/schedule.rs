@@ -181,7 +181,8 @@ mod tests {
         assert_eq!(late(with(7000)), [1867, 2333, 2800, 3733, 4200, 4900]);
         assert_eq!(late(with(600)), [320, 360, 420]);
         let early = TrainSettings { opacity_reset_interval: 500, ..with(2000) };
-        assert_eq!(late(early), [933, 1067, 1200, 1400]);
+        // 300 after a reset.
+        assert_eq!(late(early), [800, 933, 1067, 1200, 1400]);
     }
 
     #[test]
