@@ -1,7 +1,7 @@
 //! The camera that is moved: what `web/camera.js` does on the page. x right, y down, z forward, as the engine's.
 
 use ashsplat::scene::{Camera, Intrinsics};
-use glam::{DMat3, DVec3};
+use glam::{DVec3, Mat3};
 
 /// How near the poles an orbit may come, radians.
 const POLE: f64 = 0.02;
@@ -144,8 +144,9 @@ impl Navigation {
     /// The engine's camera, for a picture of a size.
     pub fn camera(&self, size: [u32; 2]) -> Camera {
         let [width, height] = size;
-        let [right, down, forward] = self.rotation;
-        let rotation = DMat3::from_cols(right, down, forward).transpose();
+        let rows = self.rotation.map(|row| row.as_vec3().to_array());
+        let rotation = Mat3::from_cols_array_2d(&rows).transpose();
+        let translation = DVec3::from_array(self.rotation.map(|row| -row.dot(self.position))).as_vec3();
         let intrinsics = match &self.lens {
             Some(lens) => {
                 let (scale, [x, y]) = Self::frame(lens, size);
@@ -159,7 +160,7 @@ impl Navigation {
                 Intrinsics { fx: f, fy: f, cx, cy, width, height }
             }
         };
-        Camera::at(self.position, rotation, intrinsics)
+        Camera::with_pose(rotation, translation, intrinsics)
     }
 
     /// The point at a depth (z) under a pixel.
