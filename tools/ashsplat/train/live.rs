@@ -22,7 +22,6 @@ use clap::Args;
 use curves::Curves;
 use doors::Doors;
 use serde_json::json;
-use std::fmt::Display;
 use std::panic::{self, AssertUnwindSafe};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -256,6 +255,13 @@ impl Live {
     }
 }
 
+/// Does something of the viewers': a panic in it is an error like others, for training goes on.
+fn guarded(work: impl FnOnce() -> Result<()>) -> Result<()> {
+    // The panic has told where.
+    panic::catch_unwind(AssertUnwindSafe(work))
+        .unwrap_or_else(|_| Err(Error::argument("a panic", "told above")))
+}
+
 impl Run {
     /// Lets others look on, if that was asked for.
     pub fn look_on(
@@ -293,16 +299,13 @@ impl Run {
     /// ends the viewer and not the training, a panic too: if the device is lost, the next iteration says so.
     pub(super) fn show(&mut self, report: &StepReport, stop: &AtomicBool, watch: &mut Stopwatch) {
         let Some(mut live) = self.live.take() else { return };
-        let shown = panic::catch_unwind(AssertUnwindSafe(|| self.show_to(&mut live, report, stop, watch)));
-        match shown {
-            Ok(Ok(())) => self.live = Some(live),
-            Ok(Err(error)) => self.warn_of_end(&error),
-            // It has told where.
-            Err(_) => self.warn_of_end(&"a panic, told above"),
+        match guarded(|| self.show_to(&mut live, report, stop, watch)) {
+            Ok(()) => self.live = Some(live),
+            Err(error) => self.warn_of_end(&error),
         }
     }
 
-    fn warn_of_end(&self, error: &dyn Display) {
+    fn warn_of_end(&self, error: &Error) {
         self.progress.warn(&format!("warning: the viewer has ended: {error}"));
     }
 
@@ -320,9 +323,7 @@ impl Run {
                 stop.store(true, Ordering::Relaxed);
             }
             if wish.save && self.saved != Some(report.iteration) {
-                let save = || watch.paused(|| self.save(report.iteration, ""));
-                let saved = panic::catch_unwind(AssertUnwindSafe(save));
-                match saved.unwrap_or_else(|_| Err(Error::argument("save", "a panic, told above"))) {
+                match guarded(|| watch.paused(|| self.save(report.iteration, ""))) {
                     Ok(()) => {
                         let message = format!("saved iteration {}", report.iteration);
                         live.hub.broadcast(&ToPage::json(&json!({ "type": "note", "message": message })));
@@ -358,10 +359,8 @@ impl Run {
     pub(super) fn end_show(&mut self, stop: &AtomicBool) {
         let Some(live) = &mut self.live else { return };
         let trainer = &mut self.trainer;
-        match panic::catch_unwind(AssertUnwindSafe(|| live.end(trainer, stop))) {
-            Ok(Ok(())) => {}
-            Ok(Err(error)) => self.warn_of_end(&error),
-            Err(_) => self.warn_of_end(&"a panic, told above"),
+        if let Err(error) = guarded(|| live.end(trainer, stop)) {
+            self.warn_of_end(&error);
         }
     }
 }
