@@ -35,18 +35,20 @@ const SELECTION: [&str; 20] = [
 
 /// Set in the child processes.
 const EXPECTED: &str = "ASHSPLAT_EXPECTED_SUBGROUP_SIZE";
+/// A folder for the shader caches of all widths, by lanes, where they are used again: `.ci/run` does.
+const CACHES: &str = "ASHSPLAT_SHADER_CACHES";
 /// Where a child process leaves its picture.
 const PICTURE: &str = "ASHSPLAT_PICTURE";
 
 /// The driver's shader cache ignores the width, so each width has a folder of its own.
-fn run_with_width(bits: u32, cache: &Path) {
+fn run_with_width(bits: u32, cache: &Path, picture: &Path) {
     child::run(&SELECTION, SELECTION.len(), |child| {
         child
             .args(["--test-threads", "2"])
             .env("LP_NATIVE_VECTOR_WIDTH", bits.to_string())
             .env("MESA_SHADER_CACHE_DIR", cache)
             .env(EXPECTED, (bits / 32).to_string())
-            .env(PICTURE, cache.join("picture"));
+            .env(PICTURE, picture);
     });
 }
 
@@ -55,9 +57,13 @@ fn check_width(bits: u32) {
         eprintln!("skipped: the subgroup size can be chosen on llvmpipe only");
         return;
     }
-    let cache = tempfile::tempdir().expect("a folder for the shader cache");
-    run_with_width(bits, cache.path());
-    let bytes = std::fs::read(cache.path().join("picture")).expect("the child's picture");
+    let folder = tempfile::tempdir().expect("a folder for the picture and the shader cache");
+    let kept = std::env::var_os(CACHES).map(|caches| Path::new(&caches).join((bits / 32).to_string()));
+    let cache = kept.as_deref().unwrap_or(folder.path());
+    std::fs::create_dir_all(cache).expect("a folder for the shader cache");
+    let picture = folder.path().join("picture");
+    run_with_width(bits, cache, &picture);
+    let bytes = std::fs::read(picture).expect("the child's picture");
     compare(bits / 32, &bytemuck::pod_collect_to_vec(&bytes));
 }
 

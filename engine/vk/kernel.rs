@@ -273,14 +273,20 @@ impl Pipeline {
         constants: Vec<(u32, u32)>,
     ) -> Result<Self> {
         let Demands { name, subgroup_size, workgroup_size, .. } = *demands;
-        let key = PipelineKey { name, texels: form.texels, subgroup_size, workgroup_size, constants };
-        if let Some(handles) = inner.built.find(&key) {
-            let mut pipeline = Self::unbuilt(inner, demands);
-            (pipeline.handles, pipeline.shared) = (handles, true);
-            return Ok(pipeline);
-        }
-        let mut pipeline = Self::new(inner, demands, form.spirv, &key.constants)?;
-        pipeline.shared = inner.built.keep(key, pipeline.handles);
+        let key = PipelineKey {
+            name,
+            texels: form.texels,
+            subgroup_size,
+            workgroup_size,
+            constants: constants.clone(),
+        };
+        let mut pipeline = Self::unbuilt(inner, demands);
+        pipeline.handles = inner.built.get_or_build(key, || {
+            let mut new = Self::new(inner, demands, form.spirv, &constants)?;
+            new.shared = true;
+            Ok(new.handles)
+        })?;
+        pipeline.shared = true;
         Ok(pipeline)
     }
 
