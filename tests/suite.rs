@@ -8,6 +8,7 @@ mod barriers;
 mod bench;
 mod blending_forms;
 mod budget;
+mod call_graph;
 mod checkpoints;
 mod cli;
 mod common;

@@ -1,0 +1,118 @@
+//! No input, however deeply nested, takes a reader's stack: the compiled program shows it. Its machine code has every call,
+//! also across files and out of generic code; what is called through tables of methods only is not seen.
+
+use std::collections::{HashMap, HashSet};
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
+
+/// Function → what it calls, jumps to or takes the address of.
+type Graph = HashMap<String, HashSet<String>>;
+
+/// The address at the end of a line, without an offset: `call 1b20 <name>`, `lea 0x3d2(%rip),%rax # 1f40 <name>`.
+fn target(line: &str) -> Option<&str> {
+    let name = line.strip_suffix('>')?.rsplit_once('<')?.1;
+    Some(name.rsplit_once("+0x").map_or(name, |(function, _)| function))
+}
+
+fn graph(disassembly: impl Iterator<Item = String>) -> Graph {
+    let (mut graph, mut current) = (Graph::new(), String::new());
+    for line in disassembly {
+        if let Some((_, name)) = line.strip_suffix(">:").and_then(|line| line.split_once(" <")) {
+            current = name.to_owned();
+            graph.entry(current.clone()).or_default();
+            continue;
+        }
+        let Some(called) = target(line.trim_end()) else { continue };
+        // A jump or an address within a function is a loop or a table.
+        if called != current || line.contains("call ") {
+            graph.entry(current.clone()).or_default().insert(called.to_owned());
+        }
+    }
+    graph
+}
+
+/// Only what may lie in a circle: functions that call nothing of the rest, or are called by nothing of it, are taken away until
+/// none is left.
+fn without_ends(mut graph: Graph) -> Graph {
+    loop {
+        let called: HashSet<String> = graph.values().flatten().cloned().collect();
+        let before = graph.len();
+        graph.retain(|name, calls| !calls.is_empty() && called.contains(name));
+        if graph.len() == before {
+            return graph;
+        }
+        let left: HashSet<String> = graph.keys().cloned().collect();
+        graph.values_mut().for_each(|calls| calls.retain(|name| left.contains(name)));
+    }
+}
+
+/// Those of the functions with `part` in their names that can be reached from themselves.
+fn in_circles(graph: Graph, part: &str) -> Vec<String> {
+    let graph = without_ends(graph);
+    let reaches_itself = |start: &String| {
+        let (mut seen, mut open) = (HashSet::new(), vec![start]);
+        while let Some(name) = open.pop() {
+            for next in &graph[name] {
+                if next == start {
+                    return true;
+                }
+                if seen.insert(next) {
+                    open.push(next);
+                }
+            }
+        }
+        false
+    };
+    let mut circles: Vec<String> =
+        graph.keys().filter(|name| name.contains(part) && reaches_itself(name)).cloned().collect();
+    circles.sort();
+    circles
+}
+
+#[test]
+fn call_graph_circles_are_found() {
+    let lines = [
+        "0000000000001000 <leaf>:",
+        "    1000:\tret",
+        "0000000000001010 <a>:",
+        "    1010:\tcall   1000 <leaf>",
+        "    1014:\tjmp    1012 <a+0x2>",
+        "    1018:\tcall   1020 <b>",
+        "0000000000001020 <b>:",
+        "    1020:\tlea    0x10(%rip),%rax        # 1030 <c>",
+        "0000000000001030 <c>:",
+        "    1030:\tjmp    1010 <a>",
+        "0000000000001040 <once>:",
+        "    1040:\tjne    1044 <once+0x4>",
+        "    1044:\tcall   1010 <a>",
+        "0000000000001050 <own>:",
+        "    1050:\tcall   1050 <own>",
+    ];
+    let found = in_circles(graph(lines.iter().map(|line| (*line).to_owned())), "");
+    assert_eq!(found, ["a", "b", "c", "own"]);
+}
+
+#[cfg(all(target_os = "linux", target_arch = "x86_64"))]
+#[test]
+fn call_graph_of_the_readers_has_no_circles() {
+    let mut objdump = Command::new("objdump");
+    let objdump = objdump.args(["-d", "--no-show-raw-insn", env!("CARGO_BIN_EXE_ashsplat")]);
+    let mut child = match objdump.stdout(Stdio::piped()).spawn() {
+        Ok(child) => child,
+        Err(error) => {
+            // It comes with the linker that has built this.
+            eprintln!("skipped: objdump: {error}");
+            return;
+        }
+    };
+    let lines = BufReader::new(child.stdout.take().expect("its output")).lines();
+    let graph = graph(lines.map(|line| line.expect("text")));
+    assert!(child.wait().expect("it ends").success());
+    let readers = graph.keys().filter(|name| name.contains("ashsplat_files")).count();
+    assert!(readers > 300, "{readers} functions of the readers are in the program");
+    // What goes down three levels of folders, so that it is known to be seen.
+    let all = in_circles(graph, "ashsplat");
+    assert!(all.iter().any(|name| name.contains("remove_leftovers_named")), "{all:#?}");
+    let readers: Vec<_> = all.iter().filter(|name| name.contains("ashsplat_files")).collect();
+    assert!(readers.is_empty(), "{readers:#?}");
+}
