@@ -23,6 +23,7 @@ use super::host_memory::HostMemory;
 use super::images::{PhotoFile, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 use super::progress::Progress;
 use crate::init::{RANDOM_POINTS, points_in_view, random_points, seen_box};
+use crate::photo_points::{PHOTO_POINTS, photo_points};
 use ashsplat::Result;
 use ashsplat::loss::DepthPoint;
 use ashsplat::scene::{Camera, Gaussians, PointCloud, scene_extent};
@@ -303,6 +304,22 @@ impl Dataset {
         }
     }
 
+    /// Up to 20,000 points at which the training photographs agree: [`photo_points`]. Where there are fewer than 1000, random
+    /// ones are the better start: then the inner error is their number.
+    ///
+    /// # Errors
+    /// As [`photo_points`].
+    pub fn points_in_photos(&self, seed: u64, progress: Progress<'_>) -> Result<Result<PointCloud, usize>> {
+        let found = photo_points(&self.train, self.scene_extent, PHOTO_POINTS, seed, progress)?;
+        Ok(if found.len() < MIN_PHOTO_POINTS { Err(found.len()) } else { Ok(found) })
+    }
+
+    /// Takes these as its points.
+    pub fn set_points(&mut self, points: PointCloud) {
+        self.points = points;
+        self.warnings.retain(|warning| !warning.starts_with(&random_points_instead()));
+    }
+
     /// The initial Gaussians of training.
     ///
     /// # Errors
@@ -361,7 +378,10 @@ fn may_lack_points(source: &Path) -> bool {
     source.extension().is_some_and(|ending| ending == "json")
 }
 
-/// The message for this case.
+/// With fewer points in the photographs random ones are the better start.
+const MIN_PHOTO_POINTS: usize = 1000;
+
+/// The message where there are no points.
 fn random_points_instead() -> String {
     format!("no points to start from; {RANDOM_POINTS} random ones stand in for them")
 }

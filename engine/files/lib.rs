@@ -20,6 +20,7 @@ pub mod lens_json;
 pub mod lpips_weights;
 pub mod metrics;
 mod names;
+pub mod photo_points;
 pub mod ply;
 mod progress;
 mod sniff;

@@ -114,6 +114,50 @@ fn zero_points_are_refused_unless_random_ones_are_wanted() {
     ]));
     assert_eq!(run.code, Some(0), "{}", run.stderr);
     assert!(run.stderr.starts_with("warning: ") && run.stderr.contains("random"), "{}", run.stderr);
+    // Photos without texture: random ones after all, and both is said.
+    for photo in std::fs::read_dir(data.join("images")).expect("photos") {
+        let flat = Photo { width: 48, height: 32, rgb: vec![90; 3 * 48 * 32] };
+        flat.write_png(photo.expect("a photo").path()).expect("written");
+    }
+    let run = finish(program().args([
+        "train",
+        "-s",
+        text(&data),
+        "-m",
+        text(&place.out()),
+        "--iterations",
+        "1",
+        "--photo-points",
+        "--quiet",
+    ]));
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    for words in ["points only, too few to start from", "100000 random ones stand in"] {
+        assert!(run.stderr.contains(words), "{}", run.stderr);
+    }
+}
+
+#[test]
+fn zero_points_of_a_textured_scene_are_found_in_its_photos() {
+    let folder = tempdir().expect("a temporary folder");
+    let [dataset, model] = ["demo", "model"].map(|name| folder.path().join(name));
+    succeed(&["demo", "--out", text(&dataset), "--dataset-only", "--quiet"]);
+    let dataset = dataset.join("dataset");
+    colmap_without_points(&dataset);
+    let train = ["train", "-s", text(&dataset), "-m", text(&model), "--iterations", "2", "--random-points"];
+    let found = "no points to start from; 20,000 at which the photos agree stand in for them";
+    for (arguments, finds) in
+        [(&["--strategy", "budget"][..], true), (&[], false), (&["--photo-points"], true)]
+    {
+        let run = finish(program().args([&train[..], arguments].concat()));
+        assert_eq!(run.code, Some(0), "{}", run.stderr);
+        assert_eq!(run.stderr.contains(found), finds, "{arguments:?}: {}", run.stderr);
+        assert_eq!(run.stderr.contains("random ones stand in"), !finds, "{arguments:?}: {}", run.stderr);
+    }
+}
+
+/// Takes the points out of a model in binary files.
+fn colmap_without_points(dataset: &Path) {
+    std::fs::write(dataset.join("sparse/0/points3D.bin"), 0_u64.to_le_bytes()).expect("written");
 }
 
 #[test]

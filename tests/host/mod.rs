@@ -16,6 +16,7 @@ mod lpips_weights;
 mod metrics;
 mod mutations;
 mod names;
+mod photo_points;
 mod ply;
 mod sh;
 mod sh_rotation;

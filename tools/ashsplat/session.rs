@@ -3,6 +3,7 @@
 use crate::args::HostArguments;
 use crate::config::DataSettings;
 use crate::progress::counting;
+use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::NamedCamera;
 use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress};
@@ -84,14 +85,35 @@ pub fn open(data: &DataSettings, options: &DatasetOptions, stop: &AtomicBool) ->
 
 /// Loads a data set with progress. `stop` ends it.
 pub fn load(gallery: &Gallery, quiet: bool, stop: &AtomicBool) -> Result<Dataset> {
-    let bar = counting("reading photos", 0, quiet);
+    counted("reading photos", quiet, stop, |progress| gallery.load(progress))
+}
+
+/// [`Dataset::points_in_photos`] with progress. `stop` ends it.
+pub fn points_in_photos(
+    dataset: &Dataset,
+    seed: u64,
+    quiet: bool,
+    stop: &AtomicBool,
+) -> Result<Result<PointCloud, usize>> {
+    counted("looking for points in the photos", quiet, stop, |progress| {
+        dataset.points_in_photos(seed, progress)
+    })
+}
+
+fn counted<T>(
+    what: &'static str,
+    quiet: bool,
+    stop: &AtomicBool,
+    work: impl FnOnce(Progress<'_>) -> Result<T>,
+) -> Result<T> {
+    let bar = counting(what, 0, quiet);
     let report = |done: usize, total: usize| {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
     };
-    let dataset = gallery.load(Progress { report: Some(&report), interrupted: Some(stop) });
+    let done = work(Progress { report: Some(&report), interrupted: Some(stop) });
     bar.finish_and_clear();
-    dataset
+    done
 }
 
 /// What is odd about a data set goes to stderr.

@@ -5,6 +5,7 @@ mod checkpoints;
 mod folder;
 mod live;
 mod log;
+pub mod points;
 mod poses;
 mod prepared;
 mod report;
@@ -31,6 +32,7 @@ use checkpoints::{LATEST, Start};
 use clap::Args;
 use live::{Live, LiveArguments};
 use log::TrainLog;
+use points::MissingPoints;
 use prepared::{Prepared, Views, check_fits, photo_memory};
 use report::KernelTimes;
 pub use report::say_what_next;
@@ -56,9 +58,8 @@ pub struct Arguments {
     /// TOML file with any of these settings (as settings.toml in a model folder); the command line wins
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Start from 100,000 random points where the data set has none, instead of refusing it
-    #[arg(long)]
-    random_points: bool,
+    #[command(flatten)]
+    missing_points: MissingPoints,
     /// Go on from this checkpoint, or from the newest of the model folder; all else must be as it was
     #[arg(long, value_name = "FILE|latest")]
     start_checkpoint: Option<PathBuf>,
@@ -125,16 +126,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let given = (arguments.config.as_deref(), &arguments.overrides);
     let (settings, few_photos) = settings.settle(&mut gallery, given)?;
     check_fits(&context, &gallery, &settings.train, start.as_ref().map(Start::checkpoint))?;
-    let dataset = session::load(&gallery, arguments.quiet, &stop)?;
+    let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
     let gallery = arguments.live.wants_photos().then_some(gallery);
-    let may_be_random = arguments.random_points || dataset.may_lack_points() || start.is_some();
-    if dataset.points.is_empty() && !may_be_random {
-        let remedy = "register the photos with COLMAP's mapper or point_triangulator, or use --random-points";
-        return Err(Error::input(
-            &settings.data.source_path,
-            "the model has no points to start from",
-            remedy,
-        ));
+    if start.is_none() {
+        arguments.missing_points.settle(&mut dataset, &settings, arguments.quiet, &stop)?;
     }
     session::warn(&dataset.warnings);
     start.iter().for_each(|start| start.warn(&context));

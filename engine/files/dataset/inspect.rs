@@ -111,7 +111,7 @@ impl DatasetReport {
         if plan.points.is_empty() {
             self.warnings.push(match may_lack_points(&plan.source) {
                 true => random_points_instead(),
-                false => "no points to start from; training needs --random-points".into(),
+                false => "no points to start from; training needs --photo-points or --random-points".into(),
             });
         }
     }

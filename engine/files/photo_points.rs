@@ -1,0 +1,312 @@
+//! Points found in posed photographs, to start training from where a data set has none.
+//!
+//! A plane sweep (Collins: *A space-sweep approach to true multi-image matching*, CVPR 1996) over small copies of the photographs: a
+//! pixel has the depth at which its surroundings look most alike in the neighbouring views. Depths that other views
+//! contradict are dropped. World coordinates, as in the cameras.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use glam::Vec3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use ashsplat::Result;
+use ashsplat::scene::Camera;
+use ashsplat::scene::points::PointCloud;
+
+use crate::dataset::View;
+use crate::images::PhotoFileFormat;
+use crate::init::seen_box;
+use crate::progress::Progress;
+
+/// Most points that are kept.
+pub const PHOTO_POINTS: usize = 20_000;
+
+/// Most views that are looked at, evenly spread.
+const MAX_VIEWS: usize = 256;
+/// Longer side of the small copies, pixels.
+const LONG_SIDE: u32 = 128;
+/// Depths that are tried, evenly spread in inverse depth.
+const PLANES: usize = 96;
+/// Nearest and farthest depth, as shares of the depth of the place that the cameras look at.
+const AROUND_MIDDLE: [f32; 2] = [0.25, 6.0];
+/// The same where they do not look at one place, as shares of the scene extent.
+const AROUND_CAMERAS: [f32; 2] = [0.25, 16.0];
+/// Views that a view is compared with.
+const COMPARED: usize = 4;
+/// Their best distance, as a share of the depths' geometric mean: nearer ones tell little of depth, farther ones look different.
+const BASELINE: f32 = 0.2;
+/// Windows are this many pixels to each side of the middle.
+const RADIUS: usize = 3;
+/// Least correlation of windows, the mean of the two best views.
+const MIN_CORRELATION: f32 = 0.6;
+/// Views that may contradict a depth, and how many of them must have the same.
+const WITNESSES: usize = 8;
+const AGREEING: usize = 2;
+/// Up to this share of it a depth is the same.
+const SAME_DEPTH: f32 = 0.03;
+
+/// At most `count` points at which the views agree, with their colours; in no order that means anything. The same views and
+/// seed give the same points. Few or none where photographs show no texture, hardly overlap, or are taken from one place.
+///
+/// # Errors
+/// [`Error::Interrupted`](ashsplat::Error::Interrupted); a photograph that cannot be read again.
+pub fn photo_points(
+    views: &[View],
+    scene_extent: f32,
+    count: usize,
+    seed: u64,
+    progress: Progress<'_>,
+) -> Result<PointCloud> {
+    let some = views.len().min(MAX_VIEWS);
+    let chosen: Vec<&View> = (0..some).map(|i| &views[i * views.len() / some]).collect();
+    let small = chosen.into_par_iter().map(Small::new).collect::<Result<Vec<_>>>()?;
+    let cameras: Vec<Camera> = small.iter().map(|view| view.camera).collect();
+    let middle = seen_box(&cameras).map(|bounds| (bounds.min + bounds.max) / 2.0);
+    let done = AtomicUsize::new(0);
+    let depths = (0..small.len())
+        .into_par_iter()
+        .map(|index| {
+            progress.check()?;
+            let range = depth_range(&cameras[index], middle, scene_extent);
+            let compared = neighbours(&cameras, index, range);
+            let depths = small[index].sweep(&compared.map(|other| &small[other]).collect::<Vec<_>>(), range);
+            progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, small.len());
+            Ok(depths)
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let found: Vec<(Vec3, [u8; 3])> =
+        (0..small.len()).into_par_iter().flat_map_iter(|index| agreed(&small, &depths, index)).collect();
+    let mut kept: Vec<usize> = if found.len() > count {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        rand::seq::index::sample(&mut random, found.len(), count).into_vec()
+    } else {
+        (0..found.len()).collect()
+    };
+    kept.sort_unstable();
+    Ok(PointCloud {
+        positions: kept.iter().map(|&i| found[i].0.to_array()).collect(),
+        colors: kept.iter().map(|&i| found[i].1).collect(),
+    })
+}
+
+/// Nearest and farthest depth that is tried for a view, world units.
+fn depth_range(camera: &Camera, middle: Option<Vec3>, scene_extent: f32) -> [f32; 2] {
+    match middle {
+        Some(middle) => {
+            let depth = camera.forward().dot(middle - camera.position());
+            AROUND_MIDDLE.map(|share| share * depth)
+        }
+        None => AROUND_CAMERAS.map(|share| share * scene_extent),
+    }
+}
+
+/// The views that a view is compared with: those that look the same way from about the best distance.
+fn neighbours(cameras: &[Camera], of: usize, [near, far]: [f32; 2]) -> impl Iterator<Item = usize> {
+    let typical = (near * far).sqrt();
+    let own = &cameras[of];
+    let mut candidates: Vec<(f32, usize)> = (cameras.iter().enumerate())
+        .filter(|(_, other)| other.forward().dot(own.forward()) > 0.5)
+        .map(|(index, other)| (other.position().distance(own.position()) / typical, index))
+        // Not the view itself, nor another picture from its place: they have no parallax.
+        .filter(|&(distance, _)| distance > 0.01)
+        .map(|(distance, index)| ((distance - BASELINE).abs(), index))
+        .collect();
+    candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    candidates.into_iter().take(COMPARED).map(|(_, index)| index)
+}
+
+/// The pixels of a view whose depth others confirm.
+fn agreed(views: &[Small], depths: &[Depths], of: usize) -> Vec<(Vec3, [u8; 3])> {
+    let (view, own) = (&views[of], &depths[of]);
+    let place = view.camera.position();
+    let mut witnesses: Vec<usize> = (0..views.len()).filter(|&other| other != of).collect();
+    let distance = |other: usize| views[other].camera.position().distance_squared(place);
+    witnesses.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+    witnesses.truncate(WITNESSES);
+    let agrees = |point: Vec3, witness: usize| {
+        let (x, y, depth) = views[witness].camera.project(point);
+        let at = (depth > 0.0).then(|| views[witness].pixel_at(x, y)).flatten();
+        at.is_some_and(|at| (depths[witness].depth[at] - depth).abs() < SAME_DEPTH * depth)
+    };
+    let mut found = Vec::new();
+    for at in 0..own.depth.len() {
+        if own.correlation[at] < MIN_CORRELATION || !view.counts[at] {
+            continue;
+        }
+        let there = own.depth[at] * view.ray(at) - view.camera.translation;
+        let point = view.camera.camera_from_world.transpose() * there;
+        if witnesses.iter().filter(|&&witness| agrees(point, witness)).count() >= AGREEING {
+            found.push((point, view.colors[at]));
+        }
+    }
+    found
+}
+
+/// A small copy of a view.
+struct Small {
+    camera: Camera,
+    width: usize,
+    height: usize,
+    colors: Vec<[u8; 3]>,
+    /// Mean of the colours, 0 to 1.
+    gray: Vec<f32>,
+    /// False where a mask leaves the pixel out.
+    counts: Vec<bool>,
+}
+
+/// For each pixel the depth that suits best, world units, and how well: -1 to 1.
+struct Depths {
+    depth: Vec<f32>,
+    correlation: Vec<f32>,
+}
+
+impl Small {
+    fn new(view: &View) -> Result<Self> {
+        let (full_width, full_height) = (view.photo.width, view.photo.height);
+        let share = (LONG_SIDE as f32 / full_width.max(full_height) as f32).min(1.0);
+        let [width, height] =
+            [full_width, full_height].map(|side| ((side as f32 * share).round() as u32).max(1));
+        let photo = view.photo.photo()?.as_ref().clone().scaled_to(width, height)?;
+        let mask = view.photo.mask()?;
+        let [w, h] = [width, height].map(|side| side as usize);
+        let counts = |at: usize| {
+            let across = |i: usize, small: usize, full: u32| (2 * i + 1) * full as usize / (2 * small);
+            let (x, y) = (across(at % w, w, full_width), across(at / w, h, full_height));
+            mask.as_ref().is_none_or(|mask| mask[y * full_width as usize + x] != 0)
+        };
+        let colors = photo.rgb.as_chunks::<3>().0.to_vec();
+        let gray = colors.iter().map(|c| c.iter().map(|&v| f32::from(v)).sum::<f32>() / 765.0).collect();
+        Ok(Self {
+            camera: view.camera.scaled_to(width, height),
+            width: w,
+            height: h,
+            colors,
+            gray,
+            counts: (0..w * h).map(counts).collect(),
+        })
+    }
+
+    /// The direction of a pixel's centre, of depth 1, in the camera's frame.
+    fn ray(&self, at: usize) -> Vec3 {
+        let (x, y) = ((at % self.width) as f32 + 0.5, (at / self.width) as f32 + 0.5);
+        Vec3::new((x - self.camera.cx) / self.camera.fx, (y - self.camera.cy) / self.camera.fy, 1.0)
+    }
+
+    fn pixel_at(&self, x: f32, y: f32) -> Option<usize> {
+        let inside = x >= 0.0 && y >= 0.0 && x < self.width as f32 && y < self.height as f32;
+        inside.then(|| y as usize * self.width + x as usize)
+    }
+
+    /// Its grey between pixel centres; the border is repeated.
+    fn gray_at(&self, x: f32, y: f32) -> f32 {
+        let [x, y] = [(x, self.width), (y, self.height)].map(|(v, n)| (v - 0.5).clamp(0.0, (n - 1) as f32));
+        let (left, top) = (x as usize, y as usize);
+        let (right, bottom) = ((left + 1).min(self.width - 1), (top + 1).min(self.height - 1));
+        let (across, down) = (x - left as f32, y - top as f32);
+        let row = |y: usize| {
+            let (a, b) = (self.gray[y * self.width + left], self.gray[y * self.width + right]);
+            a + (b - a) * across
+        };
+        row(top) + (row(bottom) - row(top)) * down
+    }
+
+    fn sweep(&self, others: &[&Small], [near, far]: [f32; 2]) -> Depths {
+        let pixels = self.gray.len();
+        let mut best = Depths { depth: vec![0.0; pixels], correlation: vec![-1.0; pixels] };
+        // Two views must agree: one alone resembles anything somewhere.
+        if others.len() < 2 {
+            return best;
+        }
+        let mut windows = Windows::new(self.width, self.height);
+        let mean = windows.means(|at| self.gray[at]);
+        let mean_square = windows.means(|at| self.gray[at] * self.gray[at]);
+        let mut warped = vec![None; pixels];
+        for plane in 0..PLANES {
+            let share = plane as f32 / (PLANES - 1) as f32;
+            let depth = 1.0 / (1.0 / near + (1.0 / far - 1.0 / near) * share);
+            let mut two_best = vec![[-1.0_f32; 2]; pixels];
+            for other in others {
+                self.warp(other, depth, &mut warped);
+                let value = |at: usize| warped[at].unwrap_or(0.0);
+                let other_mean = windows.means(value);
+                let other_square = windows.means(|at| value(at) * value(at));
+                let product = windows.means(|at| value(at) * self.gray[at]);
+                for at in (0..pixels).filter(|&at| warped[at].is_some()) {
+                    let variance = mean_square[at] - mean[at] * mean[at];
+                    let other_variance = other_square[at] - other_mean[at] * other_mean[at];
+                    let covariance = product[at] - mean[at] * other_mean[at];
+                    let correlation = covariance / (variance * other_variance).max(1e-10).sqrt();
+                    let [first, second] = &mut two_best[at];
+                    if correlation > *first {
+                        (*first, *second) = (correlation, *first);
+                    } else if correlation > *second {
+                        *second = correlation;
+                    }
+                }
+            }
+            for (at, [first, second]) in two_best.into_iter().enumerate() {
+                let correlation = 0.5 * (first + second);
+                if correlation > best.correlation[at] {
+                    (best.correlation[at], best.depth[at]) = (correlation, depth);
+                }
+            }
+        }
+        best
+    }
+
+    /// What another view shows of each pixel if it lies at this depth; None outside of it.
+    fn warp(&self, other: &Small, depth: f32, warped: &mut [Option<f32>]) {
+        let turn = other.camera.camera_from_world * self.camera.camera_from_world.transpose();
+        let shift = other.camera.translation - turn * self.camera.translation;
+        for (at, value) in warped.iter_mut().enumerate() {
+            let there = turn * (depth * self.ray(at)) + shift;
+            let x = other.camera.fx * there.x / there.z + other.camera.cx;
+            let y = other.camera.fy * there.y / there.z + other.camera.cy;
+            let inside = there.z > 0.0 && other.pixel_at(x, y).is_some();
+            *value = inside.then(|| other.gray_at(x, y));
+        }
+    }
+}
+
+/// Means over the square windows of a picture, cut at its border.
+struct Windows {
+    width: usize,
+    rows: Vec<f32>,
+    values: Vec<f32>,
+    /// 1 / pixels of each window.
+    shares: Vec<f32>,
+}
+
+impl Windows {
+    fn new(width: usize, height: usize) -> Self {
+        let within = |i: usize, n: usize| (i + RADIUS).min(n - 1) - i.saturating_sub(RADIUS) + 1;
+        let share = |at: usize| 1.0 / (within(at % width, width) * within(at / width, height)) as f32;
+        let pixels = width * height;
+        let shares = (0..pixels).map(share).collect();
+        Self { width, rows: vec![0.0; pixels], values: vec![0.0; pixels], shares }
+    }
+
+    fn means(&mut self, value: impl Fn(usize) -> f32) -> Vec<f32> {
+        let Self { width, rows, values, shares } = self;
+        values.iter_mut().enumerate().for_each(|(at, v)| *v = value(at));
+        for (sums, values) in rows.chunks_mut(*width).zip(values.chunks(*width)) {
+            add_around(sums, values, 1);
+        }
+        let mut means = vec![0.0; rows.len()];
+        add_around(&mut means, rows, *width);
+        means.iter_mut().zip(shares).for_each(|(mean, share)| *mean *= *share);
+        means
+    }
+}
+
+/// Sets sums to those of the values at up to [`RADIUS`] strides before and behind.
+fn add_around(sums: &mut [f32], values: &[f32], stride: usize) {
+    sums.copy_from_slice(values);
+    for shift in (1..=RADIUS).map(|n| n * stride).filter(|&shift| shift < values.len()) {
+        let kept = values.len() - shift;
+        sums[..kept].iter_mut().zip(&values[shift..]).for_each(|(sum, value)| *sum += value);
+        sums[shift..].iter_mut().zip(&values[..kept]).for_each(|(sum, value)| *sum += value);
+    }
+}
