@@ -1,8 +1,8 @@
 //! Points found in posed photographs, to start training from where a data set has none.
 //!
 //! A plane sweep (Collins: *A space-sweep approach to true multi-image matching*, CVPR 1996) over small copies of the photographs: a
-//! pixel has the depth at which its surroundings look most alike in the neighbouring views. Depths that other views
-//! contradict are dropped. World coordinates, as in the cameras.
+//! pixel has the depth at which its surroundings look most alike in the neighbouring views. Depths that two other views
+//! confirm are kept. World coordinates, as in the cameras.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -41,7 +41,7 @@ const BASELINE: f32 = 0.2;
 const RADIUS: usize = 3;
 /// Least correlation of windows, the mean of the two best views.
 const MIN_CORRELATION: f32 = 0.6;
-/// Views that may contradict a depth, and how many of them must have the same.
+/// Views that are asked for a depth, and how many of them must have the same.
 const WITNESSES: usize = 8;
 const AGREEING: usize = 2;
 /// Up to this share of it a depth is the same.
@@ -128,7 +128,9 @@ fn agreed(views: &[Small], depths: &[Depths], of: usize) -> Vec<(Vec3, [u8; 3])>
     let agrees = |point: Vec3, witness: usize| {
         let (x, y, depth) = views[witness].camera.project(point);
         let at = (depth > 0.0).then(|| views[witness].pixel_at(x, y)).flatten();
-        at.is_some_and(|at| (depths[witness].depth[at] - depth).abs() < SAME_DEPTH * depth)
+        at.is_some_and(|at| {
+            views[witness].counts[at] && (depths[witness].depth[at] - depth).abs() < SAME_DEPTH * depth
+        })
     };
     let mut found = Vec::new();
     for at in 0..own.depth.len() {
@@ -168,13 +170,23 @@ impl Small {
         let share = (LONG_SIDE as f32 / full_width.max(full_height) as f32).min(1.0);
         let [width, height] =
             [full_width, full_height].map(|side| ((side as f32 * share).round() as u32).max(1));
-        let photo = view.photo.photo()?.as_ref().clone().scaled_to(width, height)?;
+        let mut photo = view.photo.photo()?.as_ref().clone();
         let mask = view.photo.mask()?;
+        // What is hidden must not tell where points lie: it may be held out.
+        for (pixel, &seen) in
+            photo.rgb.as_chunks_mut::<3>().0.iter_mut().zip(mask.iter().flat_map(|mask| mask.iter()))
+        {
+            if seen == 0 {
+                *pixel = [128; 3];
+            }
+        }
+        let photo = photo.scaled_to(width, height)?;
         let [w, h] = [width, height].map(|side| side as usize);
         let counts = |at: usize| {
             let across = |i: usize, small: usize, full: u32| (2 * i + 1) * full as usize / (2 * small);
             let (x, y) = (across(at % w, w, full_width), across(at / w, h, full_height));
-            mask.as_ref().is_none_or(|mask| mask[y * full_width as usize + x] != 0)
+            mask.as_ref()
+                .is_none_or(|mask| mask.get(y * full_width as usize + x).is_some_and(|&seen| seen != 0))
         };
         let colors = photo.rgb.as_chunks::<3>().0.to_vec();
         let gray = colors.iter().map(|c| c.iter().map(|&v| f32::from(v)).sum::<f32>() / 765.0).collect();
@@ -264,7 +276,7 @@ impl Small {
             let there = turn * (depth * self.ray(at)) + shift;
             let x = other.camera.fx * there.x / there.z + other.camera.cx;
             let y = other.camera.fy * there.y / there.z + other.camera.cy;
-            let inside = there.z > 0.0 && other.pixel_at(x, y).is_some();
+            let inside = there.z > 0.0 && other.pixel_at(x, y).is_some_and(|at| other.counts[at]);
             *value = inside.then(|| other.gray_at(x, y));
         }
     }

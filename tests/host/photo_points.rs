@@ -97,6 +97,16 @@ fn photo_points_are_chosen_by_the_seed_and_end_when_asked_to() {
     assert!(points == found(&views, 500, 3) && points != found(&views, 500, 4));
     let seen_right = |&p: &[f32; 3]| views.iter().any(|view| view.camera.project(p.into()).0 > 79.0);
     assert!(points.positions.iter().all(seen_right));
+    // What lies under the masks, if anything, decides nothing.
+    let hidden_otherwise = |view: &View| {
+        let mut photo = view.photo.photo().expect("in memory").as_ref().clone();
+        let mask = view.photo.mask().expect("in memory").expect("a mask");
+        let pixels = photo.rgb.as_chunks_mut::<3>().0.iter_mut().zip(mask.iter());
+        pixels.filter(|(_, seen)| **seen == 0).for_each(|(pixel, _)| *pixel = pixel.map(|c| 255 - c));
+        View { photo: StoredPhoto::new(photo, Some(mask.to_vec())), ..view.clone() }
+    };
+    let others: Vec<View> = views.iter().map(hidden_otherwise).collect();
+    assert!(others[0].photo != views[0].photo && points == found(&others, 500, 3));
     let stop = AtomicBool::new(true);
     let progress = Progress { report: None, interrupted: Some(&stop) };
     let error = photo_points(&views, 1.0, 500, 3, progress).expect_err("interrupted");

@@ -5,7 +5,7 @@ mod checkpoints;
 mod folder;
 mod live;
 mod log;
-pub mod points;
+mod points;
 mod poses;
 mod prepared;
 mod report;
@@ -125,7 +125,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut gallery = session::open(&settings.data, &options, &stop)?;
     let given = (arguments.config.as_deref(), &arguments.overrides);
     let (settings, few_photos) = settings.settle(&mut gallery, given)?;
-    check_fits(&context, &gallery, &settings.train, start.as_ref().map(Start::checkpoint))?;
+    check_fits(
+        &context,
+        &gallery,
+        &settings.train,
+        start.as_ref().map(Start::checkpoint),
+        arguments.missing_points.count(&settings.train),
+    )?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
     let gallery = arguments.live.wants_photos().then_some(gallery);
     if start.is_none() {

@@ -11,7 +11,6 @@ use crate::eval::{self, More, Protocol};
 use crate::lock::{FolderLock, Work};
 use crate::measure::Stopwatch;
 use crate::progress::counting;
-use crate::train::points::looks_for_points;
 use crate::{output, session};
 use ashsplat::trainer::{TrainSettings, TrainView, Trainer};
 use ashsplat::vk::Context;
@@ -266,13 +265,7 @@ impl Shared<'_> {
     fn measure(&self, job: &Job, setup: Setup) -> Result<Run> {
         let settings = &job.settings;
         let seed = u64::from(settings.seed);
-        // As `train` does.
-        let found = if self.dataset.points.is_empty() && looks_for_points(settings) {
-            session::points_in_photos(self.dataset, seed, self.quiet, self.stop)?.ok()
-        } else {
-            None
-        };
-        let points = found.unwrap_or_else(|| self.dataset.initial_points(seed));
+        let points = self.dataset.initial_points(seed);
         let mut initial = ashsplat_files::initial_gaussians(&points, settings.sh_degree)?;
         settings.initialize(&mut initial);
         let extent = self.dataset.scene_extent;

@@ -6,6 +6,8 @@ use crate::session;
 use ashsplat::trainer::{StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use ashsplat_files::Dataset;
+use ashsplat_files::init::RANDOM_POINTS;
+use ashsplat_files::photo_points::PHOTO_POINTS;
 use clap::Args;
 use std::sync::atomic::AtomicBool;
 
@@ -23,6 +25,15 @@ pub struct MissingPoints {
 }
 
 impl MissingPoints {
+    fn looks(&self, settings: &TrainSettings) -> bool {
+        self.photo_points.unwrap_or(looks_for_points(settings))
+    }
+
+    /// How many stand in, as far as is known before the photos are read.
+    pub fn count(&self, settings: &TrainSettings) -> usize {
+        if self.looks(settings) { PHOTO_POINTS } else { RANDOM_POINTS }
+    }
+
     /// Refuses a data set that lacks points, or looks for some.
     pub fn settle(
         &self,
@@ -41,7 +52,7 @@ impl MissingPoints {
             return Err(Error::input(source, "the model has no points to start from", remedy));
         }
         let train = &settings.train;
-        if !self.photo_points.unwrap_or(looks_for_points(train)) {
+        if !self.looks(train) {
             return Ok(());
         }
         match session::points_in_photos(dataset, u64::from(train.seed), quiet, stop)? {
@@ -60,6 +71,6 @@ impl MissingPoints {
 
 /// Whether a training looks for points in the photos where there are none, if nothing else is said: the strategy reference is what
 /// it is, and fixed has no way to go on from few.
-pub fn looks_for_points(settings: &TrainSettings) -> bool {
+fn looks_for_points(settings: &TrainSettings) -> bool {
     matches!(settings.strategy, StrategyType::Budget | StrategyType::Mcmc)
 }

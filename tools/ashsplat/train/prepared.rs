@@ -6,7 +6,6 @@ use ashsplat::scene::Camera;
 use ashsplat::trainer::{Checkpoint, Forecast, TrainSettings, TrainView};
 use ashsplat::vk::Context;
 use ashsplat_files::images::existing_folder;
-use ashsplat_files::init::RANDOM_POINTS;
 use ashsplat_files::{Dataset, Gallery, PhotoMemory, View};
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
@@ -66,15 +65,17 @@ fn sample(train: &[View]) -> Vec<View> {
     train.iter().step_by(step).cloned().collect()
 }
 
-/// Refuses what cannot be trained here, from the sizes of the photos: before they are read.
+/// Refuses what cannot be trained here, from the sizes of the photos: before they are read. `stand_ins` is the number of points
+/// where there are none.
 pub fn check_fits(
     context: &Context,
     gallery: &Gallery,
     settings: &TrainSettings,
     start: Option<&Checkpoint>,
+    stand_ins: usize,
 ) -> Result<()> {
     let points = match gallery.points().len() {
-        0 => RANDOM_POINTS,
+        0 => stand_ins,
         points => points,
     };
     let gaussians = start.map_or(points, |checkpoint| checkpoint.gaussians.len());
