@@ -23,8 +23,9 @@ fn graph(disassembly: impl Iterator<Item = String>) -> Graph {
             continue;
         }
         let Some(called) = target(line.trim_end()) else { continue };
-        // A jump or an address within a function is a loop or a table.
-        if called != current || line.contains("call ") {
+        // A jump within a function is a loop, and an address a table, unless it is the function's own.
+        let own_address = line.contains("lea ") && !line.contains("+0x");
+        if called != current || line.contains("call ") || own_address {
             graph.entry(current.clone()).or_default().insert(called.to_owned());
         }
     }
@@ -87,9 +88,13 @@ fn call_graph_circles_are_found() {
         "    1044:\tcall   1010 <a>",
         "0000000000001050 <own>:",
         "    1050:\tcall   1050 <own>",
+        "0000000000001060 <passed>:",
+        "    1060:\tlea    -0x7(%rip),%rdi        # 1060 <passed>",
+        "0000000000001070 <table>:",
+        "    1070:\tlea    0x8(%rip),%rdi        # 107f <table+0xf>",
     ];
     let found = in_circles(graph(lines.iter().map(|line| (*line).to_owned())), "");
-    assert_eq!(found, ["a", "b", "c", "own"]);
+    assert_eq!(found, ["a", "b", "c", "own", "passed"]);
 }
 
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]

@@ -113,6 +113,15 @@ fn bench_quality_refuses_what_makes_no_sense() {
     refused(&with(&["--strategy", "mcmc"]), &["--strategy", "--strategies"]);
     refused(&with(&["--iterations", "0"]), &["iterations", "at least 1"]);
     refused(&with(&["--until=-3"]), &["--until"]);
+    // Without points, unless random ones are wanted.
+    let points = data.join("sparse/0/points3D.bin");
+    assert!(points.exists());
+    std::fs::write(points, 0_u64.to_le_bytes()).expect("written");
+    refused(&some, &["no points to start from", "--random-points"]);
+    let wanted = ["--random-points", "--strategies", strategies()[0], "--iterations", "1", "--quiet"];
+    succeed(&[&["bench", "quality", text(&data), "-o", text(&out)], &wanted[..]].concat());
+    let run = &json(&out.join("quality.json"))["runs"][0];
+    assert_eq!(run["setup"]["random_points"], true, "{run}");
 }
 
 /// Ctrl-C during the second run: the first one is kept, with its picture.

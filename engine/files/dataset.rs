@@ -307,17 +307,32 @@ impl Dataset {
     /// Up to 20,000 points at which the training photographs agree: [`photo_points`]. Where there are fewer than 1000, random
     /// ones are the better start: then the inner error is their number.
     ///
+    /// `memory` is the bound that the data set was loaded within: [`DatasetOptions::host_memory`].
+    ///
     /// # Errors
     /// As [`photo_points`].
-    pub fn points_in_photos(&self, seed: u64, progress: Progress<'_>) -> Result<Result<PointCloud, usize>> {
-        let found = photo_points(&self.train, self.scene_extent, PHOTO_POINTS, seed, progress)?;
+    pub fn points_in_photos(
+        &self,
+        seed: u64,
+        memory: &HostMemory,
+        progress: Progress<'_>,
+    ) -> Result<Result<PointCloud, usize>> {
+        let in_memory = |view: &&View| view.photo.file().is_none();
+        let kept = self.train.iter().chain(&self.test).filter(in_memory).map(|view| view.photo.bytes()).sum();
+        let memory = memory.beside_photos(kept);
+        let found = photo_points(&self.train, self.scene_extent, PHOTO_POINTS, seed, &memory, progress)?;
         Ok(if found.len() < MIN_PHOTO_POINTS { Err(found.len()) } else { Ok(found) })
+    }
+
+    /// Takes back the warning that it has none: training goes on from Gaussians that are there.
+    pub fn needs_no_points(&mut self) {
+        self.warnings.retain(|warning| !warning.starts_with(&random_points_instead()));
     }
 
     /// Takes these as its points.
     pub fn set_points(&mut self, points: PointCloud) {
         self.points = points;
-        self.warnings.retain(|warning| !warning.starts_with(&random_points_instead()));
+        self.needs_no_points();
     }
 
     /// The initial Gaussians of training.

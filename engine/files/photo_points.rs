@@ -4,6 +4,7 @@
 //! pixel has the depth at which its surroundings look most alike in the neighbouring views. Depths that two other views
 //! confirm are kept. World coordinates, as in the cameras.
 
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::Vec3;
@@ -16,7 +17,8 @@ use ashsplat::scene::Camera;
 use ashsplat::scene::points::PointCloud;
 
 use crate::dataset::View;
-use crate::images::PhotoFileFormat;
+use crate::host_memory::HostMemory;
+use crate::images::{Photo, PhotoFileFormat};
 use crate::init::seen_box;
 use crate::progress::Progress;
 
@@ -51,20 +53,30 @@ const SAME_DEPTH: f32 = 0.03;
 /// seed give the same points. Few or none where photographs show no texture, hardly overlap, or are taken from one place.
 ///
 /// # Errors
-/// [`Error::Interrupted`](ashsplat::Error::Interrupted); a photograph that cannot be read again.
+/// [`Error::Interrupted`](ashsplat::Error::Interrupted); [`Error::TooLarge`](ashsplat::Error::TooLarge) when the copy of a
+/// photograph does not fit into `memory`; a photograph that cannot be read again.
 pub fn photo_points(
     views: &[View],
     scene_extent: f32,
     count: usize,
     seed: u64,
+    memory: &HostMemory,
     progress: Progress<'_>,
 ) -> Result<PointCloud> {
     let some = views.len().min(MAX_VIEWS);
     let chosen: Vec<&View> = (0..some).map(|i| &views[i * views.len() / some]).collect();
-    let small = chosen.into_par_iter().map(Small::new).collect::<Result<Vec<_>>>()?;
+    let done = AtomicUsize::new(0);
+    // A step for each photograph read, and one for each that is compared.
+    let step = || progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, 2 * some);
+    let read = |view| {
+        progress.check()?;
+        let small = Small::new(view, memory)?;
+        step();
+        Ok(small)
+    };
+    let small = chosen.into_par_iter().map(read).collect::<Result<Vec<_>>>()?;
     let cameras: Vec<Camera> = small.iter().map(|view| view.camera).collect();
     let middle = seen_box(&cameras).map(|bounds| (bounds.min + bounds.max) / 2.0);
-    let done = AtomicUsize::new(0);
     let depths = (0..small.len())
         .into_par_iter()
         .map(|index| {
@@ -72,12 +84,15 @@ pub fn photo_points(
             let range = depth_range(&cameras[index], middle, scene_extent);
             let compared = neighbours(&cameras, index, range);
             let depths = small[index].sweep(&compared.map(|other| &small[other]).collect::<Vec<_>>(), range);
-            progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, small.len());
+            step();
             Ok(depths)
         })
         .collect::<Result<Vec<_>>>()?;
-    let found: Vec<(Vec3, [u8; 3])> =
-        (0..small.len()).into_par_iter().flat_map_iter(|index| agreed(&small, &depths, index)).collect();
+    let agreed = |index| {
+        let range = depth_range(&cameras[index], middle, scene_extent);
+        agreed(&small, &depths, index, &witnesses(&cameras, index, range))
+    };
+    let found: Vec<(Vec3, [u8; 3])> = (0..small.len()).into_par_iter().flat_map_iter(agreed).collect();
     let mut kept: Vec<usize> = if found.len() > count {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         rand::seq::index::sample(&mut random, found.len(), count).into_vec()
@@ -102,39 +117,52 @@ fn depth_range(camera: &Camera, middle: Option<Vec3>, scene_extent: f32) -> [f32
     }
 }
 
-/// The views that a view is compared with: those that look the same way from about the best distance.
-fn neighbours(cameras: &[Camera], of: usize, [near, far]: [f32; 2]) -> impl Iterator<Item = usize> {
-    let typical = (near * far).sqrt();
-    let own = &cameras[of];
-    let mut candidates: Vec<(f32, usize)> = (cameras.iter().enumerate())
+/// The views that look the same way from another place, and their distances as shares of the depths' geometric mean. A
+/// picture from the same place has no parallax and so confirms anything.
+fn overlapping(
+    cameras: &[Camera],
+    of: usize,
+    [near, far]: [f32; 2],
+) -> impl Iterator<Item = (f32, usize)> + '_ {
+    let (own, typical) = (&cameras[of], (near * far).sqrt());
+    (cameras.iter().enumerate())
         .filter(|(_, other)| other.forward().dot(own.forward()) > 0.5)
-        .map(|(index, other)| (other.position().distance(own.position()) / typical, index))
-        // Not the view itself, nor another picture from its place: they have no parallax.
+        .map(move |(index, other)| (other.position().distance(own.position()) / typical, index))
         .filter(|&(distance, _)| distance > 0.01)
-        .map(|(distance, index)| ((distance - BASELINE).abs(), index))
-        .collect();
-    candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    candidates.into_iter().take(COMPARED).map(|(_, index)| index)
+}
+
+/// The views that a view is compared with: those from about the best distance.
+fn neighbours(cameras: &[Camera], of: usize, range: [f32; 2]) -> impl Iterator<Item = usize> {
+    let rated = overlapping(cameras, of, range).map(|(distance, index)| ((distance - BASELINE).abs(), index));
+    first(rated.collect(), COMPARED)
+}
+
+/// The views that are asked about the depths of a view: the nearest.
+fn witnesses(cameras: &[Camera], of: usize, range: [f32; 2]) -> Vec<usize> {
+    first(overlapping(cameras, of, range).collect(), WITNESSES).collect()
+}
+
+/// The indices of the smallest values.
+fn first(mut rated: Vec<(f32, usize)>, count: usize) -> impl Iterator<Item = usize> {
+    rated.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    rated.into_iter().take(count).map(|(_, index)| index)
 }
 
 /// The pixels of a view whose depth others confirm.
-fn agreed(views: &[Small], depths: &[Depths], of: usize) -> Vec<(Vec3, [u8; 3])> {
+fn agreed(views: &[Small], depths: &[Depths], of: usize, witnesses: &[usize]) -> Vec<(Vec3, [u8; 3])> {
     let (view, own) = (&views[of], &depths[of]);
-    let place = view.camera.position();
-    let mut witnesses: Vec<usize> = (0..views.len()).filter(|&other| other != of).collect();
-    let distance = |other: usize| views[other].camera.position().distance_squared(place);
-    witnesses.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
-    witnesses.truncate(WITNESSES);
+    let sure =
+        |view: usize, at: usize| depths[view].correlation[at] >= MIN_CORRELATION && views[view].counts[at];
     let agrees = |point: Vec3, witness: usize| {
         let (x, y, depth) = views[witness].camera.project(point);
         let at = (depth > 0.0).then(|| views[witness].pixel_at(x, y)).flatten();
         at.is_some_and(|at| {
-            views[witness].counts[at] && (depths[witness].depth[at] - depth).abs() < SAME_DEPTH * depth
+            sure(witness, at) && (depths[witness].depth[at] - depth).abs() < SAME_DEPTH * depth
         })
     };
     let mut found = Vec::new();
     for at in 0..own.depth.len() {
-        if own.correlation[at] < MIN_CORRELATION || !view.counts[at] {
+        if !sure(of, at) {
             continue;
         }
         let there = own.depth[at] * view.ray(at) - view.camera.translation;
@@ -165,28 +193,25 @@ struct Depths {
 }
 
 impl Small {
-    fn new(view: &View) -> Result<Self> {
+    fn new(view: &View, memory: &HostMemory) -> Result<Self> {
         let (full_width, full_height) = (view.photo.width, view.photo.height);
         let share = (LONG_SIDE as f32 / full_width.max(full_height) as f32).min(1.0);
         let [width, height] =
             [full_width, full_height].map(|side| ((side as f32 * share).round() as u32).max(1));
-        let mut photo = view.photo.photo()?.as_ref().clone();
-        let mask = view.photo.mask()?;
+        // Four bytes of each texel, and its three colours.
+        let _lease =
+            memory.take(Path::new(&view.name), 7 * u64::from(full_width) * u64::from(full_height))?;
+        let texels = view.photo.texels()?;
+        let texels = texels.as_chunks::<4>().0;
         // What is hidden must not tell where points lie: it may be held out.
-        for (pixel, &seen) in
-            photo.rgb.as_chunks_mut::<3>().0.iter_mut().zip(mask.iter().flat_map(|mask| mask.iter()))
-        {
-            if seen == 0 {
-                *pixel = [128; 3];
-            }
-        }
+        let rgb = texels.iter().flat_map(|&[r, g, b, seen]| if seen == 0 { [128; 3] } else { [r, g, b] });
+        let photo = Photo { width: full_width, height: full_height, rgb: rgb.collect() };
         let photo = photo.scaled_to(width, height)?;
         let [w, h] = [width, height].map(|side| side as usize);
         let counts = |at: usize| {
             let across = |i: usize, small: usize, full: u32| (2 * i + 1) * full as usize / (2 * small);
             let (x, y) = (across(at % w, w, full_width), across(at / w, h, full_height));
-            mask.as_ref()
-                .is_none_or(|mask| mask.get(y * full_width as usize + x).is_some_and(|&seen| seen != 0))
+            texels.get(y * full_width as usize + x).is_some_and(|texel| texel[3] != 0)
         };
         let colors = photo.rgb.as_chunks::<3>().0.to_vec();
         let gray = colors.iter().map(|c| c.iter().map(|&v| f32::from(v)).sum::<f32>() / 765.0).collect();
@@ -320,5 +345,54 @@ fn add_around(sums: &mut [f32], values: &[f32], stride: usize) {
         let kept = values.len() - shift;
         sums[..kept].iter_mut().zip(&values[shift..]).for_each(|(sum, value)| *sum += value);
         sums[shift..].iter_mut().zip(&values[..kept]).for_each(|(sum, value)| *sum += value);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::growth::turn;
+    use ashsplat::scene::Intrinsics;
+
+    fn camera(eye: [f32; 3], at: [f32; 3]) -> Camera {
+        let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 4.5, cy: 4.5, width: 9, height: 9 };
+        Camera::look_at(eye.into(), at.into(), Vec3::NEG_Y, intrinsics)
+    }
+
+    #[test]
+    fn those_that_look_elsewhere_or_from_the_same_place_are_no_witnesses() {
+        let _turn = turn();
+        let ahead = |x: f32| camera([x, 0.0, 0.0], [x, 0.0, 4.0]);
+        let away = camera([0.3, 0.0, 0.0], [0.3, 0.0, -4.0]);
+        let aside = camera([0.1, 0.0, 0.0], [4.0, 0.0, 0.1]);
+        let mut cameras = vec![ahead(0.0), ahead(0.0), away, ahead(0.001), aside];
+        cameras.extend((1..=WITNESSES + 3).rev().map(|n| ahead(0.1 * n as f32)));
+        let last = cameras.len();
+        // The nearest that are left, the nearest first.
+        let expected: Vec<usize> = (last - WITNESSES..last).rev().collect();
+        assert_eq!(witnesses(&cameras, 0, [1.0, 16.0]), expected);
+    }
+
+    /// A depth of a pixel that resembles nothing is by chance, and says nothing when it is the same.
+    #[test]
+    fn witnesses_confirm_what_they_have_recognised_themselves() {
+        let _turn = turn();
+        let small = |x: f32| Small {
+            camera: camera([x, 0.0, 0.0], [x, 0.0, 4.0]),
+            width: 9,
+            height: 9,
+            colors: vec![[7; 3]; 81],
+            gray: vec![0.0; 81],
+            counts: vec![true; 81],
+        };
+        let views = [0.0, 0.02, -0.02].map(small);
+        let depths = |correlation: f32| Depths { depth: vec![4.0; 81], correlation: vec![correlation; 81] };
+        let points = |sure: [f32; 3]| agreed(&views, &sure.map(depths), 0, &[1, 2]).len();
+        assert!(points([MIN_CORRELATION; 3]) > 60);
+        for of in 0..3 {
+            let mut sure = [MIN_CORRELATION; 3];
+            sure[of] -= 0.01;
+            assert_eq!(points(sure), 0, "view {of} is not sure");
+        }
     }
 }

@@ -145,14 +145,21 @@ fn zero_points_of_a_textured_scene_are_found_in_its_photos() {
     colmap_without_points(&dataset);
     let train = ["train", "-s", text(&dataset), "-m", text(&model), "--iterations", "2", "--random-points"];
     let found = "no points to start from; 20,000 at which the photos agree stand in for them";
-    for (arguments, finds) in
-        [(&["--strategy", "budget"][..], true), (&[], false), (&["--photo-points"], true)]
-    {
+    for (arguments, finds) in [
+        (&["--strategy", "budget"][..], true),
+        (&[], false),
+        (&["--photo-points", "--checkpoint-iterations", "1"], true),
+    ] {
         let run = finish(program().args([&train[..], arguments].concat()));
         assert_eq!(run.code, Some(0), "{}", run.stderr);
         assert_eq!(run.stderr.contains(found), finds, "{arguments:?}: {}", run.stderr);
         assert_eq!(run.stderr.contains("random ones stand in"), !finds, "{arguments:?}: {}", run.stderr);
     }
+    // What goes on needs none.
+    let settings = model.join("settings.toml");
+    let run = finish(program().args(["train", "--config", text(&settings), "--start-checkpoint", "latest"]));
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    assert!(!run.stderr.contains("no points"), "{}", run.stderr);
 }
 
 /// Takes the points out of a model in binary files.

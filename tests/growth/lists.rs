@@ -13,7 +13,7 @@ use crate::dataset::{Dataset, DatasetOptions};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
 use crate::exposure_json;
 use crate::host_memory::HostMemory;
-use crate::images::{Photo, PhotoFileFormat};
+use crate::images::{DepthMap, Photo, PhotoFileFormat};
 use crate::lens_json::LensFile;
 use crate::lpips_weights::WeightsFile;
 use crate::progress::Progress;
@@ -101,6 +101,22 @@ fn depth_maps_of_many_photographs_with_many_points() {
         let dataset = Dataset::load(folder, &options, Progress::NONE).unwrap();
         assert!(dataset.warnings.is_empty(), "{:?}", dataset.warnings);
     });
+}
+
+/// One map of more and more pixels, as large as its photograph and smaller.
+#[test]
+fn depth_maps_of_many_pixels() {
+    let write = |folder: &Path, size: usize| {
+        let map = ImageBuffer::from_fn(320, size as u32, |x, y| Luma([(x * y * 40_503 >> 3) as u16]));
+        map.save(folder.join("depth.png")).unwrap();
+    };
+    for scale in [1, 3] {
+        assert_linear(60, write, |folder| {
+            let map = DepthMap::read(folder.join("depth.png"), &HostMemory::default()).unwrap();
+            let photo = map.resized(scale * map.width, scale * map.height);
+            assert_eq!(photo.values.len(), (scale * scale * map.width * map.height) as usize);
+        });
+    }
 }
 
 /// A file of many tensors, none of which is wanted. The weights of a network would be much the larger part of it.

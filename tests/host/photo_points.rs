@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, StoredPhoto};
 use ashsplat_files::photo_points::photo_points;
-use ashsplat_files::{Photo, Progress, View};
+use ashsplat_files::{HostMemory, Photo, Progress, View};
 use glam::{Vec3, vec3};
 
 const SIZE: [u32; 2] = [160, 120];
@@ -55,7 +55,7 @@ fn views(paint: impl Fn(f32, f32) -> [u8; 3], mask: impl Fn(u32) -> Option<Vec<u
 }
 
 fn found(views: &[View], count: usize, seed: u64) -> PointCloud {
-    photo_points(views, 1.0, count, seed, Progress::NONE).expect("points")
+    photo_points(views, 1.0, count, seed, &HostMemory::default(), Progress::NONE).expect("points")
 }
 
 #[test]
@@ -87,6 +87,17 @@ fn photo_points_are_none_where_nothing_can_be_told() {
     assert_eq!(found(&vec![first; 5], 1000, 0).len(), 0, "from one place");
 }
 
+/// Whatever the number of threads: with room for one photograph they take turns.
+#[test]
+fn photo_points_keep_to_the_memory_given() {
+    let views = views(paint, |_| None);
+    let one = 7 * u64::from(SIZE[0] * SIZE[1]);
+    let within = |bytes| photo_points(&views, 1.0, 500, 0, &HostMemory::new(bytes), Progress::NONE);
+    assert!(within(one).expect("points") == found(&views, 500, 0));
+    let error = within(one - 1).expect_err("no room").to_string();
+    assert!(error.contains(".png") && error.contains("--max-host-memory"), "{error}");
+}
+
 #[test]
 fn photo_points_are_chosen_by_the_seed_and_end_when_asked_to() {
     // The left half of each photograph does not count.
@@ -109,6 +120,6 @@ fn photo_points_are_chosen_by_the_seed_and_end_when_asked_to() {
     assert!(others[0].photo != views[0].photo && points == found(&others, 500, 3));
     let stop = AtomicBool::new(true);
     let progress = Progress { report: None, interrupted: Some(&stop) };
-    let error = photo_points(&views, 1.0, 500, 3, progress).expect_err("interrupted");
+    let error = photo_points(&views, 1.0, 500, 3, &HostMemory::default(), progress).expect_err("interrupted");
     assert!(matches!(error, ashsplat::Error::Interrupted), "{error}");
 }

@@ -1,10 +1,13 @@
 //! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
 
+mod data;
 mod few_photos;
 mod file;
+mod missing_points;
 mod train_overrides;
 
-pub use few_photos::FewPhotos;
+pub use data::{DataSettings, When};
+pub use missing_points::MissingPoints;
 pub use train_overrides::{TrainOverrides, strategies};
 
 use ashsplat::trainer::{Preset, StrategyType, TrainSettings};
@@ -59,7 +62,10 @@ pub struct Overrides {
     /// Settings for few photos: on, off, or on below 12 photos to train on (auto); growth ends before the Gaussians fit nothing but
     /// these photos. What is given otherwise wins [default: auto]
     #[arg(long, value_name = "WHEN")]
-    few_photos: Option<FewPhotos>,
+    few_photos: Option<When>,
+    #[command(flatten)]
+    #[serde(flatten)]
+    missing_points: MissingPoints,
     /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     test_iterations: Option<Vec<u32>>,
@@ -77,55 +83,6 @@ pub struct Overrides {
 /// An iteration; -1, with which scripts for the reference say "never", becomes 0, which never comes.
 fn iteration(text: &str) -> Result<u32, std::num::ParseIntError> {
     if text == "-1" { Ok(0) } else { text.parse() }
-}
-
-/// The data of a run: where it comes from, where its results go, what is saved and tested when.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DataSettings {
-    /// The data set; empty: not given.
-    pub source_path: PathBuf,
-    /// Where results go; empty: not given.
-    pub model_path: PathBuf,
-    /// Folder of the photos within the data set.
-    pub images: String,
-    /// Folder of inverse-depth maps within the data set; empty: none.
-    pub depths: PathBuf,
-    /// The reference's `-r`.
-    pub resolution: i32,
-    /// Whether photos are turned as their metadata say: auto, stored or upright.
-    pub orientation: String,
-    /// Hold out every 8th view.
-    pub eval: bool,
-    /// Train on the left half of the held-out views, and test on the right one.
-    pub train_test_exp: bool,
-    /// Whether the settings for few photos are taken.
-    pub few_photos: FewPhotos,
-    /// Iterations after which to test; the last is always one.
-    pub test_iterations: Vec<u32>,
-    /// Iterations after which to save; the last is always one.
-    pub save_iterations: Vec<u32>,
-    /// Iterations after which to write a checkpoint.
-    pub checkpoint_iterations: Vec<u32>,
-}
-
-impl Default for DataSettings {
-    fn default() -> Self {
-        Self {
-            source_path: PathBuf::new(),
-            model_path: PathBuf::new(),
-            images: "images".into(),
-            depths: PathBuf::new(),
-            resolution: -1,
-            orientation: "auto".into(),
-            eval: false,
-            train_test_exp: false,
-            few_photos: FewPhotos::default(),
-            test_iterations: vec![7000, 30_000],
-            save_iterations: vec![7000, 30_000],
-            checkpoint_iterations: Vec::new(),
-        }
-    }
 }
 
 /// All settings of a run.
@@ -333,6 +290,7 @@ mod tests {
         settings.data.eval = true;
         settings.data.source_path = "some/where".into();
         settings.train.position_lr_init = 1.25e-4;
+        settings.data.photo_points = When::On;
         settings.train.seed = 17;
         std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
         let read = Settings::resolve(Some(&path), &Overrides::default()).expect("read back");

@@ -3,11 +3,11 @@
 use crate::args::HostArguments;
 use crate::config::DataSettings;
 use crate::model::Model;
-use crate::progress::{counting, thousands};
+use crate::progress::thousands;
 use crate::session;
 use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
-use ashsplat_files::{Dataset, DatasetReport, Progress, splats};
+use ashsplat_files::{Dataset, DatasetReport, splats};
 use clap::Args;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -82,15 +82,10 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         ..Default::default()
     };
     let options = session::options(&data, false, &arguments.host)?;
-    let bar = counting("checking photos", 0, arguments.quiet);
-    let report = |done: usize, total: usize| {
-        bar.set_length(total as u64);
-        bar.set_position(done as u64);
-    };
     let stop = session::stop_on_ctrl_c()?;
-    let progress = Progress { report: Some(&report), interrupted: Some(&stop) };
-    let report = Dataset::inspect(&arguments.path, &options, progress);
-    bar.finish_and_clear();
+    let report = session::counted("checking photos", arguments.quiet, &stop, |progress| {
+        Dataset::inspect(&arguments.path, &options, progress)
+    });
     session::check(&stop)?;
     if arguments.json {
         say!("{:#}", dataset_json(&report));

@@ -6,11 +6,11 @@ use crate::progress::counting;
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::NamedCamera;
-use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress};
+use ashsplat_files::{Dataset, DatasetOptions, Gallery, HostMemory, Progress};
 use clap::Args;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 
 /// Which data set a command uses, and how.
 #[derive(Args)]
@@ -92,27 +92,28 @@ pub fn load(gallery: &Gallery, quiet: bool, stop: &AtomicBool) -> Result<Dataset
 pub fn points_in_photos(
     dataset: &Dataset,
     seed: u64,
+    memory: &HostMemory,
     quiet: bool,
     stop: &AtomicBool,
 ) -> Result<Result<PointCloud, usize>> {
     counted("looking for points in the photos", quiet, stop, |progress| {
-        dataset.points_in_photos(seed, progress)
+        dataset.points_in_photos(seed, memory, progress)
     })
 }
 
-fn counted<T>(
+/// Work that says how far it is, with a bar from its first report on; `stop` ends it.
+pub fn counted<T>(
     what: &'static str,
     quiet: bool,
     stop: &AtomicBool,
-    work: impl FnOnce(Progress<'_>) -> Result<T>,
-) -> Result<T> {
-    let bar = counting(what, 0, quiet);
+    work: impl FnOnce(Progress<'_>) -> T,
+) -> T {
+    let shown = OnceLock::new();
     let report = |done: usize, total: usize| {
-        bar.set_length(total as u64);
-        bar.set_position(done as u64);
+        shown.get_or_init(|| counting(what, total as u64, quiet)).set_position(done as u64);
     };
     let done = work(Progress { report: Some(&report), interrupted: Some(stop) });
-    bar.finish_and_clear();
+    shown.get().inspect(|bar| bar.finish_and_clear());
     done
 }
 

@@ -5,7 +5,6 @@ mod checkpoints;
 mod folder;
 mod live;
 mod log;
-mod points;
 mod poses;
 mod prepared;
 mod report;
@@ -32,7 +31,6 @@ use checkpoints::{LATEST, Start};
 use clap::Args;
 use live::{Live, LiveArguments};
 use log::TrainLog;
-use points::MissingPoints;
 use prepared::{Prepared, Views, check_fits, photo_memory};
 use report::KernelTimes;
 pub use report::say_what_next;
@@ -58,8 +56,6 @@ pub struct Arguments {
     /// TOML file with any of these settings (as settings.toml in a model folder); the command line wins
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    #[command(flatten)]
-    missing_points: MissingPoints,
     /// Go on from this checkpoint, or from the newest of the model folder; all else must be as it was
     #[arg(long, value_name = "FILE|latest")]
     start_checkpoint: Option<PathBuf>,
@@ -130,12 +126,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         &gallery,
         &settings.train,
         start.as_ref().map(Start::checkpoint),
-        arguments.missing_points.count(&settings.train),
+        settings.missing_points(),
     )?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
     let gallery = arguments.live.wants_photos().then_some(gallery);
-    if start.is_none() {
-        arguments.missing_points.settle(&mut dataset, &settings, arguments.quiet, &stop)?;
+    match start {
+        None => {
+            settings.settle_points(&mut dataset, &options.host_memory, arguments.quiet, &stop)?;
+        }
+        Some(_) => dataset.needs_no_points(),
     }
     session::warn(&dataset.warnings);
     start.iter().for_each(|start| start.warn(&context));

@@ -285,8 +285,15 @@ pub(super) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
     Error::input(path, format!("cannot be decoded: {problem}"), "copy or export the picture again")
 }
 
+/// A whole file, if the machine has the memory for it.
 pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    fs::read(path).map_err(|source| Error::io(path, "read", source))
+    let io = |source| Error::io(path, "read", source);
+    let metadata = fs::metadata(path).map_err(io)?;
+    if !metadata.is_file() {
+        return Err(Error::input(path, "is not a file", "put the picture itself in its place"));
+    }
+    host_memory::check_free(path, metadata.len())?;
+    fs::read(path).map_err(io)
 }
 
 /// A decoder chosen by the content instead of the file's name, and the picture's size.

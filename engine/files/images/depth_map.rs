@@ -6,6 +6,7 @@ use std::path::Path;
 use image::{ColorType, DynamicImage, ImageDecoder, Limits};
 
 use super::decode::{cannot_hold, claims, damaged, decoder, read_bytes};
+use crate::cost;
 use crate::host_memory::HostMemory;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
@@ -43,12 +44,14 @@ impl DepthMap {
         if cannot_hold(bytes.len() as u64, decoded) {
             return Err(damaged(path, &claims((width, height), bytes.len() as u64)));
         }
-        let _lease = memory.take(path, 2 * decoded + 4 * u64::from(width) * u64::from(height))?;
+        let _lease =
+            memory.take(path, bytes.len() as u64 + 2 * decoded + 4 * u64::from(width) * u64::from(height))?;
         let mut limits = Limits::default();
         limits.max_image_width = Some(MAX_IMAGE_SIDE);
         limits.max_image_height = Some(MAX_IMAGE_SIDE);
         limits.max_alloc = Some(memory.limit());
         decoder.set_limits(limits).map_err(|e| damaged(path, &e))?;
+        cost::steps(bytes.len());
         let channels = usize::from(color.channel_count());
         let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
         let all = match image {
@@ -58,6 +61,7 @@ impl DepthMap {
             DynamicImage::ImageRgba16(image) => image.into_raw(),
             _ => return Err(damaged(path, &"its colours are of a kind that is not read")),
         };
+        cost::steps(all.len());
         let values = all.chunks_exact(channels).map(|pixel| f32::from(pixel[0]) / STEPS).collect();
         Ok(Self { width, height, values })
     }
@@ -81,6 +85,7 @@ impl DepthMap {
         let of =
             |at: u32, size: u32, own: u32| (f64::from(at) + 0.5) * f64::from(own) / f64::from(size) - 0.5;
         let row = |y: u32| {
+            cost::steps(width as usize);
             let y = of(y, height, self.height);
             (0..width).map(move |x| self.sample(of(x, width, self.width), y) as f32)
         };

@@ -6,16 +6,17 @@ mod summary;
 
 use super::machine;
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};
-use crate::config::{self, DataSettings, TrainOverrides};
+use crate::config::{self, DataSettings, MissingPoints, Settings, TrainOverrides};
 use crate::eval::{self, More, Protocol};
 use crate::lock::{FolderLock, Work};
 use crate::measure::Stopwatch;
 use crate::progress::counting;
 use crate::{output, session};
+use ashsplat::scene::PointCloud;
 use ashsplat::trainer::{TrainSettings, TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, RenderSettings, Result};
-use ashsplat_files::{Dataset, View, atomic};
+use ashsplat_files::{Dataset, HostMemory, View, atomic};
 use clap::Args;
 use runs::{Point, Run, SCHEMA, Setup};
 use serde::Serialize;
@@ -68,6 +69,8 @@ pub struct Arguments {
     #[arg(short, long, value_name = "N", allow_negative_numbers = true, default_value_t = -1)]
     resolution: i32,
     #[command(flatten)]
+    missing_points: MissingPoints,
+    #[command(flatten)]
     train: TrainOverrides,
     #[command(flatten)]
     device: DeviceArguments,
@@ -110,6 +113,8 @@ struct Job {
 struct Shared<'a> {
     context: &'a Context,
     dataset: &'a Dataset,
+    data: &'a DataSettings,
+    memory: &'a HostMemory,
     train: Vec<TrainView>,
     points: u32,
     quiet: bool,
@@ -144,10 +149,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let dataset = session::load(&gallery, arguments.quiet, &stop)?;
         session::warn(&dataset.warnings);
         check(&dataset, &arguments.dataset)?;
+        Settings { data: data.clone(), train: jobs[0].settings.clone() }.check_points(&dataset)?;
         let shared = Shared {
             context: &context,
             train: dataset.train.iter().map(train_view).collect(),
             dataset: &dataset,
+            data: &data,
+            memory: &options.host_memory,
             points: arguments.points,
             quiet: arguments.quiet,
             stop: &stop,
@@ -183,14 +191,10 @@ fn train_view(view: &View) -> TrainView {
 }
 
 fn check(dataset: &Dataset, path: &Path) -> Result<()> {
-    let (problem, remedy) = if dataset.points.is_empty() {
-        ("has no points to start from", "give a data set with points3D")
-    } else if dataset.test.is_empty() {
-        ("has no views to hold out", "give a data set of more views")
-    } else {
-        return Ok(());
-    };
-    Err(Error::input(path, problem, remedy))
+    if dataset.test.is_empty() {
+        return Err(Error::input(path, "has no views to hold out", "give a data set of more views"));
+    }
+    Ok(())
 }
 
 /// Everything that is there so far, in the order of the strategies.
@@ -254,6 +258,8 @@ impl Arguments {
             images: self.images.clone(),
             depths: self.depths.clone().unwrap_or_default(),
             resolution: self.resolution,
+            random_points: self.missing_points.random_points.unwrap_or_default(),
+            photo_points: self.missing_points.photo_points.unwrap_or_default(),
             eval: true,
             ..DataSettings::default()
         }
@@ -261,19 +267,31 @@ impl Arguments {
 }
 
 impl Shared<'_> {
+    /// The points that a training starts from.
+    fn points(&self, settings: &TrainSettings) -> Result<PointCloud> {
+        let seed = u64::from(settings.seed);
+        if !self.dataset.points.is_empty() {
+            return Ok(self.dataset.points.clone());
+        }
+        let settings = Settings { data: self.data.clone(), train: settings.clone() };
+        let mut dataset = self.dataset.clone();
+        settings.settle_points(&mut dataset, self.memory, self.quiet, self.stop)?;
+        Ok(dataset.initial_points(seed))
+    }
+
     /// Trains once.
     fn measure(&self, job: &Job, setup: Setup) -> Result<Run> {
         let settings = &job.settings;
-        let seed = u64::from(settings.seed);
-        let points = self.dataset.initial_points(seed);
+        let mut watch = Stopwatch::start();
+        let points = self.points(settings)?;
         let mut initial = ashsplat_files::initial_gaussians(&points, settings.sh_degree)?;
         settings.initialize(&mut initial);
         let extent = self.dataset.scene_extent;
-        let mut trainer = Trainer::new(self.context, self.train.clone(), &initial, extent, settings.clone())?;
+        let new = || Trainer::new(self.context, self.train.clone(), &initial, extent, settings.clone());
+        let mut trainer = watch.paused(new)?;
         let bar = counting("iterations", settings.iterations.into(), self.quiet);
         let due = runs::shares(settings.iterations, self.points);
         let mut points = Vec::with_capacity(due.len());
-        let mut watch = Stopwatch::start();
         while trainer.iteration() < settings.iterations {
             session::check(self.stop)?;
             let report = trainer.step()?;

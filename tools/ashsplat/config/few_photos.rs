@@ -1,24 +1,10 @@
 //! The settings for few photos.
 
-use super::{Overrides, Settings};
+use super::{Overrides, Settings, When};
 use ashsplat::trainer::TrainSettings;
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
-use serde::{Deserialize, Serialize};
 use std::path::Path;
-
-/// When the settings for few photos are taken.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum FewPhotos {
-    /// Where there are fewer photos to train on than [`TrainSettings::FEW_PHOTOS`].
-    #[default]
-    Auto,
-    /// Always.
-    On,
-    /// Never.
-    Off,
-}
 
 impl Settings {
     /// What follows from the data set: the settings for few photos, with a line to say about them, and the points whose depths
@@ -30,9 +16,9 @@ impl Settings {
     ) -> Result<(Settings, Option<String>)> {
         let photos = gallery.train_photos()?.len();
         let few = match self.data.few_photos {
-            FewPhotos::Auto => photos < TrainSettings::FEW_PHOTOS,
-            FewPhotos::On => true,
-            FewPhotos::Off => false,
+            When::Auto => photos < TrainSettings::FEW_PHOTOS,
+            When::On => true,
+            When::Off => false,
         };
         if self.train.depth_points > 0.0 && gallery.read_tracks()? == 0 {
             let problem = "does not say which photos show which points, whose depths --depth-points needs";

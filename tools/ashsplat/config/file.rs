@@ -47,6 +47,43 @@ pub fn table(path: &Path) -> Result<Table> {
 mod tests {
     use super::*;
 
+    /// What the crate does inside is not seen; it takes memory for each name, value and level that it goes through.
+    #[test]
+    fn settings_cost_as_much_as_they_are_long() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("settings.toml");
+        let numbered =
+            |line: &dyn Fn(usize) -> String, count: usize| (0..count).map(line).collect::<String>();
+        let kinds: [(&str, &dyn Fn(usize) -> String); 6] = [
+            ("unknown names", &|n| format!("unknown_{n} = {n}\n")),
+            ("tables", &|n| format!("[table_{n}]\nvalue = 1\n")),
+            ("dotted names", &|n| format!("a.b{n}.c = 1\n")),
+            ("tables of a list", &|_| "[[a.b]]\nc = 1\n".into()),
+            ("a long list", &|n| format!("{}{n}", if n == 0 { "test_iterations = [" } else { ", " })),
+            ("a deep list", &|n| if n == 0 { "test_iterations = [".into() } else { "[".into() }),
+        ];
+        for (kind, line) in kinds {
+            let [small, large] = [1000, 4000].map(|count| {
+                let end = if kind == "a long list" { "]" } else { "" };
+                std::fs::write(&path, numbered(line, count) + end).expect("written");
+                allocation_counter::measure(|| drop(table(&path)))
+            });
+            // Some of it is there for an empty file too.
+            assert!(large.count_total <= 5 * small.count_total, "{kind}: {small:?} {large:?}");
+            assert!(large.bytes_total <= 5 * small.bytes_total, "{kind}: {small:?} {large:?}");
+        }
+        // Of the reference's line nothing is kept: twice its length, for a text grows by doubling.
+        for line in [&(|n| format!(", field_{n}={n}")) as &dyn Fn(usize) -> String, &|_| "((, ".into()] {
+            for count in [1000, 4000] {
+                let namespace = format!("Namespace(eval=True{}", numbered(line, count));
+                std::fs::write(&path, &namespace).expect("written");
+                let read = || text(&path).map(|text| Settings::from_cfg_args(&text));
+                let cost = allocation_counter::measure(|| drop(read()));
+                assert!(cost.bytes_total <= 4 * namespace.len() as u64 + 4096, "{count}: {cost:?}");
+            }
+        }
+    }
+
     #[test]
     fn a_file_of_any_length_is_refused_after_a_mebibyte() {
         let folder = tempfile::tempdir().expect("a temporary folder");

@@ -50,6 +50,8 @@ impl Setup {
         add("images", json!(data.images));
         add("depths", json!(data.depths));
         add("resolution", json!(data.resolution));
+        add("random_points", json!(data.random_points));
+        add("photo_points", json!(data.photo_points));
         add("points", json!(points));
         add("device", json!(context.description().name));
         add("driver", json!(context.description().driver));

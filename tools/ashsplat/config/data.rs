@@ -1,0 +1,71 @@
+//! The data of a run.
+
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// The data of a run: where it comes from, where its results go, what is saved and tested when.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DataSettings {
+    /// The data set; empty: not given.
+    pub source_path: PathBuf,
+    /// Where results go; empty: not given.
+    pub model_path: PathBuf,
+    /// Folder of the photos within the data set.
+    pub images: String,
+    /// Folder of inverse-depth maps within the data set; empty: none.
+    pub depths: PathBuf,
+    /// The reference's `-r`.
+    pub resolution: i32,
+    /// Whether photos are turned as their metadata say: auto, stored or upright.
+    pub orientation: String,
+    /// Hold out every 8th view.
+    pub eval: bool,
+    /// Train on the left half of the held-out views, and test on the right one.
+    pub train_test_exp: bool,
+    /// Whether the settings for few photos are taken.
+    pub few_photos: When,
+    /// Start from random points where there are none.
+    pub random_points: bool,
+    /// Whether points are looked for in the photos where there are none.
+    pub photo_points: When,
+    /// Iterations after which to test; the last is always one.
+    pub test_iterations: Vec<u32>,
+    /// Iterations after which to save; the last is always one.
+    pub save_iterations: Vec<u32>,
+    /// Iterations after which to write a checkpoint.
+    pub checkpoint_iterations: Vec<u32>,
+}
+
+impl Default for DataSettings {
+    fn default() -> Self {
+        Self {
+            source_path: PathBuf::new(),
+            model_path: PathBuf::new(),
+            images: "images".into(),
+            depths: PathBuf::new(),
+            resolution: -1,
+            orientation: "auto".into(),
+            eval: false,
+            train_test_exp: false,
+            few_photos: When::Auto,
+            random_points: false,
+            photo_points: When::Auto,
+            test_iterations: vec![7000, 30_000],
+            save_iterations: vec![7000, 30_000],
+            checkpoint_iterations: Vec::new(),
+        }
+    }
+}
+
+/// Whether something is done; auto where it is known to help.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum When {
+    #[default]
+    Auto,
+    #[value(alias = "true")]
+    On,
+    #[value(alias = "false")]
+    Off,
+}
