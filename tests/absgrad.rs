@@ -5,13 +5,13 @@ use ashsplat::densify::{
 };
 use ashsplat::trainer::strategy::{ABSOLUTE_STATISTIC, Changes, Statistic, Work};
 use ashsplat::trainer::{Actions, Checkpoint, Densified, Population, Strategy, TrainParts, Trainer};
-use ashsplat::vk::{Context, ContextOptions, MemoryKind};
+use ashsplat::vk::{Context, MemoryKind};
 use ashsplat::{Result, TrainSettings, TrainView};
 use std::sync::{Arc, Mutex};
 
 use crate::checkpoints::{start, views};
+use crate::common::bounded;
 use crate::common::gpu::Gpu;
-use crate::common::options;
 use crate::photos::in_a_file;
 
 const EXTENT: f32 = 5.0;
@@ -220,7 +220,7 @@ impl Strategy for Asking {
 #[test]
 fn importance_keeps_within_a_bounded_memory() {
     let of = |max_memory: Option<u64>| {
-        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let context = bounded(max_memory);
         let (mut trainer, answers) = Asking::trainer(&context, &[0, 1, 2]);
         trainer.step().expect("a step");
         let before = trainer.memory_bytes();

@@ -2,12 +2,12 @@
 
 use ashsplat::loss::DepthPoint;
 use ashsplat::trainer::{StrategyType, Trainer};
-use ashsplat::vk::{Context, ContextOptions};
+
 use ashsplat::{TrainSettings, TrainView};
 
 use crate::checkpoints::{check_resumed_with, end_with, settings as small_settings, start, views};
+use crate::common::bounded;
 use crate::common::gpu::Gpu;
-use crate::common::options;
 
 const EXTENT: f32 = 5.0;
 const ITERATIONS: u32 = 40;
@@ -129,7 +129,7 @@ fn few_photos_points_move_the_scene_to_their_depths() {
 #[test]
 fn few_photos_are_within_the_memory() {
     let peak = |depth_points: f64, max_memory: Option<u64>| -> ashsplat::Result<u64> {
-        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let context = bounded(max_memory);
         let settings = TrainSettings { depth_points, ..settings() };
         let mut trainer = Trainer::new(&context, few(), &start(), EXTENT, settings)?;
         (0..3).try_for_each(|_| trainer.step().map(drop))?;

@@ -1,14 +1,14 @@
 //! Mip-Splatting's filters in training, in files and in pictures.
 
 use ashsplat::trainer::Trainer;
-use ashsplat::vk::{Context, ContextOptions};
+
 use ashsplat::{Camera, RenderSettings, Renderer, TrainSettings};
 use ashsplat_files::ply;
 use tempfile::tempdir;
 
 use crate::checkpoints::{end_of_run, start, views};
+use crate::common::bounded;
 use crate::common::gpu::Gpu;
-use crate::common::options;
 
 const EXTENT: f32 = 5.0;
 
@@ -89,7 +89,7 @@ fn filters_resume_to_the_bit() {
 #[test]
 fn filters_are_within_the_memory() {
     let run = |max_memory: Option<u64>| {
-        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let context = bounded(max_memory);
         let mut trainer =
             Trainer::new(&context, views(3, 9), &start(), EXTENT, settings()).expect("a trainer");
         (0..40).for_each(|_| drop(trainer.step().expect("a step")));

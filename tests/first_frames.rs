@@ -2,19 +2,15 @@
 
 use ashsplat::plan::{LEAST_INSTANCES, PictureCapacity, initial_instances};
 use ashsplat::trainer::{TrainView, Trainer};
-use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::vk::Context;
 use ashsplat::{Error, Frame, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
 use ashsplat_files::Photo;
 
+use crate::common::bounded;
 use crate::common::engine::{camera, gaussians};
 use crate::common::scenes::{Random, small_scene, small_view};
-use crate::common::{assert_silent, options};
 
 const SIZE: [u32; 2] = [200, 120];
-
-fn context(max_memory: Option<u64>) -> Context {
-    Context::new(&ContextOptions { max_memory, ..options() }).expect("a device")
-}
 
 /// Gaussians `by` natural logarithms larger or smaller than usual.
 fn scene(count: usize, by: f32) -> Gaussians {
@@ -40,36 +36,34 @@ fn view() -> TrainView {
 
 #[test]
 fn a_first_frame_that_needs_more_than_estimated_is_whole() {
-    let (context, scene) = (context(None), scene(1500, 2.5));
+    let (context, scene) = (bounded(None), scene(1500, 2.5));
     let roomy = render(&context, &scene, Some(1 << 20)).expect("a frame");
     let first = render(&context, &scene, None).expect("a frame");
     let estimate = initial_instances(context.limits(), 1500, &PictureCapacity::of(SIZE[0], SIZE[1]));
     assert!(first.stats.instances > 2 * estimate, "{} of {estimate}", first.stats.instances);
     assert_eq!((first.stats.retries, roomy.stats.retries), (1, 0));
     assert!(first.color == roomy.color && first.transmittance == roomy.transmittance);
-    assert_silent(&context);
 }
 
 /// The memory does not hold what is estimated. It holds what is needed.
 #[test]
 fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
     let scene = scene(20_000, -3.0);
-    let roomy = context(None);
+    let roomy = bounded(None);
     let expected = render(&roomy, &scene, None).expect("a frame");
     let estimate = initial_instances(roomy.limits(), 20_000, &PictureCapacity::of(SIZE[0], SIZE[1]));
     assert!(4 * expected.stats.instances < estimate, "{} of {estimate}", expected.stats.instances);
     let with_estimate = roomy.memory().iter().map(|arena| arena.peak_bytes).sum::<u64>();
-    let tight = context(Some(with_estimate - u64::from(estimate - expected.stats.instances) * 4));
+    drop(roomy);
+    let tight = bounded(Some(with_estimate - u64::from(estimate - expected.stats.instances) * 4));
     let frame = render(&tight, &scene, None).expect("a frame");
     assert!(frame.color == expected.color);
     // Where even the least is too much, the error says so.
-    let least = context(Some(1 << 20));
+    drop(tight);
+    let least = bounded(Some(1 << 20));
     let error = render(&least, &scene, None).expect_err("refused");
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
     assert!(LEAST_INSTANCES < estimate);
-    for context in [roomy, tight, least] {
-        assert_silent(&context);
-    }
 }
 
 /// Memory for the first frame, but not beside the reserve of Gaussians that was planned with the estimate.
@@ -82,14 +76,14 @@ fn a_first_frame_takes_the_place_of_the_reserve_of_a_training() {
         trainer.step()?;
         Ok((trainer.gaussians()?, trainer.checkpoint()?.room.gaussians))
     };
-    let (expected, room) = train(&context(None)).expect("trained");
+    let (expected, room) = train(&bounded(None)).expect("trained");
     assert!(room > 3000);
     // The least memory that suffices, to a 64th.
     let (mut refused, mut enough) = (0u64, 256 << 20);
     let mut rooms = Vec::new();
     while enough - refused > enough / 64 {
         let middle = refused + (enough - refused) / 2;
-        let context = context(Some(middle));
+        let context = bounded(Some(middle));
         match train(&context) {
             Ok((trained, room)) => {
                 assert!(trained == expected, "other bits with {middle} bytes");
@@ -99,7 +93,6 @@ fn a_first_frame_takes_the_place_of_the_reserve_of_a_training() {
             Err(Error::TooLarge { .. }) => refused = middle,
             Err(error) => panic!("{middle}: {error}"),
         }
-        assert_silent(&context);
     }
     eprintln!("{rooms:?}");
     assert_eq!(rooms.last().map(|&(_, room)| room), Some(3000), "the reserve was kept: {rooms:?}");

@@ -9,6 +9,7 @@ use ashsplat_files::Photo;
 use glam::Vec3;
 
 use crate::checkpoints::{start, views};
+use crate::common::device::{Bounded, bounded};
 use crate::common::engine::{camera, gaussians};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, small_scene, small_view};
@@ -317,8 +318,8 @@ fn limits_of_instances_end_a_training_of_nothing() {
     assert_silent(&context);
 }
 
-fn with_memory(bytes: u64) -> Context {
-    Context::new(&ContextOptions { max_memory: Some(bytes), ..options() }).expect("a device")
+fn with_memory(bytes: u64) -> Bounded {
+    bounded(Some(bytes))
 }
 
 #[test]
@@ -331,6 +332,7 @@ fn memory_that_cannot_suffice_is_said_before_any_work() {
         assert!(message.contains(word), "no '{word}' in {message}");
     }
     assert_eq!(context.memory_total().peak_bytes, 0, "nothing was allocated");
+    drop(context);
     // What is said to be needed suffices, and less does not.
     let Error::TooLarge { needed, .. } = refused else { unreachable!("asserted above") };
     assert!(Trainer::new(&with_memory(needed - 1), views(2, 5), &start(), 5.0, settings()).is_err());
@@ -382,7 +384,7 @@ fn memory_budget_is_trainings_whoever_looks_on() {
     let start = gaussians(&small_scene(&mut Random::new(44), 3000, 16));
     let settings = TrainSettings { densify_grad_threshold: 1e-7, ..settings() };
     let train = |max_memory: Option<u64>, looked_at: bool| {
-        let context = Context::new(&ContextOptions { max_memory, ..options() }).expect("a device");
+        let context = bounded(max_memory);
         let mut trainer =
             Trainer::new(&context, views(2, 5), &start, 5.0, settings.clone()).expect("a trainer");
         let picture = RenderSettings { scale_modifier: 1.5, ..trainer.render_settings() };

@@ -7,7 +7,7 @@ use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
 use crate::common::compare::elementwise;
 use crate::common::gpu::Gpu;
 use crate::common::scenes::Random;
-use crate::common::{assert_silent, options};
+use crate::common::{assert_silent, bounded, options};
 use crate::reference::lpips::{ALEXNET, VGG16, formula, lpips};
 
 fn weights(network: Network) -> Weights {
@@ -45,12 +45,10 @@ fn lpips_has_the_same_bits_in_little_memory() {
     let own: u64 = weights.convolutions.iter().map(|(w, b)| 4 * (w.len() + b.len()) as u64).sum();
     for share in [2, 4] {
         let max_memory = own + (1 << 20) + maps(gpu.context) / share;
-        let options = ContextOptions { max_memory: Some(max_memory), ..options() };
-        let context = Context::new(&options).expect("a device");
+        let context = bounded(Some(max_memory));
         assert_eq!(measure(&context, &weights, size), whole, "with {max_memory} bytes");
         assert!(context.memory_total().peak_bytes <= max_memory);
         assert!(maps(&context) <= maps(gpu.context) / share + (1 << 20));
-        assert_silent(&context);
     }
 }
 
@@ -104,8 +102,7 @@ fn lpips_refuses_what_it_cannot_measure() {
     few.convolutions[2].0.pop();
     let error = Lpips::new(gpu.context, &few).err().expect("refused").to_string();
     assert!(error.contains("layer 6"), "{error}");
-    let options = ContextOptions { max_memory: Some(8 << 20), ..options() };
-    let context = Context::new(&options).expect("a device");
+    let context = bounded(Some(8 << 20));
     let error = Lpips::new(&context, &weights(Network::AlexNet)).err().expect("too large");
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
 }

@@ -12,7 +12,7 @@ use crate::checkpoints::start;
 use crate::common::engine::{camera, renderer};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::small_view;
-use crate::common::{assert_silent, options};
+use crate::common::{assert_silent, bounded, options};
 
 const WIDE: [u32; 2] = [320, 32];
 const HIGH: [u32; 2] = [32, 320];
@@ -155,23 +155,22 @@ fn orientations_need_the_memory_that_is_forecast() {
         depth_points: 0,
     };
     let photos: Vec<_> = sizes.iter().enumerate().map(photo).collect();
-    let with_memory = |bytes| Context::new(&ContextOptions { max_memory: Some(bytes), ..options() });
     let check = |context: &Context| {
         let (photo_memory, room) = (None, None);
         Forecast { settings: &settings, photos: &photos, photo_memory, gaussians: 150, room }.check(context)
     };
-    let few = with_memory(100_000).expect("a device");
-    let refused = check(&few).expect_err("too little");
+    let refused = check(&bounded(Some(100_000))).expect_err("too little");
     let Error::TooLarge { needed, limit: 100_000, .. } = refused else { panic!("{refused}") };
     for word in ["3 photographs", "of 320x32 pixels", "-r"] {
         assert!(refused.to_string().contains(word), "no '{word}' in {refused}");
     }
-    let context = with_memory(needed).expect("a device");
+    let context = bounded(Some(needed));
     check(&context).expect("as much as was asked for");
     let trainer = Trainer::new(&context, views_of(&sizes), &start(), EXTENT, settings.clone());
     trainer.expect("a trainer").step().expect("a step");
     assert_eq!(context.memory_total().peak_bytes, needed);
-    assert!(check(&with_memory(needed - 1).expect("a device")).is_err());
+    drop(context);
+    assert!(check(&bounded(Some(needed - 1))).is_err());
 }
 
 /// Earlier versions wrote the largest width and the largest height, and had room for their product.

@@ -43,6 +43,9 @@ const BASELINE: f32 = 0.2;
 const RADIUS: usize = 3;
 /// Least correlation of windows, the mean of the two best views.
 const MIN_CORRELATION: f32 = 0.6;
+/// A witness must have recognised more than nothing. With [`MIN_CORRELATION`] surfaces with little texture lose the points that
+/// they have: 1.5 dB less on the demo's scene (three seeds).
+const WITNESS_CORRELATION: f32 = 0.0;
 /// Views that are asked for a depth, and how many of them must have the same.
 const WITNESSES: usize = 8;
 const AGREEING: usize = 2;
@@ -151,18 +154,19 @@ fn first(mut rated: Vec<(f32, usize)>, count: usize) -> impl Iterator<Item = usi
 /// The pixels of a view whose depth others confirm.
 fn agreed(views: &[Small], depths: &[Depths], of: usize, witnesses: &[usize]) -> Vec<(Vec3, [u8; 3])> {
     let (view, own) = (&views[of], &depths[of]);
-    let sure =
-        |view: usize, at: usize| depths[view].correlation[at] >= MIN_CORRELATION && views[view].counts[at];
     let agrees = |point: Vec3, witness: usize| {
         let (x, y, depth) = views[witness].camera.project(point);
         let at = (depth > 0.0).then(|| views[witness].pixel_at(x, y)).flatten();
         at.is_some_and(|at| {
-            sure(witness, at) && (depths[witness].depth[at] - depth).abs() < SAME_DEPTH * depth
+            let there = &depths[witness];
+            there.correlation[at] > WITNESS_CORRELATION
+                && views[witness].counts[at]
+                && (there.depth[at] - depth).abs() < SAME_DEPTH * depth
         })
     };
     let mut found = Vec::new();
     for at in 0..own.depth.len() {
-        if !sure(of, at) {
+        if own.correlation[at] < MIN_CORRELATION || !view.counts[at] {
             continue;
         }
         let there = own.depth[at] * view.ray(at) - view.camera.translation;
@@ -389,10 +393,12 @@ mod tests {
         let depths = |correlation: f32| Depths { depth: vec![4.0; 81], correlation: vec![correlation; 81] };
         let points = |sure: [f32; 3]| agreed(&views, &sure.map(depths), 0, &[1, 2]).len();
         assert!(points([MIN_CORRELATION; 3]) > 60);
-        for of in 0..3 {
-            let mut sure = [MIN_CORRELATION; 3];
-            sure[of] -= 0.01;
-            assert_eq!(points(sure), 0, "view {of} is not sure");
+        assert_eq!(points([MIN_CORRELATION - 0.01, 1.0, 1.0]), 0, "not sure itself");
+        assert!(points([MIN_CORRELATION, 0.1, 0.1]) > 60);
+        for of in 1..3 {
+            let mut sure = [1.0; 3];
+            sure[of] = WITNESS_CORRELATION;
+            assert_eq!(points(sure), 0, "witness {of} has recognised nothing");
         }
     }
 }

@@ -8,9 +8,13 @@ use super::memory::{Block, SMALLEST_BUFFER, pack};
 use super::open_device::Device;
 use crate::{Error, Result};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 /// The user's name for [`ContextOptions::max_memory`](super::ContextOptions::max_memory).
 pub(super) const MAX_MEMORY: &str = "--max-memory";
+
+/// The bound where there is none.
+pub(super) const UNBOUNDED: u64 = u64::MAX;
 
 impl Device {
     /// Bytes of the bands around each buffer.
@@ -36,6 +40,11 @@ impl Device {
         let sizes = self.sizes(requests);
         let blocks = pack(&sizes, self.limits.max_allocation_bytes).map_or(sizes, |packing| packing.blocks);
         blocks.iter().sum()
+    }
+
+    /// [`Context::max_memory`](super::Context::max_memory).
+    pub(super) fn max_memory(&self) -> Option<u64> {
+        Some(self.max_memory.load(Ordering::Relaxed)).filter(|&bytes| bytes != UNBOUNDED)
     }
 
     /// [`Context::allocate`](super::Context::allocate), without what tests and audits do with new memory.
@@ -68,7 +77,7 @@ impl Device {
             return too_large(format!("arena {arena}"), total, limits.heap_bytes, "device-local heap");
         }
         let used = self.registry.total().bytes;
-        if let Some(limit) = self.max_memory.filter(|&limit| used.saturating_add(total) > limit) {
+        if let Some(limit) = self.max_memory().filter(|&limit| used.saturating_add(total) > limit) {
             let what = format!("arena {arena} (beside {used} bytes in use)");
             return too_large(what, used.saturating_add(total), limit, MAX_MEMORY);
         }

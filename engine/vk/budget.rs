@@ -1,6 +1,6 @@
 //! Allocation in a context, and how much memory there is and may be.
 
-use super::allocate::MAX_MEMORY;
+use super::allocate::{MAX_MEMORY, UNBOUNDED};
 use super::allocator::MemoryKind;
 use super::arenas::ArenaMemory;
 use super::buffer::Buffer;
@@ -8,6 +8,7 @@ use super::context::Context;
 use crate::Result;
 use ash::vk;
 use std::sync::PoisonError;
+use std::sync::atomic::Ordering;
 
 impl Context {
     /// Allocates buffers of one lifetime; all of them are named `arena.request` in messages.
@@ -72,14 +73,21 @@ impl Context {
     pub fn memory_limit(&self) -> Option<(u64, &'static str)> {
         let heap =
             self.limits().tuning.heap_is_bound.then_some((self.limits().heap_bytes, "device-local heap"));
-        let asked = self.device.max_memory.map(|bytes| (bytes, MAX_MEMORY));
+        let asked = self.max_memory().map(|bytes| (bytes, MAX_MEMORY));
         let driver = self.driver_budget().map(|bytes| (bytes, "VK_EXT_memory_budget"));
         [asked, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)
     }
 
-    /// [`super::ContextOptions::max_memory`], as requested.
+    /// [`super::ContextOptions::max_memory`], or what [`Context::set_max_memory`] has made of it.
     pub fn max_memory(&self) -> Option<u64> {
-        self.device.max_memory
+        self.device.max_memory()
+    }
+
+    /// Changes [`super::ContextOptions::max_memory`], for a host whose own need changes. What is allocated stays, even
+    /// above the bound; what is asked for from now on must fit below it. Call it between pieces of work: a trainer whose bound
+    /// changes grows differently, and so has other bits.
+    pub fn set_max_memory(&self, bytes: Option<u64>) {
+        self.device.max_memory.store(bytes.unwrap_or(UNBOUNDED), Ordering::Relaxed);
     }
 
     /// The driver's budget for this context in the largest device-local heap, including its current bytes.

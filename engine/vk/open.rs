@@ -1,5 +1,6 @@
 //! Opening a device: the options, and the context of our own device or of a host's.
 
+use super::allocate::UNBOUNDED;
 use super::allocator::HostAllocator;
 use super::arenas::Registry;
 use super::binding_numbers::BUFFERS;
@@ -22,7 +23,7 @@ use super::raw_device::RawDevice;
 use crate::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -223,7 +224,7 @@ impl Context {
             timestamps: AtomicBool::new(true),
             hazard_check: options.hazard_check,
             timeout: options.timeout,
-            max_memory: options.max_memory,
+            max_memory: AtomicU64::new(options.max_memory.unwrap_or(UNBOUNDED)),
             #[cfg(feature = "testing")]
             guard_bands: options.guard_bands,
             budget: candidate.features.memory_budget.then_some(candidate.physical),

@@ -15,7 +15,7 @@ use super::raw_device::RawDevice;
 use crate::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -43,7 +43,8 @@ pub(super) struct Device {
     pub(super) clock: Option<Clock>,
     pub(super) hazard_check: bool,
     pub(super) timeout: Option<Duration>,
-    pub(super) max_memory: Option<u64>,
+    /// Of all arenas together, bytes; [`UNBOUNDED`] for none.
+    pub(super) max_memory: AtomicU64,
     #[cfg(feature = "testing")]
     pub(super) guard_bands: bool,
     /// The physical device for budget queries: VK_EXT_memory_budget.

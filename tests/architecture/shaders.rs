@@ -86,6 +86,44 @@ fn architecture_no_return_before_a_barrier() {
     assert_none("return before a barrier", violations);
 }
 
+/// Whether a shader, or what it includes, knows of subgroups.
+fn knows_of_subgroups(name: &str, shaders: &[Source]) -> bool {
+    let file = |source: &&Source| source.path.rsplit('/').next() == Some(name);
+    let source = shaders.iter().find(file).unwrap_or_else(|| panic!("{name} is no shader"));
+    let operation = |line: &str| {
+        let mut after = line.match_indices("subgroup").map(|(at, word)| &line[at + word.len()..]);
+        after.any(|rest| rest.starts_with(|c: char| c.is_ascii_uppercase()))
+    };
+    code_lines(&source.text).any(|(_, line)| {
+        let included = line.strip_prefix("#include \"").and_then(|rest| rest.split('"').next());
+        operation(line)
+            || ["gl_Subgroup", "gl_NumSubgroups"].iter().any(|word| line.contains(word))
+            || included.is_some_and(|name| knows_of_subgroups(name, shaders))
+    })
+}
+
+/// `.ci/run` leaves them out at other widths.
+#[test]
+fn architecture_kernels_without_subgroups() {
+    let source = |path: &str, text: &str| Source { path: path.into(), text: text.into() };
+    let examples = [
+        source("glsl/a.comp", "#include \"b.glsl\"\nvoid main() {}"),
+        source("glsl/b.glsl", "uint sum(uint x) {\n    return subgroupAdd(x);\n}"),
+        source("glsl/c.comp", "// subgroupAdd\nuint subgroups = SUBGROUP_SIZE;"),
+        source("glsl/d.comp", "uint lane = gl_SubgroupInvocationID;"),
+    ];
+    let known = ["a.comp", "b.glsl", "c.comp", "d.comp"].map(|name| knows_of_subgroups(name, &examples));
+    assert_eq!(known, [true, true, false, true]);
+
+    let script = std::fs::read_to_string(root().join(".ci/run")).expect("a script");
+    let list = script.split_once("without_subgroups='").and_then(|(_, rest)| rest.split_once('\''));
+    let names: Vec<&str> = list.expect("a list").0.split_whitespace().collect();
+    assert!(names.len() > 30, "{names:?}");
+    let shaders = sources(&["glsl"], &["comp", "glsl"]);
+    let wrong = names.iter().filter(|name| knows_of_subgroups(&format!("{name}.comp"), &shaders));
+    assert_none("kernels with subgroups", wrong.map(|name| (*name).to_owned()).collect());
+}
+
 /// Kernels that compute what another one computes, in another way: they share its twin.
 const ALIKE: [(&str, &str); 6] = [
     ("blend_backward_subgroup_per_tile", "blend_backward"),

@@ -2,6 +2,8 @@
 
 use ashsplat::vk::{Context, ContextOptions, SpecOverride, validation_available};
 use std::cell::RefCell;
+use std::ops::Deref;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// Options for tests that open a device of their own: validation (where installed) and hazard checks.
@@ -47,6 +49,41 @@ fn checked() -> ContextOptions {
 pub fn context() -> &'static Context {
     static CONTEXT: OnceLock<Context> = OnceLock::new();
     CONTEXT.get_or_init(|| Context::new(&checked()).expect("a Vulkan device for the tests"))
+}
+
+/// A device for work in bounded memory, the same for all tests: building its kernels anew takes longer than most of that work.
+/// Whoever has it is the only one, and has nothing else on it; see [`options`].
+pub struct Bounded(&'static Context);
+
+static BOUNDED: AtomicBool = AtomicBool::new(false);
+
+/// That device with this bound.
+pub fn bounded(max_memory: Option<u64>) -> Bounded {
+    static CONTEXT: OnceLock<Context> = OnceLock::new();
+    let options = options();
+    let context = CONTEXT.get_or_init(|| Context::new(&options).expect("a device"));
+    assert!(!BOUNDED.swap(true, Relaxed), "drop the one before");
+    assert_eq!(context.memory_total().bytes, 0, "left by the work before");
+    context.reset_memory_peaks();
+    context.set_max_memory(max_memory);
+    Bounded(context)
+}
+
+impl Deref for Bounded {
+    type Target = Context;
+
+    fn deref(&self) -> &Context {
+        self.0
+    }
+}
+
+impl Drop for Bounded {
+    fn drop(&mut self) {
+        BOUNDED.store(false, Relaxed);
+        if !std::thread::panicking() {
+            assert_silent(self.0);
+        }
+    }
 }
 
 /// Fails if the validation layers have said anything.

@@ -33,7 +33,7 @@ pub mod scenes;
 pub mod splats;
 pub mod tiles;
 
-pub use device::{assert_silent, context, count_hits, options};
+pub use device::{assert_silent, bounded, context, count_hits, options};
 use std::path::PathBuf;
 
 /// Where the golden vectors and data sets are: `$ASHSPLAT_SHARED`, else next to the repository.

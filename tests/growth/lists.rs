@@ -107,7 +107,7 @@ fn depth_maps_of_many_photographs_with_many_points() {
 #[test]
 fn depth_maps_of_many_pixels() {
     let write = |folder: &Path, size: usize| {
-        let map = ImageBuffer::from_fn(320, size as u32, |x, y| Luma([(x * y * 40_503 >> 3) as u16]));
+        let map = ImageBuffer::from_fn(320, size as u32, |x, y| Luma([((x * y * 40_503) >> 3) as u16]));
         map.save(folder.join("depth.png")).unwrap();
     };
     for scale in [1, 3] {

@@ -3,15 +3,14 @@
 use ashsplat::poses::PoseBuffers;
 use ashsplat::scene::{StoredPhoto, Twist, scene_extent};
 use ashsplat::trainer::{Forecast, PhotoSize, StrategyType, TrainView, Trainer};
-use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Alignment, Camera, Checkpoint, Error, Gaussians, RenderSettings, TrainSettings};
 use ashsplat_files::{CheckpointFile, Photo, metrics};
 use glam::DVec3;
 
 use crate::checkpoints;
+use crate::common::bounded;
 use crate::common::engine::{camera, gaussians, renderer};
 use crate::common::gpu::Gpu;
-use crate::common::options;
 use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
 use crate::reference::types::View;
 
@@ -286,8 +285,7 @@ fn poses_stay_unless_asked_for() {
 #[test]
 fn poses_count_among_the_memory() {
     let needed = |pose_opt: bool, photos: usize| {
-        let context =
-            Context::new(&ContextOptions { max_memory: Some(1 << 20), ..options() }).expect("a device");
+        let context = bounded(Some(1 << 20));
         let photos: Vec<PhotoSize> = (0..photos)
             .map(|i| PhotoSize {
                 name: format!("{i}.png"),

@@ -91,7 +91,7 @@ fn what_does_not_fit_is_an_error_with_the_size() {
 
 #[test]
 fn arenas_are_counted() {
-    let context = Context::new(&common::options()).expect("a context");
+    let context = common::bounded(None);
     let arena = |name: &str| context.memory().into_iter().find(|a| a.name == name).expect("registered");
     let first = context.allocate("frame", &[("a", 1024)], MemoryKind::Device).expect("memory");
     let second = context.allocate("frame", &[("b", 512)], MemoryKind::HostVisible).expect("memory");
@@ -116,6 +116,29 @@ fn arenas_are_counted() {
     assert!(arena("images").bytes >= 64 * 64 * 4);
     drop(image);
     assert_eq!(arena("images").bytes, 0);
+}
+
+/// A new bound holds from the next allocation on.
+#[test]
+fn the_bound_of_all_arenas_may_change() {
+    let context = common::bounded(None);
+    let allocate = |bytes| context.allocate("frame", &[("a", bytes)], MemoryKind::Device);
+    let refused = |bytes| match allocate(bytes) {
+        Err(Error::TooLarge { needed, limit, limit_name, .. }) => (needed, limit, limit_name),
+        other => panic!("{other:?}"),
+    };
+    let kept = allocate(1024).expect("without a bound");
+    for bound in [1000, 1024, 1279] {
+        context.set_max_memory(Some(bound));
+        assert_eq!((context.max_memory(), refused(256)), (Some(bound), (1280, bound, "--max-memory")));
+        assert_eq!(context.memory_limit().map(|(bytes, _)| bytes), Some(bound));
+    }
+    context.set_max_memory(Some(1280));
+    drop(allocate(256).expect("as much as there may be"));
+    assert_eq!(refused(260).0, 1284);
+    context.set_max_memory(None);
+    assert_eq!(context.max_memory(), None);
+    drop((allocate(260).expect("without a bound"), kept));
 }
 
 /// Bytes that differ at every place.
