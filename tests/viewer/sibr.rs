@@ -95,7 +95,7 @@ fn viewer_speaks_sibrs_protocol() {
     let view_of = camera(0.2);
     remote.ask(&of_camera(&view_of, false));
     let mut page = training.server.page();
-    let at = page.rest();
+    let at = page.same();
     let (rgb, _) = remote.ask(&of_camera(&view_of, false));
     let shown = page.look(&view_of, &json!({ "quality": 0 })).rgb();
     let worst = rgb.iter().zip(&shown).map(|(a, b)| a.abs_diff(*b)).max().expect("pixels");
@@ -105,7 +105,7 @@ fn viewer_speaks_sibrs_protocol() {
     let mut smaller = of_camera(&view_of, false);
     smaller["scaling_modifier"] = json!(0.3);
     assert!(remote.ask(&smaller).0 != rgb);
-    assert_eq!(page.rest(), at);
+    assert_eq!(page.same(), at);
     // When it goes, training goes on; nonsense ends its connection and nothing else.
     remote.0.write_all(&[0xFF; 64]).expect("sent");
     assert!(matches!(remote.0.read(&mut [0; 1]), Ok(0) | Err(_)));

@@ -47,8 +47,27 @@ impl Page {
         self.send(&json!({ "type": "train", "action": action }));
     }
 
-    /// The iteration at which it has come to rest. Not before the first, which may take long.
+    /// Waits for an iteration of a training that is stepped.
+    pub fn reach(&mut self, iteration: u64) {
+        let start = Instant::now();
+        while self.status(0)["iteration"].as_u64() != Some(iteration) {
+            assert!(start.elapsed() < PATIENCE, "iteration {iteration} does not come");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// The iteration at which it has come to rest, once it is paused. Not before the first, which may take long.
     pub fn rest(&mut self) -> u64 {
+        let start = Instant::now();
+        while self.status(0)["paused"] != true {
+            assert!(start.elapsed() < PATIENCE, "it does not pause");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        self.same()
+    }
+
+    /// The iteration that it has for a while.
+    pub fn same(&mut self) -> u64 {
         loop {
             let first = self.status(0);
             std::thread::sleep(Duration::from_millis(300));
@@ -84,7 +103,7 @@ fn viewer_of_a_training_shows_and_steers_it() {
     let loss = status["points"]["loss"].as_array().expect("points");
     assert!(!loss.is_empty() && loss.last().expect("a point")[1].as_f64() < loss[0][1].as_f64(), "{loss:?}");
     page.act("step");
-    std::thread::sleep(Duration::from_millis(300));
+    page.reach(at + 1);
     assert_eq!(page.rest(), at + 1);
     // A picture of a training that waits.
     let pick = json!({ "type": "pick", "id": 1, "camera": message(&camera(0.0)), "pixel": [48, 32] });
@@ -146,11 +165,7 @@ fn viewer_survives_a_save_that_fails() {
     assert!(problem.contains("point_cloud"), "{problem}");
     std::fs::remove_file(&place).expect("removed");
     page.act("step");
-    let start = Instant::now();
-    while page.status(0)["iteration"].as_u64() != Some(at + 1) {
-        assert!(start.elapsed() < PATIENCE, "it has ended");
-        std::thread::sleep(Duration::from_millis(50));
-    }
+    page.reach(at + 1);
     page.act("stop");
     let (code, stderr) = training.server.wait();
     assert!(code == Some(130) && stderr.contains("warning: not saved"), "{code:?} {stderr}");
