@@ -1,7 +1,7 @@
 // The part of tools/pictures that needs a browser: composes pictures and photographs the viewer's page in Chromium.
 //
 // node pictures.mjs PROGRAM DEMO FOLDER
-import { spawn } from 'node:child_process';
+import { execFileSync, spawn } from 'node:child_process';
 import { mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
@@ -15,6 +15,8 @@ const COLORS = 256;
 const VIEW = 2;
 /** Rows of the contact sheet that are shown, and how much smaller. */
 const SHEET = { rows: 3, scale: 0.75 };
+/** Sizes in which the scene is shown, as shares of the photograph's, and the pixels of each picture. */
+const SIZES = { shares: [1 / 8, 1 / 4, 1 / 2, 1, 2], width: 128, height: 96, gap: 6 };
 /** The viewer's page, CSS pixels, and how much smaller its picture is. */
 const PAGE = { width: 1120, height: 640, scale: 0.75 };
 
@@ -191,6 +193,41 @@ write('held_out.png', await draw(views, `([photo, render], size) => {
     context.fillRect(0, 0, 2 * photo.width + gap, photo.height);
     context.drawImage(photo, 0, 0);
     context.drawImage(render, photo.width + gap, 0);
+}`));
+
+// The same view at several sizes: the photograph reduced, the usual filter, Mip-Splatting's. Small pictures are shown whole
+// with larger pixels, of large ones the middle.
+const camera = JSON.parse(readFileSync(join(demo, 'model/cameras.json')))[VIEW];
+const cameraFile = join(profile, 'camera.json');
+writeFileSync(cameraFile, JSON.stringify([camera]));
+const rendered = (model, share) => {
+    const out = join(profile, `${model}-${share}`);
+    const size = ['width', 'height'].flatMap((side) => [`--${side}`, String(Math.round(share * camera[side]))]);
+    execFileSync(program, ['render', join(demo, model), '--path', cameraFile, ...size, '-o', out, '--format', 'png', '--quiet']);
+    return readFileSync(join(out, readdirSync(out).find((name) => name.endsWith('.png'))));
+};
+const sizes = ['model', 'mip'].flatMap((model) => SIZES.shares.map((share) => rendered(model, share)));
+write('sizes.png', await draw([views[0], ...sizes], `([photo, ...renders], size) => {
+    const { shares, width, height, gap } = ${JSON.stringify(SIZES)};
+    const at = (i, side) => i * (side + gap);
+    const context = size(at(shares.length, width) - gap, at(3, height) - gap);
+    context.fillStyle = 'white';
+    context.fillRect(0, 0, context.canvas.width, context.canvas.height);
+    const cell = (row, column, picture) => {
+        const zoom = Math.max(1, width / picture.width);
+        context.imageSmoothingEnabled = false;
+        const [shownWidth, shownHeight] = [width / zoom, height / zoom];
+        const [left, top] = [(picture.width - shownWidth) / 2, (picture.height - shownHeight) / 2];
+        context.drawImage(picture, left, top, shownWidth, shownHeight, at(column, width), at(row, height), width, height);
+    };
+    shares.forEach((share, column) => {
+        const reduced = new OffscreenCanvas(share * photo.width, share * photo.height);
+        const small = reduced.getContext('2d');
+        small.imageSmoothingQuality = 'high';
+        small.drawImage(photo, 0, 0, reduced.width, reduced.height);
+        cell(0, column, reduced);
+        [1, 2].forEach((row) => cell(row, column, renders[(row - 1) * shares.length + column]));
+    });
 }`));
 
 // A row of the contact sheet: a margin of 8, a caption of 14 (see tools/ashsplat/demo/sheet.rs) and the picture.
