@@ -317,9 +317,11 @@ impl Dataset {
         memory: &HostMemory,
         progress: Progress<'_>,
     ) -> Result<Result<PointCloud, usize>> {
-        let in_memory = |view: &&View| view.photo.file().is_none();
-        let kept = self.train.iter().chain(&self.test).filter(in_memory).map(|view| view.photo.bytes()).sum();
-        let memory = memory.beside_photos(kept);
+        let kept = |view: &View| {
+            let photo = view.photo.file().map_or(view.photo.bytes(), |_| 0);
+            photo + view.inverse_depth.as_ref().map_or(0, |map| size_of_val(&**map) as u64)
+        };
+        let memory = memory.beside_photos(self.train.iter().chain(&self.test).map(kept).sum());
         let found = photo_points(&self.train, self.scene_extent, PHOTO_POINTS, seed, &memory, progress)?;
         Ok(if found.len() < MIN_PHOTO_POINTS { Err(found.len()) } else { Ok(found) })
     }
