@@ -230,6 +230,7 @@ impl Backward {
                 z_record,
                 absolute,
                 pose_gradient,
+                sh_loops: self.sizes.sh_loops,
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
@@ -243,7 +244,11 @@ impl Backward {
     pub fn prepare_expand(&mut self, sh_degree: u32) -> Result<()> {
         let built = &mut self.expand[sh_degree as usize];
         if built.is_none() {
-            let spec = expand_gradients::Spec { workgroup_size: self.sizes.elementwise_workgroup, sh_degree };
+            let spec = expand_gradients::Spec {
+                workgroup_size: self.sizes.elementwise_workgroup,
+                sh_degree,
+                sh_loops: self.sizes.sh_loops,
+            };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
         Ok(())

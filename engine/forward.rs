@@ -119,7 +119,14 @@ impl Forward {
         }
         let built = &mut self.project[variant.of_project()][sh_degree as usize];
         if built.is_none() {
-            let spec = project::Spec { workgroup_size, sh_degree, filter_3d, dropout, z_record };
+            let spec = project::Spec {
+                workgroup_size,
+                sh_degree,
+                filter_3d,
+                dropout,
+                z_record,
+                sh_loops: self.sizes.sh_loops,
+            };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
         self.blend.prepare(&self.context, &self.sizes, variant)

@@ -139,8 +139,14 @@ impl Optimizer {
             *slot = Some(Kernel::new(&self.context, &spec)?);
         }
         if let Some(slot @ None) = self.sums.as_mut().map(|sums| &mut sums[sh_degree as usize]) {
-            let adam::Spec { workgroup_size, parameter_gradients, moved_camera, .. } = spec;
-            let add = add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients, moved_camera };
+            let adam::Spec { workgroup_size, parameter_gradients, moved_camera, sh_loops, .. } = spec;
+            let add = add_gradients::Spec {
+                workgroup_size,
+                sh_degree,
+                parameter_gradients,
+                moved_camera,
+                sh_loops,
+            };
             let adam = adam::Spec { sums: true, ..spec };
             *slot = Some(SumKernels {
                 add: Kernel::new(&self.context, &add)?,
@@ -174,6 +180,7 @@ impl Optimizer {
             sums: false,
             unseen,
             moved_camera,
+            sh_loops: self.sizes.sh_loops,
         }
     }
 

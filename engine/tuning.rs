@@ -45,6 +45,8 @@ pub enum WorkgroupRule {
 pub struct Tuning {
     /// The class of devices.
     pub backend: Backend,
+    /// Size of subgroups, where the device has it and lets it be chosen; None: the device's own.
+    pub lanes: Option<u32>,
     /// How keys are sorted.
     pub sort_method: SortMethod,
     /// Values of one invocation of a prefix sum; read in fours.
@@ -61,6 +63,8 @@ pub struct Tuning {
     pub tile_row_interleave: u32,
     /// Whether opacities follow from one another along a column of pixels, in place of an exponential each.
     pub incremental_exp: bool,
+    /// Whether loops over groups of SH coefficients stay loops (sh.glsl).
+    pub sh_loops: bool,
     /// Workgroup of the loss by blocks.
     pub loss_workgroup: WorkgroupRule,
     /// Pixels in a row of one invocation of the loss by blocks.
@@ -85,6 +89,7 @@ impl Tuning {
     /// Measured on Mesa llvmpipe with 4, 8 and 16 lanes (tools/experiments.md).
     pub const PROCESSOR: Self = Self {
         backend: Backend::Processor,
+        lanes: None,
         sort_method: SortMethod::Serial,
         // Few invocations without barriers.
         scan_items: 256,
@@ -99,6 +104,8 @@ impl Tuning {
         tile_row_interleave: 16,
         // exp2 takes some twenty instructions.
         incremental_exp: true,
+        // Registers are memory anyway, and a loop's branches take time.
+        sh_loops: false,
         loss_workgroup: WorkgroupRule::Invocations(64),
         loss_strip: 4,
         reads_texels: true,
@@ -112,6 +119,7 @@ impl Tuning {
     /// By the structure of the kernels: no GPU has been measured yet.
     pub const GPU: Self = Self {
         backend: Backend::Gpu,
+        lanes: None,
         sort_method: SortMethod::Matching,
         scan_items: 4,
         scan_workgroup: WorkgroupRule::Elementwise,
@@ -121,6 +129,8 @@ impl Tuning {
         tile_row_interleave: 1,
         // exp2 is one instruction.
         incremental_exp: false,
+        // Room for twice as many subgroups where parameters are read and written.
+        sh_loops: true,
         loss_workgroup: WorkgroupRule::Invocations(256),
         // Wide enough to fill a workgroup.
         loss_strip: 2,
@@ -132,6 +142,18 @@ impl Tuning {
         heap_is_bound: true,
         is_slow: false,
     };
+
+    /// Its registers hold 16 lanes of most kernels and 32 of few: of 9 kernels that Mesa's compiler spills at 32 lanes for DG2,
+    /// 4 are left at 16 (tools/gpu_static.md).
+    pub const INTEL: Self = Self { lanes: Some(16), ..Self::GPU };
+
+    /// The row of a device that is no processor, by the PCI id of its vendor.
+    pub(crate) const fn of_vendor(vendor: u32) -> &'static Self {
+        match vendor {
+            0x8086 => &Self::INTEL,
+            _ => &Self::GPU,
+        }
+    }
 
     /// The row of a class of devices.
     pub const fn of(backend: Backend) -> &'static Self {

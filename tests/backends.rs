@@ -1,9 +1,9 @@
 //! Both rows of the tuning table on the device at hand: a GPU's kernels on a software driver, and the other way round.
 
 use ashsplat::plan::LaunchSizes;
-use ashsplat::trainer::Trainer;
+use ashsplat::trainer::{StrategyType, Trainer};
 use ashsplat::tuning::{Backend, Tuning};
-use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
+use ashsplat::vk::{Context, ContextOptions, LimitsOverride, SpecOverride};
 use ashsplat::{RenderSettings, Renderer, TrainSettings};
 
 use crate::checkpoints::{start, views};
@@ -11,6 +11,11 @@ use crate::common::engine::{camera, gaussians};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::common::{assert_silent, options};
+
+/// With these values for constants of kernels.
+fn context_with(overrides: Vec<SpecOverride>) -> Context {
+    Context::new(&ContextOptions { overrides, ..options() }).expect("a device")
+}
 
 fn context(backend: Backend) -> Context {
     let limits = LimitsOverride { backend: Some(backend), ..LimitsOverride::default() };
@@ -61,6 +66,52 @@ fn backends_train_alike() {
         losses
     });
     assert!(difference(&trained[0], &trained[1]) < 1e-4, "{trained:?}");
+}
+
+/// Loops over SH coefficients that stay loops add in the same order: pictures, trainings with and without poses. Sums over several
+/// views (`multi_step`) are not among them: this driver rounds them otherwise in a loop.
+#[test]
+fn backends_of_both_kinds_of_loops_have_the_same_bits() {
+    let _gpu = Gpu::new();
+    let loops = |on: bool| {
+        let constant = "SH_LOOPS".to_owned();
+        context_with(vec![SpecOverride { kernel: String::new(), constant, bits: on.into() }])
+    };
+    let scene = gaussians(&mixed_scene(&mut Random::new(6), 300, 16));
+    for (strategy, pose_opt) in
+        [(StrategyType::Reference, false), (StrategyType::Reference, true), (StrategyType::Budget, false)]
+    {
+        let settings = TrainSettings {
+            iterations: 20,
+            sh_degree_interval: 2,
+            strategy,
+            multi_step: false,
+            pose_opt,
+            ..TrainSettings::of_strategy(strategy)
+        };
+        let [unrolled, looped] = [false, true].map(|on| {
+            let context = loops(on);
+            let mut renderer = Renderer::new(&context).expect("kernels");
+            renderer.upload(&scene).expect("a scene");
+            let frame = renderer.render(&camera(&small_view([67, 43])), &RenderSettings::default());
+            let mut trainer =
+                Trainer::new(&context, views(2, 5), &scene, 5.0, settings.clone()).expect("a trainer");
+            (0..20).for_each(|_| drop(trainer.step().expect("a step")));
+            assert_silent(&context);
+            (frame.expect("a picture").color, trainer.checkpoint().expect("a state").fingerprint())
+        });
+        assert!(unrolled.0.iter().flatten().any(|&x| x > 0.1), "the picture is black");
+        assert!(unrolled == looped, "{strategy:?}: other bits");
+    }
+}
+
+/// What suits Intel's registers is asked for where the device lets it be chosen.
+#[test]
+fn backends_have_a_row_for_intel() {
+    assert_eq!((Tuning::INTEL.lanes, Tuning::INTEL.backend), (Some(16), Backend::Gpu));
+    let mut row = Tuning::INTEL;
+    row.lanes = None;
+    assert_eq!(row, Tuning::GPU);
 }
 
 #[test]

@@ -87,7 +87,7 @@ fn from_first_to_second([first, second]: [&LensEffects; 2], color: f32, channel:
 /// they differ, and views that were held out are closer to their photographs.
 #[test]
 fn lens_effects_are_recovered() {
-    let gpu = Gpu::new();
+    let gpu = Gpu::unchecked();
     let taken = taken(&photographs(&gpu));
     let (ignored, none) = train(&gpu, &taken, false);
     assert!(none.is_empty());

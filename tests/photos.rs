@@ -241,7 +241,7 @@ fn held_out_psnr(gpu: &Gpu, train: Vec<TrainView>, start: &Gaussians) -> f64 {
 /// Something moves before the scene: hidden by masks, it does no harm.
 #[test]
 fn masks_keep_a_moving_occluder_out_of_the_scene() {
-    let gpu = Gpu::new();
+    let gpu = Gpu::unchecked();
     let mut start = gaussians(&small_scene(&mut Random::new(11), 120, 4));
     start.sh.as_flattened_mut().iter_mut().for_each(|c| *c *= 0.3);
     let [clean, masked, unmasked] = [None, Some(true), Some(false)]

@@ -13,6 +13,7 @@ mod checkpoints;
 mod cli;
 mod common;
 mod comparators;
+mod compiled;
 mod determinism;
 mod exposures;
 mod extremes;

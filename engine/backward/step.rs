@@ -27,6 +27,7 @@ impl Backward {
                 own_dilation,
                 dropout,
                 z_record,
+                sh_loops: self.sizes.sh_loops,
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }

@@ -49,6 +49,8 @@ pub struct LaunchSizes {
     pub tile_row_interleave: u32,
     /// Whether opacities along a column of pixels use the incremental exponential.
     pub incremental_exp: bool,
+    /// Whether loops over groups of SH coefficients stay loops.
+    pub sh_loops: bool,
     /// Invocations of the loss' workgroups.
     pub loss: u32,
     /// Pixels in a row per invocation of the loss.
@@ -114,6 +116,7 @@ impl LaunchSizes {
             tile_shared: elementwise.min(TILE_SIZE * TILE_SIZE / tuning.shared_tile_pixels),
             tile_row_interleave: tuning.tile_row_interleave,
             incremental_exp: tuning.incremental_exp,
+            sh_loops: tuning.sh_loops,
             loss: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", invocations(tuning.loss_workgroup))),
             loss_strip: size("loss", "STRIP", tuning.loss_strip).min(TILE_SIZE),
             // Few and long invocations: small workgroups spread them evenly.

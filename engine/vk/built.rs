@@ -66,6 +66,19 @@ impl BuiltPipelines {
         }
     }
 
+    /// All that have been built.
+    pub(super) fn all(&self) -> Vec<(PipelineKey, PipelineHandles)> {
+        let places: Vec<(PipelineKey, Place)> = (self.0.lock().unwrap_or_else(PoisonError::into_inner))
+            .iter()
+            .map(|(key, place)| (key.clone(), place.clone()))
+            .collect();
+        let built = |(key, place): (PipelineKey, Place)| {
+            let handles = *place.lock().unwrap_or_else(PoisonError::into_inner);
+            Some((key, handles?))
+        };
+        places.into_iter().filter_map(built).collect()
+    }
+
     /// # Safety
     /// Nothing uses the pipelines any more.
     pub(super) unsafe fn close(&self, device: &RawDevice) {

@@ -7,15 +7,24 @@ use crate::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
 
-/// A device with one queue, the required features, the optional features that it has, and
-/// further extensions.
+/// What is asked for beyond that.
+pub(super) struct Wishes<'a> {
+    /// Shaders may print.
+    pub printf: bool,
+    /// What compilers say of pipelines.
+    pub executables: bool,
+    pub extensions: &'a [&'a CStr],
+}
+
+/// A device with one queue, the required features, the optional features that it has, and what is asked for.
 pub(super) fn create_device(
     instance: &ash::Instance,
     candidate: &Candidate,
-    printf: bool,
-    further: &[&CStr],
+    wishes: &Wishes<'_>,
 ) -> Result<ash::Device> {
     let optional = &candidate.features;
+    let statistics = wishes.executables.then_some(ash::khr::pipeline_executable_properties::NAME);
+    let further: Vec<&CStr> = wishes.extensions.iter().copied().chain(statistics).collect();
     let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
         .shader_int8(optional.int8)
         .storage_buffer8_bit_access(optional.storage8)
@@ -51,7 +60,7 @@ pub(super) fn create_device(
         .queue_family_index(candidate.queue_family)
         .queue_priorities(&priorities)];
     // Without them the layer refuses to print.
-    let printing = printf && optional.graphics_stores;
+    let printing = wishes.printf && optional.graphics_stores;
     // Every device has it: what a kernel is told by its push constants is not checked here.
     let core = vk::PhysicalDeviceFeatures::default()
         .robust_buffer_access(true)
@@ -68,6 +77,12 @@ pub(super) fn create_device(
     if optional.robust_buffers2 {
         info = info.push_next(&mut robustness2);
     }
-    // SAFETY: all features and extensions were found present; each struct is chained once and outlives the call.
+    let mut executables =
+        vk::PhysicalDevicePipelineExecutablePropertiesFeaturesKHR::default().pipeline_executable_info(true);
+    if wishes.executables {
+        info = info.push_next(&mut executables);
+    }
+    // SAFETY: all features and extensions were found present (the last one comes with its extension); each struct is chained
+    // once and outlives the call.
     unsafe { instance.create_device(candidate.physical, &info, None) }.map_err(vk_error("vkCreateDevice"))
 }

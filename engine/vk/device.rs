@@ -272,11 +272,18 @@ fn limits(
         Some("subgroup operations in compute shaders".into())
     };
     let missing = missing.or_else(|| low_limit(&l));
+    let tuning = match properties.device_type {
+        vk::PhysicalDeviceType::CPU => Tuning::of(Backend::Processor),
+        _ => Tuning::of_vendor(properties.vendor_id),
+    };
+    let subgroup_size_selectable = v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
+    let sizes = v13.min_subgroup_size..=v13.max_subgroup_size;
+    let wanted = tuning.lanes.filter(|lanes| subgroup_size_selectable && sizes.contains(lanes));
     let limits = Limits {
-        subgroup_size: v11.subgroup_size,
+        subgroup_size: wanted.unwrap_or(v11.subgroup_size),
         min_subgroup_size: v13.min_subgroup_size,
         max_subgroup_size: v13.max_subgroup_size,
-        subgroup_size_selectable: v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
+        subgroup_size_selectable,
         max_workgroup_invocations: l.max_compute_work_group_invocations,
         max_workgroup_size: l.max_compute_work_group_size,
         max_workgroup_subgroups: v13.max_compute_workgroup_subgroups,
@@ -293,10 +300,7 @@ fn limits(
         push_constant_bytes: l.max_push_constants_size,
         max_push_descriptors: push.max_push_descriptors,
         timestamp_period_ns: if timestamps { f64::from(l.timestamp_period) } else { 0.0 },
-        tuning: Tuning::of(match properties.device_type {
-            vk::PhysicalDeviceType::CPU => Backend::Processor,
-            _ => Backend::Gpu,
-        }),
+        tuning,
         workarounds: Workarounds::of_driver(v12.driver_id, properties.driver_version),
         instances_per_dispatch: INSTANCES_PER_DISPATCH,
         overrides: Vec::new(),

@@ -151,8 +151,12 @@ impl<K: KernelInterface> Kernel<K> {
         check(&demands, context.limits())?;
         let constants = overridden::<K>(context.limits(), K::spec_entries(spec));
         let pipeline = match context.replaced_shader(K::NAME) {
+            // What runs nothing keeps all that it builds.
+            Some(spirv) if context.device.executables.is_some() => {
+                Pipeline::shared(&context.device, &demands, (form.texels, &spirv), constants)?
+            }
             Some(spirv) => Pipeline::new(&context.device, &demands, &spirv, &constants)?,
-            None => Pipeline::shared(&context.device, &demands, &form, constants)?,
+            None => Pipeline::shared(&context.device, &demands, (form.texels, form.spirv), constants)?,
         };
         Ok(Self { pipeline: Arc::new(pipeline), interface: PhantomData })
     }
@@ -269,20 +273,14 @@ impl Pipeline {
     fn shared(
         inner: &Arc<Device>,
         demands: &Demands,
-        form: &Form,
+        (texels, spirv): (bool, &[u32]),
         constants: Vec<(u32, u32)>,
     ) -> Result<Self> {
         let Demands { name, subgroup_size, workgroup_size, .. } = *demands;
-        let key = PipelineKey {
-            name,
-            texels: form.texels,
-            subgroup_size,
-            workgroup_size,
-            constants: constants.clone(),
-        };
+        let key = PipelineKey { name, texels, subgroup_size, workgroup_size, constants: constants.clone() };
         let mut pipeline = Self::unbuilt(inner, demands);
         pipeline.handles = inner.built.get_or_build(key, || {
-            let mut new = Self::new(inner, demands, form.spirv, &constants)?;
+            let mut new = Self::new(inner, demands, spirv, &constants)?;
             new.shared = true;
             Ok(new.handles)
         })?;
@@ -389,7 +387,9 @@ impl Pipeline {
                 stage = stage.push_next(&mut required);
             }
         }
-        let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.handles.layout);
+        let flags = self.inner.executables.as_ref().map_or(vk::PipelineCreateFlags::empty(), |e| e.flags());
+        let info =
+            vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.handles.layout).flags(flags);
         // SAFETY: everything that `info` points to outlives the call; `check` has verified the subgroup rules. The
         // module is not needed any more once the pipeline exists.
         let pipelines = unsafe {

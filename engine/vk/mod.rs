@@ -10,12 +10,14 @@
 //! | `pipeline_cache` | a host's VkPipelineCache, or one that is kept between runs |
 //! | `debug`, `raw_device` | names, labels and validation messages; the device's functions |
 //! | `instance`, `device`, `create_device` | the loader, devices and their choice |
+//! | `compile_only`, `executables` | a device that runs nothing; what compilers say of a pipeline |
 //! | `open_device` | the open device, which everything made from it keeps open |
 //! | `memory`, `buffer`, `allocate` | requests packed into blocks; a [`Buffer`] is a named range of one |
 //! | `descriptors` | descriptor sets where push descriptors are missing |
 //! | `profile`, `profiler`, `audit` | [`Context::profile`] and [`Context::audit`]: time and output of every command |
 //! | `commands` | command buffers: recorded, submitted, waited for |
 //! | `context`, `open` | the open [`Context`]; [`Context::new`] and its options |
+//! | `pipeline_statistics` | [`Context::pipeline_statistics`]: what compilers say of all kernels |
 //! | `budget` | [`Context::allocate`], and how much memory there may be |
 //! | `image`, `adopt` | [`Image`]: a host's or our own; buffers of a host |
 //! | `kernel`, `resources` | [`Kernel`]: a pipeline with the typed interface that build.rs generated; what it binds |
@@ -62,12 +64,14 @@ mod buffer;
 mod built;
 mod clock;
 mod commands;
+mod compile_only;
 mod context;
 mod create_device;
 mod debug;
 mod descriptors;
 mod device;
 mod error;
+mod executables;
 #[cfg(feature = "testing")]
 mod failing_calls;
 #[cfg(feature = "testing")]
@@ -89,6 +93,7 @@ mod memory;
 mod open;
 mod open_device;
 mod pipeline_cache;
+mod pipeline_statistics;
 mod pool;
 mod profile;
 mod profiler;
@@ -114,6 +119,7 @@ pub use binding::{BindingInfo, BindingKind, ImageInfo};
 pub use buffer::Buffer;
 pub use context::Context;
 pub use device::{DeviceDescription, devices};
+pub use executables::{CompileOnly, Executable, Statistic};
 #[cfg(feature = "testing")]
 pub use faults::{Fault, Faults};
 pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
@@ -128,6 +134,7 @@ pub use limits_override::LimitsOverride;
 pub use memory::{PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
 pub use open::ContextOptions;
 pub use pipeline_cache::{PipelineCacheKey, PipelineCacheStore};
+pub use pipeline_statistics::PipelineStatistics;
 pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, OptionalExtension, Requirements};

@@ -6,11 +6,13 @@ use super::arenas::Registry;
 use super::binding_numbers::BUFFERS;
 use super::built::BuiltPipelines;
 use super::clock::Clock;
+use super::compile_only;
 use super::context::Context;
-use super::create_device;
+use super::create_device::{self, Wishes};
 use super::debug::Names;
 use super::descriptors;
 use super::device::{self, Candidate};
+use super::executables::{CompileOnly, Executables};
 #[cfg(feature = "testing")]
 use super::faults::Faults;
 use super::instance::Instance;
@@ -41,7 +43,8 @@ pub struct ContextOptions {
     pub hazard_check: bool,
     /// Time scopes if the device can. Default: yes.
     pub timestamps: bool,
-    /// Subgroup size of all kernels, if the device supports the choice. None: the device's default.
+    /// Subgroup size of all kernels, if the device supports the choice. None: [`Tuning::lanes`](crate::tuning::Tuning::lanes),
+    /// else the device's own.
     pub subgroup_size: Option<u32>,
     /// For tests: stricter limits than the device's.
     #[cfg(feature = "testing")]
@@ -69,6 +72,10 @@ pub struct ContextOptions {
     /// For tests: Vulkan calls that fail on demand.
     #[cfg(feature = "testing")]
     pub faults: Option<Faults>,
+    /// Run nothing: kernels are compiled, memory is the host's and begins as zeros, commands are dropped and results are what
+    /// that memory holds. For [`Context::pipeline_statistics`], also on drivers without hardware. It is an error if the device
+    /// lacks VK_KHR_pipeline_executable_properties. Default: None, everything runs.
+    pub compile_only: Option<CompileOnly>,
     /// Use VK_KHR_push_descriptor if the device has it. Default: yes.
     pub push_descriptors: bool,
     /// Let kernels read buffers as texels on processors, where that is faster. The views are made while
@@ -112,6 +119,7 @@ impl Default for ContextOptions {
             guard_bands: false,
             #[cfg(feature = "testing")]
             faults: None,
+            compile_only: None,
             push_descriptors: true,
             texels: true,
             instance_extensions: Vec::new(),
@@ -149,13 +157,27 @@ impl Context {
         let asked = options.device.clone().or(from_environment);
         let mut candidate = device::choose(&instance.raw, asked.as_deref(), options.least_version())?;
         candidate.features.push_descriptor &= options.push_descriptors;
-        let limits = effective_limits(&candidate, options)?;
-        let (printf, further) = (options.debug_printf, &options.device_extensions);
-        let device =
-            RawDevice::ours(create_device::create_device(&instance.raw, &candidate, printf, further)?);
+        let mut limits = effective_limits(&candidate, options)?;
+        if options.compile_only.is_some() {
+            // Of what does not run there are no times and no budget.
+            candidate.features.memory_budget = false;
+            candidate.features.calibrated_timestamps = None;
+            limits.heap_bytes = compile_only::memory_properties().memory_heaps[0].size;
+        }
+        let wishes = Wishes {
+            printf: options.debug_printf,
+            executables: options.compile_only.is_some(),
+            extensions: &options.device_extensions,
+        };
+        let raw = create_device::create_device(&instance.raw, &candidate, &wishes)?;
+        let device = RawDevice::ours(match options.compile_only {
+            // SAFETY: the device is of this instance.
+            Some(_) => unsafe { compile_only::table(&instance.raw, &raw) },
+            None => raw,
+        });
         // SAFETY: the device was created with one queue of this family.
         let queue = unsafe { device.get_device_queue(candidate.queue_family, 0) };
-        let debug_utils = instance.has_debug_utils;
+        let debug_utils = instance.has_debug_utils && options.compile_only.is_none();
         let context = Self::assemble(Parts {
             owner: Owner::Us(instance),
             candidate,
@@ -186,7 +208,7 @@ impl Context {
         } = parts;
         let instance = owner.instance();
         // SAFETY: the physical device is of this instance.
-        let (memory, families, properties) = unsafe {
+        let (mut memory, families, properties) = unsafe {
             (
                 instance.get_physical_device_memory_properties(candidate.physical),
                 instance.get_physical_device_queue_family_properties(candidate.physical),
@@ -204,12 +226,20 @@ impl Context {
         if !push {
             limits.max_push_descriptors = BUFFERS;
         }
-        let unified_memory = candidate.has_unified_memory();
+        let runs = options.compile_only.is_none();
+        if !runs {
+            memory = compile_only::memory_properties();
+        }
+        let unified_memory = candidate.has_unified_memory() || !runs;
         #[cfg(feature = "testing")]
         let unified_memory = unified_memory && !options.force_staging;
         // From here on, dropping it destroys whatever there is.
         let mut open = Device {
-            push_descriptor: push.then(|| ash::khr::push_descriptor::Device::new(instance, &device)),
+            push_descriptor: push.then(|| match runs {
+                true => ash::khr::push_descriptor::Device::new(instance, &device),
+                false => compile_only::push_descriptor(&device),
+            }),
+            executables: options.compile_only.map(|asked| Executables::new(instance, &device, asked)),
             shared_layouts: None,
             clock: Clock::new(instance, &device, candidate.features.calibrated_timestamps),
             names: Names::new(instance, &device, debug_utils),
@@ -220,7 +250,7 @@ impl Context {
             limits,
             memory,
             unified_memory,
-            timestamp_bits: if options.timestamps { family.timestamp_valid_bits } else { 0 },
+            timestamp_bits: if options.timestamps && runs { family.timestamp_valid_bits } else { 0 },
             timestamps: AtomicBool::new(true),
             hazard_check: options.hazard_check,
             timeout: options.timeout,
@@ -242,7 +272,7 @@ impl Context {
         if !push {
             descriptors::add_shared_layouts(&mut open)?;
         }
-        if let (Some(store), false) = (&options.pipeline_cache, foreign) {
+        if let (Some(store), false) = (&options.pipeline_cache, foreign || !runs) {
             open.pipeline_cache = PipelineCache::of_store(&open.device, &properties, store.clone())?;
         }
         Ok(Self::on(Arc::new(open)))

@@ -8,6 +8,7 @@ use super::clock::Clock;
 use super::debug::{Messages, Names};
 use super::device::DeviceDescription;
 use super::error::vk_error;
+use super::executables::Executables;
 use super::instance::Instance;
 use super::limits::Limits;
 use super::pipeline_cache::PipelineCache;
@@ -25,6 +26,8 @@ pub(super) struct Device {
     pub(super) device: RawDevice,
     /// None: descriptor sets of `shared_layouts` are bound.
     pub(super) push_descriptor: Option<ash::khr::push_descriptor::Device>,
+    /// With [`super::ContextOptions::compile_only`].
+    pub(super) executables: Option<Executables>,
     /// Present without push descriptors: the layouts of the module `descriptors`.
     pub(super) shared_layouts: Option<Vec<vk::DescriptorSetLayout>>,
     pub(super) names: Names,

@@ -14,6 +14,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
+layout(constant_id = 3) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Parameters { vec4 parameters[]; };
@@ -37,6 +38,17 @@ layout(push_constant, scalar) uniform Push {
 #include "sh.glsl"
 #include "sh_gradient.glsl"
 
+void expand_group(uint group, uint index, vec3 direction, vec3 d_color, bool seen) {
+    vec4 basis = sh_basis_group(group, direction);
+    [[unroll]] for (uint k = 0; k < 3; ++k) {
+        uint plane = 3 * group + k;
+        vec4 g = plane < SH_PLANES ? sh_plane_gradient(k, basis, d_color) : vec4(0.0);
+        if (PLANE_SH + plane < planes) {
+            parameter_gradients[plane_at(PLANE_SH + plane, index, chunk_gaussians)] = seen ? g : vec4(0.0);
+        }
+    }
+}
+
 void main() {
     uint index = linear_invocation();
     if (index >= count) {
@@ -50,17 +62,12 @@ void main() {
     vec4 log_scale_x = gradients[GRADIENT_LOG_SCALE * gradient_stride + row];
     vec4 color_y = gradients[GRADIENT_COLOR * gradient_stride + row];
     vec3 mean = parameters[plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)].xyz;
-    float basis[16];
-    sh_basis(normalize(mean - camera_position), basis);
+    vec3 direction = normalize(mean - camera_position);
 
     parameter_gradients[plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)] = seen ? mean_opacity : vec4(0.0);
     parameter_gradients[plane_at(PLANE_QUAT, index, chunk_gaussians)] = seen ? quat : vec4(0.0);
     parameter_gradients[plane_at(PLANE_LOG_SCALE, index, chunk_gaussians)] = seen ? vec4(log_scale_x.xyz, 0.0) : vec4(0.0);
     mean2d_gradients[first + index] = seen ? vec2(log_scale_x.w, color_y.w) : vec2(0.0);
-    [[unroll]] for (uint plane = 0; plane < SH_PLANES_3; ++plane) {
-        vec4 g = plane < SH_PLANES ? sh_plane_gradient(plane, basis, color_y.xyz) : vec4(0.0);
-        if (PLANE_SH + plane < planes) {
-            parameter_gradients[plane_at(PLANE_SH + plane, index, chunk_gaussians)] = seen ? g : vec4(0.0);
-        }
-    }
+#define EXPAND_GROUP(GROUP) expand_group(GROUP, index, direction, color_y.xyz, seen)
+    EACH_SH_GROUP(SH_PLANES_3 / 3, EXPAND_GROUP)
 }

@@ -15,6 +15,7 @@
 //         centre leaves the directions of the colours as they are. Gaussians with a contribution that is not finite are left out.
 // shared: none; subgroup sizes 4 to 128
 #version 460
+#extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -46,6 +47,8 @@ layout(constant_id = 7) const bool OWN_DILATION = false;
 // As in project.comp.
 layout(constant_id = 8) const bool DROPOUT = false;
 layout(constant_id = 9) const bool Z_RECORD = false;
+// Whether loops over SH coefficients stay loops: see sh.glsl.
+layout(constant_id = 10) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -215,6 +218,25 @@ vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
     return (g - q * dot(q, g)) * inverse_norm;
 }
 
+void add_direction_gradient(uint group, uint index, vec3 direction, vec3 d_color, inout vec3 d_direction) {
+    vec3 derivative[4];
+    sh_derivative_group(group, direction, derivative);
+    vec3 sh[4];
+    sh_coefficient_group(group, index, sh);
+    [[unroll]] for (uint k = 0; k < 4; ++k) {
+        d_direction += derivative[k] * dot(sh[k], d_color);
+    }
+}
+
+// Gradient of the direction of a colour. With SH_LOOPS the coefficients are read a second time, from the cache: to keep them
+// takes 48 registers.
+vec3 sh_direction_gradient(uint index, vec3 direction, vec3 d_color) {
+    vec3 d_direction = vec3(0.0);
+#define ADD_DIRECTION_GRADIENT(GROUP) add_direction_gradient(GROUP, index, direction, d_color, d_direction)
+    EACH_SH_GROUP(SH_GROUPS, ADD_DIRECTION_GRADIENT)
+    return d_direction;
+}
+
 #ifndef ADAM
 bool all_finite(vec3 v) {
     return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
@@ -250,6 +272,14 @@ void main() {
     Sums sums = sum_instances(begin, instances, exists);
 
     vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
+    // Colour: through the clamp at 0, then through the direction.
+    vec3 towards = mean_opacity.xyz - camera_position();
+    float inverse_distance = inversesqrt(dot(towards, towards));
+    vec3 direction = towards * inverse_distance;
+    vec3 d_color = mix(vec3(sums.b.z, sums.b.w, sums.c.x), vec3(0.0), lessThan(sh_color(index, direction), vec3(0.0)));
+    vec3 d_direction = sh_direction_gradient(index, direction, d_color);
+    vec3 d_towards = (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
+
     vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
     vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
     vec4 conic = VEC4_AT(conic_opacity, splat_at(clamped_visible, SPLAT_CONIC_OPACITY));
@@ -258,7 +288,6 @@ void main() {
 
     // Moments to gradients of mean, conic and opacity.
     float m_1 = sums.a.x, m_x = sums.a.y, m_y = sums.a.z, m_xx = sums.a.w, m_xy = sums.b.x, m_yy = sums.b.y;
-    vec3 d_color = vec3(sums.b.z, sums.b.w, sums.c.x);
     float d_inverse_z = sums.c.y;
     vec2 d_mean2d = -vec2(conic.x * m_x + conic.y * m_y, conic.y * m_x + conic.z * m_y);
     vec3 d_conic = vec3(-0.5 * m_xx, -m_xy, -0.5 * m_yy);
@@ -312,26 +341,6 @@ void main() {
         - inverse_z * dot(d_slope, p.mean_camera.xy * inverse_z) - d_nearness;
     vec3 d_mean = from_camera(d_camera);
 
-    // Colour: through the clamp at 0, then through the direction.
-    vec3 towards = mean_opacity.xyz - camera_position();
-    float inverse_distance = inversesqrt(dot(towards, towards));
-    vec3 direction = towards * inverse_distance;
-    float basis[16];
-    sh_basis(direction, basis);
-    vec3 derivative[16];
-    sh_basis_derivative(direction, derivative);
-    vec3 sh[16];
-    sh_coefficients(index, sh);
-    vec3 color = vec3(0.5);
-    for (uint k = 0; k < 16; ++k) {
-        color += basis[k] * sh[k];
-    }
-    d_color = mix(d_color, vec3(0.0), lessThan(color, vec3(0.0)));
-    vec3 d_direction = vec3(0.0);
-    for (uint k = 0; k < 16; ++k) {
-        d_direction += derivative[k] * dot(sh[k], d_color);
-    }
-    vec3 d_towards = (d_direction - direction * dot(direction, d_direction)) * inverse_distance;
     d_mean += d_towards;
 
 #ifndef ADAM
@@ -348,9 +357,8 @@ void main() {
         vec4 d_mean_opacity = vec4(d_mean, d_logit);
         if (finite(d_mean_opacity) && finite(d_quat) && finite(vec4(d_log_scale, 0.0)) && finite(vec4(d_color, 0.0))) {
             // As adam.comp computes it.
-            float step_basis[16];
-            sh_basis(normalize(mean_opacity.xyz - push_camera_position), step_basis);
-            update_all(index, d_mean_opacity, d_quat, vec4(d_log_scale, 0.0), d_color, step_basis);
+            vec3 step_direction = normalize(mean_opacity.xyz - push_camera_position);
+            update_all(index, d_mean_opacity, d_quat, vec4(d_log_scale, 0.0), d_color, step_direction);
         } else {
             atomicAdd(state[STATE_NON_FINITE], 1);
         }

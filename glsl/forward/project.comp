@@ -8,6 +8,7 @@
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
 #extension GL_GOOGLE_include_directive : require
 
 #include "constants.glsl"
@@ -21,6 +22,7 @@ layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 4) const bool DROPOUT = false;
 // Whether the depth that is blended is z instead of 1/z.
 layout(constant_id = 5) const bool Z_RECORD = false;
+layout(constant_id = 9) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -70,15 +72,7 @@ void main() {
     Footprint f = footprint_of(p, filtered.opacity_logit);
 
     vec3 direction = normalize(mean_opacity.xyz - camera_position());
-    float basis[16];
-    sh_basis(direction, basis);
-    vec3 sh[16];
-    sh_coefficients(index, sh);
-    vec3 color = vec3(0.5);
-    for (uint k = 0; k < 16; ++k) {
-        color += basis[k] * sh[k];
-    }
-
+    vec3 color = sh_color(index, direction);
     // A coefficient that is not finite must not reach the pixels.
     bool valid = is_finite(color.x) && is_finite(color.y) && is_finite(color.z);
     color = valid ? color : vec3(0.0);

@@ -30,6 +30,7 @@ layout(constant_id = 5) const bool SUMS = false;
 layout(constant_id = 6) const bool UNSEEN = false;
 // The camera is where the camera block says, and not where the push constants do: the device has moved it.
 layout(constant_id = 7) const bool MOVED_CAMERA = false;
+layout(constant_id = 8) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_WRITES(0, Parameters, parameters);
@@ -120,10 +121,8 @@ void main() {
     }
     // The direction of the forward pass, from the mean before this step.
     vec3 mean = VEC4_AT(old_parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)).xyz;
-    float basis[16];
     // Outside the view the colour has no gradient. A Gaussian at the camera's position has no direction: without this test
     // NaN times 0 would be NaN.
-    sh_basis(seen ? normalize(mean - position_of_camera()) : vec3(0.0), basis);
-
-    update_all(index, d_mean_opacity, d_quat, d_log_scale, d_color.xyz, basis);
+    vec3 direction = seen ? normalize(mean - position_of_camera()) : vec3(0.0);
+    update_all(index, d_mean_opacity, d_quat, d_log_scale, d_color.xyz, direction);
 }

@@ -20,6 +20,7 @@ layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
 // As in adam.comp.
 layout(constant_id = 7) const bool MOVED_CAMERA = false;
+layout(constant_id = 8) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_WRITES(0, Sums, sums);
@@ -56,6 +57,20 @@ void add(uint at, vec4 g) {
     VEC4_PUT(sums, at, sum);
 }
 
+void add_group(uint group, uint index, vec3 direction, vec3 d_color) {
+    vec4 basis = sh_basis_group(group, direction);
+    [[unroll]] for (uint k = 0; k < 3; ++k) {
+        uint plane = 3 * group + k;
+        uint at = plane_at(PLANE_SH + plane, index, chunk_gaussians);
+        if (plane < SH_PLANES) {
+            add(at, sh_plane_gradient(k, basis, d_color));
+        } else if (starts != 0 && PLANE_SH + plane < planes) {
+            // A later view may have a higher degree.
+            VEC4_PUT(sums, at, vec4(0.0));
+        }
+    }
+}
+
 void main() {
     uint index = linear_invocation();
     if (index >= count || state[STATE_OVERFLOW] != 0) {
@@ -89,19 +104,12 @@ void main() {
         d_mean_opacity = d_quat = d_log_scale = d_color = vec4(0.0);
     }
     vec3 mean = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)).xyz;
-    float basis[16];
     // As in adam.comp: outside the view there may be no direction.
-    sh_basis(seen && counts ? normalize(mean - position_of_camera()) : vec3(0.0), basis);
+    vec3 direction = seen && counts ? normalize(mean - position_of_camera()) : vec3(0.0);
 
     add(plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians), d_mean_opacity);
     add(plane_at(PLANE_QUAT, index, chunk_gaussians), d_quat);
     add(plane_at(PLANE_LOG_SCALE, index, chunk_gaussians), d_log_scale);
-    [[unroll]] for (uint plane = 0; plane < SH_PLANES_3; ++plane) {
-        if (plane < SH_PLANES) {
-            add(plane_at(PLANE_SH + plane, index, chunk_gaussians), sh_plane_gradient(plane, basis, d_color.xyz));
-        } else if (starts != 0 && PLANE_SH + plane < planes) {
-            // A later view may have a higher degree.
-            VEC4_PUT(sums, plane_at(PLANE_SH + plane, index, chunk_gaussians), vec4(0.0));
-        }
-    }
+#define ADD_GROUP(GROUP) add_group(GROUP, index, direction, d_color.xyz)
+    EACH_SH_GROUP(SH_PLANES_3 / 3, ADD_GROUP)
 }

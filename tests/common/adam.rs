@@ -51,6 +51,7 @@ fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool, parameter_gradients: bool) ->
         sums,
         unseen,
         moved_camera,
+        sh_loops: gpu.context.limits().tuning.sh_loops,
     })
 }
 
@@ -121,8 +122,17 @@ impl<'a> AdamState<'a> {
         let workgroup_size = self.gpu.workgroup(64);
         let (sparse, parameter_gradients) = (false, false);
         let (sums, unseen, moved_camera) = (false, true, false);
-        let spec =
-            adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen, moved_camera };
+        let sh_loops = self.gpu.context.limits().tuning.sh_loops;
+        let spec = adam::Spec {
+            workgroup_size,
+            sh_degree,
+            sparse,
+            parameter_gradients,
+            sums,
+            unseen,
+            moved_camera,
+            sh_loops,
+        };
         AdamState { kernel: self.gpu.kernel(&spec), ..self }
     }
 
@@ -144,8 +154,17 @@ impl<'a> AdamState<'a> {
     pub fn with_moved_camera(self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
         let (workgroup_size, parameter_gradients) = (self.workgroup, self.parameter_gradients.is_some());
         let (sums, unseen, moved_camera) = (false, false, true);
-        let spec =
-            adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, unseen, moved_camera };
+        let sh_loops = self.gpu.context.limits().tuning.sh_loops;
+        let spec = adam::Spec {
+            workgroup_size,
+            sh_degree,
+            sparse,
+            parameter_gradients,
+            sums,
+            unseen,
+            moved_camera,
+            sh_loops,
+        };
         AdamState { kernel: self.gpu.kernel(&spec), moved_camera: true, ..self }
     }
 

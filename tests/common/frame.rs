@@ -53,7 +53,14 @@ impl Projected {
         let (sh_degree, filter_3d) = (view.sh_degree, view.filter_3d > 0.0);
         let (dropout, z_record) = (view.drawn.dropout.is_some(), view.drawn.z_record);
         let workgroup_size = gpu.workgroup(64);
-        let spec = project::Spec { workgroup_size, sh_degree, filter_3d, dropout, z_record };
+        let spec = project::Spec {
+            workgroup_size,
+            sh_degree,
+            filter_3d,
+            dropout,
+            z_record,
+            sh_loops: gpu.context.limits().tuning.sh_loops,
+        };
         let kernel = gpu.kernel::<project::Interface>(&spec);
         let splats: Vec<Option<Splat>> = gaussians.iter().map(|g| twin::project(g, view)).collect();
         // What is left out at random is left out by culling.

@@ -31,6 +31,14 @@ impl Gpu {
         Gpu { context: CONTEXT.get_or_init(|| plain().expect("a device")) }
     }
 
+    /// A device that nobody checks, for thousands of steps of which only the result matters. Checks take as long as such steps;
+    /// shorter trials run the same kernels on the shared device.
+    pub fn unchecked() -> Gpu {
+        static CONTEXT: OnceLock<Context> = OnceLock::new();
+        let plain = || Context::new(&ContextOptions::default());
+        Gpu { context: CONTEXT.get_or_init(|| plain().expect("a device")) }
+    }
+
     /// The subgroup size of the kernels.
     pub fn subgroup(&self) -> u32 {
         self.context.limits().subgroup_size

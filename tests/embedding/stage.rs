@@ -7,7 +7,7 @@ use ashsplat::scene::{Camera, Gaussians, Intrinsics};
 use ashsplat::vk::{Context, ContextOptions, ForeignCommands, validation_available};
 use ashsplat::{Frame, RecordedFrame, RenderSettings, Renderer};
 use glam::Vec3;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// A host with validation wherever it is installed.
 pub fn options() -> HostOptions {
@@ -70,10 +70,22 @@ pub fn camera(turn: f32, width: u32, height: u32) -> Camera {
     Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.7, width, height))
 }
 
-/// What a device of our own renders.
+/// A device of our own without validation, with the kernels of a host's device: those that read texels train to other bits.
+/// All tests share it.
+pub fn own_device() -> &'static Context {
+    static CONTEXT: OnceLock<Context> = OnceLock::new();
+    let options = ContextOptions { texels: false, ..ContextOptions::default() };
+    CONTEXT.get_or_init(|| Context::new(&options).expect("a device"))
+}
+
+/// What a device of our own renders, the same bits with texels.
 pub fn owned(gaussians: &Gaussians, camera: &Camera, settings: &RenderSettings) -> Frame {
-    let context = Context::new(&ContextOptions::default()).expect("a device");
-    let mut renderer = Renderer::new(&context).expect("kernels");
+    static RENDERER: OnceLock<Mutex<Renderer>> = OnceLock::new();
+    let renderer = RENDERER.get_or_init(|| {
+        let context = Context::new(&ContextOptions::default()).expect("a device");
+        Mutex::new(Renderer::new(&context).expect("kernels"))
+    });
+    let mut renderer = renderer.lock().unwrap_or_else(PoisonError::into_inner);
     renderer.upload(gaussians).expect("a scene");
     renderer.render(camera, settings).expect("a frame")
 }

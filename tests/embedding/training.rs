@@ -1,7 +1,7 @@
 //! Training steps in a host's command buffer.
 
 use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, assert_same, camera, cloud, guest, options, rendered, with_host};
+use crate::stage::{adopt, assert_same, camera, cloud, guest, options, own_device, rendered, with_host};
 use ashsplat::trainer::{SplitType, StepOutcome, StepReservation, StrategyType, Trainer};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, LimitsOverride};
 use ashsplat::{
@@ -10,16 +10,16 @@ use ashsplat::{
 };
 use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};
 
-/// Densifies after 40, 80, 120, 160, resets opacities after 100.
+/// Densifies after 20, 40, 60, 80, resets opacities after 50.
 fn settings() -> TrainSettings {
     TrainSettings {
-        iterations: 200,
+        iterations: 100,
         sh_degree: 2,
-        sh_degree_interval: 30,
-        densify_from_iter: 20,
-        densification_interval: 40,
-        densify_until_iter: 170,
-        opacity_reset_interval: 100,
+        sh_degree_interval: 15,
+        densify_from_iter: 10,
+        densification_interval: 20,
+        densify_until_iter: 85,
+        opacity_reset_interval: 50,
         densify_grad_threshold: 2e-5,
         random_background: true,
         seed: 3,
@@ -67,8 +67,8 @@ fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &InFli
 fn train_recorded(host: &Host, settings: &TrainSettings) {
     const SLOTS: usize = 3;
     let context = guest(host);
-    let mut owned = trainer(&context, settings.clone());
-    let expected: Vec<StepReport> = (0..200).map(|_| owned.step().expect("a step")).collect();
+    let mut owned = trainer(own_device(), settings.clone());
+    let expected: Vec<StepReport> = (0..100).map(|_| owned.step().expect("a step")).collect();
     let mut recorded = trainer(&context, settings.clone());
     recorded.reserve_steps(&StepReservation { slots: SLOTS as u32, instances: 0 }).expect("memory");
     let frames = [0; SLOTS].map(|_| InFlight::new(host).expect("a command buffer"));
@@ -82,7 +82,7 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
         };
         assert_eq!(numbers(&got), numbers(wanted), "iteration {iteration}");
     };
-    for number in 0..200 {
+    for number in 0..100 {
         let slot = number % SLOTS;
         if recorded.maintenance_is_due().expect("an answer") {
             for step in pending.drain(..) {
@@ -120,12 +120,12 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         antialiasing: true,
         kernel_size: 0.1,
         filter_3d: true,
-        densification_interval: 20,
-        densify_until_iter: 90,
-        iterations: 1000,
+        densification_interval: 10,
+        densify_until_iter: 45,
+        iterations: 500,
         ..settings()
     };
-    // And with budgeted growth, which adds up gradients over several steps after 133 and 160.
+    // And with budgeted growth, which adds up gradients over several steps after 66 and 80.
     let budget = TrainSettings {
         strategy: StrategyType::Budget,
         scale_schedule: true,

@@ -78,7 +78,8 @@ fn check(gpu: &Gpu, size: usize, degrees: [u32; 2], stored: u32, direct: bool) {
         }
         let moved_camera = number == 1 || stored == 2;
         let workgroup_size = gpu.workgroup(64);
-        let spec = Spec { workgroup_size, sh_degree, parameter_gradients: direct, moved_camera };
+        let sh_loops = number == 1;
+        let spec = Spec { workgroup_size, sh_degree, parameter_gradients: direct, moved_camera, sh_loops };
         let kernel = gpu.kernel::<Interface>(&spec);
         let (index, gradients) =
             (gpu.buffer("visible_index", &view.visible), gpu.buffer("gradients", &view.rows));

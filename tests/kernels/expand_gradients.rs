@@ -13,7 +13,7 @@ use crate::reference::types::View;
 
 fn check(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize) {
     let view = View { sh_degree, ..small_view([53, 37]) };
-    let spec = Spec { workgroup_size: gpu.workgroup(64), sh_degree };
+    let spec = Spec { workgroup_size: gpu.workgroup(64), sh_degree, sh_loops: size % 2 == 1 };
     let kernel = gpu.kernel::<Interface>(&spec);
     let mut random = Random::new(size as u64);
     let gaussians = mixed_scene(&mut random, size, coefficients);

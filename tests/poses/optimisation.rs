@@ -102,7 +102,7 @@ fn fixed(iterations: u32) -> TrainSettings {
 
 #[test]
 fn poses_are_found_again_on_a_scene_that_is_known() {
-    let gpu = Gpu::new();
+    let gpu = Gpu::unchecked();
     let given = &perturbed()[..3];
     let (degrees, share) = apart(given, &cameras());
     assert!((0.99..1.01).contains(&degrees) && (0.009..0.0101).contains(&share), "{degrees}, {share}");
@@ -130,7 +130,7 @@ fn psnr(trainer: &mut Trainer, cameras: &[Camera]) -> f64 {
 /// Scene and poses together, from a scene that is off and poses that are: without poses, the scene can only blur.
 #[test]
 fn poses_and_scene_together_are_better_than_the_scene_alone() {
-    let gpu = Gpu::new();
+    let gpu = Gpu::unchecked();
     let mut start = scene();
     let mut random = Random::new(6);
     start.means.iter_mut().flatten().for_each(|x| *x += 0.03 * random.signed() as f32);

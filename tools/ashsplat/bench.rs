@@ -2,6 +2,7 @@
 
 mod arguments;
 pub mod compare;
+pub mod compiled;
 mod cpu_sorts;
 pub mod forms;
 pub mod frames;
@@ -14,7 +15,7 @@ mod samples;
 mod scaling;
 pub mod schema;
 mod sizes;
-mod synthetic;
+pub mod synthetic;
 pub mod table;
 mod tasks;
 pub mod traffic;
@@ -66,7 +67,7 @@ enum What {
     /// Everything: the primitives at two sizes, two synthetic frames, one of them in both forms of blending, a step; --scene and
     /// --dataset besides
     All(AllArguments),
-    /// Two result files, kernel by kernel; exit code 1 where --fail-above finds something slower
+    /// Two result files, or two of `profile --static`, kernel by kernel; exit code 1 where --fail-above finds something worse
     Compare(CompareArguments),
     /// Trainings with several strategies and seeds: PSNR, SSIM, Gaussians, processor seconds and seconds along each
     Quality(quality::Arguments),
@@ -81,7 +82,8 @@ struct CompareArguments {
     a: PathBuf,
     /// The result to judge
     b: PathBuf,
-    /// End with exit code 1 where a kernel of B takes more than X times as long as in A, beyond the spread of both
+    /// End with exit code 1 where a kernel of B takes more than X times as long as in A, beyond the spread of both; of files of
+    /// `profile --static`: where spills, memory or estimated cycles grow to more than X times, or subgroups per SIMD fall so
     #[arg(long, value_name = "X")]
     fail_above: Option<f64>,
 }
@@ -142,6 +144,9 @@ fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
             format!("is {limit}, must be a positive ratio, say 1.15"),
         ));
     }
+    if compiled::is_one(&files.a) {
+        return compare_compiled(files);
+    }
     let (a, b) = (compare::read(&files.a)?, compare::read(&files.b)?);
     let lines = compare::compare(&a, &b)?;
     for (name, report) in [("A", &a), ("B", &b)] {
@@ -167,6 +172,30 @@ fn compare_files(files: &CompareArguments) -> Result<ExitCode> {
     }
     tell!("slower than {limit} times: {}", slow.join(", "));
     Ok(ExitCode::from(REGRESSION))
+}
+
+fn compare_compiled(files: &CompareArguments) -> Result<ExitCode> {
+    let (a, b) = (compiled::read(&files.a)?, compiled::read(&files.b)?);
+    if a.device.name != b.device.name || a.device.driver != b.device.driver {
+        tell!(
+            "A is of {}, {}; B of {}, {}: compilers differ as well",
+            a.device.name,
+            a.device.driver,
+            b.device.name,
+            b.device.driver
+        );
+    }
+    let (worse, unpaired) = compiled::worse(&a, &b, files.fail_above.unwrap_or(1.0));
+    worse.iter().chain(&unpaired).for_each(|line| say!("{line}"));
+    if worse.is_empty() {
+        let paired = b.pipelines.len() - unpaired.iter().filter(|line| line.starts_with("only in B")).count();
+        say!("{paired} pipelines: none is worse");
+    }
+    Ok(if files.fail_above.is_some() && !worse.is_empty() {
+        ExitCode::from(REGRESSION)
+    } else {
+        ExitCode::SUCCESS
+    })
 }
 
 fn measure_all(

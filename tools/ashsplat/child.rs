@@ -9,6 +9,9 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+/// How ffmpeg is installed.
+pub const INSTALL_FFMPEG: &str = "`apt install ffmpeg` on Debian and Ubuntu, `brew install ffmpeg` on macOS, `dnf install \
+    ffmpeg-free` on Fedora, `winget install ffmpeg` on Windows";
 /// Between two looks at a program.
 const POLL: Duration = Duration::from_millis(20);
 /// Looks at `stop` after a program failed: Ctrl-C on a terminal ends it as well, and perhaps earlier than it is noticed
@@ -16,6 +19,13 @@ const POLL: Duration = Duration::from_millis(20);
 const LAST_LOOKS: u32 = 10;
 /// Lines that are kept of what a program said last.
 const TAIL: usize = 40;
+
+/// Whether a program that understands `-version` is installed.
+pub fn has(name: &str) -> bool {
+    let mut program = Command::new(name);
+    program.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    program.status().is_ok_and(|status| status.success())
+}
 
 /// A program, which ends with the value.
 pub struct Running(pub Child);

@@ -1,6 +1,6 @@
 //! Films as files: an animated GIF, or an MP4 or WebM by ffmpeg. One frame is in memory at a time.
 
-use crate::child::{Running, not_started};
+use crate::child::{INSTALL_FFMPEG, Running, not_started};
 use crate::output;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Photo, atomic};
@@ -55,7 +55,11 @@ impl Container {
     }
 
     fn failure(self, path: &Path, problem: String) -> Error {
-        Error::input(path, problem, "install ffmpeg and its codecs, or end the name in .gif")
+        Error::input(
+            path,
+            problem,
+            format!("install ffmpeg with its codecs ({INSTALL_FFMPEG}), or end the name in .gif"),
+        )
     }
 
     fn codec(self) -> &'static [&'static str] {

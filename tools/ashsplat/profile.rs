@@ -1,6 +1,7 @@
 //! `ashsplat profile`: one frame or one training step under the magnifying glass.
 
 mod ab;
+mod compiled;
 mod dump;
 pub mod page;
 mod spec;
@@ -22,8 +23,12 @@ use std::path::PathBuf;
 use subject::Subject;
 
 /// Nothing is run for a dump.
-const NOT_WITH_DUMP: [&str; 25] = [
+const NOT_WITH_DUMP: [&str; 29] = [
     "what",
+    "is_static",
+    "json",
+    "asm",
+    "beside",
     "html",
     "trace",
     "spec",
@@ -57,9 +62,9 @@ const NOT_WITH_DUMP: [&str; 25] = [
 #[derive(Args)]
 #[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_MEASUREMENTS)))]
 pub struct Arguments {
-    /// What to profile
-    #[arg(value_enum, default_value = "render")]
-    what: What,
+    /// What to profile [default: render; with --static both]
+    #[arg(value_enum)]
+    what: Option<What>,
     #[command(flatten)]
     scene: SceneArguments,
     #[command(flatten)]
@@ -85,6 +90,8 @@ pub struct Arguments {
     /// Time two settings in turn: each a list of settings as for --spec, separated by commas; "-" is none
     #[arg(long, num_args = 2, value_names = ["A", "B"], allow_hyphen_values = true, conflicts_with_all = ["html", "trace", "watch"])]
     ab: Option<Vec<String>>,
+    #[command(flatten)]
+    compiled: compiled::StaticArguments,
     /// Write the SPIR-V of each kernel (or of those of --kernel) below this folder, with counts of its instructions by class;
     /// constants have their defaults there, for --spec's are given to the driver
     #[arg(long, value_name = "DIR", conflicts_with_all = NOT_WITH_DUMP)]
@@ -133,6 +140,10 @@ impl Arguments {
     /// Iterations before them.
     const WARMUP: u32 = 3;
 
+    fn what(&self) -> What {
+        self.what.unwrap_or(What::Render)
+    }
+
     fn frames(&self) -> u32 {
         self.frames.unwrap_or(Self::FRAMES)
     }
@@ -171,8 +182,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         say!("{}", dump::dump(folder, arguments.kernel.as_deref())?.trim_end());
         return Ok(());
     }
+    if arguments.compiled.is_static {
+        return compiled::run(arguments);
+    }
     output::check(&[("--html", arguments.html.as_deref()), ("--trace", arguments.trace.as_deref())])?;
-    let load = || arguments.scene.load(arguments.what == What::TrainStep, &arguments.device.host);
+    let load = || arguments.scene.load(arguments.what() == What::TrainStep, &arguments.device.host);
     if let Some(settings) = &arguments.ab {
         return ab::run(arguments, settings, &load()?);
     }
@@ -189,7 +203,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let seed = arguments.seed();
     let (copy, blending) = (yardsticks.copy.as_ref(), arguments.form.get());
     let job = frames::Job { context: &context, iterations, copy, scene: &scene, blending, seed };
-    let (mut run, measured) = match arguments.what {
+    let (mut run, measured) = match arguments.what() {
         What::Render => frames::render(&job)?,
         What::TrainStep => frames::train_step(&job)?,
     };
@@ -216,7 +230,7 @@ fn capture(arguments: &Arguments, context: &Context, scene: &workload::Scene) ->
     let mut subject = Subject::new(context, scene, arguments)?;
     subject.warm_up(arguments.warmup())?;
     subject.captured()?;
-    say!("one {} was marked as a capture", arguments.what.name());
+    say!("one {} was marked as a capture", arguments.what().name());
     print_messages(context);
     arguments.device.report_validation(context);
     Ok(())

@@ -28,9 +28,7 @@ pub use subject::Subject;
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_VIEWER};
 use crate::render::LookArguments;
 use crate::{output, session};
-#[cfg(not(feature = "window"))]
-use ashsplat::Error;
-use ashsplat::{RenderSettings, Renderer, Result};
+use ashsplat::{Error, RenderSettings, Renderer, Result};
 use clap::Args;
 use hub::Hub;
 use loading::Loading;
@@ -95,6 +93,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| "out/view".into());
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
+    // What is not there is said before an address is.
+    if let Some(path) = &arguments.path {
+        std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
+    }
     if arguments.window {
         return in_window(arguments, out, stop);
     }

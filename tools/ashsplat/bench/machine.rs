@@ -72,7 +72,10 @@ pub fn device(context: &Context) -> Device {
         driver: description.driver.clone(),
         api_version: description.api_version.clone(),
         subgroup_size: l.subgroup_size,
-        limits: limits.into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
+        // A driver without hardware gives a period that is no number.
+        limits: (limits.into_iter().filter(|(_, value)| value.is_finite()))
+            .map(|(name, value)| (name.to_owned(), value))
+            .collect(),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Frames of a video by ffmpeg: in each of equal intervals the sharpest.
 
 use super::sharpness::sharpness;
-use crate::child::{Running, not_started};
+use crate::child::{INSTALL_FFMPEG, Running, not_started};
 use ashsplat::{Error, Result};
 use ashsplat_files::{Photo, atomic};
 use image::codecs::jpeg::JpegEncoder;
@@ -11,8 +11,6 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-const INSTALL: &str = "`apt install ffmpeg` on Debian and Ubuntu, `brew install ffmpeg` on macOS, `dnf install \
-                       ffmpeg-free` on Fedora, `winget install ffmpeg` on Windows; --ffmpeg gives its path";
 /// Frames that are looked at in each interval, if the video has so many.
 const CANDIDATES: usize = 8;
 /// Of JPEGs, 1 to 100.
@@ -146,7 +144,12 @@ impl Reader<'_> {
         let stderr = said.try_clone().map_err(io)?;
         let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(stderr).spawn();
         let name = self.program.to_string_lossy();
-        let missing = |e| Error::argument("poses", format!("{}: {INSTALL}", not_started(&name, &e)));
+        let missing = |e| {
+            Error::argument(
+                "poses",
+                format!("{}: {INSTALL_FFMPEG}; --ffmpeg gives its path", not_started(&name, &e)),
+            )
+        };
         let mut ffmpeg = Running(child.map_err(missing)?);
         let Some(mut stdout) = ffmpeg.0.stdout.take() else {
             return Err(self.refused("ffmpeg has no output".into()));

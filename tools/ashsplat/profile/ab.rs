@@ -35,12 +35,12 @@ pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<
     let mut kernels = [0, 1].map(|i: usize| measured[i].kernels(&Traffic::bound(), None));
     kernels.iter_mut().try_for_each(|kernels| super::only(arguments.kernel.as_deref(), kernels))?;
     let mut lines = vec![Line::whole(
-        arguments.what.name(),
+        arguments.what().name(),
         "wall",
         measured[0].wall_ms().times(1e3),
         measured[1].wall_ms().times(1e3),
     )];
-    lines.extend(compare::kernels(arguments.what.name(), &kernels[0], &kernels[1]));
+    lines.extend(compare::kernels(arguments.what().name(), &kernels[0], &kernels[1]));
     let both = if arguments.spec.is_empty() {
         String::new()
     } else {

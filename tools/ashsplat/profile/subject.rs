@@ -25,7 +25,7 @@ impl<'a> Subject<'a> {
     /// Builds its kernels and loads the scene.
     pub fn new(context: &'a Context, scene: &'a Scene, arguments: &Arguments) -> Result<Self> {
         let form = arguments.form.get();
-        let work = match arguments.what {
+        let work = match arguments.what() {
             What::Render => {
                 let mut renderer = Renderer::new(context)?;
                 if let Some(form) = form {

@@ -150,7 +150,7 @@ mod reloading {
         say!(
             "watching {}: {} takes {wall:.2} ms; Ctrl-C ends",
             watched.glsl.display(),
-            arguments.what.name()
+            arguments.what().name()
         );
         let start = Instant::now();
         let over = || arguments.watch_for.is_some_and(|limit| start.elapsed().as_secs_f64() > limit);
@@ -207,12 +207,12 @@ mod reloading {
 
     fn report(arguments: &Arguments, changed: &[&str], old: &State, new: &State) {
         let mut lines = vec![Line::whole(
-            arguments.what.name(),
+            arguments.what().name(),
             "wall",
             old.measured.wall_ms().times(1e3),
             new.measured.wall_ms().times(1e3),
         )];
-        let all = compare::kernels(arguments.what.name(), &old.kernels, &new.kernels);
+        let all = compare::kernels(arguments.what().name(), &old.kernels, &new.kernels);
         lines.extend(all.into_iter().filter(|line| changed.contains(&line.kernel.as_str())));
         say!("\nchanged: {}", changed.join(", "));
         say!("{}", compare::table(&lines).trim_end());

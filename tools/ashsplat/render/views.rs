@@ -67,7 +67,8 @@ impl From<MotionName> for Motion {
 /// Size and field of view, where they differ from the cameras' own.
 #[derive(Args)]
 pub struct SizeArguments {
-    /// Width of the pictures, pixels [default: the cameras'; 1280 for an orbit, 640 as a GIF]
+    /// Width of the pictures, pixels [default: the cameras'; 1280 for an orbit, 640 as a GIF; 720 and 360 where most photographs
+    /// are upright]
     #[arg(long, value_name = "PIXELS")]
     width: Option<u32>,
     /// Height of the pictures, pixels [default: the cameras'; 9/16 of the width for an orbit]
@@ -208,13 +209,20 @@ const WIDEST_ORBIT: f32 = 60.0;
 impl SizeArguments {
     /// Size and field of view of an orbit: of no more than the training's cameras saw.
     fn of_orbit(&self, seen: &[Camera], film: Option<Container>) -> Intrinsics {
-        let width = match (self.width, self.height) {
-            (Some(width), _) => width,
-            (None, Some(height)) => (height.saturating_mul(16) / 9).max(1),
-            (None, None) if film == Some(Container::Gif) => 640,
-            (None, None) => 1280,
+        // Upright where most photographs are.
+        let upright = 2 * seen.iter().filter(|c| c.height > c.width).count() > seen.len();
+        let long = if film == Some(Container::Gif) { 640 } else { 1280 };
+        let [wide, high] = if upright { [9, 16] } else { [16, 9] };
+        let of = |side: u32, [to, from]: [u64; 2]| {
+            u32::try_from(u64::from(side) * to / from).unwrap_or(u32::MAX).max(1)
         };
-        let height = self.height.unwrap_or((u64::from(width) * 9 / 16).max(1) as u32);
+        let (width, height) = match (self.width, self.height) {
+            (Some(width), Some(height)) => (width, height),
+            (Some(width), None) => (width, of(width, [high, wide])),
+            (None, Some(height)) => (of(height, [wide, high]), height),
+            (None, None) if upright => (of(long, [wide, high]), long),
+            (None, None) => (long, of(long, [high, wide])),
+        };
         // As much of the scene as a photograph shows, in another shape.
         let shape = width as f32 / height as f32;
         let reach = |c: &Camera| (0.25 * c.width as f32 / c.fx * c.height as f32 / c.fy * shape).sqrt();

@@ -1,12 +1,13 @@
 //! What a run leaves in its model folder before the first iteration.
 
-use super::checkpoints;
 use super::poses::POSES_FILE;
+use super::report::REPORT_FILE;
+use super::{LOG_FILE, checkpoints};
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
 use crate::lock::{FolderLock, Work};
 use crate::{eval, model, output};
-use ashsplat::Result;
 use ashsplat::scene::{Camera, PointCloud};
+use ashsplat::{Error, Result};
 use ashsplat_files::exposure_json::EXPOSURE_FILE;
 use ashsplat_files::lens_json::LENS_FILE;
 use ashsplat_files::{atomic, cameras_json, ply};
@@ -47,13 +48,29 @@ fn remove_leftovers(folder: &Path) {
     output::remove_leftovers(&folder.join("test"), 2);
 }
 
-/// Removes what would be taken for this run's, and warns of the point clouds of earlier ones: they are too dear to remove.
+/// What a training leaves beside its point clouds.
+const LEFT: [&str; 7] =
+    [eval::RESULTS_FILE, eval::PER_VIEW_FILE, REPORT_FILE, LOG_FILE, EXPOSURE_FILE, LENS_FILE, POSES_FILE];
+
+/// Moves what would be taken for this run's into `earlier_1`, or the next number that is free, and warns of the point clouds of
+/// earlier ones. Nothing is removed: a command may have been given a second time by mistake.
 fn clear_up_after_others(folder: &Path) -> Result<()> {
-    output::remove(&folder.join(eval::RESULTS_FILE))?;
-    output::remove(&folder.join(eval::PER_VIEW_FILE))?;
-    output::remove(&folder.join(EXPOSURE_FILE))?;
-    output::remove(&folder.join(LENS_FILE))?;
-    output::remove(&folder.join(POSES_FILE))?;
+    let left: Vec<&str> = LEFT.into_iter().filter(|name| folder.join(name).exists()).collect();
+    if !left.is_empty() {
+        let earlier = (1..).map(|n| folder.join(format!("earlier_{n}"))).find(|path| !path.exists());
+        let earlier = earlier.unwrap_or_default();
+        atomic::create_folder(&earlier)?;
+        for name in &left {
+            let from = folder.join(name);
+            std::fs::rename(&from, earlier.join(name)).map_err(|e| Error::io(&from, "move", e))?;
+        }
+        let folder = folder.display();
+        tell!(
+            "warning: {folder}: has an earlier training; its {} are now in {}",
+            left.join(", "),
+            earlier.display()
+        );
+    }
     checkpoints::forget_newest(folder)?;
     let older: Vec<String> =
         model::saved_iterations(folder).iter().map(|n| format!("iteration_{n}")).collect();

@@ -6,6 +6,7 @@ mod views;
 
 use super::log::Rows;
 use super::{LOG_FILE, Run};
+use crate::child;
 use crate::config::Settings;
 use crate::eval::{self, Evaluation, More};
 use crate::html::{self, escape, section};
@@ -284,6 +285,8 @@ fn settings(settings: &Settings) -> Result<String> {
 pub fn say_what_next(model: &Path) {
     let name = quoted(&model.to_string_lossy());
     say!("look at it      ashsplat view {name}");
-    say!("make a film     ashsplat render {name} -o film.gif");
+    // A GIF is many times as large.
+    let film = if child::has("ffmpeg") { "film.mp4" } else { "film.gif" };
+    say!("make a film     ashsplat render {name} -o {film}");
     say!("the report      {}", model.join(REPORT_FILE).display());
 }
