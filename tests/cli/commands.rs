@@ -200,6 +200,34 @@ fn orbit_of_parallel_cameras_shows_the_scene() {
     assert_eq!(said.matches(" 400 of 400 Gaussians visible").count(), 4, "{said}");
 }
 
+/// A phone's photographs become a film for a phone.
+#[test]
+fn orbit_of_upright_photographs_is_upright() {
+    let folder = tempdir().expect("a temporary folder");
+    let model = folder.path().join("model");
+    let ply = model.join("point_cloud/iteration_1/point_cloud.ply");
+    std::fs::create_dir_all(ply.parent().expect("a folder")).expect("created");
+    let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
+    let rendered = |cameras: [[u32; 2]; 3], more: &[&str]| {
+        let named = cameras.map(|[width, height]| {
+            let intrinsics = Intrinsics::from_fov_x(0.8, width, height);
+            Camera::look_at(vec3(0.0, 0.0, -3.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics)
+        });
+        let named = named.iter().map(|camera| ("a.png", camera));
+        ashsplat_files::cameras_json::write(model.join("cameras.json"), named).expect("written");
+        let out = tempdir().expect("a temporary folder");
+        succeed(&[&["render", text(&model), "--orbit", "1", "-o", text(out.path())], more].concat());
+        let frame = std::fs::read_dir(out.path()).expect("a folder").next().expect("a picture");
+        image::image_dimensions(frame.expect("a picture").path()).expect("a PNG")
+    };
+    let [upright, lying] = [[32, 48], [48, 32]];
+    assert_eq!(rendered([upright, lying, upright], &[]), (720, 1280));
+    assert_eq!(rendered([upright, lying, lying], &[]), (1280, 720));
+    assert_eq!(rendered([upright; 3], &["--width", "36"]), (36, 64));
+    assert_eq!(rendered([upright; 3], &["--height", "32"]), (18, 32));
+}
+
 #[test]
 fn compiled_kernels_are_kept_between_runs() {
     let folder = tempdir().expect("a folder");

@@ -282,6 +282,11 @@ fn newest_point_cloud_counts_not_the_highest_number() {
         again.stderr
     );
     assert!(short.ply(5).is_file() && !leftover.exists());
+    // What would be taken for the new training's is kept under another name.
+    assert!(again.stderr.contains("earlier_1"), "{}", again.stderr);
+    let log = |folder: PathBuf| std::fs::read_to_string(folder.join("train_log.csv")).expect("the log");
+    assert_eq!(log(short.model().join("earlier_1")).lines().count(), 6);
+    assert_eq!(log(short.model()).lines().count(), 4);
     let info: Value =
         serde_json::from_str(&succeed(&["info", text(&short.model()), "--json"])).expect("JSON");
     assert_eq!(info["file"].as_str(), short.ply(3).to_str());

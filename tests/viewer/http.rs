@@ -1,7 +1,7 @@
 //! The page, tokens, ports, photos.
 
 use super::*;
-use crate::cli::{refuse, write_dataset};
+use crate::cli::{assert_refused, finish, program, refuse, write_dataset};
 use std::net::TcpListener;
 use tempfile::tempdir;
 use tungstenite::HandshakeError;
@@ -140,11 +140,18 @@ fn viewer_names_a_busy_port() {
     let model = folder.path().join("model");
     let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "5", "--quiet"];
     refuse(&[&train[..], &[&format!("--view={port}")]].concat(), &[&port, "in use", "--view=PORT"]);
-    // Before anything was loaded or written.
-    refuse(&["view", "no.ply", "--port", &port], &[&port, "in use"]);
+    // Before anything was written.
     assert!(!model.exists());
     refuse(&[&train[..], &["--port", &port]].concat(), &["--ip"]);
     refuse(&[&train[..], &["--ip", "127.0.0.1", "--port", &port]].concat(), &[&port, "in use"]);
+}
+
+/// Before a page is promised.
+#[test]
+fn viewer_of_a_missing_file_says_only_so() {
+    let run = finish(program().args(["view", "nosuch.ply"]));
+    assert_refused(&run, &["nosuch.ply", "No such file"]);
+    assert_eq!(run.stdout, "");
 }
 
 #[test]
