@@ -26,6 +26,7 @@ fn main() {
     for path in ["glsl", "build.rs", "engine/kernels"] {
         println!("cargo:rerun-if-changed={path}");
     }
+    guide(&root, &out);
     let mut shaders = Vec::new();
     let mut includes = Vec::new();
     collect(&glsl, &mut shaders, &mut includes);
@@ -50,6 +51,22 @@ fn main() {
         }
         eprintln!("{} shader(s) failed", errors.len());
         std::process::exit(1);
+    }
+}
+
+/// The guide's chapters for rustdoc. As files they link to each other by name, so that they can be read where the project is
+/// browsed; as modules they are each other's neighbours.
+fn guide(root: &Path, out: &Path) {
+    println!("cargo:rerun-if-changed=engine/guide");
+    fs::create_dir_all(out.join("guide")).unwrap();
+    let files = fs::read_dir(root.join("engine/guide")).unwrap().map(|entry| entry.unwrap().path());
+    let chapters: Vec<PathBuf> = files.filter(|path| path.extension().is_some_and(|e| e == "md")).collect();
+    let names = || chapters.iter().filter_map(|path| path.file_stem()?.to_str());
+    for path in &chapters {
+        let text = fs::read_to_string(path).unwrap();
+        let linked = names()
+            .fold(text, |text, name| text.replace(&format!("]({name}.md"), &format!("](super::{name}")));
+        fs::write(out.join("guide").join(path.file_name().unwrap()), linked).unwrap();
     }
 }
 

@@ -17,61 +17,61 @@
 //! - [`embedding`]: frames and training steps in a host engine's command buffers
 
 pub mod program {
-    #![doc = include_str!("guide/program.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/program.md"))]
 }
 
 pub mod data_sets {
-    #![doc = include_str!("guide/data_sets.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/data_sets.md"))]
 }
 
 pub mod formats {
-    #![doc = include_str!("guide/formats.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/formats.md"))]
 }
 
 pub mod viewer {
-    #![doc = include_str!("guide/viewer.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/viewer.md"))]
 }
 
 pub mod first_frame {
-    #![doc = include_str!("guide/first_frame.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/first_frame.md"))]
 }
 
 pub mod first_training {
-    #![doc = include_str!("guide/first_training.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/first_training.md"))]
 }
 
 pub mod parts {
-    #![doc = include_str!("guide/parts.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/parts.md"))]
 }
 
 pub mod masks_and_memory {
-    #![doc = include_str!("guide/masks_and_memory.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/masks_and_memory.md"))]
 }
 
 pub mod checkpoints {
-    #![doc = include_str!("guide/checkpoints.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/checkpoints.md"))]
 }
 
 pub mod measuring {
-    #![doc = include_str!("guide/measuring.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/measuring.md"))]
 }
 
 pub mod profiling {
-    #![doc = include_str!("guide/profiling.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/profiling.md"))]
 }
 
 pub mod determinism {
-    #![doc = include_str!("guide/determinism.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/determinism.md"))]
 }
 
 pub mod faults {
-    #![doc = include_str!("guide/faults.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/faults.md"))]
 }
 
 pub mod how_it_works {
-    #![doc = include_str!("guide/how_it_works.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/how_it_works.md"))]
 }
 
 pub mod embedding {
-    #![doc = include_str!("guide/embedding.md")]
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/embedding.md"))]
 }

@@ -56,6 +56,7 @@ pub mod renderer;
 pub mod scan;
 pub mod scene;
 pub mod sort;
+pub mod subgroups;
 pub mod trainer;
 pub mod tuning;
 pub mod vk;

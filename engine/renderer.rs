@@ -117,6 +117,7 @@ impl Renderer {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
+        crate::subgroups::check(context)?;
         Ok(Self {
             context: context.clone(),
             runner: FrameRunner::new(context)?,

@@ -5,8 +5,12 @@
 //! are facts and stand in [`Limits`](crate::vk::Limits); what a driver does against the specification stands in
 //! [`Workarounds`](crate::vk::Workarounds).
 //!
-//! The project's own tests run a GPU's kernels on a software driver: with the feature `testing`, they override the row
-//! (`LimitsOverride::backend`).
+//! [`ContextOptions::backend`](crate::vk::ContextOptions::backend) overrides the row: a GPU's kernels and layouts then run on a
+//! software driver, where they can be tested and debugged without a GPU.
+
+use std::fmt;
+use std::ops::RangeInclusive;
+use std::str::FromStr;
 
 /// The class of devices that a row of the table is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -15,6 +19,27 @@ pub enum Backend {
     Processor,
     /// Everything else.
     Gpu,
+}
+
+impl FromStr for Backend {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "processor" => Ok(Self::Processor),
+            "gpu" => Ok(Self::Gpu),
+            _ => Err(format!("is '{text}'; give gpu or processor")),
+        }
+    }
+}
+
+impl fmt::Display for Backend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Processor => "processor",
+            Self::Gpu => "gpu",
+        })
+    }
 }
 
 /// How a radix sort ranks keys of equal digits.
@@ -153,6 +178,11 @@ impl Tuning {
             0x8086 => &Self::INTEL,
             _ => &Self::GPU,
         }
+    }
+
+    /// The size of subgroups on a device with its own size, and those that may be required; None: none may be.
+    pub fn subgroup_size(&self, own: u32, selectable: Option<RangeInclusive<u32>>) -> u32 {
+        self.lanes.filter(|lanes| selectable.is_some_and(|sizes| sizes.contains(lanes))).unwrap_or(own)
     }
 
     /// The row of a class of devices.

@@ -109,10 +109,11 @@ fn architecture_unsafe_only_under_vk() {
 
 // ---- dependencies between modules ---------------------------------------------------------------------------------
 
-const STAGES: [&str; 15] = [
+const STAGES: [&str; 16] = [
     "scan",
     "sort",
     "arithmetic",
+    "subgroups",
     "forward",
     "pixels",
     "planes",

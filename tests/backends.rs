@@ -18,8 +18,7 @@ fn context_with(overrides: Vec<SpecOverride>) -> Context {
 }
 
 fn context(backend: Backend) -> Context {
-    let limits = LimitsOverride { backend: Some(backend), ..LimitsOverride::default() };
-    Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device")
+    Context::new(&ContextOptions { backend: Some(backend), ..options() }).expect("a device")
 }
 
 /// Largest difference, relative to 1 and above.
@@ -107,8 +106,11 @@ fn backends_of_both_kinds_of_loops_have_the_same_bits() {
 
 /// What suits Intel's registers is asked for where the device lets it be chosen.
 #[test]
-fn backends_have_a_row_for_intel() {
-    assert_eq!((Tuning::INTEL.lanes, Tuning::INTEL.backend), (Some(16), Backend::Gpu));
+fn backends_choose_their_subgroup_size_where_the_device_has_it() {
+    let intel = |own, sizes| Tuning::INTEL.subgroup_size(own, sizes);
+    assert_eq!([intel(32, Some(8..=32)), intel(32, Some(32..=32)), intel(32, None)], [16, 32, 32]);
+    assert_eq!(Tuning::GPU.subgroup_size(64, Some(32..=64)), 64);
+    // The row of a vendor differs in that only.
     let mut row = Tuning::INTEL;
     row.lanes = None;
     assert_eq!(row, Tuning::GPU);
@@ -120,5 +122,49 @@ fn backends_are_looked_up_by_their_class() {
         let row = Tuning::of(backend);
         assert_eq!(row.backend, backend);
         assert!(row.tile_row_interleave.is_power_of_two() && row.scan_items >= 4);
+    }
+}
+
+/// As on a driver that reports a subgroup size and lets none be required.
+fn context_of_fixed_size(size: u32) -> Context {
+    let limits = LimitsOverride { fixed_subgroup_size: Some(size), ..LimitsOverride::default() };
+    Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device")
+}
+
+#[test]
+fn backends_whose_subgroup_size_cannot_be_required_have_the_same_bits() {
+    let gpu = Gpu::new();
+    let fixed = context_of_fixed_size(gpu.subgroup());
+    assert!(!fixed.limits().subgroup_size_selectable);
+    let scene = gaussians(&mixed_scene(&mut Random::new(5), 900, 16));
+    let pictures = [gpu.context, &fixed].map(|context| {
+        let mut renderer = Renderer::new(context).expect("kernels");
+        renderer.upload(&scene).expect("a scene");
+        renderer
+            .render(&camera(&small_view([203, 117])), &RenderSettings::default())
+            .expect("a picture")
+            .color
+    });
+    assert_silent(&fixed);
+    assert!(pictures[0] == pictures[1]);
+}
+
+/// The kernels would give wrong results without an error.
+#[test]
+fn backends_with_other_subgroups_than_they_report_are_refused() {
+    let gpu = Gpu::new();
+    let (size, wrong) = (gpu.subgroup(), 2 * gpu.subgroup());
+    let context = context_of_fixed_size(wrong);
+    let refused = [
+        Renderer::new(&context).err(),
+        Trainer::new(&context, views(2, 5), &start(), 5.0, TrainSettings::default()).err(),
+    ];
+    for error in refused {
+        let said = error.expect("refused").to_string();
+        assert!(
+            said.contains(&format!("subgroups of {wrong}"))
+                && said.contains(&format!("with {size} of {size}")),
+            "{said}"
+        );
     }
 }

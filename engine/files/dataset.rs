@@ -4,6 +4,7 @@ mod depths;
 mod exif_orientation;
 mod gallery;
 mod inspect;
+mod lens_note;
 mod mask;
 mod photo_folder;
 mod plan;

@@ -19,6 +19,10 @@ const LEAST_SMOOTHING: (f64, f64) = (1.0 / 40.0, 1.0 / 6.0);
 /// How much longer than from neighbour to neighbour the way in the given order may be.
 const LONGEST_DETOUR: f64 = 2.0;
 
+/// An arc ends within its outermost cameras, by a mean distance between two of them and at most by this share of it: what
+/// only one camera saw is not drawn well from elsewhere.
+const MOST_INSET: f64 = 1.0 / 8.0;
+
 /// How a camera moves through a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
@@ -41,11 +45,12 @@ impl Motion {
         }
     }
 
-    /// `count` cameras that move so, in order. `looped`: the first follows the last, so an arc is walked there
-    /// and back; a path is always walked once. Empty without cameras.
+    /// `count` cameras that move so, in order. `looped`: the first follows the last, so an arc is walked from
+    /// its middle to both ends and back; a path is always walked once. Empty without cameras.
     pub fn cameras(self, seen: &[Camera], count: u32, looped: bool, intrinsics: Intrinsics) -> Vec<Camera> {
         let along = (0..count).map(|i| match (looped && self == Self::Arc, count) {
-            (true, _) => 0.5 - 0.5 * (TAU * f64::from(i) / f64::from(count)).cos(),
+            // The first frame is what a film is known by.
+            (true, _) => 0.5 + 0.5 * (TAU * f64::from(i) / f64::from(count)).sin(),
             (false, 1) => 0.5,
             (false, _) => f64::from(i) / f64::from(count - 1),
         });
@@ -182,8 +187,9 @@ impl Ring {
     /// A camera at a share of the arc.
     fn camera(&self, share: f64, intrinsics: Intrinsics) -> Camera {
         let [up, side, front] = self.axes;
-        let place = share * self.span;
         let spacing = self.span / (self.places.len() - 1) as f64;
+        let inset = spacing.min(MOST_INSET * self.span);
+        let place = inset + share * (self.span - 2.0 * inset);
         let width = (SMOOTHING * spacing).max(LEAST_SMOOTHING.1 * self.span).max(1e-6);
         let ([distance, height], weights) =
             smoothed(&self.places, place, width, [0.0; 2], |sum, value, weight| {

@@ -172,6 +172,7 @@ impl Trainer {
         room: Option<&Room>,
     ) -> Result<Self> {
         settings.check()?;
+        crate::subgroups::check(context)?;
         if views.is_empty() {
             return Err(Error::argument("views", "there are none to train on"));
         }

@@ -13,6 +13,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub(super) struct PipelineKey {
     pub(super) name: &'static str,
     pub(super) texels: bool,
+    /// Of its SPIR-V, where that is not the kernel's own.
+    pub(super) replaced: Option<u64>,
     pub(super) subgroup_size: Option<u32>,
     pub(super) workgroup_size: [u32; 3],
     /// (constant_id, bits).
@@ -99,7 +101,14 @@ mod tests {
 
     fn key(name: &'static str) -> PipelineKey {
         let (subgroup_size, workgroup_size) = (None, [64, 1, 1]);
-        PipelineKey { name, texels: false, subgroup_size, workgroup_size, constants: vec![(0, 1)] }
+        PipelineKey {
+            name,
+            texels: false,
+            replaced: None,
+            subgroup_size,
+            workgroup_size,
+            constants: vec![(0, 1)],
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //! [`Context::pipeline_statistics`]: super::Context::pipeline_statistics
 
 use ash::vk::{self, Handle};
-use std::alloc::{Layout, alloc_zeroed, dealloc, handle_alloc_error};
+use std::alloc::{Layout, alloc_zeroed, dealloc};
 use std::ffi::{CStr, c_char, c_void};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -15,6 +15,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 const HEAP_BYTES: u64 = 1 << 40;
 /// Of all memory and buffers.
 const ALIGNMENT: u64 = 256;
+/// Of the memory behind it. Up to this much the system hands out zeros without writing them.
+const HOST_ALIGNMENT: usize = 16;
 
 /// One heap with one type of memory, which the host sees.
 pub(super) fn memory_properties() -> vk::PhysicalDeviceMemoryProperties {
@@ -220,12 +222,12 @@ unsafe extern "system" fn allocate_memory(
     // SAFETY: the caller's pointers; the layout is not empty.
     unsafe {
         let bytes = usize::try_from((*info).allocation_size).unwrap_or(usize::MAX).max(1);
-        let Ok(layout) = Layout::from_size_align(bytes, ALIGNMENT as usize) else {
+        let Ok(layout) = Layout::from_size_align(bytes, HOST_ALIGNMENT) else {
             return vk::Result::ERROR_OUT_OF_HOST_MEMORY;
         };
         let start = alloc_zeroed(layout);
         if start.is_null() {
-            handle_alloc_error(layout);
+            return vk::Result::ERROR_OUT_OF_DEVICE_MEMORY;
         }
         out.write(vk::DeviceMemory::from_raw(Box::into_raw(Box::new(Memory { start, layout })) as u64));
     }

@@ -56,6 +56,11 @@ impl Context {
         &self.device.limits
     }
 
+    /// Whether there is a queue to submit to: a host may keep its own to itself.
+    pub(crate) fn can_submit(&self) -> bool {
+        self.device.queue.is_some()
+    }
+
     /// The driver's name of the device.
     pub fn device_name(&self) -> &str {
         &self.device.description.name

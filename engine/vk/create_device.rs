@@ -54,6 +54,9 @@ pub(super) fn create_device(
     if optional.robust_buffers2 {
         extensions.push(ash::ext::robustness2::NAME.as_ptr());
     }
+    if optional.reconverges {
+        extensions.push(ash::khr::shader_maximal_reconvergence::NAME.as_ptr());
+    }
     extensions.extend(optional.calibrated_timestamps.map(|kind| kind.extension().as_ptr()));
     let priorities = [1.0];
     let queues = [vk::DeviceQueueCreateInfo::default()
@@ -76,6 +79,11 @@ pub(super) fn create_device(
         .push_next(&mut v13);
     if optional.robust_buffers2 {
         info = info.push_next(&mut robustness2);
+    }
+    let mut reconvergence =
+        vk::PhysicalDeviceShaderMaximalReconvergenceFeaturesKHR::default().shader_maximal_reconvergence(true);
+    if optional.reconverges {
+        info = info.push_next(&mut reconvergence);
     }
     let mut executables =
         vk::PhysicalDevicePipelineExecutablePropertiesFeaturesKHR::default().pipeline_executable_info(true);

@@ -73,6 +73,8 @@ pub(super) struct OptionalFeatures {
     pub(super) portability_subset: bool,
     pub(super) calibrated_timestamps: Option<Calibrated>,
     pub(super) memory_budget: bool,
+    /// VK_KHR_shader_maximal_reconvergence.
+    pub(super) reconverges: bool,
     /// robustBufferAccess2 of VK_EXT_robustness2.
     pub(super) robust_buffers2: bool,
     /// fragmentStoresAndAtomics and vertexPipelineStoresAndAtomics, which the layer's debugPrintf asks for.
@@ -198,7 +200,7 @@ fn examine(
     let (limits, missing_operations) =
         limits(instance, physical, timed.is_some(), &mut candidate.description);
     candidate.description.limits = Some(limits);
-    let (optional, missing) = features(instance, physical, has(ash::ext::robustness2::NAME));
+    let (optional, missing) = features(instance, physical, &has);
     candidate.features = optional;
     candidate.features.push_descriptor = has(ash::khr::push_descriptor::NAME);
     candidate.features.portability_subset = has(c"VK_KHR_portability_subset");
@@ -210,14 +212,18 @@ fn examine(
 fn features(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
-    has_robustness2: bool,
+    has: &impl Fn(&CStr) -> bool,
 ) -> (OptionalFeatures, Option<String>) {
     let mut robustness2 = vk::PhysicalDeviceRobustness2FeaturesEXT::default();
+    let mut reconvergence = vk::PhysicalDeviceShaderMaximalReconvergenceFeaturesKHR::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
     let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
     let mut all = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
-    if has_robustness2 {
+    if has(ash::ext::robustness2::NAME) {
         all = all.push_next(&mut robustness2);
+    }
+    if has(ash::khr::shader_maximal_reconvergence::NAME) {
+        all = all.push_next(&mut reconvergence);
     }
     // SAFETY: the device implements Vulkan 1.3, each struct is chained once.
     unsafe { instance.get_physical_device_features2(physical, &mut all) };
@@ -234,6 +240,7 @@ fn features(
         portability_subset: false,
         calibrated_timestamps: None,
         memory_budget: false,
+        reconverges: reconvergence.shader_maximal_reconvergence != 0,
         robust_buffers2: robustness2.robust_buffer_access2 != 0,
         graphics_stores: f.fragment_stores_and_atomics != 0 && f.vertex_pipeline_stores_and_atomics != 0,
     };
@@ -276,14 +283,12 @@ fn limits(
         vk::PhysicalDeviceType::CPU => Tuning::of(Backend::Processor),
         _ => Tuning::of_vendor(properties.vendor_id),
     };
-    let subgroup_size_selectable = v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
-    let sizes = v13.min_subgroup_size..=v13.max_subgroup_size;
-    let wanted = tuning.lanes.filter(|lanes| subgroup_size_selectable && sizes.contains(lanes));
     let limits = Limits {
-        subgroup_size: wanted.unwrap_or(v11.subgroup_size),
+        subgroup_size: v11.subgroup_size,
+        own_subgroup_size: v11.subgroup_size,
         min_subgroup_size: v13.min_subgroup_size,
         max_subgroup_size: v13.max_subgroup_size,
-        subgroup_size_selectable,
+        subgroup_size_selectable: v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
         max_workgroup_invocations: l.max_compute_work_group_invocations,
         max_workgroup_size: l.max_compute_work_group_size,
         max_workgroup_subgroups: v13.max_compute_workgroup_subgroups,
@@ -305,7 +310,7 @@ fn limits(
         instances_per_dispatch: INSTANCES_PER_DISPATCH,
         overrides: Vec::new(),
     };
-    (limits, missing)
+    (limits.tuned(tuning), missing)
 }
 
 fn text(name: Result<&CStr, std::ffi::FromBytesUntilNulError>) -> String {

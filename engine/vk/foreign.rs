@@ -57,7 +57,8 @@ impl Context {
     ///
     /// # Errors
     /// [`Error::MissingFeature`] for the first of [`Context::requirements`] that the device lacks or that was
-    /// not enabled, [`Error::Argument`] for a null handle or a queue family without compute.
+    /// not enabled, [`Error::Argument`] for a null handle, a queue family without compute, or
+    /// [`ContextOptions::compile_only`], which takes a device of our own.
     ///
     /// # Safety
     /// - `instance` and `device` are alive, were created for Vulkan 1.3 or later, and outlive the context and
@@ -84,6 +85,10 @@ impl Context {
         if let Some((what, _)) = null.into_iter().find(|(_, null)| *null) {
             return Err(Error::argument(what, "the handle is null"));
         }
+        if options.compile_only.is_some() {
+            let problem = "takes a device of its own: use Context::new";
+            return Err(Error::argument("compile_only", problem));
+        }
         let mut candidate = device::describe(host.instance, 0, host.physical_device, vk::API_VERSION_1_3)?;
         let lacks = |feature: String| {
             Err(Error::MissingFeature { device: candidate.description.name.clone(), feature })
@@ -106,6 +111,8 @@ impl Context {
         candidate.features.push_descriptor &=
             options.push_descriptors && host.extensions.contains(&ash::khr::push_descriptor::NAME);
         candidate.features.calibrated_timestamps = None;
+        // Features of extensions are not told.
+        candidate.features.reconverges = false;
         let limits = effective_limits(&candidate, options)?;
         Self::assemble(Parts {
             owner: Owner::Host(host.instance.clone()),

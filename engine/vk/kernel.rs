@@ -9,8 +9,10 @@ use super::error::vk_error;
 use super::image::Image;
 use super::limits::{CHOSEN_BY_HOST, Limits};
 use super::open_device::Device;
+use super::spirv::SubgroupRules;
 use crate::{Error, Result};
 use ash::vk;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::marker::PhantomData;
 use std::sync::Arc;
 
@@ -153,10 +155,13 @@ impl<K: KernelInterface> Kernel<K> {
         let pipeline = match context.replaced_shader(K::NAME) {
             // What runs nothing keeps all that it builds.
             Some(spirv) if context.device.executables.is_some() => {
-                Pipeline::shared(&context.device, &demands, (form.texels, &spirv), constants)?
+                let mut hash = DefaultHasher::new();
+                spirv.hash(&mut hash);
+                let replaced = Some(hash.finish());
+                Pipeline::shared(&context.device, &demands, (form.texels, replaced, &spirv), constants)?
             }
             Some(spirv) => Pipeline::new(&context.device, &demands, &spirv, &constants)?,
-            None => Pipeline::shared(&context.device, &demands, (form.texels, form.spirv), constants)?,
+            None => Pipeline::shared(&context.device, &demands, (form.texels, None, form.spirv), constants)?,
         };
         Ok(Self { pipeline: Arc::new(pipeline), interface: PhantomData })
     }
@@ -273,11 +278,18 @@ impl Pipeline {
     fn shared(
         inner: &Arc<Device>,
         demands: &Demands,
-        (texels, spirv): (bool, &[u32]),
+        (texels, replaced, spirv): (bool, Option<u64>, &[u32]),
         constants: Vec<(u32, u32)>,
     ) -> Result<Self> {
         let Demands { name, subgroup_size, workgroup_size, .. } = *demands;
-        let key = PipelineKey { name, texels, subgroup_size, workgroup_size, constants: constants.clone() };
+        let key = PipelineKey {
+            name,
+            texels,
+            replaced,
+            subgroup_size,
+            workgroup_size,
+            constants: constants.clone(),
+        };
         let mut pipeline = Self::unbuilt(inner, demands);
         pipeline.handles = inner.built.get_or_build(key, || {
             let mut new = Self::new(inner, demands, spirv, &constants)?;
@@ -369,7 +381,9 @@ impl Pipeline {
             })
             .collect();
         let specialization = vk::SpecializationInfo::default().map_entries(&entries).data(&data);
-        let module_info = vk::ShaderModuleCreateInfo::default().code(spirv);
+        let rules = subgroup_size.map_or_else(SubgroupRules::default, |_| self.inner.subgroup_rules);
+        let spirv = rules.apply(spirv);
+        let module_info = vk::ShaderModuleCreateInfo::default().code(&spirv);
         // SAFETY: SPIR-V that build.rs compiled.
         let module = unsafe { device.create_shader_module(&module_info, None) };
         let module = module.map_err(vk_error("vkCreateShaderModule"))?;

@@ -10,6 +10,8 @@ use crate::tuning::Tuning;
 pub struct Limits {
     /// Invocations of a subgroup in every kernel with a `subgroup_size` constant.
     pub subgroup_size: u32,
+    /// subgroupSize: what the driver chooses where nothing is required.
+    pub own_subgroup_size: u32,
     /// Smallest subgroup size that may be chosen.
     pub min_subgroup_size: u32,
     /// Largest subgroup size that may be chosen.
@@ -99,6 +101,15 @@ pub(super) const CHOSEN_BY_HOST: [&str; 12] = [
 ];
 
 impl Limits {
+    /// With this row of the table, and the subgroup size that it asks for where the device lets it be required.
+    pub(super) fn tuned(mut self, tuning: &'static Tuning) -> Self {
+        let sizes = self.min_subgroup_size..=self.max_subgroup_size;
+        let sizes = self.subgroup_size_selectable.then_some(sizes);
+        self.subgroup_size = tuning.subgroup_size(self.own_subgroup_size, sizes);
+        self.tuning = tuning;
+        self
+    }
+
     /// The largest workgroup size up to `preferred` on this device: a multiple of the subgroup size, within
     /// the limits of invocations and subgroups, and at least one subgroup.
     pub fn workgroup_size(&self, preferred: u32) -> u32 {

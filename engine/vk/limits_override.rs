@@ -1,7 +1,6 @@
 //! For tests: stricter limits than the device's.
 
 use super::limits::Limits;
-use crate::tuning::{Backend, Tuning};
 
 /// Stricter limits than the device's, for tests: `None` keeps the device's.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -24,10 +23,10 @@ pub struct LimitsOverride {
     pub max_push_descriptors: Option<u32>,
     /// For [`Limits::max_texels`].
     pub max_texels: Option<u64>,
+    /// For [`Limits::subgroup_size`]: as on a device that reports this size, and lets none be required.
+    pub fixed_subgroup_size: Option<u32>,
     /// For [`Limits::instances_per_dispatch`].
     pub instances_per_dispatch: Option<u32>,
-    /// For [`Limits::tuning`]: the kernels of another class of devices.
-    pub backend: Option<Backend>,
 }
 
 impl Limits {
@@ -46,8 +45,8 @@ impl Limits {
         lower(&mut self.max_push_descriptors, to.max_push_descriptors);
         lower(&mut self.max_texels, to.max_texels);
         lower(&mut self.instances_per_dispatch, to.instances_per_dispatch);
-        if let Some(backend) = to.backend {
-            self.tuning = Tuning::of(backend);
+        if let Some(size) = to.fixed_subgroup_size {
+            (self.subgroup_size, self.own_subgroup_size, self.subgroup_size_selectable) = (size, size, false);
         }
         self
     }

@@ -106,6 +106,7 @@ mod recorder;
 mod requirements;
 mod resources;
 mod slot_recording;
+mod spirv;
 mod submit;
 mod texels;
 mod transfer;

@@ -22,6 +22,8 @@ use super::limits_override::LimitsOverride;
 use super::open_device::{Device, Owner};
 use super::pipeline_cache::{PipelineCache, PipelineCacheStore};
 use super::raw_device::RawDevice;
+use super::spirv::SubgroupRules;
+use crate::tuning::{Backend, Tuning};
 use crate::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
@@ -46,6 +48,9 @@ pub struct ContextOptions {
     /// Subgroup size of all kernels, if the device supports the choice. None: [`Tuning::lanes`](crate::tuning::Tuning::lanes),
     /// else the device's own.
     pub subgroup_size: Option<u32>,
+    /// The kernels, sizes and layouts of this class of devices ([`Tuning`]), whatever the device is. None: the environment
+    /// variable `ASHSPLAT_BACKEND` (`gpu` or `processor`), or otherwise what the device is.
+    pub backend: Option<Backend>,
     /// For tests: stricter limits than the device's.
     #[cfg(feature = "testing")]
     pub limits_override: Option<LimitsOverride>,
@@ -106,6 +111,7 @@ impl Default for ContextOptions {
             hazard_check: cfg!(debug_assertions),
             timestamps: true,
             subgroup_size: None,
+            backend: None,
             #[cfg(feature = "testing")]
             limits_override: None,
             debug_printf: false,
@@ -247,6 +253,10 @@ impl Context {
             queue: queue.map(Mutex::new),
             queue_family: candidate.queue_family,
             physical: candidate.physical,
+            subgroup_rules: SubgroupRules {
+                fixed_size: !limits.subgroup_size_selectable,
+                reconverges: candidate.features.reconverges,
+            },
             limits,
             memory,
             unified_memory,
@@ -288,6 +298,13 @@ pub(super) fn effective_limits(candidate: &Candidate, options: &ContextOptions) 
     #[cfg(feature = "testing")]
     let limits = limits.lowered(&options.limits_override.unwrap_or_default());
     let mut limits = limits;
+    let asked = std::env::var("ASHSPLAT_BACKEND").ok().filter(|name| !name.is_empty());
+    let asked = asked.map(|name| name.parse().map_err(|e: String| Error::argument("ASHSPLAT_BACKEND", e)));
+    if let Some(backend) = options.backend.map(Ok).or(asked).transpose()?
+        && backend != limits.tuning.backend
+    {
+        limits = limits.tuned(Tuning::of(backend));
+    }
     limits.overrides.clone_from(&options.overrides);
     if let Some(size) = options.subgroup_size {
         let (min, max) = (limits.min_subgroup_size, limits.max_subgroup_size);

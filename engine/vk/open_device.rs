@@ -13,6 +13,7 @@ use super::instance::Instance;
 use super::limits::Limits;
 use super::pipeline_cache::PipelineCache;
 use super::raw_device::RawDevice;
+use super::spirv::SubgroupRules;
 use crate::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
@@ -36,6 +37,8 @@ pub(super) struct Device {
     pub(super) queue_family: u32,
     pub(super) physical: vk::PhysicalDevice,
     pub(super) limits: Limits,
+    /// Of kernels that use subgroups.
+    pub(super) subgroup_rules: SubgroupRules,
     pub(super) memory: vk::PhysicalDeviceMemoryProperties,
     /// Whether device memory is the host's memory. Mapping is then the fastest transfer.
     pub(super) unified_memory: bool,

@@ -7,9 +7,11 @@ vec4 sh_plane(uint plane, uint index) {
     return plane < SH_PLANES ? value : vec4(0.0);
 }
 
-// Coefficients 4 group to 4 group + 3; those above SH_DEGREE are multiplied by basis functions of 0.
+// Coefficients 4 group to 4 group + 3; those above SH_DEGREE are 0, whatever is stored.
 void sh_coefficient_group(uint group, uint index, out vec3 sh[4]) {
     vec4 a = sh_plane(3 * group, index), b = sh_plane(3 * group + 1, index), c = sh_plane(3 * group + 2, index);
+    // At degrees 0 and 2 the last active coefficient shares its plane with the next one.
+    a.w = 4 * group + 1 < (SH_DEGREE + 1) * (SH_DEGREE + 1) ? a.w : 0.0;
     sh[0] = a.xyz;
     sh[1] = vec3(a.w, b.xy);
     sh[2] = vec3(b.zw, c.x);

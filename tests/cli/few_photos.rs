@@ -58,17 +58,13 @@ fn few_photos_are_noticed_and_said() {
     write_dataset(&data);
     let lines = |run: &Finished| {
         assert_eq!(run.code, Some(0), "{}", run.stderr);
-        run.stderr
-            .lines()
-            .filter(|line| line.starts_with("few photos"))
-            .map(str::to_owned)
-            .collect::<Vec<_>>()
+        run.stderr.lines().filter(|line| line.starts_with("only ")).map(str::to_owned).collect::<Vec<_>>()
     };
     let model = folder.path().join("auto");
     let said = lines(&train(&data, &model, &[]));
     assert_eq!(said.len(), 1, "{said:?}");
     assert!(
-        said[0].contains("(9)")
+        said[0].contains("only 9 photos")
             && said[0].contains("--densify-until-iter 1500")
             && said[0].contains("--few-photos off")
     );

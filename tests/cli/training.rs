@@ -270,23 +270,26 @@ impl Short {
 #[test]
 fn newest_point_cloud_counts_not_the_highest_number() {
     let short = Short::new();
-    assert_eq!(short.train(&["--iterations", "5"]).stderr, "");
+    let checkpoint = ["--iterations", "5", "--checkpoint_iterations", "3"];
+    assert_eq!(short.train(&checkpoint).stderr, "");
+    let mut had = files_below(&short.model());
+    had.retain(|name| !name.ends_with(".training.lock"));
+    assert!(had.len() > 8, "{had:?}");
     // As a run leaves it that was killed while it saved.
     let leftover = short.ply(5).with_file_name(".point_cloud.ply.aB3dE6.tmp");
     std::fs::write(&leftover, "half").expect("written");
     let again = short.train(&["--iterations", "3"]);
     assert_eq!(again.code, Some(0), "{}", again.stderr);
-    assert!(
-        again.stderr.starts_with("warning: ") && again.stderr.contains("iteration_5"),
-        "{}",
-        again.stderr
-    );
-    assert!(short.ply(5).is_file() && !leftover.exists());
-    // What would be taken for the new training's is kept under another name.
-    assert!(again.stderr.contains("earlier_1"), "{}", again.stderr);
-    let log = |folder: PathBuf| std::fs::read_to_string(folder.join("train_log.csv")).expect("the log");
-    assert_eq!(log(short.model().join("earlier_1")).lines().count(), 6);
-    assert_eq!(log(short.model()).lines().count(), 4);
+    assert!(again.stderr.starts_with("warning: ") && again.stderr.contains("earlier_1"), "{}", again.stderr);
+    // The earlier training is a model folder of its own, with all that it had.
+    let earlier = short.model().join("earlier_1");
+    assert!(!short.ply(5).exists() && !leftover.exists());
+    assert_eq!(files_below(&earlier), had);
+    let log = |folder: &Path| std::fs::read_to_string(folder.join("train_log.csv")).expect("the log");
+    assert_eq!(log(&earlier).lines().count(), 6);
+    let shown = succeed(&["info", text(&earlier), "--json"]);
+    assert!(shown.contains("iteration_5"), "{shown}");
+    assert_eq!(log(&short.model()).lines().count(), 4);
     let info: Value =
         serde_json::from_str(&succeed(&["info", text(&short.model()), "--json"])).expect("JSON");
     assert_eq!(info["file"].as_str(), short.ply(3).to_str());

@@ -7,8 +7,8 @@ use ashsplat::ash::vk;
 use ashsplat::kernels::compose::expected_depth;
 use ashsplat::scene::Pose;
 use ashsplat::vk::{
-    Buffer, Context, ContextOptions, Features, ForeignDevice, Image, ImageState, ImageUse, Kernel,
-    LimitsOverride, MemoryKind, Recorder,
+    Buffer, CompileOnly, Context, ContextOptions, Features, ForeignDevice, Image, ImageState, ImageUse,
+    Kernel, LimitsOverride, MemoryKind, Recorder,
 };
 use ashsplat::{
     Background, Blending, DepthTarget, DeviceScene, Error, HostImage, Occluder, Placed, RecordedFrame,
@@ -43,6 +43,12 @@ fn a_host_that_has_not_enabled_a_feature_is_told_which() {
         assert!(matches!(&error, Error::Argument { what, .. } if what == "queue"), "{error}");
         let error = refused(host, |h| h.queue_family = 77);
         assert!(matches!(&error, Error::Argument { what, .. } if what == "queue family"), "{error}");
+        // Its functions in place of the host's would take the host's handles for its own.
+        let compile_only = Some(CompileOnly { texts: false });
+        let options = ContextOptions { compile_only, ..ContextOptions::default() };
+        // SAFETY: as in `refused`.
+        let error = unsafe { Context::from_foreign(&host.foreign(), &options) }.err().expect("refused");
+        assert!(matches!(&error, Error::Argument { what, .. } if what == "compile_only"), "{error}");
     });
 }
 

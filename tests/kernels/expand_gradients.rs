@@ -11,9 +11,9 @@ use crate::reference::expand_gradients::sh_gradient;
 use crate::reference::project::{camera_position, view_direction};
 use crate::reference::types::View;
 
-fn check(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize) {
+fn check(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize, sh_loops: bool) {
     let view = View { sh_degree, ..small_view([53, 37]) };
-    let spec = Spec { workgroup_size: gpu.workgroup(64), sh_degree, sh_loops: size % 2 == 1 };
+    let spec = Spec { workgroup_size: gpu.workgroup(64), sh_degree, sh_loops };
     let kernel = gpu.kernel::<Interface>(&spec);
     let mut random = Random::new(size as u64);
     let gaussians = mixed_scene(&mut random, size, coefficients);
@@ -78,7 +78,7 @@ fn check(gpu: &Gpu, size: usize, sh_degree: u32, coefficients: usize) {
 fn expand_gradients_equals_its_twin() {
     let gpu = Gpu::new();
     for size in sizes(gpu.workgroup(64) as usize) {
-        check(&gpu, size, 3, 16);
+        check(&gpu, size, 3, 16, size % 2 == 1);
     }
 }
 
@@ -86,6 +86,8 @@ fn expand_gradients_equals_its_twin() {
 fn expand_gradients_of_every_degree() {
     let gpu = Gpu::new();
     for (active, stored) in [(0, 0), (0, 1), (1, 1), (1, 2), (2, 2), (0, 3), (1, 3), (2, 3)] {
-        check(&gpu, 100, active, ((stored + 1) * (stored + 1)) as usize);
+        for sh_loops in [false, true] {
+            check(&gpu, 100, active, ((stored + 1) * (stored + 1)) as usize, sh_loops);
+        }
     }
 }

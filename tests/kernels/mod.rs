@@ -68,6 +68,7 @@ mod ssim_backward;
 mod ssim_backward_sweep;
 mod ssim_forward;
 mod ssim_forward_sweep;
+mod subgroup_probe;
 mod sum_weights;
 mod term_reduce;
 mod write_indirect_args;

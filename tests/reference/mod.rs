@@ -75,6 +75,7 @@ pub mod sparse_depth;
 pub mod sparse_depth_gather;
 pub mod ssim_backward;
 pub mod ssim_forward;
+pub mod subgroup_probe;
 pub mod sum_weights;
 pub mod term_reduce;
 pub mod tile_list;

@@ -2,6 +2,7 @@
 
 use crate::pipeline_cache;
 use ashsplat::Result;
+use ashsplat::tuning::Backend;
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat_files::splats::ReadOptions;
 use ashsplat_files::{HostMemory, quoted};
@@ -20,6 +21,13 @@ pub struct DeviceArguments {
     /// has]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub max_memory: Option<u64>,
+    /// Invocations of a subgroup, where the device lets them be chosen [default: by a table, else the device's own]
+    #[arg(long, value_name = "N")]
+    pub subgroup_size: Option<u32>,
+    /// Treat the device as a gpu or a processor, whatever it is: kernels, sizes and layouts [default: $ASHSPLAT_BACKEND, else what
+    /// it is]
+    #[arg(long, value_name = "NAME", value_parser = str::parse::<Backend>)]
+    pub backend: Option<Backend>,
     #[command(flatten)]
     pub host: HostArguments,
 }
@@ -83,7 +91,9 @@ impl DeviceArguments {
     pub fn repeated(&self) -> String {
         let device = self.device.iter().map(|device| format!(" --device {}", quoted(device)));
         let memory = self.max_memory.iter().map(|bytes| format!(" --max-memory {}", size(*bytes)));
-        device.chain(memory).collect()
+        let lanes = self.subgroup_size.iter().map(|lanes| format!(" --subgroup-size {lanes}"));
+        let backend = self.backend.iter().map(|backend| format!(" --backend {backend}"));
+        device.chain(memory).chain(lanes).chain(backend).collect()
     }
 
     /// Opens the device.
@@ -97,6 +107,8 @@ impl DeviceArguments {
             device: self.device.clone(),
             validation: self.validation,
             max_memory: self.max_memory,
+            subgroup_size: self.subgroup_size,
+            backend: self.backend,
             pipeline_cache: pipeline_cache::kept(),
             ..Default::default()
         };
@@ -128,6 +140,9 @@ mod tests {
         let device = Some("it's (256 bits)".to_owned());
         let arguments = DeviceArguments { device, max_memory: Some(6 << 30), ..Default::default() };
         assert_eq!(arguments.repeated(), r" --device 'it'\''s (256 bits)' --max-memory 6G");
+        let arguments =
+            DeviceArguments { subgroup_size: Some(16), backend: Some(Backend::Gpu), ..Default::default() };
+        assert_eq!(arguments.repeated(), " --subgroup-size 16 --backend gpu");
         assert_eq!(DeviceArguments::default().repeated(), "");
     }
 }

@@ -84,7 +84,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         say!("PLY             {}", point_cloud_path(&model, arguments.iterations).display());
         say!("metrics         {}", folder.join("metrics.json").display());
         say!("contact sheet   {}", folder.join("contact_sheet.png").display());
-        say_what_next(&model);
+        say_what_next(&model, true);
         say!("total           {:.1} s", start.elapsed().as_secs_f64());
     }
     arguments.device.report_validation(&context);

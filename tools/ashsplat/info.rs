@@ -7,7 +7,7 @@ use crate::progress::thousands;
 use crate::session;
 use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
-use ashsplat_files::{Dataset, DatasetReport, splats};
+use ashsplat_files::{Dataset, DatasetReport, quoted, splats};
 use clap::Args;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -93,7 +93,15 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         say!("{}", report.to_string().trim_end());
     }
     match report.problems.as_slice() {
-        [] => Ok(()),
+        [] => {
+            if !arguments.json {
+                say!(
+                    "next      it can be trained on: ashsplat train -s {}",
+                    quoted(&arguments.path.to_string_lossy())
+                );
+            }
+            Ok(())
+        }
         [only] => Err(Error::argument("data set", only.clone())),
         [first, rest @ ..] => Err(Error::argument("data set", format!("{first} (and {} more)", rest.len()))),
     }

@@ -41,7 +41,7 @@ pub fn point_cloud_path(folder: &Path, iteration: u32) -> PathBuf {
 }
 
 /// Which point cloud was saved last: not always the one with the highest number, where an earlier training left its own.
-const LAST_ITERATION_FILE: &str = "last_iteration";
+pub const LAST_ITERATION_FILE: &str = "last_iteration";
 
 /// Notes the iteration whose point cloud was saved last.
 pub fn note_saved(folder: &Path, iteration: u32) -> Result<()> {
@@ -49,7 +49,7 @@ pub fn note_saved(folder: &Path, iteration: u32) -> Result<()> {
 }
 
 /// The iterations whose point clouds are in a model folder, ascending.
-pub fn saved_iterations(folder: &Path) -> Vec<u32> {
+fn saved_iterations(folder: &Path) -> Vec<u32> {
     let Ok(entries) = std::fs::read_dir(folder.join("point_cloud")) else { return Vec::new() };
     let iteration = |name: &str| name.strip_prefix("iteration_")?.parse::<u32>().ok();
     let numbers = entries.filter_map(|entry| iteration(entry.ok()?.file_name().to_str()?));

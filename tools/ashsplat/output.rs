@@ -120,14 +120,6 @@ pub fn read_note(path: &Path) -> Option<String> {
     Some(text)
 }
 
-/// Removes a file, if it is there.
-pub fn remove(path: &Path) -> Result<()> {
-    match std::fs::remove_file(path) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, "remove", e)),
-        _ => Ok(()),
-    }
-}
-
 /// Removes the temporary files (`.NAME.XXXXXX.tmp`) of an earlier run that was killed, in a folder and in
 /// `levels` levels of folders below it. Files that cannot be removed stay, and do no harm.
 pub fn remove_leftovers(folder: &Path, levels: u32) {

@@ -23,7 +23,7 @@ use std::path::PathBuf;
 use subject::Subject;
 
 /// Nothing is run for a dump.
-const NOT_WITH_DUMP: [&str; 29] = [
+const NOT_WITH_DUMP: [&str; 31] = [
     "what",
     "is_static",
     "json",
@@ -53,6 +53,8 @@ const NOT_WITH_DUMP: [&str; 29] = [
     "validation",
     "max_memory",
     "max_host_memory",
+    "subgroup_size",
+    "backend",
 ];
 
 /// Profile one frame or one training step, kernel by kernel.

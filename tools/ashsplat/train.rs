@@ -159,7 +159,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     run.report();
     say!("written to {}", folder.display());
     if !interrupted && !arguments.quiet {
-        say_what_next(&folder);
+        say_what_next(&folder, run.held_out);
     }
     arguments.device.report_validation(&context);
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }

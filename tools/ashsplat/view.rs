@@ -110,11 +110,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let site = Arc::new(site.with_openings(openings.clone()));
     let server = server::start(listener, site.clone())?;
     announce(server.address, &arguments.serve);
-    if arguments.path.is_none() {
-        say!(
-            "nothing is open: drop a file of Gaussians onto the page, or give a path there; Ctrl-C ends the viewer"
-        );
-    }
+    say!(
+        "{}; Ctrl-C ends the viewer",
+        match &name {
+            Some(name) => format!("it shows {name}"),
+            None => "nothing is open: drop a file of Gaussians onto the page, or give a path there".into(),
+        }
+    );
     std::thread::scope(|threads| {
         let stage = Stage { arguments, openings, hub: hub.clone(), site, stop: &stop };
         let ended = stage.play(threads, name, out);

@@ -156,9 +156,9 @@ impl fmt::Display for DatasetReport {
         writeln!(f, "images    {} registered, {} sound photos", self.images, self.sound_photos)?;
         writeln!(f, "views     {} for training, {} held out", self.train_views, self.test_views)?;
         writeln!(f, "points    {}", self.points)?;
-        for (what, bounds) in [("points", self.point_bounds), ("cameras", self.camera_bounds)] {
+        for (what, bounds) in [("of the points", self.point_bounds), ("of the cameras", self.camera_bounds)] {
             if let Some(Bounds { min, max }) = bounds {
-                writeln!(f, "box       {what} from {min:.3} to {max:.3}")?;
+                writeln!(f, "box       {what}: from {min:.3} to {max:.3}")?;
             }
         }
         writeln!(f, "extent    {:.4}", self.scene_extent)?;

@@ -7,8 +7,8 @@ use glam::{Mat3, Vec3};
 
 use super::exif_orientation::Turned;
 use super::mask::{Mask, mask_in_folder, mask_of};
-use super::{DatasetOptions, View, photo_folder, scaling};
-use crate::colmap::{self, ColmapCamera, ColmapImage, Model};
+use super::{DatasetOptions, View, lens_note, photo_folder, scaling};
+use crate::colmap::{self, ColmapImage, Model};
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, header, read_as, undistort};
 use crate::names::{Finder, plain};
 use crate::transforms::{self, Frame, Transforms};
@@ -125,9 +125,11 @@ impl Plan {
             *plan.cameras.entry(kind).or_default() += 1;
             // A problem of a camera is reported for the images that use it.
             if let Ok(lens) = model.lens(camera) {
-                lenses.insert(camera.id, (lens, plan.undistorted(camera, &lens, &model.file("cameras"))));
+                lenses.insert(camera.id, (lens, lens.inscribed_pinhole()));
             }
         }
+        let known = lenses.values().map(|(lens, pinhole)| (lens, *pinhole));
+        plan.warnings.extend(lens_note::of(&model.file("cameras"), known));
         let folder = match photo_folder::find(path, &options.images) {
             Ok(folder) => folder,
             Err(e) => {
@@ -187,18 +189,6 @@ impl Plan {
         Ok(plan)
     }
 
-    /// The pinhole that replaces a lens, and a message about it.
-    fn undistorted(&mut self, camera: &ColmapCamera, lens: &Lens, file: &Path) -> Option<Intrinsics> {
-        let pinhole = lens.inscribed_pinhole();
-        if let Some(Intrinsics { width, height, .. }) = pinhole.filter(|_| lens.is_distorted()) {
-            let (file, id, model) = (file.display(), camera.id, camera.model.name());
-            self.warnings.push(format!(
-                "{file}: camera {id} ({model}) has lens distortion: its photos are undistorted to {width}x{height} pixels"
-            ));
-        }
-        pinhole
-    }
-
     fn of_transforms(path: &Path, files: &[PathBuf], options: &DatasetOptions) -> Result<Self> {
         let Transforms { source, mut frames, has_split, points, warnings } = Transforms::read(files)?;
         frames.sort_by(|a, b| a.name.cmp(&b.name));
@@ -251,12 +241,8 @@ impl Plan {
                 plan.list.display()
             ));
         }
-        if lenses.values().any(|(lens, _)| lens.is_distorted()) {
-            plan.warnings.push(format!(
-                "{}: the lens has distortion: the photos are undistorted",
-                plan.list.display()
-            ));
-        }
+        let known = lenses.values().map(|(lens, pinhole)| (lens, *pinhole));
+        plan.warnings.extend(lens_note::of(&plan.list, known));
         Ok(plan)
     }
 

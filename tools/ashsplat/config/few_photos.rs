@@ -43,7 +43,8 @@ fn described(photos: usize, before: &TrainSettings, after: &TrainSettings) -> Op
         .collect();
     let changed = Some(changed.join(" ")).filter(|changed| !changed.is_empty())?;
     Some(format!(
-        "few photos to train on ({photos}): this sets {changed}; --few-photos off leaves it as with many"
+        "only {photos} photos to train on: {changed}, so that growth ends before it fits nothing but these \
+         (--few-photos off: as with many)"
     ))
 }
 
@@ -62,7 +63,7 @@ mod tests {
         assert_eq!(settled.train, TrainSettings { densify_until_iter: 9000, ..preset.clone() });
         assert_eq!(described(8, &settled.train, &settled.train), None);
         let said = described(8, &TrainSettings::default(), &preset).expect("a line");
-        assert!(said.starts_with("few photos to train on (8): this sets --"), "{said}");
+        assert!(said.starts_with("only 8 photos to train on: --"), "{said}");
         assert!(said.contains("--few-photos off") && said.contains("--densify-until-iter 1500"), "{said}");
     }
 

@@ -11,6 +11,8 @@ const DECAY: f64 = 0.97;
 const PRESENT: usize = 5;
 /// Densifications whose mean gain is the present one.
 const RECENT: usize = 15;
+/// Before this share of the densifications what is foretold was too little in the recorded trainings.
+const EARLY: f64 = 0.2;
 /// With fewer densifications their trend is not known. At first they add more and more.
 const FEW: usize = 6;
 /// The gain falls at most with this power of the number of densifications.
@@ -31,6 +33,8 @@ pub struct TimeLeft {
     iterations: u32,
     /// Iterations that will densify, the next one last.
     densifications: Vec<u32>,
+    /// Densifications of the whole run.
+    all: usize,
     /// Change of the number of Gaussians at each densification so far.
     gains: Vec<f64>,
     /// Seconds of the iterations of the present bin.
@@ -82,12 +86,12 @@ impl Fit {
 impl TimeLeft {
     /// Of a run from iteration `first` on, which densifies after some iterations.
     pub fn new(first: u32, iterations: u32, densifies_at: impl Fn(u32) -> bool) -> TimeLeft {
+        let densifications: Vec<u32> =
+            (first + 1..=iterations).rev().filter(|&iteration| densifies_at(iteration)).collect();
         TimeLeft {
             iterations,
-            densifications: (first + 1..=iterations)
-                .rev()
-                .filter(|&iteration| densifies_at(iteration))
-                .collect(),
+            all: densifications.len(),
+            densifications,
             gains: Vec::new(),
             bin: Vec::new(),
             size: (iterations.saturating_sub(first) / 20).clamp(1, BIN) as usize,
@@ -155,8 +159,9 @@ impl TimeLeft {
             n = (n + gain(next)).max(0.0);
         }
         seconds += f64::from(self.iterations.saturating_sub(at)) * of(n);
-        let at_least =
-            iteration < self.small_until || (self.gains.len() < 2 && !self.densifications.is_empty());
+        let known = ((EARLY * self.all as f64) as usize).max(2);
+        let growing = self.gains.len() < known && !self.densifications.is_empty();
+        let at_least = iteration < self.small_until || growing;
         Some(Left { seconds, at_least })
     }
 
@@ -280,10 +285,12 @@ mod tests {
             left.step(iteration, 1000, 0.01);
         }
         assert!(left.after(500).expect("known").at_least);
-        for iteration in 501..=700 {
+        // A fifth of 25 densifications.
+        for iteration in 501..=1000 {
+            assert!(left.after(iteration).expect("known").at_least, "{iteration}");
             left.step(iteration, 1000 + 10 * (iteration - 500), 0.01);
         }
-        assert!(!left.after(700).expect("known").at_least);
+        assert!(!left.after(1000).expect("known").at_least);
     }
 
     /// What small pictures cost says nothing of whole ones.

@@ -176,9 +176,16 @@ impl Run {
     }
 }
 
-/// Forgets which checkpoint is the newest: those that are there are of an earlier training.
-pub fn forget_newest(folder: &Path) -> Result<()> {
-    output::remove(&folder.join(LAST_FILE))
+/// The names of all checkpoints in a folder, and of the note which is the newest.
+pub fn names(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten();
+    let found = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    found.filter(|name| name == LAST_FILE || iteration_of(name).is_some()).map(PathBuf::from).collect()
+}
+
+/// N of chkpntN.safetensors.
+fn iteration_of(name: &str) -> Option<u32> {
+    name.strip_prefix("chkpnt")?.strip_suffix(EXTENSION)?.strip_suffix('.')?.parse().ok()
 }
 
 /// The checkpoint noted last, if it is there; else the one with the highest iteration.
@@ -188,11 +195,7 @@ fn newest(folder: &Path) -> Result<PathBuf> {
     if let Some(noted) = noted.filter(|path| path.is_file()) {
         return Ok(noted);
     }
-    let iterations = std::fs::read_dir(folder).into_iter().flatten().filter_map(|entry| {
-        let name = entry.ok()?.file_name();
-        name.to_str()?.strip_prefix("chkpnt")?.strip_suffix(EXTENSION)?.strip_suffix('.')?.parse().ok()
-    });
-    let highest: Option<u32> = iterations.max();
+    let highest = names(folder).iter().filter_map(|name| iteration_of(name.to_str()?)).max();
     highest.map(|iteration| path(folder, iteration)).ok_or_else(|| {
         let remedy = "checkpoints are written where --checkpoint-iterations asks for them, and on Ctrl-C";
         Error::input(folder, "has no checkpoint (chkpntN.safetensors) to go on from", remedy)
@@ -216,7 +219,7 @@ mod tests {
         assert_eq!(newest(folder).expect("one"), path(folder, 20));
         std::fs::remove_file(path(folder, 20)).expect("removed");
         assert_eq!(newest(folder).expect("one"), path(folder, 100));
-        forget_newest(folder).expect("forgotten");
+        std::fs::remove_file(folder.join(LAST_FILE)).expect("removed");
         #[cfg(unix)]
         {
             // A pipe that nobody writes to is not waited for.

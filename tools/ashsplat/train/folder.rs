@@ -11,8 +11,11 @@ use ashsplat::{Error, Result};
 use ashsplat_files::exposure_json::EXPOSURE_FILE;
 use ashsplat_files::lens_json::LENS_FILE;
 use ashsplat_files::{atomic, cameras_json, ply};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+const POINT_CLOUDS: &str = "point_cloud";
+const RENDERS: &str = "test";
+const INPUT_FILE: &str = "input.ply";
 const TRAINING: Work = Work { file: ".training.lock", what: "training", option: "-m" };
 
 /// Creates the model folder and writes what is known before training; without points, what was written before a
@@ -31,54 +34,68 @@ pub fn begin(
     let lock = FolderLock::take(folder, &TRAINING)?;
     remove_leftovers(folder);
     if points.is_some() {
-        clear_up_after_others(folder)?;
+        keep_earlier(folder)?;
     }
     output::write_text(&folder.join(SETTINGS_FILE), &settings.to_toml()?)?;
     output::write_text(&folder.join(CFG_ARGS_FILE), &settings.to_cfg_args())?;
     let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
     cameras_json::write(folder.join(CAMERAS_FILE), named)?;
-    points.map_or(Ok(()), |points| ply::write_points(folder.join("input.ply"), points))?;
+    points.map_or(Ok(()), |points| ply::write_points(folder.join(INPUT_FILE), points))?;
     Ok(lock)
 }
 
 /// Of a run that was killed.
 fn remove_leftovers(folder: &Path) {
     output::remove_leftovers(folder, 0);
-    output::remove_leftovers(&folder.join("point_cloud"), 1);
-    output::remove_leftovers(&folder.join("test"), 2);
+    output::remove_leftovers(&folder.join(POINT_CLOUDS), 1);
+    output::remove_leftovers(&folder.join(RENDERS), 2);
 }
 
-/// What a training leaves beside its point clouds.
-const LEFT: [&str; 7] =
-    [eval::RESULTS_FILE, eval::PER_VIEW_FILE, REPORT_FILE, LOG_FILE, EXPOSURE_FILE, LENS_FILE, POSES_FILE];
+/// The files that a training leaves in its folder, beside the checkpoints.
+const LEFT: [&str; 12] = [
+    model::LAST_ITERATION_FILE,
+    SETTINGS_FILE,
+    CFG_ARGS_FILE,
+    CAMERAS_FILE,
+    INPUT_FILE,
+    eval::RESULTS_FILE,
+    eval::PER_VIEW_FILE,
+    REPORT_FILE,
+    LOG_FILE,
+    EXPOSURE_FILE,
+    LENS_FILE,
+    POSES_FILE,
+];
 
-/// Moves what would be taken for this run's into `earlier_1`, or the next number that is free, and warns of the point clouds of
-/// earlier ones. Nothing is removed: a command may have been given a second time by mistake.
-fn clear_up_after_others(folder: &Path) -> Result<()> {
-    let left: Vec<&str> = LEFT.into_iter().filter(|name| folder.join(name).exists()).collect();
-    if !left.is_empty() {
-        let earlier = (1..).map(|n| folder.join(format!("earlier_{n}"))).find(|path| !path.exists());
-        let earlier = earlier.unwrap_or_default();
-        atomic::create_folder(&earlier)?;
-        for name in &left {
-            let from = folder.join(name);
-            std::fs::rename(&from, earlier.join(name)).map_err(|e| Error::io(&from, "move", e))?;
-        }
-        let folder = folder.display();
-        tell!(
-            "warning: {folder}: has an earlier training; its {} are now in {}",
-            left.join(", "),
-            earlier.display()
-        );
+/// Moves all of an earlier training into `earlier_1`, or the next number that is free: a model folder of its own. Nothing is
+/// overwritten, for a command may have been given a second time by mistake.
+fn keep_earlier(folder: &Path) -> Result<()> {
+    let mut left: Vec<PathBuf> = LEFT.iter().map(PathBuf::from).collect();
+    left.extend(checkpoints::names(folder));
+    left.retain(|name| folder.join(name).is_file());
+    left.extend(folder.join(POINT_CLOUDS).is_dir().then(|| POINT_CLOUDS.into()));
+    // Of `test` only what `eval` writes there: the folder may hold photographs as well.
+    let of_tests = names(&folder.join(RENDERS)).into_iter().filter(|name| name.starts_with("ours_"));
+    left.extend(of_tests.map(|name| Path::new(RENDERS).join(name)));
+    if left.is_empty() {
+        return Ok(());
     }
-    checkpoints::forget_newest(folder)?;
-    let older: Vec<String> =
-        model::saved_iterations(folder).iter().map(|n| format!("iteration_{n}")).collect();
-    if !older.is_empty() {
-        let (folder, older) = (folder.display(), older.join(", "));
-        tell!(
-            "warning: {folder}: has point clouds of an earlier training ({older}); --iteration N chooses them"
-        );
+    let earlier = (1..).map(|n| folder.join(format!("earlier_{n}"))).find(|path| !path.exists());
+    let earlier = earlier.unwrap_or_default();
+    for name in &left {
+        let (from, to) = (folder.join(name), earlier.join(name));
+        atomic::create_folder(to.parent().unwrap_or(&earlier))?;
+        std::fs::rename(&from, to).map_err(|e| Error::io(&from, "move", e))?;
     }
+    let (folder, earlier) = (folder.display(), earlier.display());
+    tell!(
+        "warning: {folder}: had an earlier training, which is in {earlier} now; remove it if nobody needs it"
+    );
     Ok(())
+}
+
+/// The names in a folder; none if it cannot be read.
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten();
+    entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect()
 }

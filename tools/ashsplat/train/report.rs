@@ -281,12 +281,15 @@ fn settings(settings: &Settings) -> Result<String> {
     Ok(out)
 }
 
-/// What people do with a trained scene.
-pub fn say_what_next(model: &Path) {
+/// What people do with a trained scene. `measured`: on photographs that were held out.
+pub fn say_what_next(model: &Path, measured: bool) {
     let name = quoted(&model.to_string_lossy());
     say!("look at it      ashsplat view {name}");
     // A GIF is many times as large.
     let film = if child::has("ffmpeg") { "film.mp4" } else { "film.gif" };
     say!("make a film     ashsplat render {name} -o {film}");
     say!("the report      {}", model.join(REPORT_FILE).display());
+    if !measured {
+        say!("how good it is  train with --eval: every eighth photograph is held out, and measured");
+    }
 }

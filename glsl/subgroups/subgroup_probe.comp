@@ -1,0 +1,30 @@
+// What a subgroup is on this device: how many invocations it has, and which of them runs where.
+//
+// invocation: one result; subgroup: counts its invocations by a ballot; workgroup: nothing shared
+// out: found[i] = invocations of its subgroup, gl_SubgroupSize, gl_SubgroupInvocationID
+// shared: none; any subgroup size up to 128
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+
+layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+layout(local_size_x_id = 0) in;
+
+layout(set = 0, binding = 0, scalar) writeonly buffer Found { uvec3 found[]; };
+
+layout(push_constant, scalar) uniform Push { uint count; };
+
+#include "dispatch.glsl"
+
+void main() {
+    uint invocations = subgroupBallotBitCount(subgroupBallot(true));
+    // A compiler that takes SUBGROUP_SIZE for granted must still read what the device has.
+    uint size = max(gl_SubgroupSize, min(SUBGROUP_SIZE, 1));
+    uint index = linear_invocation();
+    if (index < count) {
+        found[index] = uvec3(invocations, size, gl_SubgroupInvocationID);
+    }
+}
